@@ -142,7 +142,7 @@ ROWS = {
         ("its rate is off by more than {} %", 100.0 * assembly.RATE_DIFFERENCE),
         ("shorter than {} of what is stated", assembly.COMPLETE_PART),
         ("more than {} % of it are outliers", 100.0 * outcome.OUTLIER_SHARE),
-        ("A run of fewer than {} revolutions is not assessed", observer.FEWEST_REVOLUTIONS),
+        ("A run of fewer than {} revolutions is not assessed", observer.MIN_REVOLUTIONS),
         (
             "{} bytes each: {} columns at {} rows a second take {} MB an hour",
             8,

@@ -9,7 +9,7 @@ import pytest
 import counterspin as cs
 from counterspin.cli import main
 from counterspin.errors import CampaignError
-from counterspin.monitoring.observer import APPENDED
+from counterspin.monitoring.observer import GROWING_SUFFIXES
 
 FAST = cs.Pace(interval=1e-3, share=1.0)
 
@@ -164,4 +164,4 @@ def test_stopping_it_is_no_fault(folder, capsys, monkeypatch):
 def test_the_page_lists_the_formats_that_grow():
     page = (Path(__file__).parents[2] / "docs" / "monitoring.md").read_text(encoding="utf-8")
     appended = page.partition("**Text** (")[2].partition(")")[0]
-    assert tuple(re.findall(r"`(\.\w+)`", appended)) == APPENDED
+    assert tuple(re.findall(r"`(\.\w+)`", appended)) == GROWING_SUFFIXES

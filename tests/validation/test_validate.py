@@ -86,7 +86,7 @@ def test_what_a_fit_may_be_off_by_is_small_beside_u():
     for one in fits:
         for name, line in one.expected.items():
             if line.size == 5:
-                part = one.allowed(name) / line[1]
+                part = one.tolerance(name) / line[1]
                 assert np.all(part <= (0.0051 if one.requirement == "noise" else 0.00031)), name
 
 

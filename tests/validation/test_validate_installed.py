@@ -9,7 +9,7 @@ import pytest
 
 import counterspin
 from counterspin.validation import validate as validating
-from counterspin.validation.validate import checked_files, installation, validate
+from counterspin.validation.validate import installation, validate, verify_files
 
 
 def record_of(folder):
@@ -26,11 +26,11 @@ def test_an_altered_and_a_missing_file_are_named(tmp_path):
     for name in ("a.py", "b.py", "c.py"):
         (tmp_path / name).write_text(f"# {name}\n")
     record = record_of(tmp_path)
-    assert checked_files(record, tmp_path)[1:] == ([], [])
-    assert set(checked_files(record, tmp_path)[0]) == {"a.py", "b.py", "c.py"}
+    assert verify_files(record, tmp_path)[1:] == ([], [])
+    assert set(verify_files(record, tmp_path)[0]) == {"a.py", "b.py", "c.py"}
     (tmp_path / "b.py").write_text("# b.py \n")
     (tmp_path / "c.py").unlink()
-    assert checked_files(record, tmp_path)[1:] == (["b.py"], ["c.py"])
+    assert verify_files(record, tmp_path)[1:] == (["b.py"], ["c.py"])
 
 
 @pytest.mark.parametrize("editable", [True, False])

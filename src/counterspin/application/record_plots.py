@@ -33,7 +33,7 @@ from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CounterspinError
 from counterspin.monitoring.check import check
-from counterspin.monitoring.run_state import goals_of
+from counterspin.monitoring.run_state import resolve_goals
 from counterspin.records.formats import read_scaled
 from counterspin.reports.html import part
 from counterspin.reports.typography import typeset_block
@@ -185,7 +185,7 @@ def campaign_state(desk: Desk, name: str, goal: str = "") -> dict[str, Any]:
     goal: Such as ``K_II 1e-8 g/g^2``; empty: none.
     """
     campaign = desk.campaign(name)
-    goals_of(campaign, [goal] if goal else [])  # a mistake is told before anything is begun
+    resolve_goals(campaign, [goal] if goal else [])  # a mistake is told before anything is begun
     told = desk.live.look(campaign.path, goal)
     if "error" in told:
         told = told | {"error": desk.folder.spoken(told["error"])}

@@ -117,7 +117,7 @@ def apply(
     from counterspin.calibration.result import Result
     from counterspin.correction.apply import ApplyOptions
     from counterspin.correction.apply_file import apply_file
-    from counterspin.correction.page import render_application
+    from counterspin.correction.page import correction_report
     from counterspin.records.dialect import Dialect
     from counterspin.reports.text import report_console
 
@@ -139,7 +139,7 @@ def apply(
         ),
         overwrite=overwrite,
     )
-    report_console().print(render_application(done))
+    report_console().print(correction_report(done))
 
 
 def parse_others(text: str | None) -> dict[str, str]:

@@ -87,16 +87,16 @@ def demo(
     from counterspin.reports.text import report_console
     from counterspin.reproduction.demo import demo as run
     from counterspin.reproduction.page import (
-        FIGURE,
+        FILE_DESCRIPTION,
         demonstration_plots,
-        render_demonstration,
+        demonstration_report,
     )
 
     drawn = output / f"displacement.{figure}"
-    reserve_figures([drawn], FIGURE, overwrite=overwrite)
+    reserve_figures([drawn], FILE_DESCRIPTION, overwrite=overwrite)
     shown = run(output, overwrite=overwrite)
-    save(demonstration_plots(shown), drawn, FIGURE, overwrite=overwrite)
-    report_console().print(render_demonstration(shown))
+    save(demonstration_plots(shown), drawn, FILE_DESCRIPTION, overwrite=overwrite)
+    report_console().print(demonstration_report(shown))
     say(
         "",
         f"Wrote campaign.toml, {len(shown.records)} records and {drawn.name} to {output}. Next:",

@@ -200,7 +200,7 @@ def noise(
         Plot Allan deviation and spectrum: .svg, .png or .pdf.
     """
     from counterspin.monitoring.noise import noise as run
-    from counterspin.monitoring.page import PLOTS, noise_plots
+    from counterspin.monitoring.page import FILE_DESCRIPTION, noise_plots
     from counterspin.monitoring.result import NoiseResult
     from counterspin.output import marked, reserve
     from counterspin.reports.charts import check_format, save
@@ -213,7 +213,7 @@ def noise(
         reserve(report, lambda: marked(kind), overwrite=saved.overwrite)
     if plot is not None:
         check_format(plot)
-        reserve(plot, lambda: marked(PLOTS), overwrite=saved.overwrite)
+        reserve(plot, lambda: marked(FILE_DESCRIPTION), overwrite=saved.overwrite)
     saved.reserve(NoiseResult.file_kind)
     result = run(
         record,
@@ -231,7 +231,7 @@ def noise(
                 for signal in result.signals
                 for picture in noise_plots(signal, result.gravity)
             ]
-            save(pictures, plot, PLOTS, overwrite=saved.overwrite)
+            save(pictures, plot, FILE_DESCRIPTION, overwrite=saved.overwrite)
         if report is not None:
             result.write_report(report, overwrite=saved.overwrite)
         report_console().print(result)

@@ -4,5 +4,5 @@
 - `instrument`: the accelerometer that a result describes, and its indications
 - `related`: further inputs of a correction: temperature differences, and correlations of errors
 - `apply_file`: a column of a file, corrected in a new file
-- `page`: a correction, as a person reads it
+- `page`: the printed report of a correction
 """

@@ -1,4 +1,4 @@
-"""Corrects indicated specific force for a calibrated error model, in memory."""
+"""Correct indicated specific force for a calibrated error model, in memory."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from counterspin.correction.instrument import (
     with_unstated,
 )
 from counterspin.correction.related import (
-    covariances_between,
-    notes_of_warmth,
-    warmth_of,
-    warnings_of_warmth,
+    cross_covariances,
+    temperature_notes,
+    temperature_offset,
+    temperature_warnings,
 )
 from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
@@ -44,13 +44,13 @@ from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.results import unsealed_sentences
 from counterspin.units import unit_factor
 
-_SOURCE: Final = "apply"  #: what the command's own refusals begin with
+_SOURCE: Final = "apply"  #: source named in error messages
 
-#: Axis -> its name, and the argument that gives the specific force along it.
+#: Axis -> name, and the argument for the specific force along it.
 _AXES: Final = {"P": ("pendulous", "pendulous"), "O": ("output", "output_axis")}
 
-#: How far beyond the calibration's largest specific force an indication may go unremarked; bias
-#: and scale factor alone bring it there.
+#: Largest indication without a warning, over the calibration's largest specific force: allows for
+#: bias and scale factor.
 _RANGE_FACTOR: Final = 1.05
 
 #: Specific force along an axis: numbers in the unit of the indication, or text with a unit.
@@ -169,27 +169,27 @@ def apply(
         raise CampaignError(
             _SOURCE, [f"`others`: {accelerometer} is the accelerometer to be corrected"]
         )
-    unit, scales = _scales(result, indications, options.unit)
+    unit, scales = _column_scales(result, indications, options.unit)
     factor = unit_factor(unit, "g", gravity=result.inputs.gravity)
     given = {"I", "|I|"}
     given |= {"P"} if options.pendulous is not None else set()
     given |= {"O"} if options.output_axis is not None else set()
-    # Three accelerometers feel the whole force.
+    # Three accelerometers measure all components of the force.
     given |= {"P", "O"} if len(options.others) > 1 else set()
     reference = result.inputs.reference_temperature
     if reference is not None and options.temperature is not None:
         given |= {"temperature"}
-    completed, lost = with_unstated(result, given)
+    completed, omitted = with_unstated(result, given)
     instruments = [
         instrument_of(completed, name, placed=bool(options.others)) for name in indications
     ]
-    judged = judge_result(result)
-    if (refused := refusal(judged, indications)) is not None:
+    judged_result = judge_result(result)
+    if (refused := refusal(judged_result, indications)) is not None:
         raise RecordError(refused)
-    _require_determined(judged, indications)
+    _require_determined(judged_result, indications)
     mounting = instruments[0].mounting
     known = [
-        _known(given, mounting.matrix[row], factor, result.inputs.gravity, option)
+        _make_known_force(given, mounting.matrix[row], factor, result.inputs.gravity, option)
         for row, (given, (_, option)) in enumerate(
             zip((options.pendulous, options.output_axis), _AXES.values(), strict=True), start=1
         )
@@ -200,16 +200,16 @@ def apply(
     except ValueError as error:
         raise CampaignError(_SOURCE, [str(error)]) from error
     if missing:
-        raise CampaignError(_SOURCE, _needed(accelerometer, missing))
-    warmth = warmth_of(result, instruments, options.temperature)
+        raise CampaignError(_SOURCE, _missing_force_errors(accelerometer, missing))
+    warmth = temperature_offset(result, instruments, options.temperature)
     columns = [
         np.asarray(values, dtype=np.float64) * scales[name].factor - scales[name].zero
         for name, values in indications.items()
     ]
-    between = covariances_between(completed, instruments)
-    forces = correct(instruments, np.stack(columns, axis=1), known, between, warmth)
-    applied = [result.accelerometers[name] for name in indications]
-    done = Correction(
+    covariances = cross_covariances(completed, instruments)
+    forces = correct(instruments, np.stack(columns, axis=1), known, covariances, warmth)
+    calibrations = [result.accelerometers[name] for name in indications]
+    correction = Correction(
         corrected=forces.force[:, 0] / factor,
         u=forces.u[:, 0] / factor,
         indicated=columns[0] / factor,
@@ -217,7 +217,7 @@ def apply(
         dof=min(
             (
                 c.dof
-                for calibrated in applied
+                for calibrated in calibrations
                 for c in terms_of(calibrated).values()
                 if c.dof is not None
             ),
@@ -225,42 +225,42 @@ def apply(
         ),
         notes=(
             *(
-                _note(name, calibrated)
-                for name, calibrated in zip(indications, applied, strict=True)
+                _applied_note(name, calibrated)
+                for name, calibrated in zip(indications, calibrations, strict=True)
             ),
-            *notes_of_warmth(result, instruments, options.temperature),
+            *temperature_notes(result, instruments, options.temperature),
         ),
         warnings=(
-            *unsealed_sentences([] if judged.sealed else ["the result"]),
-            *_accepted(judged),
-            *warnings_of_warmth(result, warmth, options.temperature),
+            *unsealed_sentences([] if judged_result.sealed else ["the result"]),
+            *_misfit_warnings(judged_result),
+            *temperature_warnings(result, warmth, options.temperature),
             *(
                 warning
-                for name, calibrated, column in zip(indications, applied, columns, strict=True)
+                for name, calibrated, column in zip(indications, calibrations, columns, strict=True)
                 for warning in (
-                    *_left_out(name, calibrated),
-                    *_not_carried(name, lost.get(name, ())),
-                    *_not_applied(name, calibrated),
-                    *_contradictory(name, calibrated),
-                    *_stretched(result, name, column),
+                    *_omitted_term_warnings(name, calibrated),
+                    *_missing_input_warnings(name, omitted.get(name, ())),
+                    *_unapplied_warnings(name, calibrated),
+                    *_covariance_warnings(name, calibrated),
+                    *_range_warnings(result, name, column),
                 )
             ),
         ),
     )
     corrections = {
         name: replace(
-            done,
+            correction,
             corrected=forces.force[:, k] / factor,
             u=forces.u[:, k] / factor,
             indicated=columns[k] / factor,
         )
         for k, name in enumerate(options.others, 1)
     }
-    return replace(done, others=corrections)
+    return replace(correction, others=corrections)
 
 
 def _require_determined(result: Result, names: Iterable[str]) -> None:
-    """Refuse accelerometers of which the data do not determine a term that is to be applied."""
+    """Raise RecordError if the data do not determine a term to be applied."""
     for name in names:
         findings = {
             finding.subject.removeprefix(f"{name}."): finding.text
@@ -275,72 +275,76 @@ def _require_determined(result: Result, names: Iterable[str]) -> None:
 
 
 @frozen
-class _Scale:
-    """The conversion of a column to a specific force, g: a factor, and an offset to subtract."""
+class _ColumnScale:
+    """Conversion of a column to specific force, g: a factor, and an offset to subtract."""
 
     factor: float
     zero: float = 0.0
 
 
-def _scales(result: Result, names: Iterable[str], unit: str) -> tuple[str, dict[str, _Scale]]:
-    """Return the unit of what is returned, and how the column of each accelerometer becomes g."""
+def _column_scales(
+    result: Result, names: Iterable[str], unit: str
+) -> tuple[str, dict[str, _ColumnScale]]:
+    """Return the unit of the corrected values, and the conversion of each column."""
     try:
         factor = unit_factor(unit, "g", gravity=result.inputs.gravity)
     except ValueError as error:
-        no_force = error
+        unit_error = error
     else:
-        return unit, dict.fromkeys(names, _Scale(factor))
+        return unit, dict.fromkeys(names, _ColumnScale(factor))
     scales = {}
     for name in names:
-        own = result.accelerometers.get(name)
-        nominal = own.nominal if own else None
+        calibrated = result.accelerometers.get(name)
+        nominal = calibrated.nominal if calibrated else None
         try:
             if nominal is None:
-                raise no_force
+                raise unit_error
             factor = unit_factor(unit, nominal.unit)
         except ValueError as error:
             text = f"`unit`: {error}"
             if nominal is None:
                 text += f"; the result states no other output of {name}"
             raise CampaignError(_SOURCE, [text]) from error
-        scales[name] = _Scale(factor / nominal.sensitivity, nominal.zero / nominal.sensitivity)
+        scales[name] = _ColumnScale(
+            factor / nominal.sensitivity, nominal.zero / nominal.sensitivity
+        )
     return "g", scales
 
 
-def _not_carried(name: str, symbols: Sequence[str]) -> Iterator[str]:
+def _missing_input_warnings(name: str, symbols: Sequence[str]) -> Iterator[str]:
     slopes = [symbol for symbol in symbols if symbol not in TERMS]
     products = [symbol for symbol in symbols if symbol in TERMS]
-    for lost, what in (
+    for omitted, missing_input in (
         (products, "force along the other axes is not given (`pendulous`, `output_axis`)"),
         (
             slopes,
             "temperature is not given (`temperature`), or differs from that of the calibration",
         ),
     ):
-        if lost:
+        if omitted:
             yield (
-                f"{name}: {', '.join(lost)} are not stated, and the {what}; "
+                f"{name}: {', '.join(omitted)} are not stated, and the {missing_input}; "
                 "their uncertainty is not included in u."
             )
 
 
-def _not_applied(name: str, accelerometer: AccelerometerResult) -> list[str]:
-    """Return a warning about terms that vary with a quantity that a record does not state."""
+def _unapplied_warnings(name: str, accelerometer: AccelerometerResult) -> list[str]:
+    """Return a warning about terms that depend on a quantity that a record does not have."""
     known = {**accelerometer.known, **accelerometer.coefficients}
-    others = [
+    unapplied = [
         symbol
         for symbol, c in known.items()
         if symbol in {*CONDITION_TERMS} - {HYSTERESIS} and not acts(symbol) and (c.value or c.u)
     ]
-    if not others:
+    if not unapplied:
         return []
     return [
-        f"{name}: not applied: {', '.join(others)}. The correction applies to the beginning of "
+        f"{name}: not applied: {', '.join(unapplied)}. The correction applies to the beginning of "
         "the calibration, without heating by its specific forces."
     ]
 
 
-def _accepted(result: Result) -> list[str]:
+def _misfit_warnings(result: Result) -> list[str]:
     if result.accepted_misfit is None:
         return []
     return [
@@ -349,8 +353,8 @@ def _accepted(result: Result) -> list[str]:
     ]
 
 
-def _contradictory(name: str, accelerometer: AccelerometerResult) -> list[str]:
-    """Return a warning if the result states a covariance that no coefficients could have."""
+def _covariance_warnings(name: str, accelerometer: AccelerometerResult) -> list[str]:
+    """Return a warning if the covariance in the result is not positive semidefinite."""
     if is_possible(covariance_of(accelerometer, determined_terms(accelerometer))):
         return []
     return [
@@ -359,44 +363,46 @@ def _contradictory(name: str, accelerometer: AccelerometerResult) -> list[str]:
     ]
 
 
-def _known(given: Any, direction: Array, factor: float, gravity: float, option: str) -> KnownForce:
-    if isinstance(given, str):
+def _make_known_force(
+    force: Any, direction: Array, factor: float, gravity: float, option: str
+) -> KnownForce:
+    if isinstance(force, str):
         try:
-            quantity = parse(given, "g", gravity=gravity)
+            quantity = parse(force, "g", gravity=gravity)
         except ValueError as error:
             raise CampaignError(_SOURCE, [f"`{option}`: {error}"]) from error
         return KnownForce(direction, quantity.value, quantity.u)
-    return KnownForce(direction, np.asarray(given, dtype=np.float64) * factor)
+    return KnownForce(direction, np.asarray(force, dtype=np.float64) * factor)
 
 
-def _needed(
+def _missing_force_errors(
     accelerometer: str, missing: Sequence[tuple[CalibratedAccelerometer, str, tuple[str, ...]]]
 ) -> list[str]:
     problems = []
     for instrument, axis, symbols in missing:
-        words, option = _AXES[axis]
+        axis_name, option = _AXES[axis]
         verb = "needs" if len(symbols) == 1 else "need"
         if instrument.name == accelerometer:
-            ways = f'give `{option}`: a column, or a constant such as `{option}="-1 g"`'
+            remedy = f'give `{option}`: a column, or a constant such as `{option}="-1 g"`'
         else:
-            ways = "give `pendulous` or `output_axis` of the accelerometer to be corrected"
+            remedy = "give `pendulous` or `output_axis` of the accelerometer to be corrected"
         problems.append(
             f"{', '.join(symbols)} of {instrument.name} {verb} the specific force along its "
-            f"{words} axis; {ways}, or name an accelerometer that senses it with `others`"
+            f"{axis_name} axis; {remedy}, or name an accelerometer that senses it with `others`"
         )
     return problems
 
 
-def _note(name: str, accelerometer: AccelerometerResult) -> str:
+def _applied_note(name: str, accelerometer: AccelerometerResult) -> str:
     terms = determined_terms(accelerometer)
     estimated = ", ".join(s for s, c in terms.items() if c.estimated)
-    beforehand = ", ".join(s for s, c in terms.items() if not c.estimated)
+    from_priors = ", ".join(s for s, c in terms.items() if not c.estimated)
     parts = [f"as estimated: {estimated}"] if estimated else []
-    parts += [f"from priors: {beforehand}"] if beforehand else []
+    parts += [f"from priors: {from_priors}"] if from_priors else []
     return f"{name}: applied {'; '.join(parts) or 'nothing'}."
 
 
-def _left_out(name: str, accelerometer: AccelerometerResult) -> list[str]:
+def _omitted_term_warnings(name: str, accelerometer: AccelerometerResult) -> list[str]:
     terms = terms_of(accelerometer)
     warnings = []
     unknown = [symbol for symbol, c in terms.items() if c.value is None]
@@ -415,16 +421,16 @@ def _left_out(name: str, accelerometer: AccelerometerResult) -> list[str]:
     return warnings
 
 
-def _stretched(result: Result, name: str, indicated: Array) -> list[str]:
+def _range_warnings(result: Result, name: str, indicated: Array) -> list[str]:
     """Return a warning if the indication exceeds the range of the calibration."""
-    fastest = max((abs(run.rate) for run in result.runs.values()), default=0.0)
-    # At rest on a side an accelerometer sees 1 g, however slowly the centrifuge turns.
-    seen = max(1.0, result.inputs.radius * fastest**2 / result.inputs.gravity)
-    present = np.abs(indicated[np.isfinite(indicated)])
-    largest = float(present.max()) if present.size else 0.0
-    if largest <= _RANGE_FACTOR * seen:
+    max_rate = max((abs(run.rate) for run in result.runs.values()), default=0.0)
+    # At rest on its side, an accelerometer measures 1 g, whatever the rates of the centrifuge.
+    calibrated_range = max(1.0, result.inputs.radius * max_rate**2 / result.inputs.gravity)
+    valid = np.abs(indicated[np.isfinite(indicated)])
+    largest = float(valid.max()) if valid.size else 0.0
+    if largest <= _RANGE_FACTOR * calibrated_range:
         return []
     return [
-        f"{name}: the indication reaches {largest:.3g} g, but the calibration only {seen:.3g} "
-        "g: beyond that, u covers only the terms of the model."
+        f"{name}: the indication reaches {largest:.3g} g, but the calibration only "
+        f"{calibrated_range:.3g} g: beyond that, u covers only the terms of the model."
     ]

@@ -23,10 +23,10 @@ from counterspin.records.formats import locate, read_numbers, read_table
 from counterspin.records.unit_words import TEMPERATURES
 from counterspin.units import ZERO_CELSIUS, same_unit, unit_factor
 
-#: What a constant in the place of a column may be.
+#: Examples of a constant in place of a column.
 _EXAMPLES: Final = {"pendulous": "-1 g", "output_axis": "-1 g", "temperature": "23 degC"}
 
-#: Ending of the output -> what parts its cells; None for Parquet.
+#: Suffix of the output -> delimiter of its cells; None for Parquet.
 _SEPARATORS: Final[Mapping[str, str | None]] = {
     ".csv": ",",
     ".txt": ",",
@@ -34,13 +34,13 @@ _SEPARATORS: Final[Mapping[str, str | None]] = {
     ".parquet": None,
 }
 
-#: What is written is known again by the names of its new columns.
+#: Files written by this command, recognised by the names of the new columns.
 _CORRECTED: Final = FileType("a file that counterspin corrected", holds(b"_corrected_u"))
 
 
 @frozen
-class Level:
-    """One row: its indicated specific force, its correction, its u, in the correction's unit."""
+class CorrectedRow:
+    """One row: indicated specific force, correction and its u, in the correction's unit."""
 
     indicated: float
     correction: float
@@ -49,22 +49,22 @@ class Level:
 
 @frozen
 class CorrectedFile:
-    """The files and samples that were written."""
+    """Summary of a corrected file."""
 
     path: Path  #: The file.
     column: str  #: The column that was corrected.
-    #: Rows of the file, and how many of them lack a number that was needed.
+    #: Number of rows, and of rows that lack a necessary number.
     rows: int
     missing: int
-    #: Least and largest indication.
+    #: Smallest and largest indication.
     low: float
     high: float
-    most: Level  #: The row with the largest correction.
-    at_one_g: Level  #: The row nearest to 1 g or -1 g.
-    at_largest: Level  #: The row with the largest indication in size.
+    most: CorrectedRow  #: The row with the largest correction.
+    at_one_g: CorrectedRow  #: The row nearest to 1 g or -1 g.
+    at_largest: CorrectedRow  #: The row with the largest absolute indication.
     correction: Correction  #: The corrected values themselves.
-    found: str = ""  #: How the file is written, where that is not plain.
-    more: tuple[CorrectedFile, ...] = ()  #: Likewise of columns that were corrected with it.
+    found: str = ""  #: Format of the file, unless it is plain CSV.
+    more: tuple[CorrectedFile, ...] = ()  #: Summaries of the other corrected columns.
 
 
 def apply_file(
@@ -122,7 +122,7 @@ def apply_file(
     reserve(output, lambda: _CORRECTED, overwrite=overwrite)
     options = options or ApplyOptions()
     others: dict[str, Any] = dict(options.others)
-    together = accelerometer is None
+    corrects_all = accelerometer is None
     if accelerometer is None:
         if not others and result.triad is not None:
             others = {name: name for name in result.triad.accelerometers}
@@ -131,7 +131,7 @@ def apply_file(
             raise CampaignError("apply", ["name the one to be corrected with `accelerometer`"])
         column = others.pop(accelerometer)
     for name in (accelerometer, *others):
-        instrument_of(result, name)  # a wrong name is refused before the file is searched for it
+        instrument_of(result, name)  # refuse a wrong name before reading the file
     table = read_table(source, options.dialect)
     frame = table.frame
     given: dict[str, Any] = {
@@ -140,22 +140,28 @@ def apply_file(
         if (text := getattr(options, name)) is not None
     }
     used = [text for text in (*given.values(), *others.values()) if text in frame.columns]
-    column = column or _guessed(source, frame, accelerometer, used)
-    corrected = {accelerometer: column, **(others if together else {})}
+    column = column or _guess_column(source, frame, accelerometer, used)
+    corrected = {accelerometer: column, **(others if corrects_all else {})}
     names = sorted({column, *used, *others.values()})
     values = read_numbers(source, names, options.dialect)
     units = {name: table.units.get(name, "") for name in names}
-    warm = given.get("temperature")
-    _check_units(source, {n: u for n, u in units.items() if n != warm}, options.unit)
-    if warm in values:
-        values[warm] = _in_celsius(source, warm, values[warm], units[warm])
-    for name in (f"{one}_corrected{u}" for one in corrected.values() for u in ("", "_u")):
+    temperature_column = given.get("temperature")
+    _check_units(source, {n: u for n, u in units.items() if n != temperature_column}, options.unit)
+    if temperature_column in values:
+        values[temperature_column] = _in_celsius(
+            source, temperature_column, values[temperature_column], units[temperature_column]
+        )
+    for name in (
+        f"{corrected_column}_corrected{u}"
+        for corrected_column in corrected.values()
+        for u in ("", "_u")
+    ):
         if name in frame.columns:
             raise CampaignError(
                 str(source), [f"has a column '{name}' already; was it corrected before?"]
             )
     forces: dict[str, Any] = {
-        name: values[text] if text in values else _constant(name, text, frame.columns)
+        name: values[text] if text in values else _check_constant(name, text, frame.columns)
         for name, text in given.items()
     }
     columns = {name: values[text] for name, text in others.items()}
@@ -164,13 +170,18 @@ def apply_file(
             result, accelerometer, values[column], replace(options, others=columns, **forces)
         )
     except NotInvertibleError as error:
-        where = locate(source, error.row, options.dialect)
-        raise CounterspinError(f"{source}, {where}: the indication {error.reason}") from error
+        location = locate(source, error.row, options.dialect)
+        raise CounterspinError(f"{source}, {location}: the indication {error.reason}") from error
     added, reports = [], []
-    for name, one in corrected.items():
-        done = correction.others.get(name, correction)
-        reports.append(_report(output, one, done, result.inputs.gravity))
-        for new, array in ((f"{one}_corrected", done.corrected), (f"{one}_corrected_u", done.u)):
+    for name, corrected_column in corrected.items():
+        column_correction = correction.others.get(name, correction)
+        reports.append(
+            _summarise(output, corrected_column, column_correction, result.inputs.gravity)
+        )
+        for new, array in (
+            (f"{corrected_column}_corrected", column_correction.corrected),
+            (f"{corrected_column}_corrected_u", column_correction.u),
+        ):
             added.append(pl.Series(new, array).fill_nan(None))
     report = replace(reports[0], found=table.found, more=tuple(reports[1:]))
     write_whole(
@@ -183,17 +194,17 @@ def apply_file(
 
 
 def _check_units(source: Path, units: Mapping[str, str], stated: str) -> None:
-    """Raise RecordError where the file's row of units has another unit than the one stated."""
-    for name, own in units.items():
-        if own and not same_unit(own, stated):
+    """Raise RecordError if a unit in the file's row of units differs from the stated unit."""
+    for name, file_unit in units.items():
+        if file_unit and not same_unit(file_unit, stated):
             raise RecordError(
-                f"{source}: column '{name}' is in '{own}' by the file's row of units, but in "
+                f"{source}: column '{name}' is in '{file_unit}' by the file's row of units, but in "
                 f"'{stated}' by `unit`; all forces must be in one unit, stated with `unit`."
             )
 
 
 def _in_celsius(source: Path, column: str, values: Array, unit: str) -> Array:
-    """Return a column of temperatures in degC, which is the unit if its file states none."""
+    """Return a column of temperatures in degC, the default unit."""
     if unit == "K":
         return values - ZERO_CELSIUS
     if unit in ("", *TEMPERATURES):
@@ -204,12 +215,12 @@ def _in_celsius(source: Path, column: str, values: Array, unit: str) -> Array:
     )
 
 
-def _guessed(source: Path, table: pl.DataFrame, accelerometer: str, used: list[str]) -> str:
-    free = [name for name in table.columns if name not in used]
-    if accelerometer in free:
+def _guess_column(source: Path, table: pl.DataFrame, accelerometer: str, used: list[str]) -> str:
+    candidates = [name for name in table.columns if name not in used]
+    if accelerometer in candidates:
         return accelerometer
-    if len(free) == 1:
-        return free[0]
+    if len(candidates) == 1:
+        return candidates[0]
     raise CampaignError(
         str(source),
         [
@@ -219,8 +230,8 @@ def _guessed(source: Path, table: pl.DataFrame, accelerometer: str, used: list[s
     )
 
 
-def _constant(name: str, text: str, columns: list[str]) -> str:
-    """Return a text that looks like a quantity."""
+def _check_constant(name: str, text: str, columns: list[str]) -> str:
+    """Return a text; CampaignError unless it contains a digit, like a quantity."""
     if not any(mark.isdigit() for mark in text):
         raise CampaignError(
             "apply",
@@ -232,37 +243,37 @@ def _constant(name: str, text: str, columns: list[str]) -> str:
     return text
 
 
-def _report(output: Path, column: str, correction: Correction, gravity: float) -> CorrectedFile:
+def _summarise(output: Path, column: str, correction: Correction, gravity: float) -> CorrectedFile:
     indicated = correction.indicated
-    present = np.flatnonzero(np.isfinite(correction.corrected))
-    if present.size == 0:
+    valid = np.flatnonzero(np.isfinite(correction.corrected))
+    if valid.size == 0:
         raise RecordError(f"{output}: not written: no row has all the necessary numbers.")
-    given, corrected = indicated[present], correction.corrected[present]
+    values, corrected = indicated[valid], correction.corrected[valid]
     one_g = 1.0 / unit_factor(correction.unit, "g", gravity=gravity)
 
-    def level(place: int) -> Level:
-        change = float(corrected[place] - given[place])
-        return Level(float(given[place]), change, float(correction.u[present[place]]))
+    def row_at(index: int) -> CorrectedRow:
+        change = float(corrected[index] - values[index])
+        return CorrectedRow(float(values[index]), change, float(correction.u[valid[index]]))
 
     return CorrectedFile(
         path=output,
         column=column,
         rows=indicated.size,
-        missing=indicated.size - present.size,
-        low=float(given.min()),
-        high=float(given.max()),
-        most=level(int(np.argmax(np.abs(corrected - given)))),
-        at_one_g=level(int(np.argmin(np.abs(np.abs(given) - one_g)))),
-        at_largest=level(int(np.argmax(np.abs(given)))),
+        missing=indicated.size - valid.size,
+        low=float(values.min()),
+        high=float(values.max()),
+        most=row_at(int(np.argmax(np.abs(corrected - values)))),
+        at_one_g=row_at(int(np.argmin(np.abs(np.abs(values) - one_g)))),
+        at_largest=row_at(int(np.argmax(np.abs(values)))),
         correction=correction,
     )
 
 
 def _writer(frame: pl.DataFrame, suffix: str, decimal: str) -> Callable[[Path], object]:
-    """Return a function that writes a table; new numbers in text have the others' format."""
+    """Return a function that writes a table; new numbers in text have the format of the file."""
     separator = _SEPARATORS[suffix]
     if separator is None:
-        typed = pl.DataFrame([_typed(column, decimal) for column in frame.get_columns()])
+        typed = pl.DataFrame([_parse_column(column, decimal) for column in frame.get_columns()])
         return lambda path: write_open(path, typed.write_parquet)
     comma = decimal == ","
     separator = ";" if comma and separator == "," else separator
@@ -270,8 +281,8 @@ def _writer(frame: pl.DataFrame, suffix: str, decimal: str) -> Callable[[Path], 
     return lambda path: write_open(path, write)
 
 
-def _typed(column: pl.Series, decimal: str) -> pl.Series:
-    """Return a column of text as numbers if it has only numbers; CSV cells are text so far."""
+def _parse_column(column: pl.Series, decimal: str) -> pl.Series:
+    """Return a text column as numbers if all its cells are numbers."""
     if column.dtype != pl.String:
         return column
     clean = column.str.strip_chars().replace("", None)

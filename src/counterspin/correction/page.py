@@ -1,21 +1,21 @@
-"""The outcome of `counterspin apply`, as a person reads it."""
+"""Printed report of `counterspin apply`."""
 
 from __future__ import annotations
 
 import math
 
-from counterspin.correction.apply_file import CorrectedFile, Level
+from counterspin.correction.apply_file import CorrectedFile, CorrectedRow
 from counterspin.reports.blocks import Block, Heading, Paragraph
 from counterspin.reports.numbers import format_number
 from counterspin.reports.text import Report
 
 
-def render_application(done: CorrectedFile) -> Report:
+def correction_report(corrected: CorrectedFile) -> Report:
     """Return the corrected values, the size of the correction, and its uncertainty."""
-    blocks: list[Block] = [Heading(f"Wrote {done.path}")]
-    for one in (done, *done.more):
-        blocks += _column_blocks(one)
-    correction = done.correction
+    blocks: list[Block] = [Heading(f"Wrote {corrected.path}")]
+    for column_file in (corrected, *corrected.more):
+        blocks += _column_blocks(column_file)
+    correction = corrected.correction
     if math.isfinite(correction.dof):
         blocks.append(
             Paragraph(
@@ -27,26 +27,28 @@ def render_application(done: CorrectedFile) -> Report:
     return Report(blocks)
 
 
-def _column_blocks(done: CorrectedFile) -> list[Block]:
-    unit = done.correction.unit
+def _column_blocks(corrected: CorrectedFile) -> list[Block]:
+    unit = corrected.correction.unit
 
-    def at(level: Level) -> str:
+    def at(level: CorrectedRow) -> str:
         return f"{format_number(level.u, 2)} {unit} at {format_number(level.indicated, 6)} {unit}"
 
-    read = f" It was read with {done.found}." if done.found else ""
-    missing = f"; {done.missing} of them lack a number and remain empty" if done.missing else ""
+    read = f" It was read with {corrected.found}." if corrected.found else ""
+    missing = (
+        f"; {corrected.missing} of them lack a number and remain empty" if corrected.missing else ""
+    )
     return [
         Paragraph(
-            f"{done.rows} rows of {done.column}, from {format_number(done.low, 6)} to "
-            f"{format_number(done.high, 6)} {unit}{missing}.{read}"
+            f"{corrected.rows} rows of {corrected.column}, from {format_number(corrected.low, 6)} "
+            f"to {format_number(corrected.high, 6)} {unit}{missing}.{read}"
         ),
         Paragraph(
-            f"Largest correction {format_number(done.most.correction, 6)} {unit}, at "
-            f"{format_number(done.most.indicated, 6)} {unit}."
+            f"Largest correction {format_number(corrected.most.correction, 6)} {unit}, at "
+            f"{format_number(corrected.most.indicated, 6)} {unit}."
         ),
         Paragraph(
-            f"Standard uncertainty of the correction (k = 1): {at(done.at_one_g)} (the row nearest "
-            f"to 1 g), {at(done.at_largest)} (the largest). The noise of the indication is "
-            "not included."
+            f"Standard uncertainty of the correction (k = 1): {at(corrected.at_one_g)} (the row "
+            f"nearest to 1 g), {at(corrected.at_largest)} (the largest). The noise of the "
+            "indication is not included."
         ),
     ]

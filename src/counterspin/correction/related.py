@@ -16,14 +16,14 @@ from counterspin.errors import CampaignError
 from counterspin.physics.correction import CalibratedAccelerometer, Warmth
 from counterspin.units import ZERO_CELSIUS
 
-#: Temperatures in degC as `ApplyOptions` has them, or text.
+#: Temperatures in degC as in `ApplyOptions`, or text.
 Temperature = npt.ArrayLike | str | None
 
-#: How far beyond the calibration's temperatures a record may go unremarked, K.
-_BEYOND: Final = 1.0
+#: Margin around the calibration's temperatures without a warning, K.
+_TEMPERATURE_MARGIN: Final = 1.0
 
 
-def warmth_of(
+def temperature_offset(
     result: Result, instruments: Sequence[CalibratedAccelerometer], temperature: Temperature
 ) -> Warmth:
     """Return a record's temperature minus the reference temperature of the result's coefficients.
@@ -33,11 +33,11 @@ def warmth_of(
     CampaignError
         If slopes need the temperature and it, or that of the calibration, is not known.
     """
-    value, u = _stated(temperature)
+    value, u = _parse_temperature(temperature)
     reference = result.inputs.reference_temperature
     if reference is not None and value is not None:
         return Warmth(value - reference, u)
-    if needed := list(_needing(instruments)):
+    if needed := list(_needing_messages(instruments)):
         words = (
             'give `temperature`: a column, or a constant such as `temperature="23 ± 1 degC"`'
             if reference is not None
@@ -49,7 +49,7 @@ def warmth_of(
     return Warmth()
 
 
-def _needing(instruments: Sequence[CalibratedAccelerometer]) -> Iterator[str]:
+def _needing_messages(instruments: Sequence[CalibratedAccelerometer]) -> Iterator[str]:
     for instrument in instruments:
         u = np.sqrt(np.diag(instrument.covariance))
         symbols = [
@@ -62,7 +62,9 @@ def _needing(instruments: Sequence[CalibratedAccelerometer]) -> Iterator[str]:
             yield f"{', '.join(symbols)} of {instrument.name} {verb}"
 
 
-def _stated(temperature: Temperature) -> tuple[npt.NDArray[np.float64] | float | None, float]:
+def _parse_temperature(
+    temperature: Temperature,
+) -> tuple[npt.NDArray[np.float64] | float | None, float]:
     """Return a temperature and its u, K."""
     if isinstance(temperature, str):
         try:
@@ -75,10 +77,10 @@ def _stated(temperature: Temperature) -> tuple[npt.NDArray[np.float64] | float |
     return np.asarray(temperature, dtype=np.float64) + ZERO_CELSIUS, 0.0
 
 
-def notes_of_warmth(
+def temperature_notes(
     result: Result, instruments: Sequence[CalibratedAccelerometer], temperature: Temperature
 ) -> Iterator[str]:
-    """Yield what was done with the temperature, in sentences."""
+    """Yield sentences on the use of the temperature."""
     if temperature is None:
         return
     reference = result.inputs.reference_temperature
@@ -91,8 +93,8 @@ def notes_of_warmth(
     )
 
 
-def warnings_of_warmth(result: Result, warmth: Warmth, temperature: Temperature) -> Iterator[str]:
-    """Yield where a record goes beyond the temperatures of the calibration."""
+def temperature_warnings(result: Result, warmth: Warmth, temperature: Temperature) -> Iterator[str]:
+    """Yield warnings on temperatures outside those of the calibration."""
     reference, seen = result.inputs.reference_temperature, result.inputs.temperatures
     if temperature is None or reference is None or not seen:
         return
@@ -101,26 +103,27 @@ def warnings_of_warmth(result: Result, warmth: Warmth, temperature: Temperature)
     if not temperatures.size:
         return
     low, high = float(temperatures.min()), float(temperatures.max())
-    if low < seen[0] - _BEYOND or high > seen[1] + _BEYOND:
+    if low < seen[0] - _TEMPERATURE_MARGIN or high > seen[1] + _TEMPERATURE_MARGIN:
         yield (
-            f"The temperature is {_span(low, high)}, and that of the calibration was "
-            f"{_span(seen[0], seen[1])}: beyond that range, u covers only the slopes of the result."
+            f"The temperature is {_format_range(low, high)}, and that of the calibration was "
+            f"{_format_range(seen[0], seen[1])}: beyond that range, u covers only the slopes of "
+            "the result."
         )
 
 
-def _span(low: float, high: float) -> str:
+def _format_range(low: float, high: float) -> str:
     first, last = (f"{value - ZERO_CELSIUS:.4g}" for value in (low, high))
     return f"{first} degC" if first == last else f"{first} to {last} degC"
 
 
-def covariances_between(
+def cross_covariances(
     result: Result, instruments: Sequence[CalibratedAccelerometer]
 ) -> dict[tuple[int, int], Array]:
-    """Return the covariances of the coefficients of accelerometers that were fitted together.
+    """Return the covariances between the coefficients of accelerometers that were fitted together.
 
-    By their places, as `counterspin.physics.correction.correct` takes them. Two estimates are
-    related as the result's covariance says; an estimate and what is known of another's term as the
-    sensitivity of its budget says. A result of an earlier version says neither.
+    The keys are pairs of indices, as for `counterspin.physics.correction.correct`. The covariance
+    of two estimates is that of the result; that of an estimate and a prior follows from the
+    sensitivity in its budget. Results of earlier versions have neither.
     """
     if result.covariance is None:
         return {}
@@ -128,18 +131,18 @@ def covariances_between(
     covariances = {}
     for (k, first), (m, second) in combinations(enumerate(instruments), 2):
         covariance = np.zeros((len(first.coefficients), len(second.coefficients)))
-        for i, j, at in _pairs(first, second, places):
-            covariance[i, j] = result.covariance.matrix[at]
-        _add_known(result, first, second, places, covariance)
-        _add_known(result, second, first, places, covariance.T)
+        for i, j, position in _estimate_pairs(first, second, places):
+            covariance[i, j] = result.covariance.matrix[position]
+        _add_prior_covariances(result, first, second, places, covariance)
+        _add_prior_covariances(result, second, first, places, covariance.T)
         covariances[k, m] = covariance
     return covariances
 
 
-def _pairs(
+def _estimate_pairs(
     first: CalibratedAccelerometer, second: CalibratedAccelerometer, places: Mapping[str, int]
 ) -> Iterator[tuple[int, int, tuple[int, int]]]:
-    """Yield the places of two estimates among their instruments' coefficients, and among all."""
+    """Yield index pairs of two estimates: in their instruments' coefficients, and in all."""
     for i, symbol in enumerate(first.coefficients):
         for j, symbol_of_second in enumerate(second.coefficients):
             names = f"{first.name}.{symbol}", f"{second.name}.{symbol_of_second}"
@@ -147,14 +150,14 @@ def _pairs(
                 yield i, j, (places[names[0]], places[names[1]])
 
 
-def _add_known(
+def _add_prior_covariances(
     result: Result,
     first: CalibratedAccelerometer,
     second: CalibratedAccelerometer,
     places: Mapping[str, int],
     covariance: Array,
 ) -> None:
-    """Fill in the covariances of estimates of the first with prior values of the second."""
+    """Add the covariances of the first's estimates with prior values of the second."""
     for i, symbol in enumerate(first.coefficients):
         for line in result.accelerometers[first.name].budget.get(symbol, []):
             owner, _, source = line.source.partition(".")

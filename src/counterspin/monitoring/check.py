@@ -15,17 +15,17 @@ from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
 from counterspin.monitoring.mean_run import MeanRun, check_mean, mean_runs
 from counterspin.monitoring.observer import Observer, Recorded, recordings
-from counterspin.monitoring.result import CheckedRun, ReachedCoefficient, RunState
+from counterspin.monitoring.result import CheckedRun, CurrentEstimate, RunState
 from counterspin.monitoring.run_state import (
-    FitSoFar,
-    joint_fit_of,
-    nothing_reached,
+    CurrentFit,
+    current_estimates,
+    displayed_names,
+    fit_runs,
+    pose_remarks,
     poses_state,
-    reached_coefficients,
-    remarks_of,
-    remarks_of_poses,
+    run_remarks,
     run_state,
-    shown_names,
+    undetermined_estimates,
 )
 from counterspin.planning.forecast import forecast
 from counterspin.planning.recorded import as_recorded, noise_of_fit, with_pose_noise
@@ -65,41 +65,44 @@ def check(
     """
     full_campaign = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
     with one_blas_thread():
-        return _checked(record, full_campaign, run)
+        return _check_record(record, full_campaign, run)
 
 
-def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun:
+def _check_record(record: object, campaign: Campaign, name: str | None) -> CheckedRun:
     file = Path(record).absolute() if isinstance(record, Path | str) else None
     if file is not None:
         if not file.exists():
             raise RecordError(f"{file}: file not found.")
-        opener_of(file)  # asked before it matters which run it is
-    meant = _select_run(campaign, file, name)
+        opener_of(file)  # checked first: it does not depend on the run
+    selected_run = _select_run(campaign, file, name)
     if file is None:
-        table: MemoryTable = memory_table(f"{meant.name} in memory", record)
-        campaign = replace(campaign, frames={**campaign.frames, meant.record: table})
-    if isinstance(meant, MeanRun):
-        return check_mean(campaign, meant, file or meant.record)
-    tested = meant if file is None else _use_file(meant, file)
-    campaign = _with_recorded(campaign, lambda run: tested if run is meant else run)
-    own_check = _check_alone(campaign, tested)
-    if own_check.fit is None and own_check.state.poses is None:
+        table: MemoryTable = memory_table(f"{selected_run.name} in memory", record)
+        campaign = replace(campaign, frames={**campaign.frames, selected_run.record: table})
+    if isinstance(selected_run, MeanRun):
+        return check_mean(campaign, selected_run, file or selected_run.record)
+    campaign_with_file = selected_run if file is None else _replace_file(selected_run, file)
+    campaign = _map_records(
+        campaign, lambda run: campaign_with_file if run is selected_run else run
+    )
+    single_check = _check_single(campaign, campaign_with_file)
+    if single_check.fit is None and single_check.state.poses is None:
         return CheckedRun(
-            run=own_check.state,
-            remarks=own_check.remarks,
+            run=single_check.state,
+            remarks=single_check.remarks,
             good=False,
             others=[],
             reached=[],
             expected=[],
             why_not="the record cannot be used as it is",
         )
-    others, reached = _check_with_others(campaign, tested, own_check.fit)
-    expected, why_not = _expected(campaign, tested, own_check)
+    others, reached = _check_with_others(campaign, campaign_with_file, single_check.fit)
+    expected, why_not = _expected_estimates(campaign, campaign_with_file, single_check)
     return CheckedRun(
-        run=own_check.state,
-        remarks=own_check.remarks,
-        # Poses that are too few by themselves may be enough with others.
-        good=own_check.good or (own_check.fit is None and any(c.u is not None for c in reached)),
+        run=single_check.state,
+        remarks=single_check.remarks,
+        # Poses that are too few alone may suffice with those of other records.
+        good=single_check.good
+        or (single_check.fit is None and any(c.u is not None for c in reached)),
         others=others,
         reached=reached,
         expected=expected,
@@ -107,15 +110,15 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun
     )
 
 
-def _use_file(run: Recorded, file: Path) -> Recorded:
-    """Return a run, or a record of poses, whose record is another file."""
+def _replace_file(run: Recorded, file: Path) -> Recorded:
+    """Return a run, or a record of poses, with its record replaced by a file."""
     if isinstance(run, Run):
         return run.model_copy(update={"file": file})
     return replace(run, record=file)
 
 
-def _with_recorded(campaign: Campaign, use: Callable[[Recorded], Recorded | None]) -> Campaign:
-    """Return a campaign with its runs and records of poses as a function has them, None: not."""
+def _map_records(campaign: Campaign, use: Callable[[Recorded], Recorded | None]) -> Campaign:
+    """Return a campaign with a function applied to its runs and pose records; None removes one."""
     runs = tuple(run for run in map(use, campaign.runs) if isinstance(run, Run))
     triad = campaign.triad
     if triad is not None:
@@ -127,7 +130,7 @@ def _with_recorded(campaign: Campaign, use: Callable[[Recorded], Recorded | None
 
 
 def _select_run(campaign: Campaign, file: Path | None, name: str | None) -> Recorded | MeanRun:
-    """Return the run whose record is meant."""
+    """Return the run of a record."""
     recorded = (*recordings(campaign), *mean_runs(campaign))
     by_name = {run.name: run for run in recorded}
     if name is not None:
@@ -153,55 +156,57 @@ def _select_run(campaign: Campaign, file: Path | None, name: str | None) -> Reco
 
 
 @frozen
-class _RecordCheck:
-    """A record by itself."""
+class _SingleCheck:
+    """Check of a single record."""
 
     state: RunState
     remarks: list[str]
     good: bool
-    fit: FitSoFar | None  # None where it cannot be used
-    observed: ObservedRun | None = None  # None of poses
+    fit: CurrentFit | None  # None if the record cannot be used
+    observed: ObservedRun | None = None  # None for poses
 
 
-def _check_alone(campaign: Campaign, run: Recorded) -> _RecordCheck:
+def _check_single(campaign: Campaign, run: Recorded) -> _SingleCheck:
     """Return the check of a single record."""
-    alone = _with_recorded(
+    alone = _map_records(
         replace(campaign, readings=()), lambda candidate: run if candidate is run else None
     )
     if alone.triad is not None:
         alone = replace(alone, triad=replace(alone.triad, poses=()))
     observer = Observer(alone)
     observer.look()
-    part, observed = observer.present()
+    part, observed = observer.usable_runs()
     poses = observer.poses_of(run.name)
     if not observed and not poses:
-        state = observer.not_read(run.name)
+        state = observer.unread_state(run.name)
         why = state.why if state.state == "failed" else f"too short: {state.why}"
         state = state.model_copy(update={"state": "failed", "why": why})
-        return _RecordCheck(state, [why or ""], good=False, fit=None)
+        return _SingleCheck(state, [why or ""], good=False, fit=None)
     fit, refused = None, ""
     try:
-        fit = joint_fit_of(part, observed)
+        fit = fit_runs(part, observed)
     except CounterspinError as error:
         refused = str(error)
     if isinstance(run, PoseRecord):
         state = poses_state(part, run, poses, fit)
-        remarks, good = remarks_of_poses(poses, fit)
+        remarks, good = pose_remarks(poses, fit)
         observed_run = None
     else:
         (observed_run,) = observed
         state = run_state(part, observed_run, fit.views if fit else ())
         remarks, good = (
-            remarks_of(state, observed_run.record.report.notes(), fit.views) if fit else ([], False)
+            run_remarks(state, observed_run.record.report.notes(), fit.views)
+            if fit
+            else ([], False)
         )
     if fit is None:
         remarks, good = [refused, *remarks], False
-    return _RecordCheck(state, remarks, good, fit, observed_run)
+    return _SingleCheck(state, remarks, good, fit, observed_run)
 
 
 def _check_with_others(
-    campaign: Campaign, run: Recorded, fit: FitSoFar | None
-) -> tuple[list[str], list[ReachedCoefficient]]:
+    campaign: Campaign, run: Recorded, fit: CurrentFit | None
+) -> tuple[list[str], list[CurrentEstimate]]:
     """Return the other existing records, and the coefficients from all records together.
 
     fit: Fit of this record alone; None if it does not determine enough.
@@ -211,36 +216,36 @@ def _check_with_others(
         in_memory = recorded.record in campaign.frames
         return recorded if recorded is run or in_memory or recorded.record.exists() else None
 
-    observer = Observer(_with_recorded(campaign, existing))
+    observer = Observer(_map_records(campaign, existing))
     observer.look()
-    part, observed = observer.present()
+    part, observed = observer.usable_runs()
     others = [item.run.name for item in observed]
     others += [item.name for item in (part.triad.records if part.triad else ())]
     others.remove(run.name)
     if others or part.readings or part.posed:
         try:
-            fit = joint_fit_of(part, observed)
+            fit = fit_runs(part, observed)
         except CounterspinError:
             others = []
-    names = shown_names(campaign)
-    return others, reached_coefficients(fit, names) if fit else nothing_reached(campaign, names)
+    names = displayed_names(campaign)
+    return others, current_estimates(fit, names) if fit else undetermined_estimates(campaign, names)
 
 
-def _expected(
-    campaign: Campaign, run: Recorded, own_check: _RecordCheck
-) -> tuple[list[ReachedCoefficient], str | None]:
+def _expected_estimates(
+    campaign: Campaign, run: Recorded, single_check: _SingleCheck
+) -> tuple[list[CurrentEstimate], str | None]:
     """Return the expected coefficients of the whole campaign with its other runs as described."""
     if not campaign.runs:
         return [], None
     completed, rate = campaign, None
-    if own_check.observed is not None and own_check.fit is not None:
-        seconds = float(own_check.observed.record.time[-1])
-        rate = 1.0 / own_check.observed.record.report.step
+    if single_check.observed is not None and single_check.fit is not None:
+        seconds = float(single_check.observed.record.time[-1])
+        rate = 1.0 / single_check.observed.record.report.step
         runs = (
             r.model_copy(update={"duration": seconds}) if r is run else r for r in campaign.runs
         )
-        noise = noise_of_fit(own_check.fit.estimate.fit)
-        completed = as_recorded(replace(campaign, runs=tuple(runs)), [own_check.observed], noise)
+        noise = noise_of_fit(single_check.fit.estimate.fit)
+        completed = as_recorded(replace(campaign, runs=tuple(runs)), [single_check.observed], noise)
     unknown = [r.name for r in completed.runs if r.duration is None]
     if unknown:
         return [], f"the description does not state how long {', '.join(unknown)} will last"
@@ -249,6 +254,6 @@ def _expected(
         predicted = forecast(completed, sampling_rate=rate)
     except CounterspinError as error:
         return [], str(error)
-    names = shown_names(campaign)
-    lines = reached_coefficients(FitSoFar(completed, predicted.estimate), names)
+    names = displayed_names(campaign)
+    lines = current_estimates(CurrentFit(completed, predicted.estimate), names)
     return [line.model_copy(update={"value": None}) for line in lines], None

@@ -11,15 +11,15 @@ from counterspin.campaign.reading import Reading
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.monitoring.observer import Observer, record_name
-from counterspin.monitoring.result import CheckedRun, MeanState, ReachedCoefficient, RunState
+from counterspin.monitoring.result import CheckedRun, CurrentEstimate, MeanState, RunState
 from counterspin.monitoring.run_state import (
-    joint_fit_of,
-    nothing_reached,
-    reached_coefficients,
-    remarks_of,
+    current_estimates,
+    displayed_names,
+    fit_runs,
     report_fields,
     rotation_fields,
-    shown_names,
+    run_remarks,
+    undetermined_estimates,
 )
 from counterspin.readings.mean_records import AveragedRecord, average_record
 
@@ -37,14 +37,14 @@ class MeanRun:
 
     @property
     def record(self) -> Path:
-        """The record."""
+        """Path of the record."""
         record = self.readings[0].record
         assert record is not None
         return record
 
 
 def mean_runs(campaign: Campaign) -> list[MeanRun]:
-    """Return the runs of a campaign whose means are readings."""
+    """Return the runs whose means are readings."""
     by_name: dict[str, list[Reading]] = {}
     for reading in campaign.readings:
         if reading.record is not None:
@@ -55,9 +55,9 @@ def mean_runs(campaign: Campaign) -> list[MeanRun]:
 def check_mean(campaign: Campaign, run: MeanRun, file: Path) -> CheckedRun:
     """Check the record of a run whose mean is a reading.
 
-    file: The record, which may be another file than that of the description.
+    file: The record, which may differ from that of the description.
     """
-    campaign = _with_records(
+    campaign = _map_readings(
         campaign,
         lambda reading: replace(reading, record=file) if reading.name == run.name else reading,
     )
@@ -69,7 +69,7 @@ def check_mean(campaign: Campaign, run: MeanRun, file: Path) -> CheckedRun:
         ]
     except CounterspinError as error:
         return CheckedRun(
-            run=_not_read(campaign, run, file, str(error)),
+            run=_unread_state(campaign, run, file, str(error)),
             remarks=[str(error)],
             good=False,
             others=[],
@@ -77,24 +77,24 @@ def check_mean(campaign: Campaign, run: MeanRun, file: Path) -> CheckedRun:
             expected=[],
             why_not="the record cannot be used as it is",
         )
-    state = _state(campaign, averaged)
+    state = _read_state(campaign, averaged)
     notes = list(dict.fromkeys(note for record in averaged for note in record.mean.report.notes()))
-    remarks, good = remarks_of(state, notes, ())
+    remarks, good = run_remarks(state, notes, ())
     others, reached = _fit_with_others(campaign, run.name)
     return CheckedRun(
         run=state, remarks=remarks, good=good, others=others, reached=reached, expected=[]
     )
 
 
-def _with_records(campaign: Campaign, use: Callable[[Reading], Reading | None]) -> Campaign:
-    """Return a campaign with its readings as a function has them; None leaves one out."""
+def _map_readings(campaign: Campaign, use: Callable[[Reading], Reading | None]) -> Campaign:
+    """Return a campaign with a function applied to its readings; None removes one."""
     return replace(
         campaign,
         readings=tuple(reading for reading in map(use, campaign.readings) if reading is not None),
     )
 
 
-def _not_read(campaign: Campaign, run: MeanRun, file: Path, why: str) -> RunState:
+def _unread_state(campaign: Campaign, run: MeanRun, file: Path, why: str) -> RunState:
     """Return the state of a record that cannot be used."""
     return RunState(
         run=run.name,
@@ -107,7 +107,7 @@ def _not_read(campaign: Campaign, run: MeanRun, file: Path, why: str) -> RunStat
     )
 
 
-def _state(campaign: Campaign, averaged: Sequence[AveragedRecord]) -> RunState:
+def _read_state(campaign: Campaign, averaged: Sequence[AveragedRecord]) -> RunState:
     """Return the contents of a record: one mean for each accelerometer, and the rotation."""
     first = averaged[0]
     reading, measured = first.reading, first.reading.measured
@@ -134,24 +134,24 @@ def _state(campaign: Campaign, averaged: Sequence[AveragedRecord]) -> RunState:
     )
 
 
-def _fit_with_others(campaign: Campaign, name: str) -> tuple[list[str], list[ReachedCoefficient]]:
+def _fit_with_others(campaign: Campaign, name: str) -> tuple[list[str], list[CurrentEstimate]]:
     """Return the other existing records, and the coefficients from all of them together."""
 
     def exists(record: Path) -> bool:
         return record in campaign.frames or record.exists()
 
     runs = tuple(run for run in campaign.runs if exists(run.record))
-    part = _with_records(
+    part = _map_readings(
         replace(campaign, runs=runs),
         lambda reading: reading if reading.record is None or exists(reading.record) else None,
     )
     observer = Observer(part)
     observer.look()
-    part, observed = observer.present()
+    part, observed = observer.usable_runs()
     others = [observed_run.run.name for observed_run in observed]
     others += [run.name for run in mean_runs(part) if run.name != name]
-    names = shown_names(campaign)
+    names = displayed_names(campaign)
     try:
-        return others, reached_coefficients(joint_fit_of(part, observed), names)
+        return others, current_estimates(fit_runs(part, observed), names)
     except CounterspinError:
-        return others, nothing_reached(campaign, names)
+        return others, undetermined_estimates(campaign, names)

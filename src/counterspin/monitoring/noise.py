@@ -36,25 +36,25 @@ from counterspin.reports.numbers import format_number
 from counterspin.threads import one_blas_thread
 from counterspin.units import STANDARD_GRAVITY, base_unit, converts, unit_factor
 
-#: Frequencies of mains, Hz, and the part of them by which they wander.
+#: Mains frequencies, Hz, and their relative tolerance.
 _MAINS: Final = (50.0, 60.0)
-_MAINS_WANDER: Final = 2e-3
+_MAINS_TOLERANCE: Final = 2e-3
 
-#: Harmonics of mains and of the spindle by which a line is named.
+#: Largest harmonics of mains and spindle for naming a line.
 _MAINS_HARMONICS: Final = 20
 _SPINDLE_HARMONICS: Final = 8
 
-#: A record is cut into so many parts, of so many samples at least, to see whether it moves: by this
-#: factor one scatters more than a quiet quarter of them. A walk of the bias makes half of it.
-_PARTS: Final = 32
-_FEWEST_TOGETHER: Final = 32
-_MOVED: Final = 8.0
+#: Motion test: number of segments, their smallest number of samples, and the smallest ratio of a
+#: segment's scatter to that of the quiet quarter. A bias walk reaches half that ratio.
+_MOTION_SEGMENTS: Final = 32
+_MIN_SEGMENT_SAMPLES: Final = 32
+_MOTION_RATIO: Final = 8.0
 
-#: Probability of a misfit of the spectrum, in all bands, below which it is told.
-_MISFIT: Final = 1e-3
+#: p-value of a misfit of the spectrum, over all bands, below which it is reported.
+_MISFIT_P: Final = 1e-3
 
-#: An interval wider than this factor on either side is told.
-_WIDE: Final = 2.0
+#: Factor on either side above which an interval is reported as wide.
+_WIDE_RATIO: Final = 2.0
 
 #: Component -> key of [noise]; white noise has that of its observable.
 _KEYS: Final = {"random_walk": "acceleration", "flicker": "flicker", "bias_walk": "bias_walk"}
@@ -118,7 +118,7 @@ def noise(
         else:
             signals, unused = _guess_signals(source, columns, unit, sampling_rate, g)
         rest_records = [at_rest(source, signal) for signal in signals]
-        parts = [_stated(rest_record, turning) for rest_record in rest_records]
+        parts = [_estimate_noise(rest_record, turning) for rest_record in rest_records]
     checksum = None
     if file is not None:
         with Checksums() as checksums:
@@ -157,7 +157,7 @@ def _guess_signals(
     sampling_rate: str | None,
     gravity: float,
 ) -> tuple[list[RestSignal], list[str]]:
-    """Return the signals of a file by its own words, and the names of other columns."""
+    """Return the signals of a file by its column names and units, and the other columns' names."""
     answers = {} if sampling_rate is None else {"sampling_rate": sampling_rate}
     if isinstance(source, MemoryTable):
         file_columns = tuple(
@@ -171,7 +171,7 @@ def _guess_signals(
     if missing:
         available = ", ".join(column.name for column in seen.columns)
         raise CampaignError("noise", [f"`columns`: there is no {missing[0]!r} among {available}"])
-    time = _time(source, guess, seen.columns)
+    time = _row_times(source, guess, seen.columns)
     time_column = guess.time.column if guess.time else None
     rest = [c for c in seen.columns if c.name != time_column and not c.stamps]
     taken: list[RestSignal] = []
@@ -207,7 +207,9 @@ def _guess_signals(
     return taken, unused
 
 
-def _time(source: Path | MemoryTable, guess: FileGuess, columns: Sequence[FileColumn]) -> Array:
+def _row_times(
+    source: Path | MemoryTable, guess: FileGuess, columns: Sequence[FileColumn]
+) -> Array:
     """Return the time of each row, s."""
     if guess.time is not None:
         if guess.time.unit is None:
@@ -223,12 +225,12 @@ def _time(source: Path | MemoryTable, guess: FileGuess, columns: Sequence[FileCo
 
 
 def _unit_of(column: FileColumn) -> str | None:
-    """Return the unit of a column by the file, or else by the end of its name, `east_m`."""
+    """Return the unit of a column from the file, or else from the suffix of its name, `east_m`."""
     ending = column.name.rpartition("_")[2] if "_" in column.name else ""
     return column.unit or file_unit(ending) or None
 
 
-def _stated(record: RestRecord, turning: float | None) -> SignalNoise:
+def _estimate_noise(record: RestRecord, turning: float | None) -> SignalNoise:
     """Return the noise of a column."""
     signal, stretches, analysis = record.signal, record.stretches, record.analysis
     rest, kind, step = analysis.noise, analysis.kind, analysis.step
@@ -289,7 +291,7 @@ def _line_name(line: SpectralLine, sampling: float, turning: float | None) -> st
             seen = number * mains
             if (
                 abs(_alias_frequency(seen, sampling) - line.frequency)
-                <= close + _MAINS_WANDER * seen
+                <= close + _MAINS_TOLERANCE * seen
             ):
                 name = f"{mains:g} Hz mains" + ("" if number == 1 else f", harmonic {number}")
                 return name if seen <= 0.5 * sampling else f"{name}, folded by the sampling"
@@ -297,7 +299,7 @@ def _line_name(line: SpectralLine, sampling: float, turning: float | None) -> st
 
 
 def _alias_frequency(frequency: float, sampling: float) -> float:
-    """Return the aliased frequency of a wave."""
+    """Return the aliased frequency of a sampled sinusoid."""
     return abs(frequency - sampling * round(frequency / sampling))
 
 
@@ -315,7 +317,11 @@ def _remarks(stated: SignalNoise, record: RestRecord) -> Iterator[str]:
                     f"about {growth}. A longer record, of hours, shows smaller values."
                 )
             continue
-        wide = size.high is None or size.high > _WIDE * size.value or size.low * _WIDE < size.value
+        wide = (
+            size.high is None
+            or size.high > _WIDE_RATIO * size.value
+            or size.low * _WIDE_RATIO < size.value
+        )
         if wide and size.low == 0.0:
             yield (
                 f"The interval of the {name} has no lower limit: the record is too short to "
@@ -347,8 +353,8 @@ def _remarks(stated: SignalNoise, record: RestRecord) -> Iterator[str]:
             ": rounding contributes much of the white noise here, and it is not white "
             "where the signal stays within one step."
         )
-    yield from _motion(record)
-    yield from _misfit(record.analysis.noise.bands)
+    yield from _motion_remarks(record)
+    yield from _misfit_remarks(record.analysis.noise.bands)
 
 
 def _sampling(record: RestRecord) -> Iterator[str]:
@@ -380,14 +386,18 @@ def _sampling(record: RestRecord) -> Iterator[str]:
         yield f"{stretches.filled - stretches.outliers} missing samples are interpolated."
 
 
-def _motion(record: RestRecord) -> Iterator[str]:
-    """Yield a remark on the place where the scatter of a specific force indicates motion."""
+def _motion_remarks(record: RestRecord) -> Iterator[str]:
+    """Yield a remark on the segment whose scatter of specific force indicates motion."""
     start, values = record.stretches.longest
-    size = max(_FEWEST_TOGETHER, values.size // _PARTS)
+    size = max(_MIN_SEGMENT_SAMPLES, values.size // _MOTION_SEGMENTS)
     parts = values[: values.size // size * size].reshape(-1, size)
     scatter = parts.std(axis=1)
     usual, place = float(np.quantile(scatter, 0.25)), int(np.argmax(scatter))
-    if record.signal.order == 0 and len(parts) >= _PARTS // 2 and scatter[place] > _MOVED * usual:
+    if (
+        record.signal.order == 0
+        and len(parts) >= _MOTION_SEGMENTS // 2
+        and scatter[place] > _MOTION_RATIO * usual
+    ):
         begin = start + place * size * record.stretches.step
         yield (
             f"From {begin:.4g} s to {begin + size * record.stretches.step:.4g} s the record "
@@ -397,13 +407,13 @@ def _motion(record: RestRecord) -> Iterator[str]:
 
 
 def _scatter(record: RestRecord) -> float:
-    """Return the standard deviation of samples about their neighbours."""
+    """Return the standard deviation of samples relative to their neighbours."""
     _, longest = record.stretches.longest
     second = longest[2:] - 2.0 * longest[1:-1] + longest[:-2]
     return float(np.std(second)) / math.sqrt(6.0)
 
 
-def _misfit(bands: Sequence[Band]) -> Iterator[str]:
+def _misfit_remarks(bands: Sequence[Band]) -> Iterator[str]:
     """Yield a remark on the band where the spectrum deviates most from the components."""
     from scipy.stats import chi2
 
@@ -411,7 +421,7 @@ def _misfit(bands: Sequence[Band]) -> Iterator[str]:
     for band in bands:
         power = band.ratio * band.count
         p = 2.0 * min(chi2.sf(power, band.count), chi2.cdf(power, band.count)) * len(bands)
-        if p < _MISFIT and (worst is None or abs(math.log(band.ratio)) > worst[0]):
+        if p < _MISFIT_P and (worst is None or abs(math.log(band.ratio)) > worst[0]):
             worst = abs(math.log(band.ratio)), band
     if worst is not None:
         band = worst[1]
@@ -424,7 +434,7 @@ def _misfit(bands: Sequence[Band]) -> Iterator[str]:
 
 
 def noise_table(signals: Sequence[SignalNoise], gravity: float) -> str:
-    """Return the [noise] table of the noisiest of some columns, ready to be pasted."""
+    """Return the [noise] table of the noisiest column, ready to be pasted."""
     largest: dict[str, tuple[float, bool]] = {}
     for signal in signals:
         for key, size in signal.components.items():

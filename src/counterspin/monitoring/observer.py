@@ -1,4 +1,4 @@
-"""The existing records, read again only where they have changed; for a table, only its new rows.
+"""Incremental reading of growing records: changed files only, and new rows only for tables.
 
 Each appended row is read once. An incomplete last line is read when it is complete. The columns
 stay in memory, and are read from the file again if the program restarts.
@@ -41,20 +41,20 @@ from counterspin.records.record import Record, RecordColumns
 from counterspin.temporary_folders import temporary_folder
 from counterspin.triads.found_poses import FoundPose, columns_of_poses, found_in
 
-#: Endings of files to which rows are appended.
-APPENDED: Final = tuple(e for e, opens in RECORD_FORMATS.items() if opens is CsvFile)
+#: Suffixes of files to which rows are appended.
+GROWING_SUFFIXES: Final = tuple(e for e, opens in RECORD_FORMATS.items() if opens is CsvFile)
 
-#: Rows that show how a file is written. They stand before new ones when these are read.
+#: Number of first rows that show the format; they precede new rows when these are parsed.
 _FIRST_ROWS: Final = 20
 
-#: A file that has this many lines and cannot be read has not just begun.
-_BEGINNING: Final = HEAD_LINES + _FIRST_ROWS
+#: Number of lines from which an unreadable file is an error, not a beginning.
+_MIN_LINES: Final = HEAD_LINES + _FIRST_ROWS
 
-#: Bytes before the new ones that must still be what they were.
+#: Number of bytes before the new ones that must be unchanged.
 _TAIL_BYTES: Final = 256
 
-#: Bytes that are read at a time.
-_PART_BYTES: Final = 1 << 24
+#: Number of bytes read at a time.
+_CHUNK_BYTES: Final = 1 << 24
 
 
 @dataclass
@@ -62,8 +62,8 @@ class GrowingTable:
     """The columns of a growing file."""
 
     path: Path  #: The file.
-    names: Sequence[str]  #: Of the columns that are read.
-    dialect: Dialect = TO_BE_FOUND  #: How the file is written, as far as that is known.
+    names: Sequence[str]  #: Names of the columns to read.
+    dialect: Dialect = TO_BE_FOUND  #: Known format of the file.
     _identity: FileIdentity | None = None
     _head: bytes = b""
     _tail: bytes = b""
@@ -87,28 +87,28 @@ class GrowingTable:
         return MemoryTable(str(self.path), columns)
 
     def follow(self) -> tuple[bool, str | None]:
-        """Read the new data."""
+        """Read the new data; return whether they changed, and the events."""
         with open_file(self.path) as file:
             now = FileIdentity.of(file.fileno())
             if now == self._identity:
                 return False, None
-            event = self._what_happened(now, file)
+            event = self._change_event(now, file)
             if event is not None:
-                self._forget()
+                self._reset()
             self._identity = now
             changed = event is not None
             file.seek(self._done)
-            # No further than the file was when it was looked at: a fast writer never ends.
+            # Read only up to the size at the start: a fast writer would never end.
             remaining = now.size - self._done
             rest = b""
-            while remaining > 0 and (part := file.read(min(remaining, _PART_BYTES))):
+            while remaining > 0 and (part := file.read(min(remaining, _CHUNK_BYTES))):
                 remaining -= len(part)
                 complete, _, rest = (rest + part).rpartition(b"\n")
                 if complete:
-                    changed |= self._take(complete + b"\n")
+                    changed |= self._read_lines(complete + b"\n")
             return changed, event
 
-    def _what_happened(self, now: FileIdentity, file: FileIO) -> str | None:
+    def _change_event(self, now: FileIdentity, file: FileIO) -> str | None:
         before = self._identity
         if before is None:
             return None
@@ -121,13 +121,13 @@ class GrowingTable:
             return "was rewritten, and is now read again from its start"
         return None
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
         self._head = self._tail = b""
         self._done = self._rows = self._context = 0
         self._columns = {}
 
-    def _take(self, lines: bytes) -> bool:
-        """Read whole lines that follow those read so far; return whether there are rows in them."""
+    def _read_lines(self, lines: bytes) -> bool:
+        """Read complete new lines; return whether they contain rows."""
         text = self._head + lines
         with temporary_folder("counterspin-rows-") as folder:
             part = folder / f"rows{self.path.suffix.lower()}"
@@ -135,9 +135,9 @@ class GrowingTable:
             try:
                 new, first = self._read(part)
             except RecordError:
-                if not self._head and text.count(b"\n") < _BEGINNING:
-                    return False  # the next time with more
-                # Of the file itself it says the right name and line.
+                if not self._head and text.count(b"\n") < _MIN_LINES:
+                    return False  # wait for more lines
+                # Reading the file itself gives the right name and line in the error.
                 self._read(self.path)
                 raise
         before = self._context
@@ -152,7 +152,7 @@ class GrowingTable:
         return True
 
     def _read(self, path: Path) -> tuple[Columns, int]:
-        """Return the columns of a file, and the line on which the last of its first rows stands."""
+        """Return the columns of a file, and the line number of the last of its first rows."""
         with open_columns(path, self.dialect) as file:
             file.require(list(self.names))
             columns = file.whole(list(self.names))
@@ -160,7 +160,7 @@ class GrowingTable:
             return columns, int(number[0]) if number else 0
 
     def _append(self, new: dict[str, np.ndarray]) -> None:
-        """Put rows below the others, in room that doubles as it is needed."""
+        """Append rows; the buffer doubles when it is full."""
         more = len(new[self.names[0]])
         for name, values in new.items():
             column = self._columns.get(name)
@@ -173,18 +173,18 @@ class GrowingTable:
         self._rows += more
 
 
-#: Revolutions of a record before anything can be said of it.
-FEWEST_REVOLUTIONS: Final = 3.5
+#: Smallest number of revolutions of a usable record.
+MIN_REVOLUTIONS: Final = 3.5
 
 
 _NO_FILE: Final = "no file yet"
 
-#: What has a record of its own.
+#: Parts of a campaign with a record.
 Recorded = Run | PoseRecord
 
 
-def with_values(run: Recorded, **values: Any) -> Recorded:
-    """Return a run, or a record of poses, with other values."""
+def copy_record(run: Recorded, **values: Any) -> Recorded:
+    """Return a run, or a record of poses, with changed fields."""
     return run.model_copy(update=values) if isinstance(run, Run) else replace(run, **values)
 
 
@@ -195,7 +195,7 @@ def recordings(campaign: Campaign) -> tuple[Recorded, ...]:
 
 @dataclass
 class _WatchedRun:
-    """A run, its file, and the results of its last reading."""
+    """A run, its file, and the outcome of its last reading."""
 
     run: Recorded
     columns: RecordColumns
@@ -207,8 +207,8 @@ class _WatchedRun:
     temperature: tuple[float, ...] | None = None
     conditions: RunConditions | None = None
     stale: bool = True
-    fault: str | None = None  # of the file
-    trouble: str | None = None  # of the record that its rows make
+    fault: str | None = None  # error of the file
+    trouble: str | None = None  # error of the record
     waits: str | None = None
 
     @property
@@ -221,9 +221,9 @@ class _WatchedRun:
 
 
 class Observer:
-    """Looks at the records of a campaign.
+    """Poller of a campaign's records.
 
-    grow: Whether tables of text are expected to grow: their new rows alone are read then.
+    grow: Whether text tables grow, so that only new rows are read.
     """
 
     def __init__(self, campaign: Campaign, *, grow: bool = False) -> None:
@@ -236,23 +236,23 @@ class Observer:
                 else columns_of_poses(campaign)
             )
             warm = columns_of_temperature(campaign, run)
-            table = _table_of(run, columns, warm) if grow else None
+            table = _growing_table(run, columns, warm) if grow else None
             self._watched.append(_WatchedRun(run, columns, table))
 
     def look(self) -> tuple[bool, list[str]]:
-        """Read the new data."""
+        """Read the new data; return whether they changed, and the events."""
         changed, events = False, []
         for watched in self._watched:
             if watched.run.record in self._campaign.frames:
-                continue  # in memory, and as it will be
-            different, event = _look_at(watched)
+                continue  # in memory: it does not change
+            different, event = _poll_file(watched)
             changed |= different
             if event is not None:
                 events.append(f"{watched.run.record.name} {event}.")
         return changed, events
 
-    def present(self) -> tuple[Campaign, list[ObservedRun]]:
-        """Return the campaign of the runs and records of poses that can be used, and these runs."""
+    def usable_runs(self) -> tuple[Campaign, list[ObservedRun]]:
+        """Return the campaign with the usable runs and pose records only, and the observed runs."""
         lengths: dict[str, float] = {}
         frames = dict(self._campaign.frames)
         for watched in self._watched:
@@ -288,11 +288,11 @@ class Observer:
         return part, observed
 
     def poses_of(self, name: str) -> tuple[FoundPose, ...]:
-        """Return the poses of a record; none where it cannot be used."""
+        """Return the poses of a record; none if it is unusable."""
         return next(w for w in self._watched if w.run.name == name).found
 
     def of(self, name: str) -> tuple[str | None, str | None, int]:
-        """Return the reason why a run waits, its fault, and its number of rows."""
+        """Return why a run waits, its error, and its number of rows."""
         watched = next(w for w in self._watched if w.run.name == name)
         rows = watched.table.rows if watched.table else 0
         if watched.record is not None:
@@ -301,8 +301,8 @@ class Observer:
             rows = max(rows, record.report.rows)
         return watched.waits, watched.fault or watched.trouble, rows
 
-    def not_read(self, name: str) -> RunState:
-        """Return the state of a run that is too short or cannot be used."""
+    def unread_state(self, name: str) -> RunState:
+        """Return the state of a run that is too short or unusable."""
         run = next(w.run for w in self._watched if w.run.name == name)
         waits, trouble, rows = self.of(name)
         return RunState(
@@ -316,7 +316,7 @@ class Observer:
         )
 
     def _read(self, watched: _WatchedRun) -> None:
-        """Make a record of the existing rows if they have changed."""
+        """Read the record of the existing rows if they have changed."""
         if not watched.stale:
             return
         watched.forget()
@@ -327,14 +327,14 @@ class Observer:
             if not watched.table.rows:
                 watched.waits = "no rows yet"
                 return
-            watched.waits = _too_short(watched.run, watched.columns, watched.table.table)
+            watched.waits = _wait_reason(watched.run, watched.columns, watched.table.table)
             if watched.waits is not None:
                 return
             frames = {**source.frames, watched.run.record: watched.table.table}
             source = replace(source, frames=frames)
         try:
             watched.temperature = temperatures_of(source, watched.run, {})
-            run = with_values(watched.run, temperature=watched.temperature)
+            run = copy_record(watched.run, temperature=watched.temperature)
             if isinstance(run, Run):
                 watched.record = read_run(source, run)
             else:
@@ -343,7 +343,7 @@ class Observer:
             watched.trouble = str(error)
 
 
-def _too_short(run: Recorded, columns: RecordColumns, table: MemoryTable) -> str | None:
+def _wait_reason(run: Recorded, columns: RecordColumns, table: MemoryTable) -> str | None:
     """Return the reason why a growing record is too short to read, or None."""
     clock, rows = columns.time, len(next(iter(table.columns.values())))
     first, last = (0.0, rows - 1.0) if clock.is_made else table.columns[clock.name][[0, -1]]
@@ -351,12 +351,12 @@ def _too_short(run: Recorded, columns: RecordColumns, table: MemoryTable) -> str
     if isinstance(run, PoseRecord):
         return None if seconds >= run.rest else f"{seconds:.1f} s of {run.rest:g} s of rest"
     turned = abs(run.rate) * seconds / (2.0 * math.pi)
-    if turned >= FEWEST_REVOLUTIONS:
+    if turned >= MIN_REVOLUTIONS:
         return None
-    return f"{turned:.1f} revolutions of at least {FEWEST_REVOLUTIONS}"
+    return f"{turned:.1f} revolutions of at least {MIN_REVOLUTIONS}"
 
 
-def _look_at(watched: _WatchedRun) -> tuple[bool, str | None]:
+def _poll_file(watched: _WatchedRun) -> tuple[bool, str | None]:
     path = watched.run.record
     try:
         if watched.table is not None:
@@ -387,27 +387,32 @@ def _look_at(watched: _WatchedRun) -> tuple[bool, str | None]:
     return changed, event
 
 
-def _table_of(
+def _growing_table(
     run: Recorded, columns: RecordColumns, warm: RecordColumns | None
 ) -> GrowingTable | None:
-    """Return the growing table that a run's record is; None if it has to be read whole.
+    """Return the growing table of a run's record; None if it must be read completely.
 
-    Time stamps, pulses and units that the file itself states are told from the file as a whole, and
-    so is where a run begins whose rows are counted.
+    Time stamps, pulses, units stated by the file, and the start of a run with counted rows need the
+    complete file.
 
-    warm: Its time and temperature, if it has that.
+    warm: Its time and temperature, if recorded.
     """
     more = list(warm.signals.values()) if warm else []
     specs = [columns.time, *([columns.angle] if columns.angle else []), *columns.signals.values()]
     specs += more
     kinds = ("numbers", "temperature", *(() if isinstance(run, Run) else ("rows",)))
     plain = all(spec.kind in kinds and (spec.unit or not spec.wanted) for spec in specs)
-    if run.record.suffix.lower() not in APPENDED or not plain or columns.more or columns.pulses:
+    if (
+        run.record.suffix.lower() not in GROWING_SUFFIXES
+        or not plain
+        or columns.more
+        or columns.pulses
+    ):
         return None
     names = [*columns.filed, *(spec.name for spec in more)]
     return GrowingTable(run.record, names, columns.dialect)
 
 
 def record_name(path: Path, folder: Path) -> str:
-    """Return a record's path as it is shown: inside its campaign's folder without that."""
+    """Return a record's displayed path, relative to its campaign's folder if inside."""
     return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)

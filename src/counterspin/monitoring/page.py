@@ -1,4 +1,4 @@
-"""Records judged, a campaign while it is recorded, and noise at rest, as a person reads them."""
+"""Printed reports of checked records, of a campaign while it is recorded, and of noise at rest."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Final
 
 from counterspin.monitoring.result import (
     CheckedRun,
+    CurrentEstimate,
     GoalState,
     NoiseResult,
     NoiseSize,
     PosesState,
-    ReachedCoefficient,
     RunState,
     SignalNoise,
     WatchState,
@@ -30,8 +30,8 @@ from counterspin.reports.numbers import (
 
 def watch_line(state: WatchState) -> str:
     """Return a state in one line."""
-    runs = ", ".join(f"{run.run} {_progress(run)}" for run in state.runs)
-    uncertainties = ", ".join(f"u({c.name}) {_u(c.u, c.unit)}" for c in state.coefficients)
+    runs = ", ".join(f"{run.run} {_format_progress(run)}" for run in state.runs)
+    uncertainties = ", ".join(f"u({c.name}) {_format_u(c.u, c.unit)}" for c in state.coefficients)
     worst = [r.ratio for run in state.runs for r in run.residuals.values()]
     residual = f"; residuals {max(worst):.2f} times the noise" if worst else ""
     goals = "; goal met" if state.met else ""
@@ -39,7 +39,7 @@ def watch_line(state: WatchState) -> str:
 
 
 def check_blocks(checked: CheckedRun) -> Iterator[Block]:
-    """Yield the judgement of one record."""
+    """Yield the report of a checked record."""
     run = checked.run
     yield Heading(f"{run.run}: {run.record}", 1)
     if checked.good:
@@ -50,7 +50,7 @@ def check_blocks(checked: CheckedRun) -> Iterator[Block]:
     for remark in checked.remarks:
         yield Paragraph(remark, "plain" if checked.good else "warning")
     if run.state == "read":
-        rows = tuple(_facts(run))
+        rows = tuple(_run_rows(run))
         yield Table((Column("What"), Column("Found", wraps=True)), rows)
     if checked.reached:
         others = ", ".join(checked.others)
@@ -67,20 +67,20 @@ def _coefficients(checked: CheckedRun, now: str) -> Table:
     rows = []
     for c in checked.reached:
         later = expected.get(c.name)
-        rows.append((c.name, _estimate(c), _u(later.u, later.unit) if later else "-"))
+        rows.append((c.name, _format_estimate(c), _format_u(later.u, later.unit) if later else "-"))
     titles = ("Coefficient", now.capitalize(), "uncertainty of the whole campaign")
     of = len(titles) if expected else len(titles) - 1
     return Table(tuple(Column(t, wraps=True) for t in titles[:of]), tuple(row[:of] for row in rows))
 
 
-def _facts(run: RunState) -> Iterator[tuple[str, str]]:
+def _run_rows(run: RunState) -> Iterator[tuple[str, str]]:
     hz = f"{format_number(run.sampling_rate, 5)} Hz" if run.sampling_rate else "-"
     repeated = f", {run.repeated} repeated rows" if run.repeated else ""
     gaps = f", {run.gaps} gaps, the longest {run.longest_gap:.3g} s" if run.gaps else ", no gaps"
     of = f" of {run.stated_seconds:.5g} s" if run.stated_seconds else ""
     yield "Clock", f"{run.rows} rows at {hz}, {run.seconds:.5g} s{of}{gaps}{repeated}"
     if run.poses is not None:
-        yield from _facts_of_poses(run, run.poses)
+        yield from _pose_rows(run, run.poses)
         return
     if run.rate is None or run.u_rate is None:
         if run.nominal_rate:
@@ -93,7 +93,7 @@ def _facts(run: RunState) -> Iterator[tuple[str, str]]:
             f"({'+' if part >= 0.0 else ''}{format_number(part, 2)})",
         )
         yield "Drift of the rate", f"{format_number(run.drift or 0.0)} 1/s"
-        yield "Ripple", _ripple(run)
+        yield "Ripple", _format_ripple(run)
         rms = f"{format_number(run.angle_rms)} rad" if run.angle_rms else "-"
         yield "Angle residuals", f"rms {rms}"
     yield "Left out", f"{run.outliers} outliers, {run.empty} empty cells"
@@ -110,7 +110,7 @@ def _facts(run: RunState) -> Iterator[tuple[str, str]]:
         )
 
 
-def _facts_of_poses(run: RunState, poses: PosesState) -> Iterator[tuple[str, str]]:
+def _pose_rows(run: RunState, poses: PosesState) -> Iterator[tuple[str, str]]:
     rms = "" if poses.rms is None else f", |f| - g left with rms {format_number(poses.rms)} m/s^2"
     yield "Poses", f"{poses.count}{rms}"
     yield "At rest", f"where the scatter is below {format_number(poses.threshold)} m/s^2"
@@ -119,7 +119,7 @@ def _facts_of_poses(run: RunState, poses: PosesState) -> Iterator[tuple[str, str
     yield "Missing directions", "; ".join(poses.missing) or "none"
 
 
-def _ripple(run: RunState) -> str:
+def _format_ripple(run: RunState) -> str:
     if run.ripple is None:
         return "none seen"
     part = run.ripple / abs(run.rate or run.nominal_rate)
@@ -154,7 +154,9 @@ def watch_blocks(state: WatchState) -> Iterator[Block]:
     goals = {goal.name: goal for goal in state.goals}
     columns = [Column("Coefficient"), Column("So far", "right")]
     columns += [Column("Goal", wraps=True)] * bool(goals)
-    rows = ((c.name, _estimate(c), _goal(goals.get(c.name))) for c in state.coefficients)
+    rows = (
+        (c.name, _format_estimate(c), _format_goal(goals.get(c.name))) for c in state.coefficients
+    )
     yield Table(tuple(columns), tuple(row[: len(columns)] for row in rows))
     if state.met:
         yield Paragraph("The goal is met.", "answer")
@@ -168,10 +170,10 @@ def _row(run: RunState) -> tuple[str, ...]:
     ripple = ""
     if run.rate is not None:
         ripple = "none seen" if run.ripple is None else format_number(run.ripple / abs(run.rate), 2)
-    return run.run, _progress(run), rate, ripple, ratio
+    return run.run, _format_progress(run), rate, ripple, ratio
 
 
-def _progress(run: RunState) -> str:
+def _format_progress(run: RunState) -> str:
     if run.state == "waiting":
         return f"waits: {run.why}" if run.why else "waits"
     if run.state == "failed":
@@ -181,28 +183,28 @@ def _progress(run: RunState) -> str:
     return f"{run.seconds:.4g}{of} s, {run.rows} rows{poses}"
 
 
-def _estimate(c: ReachedCoefficient) -> str:
+def _format_estimate(c: CurrentEstimate) -> str:
     unit, factor = field_unit(c.unit)
     if c.value is None or c.u is None:
         return NOT_DETERMINED
     return format_estimate(c.value * factor, c.u * factor, unit)
 
 
-def _u(u: float | None, unit: str) -> str:
+def _format_u(u: float | None, unit: str) -> str:
     shown, factor = field_unit(unit)
     if u is None or not math.isfinite(u):
         return NOT_DETERMINED
     return f"{format_uncertainty(u * factor)} {shown}"
 
 
-def _goal(goal: GoalState | None) -> str:
+def _format_goal(goal: GoalState | None) -> str:
     if goal is None:
         return ""
-    return f"u {_u(goal.wanted, goal.unit)}: {'met' if goal.met else 'not yet'}"
+    return f"u {_format_u(goal.wanted, goal.unit)}: {'met' if goal.met else 'not yet'}"
 
 
-#: What a file of the plots says that it is.
-PLOTS: Final = "plots of noise"
+#: Description in the file of the plots.
+FILE_DESCRIPTION: Final = "plots of noise"
 
 #: Key of a component -> its name.
 NAMES: Final = {
@@ -214,8 +216,8 @@ NAMES: Final = {
     "bias_walk": "random walk of the bias, K",
 }
 
-#: Averaging times of the table: every other one, an octave apart.
-_EVERY: Final = 2
+#: Stride of averaging times in the table: every other one, an octave apart.
+_TABLE_STRIDE: Final = 2
 
 
 def noise_blocks(result: NoiseResult) -> Iterator[Block]:
@@ -223,14 +225,14 @@ def noise_blocks(result: NoiseResult) -> Iterator[Block]:
     yield Heading(f"Noise of {result.record}", 1)
     for signal in result.signals:
         yield Heading(signal.name)
-        yield Paragraph(_first(signal, result.gravity), "answer")
-        yield _components(signal, result.gravity)
+        yield Paragraph(_summary_sentence(signal, result.gravity), "answer")
+        yield _component_table(signal, result.gravity)
         for remark in signal.remarks:
             yield Paragraph(remark)
         if signal.lines:
-            yield _lines(signal, result.gravity)
+            yield _line_table(signal, result.gravity)
         yield from noise_plots(signal, result.gravity)
-        yield _allan(signal, result.gravity)
+        yield _allan_table(signal, result.gravity)
     yield Heading("For campaign.toml")
     for line in result.table.splitlines():
         yield Paragraph(line, "command")
@@ -247,14 +249,14 @@ def noise_blocks(result: NoiseResult) -> Iterator[Block]:
         yield Paragraph(f"g = {gravity} m/s^2 converts between g and m/s^2.", "quiet")
 
 
-def _shown(unit: str, signal: SignalNoise, gravity: float) -> tuple[str, float]:
-    """Return the unit in which a quantity is shown, and the factor that leads to it."""
+def _display_unit(unit: str, signal: SignalNoise, gravity: float) -> tuple[str, float]:
+    """Return the display unit of a quantity, and the conversion factor to it."""
     return shown_unit(unit, signal.in_g, gravity)
 
 
-def _first(signal: SignalNoise, gravity: float) -> str:
+def _summary_sentence(signal: SignalNoise, gravity: float) -> str:
     size = signal.components["acceleration"]
-    unit, factor = _shown(size.unit, signal, gravity)
+    unit, factor = _display_unit(size.unit, signal, gravity)
     white = (
         f"N = {format_number(size.value * factor)} {unit}"
         if size.value is not None
@@ -263,7 +265,7 @@ def _first(signal: SignalNoise, gravity: float) -> str:
     slow = []
     for key, name in (("flicker", "B"), ("bias_walk", "K")):
         component = signal.components[key]
-        unit, factor = _shown(component.unit, signal, gravity)
+        unit, factor = _display_unit(component.unit, signal, gravity)
         if component.value is not None:
             slow.append(f"{name} = {format_number(component.value * factor)} {unit}")
     others = f", {' and '.join(slow)}" if slow else "; no slower noise is visible"
@@ -275,13 +277,13 @@ def _number(value: float | None, factor: float) -> str:
     return "-" if value is None else format_number(value * factor)
 
 
-def _components(signal: SignalNoise, gravity: float) -> Table:
+def _component_table(signal: SignalNoise, gravity: float) -> Table:
     rows = []
     for key, size in signal.components.items():
-        unit, factor = _shown(size.unit, signal, gravity)
+        unit, factor = _display_unit(size.unit, signal, gravity)
         value = "not seen" if size.value is None else format_number(size.value * factor)
-        rows.append((NAMES[key], value, _interval(size, factor), unit))
-    unit, factor = _shown("m/s^2/s", signal, gravity)
+        rows.append((NAMES[key], value, _format_interval(size, factor), unit))
+    unit, factor = _display_unit("m/s^2/s", signal, gravity)
     drift = format_estimate(signal.drift * factor, signal.u_drift * factor)
     rows.append(("drift of the bias", drift, "", unit))
     columns = (
@@ -294,7 +296,7 @@ def _components(signal: SignalNoise, gravity: float) -> Table:
     return Table(columns, tuple(rows), frozenset(quiet))
 
 
-def _interval(size: NoiseSize, factor: float) -> str:
+def _format_interval(size: NoiseSize, factor: float) -> str:
     if size.high is None:
         return f"above {_number(size.low, factor)}" if size.low > 0.0 else "any"
     if size.low == 0.0:
@@ -302,8 +304,8 @@ def _interval(size: NoiseSize, factor: float) -> str:
     return f"{_number(size.low, factor)} to {_number(size.high, factor)}"
 
 
-def _lines(signal: SignalNoise, gravity: float) -> Table:
-    unit, factor = _shown("m/s^2", signal, gravity)
+def _line_table(signal: SignalNoise, gravity: float) -> Table:
+    unit, factor = _display_unit("m/s^2", signal, gravity)
     rows = tuple(
         (
             format_estimate(line.frequency, line.u_frequency),
@@ -320,8 +322,8 @@ def _lines(signal: SignalNoise, gravity: float) -> Table:
     return Table(columns, rows)
 
 
-def _allan(signal: SignalNoise, gravity: float) -> Table:
-    unit, factor = _shown("m/s^2", signal, gravity)
+def _allan_table(signal: SignalNoise, gravity: float) -> Table:
+    unit, factor = _display_unit("m/s^2", signal, gravity)
     rows = tuple(
         (
             format_number(point.tau),
@@ -330,7 +332,7 @@ def _allan(signal: SignalNoise, gravity: float) -> Table:
             format_number(point.dof),
             format_number(point.expected * factor),
         )
-        for point in signal.allan[::_EVERY]
+        for point in signal.allan[::_TABLE_STRIDE]
     )
     titles = ("Averaging time, s", f"Allan deviation, {unit}", "95 % interval")
     columns = (*titles, "Degrees of freedom", "From the components")
@@ -339,7 +341,7 @@ def _allan(signal: SignalNoise, gravity: float) -> Table:
 
 def noise_plots(signal: SignalNoise, gravity: float) -> list[Plot]:
     """Return plots of a column's Allan deviation and spectrum, with those of the components."""
-    unit, factor = _shown("m/s^2", signal, gravity)
+    unit, factor = _display_unit("m/s^2", signal, gravity)
     tau = tuple(point.tau for point in signal.allan)
     allan = Plot(
         f"{signal.name}: overlapping Allan deviation",
@@ -365,7 +367,7 @@ def noise_plots(signal: SignalNoise, gravity: float) -> list[Plot]:
         log_x=True,
         log_y=True,
     )
-    unit, factor = _shown("m/s^2/Hz^0.5", signal, gravity)
+    unit, factor = _display_unit("m/s^2/Hz^0.5", signal, gravity)
     at = tuple(point.frequency for point in signal.spectrum)
     density = Plot(
         f"{signal.name}: spectral density",

@@ -74,8 +74,8 @@ class RunState(ResultPart):
     means: dict[str, MeanState] = {}  #: By accelerometer, of a record on an arm or at rest.
 
 
-class ReachedCoefficient(ResultPart):
-    """A coefficient by the records that are there; None where they do not determine it."""
+class CurrentEstimate(ResultPart):
+    """Current estimate of a coefficient from the existing records."""
 
     name: str  #: Such as ``Qx.K_II``.
     value: float | None  #: None where it is not determined.
@@ -102,7 +102,7 @@ class WatchState(ShownResult):
     title: str  #: Of the campaign.
     runs: list[RunState]  #: In the order of the description.
     #: K_II of each accelerometer, all of a triad in poses, and the coefficients of goals.
-    coefficients: list[ReachedCoefficient]
+    coefficients: list[CurrentEstimate]
     goals: list[GoalState]  #: What is wanted.
     events: list[str]  #: What happened to files since the state before, in sentences.
     #: Why the records that are there cannot be fitted together; None if they can.
@@ -125,10 +125,10 @@ class CheckedRun(ShownResult):
     remarks: list[str]  #: What is wrong or odd, in sentences; empty if nothing is.
     good: bool  #: Whether it may be kept as it is.
     others: list[str]  #: The other runs of the campaign whose records are there.
-    reached: list[ReachedCoefficient]  #: Coefficients by this record and those others.
+    reached: list[CurrentEstimate]  #: Coefficients by this record and those others.
     #: The u that the whole campaign will reach if its other runs are made as described; values are
     #: None.
-    expected: list[ReachedCoefficient]
+    expected: list[CurrentEstimate]
     why_not: str | None = None  #: Why that cannot be said; None if it can.
 
 
@@ -142,7 +142,7 @@ _IN_G: Final = {
 
 
 def shown_unit(unit: str, in_g: bool, gravity: float) -> tuple[str, float]:
-    """Return the unit in which a quantity is shown, and the factor that leads to it.
+    """Return the display unit of a quantity, and the conversion factor to it.
 
     in_g: Whether it was recorded in g.
     """

@@ -31,9 +31,9 @@ from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.monitoring.observer import record_name
 from counterspin.monitoring.result import (
+    CurrentEstimate,
     GoalState,
     PosesState,
-    ReachedCoefficient,
     ResidualState,
     RunState,
 )
@@ -55,7 +55,7 @@ def run_state(
 ) -> RunState:
     """Return the state of a run.
 
-    views: A fit with the run, by accelerometer; empty without a fit.
+    views: Views of a fit with the run, by accelerometer; empty without a fit.
     """
     run = observed.run
     return RunState(
@@ -77,7 +77,7 @@ def run_state(
 def report_fields(report: RecordReport, time: Array) -> dict[str, Any]:
     """Return the fields of `RunState` that the rows of a record determine.
 
-    time: Of the first row to that of the last, s, shape (n,).
+    time: Time of the rows, s, shape (n,).
     """
     return {
         "rows": report.rows,
@@ -126,49 +126,49 @@ def _residuals(campaign: Campaign, view: AccelerometerView, run: str) -> Residua
     )
 
 
-def remarks_of(
+def run_remarks(
     state: RunState, notes: Sequence[str], views: Sequence[AccelerometerView]
 ) -> tuple[list[str], bool]:
     """Return remarks on a run, in sentences, and True if the run may be kept as it is."""
-    wrong, odd = list[str](), list[str]()
+    faults, unusual = list[str](), list[str]()
     if state.rate is not None:
         part = state.rate / state.nominal_rate - 1.0
         if abs(part) > RATE_DIFFERENCE:
-            wrong.append(
+            faults.append(
                 f"The spindle turned at {state.rate:.6f} rad/s, not at the nominal "
                 f"{state.nominal_rate:.6f} rad/s ({part:+.2%})."
             )
     if state.stated_seconds and state.seconds < COMPLETE_PART * state.stated_seconds:
-        wrong.append(
+        faults.append(
             f"The record lasts {state.seconds:.4g} s, the campaign states "
             f"{state.stated_seconds:.4g} s."
         )
     if state.outliers > OUTLIER_SHARE * max(state.rows, 1) * max(len(views), 1):
-        wrong.append(f"{state.outliers} of {state.rows} samples are outliers.")
+        faults.append(f"{state.outliers} of {state.rows} samples are outliers.")
     for view in views:
         findings = [f"{view.name}: {text}" for text in view.diagnostics.findings]
         p = view.diagnostics.lack_of_fit_p if view.diagnostics.noise_given else None
-        (wrong if p is not None and p < CHI_SQUARE_SIGNIFICANCE else odd).extend(findings)
-    return [*wrong, *odd, *notes], not wrong
+        (faults if p is not None and p < CHI_SQUARE_SIGNIFICANCE else unusual).extend(findings)
+    return [*faults, *unusual, *notes], not faults
 
 
 @frozen(eq=False)
-class FitSoFar:
-    """The joint fit of the existing runs."""
+class CurrentFit:
+    """Joint fit of the existing runs."""
 
-    campaign: Campaign  #: With these runs alone.
-    estimate: Estimate  #: Of its unknowns.
+    campaign: Campaign  #: Campaign with these runs only.
+    estimate: Estimate  #: Estimate of its unknowns.
     data: ReadingData = field(default_factory=ReadingData)  #: Readings and poses in it.
 
     @property
     def posed(self) -> tuple[FittedReadings, ...]:
-        """The poses of its triad."""
+        """Fitted poses of its triad."""
         fitted = (part for part in self.data.parts if isinstance(part, FittedReadings))
         return tuple(part for part in fitted if part.readings.triad)
 
     @cached_property
     def views(self) -> tuple[AccelerometerView, ...]:
-        """The fit as each accelerometer sees it."""
+        """Views of the fit, one for each accelerometer."""
         problem = JointProblem(self.campaign)
         views = (
             AccelerometerView(problem, self.estimate, self.estimate.fit.assessment, name)
@@ -177,19 +177,19 @@ class FitSoFar:
         return tuple(view for view in views if view.has_records)
 
 
-def joint_fit_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> FitSoFar:
-    """Fit runs together, as a calibration of them alone does."""
-    return FitSoFar(campaign, *estimate_campaign(JointProblem(campaign, observed)))
+def fit_runs(campaign: Campaign, observed: Sequence[ObservedRun]) -> CurrentFit:
+    """Fit runs jointly, as a calibration of only these runs does."""
+    return CurrentFit(campaign, *estimate_campaign(JointProblem(campaign, observed)))
 
 
-def goals_of(
+def resolve_goals(
     campaign: Campaign, wanted: Sequence[str] | Mapping[str, float | str] | Path
 ) -> dict[str, float]:
-    """Return goals, checked: the whole name of each coefficient and the u that is wanted of it.
+    """Return checked goals: full name of each coefficient -> its target u.
 
-    wanted: Such as ``K_II 1e-8 g/g^2`` or ``Qx.K_II 0.01 ug/g^2``; without a unit it is the
-        coefficient's own. Or a mapping of names to these; or a plan, whose ``target`` it is. A term
-        without an accelerometer is a goal of each.
+    wanted: Text such as ``K_II 1e-8 g/g^2`` or ``Qx.K_II 0.01 ug/g^2``, by default in the unit of
+        the coefficient; a mapping from names to values; or a plan with a ``target``. A term without
+        an accelerometer applies to all of them.
     """
     if isinstance(wanted, Path):
         goal = read_plan(wanted).goal
@@ -214,7 +214,7 @@ def goals_of(
 
 
 def _with_unit(campaign: Campaign, name: str, u: float | str) -> str:
-    """Return the u that is wanted with its unit, the coefficient's own where none is given."""
+    """Return the target u with its unit, by default the unit of the coefficient."""
     try:
         number = float(u)
     except ValueError:
@@ -223,7 +223,7 @@ def _with_unit(campaign: Campaign, name: str, u: float | str) -> str:
     return f"{number!r} {unit_of(symbols[0])}" if symbols else str(u)
 
 
-def reached_coefficients(fit: FitSoFar, names: Sequence[str]) -> list[ReachedCoefficient]:
+def current_estimates(fit: CurrentFit, names: Sequence[str]) -> list[CurrentEstimate]:
     """Return the estimates of unknowns from a fit, None where it does not determine them."""
     places = {u.name: i for i, u in enumerate(fit.estimate.fit.model.asked)}
     reached = []
@@ -232,7 +232,7 @@ def reached_coefficients(fit: FitSoFar, names: Sequence[str]) -> list[ReachedCoe
             continue
         c = coefficient(fit.estimate, fit.estimate.fit.assessment, places[name])
         reached.append(
-            ReachedCoefficient(
+            CurrentEstimate(
                 name=name,
                 value=c.value if c.estimated else None,
                 u=c.u if c.estimated else None,
@@ -242,17 +242,17 @@ def reached_coefficients(fit: FitSoFar, names: Sequence[str]) -> list[ReachedCoe
     return reached
 
 
-def nothing_reached(campaign: Campaign, names: Sequence[str]) -> list[ReachedCoefficient]:
+def undetermined_estimates(campaign: Campaign, names: Sequence[str]) -> list[CurrentEstimate]:
     """Return the named parameters of interest as not determined."""
     symbols = {unknown.name: unknown.symbol for unknown in model_of(campaign).asked}
     return [
-        ReachedCoefficient(name=name, value=None, u=None, unit=unit_of(symbols[name]))
+        CurrentEstimate(name=name, value=None, u=None, unit=unit_of(symbols[name]))
         for name in names
         if name in symbols
     ]
 
 
-def shown_names(campaign: Campaign, goals: Iterable[str] = ()) -> list[str]:
+def displayed_names(campaign: Campaign, goals: Iterable[str] = ()) -> list[str]:
     """Return the displayed names: K_II of each, parameters of interest of a triad, and goals."""
     of_triad = campaign.triad.accelerometers if campaign.triad and campaign.posed else ()
     requested = [unknown.name for unknown in model_of(campaign).asked if unknown.owner in of_triad]
@@ -260,9 +260,7 @@ def shown_names(campaign: Campaign, goals: Iterable[str] = ()) -> list[str]:
     return list(dict.fromkeys([*squares, *requested, *goals]))
 
 
-def goal_states(
-    goals: Mapping[str, float], reached: Sequence[ReachedCoefficient]
-) -> list[GoalState]:
+def goal_states(goals: Mapping[str, float], reached: Sequence[CurrentEstimate]) -> list[GoalState]:
     """Return the state of each goal."""
     by_name = {c.name: c for c in reached}
     return [
@@ -278,19 +276,19 @@ def goal_states(
     ]
 
 
-#: Prior information on combinations that no pose determines, in poses: negligible.
-_NEXT_TO_NOTHING: Final = 1e-9
+#: Negligible prior information, in poses, on combinations that no pose determines.
+_NEGLIGIBLE_PRIOR: Final = 1e-9
 
-#: Most directions that are named; a triad without prior information needs nine.
-_MOST_MISSING: Final = 12
+#: Largest number of named directions; a triad without prior information needs nine.
+_MAX_DIRECTIONS: Final = 12
 
 
 def poses_state(
-    campaign: Campaign, record: PoseRecord, found_poses: Sequence[FoundPose], fit: FitSoFar | None
+    campaign: Campaign, record: PoseRecord, found_poses: Sequence[FoundPose], fit: CurrentFit | None
 ) -> RunState:
     """Return the state of a record of poses.
 
-    found_poses: Its poses, at least one.
+    found_poses: Poses of the record, at least one.
     fit: Fit with the record; None without a fit.
     """
     pose_record = found_poses[0].record
@@ -321,20 +319,20 @@ def poses_state(
     )
 
 
-def remarks_of_poses(
-    found_poses: Sequence[FoundPose], fit: FitSoFar | None
+def pose_remarks(
+    found_poses: Sequence[FoundPose], fit: CurrentFit | None
 ) -> tuple[list[str], bool]:
     """Return remarks on a record of poses, in sentences, and True if it may be kept."""
     pose_record = found_poses[0].record
     assert pose_record is not None
     findings = pose_findings(fit.estimate.fit, fit.posed) if fit else []
-    odd = [*pose_record.poses.doubts, *pose_record.poses.left_out, *pose_record.report.notes()]
+    unusual = [*pose_record.poses.doubts, *pose_record.poses.left_out, *pose_record.report.notes()]
     may_be_kept = not any(finding.contradicts for finding in findings)
-    return [*(finding.text for finding in findings), *odd], may_be_kept
+    return [*(finding.text for finding in findings), *unusual], may_be_kept
 
 
 def missing_directions(
-    campaign: Campaign, found_poses: Sequence[FoundPose], fit: FitSoFar | None
+    campaign: Campaign, found_poses: Sequence[FoundPose], fit: CurrentFit | None
 ) -> list[str]:
     """Return the directions in which one pose would be more informative than all existing poses.
 
@@ -358,10 +356,10 @@ def missing_directions(
     requested = [place for place, u in enumerate(model.asked) if u.owner in group.accelerometers]
     rows = group.linearised(model, point).design[:, requested]
     possible = further.linearised(model, point).design[:, requested]
-    information = rows.T @ rows + _NEXT_TO_NOTHING * np.eye(len(requested))
+    information = rows.T @ rows + _NEGLIGIBLE_PRIOR * np.eye(len(requested))
     missing: list[str] = []
-    while len(missing) < _MOST_MISSING:
-        # u^2 of |f| in each direction over that of one pose.
+    while len(missing) < _MAX_DIRECTIONS:
+        # u^2 of |f| in each direction, relative to that of one pose.
         unknown = np.einsum("np,pn->n", possible, np.linalg.solve(information, possible.T))
         most = int(np.argmax(unknown))
         if unknown[most] <= 1.0:
@@ -371,8 +369,8 @@ def missing_directions(
     return missing
 
 
-def _pose_residuals(fit: FitSoFar) -> Iterator[tuple[str, float]]:
-    """Yield each pose's name, and by how much the size of its specific force is off, g."""
+def _pose_residuals(fit: CurrentFit) -> Iterator[tuple[str, float]]:
+    """Yield the name of each pose, and the residual of the magnitude of its specific force, g."""
     model, point = fit.estimate.fit.model, fit.estimate.fit.solution.estimate
     for part in fit.posed:
         poses = part.readings

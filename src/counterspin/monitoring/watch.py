@@ -15,21 +15,21 @@ from counterspin.campaign.runs import Run
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.monitoring.observer import Observer, recordings
-from counterspin.monitoring.result import ReachedCoefficient, RunState, WatchState
+from counterspin.monitoring.result import CurrentEstimate, RunState, WatchState
 from counterspin.monitoring.run_state import (
-    FitSoFar,
+    CurrentFit,
+    current_estimates,
+    displayed_names,
+    fit_runs,
     goal_states,
-    goals_of,
-    joint_fit_of,
-    nothing_reached,
     poses_state,
-    reached_coefficients,
+    resolve_goals,
     run_state,
-    shown_names,
+    undetermined_estimates,
 )
 from counterspin.threads import one_blas_thread
 
-#: A run is complete at this part of its stated duration.
+#: Fraction of the stated duration from which a run is complete.
 _COMPLETE_PART: Final = 1.0 - 1e-3
 
 
@@ -48,14 +48,14 @@ class Pace:
             )
 
 
-_USUAL: Final = Pace()
+_DEFAULT_PACE: Final = Pace()
 
 
 def watch(
     where: Campaign | Path | str,
     *,
     goals: Sequence[str] | Mapping[str, float | str] | Path = (),
-    pace: Pace = _USUAL,
+    pace: Pace = _DEFAULT_PACE,
     once: bool = False,
 ) -> Iterator[WatchState]:
     """Follow the records of a campaign while they grow.
@@ -88,12 +88,12 @@ def watch(
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
     if not recordings(campaign):
         raise CampaignError("watch", ["the campaign has no runs with a record to follow"])
-    wanted = goals_of(campaign, goals)
+    wanted = resolve_goals(campaign, goals)
     return _states(campaign, wanted, pace, once=once)
 
 
 @dataclass
-class _Clock:
+class _Schedule:
     """The times of the next look and the next fit."""
 
     pace: Pace
@@ -109,7 +109,7 @@ class _Clock:
 def _states(
     campaign: Campaign, goals: Mapping[str, float], pace: Pace, *, once: bool
 ) -> Iterator[WatchState]:
-    observer, clock = Observer(campaign, grow=True), _Clock(pace)
+    observer, clock = Observer(campaign, grow=True), _Schedule(pace)
     events: list[str] = []
     due = True
     while True:
@@ -131,18 +131,18 @@ def _state(
     campaign: Campaign, observer: Observer, goals: Mapping[str, float], events: Sequence[str]
 ) -> WatchState:
     with one_blas_thread():
-        part, observed = observer.present()
+        part, observed = observer.usable_runs()
         fit, trouble = None, None
-        reached: list[ReachedCoefficient] = []
+        reached: list[CurrentEstimate] = []
         if observed or part.readings or part.posed:
             try:
-                fit = joint_fit_of(part, observed)
-                reached = reached_coefficients(fit, shown_names(campaign, goals))
+                fit = fit_runs(part, observed)
+                reached = current_estimates(fit, displayed_names(campaign, goals))
             except CounterspinError as error:
                 trouble = str(error)
         runs = _runs(campaign, observer, observed, fit)
     if not reached:
-        reached = nothing_reached(campaign, shown_names(campaign, goals))
+        reached = undetermined_estimates(campaign, displayed_names(campaign, goals))
     return WatchState(
         title=campaign.title,
         runs=runs,
@@ -155,7 +155,7 @@ def _state(
 
 
 def _runs(
-    campaign: Campaign, observer: Observer, observed: Sequence[ObservedRun], fit: FitSoFar | None
+    campaign: Campaign, observer: Observer, observed: Sequence[ObservedRun], fit: CurrentFit | None
 ) -> list[RunState]:
     by_name = {observed_run.run.name: observed_run for observed_run in observed}
     states = []
@@ -166,7 +166,7 @@ def _runs(
         elif isinstance(run, Run) and run.name in by_name:
             state = run_state(campaign, by_name[run.name], fit.views if fit else ())
         else:
-            states.append(observer.not_read(run.name))
+            states.append(observer.unread_state(run.name))
             continue
         states.append(state.model_copy(update={"why": trouble}))
     return states

@@ -1,4 +1,4 @@
-"""Equations 20 to 34, the two stages' uncertainties, and all figures of the paper and ours."""
+"""Equations 20 to 34, the uncertainties of both stages, and the complete comparison."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ KNOWN_SCALE_FACTOR: Final = (TABLE_1["K_I"], 0.0)  #: value, standard uncertaint
 KNOWN_BIAS: Final = (TABLE_1["K_F"], 0.0)
 
 
-def first_stage_spread() -> tuple[Row, ...]:
+def first_stage_uncertainty() -> tuple[Row, ...]:
     """Return sigma(b2) of the stated plan and the printed values."""
     return tuple(
         Row(
@@ -63,8 +63,8 @@ def first_stage_spread() -> tuple[Row, ...]:
     )
 
 
-def second_stage_spread() -> tuple[Row, ...]:
-    """Give sigma(K_II) by both models, from the printed sigma(b2) and from the stated plan."""
+def second_stage_uncertainty() -> tuple[Row, ...]:
+    """Return sigma(K_II) by both models, from the printed sigma(b2) and from the stated plan."""
     plan = simulate_runs()
     printed = _with_sigma_b2(plan, PRINTED_SIGMA_B2)
 
@@ -161,7 +161,7 @@ def recovery() -> tuple[Row, ...]:
     )
 
 
-def second_unknown() -> tuple[Row, ...]:
+def second_stage_ripple() -> tuple[Row, ...]:
     """Return the effect of separating the ripple, and the effects that its column absorbs."""
     truth = TABLE_1["K_II"]
     columns = as_printed.second_stage_columns(np.array(RATES), RADIUS, GRAVITY, TABLE_1["K_I"])
@@ -246,7 +246,7 @@ def _printed_second_stage(
     ripple: as_printed.RippleModel = "amplitude",
     weighted: bool = False,
 ) -> SecondStage:
-    """Return Eq. 23-27 and 33-34 as printed: K_F and K_I known, unweighted unless asked."""
+    """Return Eq. 23-27 and 33-34 as printed: K_F and K_I known, unweighted by default."""
     request = TwoStageRequest(
         "as-printed",
         {"K_I": KNOWN_SCALE_FACTOR, "K_F": KNOWN_BIAS},
@@ -288,9 +288,9 @@ def reproduce() -> Reproduction:
         inputs=stated_inputs(),
         sections=(
             PaperSection("Equations 5 to 19", equations.coefficients()),
-            PaperSection("First stage: sigma(b2), after Eq. 31", first_stage_spread()),
-            PaperSection("Second stage: sigma(K_II), after Eq. 34", second_stage_spread()),
+            PaperSection("First stage: sigma(b2), after Eq. 31", first_stage_uncertainty()),
+            PaperSection("Second stage: sigma(K_II), after Eq. 34", second_stage_uncertainty()),
             PaperSection("Which K_II is recovered: simulated by Eq. 7, without noise", recovery()),
-            PaperSection("What the second unknown of Eq. 26 achieves", second_unknown()),
+            PaperSection("What the second unknown of Eq. 26 achieves", second_stage_ripple()),
         ),
     )

@@ -22,10 +22,10 @@ from counterspin.output import write_text
 from counterspin.simulation.simulate import simulate
 from counterspin.toml_text import parse_toml
 
-#: Where the demonstration goes unless it is told otherwise.
-FOLDER: Final = "counterspin-demo"
+#: Default folder of the demonstration.
+DEFAULT_FOLDER: Final = "counterspin-demo"
 
-#: As in the paper: its own equations, and the runs not weighted.
+#: Options of the paper: its equations as printed, and unweighted runs.
 _AS_PRINTED: Final = TwoStageOptions(model="as-printed", weighted=False)
 
 
@@ -48,7 +48,7 @@ class Demonstration:
         return coefficients
 
 
-def demo(folder: Path | str = FOLDER, *, overwrite: bool = False) -> Demonstration:
+def demo(folder: Path | str = DEFAULT_FOLDER, *, overwrite: bool = False) -> Demonstration:
     """Simulate the paper's plan (its Tables 1 and 2, section 2.3) and calibrate it.
 
     Parameters

@@ -21,7 +21,7 @@ from counterspin.reproduction.plan import (
     SITE,
     TABLE_1,
     Row,
-    first_stage_of,
+    fit_first_stage,
     simulate_strobes,
 )
 
@@ -32,12 +32,12 @@ RECTIFIED: Final = RADIUS**2 * RATE**4 / GRAVITY  #: R^2 w0^4/g
 
 
 def coefficients() -> tuple[Row, ...]:
-    """Return the rows, in the order of the paper's equations."""
+    """Return the rows of the comparison, in the order of the paper's equations."""
     return (*_mean_force(), *_integrals(), *_strobes())
 
 
 def _mean_force() -> tuple[Row, ...]:
-    """Eq. 5, averaged over a revolution; drift left out."""
+    """Return the rows of Eq. 5, averaged over a revolution, without drift."""
     turn = np.linspace(0.0, 2 * math.pi / RATE, 256, endpoint=False)
     spindle = Spindle(RATE, ripples=(Ripple(1, RIPPLE, RIPPLE_PHASE),))
     exact = Trajectory(spindle, RADIUS, SITE).acceleration(turn)[:, 0]
@@ -59,13 +59,13 @@ def _mean_force() -> tuple[Row, ...]:
 
 
 def _integrals() -> tuple[Row, ...]:
-    """Expansions under Eq. 13, against runs in which only the one coefficient is present."""
+    """Return the rows of the expansions under Eq. 13, against runs of a single coefficient."""
     time, _ = simulate_strobes(RATE)
     k_ii, k_iii, k_ip = (
-        first_stage_of(*simulate_strobes(RATE, truth={"K_I": 1.0, symbol: TABLE_1[symbol]}))
+        fit_first_stage(*simulate_strobes(RATE, truth={"K_I": 1.0, symbol: TABLE_1[symbol]}))
         for symbol in ("K_II", "K_III", "K_IP")
     )
-    printed_k_ii = first_stage_of(time, as_printed.k_ii_integral(time, RATE, RADIUS, GRAVITY))
+    printed_k_ii = fit_first_stage(time, as_printed.k_ii_integral(time, RATE, RADIUS, GRAVITY))
     printed_k_iii = as_printed.k_iii_integral(time, RATE, RADIUS, GRAVITY)
     printed_k_ip = as_printed.k_ip_integral(time, RATE, RADIUS)
     return (
@@ -175,7 +175,7 @@ def _strobes() -> tuple[Row, ...]:
             "eq19.b2",
             "Eq. 19: b2 with Tables 1 and 2, 2 pi rad/s",
             printed_b2,
-            first_stage_of(*simulate_strobes(RATE)).b2,
+            fit_first_stage(*simulate_strobes(RATE)).b2,
             "m/s^2",
             "1/2 against 1/4 for K_II; the bias of 0.004 g is in both",
             ".6e",
@@ -192,11 +192,11 @@ def _spindle_effect(ripple: float, drift: float) -> Array:
         drift=drift,
         nominal_reference=True,
     )
-    return first_stage_of(time, error).coefficients
+    return fit_first_stage(time, error).coefficients
 
 
 def _printed_spindle_effect(ripple: float, drift: float, phase: float) -> Array:
-    """Return b0, b1, b2 of Eq. 15 for the same, shape (3,)."""
+    """Return b0, b1, b2 of Eq. 15 for such a run, shape (3,)."""
     time, _ = simulate_strobes(RATE)
     error = as_printed.strobe_error(
         time,
@@ -210,4 +210,4 @@ def _printed_spindle_effect(ripple: float, drift: float, phase: float) -> Array:
         scale_factor=TABLE_1["K_I"],
         second_order=0.0,
     )
-    return first_stage_of(time, error).coefficients
+    return fit_first_stage(time, error).coefficients

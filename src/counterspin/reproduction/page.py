@@ -50,11 +50,11 @@ def _cells(row: Row) -> tuple[str, ...]:
     return (row.quantity, row.printed_text, row.ours_text, row.unit, row.why)
 
 
-#: What the file of the figure says that it is.
-FIGURE: Final = "a figure of the demonstration"
+#: Description in the file of the figure.
+FILE_DESCRIPTION: Final = "a figure of the demonstration"
 
 
-def render_demonstration(shown: Demonstration) -> Report:
+def demonstration_report(shown: Demonstration) -> Report:
     """Return the demonstration's table and its explanation."""
     campaign = shown.campaign
     methods = (shown.joint, shown.two_stage.result, shown.as_printed.result)
@@ -133,7 +133,7 @@ def demonstration_plots(shown: Demonstration) -> list[Plot]:
         b0, b1, b2 = run.parabola.coefficients
         fine = np.linspace(0.0, time[-1], 100)
         upper.append(PlotSeries("", _tuple(fine), _tuple((b2 - half) * fine**2), colour=index))
-        # Every strobe would hide the curve; the residuals below show them all.
+        # All strobes would hide the curve; the plot of residuals shows them.
         some = slice(None, None, max(1, time.size // 25))
         deviation = (error - b0 - b1 * time - half * time**2)[some]
         words = f"{run.name}, {run.trajectory.spindle.rate:.4f} rad/s"
@@ -181,12 +181,12 @@ def _residuals(run: StrobedRun, index: int, x_range: tuple[float, float], reach:
 
 def _sigma(parabola: Parabola) -> float:
     """Return the standard deviation of a strobe, m."""
-    # Strobes between two samples are means of both, and so a little quieter.
+    # Strobes between two samples are means of both, so their noise is slightly smaller.
     return parabola.sigma * float(np.mean(parabola.strobes.noise_factor))
 
 
 def _largest(parabola: Parabola) -> float:
-    """Return the height that holds residuals and band, m."""
+    """Return the half-height of a plot that contains residuals and band, m."""
     return max(2.0 * _sigma(parabola), float(np.max(np.abs(parabola.residuals))))
 
 

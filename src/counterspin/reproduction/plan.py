@@ -1,4 +1,4 @@
-"""The paper's plan, simulated from first principles, and its figures compared with ours."""
+"""Simulation of the paper's plan from first principles, and rows of the comparison."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.results import ShownResult
 
 
-def _key(name: str) -> str:
-    """Return a field's key in the JSON."""
+def _json_key(name: str) -> str:
+    """Return the JSON key of a field."""
     return "counterspin" if name == "ours" else name
 
 
 @dataclass(
-    frozen=True, config=ConfigDict(extra="forbid", populate_by_name=True, alias_generator=_key)
+    frozen=True, config=ConfigDict(extra="forbid", populate_by_name=True, alias_generator=_json_key)
 )
 class Row:
     """A figure of the paper and ours."""
@@ -54,7 +54,7 @@ class Row:
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class PaperSection:
-    """Rows that belong together, under one title."""
+    """Group of rows with a title."""
 
     title: str
     rows: tuple[Row, ...]
@@ -79,7 +79,7 @@ class Reproduction(ShownResult):
         return {row.key: row for row in self.rows}[key]
 
 
-# What the paper states.
+# Data stated by the paper
 TABLE_1: Final[Mapping[str, float]] = {
     "K_F": 0.004,
     "K_I": 1.001,
@@ -96,8 +96,8 @@ SIGMA_DISPLACEMENT: Final = 0.01  #: m
 PRINTED_SIGMA_B2: Final = (6.6220e-5, 6.5837e-5, 6.6725e-5)  #: after Eq. 31
 PRINTED_SIGMA_K_II: Final = 3.0362e-7  #: g/g^2, after Eq. 34
 
-# What it leaves open.
-GRAVITY: Final = 9.8  #: m/s^2; not stated, and of the usual values this one comes nearest
+# Data not stated by the paper
+GRAVITY: Final = 9.8  #: m/s^2; the usual value that agrees best
 STANDARD_GRAVITY: Final = 9.80665  #: m/s^2
 SITE: Final = Site(GRAVITY, latitude=0.0, earth_rate=0.0)  #: the paper's Earth stands still
 DRIFT_RATE: Final = 1e-7  #: 1/s; the paper names C but gives no value
@@ -130,7 +130,7 @@ def simulate_strobes(
     """Simulate the strobed displacement error of one run, without noise (Eq. 10-12).
 
     The indicated specific force of Eq. 7 along the exact trajectory, minus the compensated
-    acceleration, is integrated twice and compared with the true place. No expansion in small
+    acceleration, is integrated twice and compared with the true position. No expansion in small
     quantities and no linearity in the coefficients is used. As in the paper the Earth stands
     still.
 
@@ -158,7 +158,7 @@ def simulate_strobes(
     return time, error
 
 
-def first_stage_of(time: Array, error: Array) -> Parabola:
+def fit_first_stage(time: Array, error: Array) -> Parabola:
     """Return the first stage of strobes that have the plan's standard deviation."""
     return first_stage(Strobes(time, error, np.ones(time.size), lost=0), SIGMA_DISPLACEMENT)
 
@@ -170,7 +170,7 @@ def simulate_runs(*, drift: float = 0.0, nominal_reference: bool = False) -> lis
         StrobedRun(
             f"{rate:.4f} rad/s",
             Trajectory(Spindle(rate), RADIUS, SITE),
-            first_stage_of(
+            fit_first_stage(
                 *simulate_strobes(
                     rate, drift=drift, ripple_ratio=ratio, nominal_reference=nominal_reference
                 )

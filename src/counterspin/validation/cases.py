@@ -1,6 +1,6 @@
-"""The reference cases: inputs, expected values, their sources, and limits.
+"""Reference cases: inputs, expected values, their sources, and limits.
 
-They are data, in ``data/cases.json``, and the project's own tests take them from here.
+They are data, in ``data/cases.json``; the project's tests use the same.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ DATA: Final = Path(__file__).parent / "data"
 
 @frozen
 class Case:
-    """A reference case."""
+    """A reference case of the validation."""
 
-    name: str  #: By which it is known.
-    requirement: str  #: What it belongs to: physics, spindle, least squares ...
+    name: str  #: Unique name.
+    requirement: str  #: Subject, such as physics, spindle, least squares.
     kernel: str  #: The function under test, as ``module:name``.
     source: str  #: Where the expected values come from: document and place, closed form, or script.
-    given: Mapping[str, Any]  #: What the function is given.
-    #: What is expected, name -> values; None: `given` names the file where that stands.
+    given: Mapping[str, Any]  #: Inputs of the function.
+    #: Expected values by name; None: `given` names the file with them.
     stated: Mapping[str, Any] | None
-    #: Largest difference, as a part of the expected value and in its unit; both together where both
-    #: are stated. `absolute` may be one number, or by name; None: it stands where `stated` does.
+    #: Tolerances, relative and absolute; they add up. `absolute` may be a number, or by name; None:
+    #: it is in the file with the expected values.
     relative: float
     absolute: float | Mapping[str, Any] | None
 
@@ -44,8 +44,8 @@ class Case:
         stated = _REFERENCES[kernel](self.given) if self.stated is None else self.stated
         return {name: np.array(values, np.float64) for name, values in stated.items()}
 
-    def allowed(self, name: str) -> Array:
-        """Return the largest difference of each number of a name, in the shape of `expected`."""
+    def tolerance(self, name: str) -> Array:
+        """Return the tolerance of each number of a name, in the shape of `expected`."""
         bound = _fit(self.given)["limits"] if self.absolute is None else self.absolute
         size = bound if isinstance(bound, float | int) else bound[name]
         return np.asarray(size) + self.relative * np.abs(self.expected[name])
@@ -53,7 +53,7 @@ class Case:
 
 @cache
 def document(name: str) -> Any:
-    """Return a JSON document of the folder; it is not to be changed."""
+    """Return a JSON document of the folder, which callers must not modify."""
     return json.loads((DATA / name).read_text(encoding="utf-8"))
 
 
@@ -81,18 +81,18 @@ def _read(entry: Mapping[str, Any]) -> Case:
     )
 
 
-# Expected values that stand in a file of their own, of a script in 40-digit arithmetic.
+# Expected values in separate files, computed by scripts in 40-digit arithmetic.
 
 
-def motion_of(given: Mapping[str, Any]) -> Mapping[str, Any]:
+def select_motion(given: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the case of the file of integrals that a given label names."""
     motions = document(given["file"])["cases"]
     return next(motion for motion in motions if motion["label"] == given["label"])
 
 
-def integrals_asked(given: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return mounting -> symbols whose integrals a case compares: `terms`, or all but `without`."""
-    motion = motion_of(given)
+def compared_integrals(given: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return mounting -> symbols of the compared integrals: `terms`, or all except `without`."""
+    motion = select_motion(given)
     shown = motion[given["observable"]]["QX"] if motion.get("platform") else ()
     platform = [symbol for symbol in PLATFORM_TERMS if symbol in shown]
     symbols = [symbol for symbol, row in TERMS.items() if not row.effect.of_rotation]
@@ -101,15 +101,15 @@ def integrals_asked(given: Mapping[str, Any]) -> dict[str, list[str]]:
     return dict.fromkeys(motion[given["observable"]], compared)
 
 
-def forces_asked(given: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the places on an arm at one rate whose force the file states."""
+def compared_forces(given: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the positions on an arm, at one rate, whose force the file states."""
     return [place for place in document(given["file"])["cases"] if place["rate"] == given["rate"]]
 
 
 def _integrals(given: Mapping[str, Any]) -> dict[str, Any]:
-    table = motion_of(given)[given["observable"]]
+    table = select_motion(given)[given["observable"]]
     expected = {}
-    for mounting, symbols in integrals_asked(given).items():
+    for mounting, symbols in compared_integrals(given).items():
         for symbol in symbols:
             key = TERMS[symbol].effect.text if symbol in TERMS else symbol
             if key not in table[mounting]:
@@ -124,12 +124,12 @@ def _integrals(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _angles(given: Mapping[str, Any]) -> dict[str, Any]:
-    return {"angle": motion_of(given)["angle"]}
+    return {"angle": select_motion(given)["angle"]}
 
 
 def _forces(given: Mapping[str, Any]) -> dict[str, Any]:
     key = "arm" if given["file"] == "axis_tilt.json" else "force"
-    return {"force": [place[key] for place in forces_asked(given)]}
+    return {"force": [place[key] for place in compared_forces(given)]}
 
 
 def _certified(given: Mapping[str, Any]) -> dict[str, Any]:

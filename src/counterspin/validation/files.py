@@ -23,14 +23,14 @@ from counterspin.records.record import ColumnSpec, RecordColumns, StatedMotion
 from counterspin.records.signals import Swing
 from counterspin.validation.cases import DATA, document
 
-#: Ending -> the package without which it is not read.
-_NEEDED: Final = {".xlsx": "fastexcel", ".tdms": "nptdms"}
+#: Suffix -> the optional package that reads it.
+_REQUIRED_PACKAGES: Final = {".xlsx": "fastexcel", ".tdms": "nptdms"}
 
-_RATE, _RADIUS = math.pi, 2.5  #: of the records of the cases, rad/s and m
+_RATE, _RADIUS = math.pi, 2.5  #: rate and radius of the cases' records, rad/s and m
 
 
-#: What the schema must refuse: a decimal comma, an element that is missing, one that there is not.
-_FAULTS: Final = (
+#: Alterations that the schema must refuse: a decimal comma, a missing and an unknown element.
+_ALTERATIONS: Final = (
     (rb"<si:value>(\d+)\.(\d+)</si:value>", rb"<si:value>\1,\2</si:value>"),
     (rb"<dcc:uniqueIdentifier>.*?</dcc:uniqueIdentifier>", b""),
     (rb"<(/?)dcc:uniqueIdentifier>", rb"<\1dcc:uniqueName>"),
@@ -38,13 +38,13 @@ _FAULTS: Final = (
 
 
 class NotAvailableError(CounterspinError):
-    """A case cannot be run: an optional package, or a file of others, is not there."""
+    """Error of a case that needs a missing optional package or third-party file."""
 
 
 def read_record(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return rows of a record's time, angle and signal."""
     path = DATA / given["file"]
-    package = _NEEDED.get(path.suffix)
+    package = _REQUIRED_PACKAGES.get(path.suffix)
     if package is not None and find_spec(package) is None:
         raise NotAvailableError(f"{package} is not installed; it is needed to read {path.suffix}")
     columns = RecordColumns(
@@ -61,7 +61,7 @@ def read_record(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def fitted(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+def fitted_numbers(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return all numbers of a campaign's result, by name."""
     result = module.calibrate(DATA / given["folder"])
     answer: dict[str, Any] = {symbol: _line(c) for symbol, c in result.platform.items()}
@@ -101,7 +101,7 @@ def check_schema(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         raise NotAvailableError(
             "the schema of DCC is not part of the package; name its folder (`schema`)"
         )
-    made = xml_of(given["file"])
+    made = make_certificate(given["file"])
 
     def conforms(document: bytes) -> float:
         try:
@@ -110,12 +110,12 @@ def check_schema(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
             return 0.0
         return 1.0
 
-    wrong = [re.sub(old, new, made, flags=re.DOTALL) for old, new in _FAULTS]
+    wrong = [re.sub(old, new, made, flags=re.DOTALL) for old, new in _ALTERATIONS]
     return {"as made": conforms(made), "altered": [conforms(altered) for altered in wrong]}
 
 
 def verify(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Check the signature of a document, of an altered one, and of another signer."""
+    """Verify the signature of a document, of an altered one, and of another signer."""
     if find_spec("signxml") is None:
         raise NotAvailableError("signxml is not installed; it is needed to verify signatures")
     folder = DATA / given["folder"]
@@ -136,9 +136,9 @@ def verify(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def read_back(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+def read_estimates(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return estimate and u of each term that a result's certificate states."""
-    read = module.read_certificate(xml_of(given["file"]), "the certificate of the case")
+    read = module.read_certificate(make_certificate(given["file"]), "the certificate of the case")
     coefficients = read.accelerometers[given["accelerometer"]].coefficients
     return {symbol: [c.value, c.u] for symbol, c in coefficients.items()}
 
@@ -146,17 +146,17 @@ def read_back(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
 _UNITS: Final = {"K_F": "g", "delta_O": "rad", "delta_P": "rad"}
 _SI: Final = "{https://ptb.de/si}"
 
-#: Of an accelerometer of the made-up result: axes on the level platform, rows I, P, O.
+#: Axes of the artificial result's accelerometers on the level platform, rows I, P, O.
 _AXES: Final = {
     "Qx": [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
     "Qy": [[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]],
 }
 
 
-def xml_of(file: str, changes: Mapping[str, Any] | None = None) -> bytes:
+def make_certificate(file: str, changes: Mapping[str, Any] | None = None) -> bytes:
     """Return the certificate of a result and a laboratory, as XML.
 
-    changes: What is another in the result's accelerometer and inputs.
+    changes: Changed fields of the result's accelerometer and inputs.
     """
     both = deepcopy(document(file))
     for part, keys in (changes or {}).items():
@@ -166,7 +166,7 @@ def xml_of(file: str, changes: Mapping[str, Any] | None = None) -> bytes:
     return certificate(Result.model_validate(both["result"]), lab).xml
 
 
-def numbers(_: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+def certificate_numbers(_: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of a certificate: value, U and k of each coefficient, and the region."""
     accelerometer = document(given["file"])["result"]["accelerometers"]["Qx"]
     accelerometer = {
@@ -175,7 +175,7 @@ def numbers(_: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         "budget": {s: [line] for s, line in given["budget"].items()},
     }
     changes = {"accelerometers": {"Qx": accelerometer}, "inputs": given["inputs"]}
-    root = ET.fromstring(xml_of(given["file"], changes))
+    root = ET.fromstring(make_certificate(given["file"], changes))
     keys = ("value", "valueExpandedMU", "coverageFactor")
     answer: dict[str, Any] = {}
     for real in root.iter(f"{_SI}real"):
@@ -189,7 +189,7 @@ def numbers(_: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     return answer
 
 
-def corrected(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+def corrected_forces(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return forces corrected for given coefficients, and their u."""
     stated, result = document(given["file"]), deepcopy(document("certified.json")["result"])
     plain = result["accelerometers"]["Qx"] | {"known": {}, "budget": {}}

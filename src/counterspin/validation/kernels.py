@@ -1,6 +1,6 @@
-"""Calls of the functions that cases name, and the compared parts of their answers.
+"""Calls of the functions that cases name, and the compared values of their results.
 
-Functions are looked up in their modules each time, so that a case calls the function in use.
+Functions are looked up in their modules on each call, so that a case tests the function in use.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from counterspin.arrays import Array
 from counterspin.validation import files
 from counterspin.validation.cases import (
     Case,
+    compared_forces,
+    compared_integrals,
     document,
-    forces_asked,
-    integrals_asked,
-    motion_of,
+    select_motion,
 )
 from counterspin.validation.files import NotAvailableError
 
 __all__ = ["NotAvailableError", "ask"]
 
 Given = Mapping[str, Any]
-Found = Mapping[str, Any]
+Values = Mapping[str, Any]
 
 
 def ask(case: Case) -> dict[str, Any]:
-    """Return the answer of a case's function: name -> values, in the shapes of `expected`."""
+    """Return the result of a case's function: name -> values, in the shapes of `expected`."""
     module, _, name = case.kernel.partition(":")
-    return dict(_ASKED[name](import_module(module), case.given))
+    return dict(_KERNELS[name](import_module(module), case.given))
 
 
 def _spindle(given: Given) -> Any:
@@ -44,35 +44,35 @@ def _spindle(given: Given) -> Any:
     return Spindle(float(given["rate"]), float(given.get("drift", 0.0)), ripples, start)
 
 
-def _columns(module: Any, given: Given) -> Found:
+def _columns(module: Any, given: Given) -> Values:
     from counterspin.physics import accelerometer
     from counterspin.physics.motion import Site, Trajectory
 
-    data, motion = document(given["file"]), motion_of(given)
+    data, motion = document(given["file"]), select_motion(given)
     earth_rate = float(data["earth_rate"]) if motion.get("earth_rate") else 0.0
     site = Site(float(data["gravity"]), float(data["latitude"]), earth_rate)
     trajectory = Trajectory(_spindle(motion), float(data["radius"]), site)
     times = np.array(motion["times"], np.float64)
     answer = dict[str, Any]()
-    for name, symbols in integrals_asked(given).items():
+    for name, symbols in compared_integrals(given).items():
         mounting = getattr(accelerometer, name)
         table = module.columns(trajectory, mounting, symbols, times, given["observable"])
         answer |= {f"{s} of {name}": column for s, column in zip(symbols, table.T, strict=True)}
     return answer
 
 
-def _angle(_: Any, given: Given) -> Found:
-    motion = motion_of(given)
+def _angle(_: Any, given: Given) -> Values:
+    motion = select_motion(given)
     return {"angle": _spindle(motion).angle(np.array(motion["times"], np.float64))}
 
 
-def _fit_spindle(module: Any, given: Given) -> Found:
+def _fit_spindle(module: Any, given: Given) -> Values:
     time = np.linspace(0.0, given["duration"], given["samples"])
     spindle = module.fit_spindle(time, _spindle(given).angle(time), given["rate"]).spindle
     return {name: getattr(spindle, name) for name in ("rate", "drift", "start_angle")}
 
 
-def _force(module: Any, given: Given) -> Found:
+def _force(module: Any, given: Given) -> Values:
     from counterspin.physics.accelerometer import Mounting
     from counterspin.physics.motion import Site
 
@@ -81,7 +81,7 @@ def _force(module: Any, given: Given) -> Found:
         Mounting.from_axes(*(module.FRAMES["arm"][name] for name in ("outward", "up"))),
     )
     forces = []
-    for place in forces_asked(given):
+    for place in compared_forces(given):
         tilt = tuple(float(place.get(about, 0.0)) for about in ("east", "north"))
         station = module.Station(
             "arm",
@@ -95,33 +95,33 @@ def _force(module: Any, given: Given) -> Found:
     return {"force": forces}
 
 
-def _normal_gravity(module: Any, given: Given) -> Found:
+def _normal_gravity(module: Any, given: Given) -> Values:
     return {"gravity": module.normal_gravity(math.radians(given["degrees"]))}
 
 
-def _indicated(module: Any, given: Given) -> Found:
+def _indicated(module: Any, given: Given) -> Values:
     force = np.array([given["force"]])
     return {"indicated": module.indicated(module.QX, given["coefficients"], force)[0]}
 
 
-def _parabola(module: Any, given: Given) -> Found:
+def _parabola(module: Any, given: Given) -> Values:
     from counterspin.physics.accelerometer import QX
 
     place = (given["rate"], given["radius"], given["gravity"])
     return {"parabola": module.parabola(given["symbol"], QX, *place)}
 
 
-def _printed(module: Any, given: Given) -> Found:
+def _printed(module: Any, given: Given) -> Values:
     rest = (given["radius"], given["gravity"], given["scale_factor"])
     table = module.second_stage_columns(np.array(given["rates"]), *rest)
     if "sigma_b2" not in given:
         return {"columns": table}
-    # Eq. 33 and 34, unweighted as the paper has them.
+    # Eq. 33 and 34, unweighted as in the paper.
     row = np.linalg.pinv(table)[0] * np.array(given["sigma_b2"])
     return {"sigma": math.sqrt(float(row @ row))}
 
 
-def _fit(module: Any, given: Given) -> Found:
+def _fit(module: Any, given: Given) -> Values:
     if "polynomial" in given:
         design = np.vander(np.array(given["x"], float), given["polynomial"] + 1, increasing=True)
     else:
@@ -137,7 +137,7 @@ def _fit(module: Any, given: Given) -> Found:
     }
 
 
-def _solve(module: Any, given: Given) -> Found:
+def _solve(module: Any, given: Given) -> Values:
     from counterspin.inference.least_squares import reduce_block
 
     block = reduce_block(given["design"], given["y"], None, given.get("considered"))
@@ -150,14 +150,14 @@ def _solve(module: Any, given: Given) -> Found:
     return {"estimate": answer.estimate, "u": np.sqrt(np.diag(answer.covariance))}
 
 
-def _effective_dof(module: Any, given: Given) -> Found:
+def _effective_dof(module: Any, given: Given) -> Values:
     variances = np.square(np.array(given["u"], np.float64))
     covariance = np.diag(2.0 * variances**2 / np.array(given["dof"]))
     gradient = np.ones((1, variances.size))
     return {"dof": module.effective_dof([variances.sum()], gradient, covariance)[0]}
 
 
-def _variance(module: Any, given: Given) -> Found:
+def _variance(module: Any, given: Given) -> Values:
     from counterspin.inference.noise.likelihood import RecordData
     from counterspin.inference.noise.model import WANTED, Noise
 
@@ -166,7 +166,7 @@ def _variance(module: Any, given: Given) -> Found:
     return {"white": module.find_noise([record], Noise(WANTED)).noise.white}
 
 
-def _first_stage(module: Any, given: Given) -> Found:
+def _first_stage(module: Any, given: Given) -> Values:
     from counterspin.inference.two_stage.first_stage import Strobes
 
     time = np.arange(float(given["strobes"]))
@@ -175,23 +175,23 @@ def _first_stage(module: Any, given: Given) -> Found:
     return {"coefficients": answer.coefficients, "u_b2": answer.u_b2}
 
 
-def _walk(module: Any, given: Given) -> Found:
+def _walk(module: Any, given: Given) -> Values:
     return {"covariance": module.walk_covariance(np.array(given["time"]))}
 
 
-def _flicker(module: Any, given: Given) -> Found:
+def _flicker(module: Any, given: Given) -> Values:
     lag = np.array(given["lag"])
     answer = module.flicker_autocovariance(lag, given["low"], given["high"])
     return {"autocovariance": answer}
 
 
-def _acceptance_limits(module: Any, given: Given) -> Found:
+def _acceptance_limits(module: Any, given: Given) -> Values:
     low, high = module.acceptance_limits(**given)
     return {"low": low, "high": high}
 
 
-def _decide(module: Any, given: Given) -> Found:
-    """Verdict as a number: 1 pass, 0 undecided, -1 fail."""
+def _decide(module: Any, given: Given) -> Values:
+    """Return the verdict as a number: 1 pass, 0 undecided, -1 fail."""
     limits = module.Specification("", given["low"], given["high"], "")
     item = (given[key] for key in ("value", "u", "dof"))
     answer = module.decide(*item, limits, module.DecisionRule(**given["rule"]))
@@ -200,7 +200,7 @@ def _decide(module: Any, given: Given) -> Found:
     return {"verdict": verdict, "guard_band": answer.guard_band, **rest}
 
 
-def _random_walk(module: Any, given: Given) -> Found:
+def _random_walk(module: Any, given: Given) -> Values:
     from counterspin.inference.noise.likelihood import RecordData
     from counterspin.inference.noise.model import WANTED, Noise
 
@@ -216,15 +216,15 @@ def _random_walk(module: Any, given: Given) -> Found:
     return levels | {"gain": both - alone}
 
 
-def _noise(module: Any, given: Given) -> Found:
+def _noise(module: Any, given: Given) -> Values:
     return _random_walk(module, given) if "file" in given else _variance(module, given)
 
 
 def _quotients(given: Given) -> tuple[dict[str, Any], Array]:
     """Return R, X and Z of GUM H.2 as quotients by I, and the correlations of their numerators.
 
-    In a unit of g/g^2 a coefficient is divided by g on its way to SI, and g and the coefficient
-    are correlated: so V cos(phi), V sin(phi) and V are by I.
+    The conversion of a coefficient in g/g^2 to SI divides it by g, and g and the coefficient are
+    correlated: V cos(phi), V sin(phi) and V over I have the same structure.
     """
     observed = np.array(given["observations"], np.float64)
     v, current, phase = observed.mean(axis=0)
@@ -244,7 +244,7 @@ def _quotients(given: Given) -> tuple[dict[str, Any], Array]:
     return estimates, spread[:3, :3] / np.outer(u[:3], u[:3])
 
 
-def _si_estimate(module: Any, given: Given) -> Found:
+def _si_estimate(module: Any, given: Given) -> Values:
     inputs = _quotients(given)[0] if "observations" in given else {"": given}
     answer = dict[str, Any]()
     for name, given_estimate in inputs.items():
@@ -262,7 +262,7 @@ def _si_estimate(module: Any, given: Given) -> Found:
     return answer
 
 
-def _si_covariance(module: Any, given: Given) -> Found:
+def _si_covariance(module: Any, given: Given) -> Values:
     from counterspin.calibration.result_parts import Correlation
     from counterspin.calibration.si_estimates import StatedGravity, si_estimate
 
@@ -289,7 +289,7 @@ def _si_covariance(module: Any, given: Given) -> Found:
     return answer
 
 
-def _forecast(module: Any, given: Given) -> Found:
+def _forecast(module: Any, given: Given) -> Values:
     from counterspin.campaign.memory import make_campaign
 
     runs = [
@@ -315,35 +315,35 @@ def _forecast(module: Any, given: Given) -> Found:
     return {symbol: u[estimated.index(symbol)] for symbol in ("K_F", "K_I")}
 
 
-def _individuals(module: Any, given: Given) -> Found:
+def _individuals(module: Any, given: Given) -> Values:
     values = given["values"]
     answer = module.individuals_chart(values, [str(place) for place in range(len(values))])
     limits = {"low": answer.action_low, "high": answer.action_high}
     return {"centre": answer.centre, "mean_range": answer.mean_range, **limits}
 
 
-def _weighted_mean(module: Any, given: Given) -> Found:
+def _weighted_mean(module: Any, given: Given) -> Values:
     answer = module.weighted_mean(given["values"], given["u"])
     return {"value": answer.value, "u": answer.u}
 
 
-def _en_score(module: Any, given: Given) -> Found:
+def _en_score(module: Any, given: Given) -> Values:
     return {"E_n": module.en_score(tuple(given["first"]), tuple(given["second"]))}
 
 
-def _factors(module: Any, given: Given) -> Found:
+def _factors(module: Any, given: Given) -> Values:
     g = given["gravity"]
     return {
         unit: module.unit_factor(unit, wanted, gravity=g) for unit, wanted in given["units"].items()
     }
 
 
-def _number(name: str, key: str) -> Callable[[Any, Given], Found]:
+def _number(name: str, key: str) -> Callable[[Any, Given], Values]:
     """Return the call of a function with keyword arguments that returns a number."""
     return lambda module, given: {key: getattr(module, name)(**given)}
 
 
-_ASKED: Final[Mapping[str, Callable[[Any, Given], Found]]] = {
+_KERNELS: Final[Mapping[str, Callable[[Any, Given], Values]]] = {
     "columns": _columns,
     "Spindle.angle": _angle,
     "fit_spindle": _fit_spindle,
@@ -369,12 +369,12 @@ _ASKED: Final[Mapping[str, Callable[[Any, Given], Found]]] = {
     "nonconformance_probability": _number("nonconformance_probability", "p"),
     "acceptance_limits": _acceptance_limits,
     "decide": _decide,
-    "calibrate": files.fitted,
+    "calibrate": files.fitted_numbers,
     "forecast": _forecast,
-    "certificate": files.numbers,
-    "apply": files.corrected,
+    "certificate": files.certificate_numbers,
+    "apply": files.corrected_forces,
     "unit_factor": _factors,
-    "read_certificate": files.read_back,
+    "read_certificate": files.read_estimates,
     "check_schema": files.check_schema,
     "verify": files.verify,
     "si_estimate": _si_estimate,

@@ -1,4 +1,4 @@
-"""The dossier, its JSON, and the dossier as a person reads it."""
+"""The validation dossier: its JSON and its printed report."""
 
 from __future__ import annotations
 
@@ -70,24 +70,24 @@ class Dossier(ShownResult):
 
 _TITLE: Final = "Validation of counterspin"
 
-#: What every file of one says that it is.
-KIND: Final = "a validation dossier"
+#: Description in the file of a dossier.
+FILE_DESCRIPTION: Final = "a validation dossier"
 
 
 def summary_blocks(dossier: Dossier) -> list[Block]:
-    """Return the answer and the table of requirements."""
-    return [Heading(_TITLE, 1), *_answer(dossier), *_failures(dossier), _requirements(dossier)]
+    """Return the summary and the table of requirements."""
+    return [Heading(_TITLE, 1), *_summary(dossier), *_failures(dossier), _requirements(dossier)]
 
 
 def dossier_blocks(dossier: Dossier) -> Iterator[Block]:
-    """Yield the answer, the installation, requirements, cases, and the parts not covered."""
+    """Yield the summary, the installation, requirements, cases, and the parts not covered."""
     yield Heading(_TITLE, 1)
-    yield from _answer(dossier)
+    yield from _summary(dossier)
     yield from _failures(dossier)
     yield Heading("Requirements and their cases")
     yield _requirements(dossier)
     yield Heading("What is installed")
-    yield from _installed(dossier)
+    yield from _installation_blocks(dossier)
     for requirement in dict.fromkeys(case.requirement for case in dossier.cases):
         yield Heading(f"Cases: {requirement}")
         yield _cases([case for case in dossier.cases if case.requirement == requirement])
@@ -106,7 +106,7 @@ def dossier_blocks(dossier: Dossier) -> Iterator[Block]:
         yield Paragraph(text)
 
 
-def _answer(dossier: Dossier) -> Iterator[Block]:
+def _summary(dossier: Dossier) -> Iterator[Block]:
     states = [case.state for case in dossier.cases]
     counted = f"{states.count('passed')} of {len(states)} reference cases passed"
     if states.count("not run"):
@@ -175,7 +175,7 @@ def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.12g}"
 
 
-def _installed(dossier: Dossier) -> Iterator[Block]:
+def _installation_blocks(dossier: Dossier) -> Iterator[Block]:
     installed = dossier.installation
     rows = [("counterspin", installed.version), *installed.environment.items()]
     rows += [row for row in installed.packages.items() if row[0] not in installed.environment]

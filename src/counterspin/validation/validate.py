@@ -1,4 +1,4 @@
-"""`counterspin validate`: the cases run on the installed package, and the state of its files."""
+"""`counterspin validate`: reference cases run on the installed package, and its files' state."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def installation() -> Installation:
     except metadata.PackageNotFoundError:
         delivered = None
     if delivered is not None:
-        # The files next to the RECORD of an editable installation are not those that run.
+        # An editable installation runs other files than those next to its RECORD.
         location = Path(str(delivered.locate_file(_PACKAGE)))
         if location.resolve() == folder.resolve():
             record = delivered.read_text("RECORD")
@@ -44,9 +44,9 @@ def installation() -> Installation:
                 name = "".join(c if c.isalnum() or c in "-_." else " " for c in requirement).split()
                 needed[name[0]] = _version(name[0])
     files, altered, missing = (
-        checked_files(record, folder) if record else (dict[str, str](), list[str](), list[str]())
+        verify_files(record, folder) if record else (dict[str, str](), list[str](), list[str]())
     )
-    paths = sorted(path for path in folder.rglob("*") if path.is_file() and _is_own(path))
+    paths = sorted(path for path in folder.rglob("*") if path.is_file() and _is_package_file(path))
     digest = hashlib.sha256()
     for path in paths:
         digest.update(path.relative_to(folder).as_posix().encode() + b"\0")
@@ -64,7 +64,7 @@ def installation() -> Installation:
     )
 
 
-def checked_files(record: str, folder: Path) -> tuple[dict[str, str], list[str], list[str]]:
+def verify_files(record: str, folder: Path) -> tuple[dict[str, str], list[str], list[str]]:
     """Compare the package's files with the hashes of a wheel's RECORD.
 
     record: Text of RECORD: CSV of path, ``sha256=`` and the hash in base64 for URLs, size.
@@ -87,7 +87,7 @@ def checked_files(record: str, folder: Path) -> tuple[dict[str, str], list[str],
     return files, altered, missing
 
 
-def _is_own(path: Path) -> bool:
+def _is_package_file(path: Path) -> bool:
     return "__pycache__" not in path.parts and path.suffix != ".pyc"
 
 
@@ -105,7 +105,7 @@ def _version(name: str) -> str:
 #: The files that `write_dossier` writes.
 DOSSIER_FILES: Final = ("validation.html", "validation.pdf", "validation.json")
 
-_MOST_DIGITS: Final = 16.0
+_MAX_DIGITS: Final = 16.0
 
 
 def validate(
@@ -173,19 +173,21 @@ def check(case: Case) -> CheckedCase:
     try:
         stated, answer = case.expected, ask(case)
     except NotAvailableError as error:
-        return _without_numbers(case, "not run", str(error))
-    except Exception as error:  # whatever it is, the assessor is to read it
-        return _without_numbers(case, "failed", f"{type(error).__name__}: {error}")
+        return _failed_case(case, "not run", str(error))
+    except Exception as error:  # report any error to the assessor
+        return _failed_case(case, "failed", f"{type(error).__name__}: {error}")
     worst: tuple[float, str, float, float, float] | None = None
     count = 0
     for name, expected in stated.items():
         got = np.asarray(answer.get(name, np.nan), np.float64)
         if got.shape != expected.shape:
-            return _without_numbers(case, "failed", f"{name} is missing, or has another shape")
-        allowed = np.broadcast_to(case.allowed(name), expected.shape)
+            return _failed_case(case, "failed", f"{name} is missing, or has another shape")
+        allowed = np.broadcast_to(case.tolerance(name), expected.shape)
         for place in np.ndindex(expected.shape):
             count += 1
-            size = _share(float(got[place]), float(expected[place]), float(allowed[place]))
+            size = _relative_deviation(
+                float(got[place]), float(expected[place]), float(allowed[place])
+            )
             if worst is None or size > worst[0]:
                 label = name + "".join(f"[{i + 1}]" for i in place)
                 numbers = (float(expected[place]), float(got[place]), float(allowed[place]))
@@ -243,15 +245,15 @@ def _stated(case: Case) -> dict[str, Any]:
     return {key: getattr(case, key) for key in ("name", "requirement", "kernel", "source")}
 
 
-def _without_numbers(case: Case, state: str, note: str) -> CheckedCase:
+def _failed_case(case: Case, state: str, note: str) -> CheckedCase:
     nothing = dict.fromkeys(("expected", "found", "digits", "limit"))
     return CheckedCase.model_validate(
         {**_stated(case), **nothing, "state": state, "numbers": 0, "quantity": "", "note": note}
     )
 
 
-def _share(value: float, expected: float, allowed: float) -> float:
-    """Return a difference as a part of the allowed one; infinite if none is allowed."""
+def _relative_deviation(value: float, expected: float, allowed: float) -> float:
+    """Return a difference relative to the tolerance; infinite if the tolerance is zero."""
     if value == expected:
         return 0.0
     difference = abs(value - expected)
@@ -260,7 +262,7 @@ def _share(value: float, expected: float, allowed: float) -> float:
 
 def _digits(value: float, expected: float) -> float | None:
     if value == expected:
-        return _MOST_DIGITS
+        return _MAX_DIGITS
     if not expected or not math.isfinite(value):
         return None
-    return min(_MOST_DIGITS, -math.log10(abs(value - expected) / abs(expected)))
+    return min(_MAX_DIGITS, -math.log10(abs(value - expected) / abs(expected)))
