@@ -73,6 +73,7 @@ UNITS: Final[Mapping[str, tuple[float, str]]] = {
     "ns": (1e-9, "s"),
     "min": (60.0, "s"),
     "h": (3600.0, "s"),
+    "d": (86400.0, "s"),
     "mrad": (1e-3, "rad"),
     "urad": (1e-6, "rad"),
     "nrad": (1e-9, "rad"),

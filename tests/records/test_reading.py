@@ -86,6 +86,27 @@ def test_few_empty_cells_are_counted(tmp_path, word):
     assert np.flatnonzero(np.isnan(record.signals["Qx"])).tolist() == [100, 101]
 
 
+@pytest.mark.parametrize("rows", [2.0, 2.5, 4.0])
+@pytest.mark.parametrize("step", [0.02, 0.001])
+def test_values_that_a_faster_log_repeats_are_used_once(tmp_path, rows, step):
+    """The amplitude and the phase are those of the samples, late by a part of a row at most."""
+    columns = table(int(12.0 / step), step)
+    new = (np.arange(len(columns[TIME])) / rows).astype(int)
+    first = np.searchsorted(new, new)  # the row in which a value first stands
+    columns[SIGNAL] = columns[SIGNAL][first]
+    record = read(write(tmp_path / "run.csv", columns))
+    part = 1.0 - len(np.unique(first)) / len(first)
+    told = f"column '{SIGNAL}' repeats {100.0 * part:.3g} % of its values, not used"
+    assert told in record.report.found
+    assert record.report.empty[SIGNAL] == 0
+    good = np.isfinite(record.signals["Qx"])
+    angle = record.angle[good]
+    design = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(angle), angle, angle**2])
+    along, across, *_ = np.linalg.lstsq(design, record.signals["Qx"][good], rcond=None)[0]
+    assert along == pytest.approx(RADIUS, abs=5e-3)
+    assert across == pytest.approx(0.0, abs=5e-3)
+
+
 @pytest.mark.parametrize("column", [TIME, ANGLE, SIGNAL])
 def test_more_than_five_percent_empty(tmp_path, column):
     columns = table()

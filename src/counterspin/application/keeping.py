@@ -21,7 +21,13 @@ from counterspin.frozen import frozen
 from counterspin.ingest.contents import FileColumn, read_files
 from counterspin.ingest.description import AnyDraft, further_runs, write_description
 from counterspin.ingest.description import drafted as described_as
-from counterspin.ingest.overview import TESTS, UndecidedDraft, likely_test, overview
+from counterspin.ingest.overview import (
+    TESTS,
+    UndecidedDraft,
+    likely_test,
+    overview,
+    sensor_question,
+)
 from counterspin.ingest.starter import Test
 from counterspin.ingest.tumble import TumbleDraft
 from counterspin.output import finish, make_folder
@@ -86,10 +92,13 @@ def _draft(
 ) -> tuple[AnyDraft | UndecidedDraft, Test | None, list[str]]:
     files = [desk.file(name) for name in names]
     said = {key: answer for key, answer in (answers or {}).items() if answer.strip()}
-    sheet = said.get("sheet", "")
-    all_contents = _CONTENTS.get((sheet, *files), files, lambda: read_files(files, said))
+    choice = (said.get("sheet", ""), said.get("select", ""))
+    all_contents = _CONTENTS.get((*choice, *files), files, lambda: read_files(files, said))
     seen = overview(all_contents)
     chosen = said.pop("test", None)
+    if sensor_question(all_contents) is not None:
+        return UndecidedDraft.of(all_contents), None, seen
+    said.pop("select", None)
     test = stated or next((test for test in TESTS if test == chosen), likely_test(all_contents))
     if test is None:
         return UndecidedDraft.of(all_contents), None, seen

@@ -164,6 +164,13 @@ class TemperatureChannel(_Channel):
         return ColumnSpec(self.column, unit=self.unit, wanted="K", kind="temperature")
 
 
+class RowSelection(SettingsSection):
+    """Rows of a file that are read: those in which a column has a value."""
+
+    column: Text = described("that tells the sensors apart", "device")
+    value: Text = described("of the sensor", "A")
+
+
 class TableDialect(SettingsSection):
     """How a table is written, as far as a person says it: of records and of readings alike."""
 
@@ -192,13 +199,22 @@ class TableDialect(SettingsSection):
         None,
         absent="none",
     )
+    select: RowSelection | None = described(
+        "of a file with rows of several sensors, those of one: a column and its value",
+        {"column": "device", "value": "A"},
+        None,
+        absent="all",
+    )
     sheet: Text | None = described("of an Excel file", "Run 1", None, absent="the only one")
 
     @property
     def dialect(self) -> Dialect:
         """The same, as files are read."""
         keys = Dialect.__dataclass_fields__
-        return Dialect(**{key: getattr(self, key) for key in keys if hasattr(self, key)})
+        stated = {key: getattr(self, key) for key in keys if hasattr(self, key)}
+        if self.select is not None:
+            stated["select"] = (self.select.column, self.select.value)
+        return Dialect(**stated)
 
 
 class _TimeAndAngle(SettingsSection):

@@ -78,7 +78,7 @@ def _from_files(
     """Write a campaign of a recorder's files."""
     from counterspin.ingest.contents import read_files
     from counterspin.ingest.description import drafted, write_description
-    from counterspin.ingest.overview import overview
+    from counterspin.ingest.overview import overview, sensor_question
     from counterspin.reports.text import work_progress
 
     answers = _answers(given)
@@ -86,6 +86,13 @@ def _from_files(
         all_contents = read_files(files, answers, progress=advance)
     say("Seen in the files:", *(f"  {line}" for line in overview(all_contents)))
     asks = asks and sys.stdin is not None and sys.stdin.isatty()
+    if (question := sensor_question(all_contents)) is not None:
+        if not asks:
+            text = f'{question.text} Answer with `answer`, such as "select={question.example}".'
+            raise CampaignError("init", [f"select: {text}"])
+        answers["select"] = _asked(question)
+        all_contents = read_files(files, answers)
+    answers.pop("select", None)
     test = stated or _test(all_contents, asks=asks)
     found = drafted(all_contents, answers, test)
     say(f"Detected for the test {test} (please check):", *(f"  {s}" for s in found.statements))

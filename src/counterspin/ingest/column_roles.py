@@ -46,6 +46,9 @@ _AXES: Final = {
 _TEMPERATURE: Final = re.compile(r"(?i)(.*[^a-z])?temp(erature?|eratur)?([^a-z].*|$)")
 #: Scale of temperature -> what a thermometer beside an accelerometer shows in it.
 _THERMOMETER: Final = {"degC": (-60.0, 150.0), "K": (210.0, 425.0)}
+#: Serial days of Excel and datenum of MATLAB, from 1990 to 2100, and the longest step of a record.
+_DAY_NUMBERS: Final = ((32874.0, 73051.0), (726834.0, 767011.0))
+_LONGEST_STEP_DAYS: Final = 1e-3
 #: Names of a column that counts the rows.
 _COUNTER: Final = re.compile(
     r"(?i)(no|nr|num|number|index|idx|scan|samples?|points?|rows?|zeile|lfd\.? ?nr|#)\.?( #\d+)?"
@@ -160,12 +163,16 @@ def guess_file(
         replace(column, unit=answers.get(f"{column.name} unit", column.unit))
         for column in contents.columns
     ]
-    time_column = _chosen(columns, answers.get("time"), _time_column)
+    # A file of several rates has a time for each of them.
+    longest = max(len(column.values) for column in columns)
+    rows = [column for column in columns if len(column.values) == longest]
+    time_column = _chosen(rows, answers.get("time"), _time_column)
     time, sampling = None, None
     seconds = np.arange(max(len(column.values) for column in columns), dtype=float)
     if time_column is not None:
         stated = answers.get("time unit") or _unit_of(time_column, "s")
         stated = stated or _unit_by_rate(time_column, _sampling(contents, answers))
+        stated = stated or ("d" if _counts_days(time_column) else None)
         unit = "iso" if time_column.stamps else stated
         factor = 1.0 if time_column.stamps or unit is None else unit_factor(unit, "s")
         time = TimeGuess(time_column.name, unit, factor)
@@ -259,6 +266,15 @@ def _unit_by_rate(time: FileColumn, sampling: float | None) -> str | None:
         if abs(step * unit_factor(unit, "s") * (sampling or 0.0) - 1.0) < _UNIT_TOLERANCE:
             return unit
     return None
+
+
+def _counts_days(time: FileColumn) -> bool:
+    """Return whether a time counts days: a serial number of Excel, or a datenum of MATLAB."""
+    if time.stamps:
+        return False
+    first, last = float(np.nanmin(time.values)), float(np.nanmax(time.values))
+    dated = any(low < first and last < high for low, high in _DAY_NUMBERS)
+    return dated and float(np.nanmedian(np.diff(time.values))) < _LONGEST_STEP_DAYS
 
 
 def _unit_by_turning(rate: float | None) -> str | None:

@@ -19,6 +19,7 @@ from counterspin.records.dialect import Dialect
 from counterspin.records.formats import is_workbook, open_columns
 from counterspin.records.isolation import in_reader_process
 from counterspin.records.reading import LARGEST_VALUE
+from counterspin.records.several_sensors import SHOWING_ROWS, sensor_columns
 from counterspin.records.table_files import table_sheets
 
 #: The answer that every sheet of a workbook is a run.
@@ -72,12 +73,17 @@ class FileContents:
     #: Which columns would hold numbers except for a cell, and where it stands, in words.
     spoilt: tuple[str, ...] = ()
     footer: tuple[str, ...] = ()  #: Lines at the end that are not rows.
+    #: A column that tells several sensors apart and its values, and the one that is selected.
+    sensors: tuple[str, tuple[str, ...]] | None = None
+    selected: str | None = None
     remarks: tuple[str, ...] = ()  #: Faults of the rows, such as repeated values, a sentence each.
 
     @property
     def dialect_keys(self) -> dict[str, Any]:
         """The keys of a description by which the file is read."""
-        keys = {"sheet": self.sheet, "skip_footer": len(self.footer)}
+        keys: dict[str, Any] = {"sheet": self.sheet, "skip_footer": len(self.footer)}
+        if self.sensors and self.selected:
+            keys["select"] = {"column": self.sensors[0], "value": self.selected}
         return {key: value for key, value in keys.items() if value}
 
     @property
@@ -98,31 +104,43 @@ def read_files(
         the first.
     progress: Called with (files looked at, files in all).
     """
-    asked = (answers or {}).get("sheet")
+    asked, sensor = (answers or {}).get("sheet"), (answers or {}).get("select")
     all_contents: list[FileContents] = []
     for done, file in enumerate(files, 1):
         sheets = tuple(in_reader_process(table_sheets, file)) if is_workbook(file) else ()
         if len(sheets) < 2:
-            all_contents.append(read_contents(file))
+            all_contents.append(read_contents(file, sensor=sensor))
         else:
             taken = sheets if asked == ALL_SHEETS else (asked if asked in sheets else sheets[0],)
-            all_contents += [read_contents(file, sheet, sheets) for sheet in taken]
+            all_contents += [read_contents(file, sheet, sheets, sensor) for sheet in taken]
         if progress is not None:
             progress(done, len(files))
     return tuple(all_contents)
 
 
 def read_contents(
-    path: Path, sheet: str | None = None, sheets: tuple[str, ...] = ()
+    path: Path,
+    sheet: str | None = None,
+    sheets: tuple[str, ...] = (),
+    sensor: str | None = None,
 ) -> FileContents:
-    """Return the contents of a file, or of one of its sheets."""
-    return in_reader_process(_read_contents, path, sheet, sheets)
+    """Return the contents of a file, or of one of its sheets.
+
+    sensor: Value of the column that tells several sensors apart, of the rows that are read.
+    """
+    return in_reader_process(_read_contents, path, sheet, sheets, sensor)
 
 
-def _read_contents(path: Path, sheet: str | None, sheets: tuple[str, ...]) -> FileContents:
+def _read_contents(
+    path: Path, sheet: str | None, sheets: tuple[str, ...], sensor: str | None
+) -> FileContents:
     with open_columns(path, Dialect(sheet=sheet)) as file:
         footer = file.footer
-    with open_columns(path, Dialect(sheet=sheet, skip_footer=len(footer))) as file:
+        cells = file.first_cells([name for name in file.names if name], SHOWING_ROWS)
+        told_apart, kinds = next(sensor_columns(cells), ("", []))
+    chosen = (told_apart, sensor) if sensor is not None and sensor in kinds else None
+    dialect = Dialect(sheet=sheet, skip_footer=len(footer), select=chosen)
+    with open_columns(path, dialect) as file:
         names = [name for name in dict.fromkeys(file.names) if name][:_MAX_COLUMNS]
         columns, others, spoilt, reasons = [], [], [], []
         first = ""
@@ -157,6 +175,8 @@ def _read_contents(path: Path, sheet: str | None, sheets: tuple[str, ...]) -> Fi
             _words(file, others, max(len(column.values) for column in columns)),
             tuple(spoilt),
             footer,
+            sensors=(told_apart, tuple(kinds)) if told_apart else None,
+            selected=chosen and chosen[1],
         )
 
 

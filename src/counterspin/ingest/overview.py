@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from typing import Final
@@ -11,7 +12,7 @@ import numpy as np
 from counterspin.arrays import median
 from counterspin.frozen import frozen
 from counterspin.ingest.arm import shows_arm
-from counterspin.ingest.column_roles import FileGuess, guess_file
+from counterspin.ingest.column_roles import FileGuess, guess_file, is_even
 from counterspin.ingest.contents import FileColumn, FileContents
 from counterspin.ingest.poses import shows_poses
 from counterspin.ingest.questions import AnsweredDraft, FileQuestion
@@ -19,6 +20,7 @@ from counterspin.ingest.starter import Test
 from counterspin.ingest.triads import is_nominal, without_gravity
 from counterspin.ingest.tumble import shows_tumble
 from counterspin.records.column_file import quoted
+from counterspin.records.sampling import Holding
 
 #: Columns of a file that are shown, and different words of one.
 _SHOWN: Final = 24
@@ -55,11 +57,45 @@ def _lines(contents: FileContents) -> Iterator[str]:
     if contents.numbers:
         numbers = (f"{name} = {value:.9g}" for name, value in contents.numbers.items())
         yield f"  single numbers: {', '.join(islice(numbers, _SHOWN))}"
+    yield from (f"  {remark}" for remark in _sampling_remarks(guess))
     if contents.footer:
         shown = ", ".join(f"'{line.strip()[:40]}'" for line in contents.footer[:_SHOWN_WORDS])
         yield f"  ignored: the last {len(contents.footer)} lines, which are not rows: {shown}"
     yield from (f"  not read: {reason}" for reason in contents.spoilt)
     yield from (f"  {remark}" for remark in contents.remarks)
+
+
+def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
+    """Yield remarks on repeated values, repeated times and missing samples."""
+    held: dict[float, list[str]] = {}
+    for column in guess.contents.columns:
+        if column.stamps or (guess.time is not None and column.name == guess.time.column):
+            continue
+        try:
+            holding = Holding.of(column.values)
+        except ValueError as error:
+            yield f"column '{column.name}': {error}"
+            continue
+        if holding is not None:
+            held.setdefault(round(100.0 * (1.0 - 1.0 / holding.rows)), []).append(column.name)
+    for part, names in held.items():
+        yield (
+            f"repeated values: {part:g} % of {quoted(names)}, as where a log is faster than the "
+            "sensor; only new values are used"
+        )
+    if guess.time is None:
+        return
+    column = next(c for c in guess.contents.columns if c.name == guess.time.column)
+    time = column.values[np.isfinite(column.values)]
+    steps = np.diff(time)
+    again = int(np.sum(steps == 0.0))
+    if again and not any(held):
+        yield f"repeated times: {again} of {time.size} rows have the time of the row before"
+    usual = median(steps[steps > 0.0]) if (steps > 0.0).any() else math.nan
+    far = steps[steps > 1.5 * usual] / usual
+    missing = int(np.round(far).sum() - far.size - again)
+    if missing > 0 and is_even(time):
+        yield f"missing samples: about {missing}, where the time goes on by more than one step"
 
 
 def _sampling(guess: FileGuess) -> str:
@@ -132,6 +168,19 @@ def _shows_turntable(guess: FileGuess) -> bool:
     return same and (known or guess.angle.per_revolution is not None)
 
 
+def sensor_question(all_contents: Sequence[FileContents]) -> FileQuestion | None:
+    """Return the question about the sensor whose rows are read; None if there is only one."""
+    for contents in all_contents:
+        if contents.sensors is not None and contents.selected is None:
+            column, values = contents.sensors
+            text = (
+                f"Column '{column}' of {contents.path.name} takes {len(values)} values, and the "
+                "rows of several sensors alternate. The rows of which one are read?"
+            )
+            return FileQuestion("select", text, values[0], values)
+    return None
+
+
 def kind_question(likely: Test | None) -> FileQuestion:
     """Return the question about the kind of test."""
     kinds = "; ".join(f"{test}: {words}" for test, words in TESTS.items())
@@ -162,5 +211,7 @@ class UndecidedDraft(AnsweredDraft):
     @classmethod
     def of(cls, all_contents: Sequence[FileContents]) -> UndecidedDraft:
         """Return a draft that says why the files look like no kind of test."""
+        if (question := sensor_question(all_contents)) is not None:
+            return cls((), (question,), {}, (), all_contents[0])
         reasons = tuple(no_test_reasons(all_contents))
         return cls(reasons, (kind_question(None),), {}, (), all_contents[0])

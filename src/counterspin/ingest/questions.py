@@ -37,7 +37,7 @@ UNFIT: Final = "files"
 ANY_SIGNAL: Final = "any"
 #: SI unit -> the usual ones that convert to it.
 USUAL_UNITS: Final = {
-    "s": ("s", "ms", "us", "min"),
+    "s": ("s", "ms", "us", "min", "d"),
     "m": ("m", "mm", "cm", "um", "km"),
     "m/s": ("m/s", "mm/s", "cm/s", "km/h"),
     "m/s^2": ("m/s^2", "g", "mg", "ug"),

@@ -31,6 +31,7 @@ from counterspin.monitoring.result import (
 from counterspin.physics import observation
 from counterspin.records.frames import memory_table
 from counterspin.records.memory import MemoryTable
+from counterspin.records.several_sensors import several_words
 from counterspin.records.unit_words import file_unit
 from counterspin.reports.numbers import format_number
 from counterspin.threads import one_blas_thread
@@ -166,6 +167,9 @@ def _guess_signals(
         seen = FileContents(Path(source.name), file_columns, source.others, "")
     else:
         seen = read_contents(source)
+        if seen.sensors is not None:
+            words = several_words(*seen.sensors)
+            raise RecordError(f"{source}: {words} Give that description as `campaign`.")
     guess = guess_file(seen, answers)
     missing = [name for name in columns if name not in {c.name for c in seen.columns}]
     if missing:

@@ -8,7 +8,8 @@
   format's own
 - `dialect`, `heads`, `unit_words`: how files of text are written, what the lines above their names
   state, and units as files write them
-- `sampling`: the samples of a sensor in the rows of its log
+- `sampling`, `several_sensors`: the samples of a sensor in the rows of its log, and rows of several
+  sensors
 - `run_file`: the files of one run as one, with the time and the angle that no file has
 - `clock`, `spikes`, `reduction`: the steps of reading a piece, in the order in which it passes them
 - `signals`: the unit of a signal by its wave, and whether a recorder took a line off it

@@ -186,7 +186,12 @@ class Hdf5File(ArrayFile):
             )
             is_matlab = path.suffix.lower() == ".mat"
             # MATLAB's own are no columns; its structures are groups, whose fields it parts by dots.
-            shapes = {n: d.shape for n, d in found.items() if not is_matlab or n[0] != "#"}
+            shapes = {
+                path: shape
+                for n, d in found.items()
+                if not is_matlab or n[0] != "#"
+                for path, shape in _fields_of(n, d)
+            }
             mark = "." if is_matlab else "/"
             self._name(shapes, dialect.group, mark=mark)
 
@@ -194,17 +199,21 @@ class Hdf5File(ArrayFile):
         import h5py
 
         with h5py.File(self.path, "r") as file:
-            dataset = file[self._full[name]]
+            dataset, field = _dataset_and_field(file, self._full[name])
             # The checksum would be of this file, the numbers from another.
             if dataset.is_virtual or dataset.external:
                 raise RecordError(
                     f"{self.path}: the numbers of '{name}' are in another file. Write "
                     "a file that contains them itself."
                 )
-            kind = dataset.id.get_type().get_class()
-            if kind not in (h5py.h5t.INTEGER, h5py.h5t.FLOAT):
+            if field:
+                array = _FieldArray(dataset, field)
+                holds, shape = array.dtype.kind in "fiu", array.shape
+            else:
+                kind = dataset.id.get_type().get_class()
+                holds, shape = kind in (h5py.h5t.INTEGER, h5py.h5t.FLOAT), dataset.shape
+            if not holds:
                 raise RecordError(f"{self.path}: '{name}' does not hold numbers.")
-            shape: tuple[int, ...] | None = dataset.shape
             return shape
 
     @contextmanager
@@ -212,7 +221,11 @@ class Hdf5File(ArrayFile):
         import h5py
 
         with h5py.File(self.path, "r") as file:
-            yield {name: file[self._full[name]] for name in wanted}
+            arrays = {}
+            for name in wanted:
+                dataset, field = _dataset_and_field(file, self._full[name])
+                arrays[name] = _FieldArray(dataset, field) if field else dataset
+            yield arrays
 
     def _missing_words(self, missing: Sequence[str]) -> str:
         import h5py
@@ -222,6 +235,56 @@ class Hdf5File(ArrayFile):
                 if isinstance(file.get(name, getlink=True), h5py.ExternalLink | h5py.SoftLink):
                     return f"'{name}' is a link; write a file that contains the column itself."
         return super()._missing_words(missing)
+
+
+def _fields_of(name: str, dataset: Any) -> Iterator[tuple[str, tuple[int, ...] | None]]:
+    """Yield the paths and shapes of a dataset: of each field of a compound one."""
+    if not _is_compound(dataset):
+        yield name, dataset.shape
+        return
+    for field in dataset.dtype.names:
+        yield f"{name}/{field}", (*dataset.shape, *dataset.dtype[field].shape)
+
+
+def _dataset_and_field(file: Any, path: str) -> tuple[Any, str]:
+    """Return the dataset at a path, and the field of a compound one; empty text without a field."""
+    group, _, field = path.rpartition("/")
+    within = file[group] if group else None
+    return (within, field) if within is not None and _is_compound(within) else (file[path], "")
+
+
+def _is_compound(item: Any) -> bool:
+    """Return whether an object of an HDF5 file is a dataset of named fields."""
+    import h5py
+
+    if not isinstance(item, h5py.Dataset):
+        return False
+    return bool(item.id.get_type().get_class() == h5py.h5t.COMPOUND)
+
+
+@frozen(eq=False)
+class _FieldArray:
+    """A field of a compound dataset as an array."""
+
+    dataset: Any
+    field: str
+
+    @property
+    def dtype(self) -> Any:
+        return self.dataset.dtype[self.field].base
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (*self.dataset.shape, *self.dataset.dtype[self.field].shape)
+
+    @property
+    def size(self) -> int:
+        return int(np.prod(self.shape))
+
+    def __getitem__(self, index: Any) -> Any:
+        first, *rest = index if isinstance(index, tuple) else (index,)
+        values = self.dataset.fields(self.field)[first]
+        return values[(slice(None), *rest)] if rest else values
 
 
 class MatlabFile(ArrayFile):
@@ -335,6 +398,11 @@ def _slice(array: Any, start: int, stop: int, column: int) -> np.ndarray:
     return np.atleast_1d(np.asarray(array[index], dtype=float))
 
 
+#: Part of a step by which channels may begin apart, and samples, or a part of them, by which
+#: channels may end apart, to be cut to the shortest.
+_OFF_SAMPLE = 0.1
+_MOST_CUT = 16
+_CUT_PART = 0.01
 #: Properties by which channels state their unit.
 _UNITS = ("unit_string", "NI_UnitDescription", "Unit", "unit")
 
@@ -344,6 +412,8 @@ class _ChannelArray:
     """A channel as an array of one dimension."""
 
     channel: Any
+    start: int  #: Its first sample that is read.
+    length: int
 
     @property
     def dtype(self) -> Any:
@@ -351,14 +421,16 @@ class _ChannelArray:
 
     @property
     def shape(self) -> tuple[int]:
-        return (len(self.channel),)
+        return (self.length,)
 
     @property
     def size(self) -> int:
-        return len(self.channel)
+        return self.length
 
     def __getitem__(self, index: Any) -> Any:
-        return self.channel[index[0] if isinstance(index, tuple) else index]
+        part = index[0] if isinstance(index, tuple) else index
+        start, stop, _ = part.indices(self.length)
+        return self.channel[self.start + start : self.start + stop]
 
 
 class TdmsFile(ArrayFile):
@@ -373,7 +445,8 @@ class TdmsFile(ArrayFile):
                 for channel in group.channels()
             }
             self._places = {path: (group, c.name) for path, (group, c) in channels.items()}
-            self._shapes = {path: (len(channel),) for path, (_, channel) in channels.items()}
+            self._parts_read = self._aligned({path: c for path, (_, c) in channels.items()})
+            self._shapes = {path: (length,) for path, (_, length) in self._parts_read.items()}
             units = {path: _unit(channel.properties) for path, (_, channel) in channels.items()}
             steps = {_step(channel.properties) for _, channel in channels.values()}
             self.interval = steps.pop() if len(steps) == 1 else None
@@ -404,8 +477,41 @@ class TdmsFile(ArrayFile):
             arrays = {}
             for name in wanted:
                 group, channel = self._places[self._full[name]]
-                arrays[name] = _ChannelArray(file[group][channel])
+                start, length = self._parts_read[self._full[name]]
+                arrays[name] = _ChannelArray(file[group][channel], start, length)
             yield arrays
+
+    def _aligned(self, channels: Mapping[str, Any]) -> dict[str, tuple[int, int]]:
+        """Return the first sample and the number of samples of each channel.
+
+        Waveforms that began at different times, or ended a few samples apart, are cut to the time
+        that all of them have.
+        """
+        whole = {path: (0, len(channel)) for path, channel in channels.items()}
+        steps = {_step(channel.properties) for channel in channels.values()}
+        step = steps.pop() if len(steps) == 1 else None
+        begins = [channel.properties.get("wf_start_time") for channel in channels.values()]
+        if step is None or any(begin is None for begin in begins):
+            return whole
+        last = max(begins)
+        late = [float((last - begin) / np.timedelta64(1, "ns")) * 1e-9 / step for begin in begins]
+        skipped = [round(rows) for rows in late]
+        lengths = [len(c) - skip for c, skip in zip(channels.values(), skipped, strict=True)]
+        least = min(lengths)
+        if any(abs(rows - skip) > _OFF_SAMPLE for rows, skip in zip(late, skipped, strict=True)):
+            raise RecordError(
+                f"{self.path}: the channels began at different times, which are not whole steps "
+                "of the waveform apart. Export them with one start."
+            )
+        if max(lengths) - least > max(_MOST_CUT, _CUT_PART * least) or least < 1:
+            return whole
+        notes = []
+        if any(skipped):
+            notes.append(f"channels aligned by their start, up to {max(skipped)} samples left out")
+        if max(lengths) > least:
+            notes.append(f"channels cut to the shortest, {least} samples")
+        self.found = ", ".join(notes)
+        return {path: (skip, least) for path, skip in zip(channels, skipped, strict=True)}
 
 
 def _step(properties: Mapping[str, Any]) -> float | None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import chain
 from pathlib import Path
 from types import TracebackType
@@ -116,6 +116,9 @@ _UNPACKED_RATIO = 200
 _UNPACKED_BYTES = 64_000_000
 
 
+#: Names of months begin with these, and durations as MATLAB writes them end in these units, s.
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+_DURATIONS = {"s|secs?": 1.0, "min": 60.0, "hr": 3600.0}
 #: A day, ns.
 _DAY = 86_400_000_000_000
 #: What SCPI instruments write for more than they measure, and for no number (SCPI-99, 7.2.1.4).
@@ -183,6 +186,7 @@ class ColumnFile(ABC):
     first_stamp: int | None  #: The first time stamp, ns; None as long as it is unknown.
     found: str  #: How the file is written, where that is not plain.
     footer: tuple[str, ...] = ()  #: Lines at the end that are not rows.
+    selection: np.ndarray | None = None  #: Rows that are selected, as a mask; None: all.
 
     def __init__(self, path: Path, stream: BinaryIO) -> None:
         self.path = path
@@ -230,8 +234,12 @@ class ColumnFile(ABC):
         rows = 0
         with record_errors(self.path, lambda: f" after row {rows}" if rows else ""):
             for batch in self._batches(wanted):
+                count = column_rows(batch)
+                if self.selection is not None:
+                    chosen = self.selection[rows : rows + count]
+                    batch = {name: values[chosen] for name, values in batch.items()}  # noqa: PLW2901
                 yield {name: without_overflow(values) for name, values in batch.items()}
-                rows += column_rows(batch)
+                rows += count
 
     def whole(self, wanted: Sequence[str]) -> Columns:
         """Return whole columns, which `require` has passed; with more patience if it has to be."""
@@ -248,7 +256,41 @@ class ColumnFile(ABC):
     def table(self) -> pl.DataFrame:
         """Return the whole file as it stands, cells of text remaining text."""
         with record_errors(self.path):
-            return self._table()
+            table = self._table()
+            return table if self.selection is None else table.filter(self.selection)
+
+    def select(self, column: str, value: str) -> None:
+        """Read from now on the rows alone in which a column has a value."""
+        import numpy as np
+
+        if not self.has(column):
+            raise RecordError(f"{self.path}: select: {self._missing_words([column])}")
+        with record_errors(self.path):
+            cells = [cell.strip() for cell in self._cells(column)]
+        mask = np.array([_same_cell(cell, value) for cell in cells])
+        if not mask.any():
+            known = quoted(sorted(set(cells)), 8)
+            raise RecordError(
+                f"{self.path}: select: column '{column}' never has the value '{value}'; it has "
+                f"{known}."
+            )
+        self.selection = mask
+        note = f"rows with {value} in column '{column}'"
+        self.found = f"{self.found}, {note}" if self.found else note
+
+    def _cells(self, column: str) -> list[str]:
+        """Return all cells of a column as text."""
+        batches = self._batches([column])
+        return [f"{value:.12g}" for batch in batches for value in batch[column].tolist()]
+
+    def locate_row(self, row: int) -> str:
+        """Say where a row that was read stands in the file, counted among those selected."""
+        if self.selection is None:
+            return self.locate(row)
+        import numpy as np
+
+        places = np.flatnonzero(self.selection)
+        return self.locate(int(places[min(row, len(places) - 1)]))
 
     def content(self) -> bytes:
         """Return the bytes of the file."""
@@ -262,7 +304,7 @@ class ColumnFile(ABC):
 
     def places(self, rows: int) -> list[str]:
         """Say where each of the data rows stands in the file."""
-        return [self.locate(row) for row in range(rows)]
+        return [self.locate_row(row) for row in range(rows)]
 
     def look_closely(self) -> bool:
         """Read with more patience from now on, if there is such a way that was not taken yet."""
@@ -272,13 +314,19 @@ class ColumnFile(ABC):
         """Return the single numbers that stand beside the columns, by name."""
         return {}
 
-    def first_cells(  # of other files there are none
-        self,
-        names: Sequence[str],  # noqa: ARG002
-        count: int,  # noqa: ARG002
-    ) -> dict[str, list[str]]:
-        """Return the first cells of a text's columns; nothing of other files."""
-        return {}
+    def first_cells(self, names: Sequence[str], count: int) -> dict[str, list[str]]:
+        """Return the first cells of columns, as text; columns that cannot be read are left out."""
+        cells = {}
+        for name in names:
+            with suppress(RecordError), record_errors(self.path):
+                self._require([name])
+                cells[name] = self._first_cells(name, count)
+        return cells
+
+    def _first_cells(self, name: str, count: int) -> list[str]:
+        """Return the first cells of a column of numbers, as text."""
+        batch = next(self._batches([name]), None)
+        return [] if batch is None else [f"{value:.12g}" for value in batch[name][:count]]
 
     def seen(self) -> str:
         """Say what a text's first lines look like, a line each; empty text of other files."""
@@ -332,6 +380,16 @@ class ColumnFile(ABC):
             )
 
 
+def _same_cell(cell: str, value: str) -> bool:
+    """Return whether a cell has a value, as a text or as a number."""
+    if cell == value.strip():
+        return True
+    try:
+        return float(cell) == float(value)
+    except ValueError:
+        return False
+
+
 def without_overflow(values: np.ndarray) -> np.ndarray:
     """Return numbers with NaN for those that instruments write where they measured none."""
     import numpy as np
@@ -369,7 +427,8 @@ def nanoseconds(name: str) -> pl.Expr:
 
     With a date, since 1970 (UTC, or the place's own time where no zone is stated); without one,
     since midnight. Fractions may have a comma or a colon; a blank may stand in the place of the T.
-    Of 1/2/2026 the month is first, unless there is none of its number; of 1.2.2026 the day.
+    Of 1/2/2026 the month is first, unless there is none of its number; of 1.2.2026 the day. Months
+    may have English names, `05-Mar-2024 10:00:00.02`, and durations their unit, `0.02 sec`.
     """
     import polars as pl
 
@@ -377,6 +436,13 @@ def nanoseconds(name: str) -> pl.Expr:
     text = text.str.replace(r"(:\d\d:\d\d):(\d+)$", "${1}.${2}")
     text = text.str.replace(r"^(\d{1,3}:\d\d\.\d+)$", "00:${1}")
     text = text.str.replace(r"^(\d{4})/(\d\d?)/", "${1}-${2}-")
+    for number, month in enumerate(_MONTHS, 1):
+        named = rf"(?i)^(\d\d?)[- ]{month}[a-z]*[- ](\d{{4}})"
+        text = text.str.replace(named, f"${{2}}-{number:02}-${{1}}")
+    duration = pl.lit(None, pl.Float64)
+    for mark, size in _DURATIONS.items():
+        length = text.str.extract(rf"^(\d+(?:\.\d+)?(?:[eE][-+]?\d+)?) ?(?:{mark})$")
+        duration = pl.coalesce(duration, length.cast(pl.Float64, strict=False) * (size * 1e9))
     text = text.str.replace(r"^(\d\d?)\.(\d\d?)\.(\d{4})", "${3}-${2}-${1}")
     text = text.str.replace(r"^(1[3-9]|[23]\d)/(\d\d?)/(\d{4})", "${3}-${2}-${1}")
     text = text.str.replace(r"^(\d\d?)/(\d\d?)/(\d{4})", "${3}-${1}-${2}")
@@ -395,4 +461,5 @@ def nanoseconds(name: str) -> pl.Expr:
     )
     with_zone = pl.when(zoned).then(text)
     placed = with_zone.str.to_datetime(f"{form}%z", time_unit="ns", time_zone="UTC", strict=False)
-    return pl.coalesce(placed.dt.replace_time_zone(None), plain).cast(pl.Int64()).alias(name)
+    moment = pl.coalesce(placed.dt.replace_time_zone(None), plain).cast(pl.Int64())
+    return pl.coalesce(moment, duration.round().cast(pl.Int64, strict=False)).alias(name)

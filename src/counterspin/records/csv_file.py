@@ -182,6 +182,10 @@ class CsvFile(ColumnFile):
             frame = self._text(names).head(count).collect() if names else None
         return {} if frame is None else {n: [str(c or "") for c in frame[n]] for n in names}
 
+    def _cells(self, column: str) -> list[str]:
+        frame = self._text([column]).collect()
+        return [str(cell or "") for cell in frame[column]]
+
     def seen(self) -> str:
         """Say what the first lines look like, a line each."""
         return described_lines(self._head)
@@ -425,6 +429,8 @@ class CsvFile(ColumnFile):
 
     def places(self, rows: int) -> list[str]:
         """Say on which line each of the data rows stands."""
+        if self.selection is not None:
+            return super().places(rows)
         return [f"line {number}" for number in islice(self._data_lines(), rows)]
 
     def _data_lines(self) -> Iterator[int]:

@@ -34,10 +34,12 @@ EMPTY_WORDS: Final = (
     *("ovld", "ovl", "overload", "overflow", "over"),
 )
 #: Time of day, perhaps with a date before it and a zone behind: in ISO 8601, or as spreadsheets
-#: and recorders write it; or minutes and seconds.
+#: and recorders write it, with names of months too; minutes and seconds; or a duration of MATLAB.
 STAMP: Final = re.compile(
-    r"(?:\d{4}[-/]\d\d?[-/]\d\d?[T ]|\d\d?[./]\d\d?[./]\d{4} )?\d\d?:\d\d:\d\d(?:[.,:]\d+)?"
-    r"(?: ?[AaPp][Mm]|Z|[+-]\d\d:?\d\d)?|\d{1,3}:\d\d[.,]\d+"
+    r"(?:\d{4}[-/]\d\d?[-/]\d\d?[T ]|\d\d?[./]\d\d?[./]\d{4} "
+    r"|\d\d?[- ][A-Z][a-z]{2}[a-z]*[- ]\d{4} )?"
+    r"\d\d?:\d\d:\d\d(?:[.,:]\d+)?(?: ?[AaPp][Mm]|Z|[+-]\d\d:?\d\d)?"
+    r"|\d{1,3}:\d\d[.,]\d+|\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)? ?(?:s|secs?|min|hr)"
 )
 #: Lines of a head, by their first cell: the names of columns, and their units.
 _NAME_KEYS: Final = ("tracename", "trace name", "channel name", "tag")
@@ -121,6 +123,7 @@ class Dialect:
     units_row: bool | None = None  #: Whether a row of units stands below the names.
     skip_footer: int | None = None  #: Lines at the end that are not rows.
     sheet: str | None = None  #: Of an Excel file.
+    select: tuple[str, str] | None = None  #: A column, and its value in the rows that are read.
     #: Of an HDF5 or TDMS file, or the structure of a MATLAB file; columns are named within it.
     group: str | None = None
 

@@ -155,6 +155,8 @@ def open_columns(path: Path | MemoryTable, dialect: Dialect = TO_BE_FOUND) -> Co
         if FileIdentity.of(stream.fileno()).size == 0:
             raise RecordError(f"{path}: the file is empty.")
         file = opener(path, stream, dialect)
+        if dialect.select is not None:
+            file.select(*dialect.select)
         stack.pop_all()
         return file
 
@@ -274,7 +276,7 @@ def _scaled(path: Path | MemoryTable, columns: list[ColumnSpec], dialect: Dialec
 
 def _locate(path: Path | MemoryTable, row: int, dialect: Dialect) -> str:
     with open_columns(path, dialect) as file:
-        return file.locate(row)
+        return file.locate_row(row)
 
 
 def _places(path: Path, rows: int) -> list[str]:

@@ -23,7 +23,9 @@ _X: Final = "X_Value"
 
 
 #: Lines of other heads, in lower case: rows a second, and the time between rows.
-_RATE_KEY: Final = re.compile(r"sampl(e|ing) ?(rate|frequency)|messrate|abtast(rate|frequenz)")
+_RATE_KEY: Final = re.compile(
+    r"(sampl(e|ing)|data|output) ?_?(rate|frequency)|rate|fs|odr|messrate|abtast(rate|frequenz)"
+)
 _INTERVAL_KEY: Final = re.compile(
     r"sampl(e|ing) ?(interval|time|period)|abtast(zeit|ung|intervall)|hresolution|scan( interval)?"
 )
@@ -65,9 +67,10 @@ def _interval(above: Iterable[Sequence[str]], decimal: str) -> float | None:
             continue
         unit = file_unit(value[2]) if value[2] else ""
         try:
-            if _RATE_KEY.fullmatch(key.strip().lower()):
+            key = key.strip("#%;/ \t").lower()
+            if _RATE_KEY.fullmatch(key):
                 return 1.0 / (number * (unit_factor(unit, "Hz") if unit else 1.0))
-            if _INTERVAL_KEY.fullmatch(key.strip().lower()):
+            if _INTERVAL_KEY.fullmatch(key):
                 return number * (unit_factor(unit, "s") if unit else 1.0)
         except ValueError:
             continue  # another quantity

@@ -42,6 +42,8 @@ from counterspin.records.record import (
 )
 from counterspin.records.reduction import Blocks, Reducer, block_size, span_of_main_rows
 from counterspin.records.run_file import RunFile, is_derived, pulse_angle
+from counterspin.records.sampling import RepeatedValues
+from counterspin.records.several_sensors import refuse_several_sensors
 from counterspin.records.signals import (
     PolynomialParts,
     UnitChange,
@@ -141,6 +143,7 @@ def opened(
         for one in files:
             one.stamps = columns.stamps
             one.require(columns.filed)
+            refuse_several_sensors(one, columns.filed)
         columns = columns.resolved(files[0])
         if len(files) == 1 and not is_derived(columns):
             yield files[0], columns, files
@@ -199,12 +202,13 @@ class _RecordReader:
         self._signals = list(columns.signals.values())
         self._motion = motion
         self._wants_blocks = block == "auto" and bool(motion.rate)
-        self._clock = Clock(file.path, file.locate, motion.rate)
+        self._clock = Clock(file.path, file.locate_row, motion.rate)
         self._polynomials = PolynomialParts(len(self._signals))
         self._rows = 0
         self._lone = 0
         self._outside = 0
         self._empty = [0] * len(self._signals)
+        self._repeats = RepeatedValues([spec.name for spec in self._signals])
         self._outliers = [0] * len(self._signals)
         self._listed: list[Outlier] = []
         self._first_time = 0.0  # in the file's unit
@@ -239,12 +243,15 @@ class _RecordReader:
                 piece = self._piece(taken)
                 if reducer is None:
                     self._clock.start(piece.time, piece.angle)
+                    self._repeats.start(self._file.path, self._rows + first, piece.signals)
                     reducer = Reducer(
                         self._block,
                         self._clock.step,
                         self._clock.rate,
                         judges=not self._motion.posed,
                     )
+                signals = self._repeats.without(self._rows + first, piece.signals, self._block > 1)
+                piece = Piece(piece.time, piece.angle, signals)
                 blocks = self._take(self._rows + first, piece, reducer)
                 if blocks is not None:
                     parts.append(blocks)
@@ -329,7 +336,7 @@ class _RecordReader:
             self._empty[place] += int(np.isnan(signal).sum())
             infinite = np.flatnonzero(np.isinf(signal))
             if len(infinite):
-                where = self._file.locate(first_row + int(infinite[0]))
+                where = self._file.locate_row(first_row + int(infinite[0]))
                 raise RecordError(
                     f"{self._file.path}, {where}: column '{self._signals[place].name}' "
                     "holds an infinite value."
@@ -377,7 +384,9 @@ class _RecordReader:
         counts = {self._columns.time.name: self._clock.findings.empty_time}
         if self._columns.angle is not None:
             counts[self._columns.angle.name] = self._clock.findings.empty_angle
-        counts.update(zip((s.name for s in self._signals), self._empty, strict=True))
+        blank = self._repeats.blank
+        empty = (count - held for count, held in zip(self._empty, blank, strict=True))
+        counts.update(zip((s.name for s in self._signals), empty, strict=True))
         return counts
 
     def record(self, blocks: Blocks) -> Record:
@@ -512,7 +521,7 @@ class _RecordReader:
             row += len(time)
         angle = np.interp(np.concatenate(times), block_times, phase)
         at = min(switch(fitted, change, angle, np.concatenate(signals)), len(angle) - 1)
-        where = self._file.locate(int(np.concatenate(rows)[at]))
+        where = self._file.locate_row(int(np.concatenate(rows)[at]))
         return RecordError(
             f"{self._file.path}, {where}: column '{spec.name}' changes its unit or its scale: "
             f"{change.words}. Cut the record here or correct the column."
@@ -559,7 +568,7 @@ class _RecordReader:
             step=self._clock.step,
             rate=rate,
             block=self._block,
-            found=self._file.found,
+            found=", ".join(filter(None, [self._file.found, *self._repeats.words(self._rows)])),
             outside=self._outside,
         )
 

@@ -58,13 +58,13 @@ class RunFile:
         looking = [file.look_closely() for file in self._files]  # all of them
         return any(looking)
 
-    def locate(self, row: int) -> str:
+    def locate_row(self, row: int) -> str:
         """Say where a row stands: in which file, and where in it."""
         start = 0
         for place, file in enumerate(self._files):
             end = self._ends[place] if place < len(self._ends) else math.inf
             if row < end:
-                where = file.locate(row - start)
+                where = file.locate_row(row - start)
                 return where if place == 0 else f"{file.path.name}, {where}"
             start = int(end)
         return f"row {row + 1}"

@@ -8,12 +8,14 @@ lost samples.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array, median
+from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.spikes import resolution
 
@@ -28,6 +30,8 @@ _CHANCE_PART: Final = 0.02
 _PHASED_PART: Final = 0.999
 #: Steps that are so many times the median step are outliers.
 _OUTLYING_STEPS: Final = 8.0
+#: Steps of the resolution by which values change if they are not those of a smooth coarse signal.
+_COARSE_STEPS: Final = 1.25
 #: Most rows for a sample.
 _MOST_ROWS: Final = 1000
 #: Fewest rows that tell.
@@ -67,8 +71,9 @@ class Holding:
         places = np.flatnonzero(np.diff(part, prepend=math.nan) != 0.0)[1:]
         # Of samples that are equal by chance, many differ from both neighbours.
         lengths = np.diff(places)
-        alternate = lengths.size < _FEWEST or np.quantile(lengths, 0.01) < 2.0
-        if repeated <= limit and alternate:
+        few = lengths.size < _FEWEST or step < _COARSE_STEPS * resolution(good)
+        alternate = few or np.quantile(lengths, 0.01) < 2.0
+        if (repeated <= limit and alternate) or _is_stuck(lengths, 1.0 / (1.0 - repeated)):
             return None
         if period := _period(places):
             return cls(float(period), period, int(places[0]) % period)
@@ -90,6 +95,68 @@ class Holding:
         if self.period:
             return np.asarray((np.arange(values.size) + first_row - self.phase) % self.period == 0)
         return np.asarray(np.diff(values, prepend=before) != 0.0)
+
+
+class RepeatedValues:
+    """The values of the signals of a record that a faster log repeats, piece after piece.
+
+    names: The columns of the signals.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = names
+        self._holding: list[Holding | None] = []
+        self._held = [0] * len(names)
+        self._last = [math.nan] * len(names)
+        self._first_row = 0
+        self.blank = [0] * len(names)  #: Values of each signal that were replaced by NaN.
+
+    def start(self, path: object, first_row: int, signals: Sequence[Array]) -> None:
+        """Find how values repeat in the first piece; RecordError if it cannot be told."""
+        self._first_row = first_row
+        for name, signal in zip(self._names, signals, strict=True):
+            try:
+                self._holding.append(Holding.of(signal))
+            except ValueError as error:
+                raise RecordError(f"{path}: column '{name}': {error}.") from None
+
+    def without(self, first_row: int, signals: Sequence[Array], interpolates: bool) -> list[Array]:
+        """Return the signals of a piece with repeated values replaced.
+
+        interpolates: Whether they are interpolated between new values, as the mean of a block
+            needs them; otherwise they are NaN.
+        """
+        replaced = list(signals)
+        for place, (signal, holding) in enumerate(zip(signals, self._holding, strict=True)):
+            if holding is None:
+                continue
+            fresh = holding.new(signal, first_row - self._first_row, self._last[place])
+            old = ~fresh & ~np.isnan(signal)
+            new = np.flatnonzero(fresh & ~np.isnan(signal))
+            self._held[place] += int(old.sum())
+            self._last[place] = float(signal[-1])
+            filled = np.full(len(signal), math.nan)
+            if interpolates and len(new):
+                filled = np.interp(np.arange(len(signal)), new, signal[new])
+            else:
+                self.blank[place] += int(old.sum())
+            replaced[place] = np.where(old, filled, signal)
+        return replaced
+
+    def words(self, rows: int) -> list[str]:
+        """Return a statement on each signal that repeats its values, of so many rows."""
+        shares = ((name, held / rows) for name, held in zip(self._names, self._held, strict=True))
+        return [
+            f"column '{name}' repeats {100.0 * share:.3g} % of its values, not used"
+            for name, share in shares
+            if share
+        ]
+
+
+def _is_stuck(lengths: npt.NDArray[np.int_], rows: float) -> bool:
+    """Return whether values stand still in places, as of a dead channel or beyond a range."""
+    several = lengths[lengths > 1]
+    return bool(several.size == 0 or np.quantile(several, 0.95) > 3.0 * rows + 2.0)
 
 
 def _period(places: npt.NDArray[np.int_]) -> int:

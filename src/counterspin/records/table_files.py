@@ -77,6 +77,18 @@ class ParquetFile(ColumnFile):
                 columns[name] = self.seconds(frame[name])
             yield columns
 
+    def _cells(self, column: str) -> list[str]:
+        import polars as pl
+
+        frame = self._scan().select(pl.col(column).cast(pl.String())).collect()
+        return [str(cell or "") for cell in frame[column]]
+
+    def _first_cells(self, name: str, count: int) -> list[str]:
+        import polars as pl
+
+        frame = self._scan().select(pl.col(name).cast(pl.String())).head(count).collect()
+        return [str(cell or "") for cell in frame[name]]
+
     def _column(self, name: str) -> pl.Expr:
         import polars as pl
 
@@ -204,6 +216,13 @@ class ExcelFile(ColumnFile):
             + ["a row of units"] * self.units_row
             + ["text with decimal commas"] * (self.decimal == ",")
         )
+
+    def _cells(self, column: str) -> list[str]:
+        text = self._loaded("string", self._layout.before_rows)
+        return [str(cell or "") for cell in text.to_series(self.names.index(column))]
+
+    def _first_cells(self, name: str, count: int) -> list[str]:
+        return self._cells(name)[:count]
 
     def _loaded(self, kind: Any, skip: int) -> pl.DataFrame:
         return _loaded(self._book, self._sheet, kind, skip)

@@ -65,12 +65,12 @@ def _course(file: ColumnFile | RunFile, columns: RecordColumns) -> tuple[float, 
         time, warm = piece[columns.time.name] * columns.time.factor, piece[spec.name] + spec.offset
         infinite = np.flatnonzero(np.isinf(time))
         if len(infinite):
-            place = file.locate(rows + int(infinite[0]))
+            place = file.locate_row(rows + int(infinite[0]))
             raise RecordError(f"{file.path}, {place}: the time is infinite.")
         coldest, warmest = WORKING_TEMPERATURES
         impossible = np.flatnonzero((warm < coldest) | (warm > warmest))
         if len(impossible):
-            odd, place = float(warm[impossible[0]]), file.locate(rows + int(impossible[0]))
+            odd, place = float(warm[impossible[0]]), file.locate_row(rows + int(impossible[0]))
             raise RecordError(
                 f"{file.path}, {place}: column '{spec.name}' holds {odd:.6g} K "
                 f"({odd - ZERO_CELSIUS:.6g} degC), at which no accelerometer works. Check the unit "

@@ -1,0 +1,73 @@
+"""Find a column that tells several sensors apart, whose rows stand in one file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import Final
+
+from counterspin.errors import RecordError
+from counterspin.records.column_file import ColumnFile, quoted
+
+#: Names of columns that tell sensors apart.
+_NAME: Final = re.compile(
+    r"(?i)(.*[^a-z])?(device|sensor|instance|inst|imu|unit|type|channel|chan|ch|node|source|src|mac"
+    r"|addr(ess)?|serial|sn|id|uid|tag|topic|stream|kind|module|board|probe|slot|port)"
+    r"([ _-]?(id|no|nr|num|number|name|type|index|idx|address|instance))?([^a-z].*)?$"
+)
+#: Rows that show whether values alternate, and most different values.
+SHOWING_ROWS: Final = 2000
+_MOST_VALUES: Final = 32
+#: Part of the rows that each value has at least, and part at which the value changes.
+_FEWEST_PART: Final = 0.01
+_CHANGING_PART: Final = 0.05
+
+
+def sensor_columns(cells: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, list[str]]]:
+    """Yield columns that tell sensors apart in alternating rows, and their values.
+
+    cells: Column -> its first cells. A column counts by its name, or if its words recur in turn.
+    """
+    for name, column in cells.items():
+        values = list(dict.fromkeys(cell for cell in column if cell))
+        count = len(values)
+        if not 2 <= count <= min(_MOST_VALUES, len(column) // 4):
+            continue
+        in_turn = column[count:] == column[:-count] and not all(map(_is_number, values))
+        whole = all(not _is_number(value) or float(value).is_integer() for value in values)
+        changes = sum(before != after for before, after in pairwise(column))
+        often = changes >= _CHANGING_PART * len(column)
+        fewest = min(column.count(value) for value in values)
+        named = _NAME.fullmatch(name) and whole and often
+        if (in_turn or named) and fewest >= max(2.0, _FEWEST_PART * len(column)):
+            yield name, sorted(values)
+
+
+def refuse_several_sensors(file: ColumnFile, wanted: Sequence[str]) -> None:
+    """Raise RecordError if rows of several sensors alternate in a file and none is selected.
+
+    wanted: Columns that are read; they are quantities.
+    """
+    if file.selection is not None:
+        return
+    named = [name for name in file.names if name and name not in wanted]
+    for name, values in sensor_columns(file.first_cells(named, SHOWING_ROWS)):
+        raise RecordError(f"{file.path}: {several_words(name, values)}")
+
+
+def several_words(name: str, values: Sequence[str]) -> str:
+    """Return a message about a column that tells sensors apart."""
+    example = f'select = {{ column = "{name}", value = "{values[0]}" }}'
+    return (
+        f"column '{name}' takes {len(values)} values ({quoted(values, 8)}): the rows are those of "
+        f"several sensors. Select the rows of one: {example} in [records]."
+    )
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

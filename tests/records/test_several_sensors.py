@@ -1,0 +1,80 @@
+"""Rows of several sensors in one file, told apart by a column."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from counterspin.errors import CampaignError, RecordError
+from counterspin.ingest.contents import read_contents, read_files
+from counterspin.ingest.overview import UndecidedDraft, sensor_question
+from counterspin.records.dialect import Dialect
+from counterspin.records.formats import read_numbers
+from counterspin.records.several_sensors import sensor_columns
+
+VALUES = {"A": 1.0, "B": 2.0, "C": 3.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "cells", "found"),
+    [
+        ("device", ["A", "B", "C"], True),
+        ("Sensor ID", ["3", "5"], True),
+        ("instance", ["0", "1"], True),
+        ("whatever", ["left", "right"], True),
+        ("temperature", ["24", "25"], False),
+        ("device", ["A"], False),
+        ("type", ["24.1", "25.2"], False),
+    ],
+)
+def test_columns_that_tell_sensors_apart(name, cells, found):
+    told = list(sensor_columns({name: cells * 50}))
+    assert told == ([(name, sorted(cells))] if found else [])
+
+
+def test_labels_of_poses_and_states_are_no_sensors():
+    poses = [f"P{n}" for n in range(12) for _ in range(30)]
+    state = ["rest"] * 100 + ["move"] * 60 + ["rest"] * 100
+    assert list(sensor_columns({"pose name": poses, "state": state, "device": ["A"] * 99})) == []
+
+
+def several(path, numbered=False):
+    """Write rows of three sensors in turn; each reads its own value."""
+    names = list(VALUES) * 200
+    frame = pl.DataFrame(
+        {
+            "time_s": np.repeat(np.arange(200) * 0.01, 3),
+            "device": list(range(3)) * 200 if numbered else names,
+            "a_m/s^2": [VALUES[name] for name in names],
+        }
+    )
+    {".csv": frame.write_csv, ".parquet": frame.write_parquet}[path.suffix](path)
+    return path
+
+
+@pytest.mark.parametrize("name", ["log.csv", "log.parquet"])
+@pytest.mark.parametrize("numbered", [False, True])
+def test_rows_of_one_sensor_are_selected(tmp_path, name, numbered):
+    path = several(tmp_path / name, numbered)
+    value = "1" if numbered else "B"
+    numbers = read_numbers(path, ["time_s", "a_m/s^2"], Dialect(select=("device", value)))
+    assert set(numbers["a_m/s^2"].tolist()) == {2.0}
+    assert len(numbers["time_s"]) == 200
+    with pytest.raises(RecordError, match="never has the value 'Q'; it has"):
+        read_numbers(path, ["time_s"], Dialect(select=("device", "Q")))
+
+
+def test_init_asks_which_sensor_and_noise_refuses(tmp_path):
+    import counterspin as cs
+
+    path = several(tmp_path / "log.csv")
+    contents = read_files([path])
+    assert sensor_question(contents).choices == ("A", "B", "C")
+    with pytest.raises(CampaignError, match=r"select: Column 'device' of log.csv takes 3 values"):
+        UndecidedDraft.of(contents).complete()
+    (chosen,) = read_files([path], {"select": "C"})
+    assert sensor_question([chosen]) is None
+    assert chosen.dialect_keys == {"select": {"column": "device", "value": "C"}}
+    assert set(chosen.columns[1].values.tolist()) == {3.0}
+    with pytest.raises(RecordError, match="column 'device' takes 3 values"):
+        cs.noise(path)
+    assert read_contents(path).selected is None
