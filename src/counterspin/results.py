@@ -19,13 +19,16 @@ from pydantic_core import PydanticSerializationError
 from counterspin.errors import RecordError
 from counterspin.input import looks_like, parse_json, read_file
 from counterspin.loading import load_name
-from counterspin.output import FileType, write_text
 
 if TYPE_CHECKING:
     from datetime import datetime
 
+    from counterspin.output import FileType
     from counterspin.reports.blocks import Block, Picture
     from counterspin.reports.text import Report
+
+#: How files are written; results that nobody writes do without.
+_OUTPUT: Final = "counterspin.output"
 
 #: A list of numbers and nulls as it stands in JSON; no text has such line breaks in it.
 _NUMBERS: Final = re.compile(r"\[\n[-+.\denul,\s]+\]")
@@ -129,7 +132,8 @@ class ResultFile(ResultPart):
 
         overwrite: Whether an earlier result of the same kind may be replaced; nothing else is.
         """
-        write_text(Path(path), self.to_json(), self.file_kind, overwrite=overwrite)
+        write = load_name(f"{_OUTPUT}:write_text")
+        write(Path(path), self.to_json(), self.file_kind, overwrite=overwrite)
 
     @classmethod
     def file_kind(cls) -> FileType:
@@ -144,7 +148,8 @@ class ResultFile(ResultPart):
                 return False
             return isinstance(document, dict) and needed <= set(document)
 
-        return FileType(f"the file of a {cls.KIND}", recognises)
+        known: FileType = load_name(f"{_OUTPUT}:FileType")(f"the file of a {cls.KIND}", recognises)
+        return known
 
     @classmethod
     def read(cls, path: Path | str) -> Self:
