@@ -26,14 +26,10 @@ ROWS_A_SECOND = 1000
 def campaign(folder, seconds):
     """Return the folder of a simulated campaign whose last run lasts so many seconds."""
     description = cs.init(folder / "made")
-    changed = cs.read_campaign(description).change(
-        simulation={"sampling_rate": f"{ROWS_A_SECOND} Hz", "revolutions": None},
-        runs={
-            "run1": {"duration": f"{seconds} s"},
-            "run2": {"duration": f"{seconds} s"},
-            "run3": {"duration": f"{seconds} s"},
-        },
-    )
+    starter = cs.read_campaign(description)
+    runs = [run | {"duration": f"{seconds} s"} for run in starter.source.document["runs"]]
+    sampling = {"sampling_rate": f"{ROWS_A_SECOND} Hz", "revolutions": None}
+    changed = starter.change({"simulation": sampling, "runs": runs})
     cs.simulate(changed).write(folder / "records")
     return folder / "records"
 

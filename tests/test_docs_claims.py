@@ -10,6 +10,7 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
+from campaigns import WITHOUT_QY
 from prose import ROOT, agrees, sentences, told, value_of
 from scipy.special import stdtrit
 
@@ -255,13 +256,13 @@ def test_a_number_that_is_not_so_would_be_found():
 def test_weighing_is_better_than_holding():
     example = ROOT / "docs" / "examples" / "three-rate" / "campaign.toml"
     known = cs.read_campaign(example).change(
-        accelerometers=["Qx"], assume="all", priors={"platform.tilt": "0 ± 0.5 arcsec"}
+        {**WITHOUT_QY, "model": {"assume": "all", "priors": {"platform.tilt": "0 ± 0.5 arcsec"}}}
     )
     named = told("methods", "tilts that repeat to {} arcsec and all else perfect")
     assert named == ["0.5"]
     numbers = told("methods", "u(K_II) = {} g/g^2 where the tilts are held, and {} g/g^2 where")
     for number, held in zip(numbers, ([*known.model.considered], ["K_IP"]), strict=True):
-        found = cs.forecast(known.change(hold=held)).u["Qx.K_II"]
+        found = cs.forecast(known.change({"model": {"hold": held}})).u["Qx.K_II"]
         assert agrees(number, found)
 
 

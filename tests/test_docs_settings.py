@@ -4,8 +4,8 @@ import re
 from pathlib import Path
 from typing import get_args
 
-from counterspin.campaign.changes import SHORT
 from counterspin.physics.terms import READING_TERMS
+from counterspin.planning.plan_file import SHORT
 from counterspin.readings.table import _COLUMNS, ReadingsSettings
 from counterspin.studies import description
 from counterspin.studies.choice import EngineName
@@ -47,6 +47,5 @@ def test_what_may_vary_in_a_study_is_listed():
 
 def test_short_names_of_changes_are_listed():
     page = (DOCS / "python.md").read_text("utf-8")
-    table = page.partition("| name | changes |")[2].partition("\n\n")[0]
-    first, second = re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)[:2]
-    assert set(re.findall(r"`(\w+)`", first + second)) == set(SHORT)
+    sentence = page.partition("or a short name:")[2].partition(".")[0]
+    assert set(re.findall(r"`(\w+)`", sentence)) == set(SHORT)

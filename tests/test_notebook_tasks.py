@@ -45,7 +45,9 @@ def task_calibrate_frames(description, records):
 
 def task_compare_models(campaign):
     models = [["K_F", "K_I", "K_II"], ["K_F", "K_I", "K_II", "K_III"]]
-    return cs.compare(*(cs.calibrate(campaign.change(terms=terms)) for terms in models))
+    return cs.compare(
+        *(cs.calibrate(campaign.change({"model": {"terms": terms}})) for terms in models)
+    )
 
 
 def task_own_residual_plot(result, axes):
@@ -64,13 +66,15 @@ def task_pandas(result):
 
 
 def task_simulate_another_truth(description):
-    campaign = cs.make_campaign(description).change(truth={"Qx": {"K_II": "5e-5 g/g^2"}})
+    campaign = cs.make_campaign(description).change({"truth": {"Qx": {"K_II": "5e-5 g/g^2"}}})
     return cs.calibrate(cs.simulate(campaign))
 
 
 def task_sweep(campaign):
     radii = [2.4995, 2.5, 2.5005]
-    results = [cs.calibrate(campaign.change(radius=f"{radius} m")) for radius in radii]
+    results = [
+        cs.calibrate(campaign.change({"centrifuge": {"radius": f"{radius} m"}})) for radius in radii
+    ]
     return [r.accelerometers["Qx"].coefficients["K_II"].value for r in results]
 
 
@@ -83,7 +87,7 @@ def task_two_stages(records, trajectories):
 
 
 def task_one_accelerometer(campaign):
-    return cs.calibrate(campaign.change(accelerometers=["Qx"]))
+    return cs.calibrate(campaign.change({"accelerometers": {"Qy": None}}))
 
 
 # --- what comes of them ---------------------------------------------------------------------------

@@ -32,7 +32,9 @@ def test_what_is_known_better_is_what_a_calibration_says(page, folder, result):
     assert (first["name"], first["words"]) == ("K_OO", "second-order output-axis coefficient")
     assert 0.5 < first["share"] < 1.0 >= sum(one["share"] for one in told["sources"])
     better = page.post("/api/what-if", json=QX | {"known": {"K_OO": 1e-7}}).json()
-    stated = read_campaign(folder / "three").change(priors={"Qx.K_OO": "0 ± 1e-7 g/g^2"})
+    stated = read_campaign(folder / "three").change(
+        {"model": {"priors": {"Qx.K_OO": "0 ± 1e-7 g/g^2"}}}
+    )
     again = calibrate(stated).accelerometers["Qx"].coefficients["K_II"]
     # Noise that is found again moves in the sixth digit.
     assert better["u"] == pytest.approx(again.u, rel=1e-4)

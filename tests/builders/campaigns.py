@@ -31,6 +31,15 @@ def runs(*names: str, rates: Sequence[str] = ("0.25 rev/s", "0.5 rev/s", "1 rev/
     )
 
 
+def runs_of(campaign, *names):
+    """Return the entries of some runs in a campaign's description."""
+    return [run for run in campaign.source.document["runs"] if run["name"] in names]
+
+
+#: The merge patch that leaves Qx alone.
+WITHOUT_QY = {"accelerometers": {"Qy": None}, "truth": {"Qy": None}}
+
+
 SMALL = f"""{PLACE}
 [accelerometers.Qx]
 input_axis = "east"

@@ -77,7 +77,10 @@ def test_a_result_says_what_was_in_memory(found, made, written, records):
 
 def test_a_change_is_marked_and_has_a_checksum_of_its_own(written):
     campaign = read_campaign(written)
-    plain, changed = (calibrate(c).provenance for c in (campaign, campaign.change(radius="2.6 m")))
+    plain, changed = (
+        calibrate(c).provenance
+        for c in (campaign, campaign.change({"centrifuge": {"radius": "2.6 m"}}))
+    )
     assert plain.in_memory == {}
     assert changed.in_memory == {"campaign.toml": "changed: centrifuge.radius"}
     assert changed.inputs["campaign.toml"] != plain.inputs["campaign.toml"]

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import polars as pl
 import pytest
-from campaigns import SMALL, changed, write
+from campaigns import SMALL, WITHOUT_QY, changed, runs_of, write
 from recorded_campaigns import WHITE, at_rest, record
 from scipy.stats import f as fisher
 
@@ -37,13 +37,15 @@ def texts(result):
 
 def described(folder, **noise):
     """Return Qx's campaign with another [noise]; values as they are written."""
-    campaign = read_campaign(folder).change(accelerometers=["Qx"])
-    return campaign.change(noise={"displacement": None, **noise})
+    patch = WITHOUT_QY | {"noise": {"displacement": None, **noise}}
+    return read_campaign(folder).change(patch)
 
 
 def test_a_campaign_has_the_sizes_of_its_record_at_rest_each_accelerometer_its_own(folder):
     found = cs.noise(folder / "rest.csv", campaign=folder)
-    noise = noise_of(read_campaign(folder).change(noise={"displacement": None, "from": "rest.csv"}))
+    noise = noise_of(
+        read_campaign(folder).change({"noise": {"displacement": None, "from": "rest.csv"}})
+    )
     for signal in found.signals:
         one = noise[signal.name]
         assert one.white == pytest.approx(signal.components["displacement"].value, rel=1e-12)
@@ -144,8 +146,10 @@ def test_a_forecast_takes_it_too(folder, both):
     _, _, noise = both
     of_rest = described(folder, **{"from": "rest.csv", "acceleration": "0 g/Hz^0.5"})
     by_hand = described(folder, displacement=f"{noise.white!r} m")
-    lengths = {name: {"revolutions": 20} for name in ("slow", "middle", "fast")}
-    one, other = (forecast(c.change(runs=lengths), sampling_rate=20.0) for c in (of_rest, by_hand))
+    runs = [run | {"revolutions": 20} for run in runs_of(of_rest, "slow", "middle", "fast")]
+    one, other = (
+        forecast(c.change({"runs": runs}), sampling_rate=20.0) for c in (of_rest, by_hand)
+    )
     assert one.u["Qx.K_II"] == pytest.approx(other.u["Qx.K_II"], rel=1e-12)
 
 

@@ -244,7 +244,7 @@ def test_a_file_is_known_by_its_bytes(tmp_path):
 def test_a_change_is_known_by_what_would_be_written(tmp_path):
     file = campaigns.write(tmp_path, campaigns.SMALL)
     campaign = read_campaign(tmp_path)
-    changed = campaign.change(radius="2.6 m")
+    changed = campaign.change({"centrifuge": {"radius": "2.6 m"}})
     assert changed.source.changed == ("centrifuge.radius",)
     assert changed.source.content_checksum() != sha(file.read_bytes())
     assert str(changed.path) == changed.source.label == f"{file}, changed in memory"
@@ -256,7 +256,11 @@ def test_a_change_is_known_by_what_would_be_written(tmp_path):
 
 def test_what_is_changed_back_is_the_file_again(tmp_path):
     file = campaigns.write(tmp_path, campaigns.SMALL)
-    back = read_campaign(tmp_path).change(radius="2.6 m").change(radius="2.5 m")
+    back = (
+        read_campaign(tmp_path)
+        .change({"centrifuge": {"radius": "2.6 m"}})
+        .change({"centrifuge": {"radius": "2.5 m"}})
+    )
     assert not back.source.in_memory
     assert back.source.content_checksum() == sha(file.read_bytes())
 

@@ -3,7 +3,7 @@
 import numpy as np
 import polars as pl
 import pytest
-from campaigns import SMALL, changed, write
+from campaigns import SMALL, changed, runs_of, write
 from recorded_campaigns import WHITE, at_rest
 
 import counterspin as cs
@@ -42,7 +42,7 @@ def white(folder):
 
 def by_hand(folder, white):
     """Return the campaign with the noise as `counterspin noise` prints it."""
-    return read_campaign(folder).change(noise={"from": None, "displacement": f"{white!r} m"})
+    return read_campaign(folder).change({"noise": {"from": None, "displacement": f"{white!r} m"}})
 
 
 def test_the_largest_noise_found_is_simulated(folder, white):
@@ -57,7 +57,7 @@ def test_true_noise_of_its_own_is_simulated_instead(folder, tmp_path):
     at_rest(tmp_path, rows=2000)
     own = read_campaign(write(tmp_path, changed(SMALL, (STATED, FROM))))
     assert true_noise(own).displacement == 0.01
-    wanted = read_campaign(folder).change(noise={"acceleration": "estimate"})
+    wanted = read_campaign(folder).change({"noise": {"acceleration": "estimate"}})
     with pytest.raises(CampaignError, match=r"noise\.acceleration: a simulation needs its true"):
         cs.simulate(wanted)
 
@@ -70,25 +70,30 @@ def test_a_simulated_folder_has_the_record_at_rest(folder, tmp_path):
     cs.simulate(folder, tmp_path / "there", overwrite=True)
     with pytest.raises(cs.CounterspinError, match="exists"):
         cs.simulate(folder, tmp_path / "there")
-    outside = read_campaign(folder).change(noise={"from": "../rest.csv"})
+    outside = read_campaign(folder).change({"noise": {"from": "../rest.csv"}})
     with pytest.raises(CampaignError, match=r"noise\.from: \.\./rest\.csv is outside"):
         cs.simulate(outside, tmp_path / "elsewhere")
 
 
 def test_a_forecast_takes_what_the_record_does_not_show_for_none(folder, white):
-    campaign, stated = read_campaign(folder).change(accelerometers=["Qy"]), by_hand(folder, white)
-    without_truth = campaign.change(
-        truth=None, simulation=None, runs={n: {"revolutions": 20} for n in ("slow", "middle")}
-    ).change(runs=["slow", "middle"])
-    stated = stated.change(accelerometers=["Qy"], runs=["slow", "middle"])
+    campaign, stated = read_campaign(folder), by_hand(folder, white)
+    runs = runs_of(campaign, "slow", "middle")
+    alone = {"accelerometers": {"Qx": None}, "truth": {"Qx": None}, "runs": runs}
+    longer = {"runs": [run | {"revolutions": 20} for run in runs]}
+    without_truth = campaign.change(alone | longer | {"truth": None, "simulation": None})
+    stated = stated.change(alone)
     one, other = (forecast(c, sampling_rate=20.0).u["Qy.K_II"] for c in (without_truth, stated))
     assert one == pytest.approx(other, rel=1e-12)
 
 
+#: The merge patch that leaves Qy alone.
+ONLY_QY = {"accelerometers": {"Qx": None}, "truth": {"Qx": None}}
+
+
 def test_a_study_draws_it(folder, white):
     beside = {"acceleration": "0 g/Hz^0.5"}  # or the trials had to look for it
-    of_rest = read_campaign(folder).change(accelerometers=["Qy"], noise=beside)
-    stated = by_hand(folder, white).change(accelerometers=["Qy"])
+    of_rest = read_campaign(folder).change(ONLY_QY | {"noise": beside})
+    stated = by_hand(folder, white).change(ONLY_QY)
     one, other = (
         cs.study(c, trials=50, seed=1).analyses["joint"].coefficients["Qy.K_II"]
         for c in (of_rest, stated)
@@ -169,7 +174,7 @@ def test_a_record_at_rest_may_be_in_memory(folder, tmp_path):
     again = read_campaign(held.write(tmp_path / "written"))
     assert again.rest == tmp_path / "written" / "rest.parquet"
     assert noise_of(again) == of_file
-    other = held.change(records={"noise.from": frame.with_columns(pl.col("east_m") * 2.0)})
+    other = held.change({}, records={"noise.from": frame.with_columns(pl.col("east_m") * 2.0)})
     assert noise_of(other)["Qx"].white == pytest.approx(2.0 * of_file["Qx"].white, rel=1e-6)
 
 

@@ -9,6 +9,7 @@ import frames
 import numpy as np
 import pytest
 import results as by_hand
+from campaigns import runs_of
 from scipy.stats import binom
 from scipy.stats import chi2 as chi2_distribution
 
@@ -47,9 +48,9 @@ def made():
     base = cs.make_campaign(description())
 
     def of(seed, count=4):
-        records = cs.simulate(base.change(seed=seed))
-        larger = records.change(terms=[*TERMS, "K_III"])
-        part = records.change(runs=["slow", "fast"])
+        records = cs.simulate(base.change({"simulation": {"seed": seed}}))
+        larger = records.change({"model": {"terms": [*TERMS, "K_III"]}})
+        part = records.change({"runs": runs_of(records, "slow", "fast")})
         found = [cs.calibrate(campaign) for campaign in (records, larger, part)[: count - 1]]
         return records, *found
 
@@ -97,9 +98,9 @@ def test_noise_that_is_found_is_that_of_the_larger_model_in_both():
     del qx["displacement"]
     qx["specific_force"] = {"column": "force", "unit": "g"}
     base = cs.make_campaign(document | {"noise": {"specific_force": "1e-5 g"}})
-    records = cs.simulate(base.change(seed=2)).change(noise=None)
+    records = cs.simulate(base.change({"simulation": {"seed": 2}})).change({"noise": None})
     small = cs.calibrate(records)
-    large = cs.calibrate(records.change(terms=[*TERMS, "K_III"]))
+    large = cs.calibrate(records.change({"model": {"terms": [*TERMS, "K_III"]}}))
     noise = [one.accelerometers["Qx"].noise["specific_force"].value for one in (small, large)]
     ratio = noise[1] / noise[0]
     assert abs(ratio - 1.0) > 1e-3
@@ -125,8 +126,8 @@ def test_what_is_assumed_and_what_is_not_stated_is_told(one):
     records, result, _, _ = one
     but_k_oo = [name for name in result.assumed if name != "K_OO"]
     part, tuned = (
-        cs.calibrate(records.change(assume=but_k_oo, **more))
-        for more in ({}, {"model.typical": {"K_OO": "1e-6 g/g^2"}})
+        cs.calibrate(records.change({"model": {"assume": but_k_oo, **more}}))
+        for more in ({}, {"typical": {"K_OO": "1e-6 g/g^2"}})
     )
     compared = cs.compare(result, part, tuned)
     told = {change.subject: change.values for change in compared.changes}
@@ -162,8 +163,10 @@ def test_differences_are_as_large_as_their_u_says(made):
 
 def test_a_changed_input_differs_by_no_chance(one):
     records, result, _, _ = one
-    exact = records.change(radius="2.5 m")
-    other = cs.compare(cs.calibrate(exact), cs.calibrate(records.change(radius="2.5001 m")))
+    exact = records.change({"centrifuge": {"radius": "2.5 m"}})
+    other = cs.compare(
+        cs.calibrate(exact), cs.calibrate(records.change({"centrifuge": {"radius": "2.5001 m"}}))
+    )
     assert k_ii(other).difference
     assert (k_ii(other).u_difference, k_ii(other).z) == (0.0, None)
     assert other.agreements[0].p is None
@@ -173,7 +176,9 @@ def test_a_changed_input_differs_by_no_chance(one):
     assert again.agreements[0].p is None
     assert "are equal (the same records)" in comparison_text(again)
     # The same change of a radius that is uncertain, stated twice: the two are independent.
-    twice = cs.compare(result, cs.calibrate(records.change(radius="2.5001 ± 1e-4 m")))
+    twice = cs.compare(
+        result, cs.calibrate(records.change({"centrifuge": {"radius": "2.5001 ± 1e-4 m"}}))
+    )
     (line,) = (
         line
         for line in result.accelerometers["Qx"].budget["K_II"]

@@ -127,7 +127,7 @@ def test_what_is_not_there_is_named(path):
 
 
 def test_what_was_in_memory_cannot_be_repeated(camp, capsys):
-    campaign = cs.read_campaign(camp).change(radius="2.6 m")
+    campaign = cs.read_campaign(camp).change({"centrifuge": {"radius": "2.6 m"}})
     cs.calibrate(campaign).write(camp / "memory.json")
     assert main(["rerun", str(camp / "memory.json")]) == 1
     assert "in memory" in capsys.readouterr().err

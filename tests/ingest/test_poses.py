@@ -80,7 +80,9 @@ def test_a_thermometer_beside_the_axes_tells_their_slopes(tmp_path):
     document = found.document(tmp_path)
     assert document["records"]["temperature"] == {"column": "Temp (°C)", "unit": "degC"}
     campaign = read_campaign(write_description(found, tmp_path / "camp"))
-    slopes = campaign.change(terms=["K_F", "K_I", "delta_O", "delta_P", "K_F.temperature"])
+    slopes = campaign.change(
+        {"model": {"terms": ["K_F", "K_I", "delta_O", "delta_P", "K_F.temperature"]}}
+    )
     result = calibrate(slopes)
     for name, true in (("X", 0.002 / 9.81), ("Y", 0.0), ("Z", 0.0)):
         one = result.accelerometers[name].coefficients["K_F.temperature"]

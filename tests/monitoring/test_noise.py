@@ -108,8 +108,8 @@ def test_the_table_is_one_that_campaigns_read(tmp_path, folder):
     (tmp_path / "noise.toml").write_text(found.table, encoding="utf-8")
     stated = load_document(tmp_path / "noise.toml")["noise"]
     assert set(stated) == {"acceleration", "flicker"}
-    campaign = cs.read_campaign(folder).change(noise=None)
-    campaign = campaign.change(noise=stated)
+    campaign = cs.read_campaign(folder).change({"noise": None})
+    campaign = campaign.change({"noise": stated})
     assert campaign.noise.flicker == pytest.approx(
         size(found.signals[0], "flicker").value, rel=6e-3
     )

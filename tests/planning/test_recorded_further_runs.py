@@ -37,5 +37,7 @@ def test_runs_in_another_attitude_give_what_they_promise(recorded, tmp_path):
 
 
 def test_where_the_runs_decide_all_there_is_no_other_attitude_to_add(recorded):
-    perfect = read_campaign(recorded).change(assume=["all"], priors={"Qx.K_II": "0 ± 1e-12 g/g^2"})
+    perfect = read_campaign(recorded).change(
+        {"model": {"assume": ["all"], "priors": {"Qx.K_II": "0 ± 1e-12 g/g^2"}}}
+    )
     assert further(perfect) is None

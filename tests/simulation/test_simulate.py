@@ -346,7 +346,7 @@ def test_in_memory_is_the_same_as_in_a_folder(tmp_path):
 
 def test_a_changed_campaign_is_simulated_with_its_changes(tmp_path):
     changes = {"truth": {"Qx": {"K_II": "5e-5 g/g^2"}}, "noise": {"displacement": "0.02 m"}}
-    campaign = campaign_of(tmp_path, SMALL).change(**changes)
+    campaign = campaign_of(tmp_path, SMALL).change(changes)
     simulate(campaign, tmp_path / "made")
     again = read_campaign(tmp_path / "made")
     assert again.simulation == campaign.simulation
@@ -361,7 +361,7 @@ def test_a_changed_campaign_is_simulated_with_its_changes(tmp_path):
 
 def test_another_seed_is_another_record(tmp_path):
     campaign = campaign_of(tmp_path, SMALL)
-    one, other = (simulate(campaign.change(seed=seed)) for seed in (1, 2))
+    one, other = (simulate(campaign.change({"simulation": {"seed": seed}})) for seed in (1, 2))
     record = one.runs[0].record
     errors = [c.record_at(record).columns["east_m"] for c in (one, other)]
     assert np.std(errors[0] - errors[1]) == pytest.approx(0.01 * math.sqrt(2.0), rel=0.1)

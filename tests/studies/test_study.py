@@ -648,9 +648,9 @@ def test_a_campaign_in_memory_is_studied_as_its_file(tmp_path):
     campaign = read_campaign(tmp_path)
     of_file, in_memory = (study(where, trials=50, seed=2) for where in (tmp_path, campaign))
     assert in_memory.analyses == of_file.analyses
-    changed = campaign.change(study={"vary": {"Qx.K_II": {"fixed": "5e-5 g/g^2"}}})
+    changed = campaign.change({"study": {"vary": {"Qx.K_II": {"fixed": "5e-5 g/g^2"}}}})
     assert len(study(changed, trials=50, seed=2).varying) == 1
     with pytest.raises(CampaignError, match=r"campaign.toml, changed in memory: study\.trails"):
-        study(campaign.change(study={"trails": 5}))
+        study(campaign.change({"study": {"trails": 5}}))
     with pytest.raises(CounterspinError, match="its description is unknown"):
         study(replace(campaign, title="other"))

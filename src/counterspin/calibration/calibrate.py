@@ -106,11 +106,13 @@ def calibrate(
 
 def _left_out(campaign: Campaign, without: Sequence[str]) -> Campaign:
     """Return a campaign without runs; what it came from is still its file."""
-    from counterspin.campaign.documents import keep
+    from counterspin.campaign.documents import keep, source_of
 
     _require_runs(campaign, without)
+    described = source_of(campaign).document.get("runs", ())
+    runs = [{**run, "skip": True} if run.get("name") in without else run for run in described]
     try:
-        changed = campaign.change(runs={name: {"skip": True} for name in without})
+        changed = campaign.change({"runs": runs})
     except CampaignError as error:
         # The file is right: what is wrong with the rest is due to what is left out.
         left = f"`without`: with {_quoted(without)} left out, "

@@ -19,8 +19,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `checks`: what several tables contradict in each other
 - `resolution`: the sections of ``campaign.toml``, each with its class, and what they say together
 - `description`: the `Campaign`, and how it comes from a file, or from mappings and arrays
-- `changes`: a campaign with named changes
-- `memory`: campaigns from mappings and arrays, and campaigns written as a folder
+- `memory`: campaigns from mappings and arrays; campaigns changed, and written as a folder
 - `questions`: what a description says that may well be a slip
 - `conditions`: when runs were made, and how warm it was
 - `checksums`: of a campaign's files, and what else a calibration begins before all else is loaded

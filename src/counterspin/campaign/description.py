@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from counterspin.campaign.specification import Specifications
 
 #: The functions that change a campaign and write it as a folder.
-CHANGES: Final = "counterspin.campaign.changes:change_campaign"
+CHANGE: Final = "counterspin.campaign.memory:change_campaign"
 WRITE: Final = "counterspin.campaign.memory:write_campaign"
 
 
@@ -226,30 +226,26 @@ class Campaign:
         """Return the record in memory that stands in the place of a file, or else the file."""
         return self.frames.get(file, file)
 
-    def change(self, **changes: Any) -> Campaign:
-        """Return the campaign with named changes, checked as its description was.
+    def change(
+        self, patch: Mapping[str, Any], *, records: Mapping[str, Any] | None = None
+    ) -> Campaign:
+        """Return the campaign with a changed description, checked as a file is.
 
         Parameters
         ----------
-        **changes
-            ``title``, ``gravity``, ``latitude``, ``radius``, ``terms``, ``considered``,
-            ``priors``, ``noise``, ``truth``, ``seed``, ``sampling_rate``, or another section of
-            ``campaign.toml``: what to write there. A mapping changes the keys it has; None takes
-            a key away. ``accelerometers`` and ``runs``: the names of those that stay, or a
-            mapping from names to changes. ``records``: as of `make_campaign`. Any other key is
-            named with dots, ``**{"records.time.column": "t"}``.
+        patch
+            A merge patch (RFC 7396) of ``campaign.toml`` as nested mappings: a mapping changes
+            the keys that it has, None removes a key, and anything else, such as the list of
+            runs, replaces the value. Quantities are text, or a `Quantity`.
+        records
+            As of `make_campaign`, of the runs that get another record.
 
         Raises
         ------
         CampaignError
             With every mistake, as of a file.
-
-        Notes
-        -----
-        A prior takes the place of one in the accelerometer's own table (``bias``). Where terms
-        are changed, the priors of those that are left out go with them.
         """
-        document, frames = load_name(CHANGES)(self, changes)
+        document, frames = load_name(CHANGE)(self, patch, records or {})
         source = replace(source_of(self), document=document)
         return Campaign.of(source, self.folder, {**self.frames, **frames})
 

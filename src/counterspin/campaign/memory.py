@@ -15,10 +15,12 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.documents import (
     CAMPAIGN_ADVICE,
     DESCRIPTION_NAME,
+    KeyPath,
     Source,
     description_file,
     list_of,
     load_with_checksum,
+    patched,
     plain,
     source_of,
     unusable,
@@ -113,6 +115,30 @@ def _source(
     document, checksum = load_with_checksum(file, CAMPAIGN_ADVICE, "campaign")
     where = file.parent if folder is None else Path(folder).absolute()
     return Source(document, file, checksum, document), where
+
+
+def change_campaign(
+    campaign: Campaign, patch: Mapping[str, Any], records: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[Path, MemoryTable]]:
+    """Return a campaign's document with a merge patch, and the records in memory by file."""
+    source = source_of(campaign)
+    label = source.label if source.file is None else f"{source.file}, changed in memory"
+    problems = Problems(source.document)
+    document = patched(source.document, _plain_patch(patch, (), problems))
+    tables = give_records(document, records, campaign.folder, problems)
+    if problems.lines:
+        raise CampaignError(label, problems.lines)
+    return document, tables
+
+
+def _plain_patch(value: Any, path: KeyPath, problems: Problems) -> Any:
+    """Return a value as TOML would be read; None stays in tables, where it removes keys."""
+    if not isinstance(value, Mapping):
+        return plain(value, path, problems.add)
+    return {
+        key: None if inner is None else _plain_patch(inner, (*path, key), problems)
+        for key, inner in value.items()
+    }
 
 
 def write_as_it_is(record: Path | MemoryTable, target: Path, *, overwrite: bool) -> None:

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from counterspin.calibration.model import model_of
-from counterspin.campaign.changes import SHORT
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.documents import (
+    KeyPath,
     list_of,
     load_document,
     mistakes,
@@ -50,6 +50,21 @@ _MOST_REVOLUTIONS: Final = 1e9
 _RECORDS: Final[Mapping[str, Any]] = {
     "time": {"column": "time_s", "unit": "s"},
     "angle": {"column": "angle_rad", "unit": "rad"},
+}
+
+#: Short names of keys of a plan.
+SHORT: Final[Mapping[str, KeyPath]] = {
+    "title": ("campaign", "title"),
+    "gravity": ("site", "gravity"),
+    "latitude": ("site", "latitude"),
+    "radius": ("centrifuge", "radius"),
+    "terms": ("model", "terms"),
+    "assume": ("model", "assume"),
+    "hold": ("model", "hold"),
+    "considered": ("model", "considered"),
+    "priors": ("model", "priors"),
+    "seed": ("simulation", "seed"),
+    "sampling_rate": ("simulation", "sampling_rate"),
 }
 
 

@@ -178,7 +178,7 @@ def further_runs(
 
     def u_of(runs: Sequence[dict[str, Any]]) -> float:
         described = list(source_of(campaign).document["runs"])
-        changed = campaign.change(runs=[*described, *runs]) if runs else campaign
+        changed = campaign.change({"runs": [*described, *runs]}) if runs else campaign
         fastest = max(rates.values())
         sampled = {run.name: rates.get(run.name, fastest) for run in changed.runs}
         return forecast(as_recorded(changed, observed, noise), sampling_rate=sampled).u[name]

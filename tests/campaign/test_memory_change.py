@@ -1,0 +1,103 @@
+"""A campaign with another description: a merge patch, and other records."""
+
+from dataclasses import replace
+
+import campaigns
+import frames
+import pytest
+
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.memory import make_campaign
+from counterspin.campaign.quantity import Quantity
+from counterspin.errors import CampaignError, CounterspinError
+
+
+@pytest.fixture
+def campaign():
+    return make_campaign(frames.small())
+
+
+def test_a_mapping_changes_the_keys_that_it_has(campaign):
+    changed = campaign.change(
+        {
+            "campaign": {"title": "Other"},
+            "site": {"gravity": "9.81 m/s^2"},
+            "centrifuge": {"radius": Quantity(2.6, 1e-5, "m")},
+            "noise": {"displacement": "0.02 m", "angle": "1e-6 rad"},
+            "records": {"time": {"unit": "ms"}},
+            "accelerometers": {"Qx": {"serial_number": "7"}},
+            "truth": {"Qx": {"K_II": "5e-5 g/g^2"}},
+        }
+    )
+    assert changed.title == "Other"
+    assert (changed.gravity.value, changed.site.gravity) == (9.81, 9.81)
+    assert changed.radius == Quantity(2.6, 1e-5, "m")
+    assert changed.noise.displacement == 0.02
+    assert changed.time.factor == 1e-3
+    assert list(changed.accelerometers) == ["Qx", "Qy"]
+    assert changed.accelerometers["Qx"].serial_number == "7"
+    assert changed.simulation.truth.coefficients["Qx"]["K_II"] == 5e-5
+    # Keys that the patch does not name stay, and so does the campaign.
+    before = campaign.simulation.truth.coefficients
+    assert changed.simulation.truth.coefficients["Qx"]["K_F"] == before["Qx"]["K_F"]
+    assert changed.latitude == campaign.latitude
+    assert campaign.radius.value == 2.5
+
+
+def test_none_removes_a_key(campaign):
+    assert campaign.change({"noise": None}).noise is None
+    assert campaign.change({"model": {"assume": None}}).model.assume == ()
+    assert list(campaign.change(campaigns.WITHOUT_QY).accelerometers) == ["Qx"]
+
+
+def test_a_list_replaces_a_list(campaign):
+    runs = campaigns.runs_of(campaign, "slow", "fast")
+    fewer = campaign.change({"runs": [runs[0], runs[1] | {"rate": "2 rad/s"}]})
+    assert [run.name for run in fewer.runs] == ["slow", "fast"]
+    assert fewer.runs[1].rate == 2.0
+    assert campaign.change({"model": {"terms": ["K_F"]}}).model.terms == ("K_F",)
+
+
+def test_records_in_memory_are_kept_and_given(tmp_path):
+    records = frames.arrays(tmp_path)
+    campaign = make_campaign(frames.untrue(), records).change({"centrifuge": {"radius": "2.4 m"}})
+    assert [str(campaign.record_at(run.record)) for run in campaign.runs] == [
+        "slow in memory",
+        "middle in memory",
+        "fast in memory",
+    ]
+    fewer = campaign.change({"runs": campaigns.runs_of(campaign, "fast")})
+    assert len(fewer.frames) == 1
+    made = make_campaign(frames.small(), folder=tmp_path)
+    given = made.change({}, records={"slow": records["slow"]})
+    assert list(given.frames) == [tmp_path / "slow.csv"]
+
+
+def test_a_campaign_of_files_keeps_them(tmp_path):
+    campaigns.write(tmp_path, campaigns.SMALL)
+    changed = read_campaign(tmp_path).change({"centrifuge": {"radius": "2.6 m"}})
+    assert changed.runs[0].record == tmp_path / "slow.csv"
+    assert changed.title == tmp_path.name
+
+
+def test_all_mistakes_are_reported(campaign):
+    with pytest.raises(CampaignError) as wrong:
+        campaign.change(
+            {"centrifuge": {"radius": "2.5 s"}, "model": {"terms": ["K_2"]}, "nois": {}},
+            records={"slwo": {}},
+        )
+    problems = wrong.value.problems
+    assert [line.partition(": ")[0] for line in problems] == ["records"]
+    assert problems[0].endswith('there is no run "slwo"; did you mean "slow"?')
+    with pytest.raises(CampaignError) as wrong:
+        campaign.change(
+            {"centrifuge": {"radius": "2.5 s"}, "model": {"terms": ["K_2"]}, "nois": {}}
+        )
+    starts = {line.partition(": ")[0] for line in wrong.value.problems}
+    assert {"centrifuge.radius", "model.terms[0]", "nois"} <= starts
+
+
+def test_a_campaign_without_its_description_is_not_changed(campaign):
+    for act in (lambda c: c.change({}), lambda c: c.write("anywhere")):
+        with pytest.raises(CounterspinError, match="its description is unknown"):
+            act(replace(campaign, title="other"))
