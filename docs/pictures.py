@@ -74,7 +74,7 @@ def draw_the_tutorial() -> None:
     import counterspin as cs
     from counterspin.calibration.pages.pictures import budget_bars
     from counterspin.reports.blocks import Plot, PlotSeries
-    from counterspin.reports.charts import save
+    from counterspin.reports.charts import save_figure
 
     campaign = cs.simulate(cs.read_campaign(EXAMPLES / "campaign.toml"))
     result = cs.calibrate(campaign)
@@ -98,10 +98,10 @@ def draw_the_tutorial() -> None:
             PlotSeries("fitted", tuple(some["time"]), tuple(some["fitted"]), colour=1),
         ),
     )
-    save([recorded, error], IMAGES / "record.svg", overwrite=True)
+    save_figure([recorded, error], IMAGES / "record.svg", overwrite=True)
     bars = budget_bars("Qx", result.accelerometers["Qx"], "K_II")
     assert bars is not None
-    save([bars], IMAGES / "budget.svg", overwrite=True)
+    save_figure([bars], IMAGES / "budget.svg", overwrite=True)
 
 
 def cells_of(page: Path) -> list[str]:

@@ -181,11 +181,11 @@ def test_readme_lists_every_command():
 
 
 def test_picture_shows_what_the_demonstration_draws(records, tmp_path):
-    from counterspin.reports.charts import save
+    from counterspin.reports.charts import save_figure
     from counterspin.reproduction.page import demonstration_plots
 
     # Not byte for byte: matplotlib versions differ in the digits of a path.
-    save(demonstration_plots(cs.demo(records, overwrite=True)), tmp_path / "now.svg")
+    save_figure(demonstration_plots(cs.demo(records, overwrite=True)), tmp_path / "now.svg")
     now, kept = (
         path.read_text(encoding="utf-8")
         for path in (tmp_path / "now.svg", ROOT / "docs" / "images" / "displacement.svg")

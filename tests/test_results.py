@@ -10,7 +10,7 @@ import pytest
 
 import counterspin
 from counterspin.errors import CounterspinError, RecordError
-from counterspin.results import ResultFile, ResultPart, ShownResult
+from counterspin.results import ReportableResult, ResultFile, ResultPart
 
 
 class Temperature(ResultPart):
@@ -24,7 +24,7 @@ class Log(ResultFile):
     rooms: dict[str, Temperature]
     series: list[float | None]
 
-    def faults(self):
+    def validation_errors(self):
         if not self.rooms:
             yield "it has no rooms"
 
@@ -105,7 +105,7 @@ def test_every_result_of_the_package_is_written_so():
         import_module(f"counterspin.{name}")
     files = {
         cls.__name__: cls
-        for cls in ShownResult.__subclasses__()
+        for cls in ReportableResult.__subclasses__()
         if cls.__module__.startswith("counterspin.")
     }
     assert set(files) == {

@@ -31,19 +31,19 @@ _RAISED_DIGITS: Final = re.compile("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+")
 _LOWERED: Final = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
-class Lines(str):
+class MultilineText(str):
     """Several lines, each of them visible: ends of lines that we mean, not those of a file."""
 
     __slots__ = ()
 
-    def __new__(cls, *lines: str) -> Lines:
+    def __new__(cls, *lines: str) -> MultilineText:
         """Return these lines below each other."""
         return super().__new__(cls, "\n".join(map(escape_controls, lines)))
 
 
 def escape_controls(text: str) -> str:
     r"""Return a text with its control characters in Python's notation, as ``\x1b``."""
-    if isinstance(text, Lines):
+    if isinstance(text, MultilineText):
         return text
     return _CONTROL.sub(lambda control: control[0].encode("unicode_escape").decode(), text)
 

@@ -37,8 +37,8 @@ _NUMBERS: Final = re.compile(r"\[\n[-+.\denul,\s]+\]")
 _HALF: Final = re.compile(r"\\u[dD][89a-fA-F]")
 
 
-#: Most results that one sentence names.
-_LISTED: Final = 5
+#: Largest number of results named in a sentence.
+_MAX_NAMED: Final = 5
 
 #: No number of any result is larger; squares of larger ones would be beyond all numbers.
 _LARGEST_NUMBER: Final = 1e100
@@ -116,7 +116,11 @@ class ResultFile(ResultPart):
             text = self.model_dump_json(by_alias=True, indent=1)
         except PydanticSerializationError:
             # A file's name that is not UTF-8, as JSON must be.
-            return type(self).model_validate(_escaped(self.model_dump(by_alias=True))).to_json()
+            return (
+                type(self)
+                .model_validate(_escape_surrogates(self.model_dump(by_alias=True)))
+                .to_json()
+            )
         # A list of numbers is one line, however many they are.
         text = _NUMBERS.sub(lambda numbers: re.sub(r"\s+", " ", numbers[0]), text) + "\n"
         # What was read without one is not vouched for by writing it again.
@@ -161,7 +165,7 @@ class ResultFile(ResultPart):
             content = read_file(path)
             text = content.decode("utf-8")
             document = parse_json(text)
-            if _HALF.search(text) and document != _escaped(document):
+            if _HALF.search(text) and document != _escape_surrogates(document):
                 raise ValueError("a text in it contains half of a character")
         except OSError as error:
             raise RecordError(f"{path}: cannot be read ({error.strerror}); {wanted}") from error
@@ -193,13 +197,16 @@ class ResultFile(ResultPart):
                 f"{path}: was changed after it was written: its seal does not match "
                 "its content; give the original file, or compute it again"
             )
-        for fault in (*result.faults(), *_odd_numbers(result.model_dump(by_alias=True), "")):
+        for fault in (
+            *result.validation_errors(),
+            *_implausible_numbers(result.model_dump(by_alias=True), ""),
+        ):
             raise RecordError(f"{path}: a damaged {cls.KIND}: {fault}")
         result._content, result._sealed = content, seal is not None
         return result
 
-    def faults(self) -> Iterator[str]:
-        """Yield what makes the document unusable although every part of it has the right form."""
+    def validation_errors(self) -> Iterator[str]:
+        """Yield errors of a document whose parts are individually valid."""
         yield from ()
 
 
@@ -212,23 +219,23 @@ def _seal_of(text: str) -> str:
     return f"sha256:{hashlib.sha256(canonical.encode()).hexdigest()}"
 
 
-def _escaped(value: Any) -> Any:
+def _escape_surrogates(value: Any) -> Any:
     """Return a document with what is not UTF-8 in its texts as backslashes and numbers."""
     if isinstance(value, dict):
-        return {_escaped(key): _escaped(item) for key, item in value.items()}
+        return {_escape_surrogates(key): _escape_surrogates(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_escaped(item) for item in value]
+        return [_escape_surrogates(item) for item in value]
     return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
 
 
-def _odd_numbers(value: Any, path: str, key: str = "") -> Iterator[str]:
-    """Yield what numbers of a document no result has."""
+def _implausible_numbers(value: Any, path: str, key: str = "") -> Iterator[str]:
+    """Yield messages on numbers of a document that no result has."""
     if isinstance(value, dict):
         for name, item in value.items():
-            yield from _odd_numbers(item, f"{path}.{name}" if path else name, name)
+            yield from _implausible_numbers(item, f"{path}.{name}" if path else name, name)
     elif isinstance(value, list | tuple):
         for index, item in enumerate(value):
-            yield from _odd_numbers(item, f"{path}[{index}]", key)
+            yield from _implausible_numbers(item, f"{path}[{index}]", key)
     elif isinstance(value, int | float):
         if not abs(value) <= _LARGEST_NUMBER:
             yield f"{path} is implausibly large"
@@ -241,14 +248,14 @@ def unsealed_sentences(names: Sequence[str]) -> list[str]:
     """Return the warning of results whose files have no seal; nothing without such results."""
     if not names:
         return []
-    listed = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
+    listed = ", ".join(names[:_MAX_NAMED]) + (", ..." if len(names) > _MAX_NAMED else "")
     which = f"The file of {listed} has" if len(names) == 1 else f"{len(names)} files have"
     named = "" if len(names) == 1 else f" ({listed})"
     return [f"{which} no seal{named}: changes after writing cannot be excluded."]
 
 
 def environment() -> dict[str, str]:
-    """Return what computes: versions of Python, NumPy and SciPy, and the kind of machine."""
+    """Return the versions of Python, NumPy and SciPy, and the type of machine."""
     return {
         "python": platform.python_version(),
         "numpy": numpy.__version__,
@@ -282,12 +289,12 @@ def make_frame(columns: Mapping[str, list[Any]], numeric: Iterable[str], library
 
 
 def draw_pictures(pictures: Iterable[Picture], axes: Any = None) -> list[Any]:
-    """Draw pictures on axes of Matplotlib; see `counterspin.reports.publication.on_axes`."""
-    drawn: list[Any] = load_name(f"{_PUBLICATION}:on_axes")(list(pictures), axes)
+    """Draw pictures on axes of Matplotlib; see `counterspin.reports.publication.draw_on_axes`."""
+    drawn: list[Any] = load_name(f"{_PUBLICATION}:draw_on_axes")(list(pictures), axes)
     return drawn
 
 
-class ShownResult(ResultFile):
+class ReportableResult(ResultFile):
     """A result with a representation in a notebook, on the terminal and as a report."""
 
     #: ``package.module:name`` of the function that returns its blocks for the screen.
@@ -343,11 +350,11 @@ class ShownResult(ResultFile):
     __str__ = __repr__
 
     def _repr_html_(self) -> str:
-        return str(load_name("counterspin.reports.html:cell")(self._blocks_of_cell()))
+        return str(load_name("counterspin.reports.html:notebook_cell")(self._blocks_of_cell()))
 
     def _repr_markdown_(self) -> str:
         return str(load_name("counterspin.reports.markdown:markdown")(self._blocks_of_cell()))
 
     def _blocks_of_cell(self) -> list[Block]:
-        shown: list[Block] = load_name("counterspin.reports.blocks:without_pictures")(self.blocks())
+        shown: list[Block] = load_name("counterspin.reports.blocks:text_blocks")(self.blocks())
         return shown

@@ -11,7 +11,7 @@ from counterspin.application.plans import PLAN_KEYS, READING_PLAN_KEYS
 from counterspin.planning.page import plan_blocks
 from counterspin.planning.plan import plan, write_example
 from counterspin.planning.plan_sections import LimitsSettings, ReadingLimitsSettings
-from counterspin.reports.html import part
+from counterspin.reports.html import html_fragment
 from counterspin.reports.typography import typeset_block
 
 
@@ -33,7 +33,7 @@ def page_of(page, name="PLAN.toml", **moved):
 
 
 def html_of(result):
-    return part(list(map(typeset_block, plan_blocks(result))), title=result.title)
+    return html_fragment(list(map(typeset_block, plan_blocks(result))), title=result.title)
 
 
 def test_limits_have_the_names_of_the_plan_s_file(planned):

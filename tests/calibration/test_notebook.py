@@ -14,7 +14,7 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result, read_result
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CounterspinError
-from counterspin.reports.publication import LINES
+from counterspin.reports.publication import MAX_LINES
 from counterspin.simulation.simulate import simulate
 
 mpl.use("Agg")
@@ -115,12 +115,12 @@ def test_si_value_needs_a_gravity_and_takes_that_of_its_result(result):
 def test_text_of_a_result_is_short_however_large_it_is(result):
     text = repr(result)
     assert str(result) == text
-    assert len(text.split("\n")) <= LINES
+    assert len(text.split("\n")) <= MAX_LINES
     assert "Qx.K_II" in text
     assert str(result.coefficient("Qx.K_II")) in text
     many = {f"a{i}": result.accelerometers["Qx"] for i in range(40)}
     text = repr(result.model_copy(update={"accelerometers": many}))
-    assert len(text.split("\n")) == LINES
+    assert len(text.split("\n")) == MAX_LINES
     assert "more coefficients" in text
 
 
@@ -290,7 +290,7 @@ def test_plot_of_nothing_says_so(result):
 
 def test_damaged_correlation_is_refused(result):
     shorter = result.correlation.model_copy(update={"matrix": result.correlation.matrix[1:]})
-    faults = result.model_copy(update={"correlation": shorter}).faults()
+    faults = result.model_copy(update={"correlation": shorter}).validation_errors()
     assert any("is not one of" in fault for fault in faults)
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from counterspin import cli
-from counterspin.cli.words import spoken
+from counterspin.cli.words import translate_message
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ from counterspin.cli.words import spoken
     ],
 )
 def test_arguments_are_told_as_the_options_of_the_command(words, raised, told):
-    assert spoken(raised, cli.app, words) == told
+    assert translate_message(raised, cli.app, words) == told
 
 
 def test_an_error_is_told_with_the_options_of_the_command(tmp_path, capsys):

@@ -19,7 +19,7 @@ from counterspin.histories.page import control_plot, history_blocks, history_plo
 from counterspin.histories.result import History
 from counterspin.physics.terms import TERMS
 from counterspin.reports.blocks import Plot
-from counterspin.reports.charts import save
+from counterspin.reports.charts import save_figure
 
 ROOT = Path(__file__).parents[2]
 FROZEN = ROOT / "tests" / "frozen"
@@ -443,7 +443,7 @@ def test_figure_has_a_chart_for_each_instrument_and_repeats_itself(tmp_path):
     series(tmp_path / "b", [3.1e-5], serial="B")
     found = history([tmp_path])
     for name in ("one.svg", "two.svg"):
-        save(history_plots(found), tmp_path / name)
+        save_figure(history_plots(found), tmp_path / name)
     drawn = (tmp_path / "one.svg").read_text("utf-8")
     assert drawn == (tmp_path / "two.svg").read_text("utf-8")
     assert "K_II of A" in drawn
@@ -453,7 +453,7 @@ def test_figure_has_a_chart_for_each_instrument_and_repeats_itself(tmp_path):
 
 def test_the_axis_of_the_figure_has_whole_numbers(tmp_path):
     series(tmp_path, [2.7e-5, 2.70001e-5], u=1e-11)
-    save(history_plots(history([tmp_path])), tmp_path / "one.svg")
+    save_figure(history_plots(history([tmp_path])), tmp_path / "one.svg")
     # Not 0.0001, with 27 above the axis.
     assert ">27.0001" in (tmp_path / "one.svg").read_text("utf-8")
 
@@ -461,7 +461,7 @@ def test_the_axis_of_the_figure_has_whole_numbers(tmp_path):
 def test_names_in_the_figure_are_letters_and_no_formulas(tmp_path):
     serial = r"A$\frac$ 日<b>"
     series(tmp_path / "a", [2.7e-5, 2.71e-5], serial=serial)
-    save(history_plots(history([tmp_path / "a"])), tmp_path / "one.svg")
+    save_figure(history_plots(history([tmp_path / "a"])), tmp_path / "one.svg")
     assert r"K_II of A$\frac$ 日&lt;b&gt;" in (tmp_path / "one.svg").read_text("utf-8")
 
 

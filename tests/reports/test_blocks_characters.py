@@ -5,7 +5,7 @@ import unicodedata
 import pytest
 
 from counterspin.campaign.quantity import parse
-from counterspin.characters import Lines, encodable, escape_controls
+from counterspin.characters import MultilineText, encodable, escape_controls
 from counterspin.reports.numbers import format_estimate
 
 
@@ -57,7 +57,7 @@ def test_nothing_acts_on_what_shows_it(text, shown):
 
 
 def test_lines_that_are_meant_stay_and_what_is_in_them_begins_none():
-    assert escape_controls(Lines("one", "t\x1bwo\nK_II = 1")) == "one\nt\\x1bwo\\nK_II = 1"
+    assert escape_controls(MultilineText("one", "t\x1bwo\nK_II = 1")) == "one\nt\\x1bwo\\nK_II = 1"
 
 
 def test_every_control_of_unicode_is_visible():

@@ -17,13 +17,13 @@ from counterspin.errors import CounterspinError
 from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries, Sphere
 from counterspin.reports.chart_layout import (
     date_ticks,
-    in_lines,
-    shorten_words,
+    shorten_text,
     text_width,
-    thinned,
+    thin_series,
+    wrap_text,
 )
-from counterspin.reports.charts import save, svg
-from counterspin.reports.drawing import COLOURS_OF_PAPER, draw_pictures, settings
+from counterspin.reports.charts import save_figure, svg
+from counterspin.reports.drawing import PAPER_COLOURS, draw_pictures, settings
 
 LINE = Plot(
     "Drift <&> $x$",
@@ -69,7 +69,7 @@ def number_pairs(path):
 def paths(text, colour, *, kind="stroke"):
     """Return the points of every path of a colour of paper that crosses the drawing."""
     found = ET.fromstring(text).iter(f"{NAMESPACE}path")
-    style = f"{kind}: {COLOURS_OF_PAPER[colour]}"
+    style = f"{kind}: {PAPER_COLOURS[colour]}"
     return [
         number_pairs(p.get("d"))
         for p in found
@@ -137,14 +137,14 @@ def test_a_page_chooses_every_colour_and_the_font(picture):
     assert re.findall(r"(?<![(\"])#[0-9a-f]{3,6}\b", bare) == []
     assert re.findall(r"(?:fill|stroke): (?!<|none)\S+", bare) == []
     named = set(re.findall(r"var\(--([a-z0-9-]+)", text))
-    assert named <= set(COLOURS_OF_PAPER)
+    assert named <= set(PAPER_COLOURS)
     assert "ink" in named
 
 
 def test_paper_has_colours_of_its_own():
     text = svg(LINE)
     assert "var(" not in text
-    assert set(re.findall(r"#[0-9a-f]{6}\b", text)) <= set(COLOURS_OF_PAPER.values()) | set(
+    assert set(re.findall(r"#[0-9a-f]{6}\b", text)) <= set(PAPER_COLOURS.values()) | set(
         re.findall(r"#(?=p)\w+", text)
     )
 
@@ -346,9 +346,9 @@ def test_the_last_date_is_whole():
     first, last = days("2025-10-01", "2026-03-01")
     # The axis ends a hundredth of its length after the last point.
     line = PlotSeries("", (first, last), (1.0, 2.0), kind="points")
-    with settings(COLOURS_OF_PAPER):
+    with settings(PAPER_COLOURS):
         figure = draw_pictures(
-            [Plot("", "date", "", (line,), dates=True)], COLOURS_OF_PAPER, titled=True
+            [Plot("", "date", "", (line,), dates=True)], PAPER_COLOURS, titled=True
         )
         figure.canvas.draw()
     texts = [text for text in figure.findobj(Text) if text.get_text() == "2026-03"]
@@ -364,7 +364,7 @@ def test_the_last_date_is_whole():
 def test_same_pictures_give_the_same_file(ending, tmp_path):
     files = [tmp_path / f"{name}.{ending}" for name in "ab"]
     for file in files:
-        save(PICTURES, file)
+        save_figure(PICTURES, file)
     assert files[0].read_bytes() == files[1].read_bytes()
     assert sorted(tmp_path.iterdir()) == files
 
@@ -372,7 +372,7 @@ def test_same_pictures_give_the_same_file(ending, tmp_path):
 def test_file_has_titles_and_one_axis_for_those_that_share_it(tmp_path):
     line = PlotSeries("", (0.0, 1.0), (0.0, 1.0))
     plots = [Plot(f"part {n}, ug/g", "time, s", "y", (line,), x_range=(0.0, 1.0)) for n in "ab"]
-    save(plots, tmp_path / "file.svg")
+    save_figure(plots, tmp_path / "file.svg")
     text = (tmp_path / "file.svg").read_text("utf-8")
     said = words(text)
     assert [word for word in said if word.startswith("part")] == ["part a, µg/g", "part b, µg/g"]
@@ -384,22 +384,22 @@ def test_file_has_titles_and_one_axis_for_those_that_share_it(tmp_path):
 
 def test_other_endings_are_refused(tmp_path):
     with pytest.raises(CounterspinError, match=r"figure\.gif: a figure is written as \.svg, \.png"):
-        save(PICTURES, tmp_path / "figure.gif")
+        save_figure(PICTURES, tmp_path / "figure.gif")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_only_an_earlier_figure_is_replaced_and_only_where_that_is_asked_for(tmp_path):
     file, foreign = tmp_path / "figure.svg", tmp_path / "own.svg"
-    save(PICTURES, file)
+    save_figure(PICTURES, file)
     with pytest.raises(CounterspinError, match=r"figure\.svg exists; .*overwrite=True"):
-        save(PICTURES[:1], file)
+        save_figure(PICTURES[:1], file)
     before = file.read_bytes()
-    save(PICTURES[:1], file, overwrite=True)
+    save_figure(PICTURES[:1], file, overwrite=True)
     assert file.read_bytes() != before
     foreign.write_text("<svg>drawn by hand</svg>")
     for overwrite in (False, True):
         with pytest.raises(CounterspinError, match=r"own\.svg exists and is not a figure of c"):
-            save(PICTURES, foreign, overwrite=overwrite)
+            save_figure(PICTURES, foreign, overwrite=overwrite)
     assert foreign.read_text() == "<svg>drawn by hand</svg>"
 
 
@@ -410,7 +410,7 @@ def test_failure_leaves_nothing_behind(tmp_path, monkeypatch):
 
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", full)
     with pytest.raises(CounterspinError, match="No space left on device"):
-        save(PICTURES, tmp_path / "figure.svg")
+        save_figure(PICTURES, tmp_path / "figure.svg")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -418,7 +418,7 @@ def test_settings_of_the_user_s_own_figures_are_left_alone(tmp_path):
     import matplotlib as mpl
 
     before = dict(mpl.rcParams)
-    save(PICTURES, tmp_path / "figure.png")
+    save_figure(PICTURES, tmp_path / "figure.png")
     assert dict(mpl.rcParams) == before
 
 
@@ -436,7 +436,7 @@ def test_thinning_keeps_every_outlier(kind):
     y = rng.normal(size=200_000)
     y[[5, 123_456, 199_990]] = [9.0, -8.0, 7.5]
     x = np.linspace(0.0, 1e4, y.size)
-    seen_x, seen_y, _, _ = thinned(
+    seen_x, seen_y, _, _ = thin_series(
         PlotSeries("", tuple(x), tuple(y), kind=kind), log_x=False, log_y=False
     )
     assert seen_x.size < 3000
@@ -454,7 +454,7 @@ def test_thinning_keeps_every_outlier(kind):
 def test_thinning_keeps_gaps():
     y = [math.sin(0.01 * i) for i in range(5000)]
     y[2000:3000] = [None] * 1000
-    seen_x, seen_y, _, _ = thinned(
+    seen_x, seen_y, _, _ = thin_series(
         PlotSeries("", tuple(map(float, range(5000))), tuple(y)), log_x=False, log_y=False
     )
     before, after = seen_x[seen_x < 2000.0][-1], seen_x[seen_x >= 3000.0][0]
@@ -488,8 +488,8 @@ def test_bars_are_as_long_as_their_values_and_texts_stay_inside():
 
 def test_stacked_bars_begin_where_the_one_above_ends():
     bars = Bars("", ("first", "second"), (40.0, 10.0), ("a", "b"), stacked=True, colours=(0, 2))
-    with settings(COLOURS_OF_PAPER):
-        figure = draw_pictures([bars], COLOURS_OF_PAPER, titled=False)
+    with settings(PAPER_COLOURS):
+        figure = draw_pictures([bars], PAPER_COLOURS, titled=False)
     first, second = figure.axes[0].patches
     assert (first.get_x(), first.get_width()) == (0.0, 40.0)
     assert (second.get_x(), second.get_width()) == (40.0, 10.0)
@@ -499,29 +499,29 @@ def test_stacked_bars_begin_where_the_one_above_ends():
 def test_long_names_are_shortened():
     name = "considered: platform.g_sensitivity.zx of the second spindle"
     for room in (40.0, 100.0, 200.0):
-        short = shorten_words(name, room)
+        short = shorten_text(name, room)
         assert short.endswith("…")
         assert room - 15.0 < text_width(short) <= room
-    assert shorten_words(name, 1e3) == name
+    assert shorten_text(name, 1e3) == name
 
 
 def test_long_words_of_bars_take_lines_and_all_is_read():
     name = "error of an eccentric encoder, four times a revolution, encoder.harmonic.4.cos (stated)"
     for room in (130.0, 226.0):
-        lines = in_lines(name, room).split("\n")
+        lines = wrap_text(name, room).split("\n")
         assert " ".join(lines) == name
         assert max(map(text_width, lines)) <= room
         # No line ends before the next word would go beyond the room.
         for line, below in itertools.pairwise(lines):
             assert text_width(f"{line} {below.split()[0]}") > room
-    assert in_lines(name, 1e3) == name
+    assert wrap_text(name, 1e3) == name
 
 
 def test_no_title_is_cut_that_has_room_in_the_drawing():
     title = "What the square of u of K_II of the first accelerometer consists of, in all"
     bars = Bars(title, ("w" * 30,), (1.0,), ("1",))
-    with settings(COLOURS_OF_PAPER):
-        figure = draw_pictures([bars, replace(bars, title="short")], COLOURS_OF_PAPER, titled=True)
+    with settings(PAPER_COLOURS):
+        figure = draw_pictures([bars, replace(bars, title="short")], PAPER_COLOURS, titled=True)
         figure.set_dpi(160)  # as PNG is written
         figure.canvas.draw()
     below = figure.axes[1].get_window_extent()
@@ -544,11 +544,11 @@ def rgb(colour):
 def test_numbers_in_a_heat_map_are_read_on_both_ends(value, colour):
     text = svg(HeatMap("", ("a", "b"), ((1.0, value), (value, 1.0))))
     assert f"{value:.2f}".replace("-", "−") in words(text)
-    cells = re.findall(rf"fill: {COLOURS_OF_PAPER[colour]}; fill-opacity: ([\d.]+)", text)
+    cells = re.findall(rf"fill: {PAPER_COLOURS[colour]}; fill-opacity: ([\d.]+)", text)
     assert len(cells) == 2
     opacity = float(cells[0])
-    ground = opacity * rgb(COLOURS_OF_PAPER[colour]) + (1.0 - opacity) * np.ones(3)
-    lighter, darker = luminance(ground) + 0.05, luminance(rgb(COLOURS_OF_PAPER["ink"])) + 0.05
+    ground = opacity * rgb(PAPER_COLOURS[colour]) + (1.0 - opacity) * np.ones(3)
+    lighter, darker = luminance(ground) + 0.05, luminance(rgb(PAPER_COLOURS["ink"])) + 0.05
     assert lighter / darker >= 4.5
 
 

@@ -18,7 +18,7 @@ from counterspin.reports.blocks import (
     Table,
 )
 from counterspin.reports.charts import can_zoom, plot_data, svg
-from counterspin.reports.html import _asset, _equation, cell, part
+from counterspin.reports.html import _asset, _set_equation, html_fragment, notebook_cell
 
 
 def parsed(text):
@@ -117,7 +117,7 @@ def test_tables_say_what_heads_what(tree, name):
 
 def test_an_answer_with_reservations_has_its_own_colour():
     made = [Paragraph("a", "answer"), Paragraph("b", "reserved"), Paragraph("c", "reserved")]
-    for text in (page(made=made), part(made, title="T"), cell(made)):
+    for text in (page(made=made), html_fragment(made, title="T"), notebook_cell(made)):
         boxes = parsed(text).xpath("//div[starts-with(@class, 'answers')]")
         assert [(box.get("class"), len(box)) for box in boxes] == [
             ("answers", 1),
@@ -159,7 +159,7 @@ def test_the_date_is_said_in_utc():
 def test_equations_have_indices_and_names_of_code_have_none(tree):
     [equation] = tree.xpath("//p[@class='equation']")
     assert equation.xpath("sub/text()") == ["ind", "F", "II", "I"]
-    turned = _equation("K_I a_I + delta_O a_P")
+    turned = _set_equation("K_I a_I + delta_O a_P")
     assert "δ<sub><i>_</i>O</sub> a<sub><i>_</i>P</sub>" in turned
 
 
@@ -187,7 +187,10 @@ def test_names_act_on_nothing_and_begin_no_line():
         Plot(hostile, hostile, hostile, series, zoom=True),
         HeatMap(hostile, (hostile,), ((1.0,),)),
     ]
-    for text in (page(made=made, title=hostile, identifier=hostile), part(made, title=hostile)):
+    for text in (
+        page(made=made, title=hostile, identifier=hostile),
+        html_fragment(made, title=hostile),
+    ):
         assert not re.search("[\x1b\u202e]|^K_II", text, re.M)
         seen = parsed(text).text_content()
         assert seen.count(shown) >= 7
@@ -236,7 +239,7 @@ def test_ids_are_unique_and_every_reference_has_its_target(tree, text):
 
 def test_no_line_ends_with_the_hyphens_of_an_option():
     command = "counterspin calibrate a-b --json x --overwrite"
-    text = part([Paragraph(command, "command")], title="")
+    text = html_fragment([Paragraph(command, "command")], title="")
     whole = re.findall(r'<span class="whole">(.*?)</span>', text)
     assert whole == ["--json", "--overwrite"]
     (code,) = re.findall(r"<code>(.*?)</code>", text)

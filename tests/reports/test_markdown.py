@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from counterspin.characters import Lines, escape_controls
+from counterspin.characters import MultilineText, escape_controls
 from counterspin.reports.blocks import Bars, Column, Heading, Paragraph, Table
 from counterspin.reports.markdown import escape_markdown, markdown
 
@@ -108,9 +108,9 @@ def test_any_paragraph_comes_out_as_it_is(text):
 
 
 def test_lines_stay_lines():
-    lines = Lines("one", "===", "- two", "", "    three")
+    lines = MultilineText("one", "===", "- two", "", "    three")
     assert inlines(markdown([Paragraph(lines)]), "paragraph") == ["one\n===\n- two\nthree"]
-    table = Table((Column("Ripple"),), ((Lines("1: 0.5", "2: 0.1"),),))
+    table = Table((Column("Ripple"),), ((MultilineText("1: 0.5", "2: 0.1"),),))
     assert cells(markdown([table])) == [["Ripple"], ["1: 0.5\n2: 0.1"]]
 
 
@@ -168,7 +168,7 @@ def test_kinds_of_paragraphs():
 
 
 def test_code_with_fences_stays_code():
-    (fence,) = parsed(markdown([Paragraph(Lines("```", "rm x", "````"), "command")]))
+    (fence,) = parsed(markdown([Paragraph(MultilineText("```", "rm x", "````"), "command")]))
     assert fence.content == "```\nrm x\n````\n"
 
 

@@ -31,13 +31,13 @@ matplotlib.rcParams["figure.dpi"] = 72.5
 CELLS = """
 import sys
 from counterspin.reports.blocks import Plot, PlotSeries
-from counterspin.reports.drawing import COLOURS_OF_PAPER
-from counterspin.reports.publication import on_axes
+from counterspin.reports.drawing import PAPER_COLOURS
+from counterspin.reports.publication import draw_on_axes
 
 plot = Plot("A plot", "x", "y", (PlotSeries("", (0.0, 1.0), (0.0, 1.0)),))
 assert "matplotlib" not in sys.modules
-first = on_axes([plot])
-second = on_axes([plot, plot])
+first = draw_on_axes([plot])
+second = draw_on_axes([plot, plot])
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import standing_in
@@ -45,7 +45,7 @@ from matplotlib.colors import to_hex
 
 assert mpl.get_backend() == "module://standing_in"
 assert (len(first), len(second)) == (1, 2)
-assert to_hex(second[0].figure.get_facecolor()) == COLOURS_OF_PAPER["ground"]
+assert to_hex(second[0].figure.get_facecolor()) == PAPER_COLOURS["ground"]
 plt.figure()
 assert standing_in.shown == [1, 2, 3], standing_in.shown
 assert mpl.rcParams["figure.dpi"] == 72.5
@@ -65,7 +65,7 @@ def test_a_notebook_shows_every_figure_and_keeps_its_settings(tmp_path):
 def test_pyplot_is_not_loaded_for_axes_that_are_given():
     cells = CELLS.partition("first =")[0] + (
         "from matplotlib.figure import Figure\n"
-        "on_axes([plot], Figure().add_subplot())\n"
+        "draw_on_axes([plot], Figure().add_subplot())\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )
     done = subprocess.run(

@@ -7,15 +7,15 @@ import pytest
 
 from counterspin.reports.blocks import Sphere
 from counterspin.reports.charts import svg
-from counterspin.reports.drawing import COLOURS_OF_PAPER, draw_pictures, settings
+from counterspin.reports.drawing import PAPER_COLOURS, draw_pictures, settings
 
 
 def markers(sphere):
     """Return places, opacities and colours of what is drawn as points, those of the key last."""
     from matplotlib.colors import to_rgba
 
-    with settings(COLOURS_OF_PAPER):
-        (axes,) = draw_pictures([sphere], COLOURS_OF_PAPER, titled=False).axes
+    with settings(PAPER_COLOURS):
+        (axes,) = draw_pictures([sphere], PAPER_COLOURS, titled=False).axes
     lines = [line for line in axes.lines if line.get_marker() in ("o", "X")]
     places = np.array([[line.get_xdata()[0], line.get_ydata()[0]] for line in lines])
     return places, [to_rgba(line.get_markerfacecolor()) for line in lines], lines
@@ -51,8 +51,8 @@ def test_colours_tell_sign_and_size():
     _, colours, lines = markers(sphere)
     from matplotlib.colors import to_rgb
 
-    assert colours[0][:3] == to_rgb(COLOURS_OF_PAPER["positive"])
-    assert colours[1][:3] == to_rgb(COLOURS_OF_PAPER["negative"])
+    assert colours[0][:3] == to_rgb(PAPER_COLOURS["positive"])
+    assert colours[1][:3] == to_rgb(PAPER_COLOURS["negative"])
     assert colours[0][3] > colours[1][3] > colours[2][3]
     assert [line.get_marker() for line in lines[:3]] == ["o", "X", "o"]
     text = svg(sphere)

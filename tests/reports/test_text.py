@@ -20,7 +20,7 @@ from counterspin.calibration.result_parts import (
     Residual,
     RippleResult,
 )
-from counterspin.characters import Lines
+from counterspin.characters import MultilineText
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.summary import BudgetLine, Jackknife
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
@@ -468,7 +468,7 @@ def test_what_acts_on_a_terminal_is_shown():
     blocks = [
         Heading("red\x1b[31m"),
         Paragraph("title\x9b31m\nK_II = 1"),
-        Table((Column("a\u202e\nb"), Column("e")), (("c\x00\nd", Lines("f\x00\ng", "h")),)),
+        Table((Column("a\u202e\nb"), Column("e")), (("c\x00\nd", MultilineText("f\x00\ng", "h")),)),
     ]
     report_console(stream).print(Report(blocks))
     lines = [line.rstrip() for line in stream.getvalue().splitlines()]

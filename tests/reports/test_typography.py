@@ -2,7 +2,7 @@
 
 import pytest
 
-from counterspin.characters import Lines
+from counterspin.characters import MultilineText
 from counterspin.reports.blocks import (
     Bars,
     Column,
@@ -14,7 +14,7 @@ from counterspin.reports.blocks import (
     Table,
 )
 from counterspin.reports.numbers import format_compact, format_estimate
-from counterspin.reports.typography import typeset, typeset_block, with_indices
+from counterspin.reports.typography import set_indices, typeset, typeset_block
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_every_kind_of_block_is_set_but_commands():
     assert typeset_block(Paragraph("run g^2", "command")) == Paragraph("run g^2", "command")
     table = Table((Column("ug", "right"),), (("1e-5 g",),), frozenset({0}))
     assert typeset_block(table) == Table((Column("µg", "right"),), (("10⁻⁵ g",),), frozenset({0}))
-    lines = typeset_block(Table((Column(""),), ((Lines("1 ug", "2\n ug"),),)))
+    lines = typeset_block(Table((Column(""),), ((MultilineText("1 ug", "2\n ug"),),)))
     assert lines.rows == (("1 µg\n2\\n µg",),)
     plot = Plot("ug", "s^2", "m^2", (PlotSeries("1e3 ug", (0.0,), (1.0,)),), zoom=True)
     assert typeset_block(plot) == Plot(
@@ -77,4 +77,4 @@ def test_every_kind_of_block_is_set_but_commands():
     ],
 )
 def test_symbols_have_an_index(plain, printed):
-    assert with_indices(plain, lambda letter, index: f"{letter}[{index}]") == (printed or plain)
+    assert set_indices(plain, lambda letter, index: f"{letter}[{index}]") == (printed or plain)

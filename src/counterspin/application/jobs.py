@@ -343,7 +343,7 @@ def follow_into(there: Connection, campaign: Path, goal: str) -> None:
 
     def work(_: Progress) -> None:
         from counterspin.monitoring.watch import watch
-        from counterspin.reports.html import part
+        from counterspin.reports.html import html_fragment
 
         for state in watch(campaign, goals=[goal] if goal else []):
             # The page keeps a list of what happened, of which the state knows the newest.
@@ -354,6 +354,6 @@ def follow_into(there: Connection, campaign: Path, goal: str) -> None:
                 "complete": state.complete,
                 "reached": reached_uncertainties(state),
             }
-            there.send(("told", {"html": part(blocks, title="Live"), **told}))
+            there.send(("told", {"html": html_fragment(blocks, title="Live"), **told}))
 
     report_progress(there, work)

@@ -244,7 +244,7 @@ _MAKERS: Final[Mapping[Kind, Callable[[Desk, Sequence[str], str], Page | Calcula
 
 def page_of(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> dict[str, Any]:
     """Return a page's title, its blocks as HTML, and its command; or the job that makes it."""
-    from counterspin.reports.html import part
+    from counterspin.reports.html import html_fragment
 
     made = _page(desk, kind, names, term)
     if isinstance(made, Job):
@@ -253,7 +253,7 @@ def page_of(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> dict[str
     text = desk.remembered.get(
         ("html", kind, *files, term),
         files,
-        lambda: desk.folder.spoken(part(made.blocks, title=made.title)),
+        lambda: desk.folder.spoken(html_fragment(made.blocks, title=made.title)),
     )
     told: dict[str, Any] = {"title": made.title, "html": text, "command": made.command}
     told["empty"] = made.empty

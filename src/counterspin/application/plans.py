@@ -31,7 +31,7 @@ from counterspin.planning.plan import (
 from counterspin.planning.plan_file import Plan, is_plan
 from counterspin.planning.stations import ReadingPlan, read_any_plan
 from counterspin.readings.entries import MOST_READINGS
-from counterspin.reports.html import part
+from counterspin.reports.html import html_fragment
 from counterspin.reports.typography import typeset_block
 from counterspin.units import unit_factor
 
@@ -227,7 +227,7 @@ def planned_page(
 
     def show(planned: PlannedCampaign) -> None:
         blocks = list(map(typeset_block, plan_blocks(planned.result)))
-        keep(desk.folder.spoken(part(blocks, title=planned.result.title)))
+        keep(desk.folder.spoken(html_fragment(blocks, title=planned.result.title)))
 
     return {"job": desk.jobs.begin(make, plan_into, document, file, then=show).shown()}
 

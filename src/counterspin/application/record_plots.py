@@ -35,7 +35,7 @@ from counterspin.errors import CounterspinError
 from counterspin.monitoring.check import check
 from counterspin.monitoring.run_state import resolve_goals
 from counterspin.records.formats import read_scaled
-from counterspin.reports.html import part
+from counterspin.reports.html import html_fragment
 from counterspin.reports.typography import typeset_block
 
 #: Most parts that a window is shown in.
@@ -172,7 +172,7 @@ def run_judgement(desk: Desk, name: str, run: str) -> dict[str, Any]:
     checked = check(records[0], campaign, run=run)
     blocks = list(map(typeset_block, checked.blocks()))
     return {
-        "html": part(blocks, title=f"Check of {run}"),
+        "html": html_fragment(blocks, title=f"Check of {run}"),
         "good": checked.good,
         "command": check_command(records[0], campaign.folder, run),
     }

@@ -312,12 +312,12 @@ def _load(desk: Desk, ended: threading.Event) -> None:
         import_module(name)
     from counterspin.reports.blocks import Bars
     from counterspin.reports.charts import svg
-    from counterspin.reports.html import part
+    from counterspin.reports.html import html_fragment
 
     bars = Bars("Title", ("Part",), (1.0,), ("1",))
     with desk.drawing:
         svg(bars, theme="page")
-    part([bars], title="Title")
+    html_fragment([bars], title="Title")
 
 
 def server_of(desk: Desk, door: Door) -> uvicorn.Server:

@@ -15,7 +15,7 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.options import Method, TwoStageOptions
 from counterspin.calibration.result import Result
 from counterspin.errors import CounterspinError
-from counterspin.results import ResultPart, ShownResult
+from counterspin.results import ReportableResult, ResultPart
 from counterspin.workers import ALONE, Workers, worker_pool
 
 
@@ -25,7 +25,7 @@ class FailedCampaign(ResultPart):
     error: str
 
 
-class BatchResult(ShownResult):
+class BatchResult(ReportableResult):
     """What became of each campaign, by its folder as it was named."""
 
     BLOCKS: ClassVar[str] = "counterspin.calibration.pages.document:batch_blocks"

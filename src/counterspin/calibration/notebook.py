@@ -16,7 +16,7 @@ from counterspin.arrays import Array
 from counterspin.characters import escape_controls
 from counterspin.errors import CounterspinError
 from counterspin.reports.numbers import field_unit
-from counterspin.reports.publication import LINES
+from counterspin.reports.publication import MAX_LINES
 from counterspin.results import make_frame
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def brief(result: Result) -> str:
     ]
     if more := len(findings) - 1:
         remarks += [f"... {more} more findings"] if more > 0 else []
-    room = LINES - 1 - len(remarks)
+    room = MAX_LINES - 1 - len(remarks)
     if len(lines) > room:
         lines[room - 1 :] = [f"... {len(lines) - room + 1} more coefficients: .table() has all"]
     return "\n".join([escape_controls(head), *map(escape_controls, lines), *remarks])

@@ -34,7 +34,7 @@ from counterspin.errors import CounterspinError
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.loading import load_name
 from counterspin.physics.terms import TERMS
-from counterspin.results import ShownResult, draw_pictures
+from counterspin.results import ReportableResult, draw_pictures
 
 if TYPE_CHECKING:
     import polars as pl
@@ -56,7 +56,7 @@ _NO_RESIDUALS = (
 )
 
 
-class Result(ShownResult):
+class Result(ReportableResult):
     """A calibration's result; see the parts.
 
     `state` is the worst of the accelerometers' and of the campaign's own; `findings` are those of
@@ -122,7 +122,7 @@ class Result(ShownResult):
     def model_post_init(self, context: Any, /) -> None:  # noqa: ARG002 -- pydantic's signature
         """Tell each coefficient the gravity in whose units it is."""
         if not 0.0 < self.inputs.gravity < math.inf:
-            return  # `faults` says so
+            return  # `validation_errors` reports it
         for name, accelerometer in self.accelerometers.items():
             for symbol, c in accelerometer.coefficients.items():
                 c._gravity = self.gravity_of(name, symbol)
@@ -312,7 +312,7 @@ class Result(ShownResult):
     def plot(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
         """Draw the residuals over time, a picture a run.
 
-        `axes` as for `reports.publication.on_axes`.
+        `axes` as for `reports.publication.draw_on_axes`.
         """
         return self.plot_residuals(accelerometer, axes=axes)
 
@@ -365,7 +365,7 @@ class Result(ShownResult):
             version=self.provenance.version,
         )
 
-    def faults(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """Yield what would be applied or shown wrongly, though each part looks like one."""
         yield from load_name(f"{_FILE}:faults_of_result")(self)
 

@@ -31,7 +31,7 @@ from counterspin.certificates.evidence import evidence_lines
 from counterspin.certificates.lab import Contact, Lab, LabAccelerometer
 from counterspin.certificates.schema import format_decimal
 from counterspin.certificates.statements import Issue, Verdicts
-from counterspin.characters import Lines
+from counterspin.characters import MultilineText
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import format_count, format_estimate, format_number
 from counterspin.reports.typography import typeset, typeset_block
@@ -39,7 +39,7 @@ from counterspin.reports.typography import typeset, typeset_block
 TITLE: Final = "Calibration certificate"
 
 #: Line for a signature on paper.
-_SIGNATURE_LINE: Final = Lines("", "_____________________________________")
+_SIGNATURE_LINE: Final = MultilineText("", "_____________________________________")
 _ELECTRONIC: Final = "electronic, of the XML and of these pages"
 
 
@@ -190,7 +190,7 @@ def _method_rows(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
     if lab.certificate.procedure is not None:
         yield "Procedure", lab.certificate.procedure
     yield "Method", certificate_text.method_name(result)
-    yield "Test", Lines(*certificate_text.test_lines(result))
+    yield "Test", MultilineText(*certificate_text.test_lines(result))
     if result.runs:
         rates = (f"{name}: {run.rate:.7g} rad/s" for name, run in result.runs.items())
         yield "Rates", ", ".join(rates)

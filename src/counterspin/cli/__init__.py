@@ -32,7 +32,7 @@ from counterspin.cli import (
     results,
     study,
 )
-from counterspin.cli.words import complain, in_one_line, spoken
+from counterspin.cli.words import join_docstring, print_error, translate_message
 from counterspin.errors import (
     CampaignError,
     CounterspinError,
@@ -41,7 +41,7 @@ from counterspin.errors import (
 )
 
 
-def _shown_default(value: object) -> str | None:
+def _format_default(value: object) -> str | None:
     """Return a default as the help shows it; nothing if omission of the option explains it."""
     if value is None or value is False or value == ():
         return None
@@ -55,7 +55,7 @@ app = App(
     help_format="plaintext",  # nothing there is Markdown, whose reader takes long to load
     # Only what is on needs a word that turns it off, see `OnOff`.
     default_parameter=Parameter(
-        negative_bool=(), negative_iterable=(), show_default=_shown_default
+        negative_bool=(), negative_iterable=(), show_default=_format_default
     ),
     suppress_keyboard_interrupt=False,  # `main` has a word for it
 )
@@ -82,11 +82,11 @@ for _command in (
     program.reproduce,
     program.validate,
 ):
-    _command.__doc__ = in_one_line(_command.__doc__ or "")
+    _command.__doc__ = join_docstring(_command.__doc__ or "")
     app.command(_command)
 
 
-def _unforeseen(error: Exception) -> str:
+def _unexpected_error_message(error: Exception) -> str:
     """Return a message about an unforeseen error, usually but not always a defect of ours."""
     if isinstance(error, MemoryError):
         return "not enough memory"
@@ -108,7 +108,7 @@ def _unforeseen(error: Exception) -> str:
     )
 
 
-def _let_go_of_output() -> None:
+def _discard_output() -> None:
     """Drop what standard output has not taken: at the end it would be tried, and fail, again."""
     with suppress(OSError, ValueError, AttributeError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -125,7 +125,7 @@ def main(arguments: list[str] | None = None) -> int:
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
             if issubclass(category, CounterspinWarning):
-                complain(spoken(str(message), app, words))
+                print_error(translate_message(str(message), app, words))
             else:
                 usual(message, category, *where, **more)
 
@@ -142,24 +142,24 @@ def _run(words: list[str]) -> int:
         if sys.stdout is not None:
             sys.stdout.flush()
     except CounterspinError as error:
-        complain(spoken(str(error), app, words))
+        print_error(translate_message(str(error), app, words))
         return error.exit_status
     except CycloptsError as error:
-        complain(str(error))
+        print_error(str(error))
         command = " ".join(("counterspin", *(error.command_chain or ()), "--help"))
         print(f"Try {command}.", file=sys.stderr)
         return CampaignError.exit_status
     except KeyboardInterrupt as stop:
-        complain(str(stop) or "stopped")
+        print_error(str(stop) or "stopped")
         return 130
     except BrokenPipeError:
-        _let_go_of_output()
+        _discard_output()
         return 0
     except Exception as error:
         # Never a traceback for a user; with this variable set, one for whoever mends it.
         if os.environ.get("COUNTERSPIN_DEBUG"):
             raise
-        _let_go_of_output()
-        complain(_unforeseen(error))
+        _discard_output()
+        print_error(_unexpected_error_message(error))
         return 1
     return 0

@@ -8,7 +8,7 @@ from getpass import getpass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from counterspin.cli.words import OutputFile, group, say
+from counterspin.cli.words import OutputFile, group, print_output
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 
@@ -161,7 +161,7 @@ def certificate(
             "certificate", ["give RESULT and LAB.toml, or --init LAB.toml, or --verify FILE"]
         )
     if init is not None:
-        say(f"Wrote {write_example(init)}. Replace all of its example data.")
+        print_output(f"Wrote {write_example(init)}. Replace all of its example data.")
         return
     if verify is not None:
         checked = check_certificate(
@@ -173,17 +173,17 @@ def certificate(
             "unchecked": "It is signed, but the signature was not checked: give --cert CERT.pem.",
             "valid": "The signature is valid.",
         }
-        say("", said[checked.signature])
+        print_output("", said[checked.signature])
         if checked.expired is not None:
-            say(
+            print_output(
                 f"The signer's certificate expired on {checked.expired}; it was valid on the day "
                 "of issue that the certificate states."
             )
         if (old := checked.certified.amends) is not None:
             checksum = " and its checksum is right" if issue.amends is not None else ""
-            say(f"It amends and replaces certificate {old}{checksum}.")
+            print_output(f"It amends and replaces certificate {old}{checksum}.")
         if verify.suffix.lower() == ".pdf":
-            say(_PAGES[checked.pages])
+            print_output(_PAGES[checked.pages])
         return
     if result is None or lab is None or output is None:
         raise CampaignError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])
@@ -206,6 +206,6 @@ def certificate(
     else:
         outputs = [done.write(output, ledger=issue.ledger)]
     files, names = " and ".join(map(str, outputs)), ", ".join(done.accelerometers)
-    say(f"Wrote {files}: certificate {done.identifier} of {names}.")
+    print_output(f"Wrote {files}: certificate {done.identifier} of {names}.")
     for note in done.notes:
-        say(note)
+        print_output(note)

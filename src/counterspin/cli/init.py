@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 from cyclopts import Parameter
 
-from counterspin.cli.words import say, shell_word
+from counterspin.cli.words import print_output, shell_word
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.ingest.starter import Test
 
@@ -47,7 +47,7 @@ def init(
         Answer to a question in advance, such as --answer "radius=2.5 m"; may be repeated.
     """
     if from_:
-        _from_files(directory, from_, answer or [], test, asks=not yes)
+        _import_files(directory, from_, answer or [], test, asks=not yes)
         return
     if yes or answer:
         raise CampaignError("init", ["name the files of a recorder: --from FILE ..."])
@@ -55,7 +55,7 @@ def init(
 
     written = run(directory, test or "double-turntable")
     _write_schema(directory)
-    say(
+    print_output(
         f"Wrote {written}. Edit it, or try it:",
         f"  counterspin simulate {shell_word(written)} -o {shell_word(directory / 'simulated')}",
         f"  counterspin calibrate {shell_word(directory / 'simulated')}",
@@ -72,7 +72,7 @@ def _write_schema(directory: Path) -> None:
         write_text(directory / SCHEMA_NAME, schema_text("campaign"))
 
 
-def _from_files(
+def _import_files(
     directory: Path, files: list[Path], given: list[str], stated: Test | None, *, asks: bool
 ) -> None:
     """Write a campaign of a recorder's files."""
@@ -84,30 +84,32 @@ def _from_files(
     answers = _answers(given)
     with work_progress("Files") as advance:
         all_contents = read_files(files, answers, progress=advance)
-    say("Seen in the files:", *(f"  {line}" for line in overview(all_contents)))
+    print_output("Seen in the files:", *(f"  {line}" for line in overview(all_contents)))
     asks = asks and sys.stdin is not None and sys.stdin.isatty()
     if (question := sensor_question(all_contents)) is not None:
         if not asks:
             text = f'{question.text} Answer with `answer`, such as "select={question.example}".'
             raise CampaignError("init", [f"select: {text}"])
-        answers["select"] = _asked(question)
+        answers["select"] = _ask(question)
         all_contents = read_files(files, answers)
     answers.pop("select", None)
     test = stated or _test(all_contents, asks=asks)
     found = drafted(all_contents, answers, test)
-    say(f"Detected for the test {test} (please check):", *(f"  {s}" for s in found.statements))
+    print_output(
+        f"Detected for the test {test} (please check):", *(f"  {s}" for s in found.statements)
+    )
     if asks and not found.problems:
         before = found.statements
         while found.open_questions:
             question = found.open_questions[0]
-            answers[question.key] = _asked(question)
+            answers[question.key] = _ask(question)
             if question.key == "sheet":
                 all_contents = read_files(files, answers)
             found = drafted(all_contents, answers, test)
         more = [statement for statement in found.statements if statement not in before]
-        say(*(f"  {statement}" for statement in more))
+        print_output(*(f"  {statement}" for statement in more))
     written = write_description(found, directory)
-    say(
+    print_output(
         f"Wrote {written}. Check it, then:",
         f"  counterspin calibrate {shell_word(directory)}",
     )
@@ -121,8 +123,8 @@ def _test(all_contents: Sequence[FileContents], *, asks: bool) -> Test:
     question = kind_question(likely)
     reasons = [] if likely else list(no_test_reasons(all_contents))
     if asks:
-        say(*reasons)
-        return cast("Test", _asked(question))
+        print_output(*reasons)
+        return cast("Test", _ask(question))
     if likely is None:
         text = f"{question.text} Choose with `test`. The files do not show it: {'; '.join(reasons)}"
         raise CampaignError("init", [f"test: {text}"])
@@ -139,11 +141,11 @@ def _answers(given: list[str]) -> dict[str, str]:
     return answers
 
 
-def _asked(question: FileQuestion) -> str:
+def _ask(question: FileQuestion) -> str:
     """Return a person's answer; repeat the question until the answer is valid."""
     hint = " or ".join(question.choices) or f"such as {question.example}"
     default = f"; Enter: {question.guess}" if question.guess else ""
-    say(f"{question.text} ({hint}{default})")
+    print_output(f"{question.text} ({hint}{default})")
     while True:
         try:
             answer = input("> ").strip() or question.guess or ""
@@ -152,4 +154,4 @@ def _asked(question: FileQuestion) -> str:
         try:
             return question.judged(answer)
         except ValueError as error:
-            say(f"{error}. Try again:")
+            print_output(f"{error}. Try again:")

@@ -5,7 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from counterspin.cli.words import NOT_SAVED, OutputFile, SaveOptions, group, say, shell_word
+from counterspin.cli.words import (
+    NOT_SAVED,
+    OutputFile,
+    SaveOptions,
+    group,
+    print_output,
+    shell_word,
+)
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 
@@ -78,8 +85,8 @@ def plan(
     if sum(given is not None for given in (file, check, start.init)) != 1:
         raise CampaignError("plan", ["give a plan's file, or --check DIR, or --init FILE"])
     if start.init is not None:
-        say(f"Wrote {write_example(start.init, start.example)}. Edit it, or try it:")
-        say(f"  counterspin plan {shell_word(start.init)}")
+        print_output(f"Wrote {write_example(start.init, start.example)}. Edit it, or try it:")
+        print_output(f"  counterspin plan {shell_word(start.init)}")
         return
     saved.reserve(PlanResult.file_kind)
     if output is not None:
@@ -102,8 +109,10 @@ def plan(
         written = None if output is None else write_campaign(planned, output)
         report_console().print(result)
     if output is not None and result.readings:
-        say("", f"Wrote {written}. Replace each ? by the reading, then:")
-        say(f"  counterspin calibrate {shell_word(output)}")
+        print_output("", f"Wrote {written}. Replace each ? by the reading, then:")
+        print_output(f"  counterspin calibrate {shell_word(output)}")
     elif output is not None and written is not None:
-        say("", f"Wrote {written}. Record its runs, or simulate them:")
-        say(f"  counterspin simulate {shell_word(written)} -o {shell_word(output / 'simulated')}")
+        print_output("", f"Wrote {written}. Record its runs, or simulate them:")
+        print_output(
+            f"  counterspin simulate {shell_word(written)} -o {shell_word(output / 'simulated')}"
+        )

@@ -5,7 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from counterspin.cli.words import NOT_SAVED, OnOff, OutputFolder, SaveOptions, say, shell_word
+from counterspin.cli.words import (
+    NOT_SAVED,
+    OnOff,
+    OutputFolder,
+    SaveOptions,
+    print_output,
+    shell_word,
+)
 from counterspin.errors import CampaignError, CounterspinError, installing
 
 
@@ -63,7 +70,7 @@ def serve(
             f"the page needs Starlette and uvicorn: {installing('application')}"
         ) from error
     signing = None if signer is None or cert is None else (signer, cert)
-    run(directory, port=port, browser=browser, signing=signing, say=say)
+    run(directory, port=port, browser=browser, signing=signing, say=print_output)
 
 
 def demo(
@@ -83,7 +90,7 @@ def demo(
     overwrite
         Replace an earlier demonstration.
     """
-    from counterspin.reports.charts import reserve_figures, save
+    from counterspin.reports.charts import reserve_figures, save_figure
     from counterspin.reports.text import report_console
     from counterspin.reproduction.demo import demo as run
     from counterspin.reproduction.page import (
@@ -95,9 +102,9 @@ def demo(
     drawn = output / f"displacement.{figure}"
     reserve_figures([drawn], FILE_DESCRIPTION, overwrite=overwrite)
     shown = run(output, overwrite=overwrite)
-    save(demonstration_plots(shown), drawn, FILE_DESCRIPTION, overwrite=overwrite)
+    save_figure(demonstration_plots(shown), drawn, FILE_DESCRIPTION, overwrite=overwrite)
     report_console().print(demonstration_report(shown))
-    say(
+    print_output(
         "",
         f"Wrote campaign.toml, {len(shown.records)} records and {drawn.name} to {output}. Next:",
         f"  counterspin calibrate {shell_word(output)}",
@@ -137,7 +144,7 @@ def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: boo
         dossier = run(schema=schema, progress=advance)
         write_dossier(dossier, output, overwrite=overwrite)
     report_console().print(dossier)
-    say(f"Wrote {shell_word(output)}")
+    print_output(f"Wrote {shell_word(output)}")
     if dossier.failed:
         raise CounterspinError(f"reference cases failed: {'; '.join(dossier.failed)}")
     if not dossier.passed:

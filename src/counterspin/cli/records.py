@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from counterspin.cli.words import NOT_SAVED, OutputFolder, SaveOptions, group, say
+from counterspin.cli.words import NOT_SAVED, OutputFolder, SaveOptions, group, print_output
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 
@@ -39,9 +39,9 @@ def simulate(campaign: Path, /, *, output: OutputFolder, overwrite: bool = False
     described = read_campaign(campaign)
     with progress(words=("Simulating", "Files", "Files")) as advance:
         written = run(described, output, overwrite=overwrite, progress=advance)
-    say(*(f"Warning: {question.text}" for question in questions(described)))
+    print_output(*(f"Warning: {question.text}" for question in questions(described)))
     files = f"{len(written)} {'file' if len(written) == 1 else 'files'} and " if written else ""
-    say(f"Wrote {files}campaign.toml to {output}.")
+    print_output(f"Wrote {files}campaign.toml to {output}.")
 
 
 def check(
@@ -113,15 +113,15 @@ def watch(
     states = follow(directory, goals=goal if plan is None else plan, pace=Pace(interval), once=once)
     if json:
         for state in states:
-            say(state.model_dump_json(by_alias=True))
+            print_output(state.model_dump_json(by_alias=True))
             sys.stdout.flush()
     elif sys.stdout.isatty() and not once:
-        _live(states)
+        _show_live(states)
     else:
-        _lines(states, once=once)
+        _print_lines(states, once=once)
 
 
-def _live(states: Iterator[WatchState]) -> None:
+def _show_live(states: Iterator[WatchState]) -> None:
     from rich.live import Live
 
     from counterspin.reports.text import report_console
@@ -132,7 +132,7 @@ def _live(states: Iterator[WatchState]) -> None:
             live.update(state, refresh=True)
 
 
-def _lines(states: Iterator[WatchState], *, once: bool) -> None:
+def _print_lines(states: Iterator[WatchState], *, once: bool) -> None:
     from counterspin.monitoring.page import watch_line
     from counterspin.reports.text import report_console
 
@@ -143,7 +143,7 @@ def _lines(states: Iterator[WatchState], *, once: bool) -> None:
         clock = time.strftime("%H:%M:%S")
         told = [f"{clock} {event}" for event in state.events]
         said = [f"{clock} {run.run}: {run.why}" for run in state.runs if run.state == "failed"]
-        say(*told, *said, f"{clock} {watch_line(state)}")
+        print_output(*told, *said, f"{clock} {watch_line(state)}")
         sys.stdout.flush()
 
 
@@ -203,7 +203,7 @@ def noise(
     from counterspin.monitoring.page import FILE_DESCRIPTION, noise_plots
     from counterspin.monitoring.result import NoiseResult
     from counterspin.output import marked, reserve
-    from counterspin.reports.charts import check_format, save
+    from counterspin.reports.charts import check_format, save_figure
     from counterspin.reports.publication import check_format as check_report
     from counterspin.reports.text import report_console
 
@@ -231,10 +231,10 @@ def noise(
                 for signal in result.signals
                 for picture in noise_plots(signal, result.gravity)
             ]
-            save(pictures, plot, FILE_DESCRIPTION, overwrite=saved.overwrite)
+            save_figure(pictures, plot, FILE_DESCRIPTION, overwrite=saved.overwrite)
         if report is not None:
             result.write_report(report, overwrite=saved.overwrite)
         report_console().print(result)
     for path in (report, plot):
         if path is not None:
-            say(f"Wrote {path}.")
+            print_output(f"Wrote {path}.")

@@ -6,15 +6,15 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
-from counterspin.cli.words import NOT_SAVED, OutputFile, SaveOptions, say
+from counterspin.cli.words import NOT_SAVED, OutputFile, SaveOptions, print_output
 from counterspin.errors import CampaignError, CounterspinError
 
 if TYPE_CHECKING:
-    from counterspin.results import ShownResult
+    from counterspin.results import ReportableResult
 
 
 #: Whatever a command writes with --json, beside a calibration: module and class.
-_KINDS: Final = (
+_RESULT_CLASSES: Final = (
     ("planning.result", "PlanResult"),
     ("studies.result", "StudyResult"),
     ("histories.result", "History"),
@@ -61,7 +61,7 @@ def report(
 
     issued = issue_date(date)
     is_file = source.suffix.lower() == ".json" or (source.is_file() and source.suffix != ".toml")
-    kind = _kind_of(source) if is_file else Result
+    kind = _result_class(source) if is_file else Result
     if output is not None:
         check_format(output)
         reserve(output, lambda: marked(kind.report_kind()), overwrite=overwrite)
@@ -77,17 +77,17 @@ def report(
         report_console().print(Report(list(result.publication(identifier).blocks)))
         return
     result.write_report(output, identifier=identifier, issued=issued, overwrite=overwrite)
-    say(f"Wrote {output}.")
+    print_output(f"Wrote {output}.")
 
 
-def _kind_of(path: Path) -> type[ShownResult]:
+def _result_class(path: Path) -> type[ReportableResult]:
     """Return the class that a file belongs to; a calibration's for the error message if unknown."""
     from counterspin.calibration.result import Result
 
     if Result.file_kind().recognises(path):
         return Result
-    for module, name in _KINDS:
-        kind: type[ShownResult] = getattr(import_module(f"counterspin.{module}"), name)
+    for module, name in _RESULT_CLASSES:
+        kind: type[ReportableResult] = getattr(import_module(f"counterspin.{module}"), name)
         if kind.file_kind().recognises(path):
             return kind
     return Result
@@ -120,7 +120,7 @@ def history(
     from counterspin.histories.page import FILE_DESCRIPTION, history_plots
     from counterspin.histories.result import History
     from counterspin.output import marked, reserve
-    from counterspin.reports.charts import check_format, save
+    from counterspin.reports.charts import check_format, save_figure
     from counterspin.reports.text import report_console
 
     if not paths:
@@ -132,7 +132,7 @@ def history(
     result = run(paths, term=term, serial=serial, reliability=reliability)
     with saved.written(result):
         if figure is not None:
-            save(history_plots(result), figure, FILE_DESCRIPTION, overwrite=saved.overwrite)
+            save_figure(history_plots(result), figure, FILE_DESCRIPTION, overwrite=saved.overwrite)
         report_console().print(result)
     if result.damaged:
         raise CounterspinError(
@@ -248,4 +248,4 @@ def add(ledger: Path, result: Path, *, who: str, why: str) -> None:
     from counterspin.reports.publication import issue_date
 
     entered = record_result(ledger, result, who=who, why=why, date=issue_date())
-    say(f"{ledger}: entry {entered.number} is result {result}, hash {entered.digest}.")
+    print_output(f"{ledger}: entry {entered.number} is result {result}, hash {entered.digest}.")

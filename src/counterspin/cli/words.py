@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Final, TextIO, TypeVar
 
 from cyclopts import App, Parameter
 
-from counterspin.characters import Lines, encodable, escape_controls
+from counterspin.characters import MultilineText, encodable, escape_controls
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.output import FileType, reserve
@@ -31,7 +31,7 @@ JsonFile = Annotated[Path | None, Parameter(name="--json")]
 OnOff = Annotated[bool, Parameter(negative_bool="no-")]
 
 
-def in_one_line(docstring: str) -> str:
+def join_docstring(docstring: str) -> str:
     """Return a docstring with each paragraph, and each parameter's, on one line.
 
     The help breaks lines itself, and would keep the breaks of the source in addition to its own.
@@ -52,7 +52,7 @@ def in_one_line(docstring: str) -> str:
 
 def group(options: type[Options]) -> type[Options]:
     """Make each field of a class an option of the command that has it as a parameter."""
-    options.__doc__ = in_one_line(options.__doc__ or "")
+    options.__doc__ = join_docstring(options.__doc__ or "")
     return Parameter(name="*")(options)
 
 
@@ -115,15 +115,15 @@ def shell_word(path: Path) -> str:
     return quote_word(str(path))
 
 
-def say(*lines: str) -> None:
+def print_output(*lines: str) -> None:
     """Print lines; what would act on the terminal, or what this cannot show, is put otherwise."""
     for line in lines:
         _print(escape_controls(line), sys.stdout)
 
 
-def complain(text: str) -> None:
-    """Print what went wrong to standard error, as `say` does, further lines indented."""
-    indented = re.sub(r"\n(?!  )", "\n  ", Lines(*text.split("\n")))
+def print_error(text: str) -> None:
+    """Print what went wrong to standard error, as `print_output` does, further lines indented."""
+    indented = re.sub(r"\n(?!  )", "\n  ", MultilineText(*text.split("\n")))
     _print(f"counterspin: {indented}", sys.stderr)
 
 
@@ -133,7 +133,7 @@ def _print(text: str, stream: TextIO | None) -> None:
         print(encodable(text, stream.encoding or "utf-8"), file=stream)
 
 
-def spoken(message: str, app: App, words: Iterable[str]) -> str:
+def translate_message(message: str, app: App, words: Iterable[str]) -> str:
     """Return a message with each Python argument that it names as the option of the command.
 
     Rooms below the command line name an argument as a Python user writes it, in backquotes:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Final, Literal
 
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.reports.numbers import field_unit
-from counterspin.results import ResultPart, ShownResult, make_frame
+from counterspin.results import ReportableResult, ResultPart, make_frame
 
 
 class ComparedResult(ResultPart):
@@ -89,7 +89,7 @@ _COLUMNS: Final = (
 )
 
 
-class ResultComparison(ShownResult):
+class ResultComparison(ReportableResult):
     """A comparison of results; `reference` is the result that the others are compared with."""
 
     BLOCKS: ClassVar[str] = "counterspin.comparisons.page:comparison_blocks"
@@ -161,7 +161,7 @@ class RepeatedCoefficient(ResultPart):
     in_u: float | None  #: Change of the estimate over `u_before`; None without `u_before`.
 
 
-class RepeatedCalibration(ShownResult):
+class RepeatedCalibration(ReportableResult):
     """A result and the same calibration made again."""
 
     BLOCKS: ClassVar[str] = "counterspin.comparisons.page:repeat_blocks"

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any, ClassVar, Literal
 
 from counterspin.loading import load_name
-from counterspin.results import ResultPart, ShownResult, draw_pictures
+from counterspin.results import ReportableResult, ResultPart, draw_pictures
 
 #: Whether the results of an instrument agree.
 Verdict = Literal["single", "constant", "drifts", "differ", "disagree"]
@@ -157,7 +157,7 @@ class UnusedResult(ResultPart):
     reason: str  #: Why.
 
 
-class History(ShownResult):
+class History(ReportableResult):
     """The history of all instruments."""
 
     BLOCKS: ClassVar[str] = "counterspin.histories.page:history_blocks"

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import ClassVar, Final, Literal
 
 from counterspin.inference.noise.spectrum import AllanValue, SpectralLine, SpectrumValue
-from counterspin.results import ResultPart, ShownResult
+from counterspin.results import ReportableResult, ResultPart
 
 
 class ResidualState(ResultPart):
@@ -93,7 +93,7 @@ class GoalState(ResultPart):
     met: bool  #: Whether that is enough.
 
 
-class WatchState(ShownResult):
+class WatchState(ReportableResult):
     """A campaign whose records grow, at one moment."""
 
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:watch_blocks"
@@ -115,7 +115,7 @@ class WatchState(ShownResult):
         return bool(self.goals) and all(goal.met for goal in self.goals)
 
 
-class CheckedRun(ShownResult):
+class CheckedRun(ReportableResult):
     """A checked record."""
 
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:check_blocks"
@@ -186,7 +186,7 @@ class SignalNoise(ResultPart):
     remarks: list[str]  #: What to know before these figures are used.
 
 
-class NoiseResult(ShownResult):
+class NoiseResult(ReportableResult):
     """The noise of a record at rest."""
 
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:noise_blocks"

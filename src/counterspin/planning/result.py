@@ -29,7 +29,7 @@ from counterspin.physics.terms import TERMS
 from counterspin.planning.design import Criterion
 from counterspin.planning.faults import FaultEffect, Requirement, unseen_effects
 from counterspin.planning.forecast import Forecast
-from counterspin.results import ResultPart, ShownResult
+from counterspin.results import ReportableResult, ResultPart
 
 
 class PlannedRun(ResultPart):
@@ -134,7 +134,7 @@ class LimitResult(ResultPart):
     gain: float
 
 
-class PlanResult(ShownResult):
+class PlanResult(ReportableResult):
     """A plan, or the forecast of a campaign that exists (then without goal and limits).
 
     `assumed` are the terms and inputs that are taken as perfect, and so no part of u.

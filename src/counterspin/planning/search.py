@@ -25,7 +25,7 @@ from counterspin.planning.optimisation import least_time, optimise
 from counterspin.planning.plan_file import Plan, campaign_of, resolved_campaign
 from counterspin.planning.possibilities import Optimum, relax
 from counterspin.planning.run_information import Predictor, RunInformation
-from counterspin.reports.numbers import format_apart
+from counterspin.reports.numbers import format_distinct
 
 #: Durations are written in multiples of this, s; those at the fewest revolutions exactly.
 _DURATION_STEP: Final = 0.1
@@ -293,8 +293,8 @@ def words_of_missed_target(
     named = sorted(shares.items(), key=lambda pair: -pair[1])[:_SOURCES_NAMED]
     sources = ", ".join(f"{words} {100.0 * share:.0f} %" for words, share in named)
     return (
-        f"{none} reaches u({name}) = {format_apart(goal[name], u[name])} {unit}. {best} has "
-        f"{format_apart(u[name], goal[name])} {unit}; its square comes from {sources}"
+        f"{none} reaches u({name}) = {format_distinct(goal[name], u[name])} {unit}. {best} has "
+        f"{format_distinct(u[name], goal[name])} {unit}; its square comes from {sources}"
     )
 
 
@@ -383,9 +383,9 @@ def unreachable(search: Search) -> CounterspinError:
         _, relaxed = relax(search.relaxing or search.predictor, unlimited, search.criterion)
         floor = math.exp(relaxed.value) * size
         if floor > size:
-            text += f". With any amount of time it would be {format_apart(floor, size)} {unit}"
+            text += f". With any amount of time it would be {format_distinct(floor, size)} {unit}"
     if all(run_type.sense == 1 for run_type in search.limits.types):
         both = search.smallest(both_senses(search.limits), best.choice)
         u = search.predictor.u(both.choice)[search.predictor.names.index(name)]
-        text += f", with both senses of the spin {format_apart(u, size)} {unit}"
+        text += f", with both senses of the spin {format_distinct(u, size)} {unit}"
     return CounterspinError(text + ".")

@@ -1,7 +1,7 @@
-"""Reports as a person reads them: blocks, and their renderers; nothing is decided here.
+"""Printed reports: blocks and their renderers, without any decisions.
 
-A report is blocks of words, cells and curves; each room makes its own (a calibration's, a plan's, a
-study's), and every renderer here sets any of them. The rules:
+A report consists of blocks of text, tables and curves. Each room makes its own blocks, and every
+renderer accepts all of them. The rules:
 
 - A value is rounded to its uncertainty, and the uncertainty to two digits.
 - Every number has a unit: accelerometer coefficients in g-units, with the site's gravity stated
@@ -11,14 +11,13 @@ study's), and every renderer here sets any of them. The rules:
 
 The modules of this room:
 
-- `numbers`: the one place where a number becomes text
-- `blocks`: the parts of a report: plain blocks of words, cells and curves, in characters that may
-  be shown
+- `numbers`: formatting of numbers
+- `blocks`: the blocks of a report, with escaped control characters
 - `typography`: powers of ten and micro signs as in print
 - `html`: blocks as a self-contained page; its parts are in the folder "assets"
-- `text`: a result in the terminal, and the progress of work there
+- `text`: results and progress in the terminal
 - `charts`: pictures as SVG in a page, in a file, or to be zoomed; `drawing`, `sphere`,
   `chart_layout`: their drawing
-- `pdf`, `markdown`: blocks as a file on paper and as plain text with marks
-- `publication`: reports of results: as files, in a notebook, and on request
+- `pdf`, `markdown`: blocks as PDF and as Markdown
+- `publication`: reports of results as files, in a notebook, and as text or bytes
 """

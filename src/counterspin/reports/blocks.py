@@ -1,7 +1,7 @@
-"""The blocks of a report: words, cells and curves, in characters that may be shown.
+"""Blocks of a report: text, tables and curves, with escaped control characters.
 
-Names and words come from other people's files and can contain anything. Every text of a block
-passes `escape_controls` when the block is made, and so does every other text that a renderer shows.
+Names and texts come from users' files and can contain anything. Every text of a block passes
+`escape_controls` when the block is made, and so does every other text that a renderer shows.
 
 A renderer draws the blocks that it can: the terminal and Markdown leave pictures out, whose numbers
 are also in tables. Every character of a text is visible once it is in a block
@@ -20,60 +20,60 @@ Style = Literal[
     "plain", "answer", "reserved", "undetermined", "warning", "quiet", "equation", "command"
 ]
 
-#: Styles of what was asked for: as it is, and with reservations.
-ANSWERS: Final[tuple[Style, ...]] = ("answer", "reserved")
+#: Styles of a requested value: unconditional, and with reservations.
+ANSWER_STYLES: Final[tuple[Style, ...]] = ("answer", "reserved")
 
 
-class _Words:
-    """A block of words: attributes that are text, or rows of it, are made visible."""
+class _TextBlock:
+    """Base class of blocks: escapes the control characters of all text attributes."""
 
     def __post_init__(self) -> None:
-        """Make all words visible."""
+        """Escape the control characters of all texts."""
         for name, value in self.__dict__.items():
             if isinstance(value, str) or (value and isinstance(value, tuple)):
-                self.__dict__[name] = _all_visible(value)
+                self.__dict__[name] = _escape_all(value)
 
 
-def _all_visible(value: Any) -> Any:
+def _escape_all(value: Any) -> Any:
     match value:
         case str():
             return escape_controls(value)
         case tuple() if value and isinstance(value[0], str | tuple):
-            return tuple(map(_all_visible, value))
+            return tuple(map(_escape_all, value))
     return value
 
 
 @frozen
-class Heading(_Words):
-    """A heading; level 1 is the report's own, 2 a chapter's, 3 what is in it."""
+class Heading(_TextBlock):
+    """A heading: level 1 of the report, 2 of a chapter, 3 of a section."""
 
     text: str
     level: Literal[1, 2, 3] = 2
 
 
 @frozen
-class Paragraph(_Words):
-    """A paragraph and what kind of thing it says."""
+class Paragraph(_TextBlock):
+    """A paragraph with its style."""
 
     text: str
     style: Style = "plain"
 
 
 @frozen
-class Column(_Words):
-    """A column: numbers are kept in one piece, words may be wrapped."""
+class Column(_TextBlock):
+    """A column of a table: numbers are never broken, text may be wrapped."""
 
-    title: str  #: Above it.
-    align: Literal["left", "right"] = "left"  #: Of title and cells.
-    wraps: bool = False  #: Whether words may be wrapped.
-    narrowest: int = 0  #: Characters a line that wrapped words get at least in the terminal.
+    title: str  #: Title above the column.
+    align: Literal["left", "right"] = "left"  #: Alignment of title and cells.
+    wraps: bool = False  #: Whether text may be wrapped.
+    narrowest: int = 0  #: Smallest width of wrapped text in the terminal, in characters.
 
 
 @frozen
-class Table(_Words):
-    """A table; rows whose index is in `quiet` hold nothing that the data determined.
+class Table(_TextBlock):
+    """A table; rows with an index in `quiet` contain no value determined by the data.
 
-    Cells may be `Lines`, but for those of the first column, which say what a row is about.
+    Cells may be `MultilineText`, except those of the first column, which label the rows.
     """
 
     columns: tuple[Column, ...]
@@ -81,7 +81,7 @@ class Table(_Words):
     quiet: frozenset[int] = frozenset()
 
     def without_empty_columns(self) -> Table:
-        """Return the table without the columns in which no row has anything."""
+        """Return the table without empty columns."""
         full = [k for k in range(len(self.columns)) if any(row[k] for row in self.rows)]
         return Table(
             tuple(self.columns[k] for k in full),
@@ -91,53 +91,52 @@ class Table(_Words):
 
 
 @frozen
-class PlotSeries(_Words):
-    """One line, row of points, band or histogram of a plot."""
+class PlotSeries(_TextBlock):
+    """A line, row of points, band or histogram of a plot."""
 
-    label: str  #: What it is; empty: not in the legend.
-    #: Of equal length; None in y is a gap.
+    label: str  #: Label in the legend; empty: not in the legend.
+    #: Coordinates of equal length; None in y is a gap.
     x: tuple[float, ...]
     y: tuple[float | None, ...]
-    #: A band about a line, or error bars at points; both or neither.
+    #: Limits of a band about a line, or of error bars; both or neither.
     low: tuple[float | None, ...] | None = None
     high: tuple[float | None, ...] | None = None
-    #: How it is drawn; "columns" stand on zero about equally spaced x, and touch.
+    #: Type of drawing; "columns": adjoining bars from zero at equally spaced x.
     kind: Literal["line", "points", "band", "columns"] = "line"
-    stands_out: bool = False  #: Drawn in the colour of warnings.
-    #: Place in the row of colours and markers; None: the next one. Series of the same thing, such
-    #: as points and the curve through them, or a run in several plots, share a colour. "muted":
-    #: what others are compared with.
+    stands_out: bool = False  #: True: drawn in the colour of warnings.
+    #: Index of colour and marker; None: the next one. Series of the same object, such as points and
+    #: the curve through them, or a run in several plots, share a colour. "muted": a reference.
     colour: int | Literal["muted"] | None = None
 
 
 @frozen
-class Plot(_Words):
+class Plot(_TextBlock):
     """Curves over a common axis."""
 
-    title: str  #: What is shown; also what is read to those who do not see it.
-    #: With units.
+    title: str  #: Title, also the text for screen readers.
+    #: Labels of the axes, with units.
     x_label: str
     y_label: str
-    series: tuple[PlotSeries, ...]  #: What is drawn, the first below the others.
-    levels: tuple[float, ...] = ()  #: Heights of horizontal lines for comparison.
+    series: tuple[PlotSeries, ...]  #: Series, in the order of drawing.
+    levels: tuple[float, ...] = ()  #: y of horizontal reference lines.
     x_names: tuple[str, ...] = ()  #: Names in place of numbers at x = 0, 1, 2...; empty: numbers.
     #: Logarithmic axes.
     log_x: bool = False
     log_y: bool = False
-    zoom: bool = False  #: Worth a closer look: many points over a long axis.
+    zoom: bool = False  #: Whether to offer zooming: many points over a long axis.
     dates: bool = False  #: x is a time in days since 1970-01-01, and the axis shows dates.
-    #: Ends of the axes, such as those that plots have in common; None: what holds the series.
+    #: Ranges of the axes, such as a common range of several plots; None: that of the series.
     x_range: tuple[float, float] | None = None
     y_range: tuple[float, float] | None = None
-    height: float = 1.0  #: In heights of a usual plot.
+    height: float = 1.0  #: Height, relative to a usual plot.
 
 
 @frozen
-class Bars(_Words):
-    """Horizontal bars, the first on top; `texts` are at their ends.
+class Bars(_TextBlock):
+    """Horizontal bars, the first on top, with `texts` at their ends.
 
-    If `stacked`, each begins at the end of the one above it: a stacked bar with a row for each
-    part. `colours` are indices in the row of colours; absent: the first for all.
+    If `stacked`, each bar begins at the end of the previous one: a stacked bar with a row for each
+    part. `colours` are indices of colours; empty: the first for all.
     """
 
     title: str
@@ -149,8 +148,8 @@ class Bars(_Words):
 
 
 @frozen
-class HeatMap(_Words):
-    """A square matrix of numbers from -1 to 1 between things with names."""
+class HeatMap(_TextBlock):
+    """A square matrix of numbers from -1 to 1 with labelled rows and columns."""
 
     title: str
     labels: tuple[str, ...]
@@ -158,16 +157,16 @@ class HeatMap(_Words):
 
 
 @frozen
-class Sphere(_Words):
-    """Directions as points on a sphere, each with a name and coloured by a value."""
+class Sphere(_TextBlock):
+    """Directions as points on a sphere, with names, coloured by value."""
 
     title: str
     axes: tuple[str, str, str]  #: Names of the three axes.
     points: tuple[tuple[float, float, float], ...]  #: Unit vectors.
     values: tuple[float, ...]
     names: tuple[str, ...]
-    value_label: str  #: What the values are, with their unit.
-    stands_out: frozenset[int] = frozenset()  #: Places of points drawn in the colour of warnings.
+    value_label: str  #: Label of the values, with their unit.
+    stands_out: frozenset[int] = frozenset()  #: Indices of points drawn in the colour of warnings.
 
 
 Picture = Plot | Bars | HeatMap | Sphere
@@ -175,8 +174,8 @@ Block = Heading | Paragraph | Table | Picture
 Words = Heading | Paragraph | Table
 
 
-def without_pictures(blocks: Iterable[Block]) -> list[Words]:
-    """Return the blocks that are no pictures, without headings that stood over pictures alone."""
+def text_blocks(blocks: Iterable[Block]) -> list[Words]:
+    """Return the blocks except pictures, without headings of sections with pictures only."""
     kept: list[Words] = []
     drawn = False
     for block in [*blocks, None]:

@@ -1,6 +1,6 @@
-"""The space of a chart's words, and the visible points of a series.
+"""Layout of charts: margins, ticks, and thinning of series.
 
-Margins come from the widths of words instead of matplotlib's layout engines, which draw twice.
+Margins follow from text widths instead of matplotlib's layout engines, which draw twice.
 """
 
 from __future__ import annotations
@@ -19,30 +19,28 @@ from numpy.typing import NDArray
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Plot, PlotSeries
-from counterspin.reports.typography import RAISED
+from counterspin.reports.typography import SUPERSCRIPTS
 
-#: Of every drawing, and of one with axes; in points.
+#: Width of drawings, and height of drawings with axes, in points.
 WIDTH: Final = 504.0
 HEIGHT: Final = 172.0
 
 _FONT_SIZE: Final = 9.0
 
-#: A drawing shows a series in this many columns: finer than a reader sees, coarse enough to be
-#: drawn in an instant.
+#: Number of columns for thinning a series: finer than visible, coarse enough to draw quickly.
 _COLUMNS: Final = 360
 
-#: How many more points are kept of what has more: with the extremes alone there would be a hole
-#: in the middle.
-_FURTHER_POINTS: Final = 1200
+#: Number of points kept in addition to the extremes, which alone would leave a hole in the middle.
+_EXTRA_POINTS: Final = 1200
 
-#: Dates that have room on an axis, and years.
-_MOST_DATES: Final = 10
-_MOST_YEARS: Final = 15
+#: Largest number of dates, and of years, on an axis.
+_MAX_DATES: Final = 10
+_MAX_YEARS: Final = 15
 
 
 @lru_cache(maxsize=4096)
 def text_width(text: str, weight: str = "normal") -> float:
-    """Return the width of words of the common size, in points."""
+    """Return the width of a text of the common font size, in points."""
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import text_to_path
 
@@ -51,16 +49,16 @@ def text_width(text: str, weight: str = "normal") -> float:
     return float(width)
 
 
-def shorten_words(text: str, room: float) -> str:
-    """Return words shortened to a width, in points."""
+def shorten_text(text: str, room: float) -> str:
+    """Return a text shortened to a width, in points."""
     if text_width(text) <= room:
         return text
     fitting = bisect(range(len(text)), room, key=lambda length: text_width(f"{text[:length]}…"))
     return f"{text[: max(fitting - 1, 0)].rstrip()}…"
 
 
-def in_lines(text: str, room: float) -> str:
-    """Return the words in as many lines as they need, where each has so much room, in points."""
+def wrap_text(text: str, room: float) -> str:
+    """Return a text wrapped to a width, in points."""
     lines = [""]
     for word in text.split():
         longer = f"{lines[-1]} {word}".lstrip()
@@ -68,7 +66,7 @@ def in_lines(text: str, room: float) -> str:
             lines[-1] = longer
         else:
             lines.append(word)
-    return "\n".join(shorten_words(line, room) for line in lines)
+    return "\n".join(shorten_text(line, room) for line in lines)
 
 
 def legend_columns(labels: Sequence[str]) -> int:
@@ -80,22 +78,22 @@ def legend_columns(labels: Sequence[str]) -> int:
 
 @frozen
 class Margins:
-    """Room about axes, and the height of all of it, in points."""
+    """Margins of axes, and the total height, in points."""
 
     left: float
     right: float
     top: float
     bottom: float
     height: float
-    #: Between axes and title.
+    #: Distance between axes and title.
     pad: float
 
 
 def margins(
     axes: Any, height: float, *, legend_rows: int = 0, top: float = 4.0, right: float = 6.0
 ) -> Margins:
-    """Return the room that tick labels, names, legend and title leave to axes."""
-    left = _widest(axes.yaxis) + (22.0 if axes.get_ylabel() else 7.0)
+    """Return the margins for tick labels, axis labels, legend and title."""
+    left = _max_label_width(axes.yaxis) + (22.0 if axes.get_ylabel() else 7.0)
     ticks = axes.xaxis.get_tick_params()
     bottom = 2.0 if not axes.get_xlabel() and not len(axes.get_xticks()) else 18.0
     bottom += 12.0 if axes.get_xlabel() else 0.0
@@ -104,18 +102,18 @@ def margins(
     elif not ticks.get("labelbottom", True):
         bottom = 6.0
         height -= 24.0
-    elif names := _names(axes.xaxis):
-        if _crowded(axes, names, WIDTH - left - right):
+    elif names := _label_names(axes.xaxis):
+        if _labels_overlap(axes, names, WIDTH - left - right):
             axes.tick_params(axis="x", labelrotation=90.0)
-            bottom += _widest(axes.xaxis) - 9.0
-            height += _widest(axes.xaxis) - 9.0
+            bottom += _max_label_width(axes.xaxis) - 9.0
+            height += _max_label_width(axes.xaxis) - 9.0
         else:
-            # The last one stands about its tick, which may be at the end of the axis.
+            # The last label is centred at its tick, which may be at the end of the axis.
             low, high = axes.get_xlim()
             beyond = (high - max(axes.get_xticks())) / (high - low) * (WIDTH - left - right)
             right = max(right, 0.5 * text_width(names[-1]) + 2.0 - beyond)
     above = 14.0 * legend_rows
-    # The common power of ten stands above the axis.
+    # The common power of ten is above the axis.
     offset = bool(axes.yaxis.get_major_formatter().get_offset())
     top += 11.0 if offset and not legend_rows else 0.0
     pad = above + (16.0 if offset else 5.0)
@@ -123,8 +121,8 @@ def margins(
     return Margins(left, right, top + above, bottom, height + above, pad)
 
 
-def place(figure: Any, panels: Sequence[tuple[Any, Margins]]) -> None:
-    """Give a figure its size and put its axes below each other, with their left ends aligned."""
+def arrange_axes(figure: Any, panels: Sequence[tuple[Any, Margins]]) -> None:
+    """Set the size of a figure and stack its axes, with their left ends aligned."""
     total = sum(room.height for _, room in panels)
     figure.set_size_inches(WIDTH / 72.0, total / 72.0)
     left = max(room.left for _, room in panels)
@@ -137,7 +135,7 @@ def place(figure: Any, panels: Sequence[tuple[Any, Margins]]) -> None:
             (left / WIDTH, (below + room.bottom) / total, width / WIDTH, height / total)
         )
         if title := axes.get_title(loc="left"):
-            # One wider than its axes begins further left; on whole pixels it is a little wider.
+            # A title wider than its axes begins further left.
             start = min(max(width - 1.02 * text_width(title, "bold"), -left), 0.0)
             axes.set_title(title, pad=room.pad, x=start / width)
         if axes.get_ylabel():
@@ -145,22 +143,22 @@ def place(figure: Any, panels: Sequence[tuple[Any, Margins]]) -> None:
 
 
 def date_ticks(low: float, high: float) -> tuple[list[float], list[str]]:
-    """Return places and names of up to a dozen dates on an axis: whole years, months or days.
+    """Return positions and labels of up to a dozen dates on an axis: whole years, months or days.
 
     low, high: Ends of the axis, days since 1970-01-01.
     """
     for unit, step in (*(("D", n) for n in (1, 2, 5, 10)), *(("M", n) for n in (1, 2, 3, 6))):
-        if (ticks := _dates(low, high, unit, step)).size <= _MOST_DATES:
+        if (ticks := _date_range(low, high, unit, step)).size <= _MAX_DATES:
             break
     else:
         step = 1
-        while (ticks := _dates(low, high, "Y", step)).size > _MOST_YEARS:
+        while (ticks := _date_range(low, high, "Y", step)).size > _MAX_YEARS:
             step += 1
     days = ticks.astype("datetime64[D]").astype(float)
     return days.tolist(), [str(tick) for tick in ticks]
 
 
-def _dates(low: float, high: float, unit: str, step: int) -> NDArray[np.datetime64]:
+def _date_range(low: float, high: float, unit: str, step: int) -> NDArray[np.datetime64]:
     first, last = (
         int(np.datetime64(math.floor(end), "D").astype(f"datetime64[{unit}]").astype(int))
         for end in (low, high)
@@ -170,8 +168,8 @@ def _dates(low: float, high: float, unit: str, step: int) -> NDArray[np.datetime
     return every[(days >= low) & (days <= high)]
 
 
-def decades(axis: Any) -> None:
-    """Put a logarithmic axis's ticks at powers of ten, and between them where these are few."""
+def set_decade_ticks(axis: Any) -> None:
+    """Set the ticks of a logarithmic axis at powers of ten, and between them if these are few."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     low, high = axis.get_view_interval()
@@ -179,37 +177,37 @@ def decades(axis: Any) -> None:
         few = high < 100.0 * low
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=9))
         axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(lambda value, _: _power(value)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: _format_power(value)))
 
 
-def _power(value: float) -> str:
+def _format_power(value: float) -> str:
     mantissa, _, exponent = f"{value:.0e}".partition("e")
     if -3 <= int(exponent) <= 4:
         return f"{value:g}"
-    power = "10" + str(int(exponent)).translate(RAISED)
+    power = "10" + str(int(exponent)).translate(SUPERSCRIPTS)
     return power if mantissa == "1" else f"{mantissa}·{power}"
 
 
-def _labels(axis: Any) -> list[str]:
+def _tick_labels(axis: Any) -> list[str]:
     low, high = sorted(axis.get_view_interval())
     places = [place for place in axis.get_majorticklocs() if low <= place <= high]
     return [str(label) for label in axis.get_major_formatter().format_ticks(places)]
 
 
-def _widest(axis: Any) -> float:
-    lines = (line for label in _labels(axis) for line in label.split("\n"))
+def _max_label_width(axis: Any) -> float:
+    lines = (line for label in _tick_labels(axis) for line in label.split("\n"))
     return max(map(text_width, lines), default=0.0)
 
 
-def _names(axis: Any) -> list[str]:
-    """Return the labels of an axis that has names of things, such as runs, or dates."""
+def _label_names(axis: Any) -> list[str]:
+    """Return the labels of an axis with names, such as runs, or dates."""
     from matplotlib.ticker import FixedLocator
 
-    return _labels(axis) if isinstance(axis.get_major_locator(), FixedLocator) else []
+    return _tick_labels(axis) if isinstance(axis.get_major_locator(), FixedLocator) else []
 
 
-def _crowded(axes: Any, names: Sequence[str], room: float) -> bool:
-    """Return whether names would touch."""
+def _labels_overlap(axes: Any, names: Sequence[str], room: float) -> bool:
+    """Return whether labels would overlap."""
     low, high = axes.get_xlim()
     distances = np.diff(axes.get_xticks()) * room / (high - low)
     pairs = itertools.pairwise(map(text_width, names))
@@ -219,13 +217,13 @@ def _crowded(axes: Any, names: Sequence[str], room: float) -> bool:
     )
 
 
-def thinned(
+def thin_series(
     series: PlotSeries, *, log_x: bool, log_y: bool
 ) -> tuple[Array, Array, Array | None, Array | None]:
     """Return the visible points of a series: the lowest and highest in each column of the drawing.
 
-    log_x, log_y: True for logarithmic axes; values that are not positive are then left out.
-    Returns: equal lengths; gaps are NaN; low and high are None where the series has none.
+    log_x, log_y: True for logarithmic axes; non-positive values are then omitted.
+    Returns: arrays of equal length; gaps are NaN; low and high are None if the series has none.
     """
     x = np.asarray(series.x, dtype=float)
     y, low, high = (
@@ -236,7 +234,7 @@ def thinned(
     if log_y:
         y[~(y > 0.0)] = np.nan
     seen = np.flatnonzero(np.isfinite(x) & ((x > 0.0) | (not log_x)))
-    if x[seen].size > (2 * _FURTHER_POINTS if series.kind == "points" else 2 * _COLUMNS):
+    if x[seen].size > (2 * _EXTRA_POINTS if series.kind == "points" else 2 * _COLUMNS):
         height = y if low is None or high is None or np.isfinite(y).any() else high - low
         seen = seen[_extremes(np.log(x[seen]) if log_x else x[seen], height[seen], series.kind)]
     return (
@@ -250,7 +248,7 @@ def thinned(
 def _extremes(x: Array, y: Array, kind: str) -> NDArray[np.intp]:
     """Return the indices to keep, in their order."""
     if kind != "points" and (np.diff(x) < 0.0).any():
-        # A curve that turns back has no columns.
+        # A curve with non-monotonic x has no columns.
         return np.arange(x.size)
     span = float(np.ptp(x)) or 1.0
     column = np.minimum((x - x.min()) / span * _COLUMNS, _COLUMNS - 1).astype(int)
@@ -259,16 +257,16 @@ def _extremes(x: Array, y: Array, kind: str) -> NDArray[np.intp]:
     order = there[np.lexsort((y[there], column[there]))]
     first = np.flatnonzero(np.diff(column[order], prepend=-1))
     last = np.append(first[1:], order.size) - 1
-    # A gap's first sample stands for it.
+    # Keep the first sample of a gap.
     begins = np.flatnonzero(gap & ~np.concatenate([[False], gap[:-1]]))
-    between = there[:: max(there.size // _FURTHER_POINTS, 1)] if kind == "points" else there[:0]
+    between = there[:: max(there.size // _EXTRA_POINTS, 1)] if kind == "points" else there[:0]
     return np.unique(np.concatenate([order[first], order[last], between, begins]))
 
 
 def whole_numbers(plot: Plot) -> range:
-    """Return the whole numbers at which a plot has points; none where it is another kind of plot.
+    """Return the integers at which a plot has points; empty for other plots.
 
-    Up to twenty, such as the harmonics of a revolution, and nothing but points.
+    Up to twenty integers, such as the harmonics of a revolution, and only points.
     """
     places = {x for series in plot.series for x in series.x}
     if not places or plot.log_x or any(series.kind != "points" for series in plot.series):
@@ -280,7 +278,7 @@ def whole_numbers(plot: Plot) -> range:
 
 
 def spread_points(series: Sequence[PlotSeries]) -> list[PlotSeries]:
-    """Move rows of points that share their places to the side, so that none hides another."""
+    """Shift rows of points with equal x sideways, so that they do not overlap."""
     rows = [row for row in series if row.kind == "points"]
     step = min(0.12, 0.7 / max(len(rows), 1))
     moves = iter(step * (place - 0.5 * (len(rows) - 1)) for place in range(len(rows)))
@@ -292,14 +290,14 @@ def spread_points(series: Sequence[PlotSeries]) -> list[PlotSeries]:
     ]
 
 
-def dots(axes: Any, x: Array, y: Array, size: float, **style: Any) -> None:
-    """Draw many points as one line of round dots: a marker for each would take ten times as long.
+def draw_dots(axes: Any, x: Array, y: Array, size: float, **style: Any) -> None:
+    """Draw many points as one line of round dots, ten times as fast as markers.
 
     x, y: Shape (n,).
-    **style: Of matplotlib's lines.
+    **style: Properties of matplotlib's lines.
     """
     gap = np.full(x.size, np.nan)
-    # From each point to itself: a line without length, whose round ends make the dot.
+    # A line of zero length from each point to itself: its round caps make the dot.
     axes.plot(
         np.column_stack([x, x, gap]).ravel(),
         np.column_stack([y, y, gap]).ravel(),

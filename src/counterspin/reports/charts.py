@@ -1,4 +1,4 @@
-"""Pictures as SVG of a page, as files, and as plots that can be zoomed.
+"""Pictures as SVG of a page, as files, and as zoomable plots.
 
 The same picture gives the same text and the same file, byte for byte.
 
@@ -31,20 +31,20 @@ from typing import Any, Final, Literal, cast
 from counterspin.errors import CounterspinError
 from counterspin.output import mark, marked, reserve, write_whole
 from counterspin.reports.blocks import Picture, Plot
-from counterspin.reports.drawing import COLOURS_OF_PAPER, colours_in_row, draw_pictures, settings
-from counterspin.reports.typography import typeset_block, with_indices
+from counterspin.reports.drawing import PAPER_COLOURS, colour_indices, draw_pictures, settings
+from counterspin.reports.typography import set_indices, typeset_block
 
 Theme = Literal["light", "page"]
 
-#: What each colour is while a page's picture is drawn: one that is found again in the text.
-_DRAWN: Final = {name: f"#01{index:02x}fe" for index, name in enumerate(COLOURS_OF_PAPER)}
-_NAMES: Final = {colour: name for name, colour in _DRAWN.items()}
+#: Placeholder colours while a page's picture is drawn, recognised in the SVG text.
+_PLACEHOLDERS: Final = {name: f"#01{index:02x}fe" for index, name in enumerate(PAPER_COLOURS)}
+_NAMES: Final = {colour: name for name, colour in _PLACEHOLDERS.items()}
 
 _FONT_OF_PAPER: Final = "'Libertinus Serif', 'DejaVu Sans', serif"
 
 _HEIGHT_ON_PAPER: Final = 0.8
 
-#: What a file of each kind says of its making; a date would make every file another.
+#: Metadata of each file format, without a date, so that files are reproducible.
 _METADATA: Final[Mapping[str, dict[str, str | None]]] = {
     ".svg": {"Creator": "counterspin", "Date": None},
     ".png": {"Software": "counterspin"},
@@ -52,7 +52,7 @@ _METADATA: Final[Mapping[str, dict[str, str | None]]] = {
 }
 
 
-#: Where a file of each kind has room for a remark.
+#: Metadata key of a remark, by file format.
 _REMARKS: Final = {".svg": "Description", ".png": "Description", ".pdf": "Subject"}
 
 
@@ -64,7 +64,7 @@ def reserve_figures(paths: Iterable[Path], kind: str, *, overwrite: bool = False
 
 
 def check_format(path: Path) -> str:
-    """Return the format that a figure's name asks for; CounterspinError if it does not exist."""
+    """Return the format of a figure's file name; CounterspinError if it is not supported."""
     kind = path.suffix.lower()
     if kind not in _METADATA:
         raise CounterspinError(
@@ -73,19 +73,19 @@ def check_format(path: Path) -> str:
     return kind
 
 
-def save(
+def save_figure(
     pictures: Sequence[Picture], path: Path, kind: str = "a figure", *, overwrite: bool = False
 ) -> None:
-    """Write pictures below each other, with their titles, as SVG, PNG or PDF.
+    """Write stacked pictures, with their titles, as SVG, PNG or PDF.
 
-    overwrite: Whether an earlier figure of this kind may be replaced; no other file is.
+    overwrite: Whether an existing figure of this kind may be replaced; other files never are.
     """
     suffix = check_format(path)
     reserve(path, partial(marked, kind), overwrite=overwrite)
     metadata = {**_METADATA[suffix], _REMARKS[suffix]: mark(kind)}
     printed = [cast("Picture", typeset_block(picture)) for picture in pictures]
-    with settings(COLOURS_OF_PAPER):
-        figure = draw_pictures(printed, COLOURS_OF_PAPER, titled=True)
+    with settings(PAPER_COLOURS):
+        figure = draw_pictures(printed, PAPER_COLOURS, titled=True)
         write_whole(
             path,
             lambda part: figure.savefig(part, format=suffix[1:], dpi=160, metadata=metadata),
@@ -97,27 +97,27 @@ def save(
 def svg(picture: Picture, *, theme: Theme = "light") -> str:
     """Draw a picture."""
     if theme == "light" and isinstance(picture, Plot):
-        # A page of paper holds more of them, and less of it stays empty.
+        # Lower figures fit better on a page of paper.
         picture = replace(picture, height=_HEIGHT_ON_PAPER * picture.height)
-    with settings(_DRAWN):
-        figure = draw_pictures([picture], _DRAWN, titled=False)
+    with settings(_PLACEHOLDERS):
+        figure = draw_pictures([picture], _PLACEHOLDERS, titled=False)
         stream = io.StringIO()
         figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
-    return _cleaned(stream.getvalue(), picture, theme)
+    return _clean_svg(stream.getvalue(), picture, theme)
 
 
-def _cleaned(text: str, picture: Picture, theme: Theme) -> str:
+def _clean_svg(text: str, picture: Picture, theme: Theme) -> str:
     """Return matplotlib's SVG without prolog, metadata, size, foreign font and common ids."""
     text = text[text.index("<svg") :].rstrip()
     text = re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    # It would hold for the whole page.
+    # A style element would apply to the whole page.
     text = re.sub(r"\s*<defs>\s*<style.*?</style>\s*</defs>", "", text, flags=re.DOTALL)
     text = re.sub(r"\s*<!--.*?-->", "", text, flags=re.DOTALL)
     used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
     salt = "p" + hashlib.sha256(f"{picture.title}{theme}{text}".encode()).hexdigest()[:10]
 
     def cleaned_tag(tag: re.Match[str]) -> str:
-        # Words between tags stay as they are, whatever they look like.
+        # Text between tags stays unchanged.
         words = re.sub(r' transform="rotate\(-?0 [^"]*\)"| font-family: [^;"]*;?', "", tag[0])
         words = re.sub(r' id="([^"]*)"', lambda at: at[0] if at[1] in used else "", words)
         words = re.sub(r' d="([^"]*)"', lambda at: f' d="{" ".join(at[1].split())}"', words)
@@ -126,7 +126,7 @@ def _cleaned(text: str, picture: Picture, theme: Theme) -> str:
 
     text = re.sub(r"<[^>]+>", cleaned_tag, text)
     text = re.sub(r"\n *<g>\n *</g>", "", text)
-    text = re.sub(r"(<text [^>]*>)([^<]*)(?=</text>)", _with_indices, text)
+    text = re.sub(r"(<text [^>]*>)([^<]*)(?=</text>)", _set_indices, text)
     head, _, body = text.partition(">")
     box = re.search(r'viewBox="[^"]*"', head)
     assert box is not None
@@ -138,40 +138,40 @@ def _cleaned(text: str, picture: Picture, theme: Theme) -> str:
     )
 
 
-def _with_indices(found: re.Match[str]) -> str:
-    """Return words of a picture with K_II and the like as a letter and its index."""
+def _set_indices(found: re.Match[str]) -> str:
+    """Return text of a picture with symbols such as K_II as a letter and its index."""
 
     def lowered(letter: str, index: str) -> str:
         return f'{letter}<tspan dy="2" font-size="6.5">{index}</tspan><tspan dy="-2">'
 
-    words = with_indices(found[2], lowered)
+    words = set_indices(found[2], lowered)
     return found[1] + words + "</tspan>" * words.count('<tspan dy="-2">')
 
 
 def _colour(name: str, theme: Theme) -> str:
-    paper = COLOURS_OF_PAPER[name]
+    paper = PAPER_COLOURS[name]
     if theme == "light":
         return paper
     return f"var(--{name}, {'currentColor' if name == 'ink' else paper})"
 
 
-#: Steps that an axis is divided into at least.
-_STEPS: Final = 2e4
+#: Smallest number of quantisation steps of an axis.
+_MIN_STEPS: Final = 2e4
 
 
 def can_zoom(plot: Plot) -> bool:
-    """Return whether a plot is worth zooming and has an axis of numbers to zoom along."""
+    """Return whether a plot is zoomable: requested, and with a numeric axis."""
     return (
         plot.zoom and not plot.x_names and len({x for series in plot.series for x in series.x}) > 1
     )
 
 
 def plot_data(plot: Plot) -> str:
-    """Return a plot as JSON that can stand in a page's script element."""
+    """Return a plot as JSON for a page's script element."""
     rows = []
     for series, colour in zip(plot.series, _colours(plot), strict=True):
         low, high = (
-            None if ends is None else _packed(ends, plot.log_y)
+            None if ends is None else _quantise(ends, plot.log_y)
             for ends in (series.low, series.high)
         )
         rows.append(
@@ -180,8 +180,8 @@ def plot_data(plot: Plot) -> str:
                 "kind": series.kind,
                 "stands_out": series.stands_out,
                 "colour": colour,
-                "x": _packed(series.x, plot.log_x),
-                "y": None if series.kind == "band" else _packed(series.y, plot.log_y),
+                "x": _quantise(series.x, plot.log_x),
+                "y": None if series.kind == "band" else _quantise(series.y, plot.log_y),
                 "low": low,
                 "high": high,
             }
@@ -195,21 +195,21 @@ def plot_data(plot: Plot) -> str:
         "series": rows,
     }
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    # Neither </script> nor <!-- may stand there; to JSON it is the same.
+    # Escape </script> and <!--, which JSON allows.
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _colours(plot: Plot) -> Iterator[str]:
-    """Yield the CSS property that holds each series' colour, the same as in the still picture."""
-    for series, place in zip(plot.series, colours_in_row(plot.series), strict=True):
+    """Yield the CSS property of each series' colour, the same as in the static picture."""
+    for series, place in zip(plot.series, colour_indices(plot.series), strict=True):
         if place is None:
             yield "--warning" if series.stands_out else "--muted"
         else:
             yield f"--series-{place + 1}"
 
 
-def _packed(values: Sequence[float | None], log: bool) -> dict[str, Any]:
-    """Return an array as whole numbers of equal steps, which takes a third of the characters."""
+def _quantise(values: Sequence[float | None], log: bool) -> dict[str, Any]:
+    """Return an array quantised to integers, which takes a third of the characters."""
     finite = [value for value in values if value is not None and math.isfinite(value)]
     if log:
         return {
@@ -218,7 +218,7 @@ def _packed(values: Sequence[float | None], log: bool) -> dict[str, Any]:
         }
     spread = max(finite, default=0.0) - min(finite, default=0.0)
     spread = spread or max(map(abs, finite), default=0.0) or 1.0
-    step = 10.0 ** math.floor(math.log10(spread / _STEPS))
+    step = 10.0 ** math.floor(math.log10(spread / _MIN_STEPS))
     return {"step": step, "values": [_kept(value, lambda v: round(v / step)) for value in values]}
 
 

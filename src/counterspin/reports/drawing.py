@@ -1,4 +1,4 @@
-"""Pictures drawn by matplotlib, which is imported only when there is something to draw."""
+"""Drawing of pictures with matplotlib, which is imported on first use."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from counterspin.reports.chart_layout import (
     HEIGHT,
     WIDTH,
     Margins,
+    arrange_axes,
     date_ticks,
-    decades,
-    dots,
-    in_lines,
+    draw_dots,
     legend_columns,
     margins,
-    place,
-    shorten_words,
+    set_decade_ticks,
+    shorten_text,
     spread_points,
     text_width,
-    thinned,
+    thin_series,
     whole_numbers,
+    wrap_text,
 )
 from counterspin.reports.sphere import draw_sphere
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Okabe and Ito's colours that stand out on white, told apart by colour-blind readers; the
-#: markers say the same without colour.
+#: Colours of Okabe and Ito that contrast with white and are safe for colour-blind readers; the
+#: markers distinguish the series without colour.
 COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 MARKERS: Final = ("o", "^", "s", "D", "v", "P")
 
-COLOURS_OF_PAPER: Final = {
+PAPER_COLOURS: Final = {
     "ink": "#1a1c1f",
     "muted": "#5c6670",
     "grid": "#e3e6e9",
@@ -54,13 +54,13 @@ COLOURS_OF_PAPER: Final = {
 
 Palette = Mapping[str, str]
 
-#: Words over the strongest cell of a heat map keep a contrast of 4.5 (WCAG 2.1, 1.4.3).
+#: Largest opacity of a heat map's cell: text on it keeps a contrast of 4.5 (WCAG 2.1, 1.4.3).
 _MAX_SHADE: Final = 0.6
 
-#: More points than this are drawn as dots.
-_CROWD_POINTS: Final = 150
+#: Largest number of points drawn with markers; more are drawn as dots.
+_MAX_MARKERS: Final = 150
 
-#: Numbers are written into the cells of heat maps up to this size.
+#: Largest heat map with numbers in its cells.
 _MAX_NUMBERED_CELLS: Final = 16
 
 
@@ -105,15 +105,15 @@ def settings(palette: Palette) -> Iterator[None]:
         "axes.titlesize": "medium",
         "axes.titleweight": "bold",
         "axes.titlecolor": palette["ink"],
-        # Digits that all values share belong to each of them, not above the axis.
+        # No common offset above the axis: show all digits at each tick.
         "axes.formatter.useoffset": False,
         "axes.formatter.use_mathtext": False,
         "font.size": 9.0,
         "lines.markeredgewidth": 0.9,
-        # It would drop the lines without length that `dots` draws.
+        # Path simplification would drop the lines of zero length of `draw_dots`.
         "path.simplify": False,
         "text.color": palette["ink"],
-        # What a person wrote may hold dollar signs.
+        # User text may contain dollar signs.
         "text.parse_math": False,
         "xtick.color": palette["muted"],
         "ytick.color": palette["muted"],
@@ -130,13 +130,13 @@ def settings(palette: Palette) -> Iterator[None]:
         "legend.columnspacing": 1.4,
     }
     with mpl.rc_context(parameters), warnings.catch_warnings():
-        # Words are written as words: that matplotlib's own font lacks a letter does not matter.
+        # Text stays text, so missing glyphs of matplotlib's font do not matter.
         warnings.filterwarnings("ignore", "Glyph")
         yield
 
 
 def draw_pictures(pictures: Sequence[Picture], palette: Palette, *, titled: bool) -> Figure:
-    """Draw pictures below each other, within `settings`.
+    """Draw stacked pictures, within `settings`.
 
     titled: True to draw each title above its picture, if nothing else shows it.
     """
@@ -148,13 +148,13 @@ def draw_pictures(pictures: Sequence[Picture], palette: Palette, *, titled: bool
         axes = figure.add_subplot()
         title = picture.title if titled else ""
         panels.append((axes, _draw_picture(axes, picture, palette, title, below)))
-    place(figure, panels)
+    arrange_axes(figure, panels)
     return figure
 
 
-def draw(axes: Any, picture: Picture) -> None:
-    """Draw a picture with its title on axes of somebody else, within `settings`."""
-    room = _draw_picture(axes, picture, COLOURS_OF_PAPER, picture.title, None)
+def draw_on_axes(axes: Any, picture: Picture) -> None:
+    """Draw a picture with its title on given axes, within `settings`."""
+    room = _draw_picture(axes, picture, PAPER_COLOURS, picture.title, None)
     axes.set_title(picture.title, pad=room.pad)
 
 
@@ -177,7 +177,7 @@ def _draw_plot(
 ) -> Margins:
     counts = whole_numbers(plot)
     rows = spread_points(plot.series) if counts or plot.x_names else plot.series
-    for series, place_in_row in zip(rows, colours_in_row(plot.series), strict=True):
+    for series, place_in_row in zip(rows, colour_indices(plot.series), strict=True):
         colour, marker = palette["muted"], MARKERS[0]
         if series.stands_out:
             colour, marker = palette["warning"], "X"
@@ -190,7 +190,7 @@ def _draw_plot(
     for axis, name, logarithmic in ((axes.xaxis, "x", plot.log_x), (axes.yaxis, "y", plot.log_y)):
         if logarithmic:
             axes.set(**{f"{name}scale": "log"})
-            decades(axis)
+            set_decade_ticks(axis)
     axes.margins(x=0.06 if plot.x_names else 0.015, y=0.06)
     if counts:
         axes.set_xlim(counts[0] - 0.6, counts[-1] + 0.6)
@@ -199,12 +199,12 @@ def _draw_plot(
     if plot.x_names:
         room = max(90.0, (WIDTH - 80.0) / len(plot.x_names))
         axes.set_xticks(
-            range(len(plot.x_names)), [shorten_words(name, room) for name in plot.x_names]
+            range(len(plot.x_names)), [shorten_text(name, room) for name in plot.x_names]
         )
         axes.grid(visible=False, axis="x")
     if plot.dates:
         axes.set_xticks(*date_ticks(*axes.get_xlim()))
-    if _same_axis(plot, below):
+    if _shares_axis(plot, below):
         axes.tick_params(axis="x", labelbottom=False)
     else:
         axes.set_xlabel(plot.x_label)
@@ -215,8 +215,8 @@ def _draw_plot(
     return margins(axes, plot.height * HEIGHT, legend_rows=-(-len(labels) // columns))
 
 
-def colours_in_row(rows: Sequence[PlotSeries]) -> list[int | None]:
-    """Return the place of each series in the row of colours; None for those of no colour there."""
+def colour_indices(rows: Sequence[PlotSeries]) -> list[int | None]:
+    """Return the colour index of each series; None for muted series and warnings."""
     places: list[int | None] = []
     taken = 0
     for row in rows:
@@ -232,8 +232,8 @@ def colours_in_row(rows: Sequence[PlotSeries]) -> list[int | None]:
     return places
 
 
-def _same_axis(plot: Plot, below: Picture | None) -> bool:
-    """Return whether the picture below has the same axis, so that this one may omit the labels."""
+def _shares_axis(plot: Plot, below: Picture | None) -> bool:
+    """Return whether the picture below has the same axis, so that labels can be omitted."""
     return (
         isinstance(below, Plot)
         and bool(plot.x_range or plot.x_names)
@@ -246,14 +246,14 @@ def _draw_series(
     axes: Any, series: PlotSeries, plot: Plot, ground: str, look: tuple[str, str]
 ) -> None:
     colour, marker = look
-    x, y, low, high = thinned(series, log_x=plot.log_x, log_y=plot.log_y)
+    x, y, low, high = thin_series(series, log_x=plot.log_x, log_y=plot.log_y)
     if series.kind == "points":
         if low is not None:
             axes.vlines(x, low, high, colors=colour, linewidth=0.9)
         above = 2.6 if series.stands_out else 2.2
         style = {"linestyle": "none", "marker": marker, "color": colour, "zorder": above}
-        if x.size > _CROWD_POINTS:
-            dots(axes, x, y, 1.6, color=colour, zorder=above)
+        if x.size > _MAX_MARKERS:
+            draw_dots(axes, x, y, 1.6, color=colour, zorder=above)
             axes.plot([], [], label=series.label or None, **style | {"marker": "o"}, markersize=3.0)
         else:
             filled = colour if series.stands_out else ground
@@ -267,14 +267,14 @@ def _draw_series(
     if low is not None:
         band = axes.fill_between(x, low, high, facecolor=(colour, 0.18), linewidth=0.0, zorder=1.2)
         if series.kind == "band":
-            # With an edge: a band of single samples has no width, and yet is seen.
+            # The edge makes a band of single samples visible.
             band.set(label=series.label or None, edgecolor=(colour, 0.6), linewidth=0.4)
     if series.kind == "line":
         axes.plot(x, y, color=colour, linewidth=1.1, label=series.label or None, zorder=2.1)
         seen = np.concatenate([[False], np.isfinite(y), [False]])
         alone = seen[1:-1] & ~seen[:-2] & ~seen[2:]
         if alone.any():
-            dots(axes, x[alone], y[alone], 2.5, color=colour, zorder=2.1)
+            draw_dots(axes, x[alone], y[alone], 2.5, color=colour, zorder=2.1)
 
 
 def _draw_bars(axes: Any, bars: Bars, palette: Palette, title: str) -> Margins:
@@ -286,7 +286,7 @@ def _draw_bars(axes: Any, bars: Bars, palette: Palette, title: str) -> Margins:
     values = values + starts
     largest = float(np.max(np.abs(values), initial=0.0)) or 1.0
     left = 0.45 * WIDTH
-    labels = [in_lines(label, left) for label in bars.labels]
+    labels = [wrap_text(label, left) for label in bars.labels]
     widest = max((text_width(line) for label in labels for line in label.split("\n")), default=0.0)
     axes.set_yticks(place, labels)
     axes.tick_params(axis="y", length=0.0)
@@ -303,7 +303,7 @@ def _draw_bars(axes: Any, bars: Bars, palette: Palette, title: str) -> Margins:
             horizontalalignment="left" if value >= 0.0 else "right",
             verticalalignment="center",
         )
-    # The words at the ends are as wide as they are, so the bars get what is left.
+    # The texts have fixed widths; the bars get the remaining width.
     words = max(map(text_width, bars.texts), default=0.0) + 6.0
     room = WIDTH - widest - 12.0
     both_ways = bool((values < 0.0).any())
@@ -325,8 +325,10 @@ def _draw_heat_map(axes: Any, heat_map: HeatMap, palette: Palette, title: str) -
     rows, columns = (at.ravel() for at in np.indices((size, size)))
     corners = np.array([[0.03, 0.04], [0.97, 0.04], [0.97, 0.96], [0.03, 0.96]])
     cells = np.stack([columns, rows], axis=1)[:, None, :] + corners
-    axes.add_collection(PolyCollection(cells, facecolors=_tints(values, palette), linewidths=0.0))
-    labels = [shorten_words(label, 130.0) for label in heat_map.labels]
+    axes.add_collection(
+        PolyCollection(cells, facecolors=_cell_colours(values, palette), linewidths=0.0)
+    )
+    labels = [shorten_text(label, 130.0) for label in heat_map.labels]
     widest = max(map(text_width, labels), default=0.0)
     wide = min(46.0, (WIDTH - widest - 12.0) / max(size, 1))
     if size <= _MAX_NUMBERED_CELLS:
@@ -355,7 +357,7 @@ def _draw_heat_map(axes: Any, heat_map: HeatMap, palette: Palette, title: str) -
     return margins(axes, top + height + 2.0, top=top, right=right)
 
 
-def _tints(values: Array, palette: Palette) -> Array:
+def _cell_colours(values: Array, palette: Palette) -> Array:
     """Return a colour and an opacity for every cell, shape (n n, 4); the diagonal is grey."""
     from matplotlib.colors import to_rgba
 

@@ -1,4 +1,4 @@
-"""The report as one HTML file, from which no request leaves: for screen, phone and paper.
+"""Reports as one self-contained HTML file without requests, for screen, phone and paper.
 
 Words, tables and still pictures need no script. With scripts, plots worth zooming become zoomable
 (uPlot, inlined); the file includes their data, rounded to the resolution of a screen.
@@ -18,9 +18,17 @@ from markupsafe import Markup
 
 from counterspin.characters import escape_controls
 from counterspin.output import mark
-from counterspin.reports.blocks import ANSWERS, Block, Heading, Paragraph, Picture, Plot, Table
+from counterspin.reports.blocks import (
+    ANSWER_STYLES,
+    Block,
+    Heading,
+    Paragraph,
+    Picture,
+    Plot,
+    Table,
+)
 from counterspin.reports.charts import can_zoom, plot_data, svg
-from counterspin.reports.typography import with_indices
+from counterspin.reports.typography import set_indices
 
 
 def html(
@@ -34,7 +42,7 @@ def html(
 ) -> str:
     """Return blocks as one self-contained HTML file; the same blocks give the same text.
 
-    title: Of the window; the heading too, if the blocks have none of level 1.
+    title: Title of the window; also the heading, if the blocks have none of level 1.
     """
     title, identifier = escape_controls(title), escape_controls(identifier)
     page = _Page()
@@ -62,18 +70,18 @@ def html(
     )
 
 
-def cell(blocks: Sequence[Block]) -> str:
-    """Return blocks as a part of a page that is not ours, in its colours and its font."""
+def notebook_cell(blocks: Sequence[Block]) -> str:
+    """Return blocks as HTML for a notebook cell, in the colours and font of its page."""
     content = _Page().items(blocks, "Result")
     style = Markup(_asset("cell.css").strip())
     return _environment().get_template("cell.html.jinja").render(content=content, style=style)
 
 
-def part(blocks: Sequence[Block], *, title: str) -> str:
-    """Return blocks as a part of a page that has `page_style` and `page_script`.
+def html_fragment(blocks: Sequence[Block], *, title: str) -> str:
+    """Return blocks as an HTML fragment of a page with `page_style` and `page_script`.
 
-    Still pictures take long to draw: in their place stands ``data-place``, the place of the picture
-    among the pictures of the blocks, so that the page can ask for them one by one.
+    Static pictures take long to draw: the fragment has ``data-place`` instead, the index of the
+    picture, so that the page can request them one by one.
     """
     summary, *chapters = _Page(drawn=False).chapters(blocks, title)
     template = _environment().get_template("part.html.jinja")
@@ -94,8 +102,8 @@ def _environment() -> Environment:
     environment = Environment(
         autoescape=True, loader=FunctionLoader(_asset), undefined=StrictUndefined
     )
-    environment.filters["equation"] = _equation
-    environment.filters["symbols"] = _symbols
+    environment.filters["equation"] = _set_equation
+    environment.filters["symbols"] = _set_symbols
     return environment
 
 
@@ -109,18 +117,18 @@ def _style(uplot: bool) -> str:
 
 
 def _uplot() -> str:
-    # The licence asks to travel with every copy.
+    # The licence must accompany every copy.
     return f"/*\n{_asset('uplot/LICENSE')}\n*/\n{_asset('uplot/uPlot.iife.min.js')}"
 
 
 def _css_text(text: str) -> str:
-    """Return a CSS string; every character except letters and digits is written by its number."""
+    """Return a CSS string with all characters except letters and digits escaped."""
     plain = re.compile(r"[A-Za-z0-9]")
     return '"' + "".join(c if plain.match(c) else f"\\{ord(c):x} " for c in text) + '"'
 
 
 class _Page:
-    """The items of one page: blocks with the template's data."""
+    """Template data of the blocks of one page."""
 
     def __init__(self, *, drawn: bool = True) -> None:
         self.names: set[str] = set()
@@ -141,9 +149,9 @@ class _Page:
         ]
 
     def name(self, text: str) -> str:
-        """Return an id that no other part of the page has."""
+        """Return an id that is unique in the page."""
         words = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "part"
-        # The prefix keeps it apart from the ids inside pictures and the page's own.
+        # The prefix avoids the ids of pictures and of the page.
         name, count = f"at-{words}", 1
         while name in self.names:
             count += 1
@@ -152,12 +160,14 @@ class _Page:
         return name
 
     def items(self, blocks: Iterable[Block], label: str) -> list[dict[str, Any]]:
-        """Return the items of a chapter; neighbours of a kind that belong together as one."""
+        """Return the items of a chapter, with related neighbours merged."""
         items: list[dict[str, Any]] = []
-        for kind, group in groupby(blocks, _kind):
+        for kind, group in groupby(blocks, _item_type):
             members = list(group)
-            if kind in ANSWERS:
-                lines = [_answer(block.text) for block in members if isinstance(block, Paragraph)]
+            if kind in ANSWER_STYLES:
+                lines = [
+                    _split_answer(block.text) for block in members if isinstance(block, Paragraph)
+                ]
                 items.append({"kind": "answers", "style": kind, "lines": lines})
             else:
                 for block in members:
@@ -178,7 +188,7 @@ class _Page:
         return self.figure(block)
 
     def figure(self, picture: Picture) -> dict[str, Any]:
-        """Return a picture, still, and zoomable if it is worth it."""
+        """Return the static picture, and the data for zooming if it is zoomable."""
         figure: dict[str, Any] = {
             "block": picture,
             "id": self.name(picture.title),
@@ -194,7 +204,7 @@ class _Page:
         return figure
 
 
-def _kind(block: Block) -> str:
+def _item_type(block: Block) -> str:
     match block:
         case Heading():
             return "heading"
@@ -207,27 +217,27 @@ def _kind(block: Block) -> str:
     return "figure"
 
 
-def _answer(text: str) -> dict[str, str]:
-    """Return a value and, for smaller letters, its other units and remarks."""
+def _split_answer(text: str) -> dict[str, str]:
+    """Return a value, and in smaller type its other units and remarks."""
     estimate, *remarks = re.split(r" {2,}", text, maxsplit=1)
     name, *values = estimate.split(" = ")
     more = [f"= {value}" for value in values[1:]]
     return {"value": " = ".join([name, *values[:1]]), "remark": " ".join(more + remarks)}
 
 
-def _equation(text: str) -> Markup:
-    """Return an equation with K_II and the like set as a letter and its index."""
-    return _indexed(text, r"(delta|[^\W\d_])_([A-Za-z]+)(?![A-Za-z_]|\.\w)")
+def _set_equation(text: str) -> Markup:
+    """Return an equation with symbols such as K_II set as a letter and its index."""
+    return _set_indices(text, r"(delta|[^\W\d_])_([A-Za-z]+)(?![A-Za-z_]|\.\w)")
 
 
-def _symbols(text: str) -> Markup:
+def _set_symbols(text: str) -> Markup:
     """Return prose with the symbols of coefficients set as a letter and its index."""
-    return _indexed(text)
+    return _set_indices(text)
 
 
-def _indexed(text: str, *symbol: str) -> Markup:
+def _set_indices(text: str, *symbol: str) -> Markup:
     def index(letter: str, index: str) -> str:
-        # The underscore is not seen, but found and copied: K_II.
+        # The hidden underscore makes K_II searchable and copyable.
         return f"{letter}<sub><i>_</i>{index}</sub>"
 
-    return Markup(with_indices(str(Markup.escape(text)), index, *symbol))
+    return Markup(set_indices(str(Markup.escape(text)), index, *symbol))

@@ -1,7 +1,7 @@
-"""The report as GitHub-flavoured Markdown: for issues, wikis and readers of plain text.
+"""Reports as GitHub-flavoured Markdown, for issues, wikis and plain text.
 
-Pictures are left out; what they show stands in the tables. Words come out as they are: every
-character that Markdown would read is escaped (CommonMark 0.31, section 2.4).
+Pictures are omitted; their numbers are in the tables. Every character with a meaning in Markdown is
+escaped (CommonMark 0.31, section 2.4).
 """
 
 from __future__ import annotations
@@ -13,42 +13,42 @@ from typing import Final
 
 from counterspin.characters import escape_controls
 from counterspin.reports.blocks import (
-    ANSWERS,
+    ANSWER_STYLES,
     Block,
     Column,
     Heading,
     Paragraph,
     Table,
-    without_pictures,
+    text_blocks,
 )
 
-#: Read as markup wherever they stand; $ begins a formula on GitHub.
-_EVERYWHERE: Final = re.compile(r"[\\`*_\[\]<>|~&$#]")
+#: Characters that are markup anywhere; $ begins a formula on GitHub.
+_SPECIAL: Final = re.compile(r"[\\`*_\[\]<>|~&$#]")
 
-#: Read as markup where a line begins: lists, underlined headings, rules.
-_AT_START: Final = re.compile(r"^(?:[-+=](?=[-+=\s]|$)|\d{1,9}(?=[.)](?:\s|$)))")
+#: Markup at the beginning of a line: lists, underlined headings, rules.
+_SPECIAL_AT_START: Final = re.compile(r"^(?:[-+=](?=[-+=\s]|$)|\d{1,9}(?=[.)](?:\s|$)))")
 
 
 def markdown(blocks: Sequence[Block]) -> str:
-    """Return blocks as GitHub-flavoured Markdown, pictures left out."""
+    """Return blocks as GitHub-flavoured Markdown, without pictures."""
     parts = []
-    for style, group in groupby(without_pictures(blocks), _quoted):
+    for style, group in groupby(text_blocks(blocks), _quote_style):
         if style is None:
-            parts += [_set(block) for block in group]
+            parts += [_format_block(block) for block in group]
         else:
             parts.append(_quote(style, [b.text for b in group if isinstance(b, Paragraph)]))
     return "\n\n".join(filter(None, parts)) + "\n"
 
 
 def escape_markdown(text: str, line_break: str = "\\\n") -> str:
-    """Return words as Markdown that shows them as they are."""
+    """Return text with Markdown characters escaped."""
     lines = (" ".join(line.split()) for line in escape_controls(text).splitlines())
-    return line_break.join(_escaped_line(line) for line in lines if line)
+    return line_break.join(_escape_line(line) for line in lines if line)
 
 
-def _escaped_line(line: str) -> str:
-    start = _AT_START.match(line)
-    line = _EVERYWHERE.sub(r"\\\g<0>", line)
+def _escape_line(line: str) -> str:
+    start = _SPECIAL_AT_START.match(line)
+    line = _SPECIAL.sub(r"\\\g<0>", line)
     if start is None:
         return line
     # The mark of a list follows its number.
@@ -56,22 +56,26 @@ def _escaped_line(line: str) -> str:
     return f"{line[:place]}\\{line[place:]}"
 
 
-def _set(block: Heading | Paragraph | Table) -> str:
+def _format_block(block: Heading | Paragraph | Table) -> str:
     match block:
         case Heading(text, level):
             return f"{'#' * level} {escape_markdown(text, ' ')}"
         case Paragraph(text, "equation"):
-            return _fenced(text, "text")
+            return _code_block(text, "text")
         case Paragraph(text, "command"):
-            return _fenced(text, "sh")
+            return _code_block(text, "sh")
         case Paragraph(text, _):
             return escape_markdown(text)
     return "\n".join(_table(block))
 
 
-def _quoted(block: Block) -> str | None:
-    """Return the style of what is set apart by a bar at its side."""
-    apart = isinstance(block, Paragraph) and block.style in {*ANSWERS, "undetermined", "warning"}
+def _quote_style(block: Block) -> str | None:
+    """Return the style of a block quote, or None."""
+    apart = isinstance(block, Paragraph) and block.style in {
+        *ANSWER_STYLES,
+        "undetermined",
+        "warning",
+    }
     return block.style if apart and isinstance(block, Paragraph) else None
 
 
@@ -80,11 +84,11 @@ def _quote(style: str, texts: Sequence[str]) -> str:
     for number, text in enumerate(texts):
         said = escape_markdown(text)
         lines += [""] if number else []
-        lines += (f"**{said}**" if style in ANSWERS else said).split("\n")
+        lines += (f"**{said}**" if style in ANSWER_STYLES else said).split("\n")
     return "\n".join(f"> {line}".rstrip() for line in lines)
 
 
-def _fenced(text: str, language: str) -> str:
+def _code_block(text: str, language: str) -> str:
     longest = max((len(ticks) for ticks in re.findall("`+", text)), default=0)
     fence = "`" * max(3, longest + 1)
     return f"{fence}{language}\n{text}\n{fence}"

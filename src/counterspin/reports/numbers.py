@@ -1,4 +1,4 @@
-"""Numbers as a person reads them: rounded to their uncertainty, in the units of the field.
+"""Formatting of numbers: rounded to their uncertainty, in the units of the field.
 
 The one rule is GUM 7.2.6: the uncertainty keeps two significant digits, and the value is rounded to
 the same decimal place. A number without uncertainty keeps a requested number of digits.
@@ -17,7 +17,7 @@ NOT_DETERMINED: Final = "not determined"
 
 _MICRO: Final = 1e6
 
-#: Unit of a result -> the unit it is shown in, and one of the former in the latter.
+#: Unit of a result -> display unit, and conversion factor.
 _FIELD_UNITS: Final = {
     "g": ("ug", _MICRO),
     "g/g^2": ("ug/g^2", _MICRO),
@@ -31,17 +31,17 @@ _FIELD_UNITS: Final = {
     "1/s": ("ppm/h", 3600.0 * _MICRO),
 }
 
-#: Numbers from 0.001 to below a million are written without a power of ten.
+#: Exponents written without a power of ten: from 0.001 to below a million.
 _PLAIN_EXPONENTS: Final = range(-3, 6)
 
-#: More digits than this are not in a double; the two numbers are then written on their own.
+#: Significant digits of a double; if more are needed, value and u are formatted separately.
 _DOUBLE_DIGITS: Final = 15
 
 
 def field_unit(unit: str) -> tuple[str, float]:
-    """Return the unit in which the field reads a quantity, and the factor that leads to it.
+    """Return the usual unit of the field, and the conversion factor to it.
 
-    unit: As it stands in a result: SI or g-units.
+    unit: Unit in a result: SI or g-units.
     """
     return _FIELD_UNITS.get(unit, (unit, 1.0))
 
@@ -50,30 +50,30 @@ def field_unit(unit: str) -> tuple[str, float]:
 class RoundedEstimate:
     """A value and its uncertainty, both to the second digit of the uncertainty."""
 
-    #: The digits, in units of ten to the power of `exponent`.
+    #: Digits, in units of ten to the power of `exponent`.
     value: str
     u: str
     exponent: int  #: The common power of ten; 0 where none is needed.
     place: int  #: Power of ten of the last digit kept.
 
     def write(self, number: float) -> str:
-        """Return another number to the same place and in the same power of ten."""
-        return _digits(_exactly(number), self.place, self.exponent)
+        """Return another number with the same last digit and power of ten."""
+        return _digits(_to_decimal(number), self.place, self.exponent)
 
 
 def round_to_uncertainty(value: float, u: float) -> RoundedEstimate | None:
     """Round a value to its uncertainty (GUM 7.2.6; halves to even, ISO 80000-1 B.3 rule A).
 
-    Returns: none if a double does not hold the value to two digits of u.
+    Returns: None if a double does not have enough digits for two digits of u.
     """
-    exact, spread = _exactly(value), _exactly(u)
+    exact, spread = _to_decimal(value), _to_decimal(u)
     place = spread.adjusted() - 1
-    # 0.0996 rounds to 0.10: one place fewer, or it would have three digits.
-    place += _at(spread, place).adjusted() - spread.adjusted()
+    # 0.0996 rounds to 0.10: one decimal fewer, or it would have three digits.
+    place += _from_steps(spread, place).adjusted() - spread.adjusted()
     if exact and exact.adjusted() - place >= _DOUBLE_DIGITS:
         return None
-    largest = max(abs(_at(exact, place)), _at(spread, place)).adjusted()
-    # Zeros before the point that are not significant would pretend to be.
+    largest = max(abs(_from_steps(exact, place)), _from_steps(spread, place)).adjusted()
+    # Insignificant zeros before the decimal point would look significant.
     exponent = 0 if place <= 0 and largest in _PLAIN_EXPONENTS else largest
     return RoundedEstimate(
         value=_digits(exact, place, exponent),
@@ -84,12 +84,12 @@ def round_to_uncertainty(value: float, u: float) -> RoundedEstimate | None:
 
 
 def format_estimate(value: float | None, u: float | None, unit: str = "") -> str:
-    """Write a value with its standard uncertainty and unit.
+    """Format a value with its standard uncertainty and unit.
 
-    value: None, or anything that is not finite: it is not determined, and no value is shown.
+    value: None or not finite: not determined, and no value is shown.
     u: Standard uncertainty. 0: the value is exact. None: unknown, and none is shown. Infinite: the
         value is not determined.
-    unit: Of both; empty for a plain number.
+    unit: Unit of both; empty for a pure number.
     """
     if not _is_determined(value, u):
         return NOT_DETERMINED
@@ -107,7 +107,7 @@ def format_estimate(value: float | None, u: float | None, unit: str = "") -> str
 
 
 def format_compact(value: float | None, u: float | None) -> str:
-    """Write a value with the uncertainty of its last digits in brackets (GUM 7.2.2).
+    """Format a value with the uncertainty of its last digits in parentheses (GUM 7.2.2).
 
     Takes and raises what `format_estimate` does. The result is such as ``1.570796301(12)`` or
     ``2.70445(37)e-5``; an uncertainty that reaches across the point keeps it, as in ``3.1(1.2)``.
@@ -125,7 +125,7 @@ def format_compact(value: float | None, u: float | None) -> str:
 
 
 def format_interval(value: float, u: float, half_width: float, unit: str = "") -> str:
-    """Write the interval value ± half_width, its ends rounded to the place of u."""
+    """Format the interval value ± half_width, with ends rounded to the last digit of u."""
     both = round_to_uncertainty(value, u)
     ends = (value - half_width, value + half_width)
     if both is None:
@@ -137,31 +137,31 @@ def format_interval(value: float, u: float, half_width: float, unit: str = "") -
 
 
 def format_uncertainty(u: float) -> str:
-    """Write an uncertainty by itself, to two significant digits as with a value (GUM 7.2.6)."""
+    """Format an uncertainty alone, to two significant digits (GUM 7.2.6)."""
     mantissa, mark, exponent = f"{u:#.2g}".partition("e")
     return mantissa.rstrip(".") + (f"e{int(exponent)}" if mark else "") if u else "0"
 
 
 def format_number(value: float, digits: int = 3) -> str:
-    """Write a number to so many significant digits, without zeros that say nothing."""
+    """Format a number to a number of significant digits, without trailing zeros."""
     text = f"{value:.{digits}g}"
     mantissa, mark, exponent = text.partition("e")
     return f"{mantissa}e{int(exponent)}" if mark else text
 
 
-def format_apart(value: float, other: float) -> str:
-    """Return a number with three digits, or with as many as distinguish it from another one."""
+def format_distinct(value: float, other: float) -> str:
+    """Return a number with three digits, or with as many as distinguish it from another number."""
     texts = ((f"{value:.{digits}g}", f"{other:.{digits}g}") for digits in range(3, 18))
     return next((text for text, there in texts if text != there), f"{value:.3g}")
 
 
 def format_count(value: float) -> str:
-    """Write a count, or what is compared with one: from a thousand on whole, else four digits."""
+    """Format a count or a similar number: whole from a thousand, else four digits."""
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e9 else format_number(value, 4)
 
 
 def format_share(share: float) -> str:
-    """Write a part of a whole in per cent; what would round to nothing is said to be small."""
+    """Format a share in per cent, with "<" if it would round to zero."""
     percent = 100.0 * share
     if 0.0 < percent < 0.05:
         return "< 0.1 %"
@@ -169,7 +169,7 @@ def format_share(share: float) -> str:
 
 
 def format_probability(probability: float) -> str:
-    """Write a probability in per cent; what would round to never or always is said to be near."""
+    """Format a probability in per cent, with "<" or ">" if it would round to 0 or 100 %."""
     if probability < 0.0005:
         return "< 0.1 %"
     if probability > 0.9995:
@@ -189,18 +189,18 @@ def _with_unit(text: str, unit: str) -> str:
     return f"{text} {unit}" if unit else text
 
 
-def _exactly(number: float) -> Decimal:
-    # By way of the shortest text: 0.125 +- 0.05 is a tie to a reader, whatever its binary digits.
+def _to_decimal(number: float) -> Decimal:
+    # Use the shortest decimal text: 0.125 ± 0.05 is a tie for a reader, whatever its binary digits.
     return Decimal(repr(float(number)))
 
 
 def _steps(number: Decimal, place: int) -> Decimal:
     """Return the number in steps of 10^place, rounded."""
-    # By way of an integer: a Decimal such as 2E+1 would keep its missing zeros missing.
+    # Convert by an integer: a Decimal such as 2E+1 would lack its zeros.
     return Decimal(int(number.scaleb(-place).to_integral_value(ROUND_HALF_EVEN)))
 
 
-def _at(number: Decimal, place: int) -> Decimal:
+def _from_steps(number: Decimal, place: int) -> Decimal:
     return _steps(number, place).scaleb(place)
 
 

@@ -1,8 +1,8 @@
-"""The report on paper: blocks as PDF/A-3a and PDF/UA-1, set by typst, with files attached.
+"""Reports as PDF/A-3a and PDF/UA-1, set by typst, with attached files.
 
-Nothing but what comes with typst is used, neither fonts of the machine nor a network, so the same
-blocks give the same file, byte for byte. ``assets/report.typ`` is the layout; all words reach it
-as data and are never read as markup.
+Only typst's own files are used, neither fonts of the machine nor a network, so the same blocks
+give the same file, byte for byte. ``assets/report.typ`` is the layout; all text reaches it as data
+and is never interpreted as markup.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from typing import Any, Final, Literal
 from counterspin.characters import escape_controls
 from counterspin.frozen import frozen
 from counterspin.output import mark
-from counterspin.reports.blocks import ANSWERS, Block, Heading, Paragraph, Picture, Table
+from counterspin.reports.blocks import ANSWER_STYLES, Block, Heading, Paragraph, Picture, Table
 from counterspin.reports.charts import svg
 
-#: PDF/A with any file attached: it looks the same everywhere (level b, which a contains) and its
-#: parts are tagged, so that programs can read it aloud (PDF/UA).
+#: PDF/A with attachments: fixed appearance (level b, included in a) and tagged parts for screen
+#: readers (PDF/UA).
 _STANDARDS: Final = ["a-3a", "ua-1"]
 
-#: Stands for a character that no font has.
-_SQUARE: Final = "\N{WHITE SQUARE}"
+#: Replacement of a character without a glyph in any font.
+_REPLACEMENT: Final = "\N{WHITE SQUARE}"
 
-#: How typst complains of one, and of one for private use.
-_NO_SHAPE: Final = ("could not be displayed", "contains the codepoint")
+#: Parts of typst's messages on such a character, and on a private-use one.
+_MISSING_GLYPH: Final = ("could not be displayed", "contains the codepoint")
 
 
 @frozen
 class Attachment:
-    """A file that travels in the PDF."""
+    """A file attached to a PDF."""
 
-    name: str  #: Of the file.
-    data: bytes  #: What is in it.
-    media_type: str  #: Such as ``application/xml``.
-    description: str  #: For people, in the list of attachments.
-    #: To the document (AFRelationship, ISO 32000-2, 7.11.3): what it was made from, its numbers,
-    #: the same in another form, or something that adds to it.
+    name: str  #: File name.
+    data: bytes  #: Content of the file.
+    media_type: str  #: MIME type, such as ``application/xml``.
+    description: str  #: Description in the list of attachments.
+    #: Relationship to the document (AFRelationship, ISO 32000-2, 7.11.3): its source, its data, an
+    #: alternative form, or a supplement.
     relationship: Literal["source", "data", "alternative", "supplement"]
 
 
@@ -55,12 +55,11 @@ def pdf(
 ) -> bytes:
     """Set blocks as a PDF/A-3a (ISO 19005-3) and PDF/UA-1 (ISO 14289-1).
 
-    Every page shows the title, the identifier and which page of how many it is, and the last one
-    says that it ends there (ISO/IEC 17025:2017, 7.8.2.1). A letter that typst's own fonts lack
-    (they have Latin, Greek, Cyrillic and Hebrew ones) is taken from the machine's fonts, and a
-    square stands for what these lack too.
+    Every page shows the title, the identifier, its number and the number of pages; the last page
+    marks the end (ISO/IEC 17025:2017, 7.8.2.1). A character missing in typst's fonts (Latin, Greek,
+    Cyrillic and Hebrew) is taken from the machine's fonts; a square replaces it if these lack it.
 
-    title: On every page; the heading too, where the blocks hold none of level 1.
+    title: Title on every page; also the heading, if the blocks have none of level 1.
     """
     names = [attachment.name for attachment in attachments]
     if len(set(names)) < len(names):
@@ -76,7 +75,7 @@ def pdf(
         "mark": mark(kind),
         "moment": moment.timetuple()[:6],
         "day": f"{moment:%Y-%m-%d %H:%M} UTC",
-        "blocks": list(_parts(blocks)),
+        "blocks": list(_layout_items(blocks)),
         "pictures": pictures,
         "attachments": [
             {
@@ -88,20 +87,20 @@ def pdf(
             for attachment in attachments
         ],
     }
-    # The compiler takes text alone, so bytes travel as a list of numbers.
+    # The compiler accepts text only, so bytes are passed as a list of numbers.
     files = {
         f"attachment-{index}.json": json.dumps(
             list(attachment.data), separators=(",", ":")
         ).encode()
         for index, attachment in enumerate(attachments)
     }
-    return _compiled(data, files, moment)
+    return _compile(data, files, moment)
 
 
-def _parts(blocks: Sequence[Block]) -> Iterator[dict[str, Any]]:
-    """Yield what the layout calls a part: a block, or answers that follow each other."""
+def _layout_items(blocks: Sequence[Block]) -> Iterator[dict[str, Any]]:
+    """Yield the items of the layout: a block, or consecutive answers."""
     pictures = 0
-    for style, group in groupby(blocks, _answers):
+    for style, group in groupby(blocks, _answer_style):
         if style is not None:
             texts = [block.text for block in group if isinstance(block, Paragraph)]
             yield {"kind": "answers", "texts": texts, "reserved": style == "reserved"}
@@ -119,9 +118,9 @@ def _parts(blocks: Sequence[Block]) -> Iterator[dict[str, Any]]:
                     pictures += 1
 
 
-def _answers(block: Block) -> str | None:
+def _answer_style(block: Block) -> str | None:
     """Return the style of an answer."""
-    return block.style if isinstance(block, Paragraph) and block.style in ANSWERS else None
+    return block.style if isinstance(block, Paragraph) and block.style in ANSWER_STYLES else None
 
 
 def _table(block: Table) -> dict[str, Any]:
@@ -139,7 +138,7 @@ def _table(block: Table) -> dict[str, Any]:
 # typst
 
 
-def _compiled(data: dict[str, Any], files: dict[str, bytes], moment: datetime) -> bytes:
+def _compile(data: dict[str, Any], files: dict[str, bytes], moment: datetime) -> bytes:
     from typst import TypstError
 
     layout = (resources.files("counterspin.reports") / "assets" / "report.typ").read_bytes()
@@ -151,14 +150,14 @@ def _compiled(data: dict[str, Any], files: dict[str, bytes], moment: datetime) -
     try:
         return compiled(data)
     except TypstError as error:
-        # PDF/A wants a shape for each letter (ISO 19005-3, 6.2.11.8).
-        if not any(complaint in error.message for complaint in _NO_SHAPE):
+        # PDF/A requires a glyph for each character (ISO 19005-3, 6.2.11.8).
+        if not any(complaint in error.message for complaint in _MISSING_GLYPH):
             raise
     letters = sorted({letter for text in _texts(data) for letter in text})
-    lacking = [letter for letter in letters if not _has_shape(letter, own_fonts=True)]
-    nowhere = [letter for letter in lacking if not _has_shape(letter, own_fonts=False)]
-    squares = str.maketrans(dict.fromkeys(nowhere, _SQUARE))
-    return compiled(_translated(data, squares), own_fonts=nowhere == lacking)
+    lacking = [letter for letter in letters if not _has_glyph(letter, own_fonts=True)]
+    nowhere = [letter for letter in lacking if not _has_glyph(letter, own_fonts=False)]
+    squares = str.maketrans(dict.fromkeys(nowhere, _REPLACEMENT))
+    return compiled(_translate(data, squares), own_fonts=nowhere == lacking)
 
 
 def _typst(files: dict[str, bytes], moment: datetime, own_fonts: bool) -> bytes:
@@ -174,10 +173,10 @@ def _typst(files: dict[str, bytes], moment: datetime, own_fonts: bool) -> bytes:
     return made
 
 
-def _has_shape(letter: str, *, own_fonts: bool) -> bool:
+def _has_glyph(letter: str, *, own_fonts: bool) -> bool:
     from typst import TypstError
 
-    # PDF/UA wants a title.
+    # PDF/UA requires a title.
     page = (
         f'#set document(title: "x")\n#set text(font: "Libertinus Serif")\n#"\\u{{{ord(letter):x}}}"'
     )
@@ -199,12 +198,12 @@ def _texts(data: Any) -> Iterator[str]:
                 yield from _texts(part)
 
 
-def _translated(data: Any, table: dict[int, str]) -> Any:
+def _translate(data: Any, table: dict[int, str]) -> Any:
     match data:
         case str():
             return data.translate(table)
         case dict():
-            return {key: _translated(value, table) for key, value in data.items()}
+            return {key: _translate(value, table) for key, value in data.items()}
         case list() | tuple():
-            return [_translated(part, table) for part in data]
+            return [_translate(part, table) for part in data]
     return data

@@ -1,4 +1,4 @@
-"""Reports of results: as files, as a notebook shows them, and as a person asks for them."""
+"""Reports of results as files, in a notebook, and as text or bytes."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from counterspin.loading import load_name
 from counterspin.output import mark, marked, reserve, write_whole
 from counterspin.reports.blocks import Block, Heading, Paragraph, Picture
 from counterspin.reports.typography import typeset_block
-from counterspin.results import ResultFile, ShownResult, unsealed_sentences
+from counterspin.results import ReportableResult, ResultFile, unsealed_sentences
 
-#: Endings of the files that are written.
+#: Suffixes of report files.
 FORMATS: Final = (".html", ".pdf", ".md")
 
 
 def check_format(path: Path) -> str:
-    """Return the format that a file's name asks for; CampaignError if it does not exist."""
+    """Return the format of a file name; CampaignError if it is not supported."""
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise CampaignError("report", [f"{path}: name the file .html, .pdf or .md"])
@@ -33,14 +33,14 @@ def check_format(path: Path) -> str:
 
 @frozen
 class Publication:
-    """Blocks with what they are."""
+    """Blocks of a report with its metadata."""
 
-    kind: str  #: What every file of them says that it is, such as "a comparison".
-    #: What it is called, and what it is known by.
+    kind: str  #: Description in its files, such as "a comparison".
+    #: Title and identifier.
     title: str
     identifier: str
-    blocks: Sequence[Block]  #: The answer first.
-    version: str = __version__  #: Of the program that computed what they show.
+    blocks: Sequence[Block]  #: Blocks, the answer first.
+    version: str = __version__  #: Version of the program that computed the result.
 
     def text(self, suffix: str, issued: datetime) -> str:
         """Return the report as ``.html`` or ``.md``, with a time of issue that has a time zone."""
@@ -76,7 +76,7 @@ class Publication:
     def write(self, path: Path, issued: datetime, *, overwrite: bool = False) -> None:
         """Write the report atomically.
 
-        overwrite: Replace an earlier one of this kind; nothing else is ever replaced.
+        overwrite: Whether an existing report of this kind may be replaced; other files never are.
         """
         suffix, kind = check_format(path), partial(marked, self.kind)
         reserve(path, kind, overwrite=overwrite)
@@ -84,10 +84,10 @@ class Publication:
         write_whole(path, lambda part: part.write_bytes(data), kind, overwrite=overwrite)
 
 
-def publish(result: ShownResult, identifier: str | None = None) -> Publication:
+def publish(result: ReportableResult, identifier: str | None = None) -> Publication:
     """Return the report of a result, titled with its first heading.
 
-    identifier: Of the report; None: that of the result.
+    identifier: Identifier of the report; None: that of the result.
     """
     blocks = with_seal_warning(result, load_name(result.REPORT_BLOCKS or result.BLOCKS)(result))
     title = next((block.text for block in blocks if isinstance(block, Heading)), result.KIND)
@@ -109,7 +109,7 @@ def with_seal_warning(result: ResultFile, blocks: Iterable[Block]) -> list[Block
 
 
 def issue_date(text: str | None = None) -> datetime:
-    """Return when a document is said to have been made.
+    """Return the date of issue of a document.
 
     text: A date or a date and time by ISO 8601, without a time zone in UTC. None: the seconds in
         ``SOURCE_DATE_EPOCH`` of the environment (reproducible-builds.org), or else now.
@@ -121,7 +121,7 @@ def issue_date(text: str | None = None) -> datetime:
                 return datetime.combine(date.fromisoformat(text.strip()), time(), UTC)
             given = datetime.fromisoformat(text.strip())
             given = given if given.tzinfo else given.replace(tzinfo=UTC)
-            # It is shown in UTC, where the year may be one that no calendar has.
+            # In UTC the year may be outside the calendar.
             given.astimezone(UTC)
             return given
         if epoch:
@@ -134,14 +134,14 @@ def issue_date(text: str | None = None) -> datetime:
     return datetime.now(UTC).replace(microsecond=0)
 
 
-#: Lines of a result's text in a cell; what is beyond them is in `print_result` or the report.
-LINES: Final = 20
+#: Largest number of text lines in a cell; `print_result` and the report show all.
+MAX_LINES: Final = 20
 
 _WIDTH: Final = 100
 
 
 def short_text(blocks: Sequence[Block]) -> str:
-    """Return blocks as text of at most `LINES` lines; what is left out is counted."""
+    """Return blocks as text of at most `MAX_LINES` lines, with the number of omitted lines."""
     from rich.console import Console
 
     from counterspin.reports.text import Report
@@ -150,43 +150,43 @@ def short_text(blocks: Sequence[Block]) -> str:
     with console.capture() as capture:
         console.print(Report(list(blocks)))
     lines = [line.rstrip() for line in capture.get().rstrip().split("\n")]
-    if len(lines) <= LINES:
+    if len(lines) <= MAX_LINES:
         return "\n".join(lines)
-    return "\n".join([*lines[: LINES - 1], f"... {len(lines) - LINES + 1} more lines"])
+    return "\n".join([*lines[: MAX_LINES - 1], f"... {len(lines) - MAX_LINES + 1} more lines"])
 
 
-def on_axes(pictures: Sequence[Picture], axes: Any = None) -> list[Any]:
+def draw_on_axes(pictures: Sequence[Picture], axes: Any = None) -> list[Any]:
     """Draw pictures in the style of the reports on axes of Matplotlib.
 
-    axes: One matplotlib.axes.Axes, or as many as there are pictures. None: those of a new figure,
-        below each other, which a notebook shows.
+    axes: One matplotlib.axes.Axes, or one for each picture. None: stacked axes of a new figure,
+        which a notebook shows.
     """
     import numpy as np
 
-    from counterspin.reports.drawing import COLOURS_OF_PAPER, draw, settings
+    from counterspin.reports.drawing import PAPER_COLOURS, draw_on_axes, settings
 
     figure = None
     if axes is None:
         import matplotlib.pyplot as plt
 
-        # The first figure loads what shows figures in a notebook, whose settings are to stay: so
-        # it is made before those of the reports are set, which end with the drawing.
-        size, ground = (7.0, 2.6 * len(pictures)), COLOURS_OF_PAPER["ground"]
+        # The first figure loads the notebook's backend, whose settings must remain: so create it
+        # before the temporary settings of the reports.
+        size, ground = (7.0, 2.6 * len(pictures)), PAPER_COLOURS["ground"]
         figure = plt.figure(figsize=size, facecolor=ground, layout="constrained")
-    with settings(COLOURS_OF_PAPER):
+    with settings(PAPER_COLOURS):
         if figure is not None:
             axes = figure.subplots(len(pictures), 1)
         own = list(np.atleast_1d(np.asarray(axes, dtype=object)).ravel())
         if len(own) != len(pictures):
             raise ValueError(f"there are {len(pictures)} pictures to draw on {len(own)} axes")
         for picture, place in zip(pictures, own, strict=True):
-            draw(place, cast("Picture", typeset_block(picture)))
+            draw_on_axes(place, cast("Picture", typeset_block(picture)))
     return own
 
 
 @overload
 def report(
-    result: ShownResult,
+    result: ReportableResult,
     kind: Literal["html", "md"] = "html",
     *,
     identifier: str | None = None,
@@ -194,14 +194,14 @@ def report(
 ) -> str: ...
 @overload
 def report(
-    result: ShownResult,
+    result: ReportableResult,
     kind: Literal["pdf"],
     *,
     identifier: str | None = None,
     issued: datetime | None = None,
 ) -> bytes: ...
 def report(
-    result: ShownResult,
+    result: ReportableResult,
     kind: Literal["html", "md", "pdf"] = "html",
     *,
     identifier: str | None = None,
@@ -234,7 +234,7 @@ def report(
 
 
 def write_report(
-    result: ShownResult,
+    result: ReportableResult,
     path: Path | str,
     *,
     identifier: str | None = None,

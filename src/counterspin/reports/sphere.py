@@ -1,4 +1,4 @@
-"""Points on a sphere, drawn as its two halves side by side, in an area-preserving projection."""
+"""Drawing of points on a sphere: two hemispheres side by side, in an equal-area projection."""
 
 from __future__ import annotations
 
@@ -10,39 +10,39 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.reports.blocks import Sphere
-from counterspin.reports.chart_layout import WIDTH, Margins, margins, shorten_words
+from counterspin.reports.chart_layout import WIDTH, Margins, margins, shorten_text
 from counterspin.reports.numbers import format_number
 
-#: Points to a radius, and radii from the middle of the drawing to that of each half.
+#: Radius of a hemisphere in points, and distance of its centre from the middle, in radii.
 _RADIUS: Final = 92.0
-_APART: Final = 1.3
+_CENTRE_OFFSET: Final = 1.3
 
-#: Heights of the drawing and of the colours' row below, in points.
+#: Heights of the drawing and of the colour bar below, in points.
 _HEIGHT: Final = 238.0
 _COLOUR_ROW: Final = 24.0
 
-#: Names are written at points up to this number.
-_MOST_NAMED: Final = 60
+#: Largest number of points with names.
+_MAX_NAMED: Final = 60
 
-#: Opacity of a point without, and with, the largest value.
-_PALE: Final = 0.06
-_FULL: Final = 0.95
+#: Opacity of points with value zero and with the largest value.
+_MIN_OPACITY: Final = 0.06
+_MAX_OPACITY: Final = 0.95
 
 
 def draw_sphere(axes: Any, sphere: Sphere, palette: Mapping[str, str], title: str) -> Margins:
-    """Draw the halves of a sphere about its third axis, the positive one to the left."""
+    """Draw the hemispheres about the third axis, the positive one at the left."""
     points = np.asarray(sphere.points, dtype=float).reshape(-1, 3)
     values = np.asarray(sphere.values, dtype=float)
     largest = float(np.max(np.abs(values), initial=0.0))
     for sign in (1.0, -1.0):
         _draw_half(axes, sphere, sign, palette)
         here = points[:, 2] * sign > 0.0 if sign > 0.0 else points[:, 2] <= 0.0
-        at = _projected(points[here], sign)
+        at = _project(points[here], sign)
         for (x, y), value, k in zip(at, values[here], np.flatnonzero(here), strict=True):
             _draw_point(axes, x, y, value / (largest or 1.0), palette, out=k in sphere.stands_out)
-            if len(points) <= _MOST_NAMED:
+            if len(points) <= _MAX_NAMED:
                 axes.annotate(
-                    shorten_words(sphere.names[k], 60.0),
+                    shorten_text(sphere.names[k], 60.0),
                     (x, y),
                     xytext=(4.5, 3.5),
                     textcoords="offset points",
@@ -64,21 +64,21 @@ def draw_sphere(axes: Any, sphere: Sphere, palette: Mapping[str, str], title: st
     return margins(axes, _HEIGHT + 4.0 + 2.0)
 
 
-def _projected(points: Array, sign: float) -> Array:
-    """Return the drawn positions of a half's points, shape (n, 2), by Lambert's equal-area map."""
+def _project(points: Array, sign: float) -> Array:
+    """Return a hemisphere's points in Lambert's equal-area projection, shape (n, 2)."""
     across = np.hypot(points[:, 0], points[:, 1])
     reach = np.sqrt(np.maximum(1.0 - np.abs(points[:, 2]), 0.0))
     scale = np.divide(reach, across, out=np.zeros_like(reach), where=across > 0.0)
-    # Each half is seen from outside: the second is turned over about its vertical line.
+    # Each hemisphere is seen from outside: the second is mirrored about its vertical axis.
     at: Array = points[:, :2] * scale[:, None] * [sign, 1.0]
-    at[:, 0] -= sign * _APART
+    at[:, 0] -= sign * _CENTRE_OFFSET
     return at
 
 
 def _draw_half(axes: Any, sphere: Sphere, sign: float, palette: Mapping[str, str]) -> None:
     from matplotlib.patches import Circle
 
-    middle = -sign * _APART
+    middle = -sign * _CENTRE_OFFSET
     for height in (30.0, 60.0):
         radius = math.sqrt(1.0 - math.sin(math.radians(height)))
         axes.add_patch(Circle((middle, 0.0), radius, fill=False, color=palette["grid"], lw=0.6))
@@ -105,7 +105,7 @@ def _draw_point(
     axes: Any, x: float, y: float, value: float, palette: Mapping[str, str], *, out: bool
 ) -> None:
     colour = palette["positive" if value >= 0.0 else "negative"]
-    opacity = _PALE + (_FULL - _PALE) * abs(value)
+    opacity = _MIN_OPACITY + (_MAX_OPACITY - _MIN_OPACITY) * abs(value)
     axes.plot(
         [x],
         [y],
@@ -120,7 +120,7 @@ def _draw_point(
 
 
 def _draw_colours(axes: Any, sphere: Sphere, largest: float, palette: Mapping[str, str]) -> None:
-    """Draw what the colours mean, below the halves."""
+    """Draw the colour bar below the hemispheres."""
     y = -1.08 - _COLOUR_ROW / _RADIUS
     axes.text(-0.72, y, sphere.value_label, ha="right", va="center", color=palette["ink"])
     for place, value in enumerate((-1.0, -0.5, 0.0, 0.5, 1.0) if largest else (0.0,)):

@@ -1,4 +1,4 @@
-"""Results in the terminal, and the progress of work there.
+"""Results and progress in the terminal.
 
 Numbers are never broken: columns of words wrap first, then titles. If the terminal is still too
 narrow, the columns are printed in several tables below each other.
@@ -19,19 +19,19 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from counterspin.characters import encodable
-from counterspin.reports.blocks import Block, Heading, Paragraph, Style, Table, without_pictures
+from counterspin.reports.blocks import Block, Heading, Paragraph, Style, Table, text_blocks
 from counterspin.reports.typography import typeset_block
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
 
-#: Seconds of work before anything is shown.
+#: Delay before progress is shown, s.
 QUIET_SECONDS: Final = 1.0
 
 
-def _is_watched() -> bool:
-    # None: whoever started the program closed it.
+def _is_terminal() -> bool:
+    # None: the parent process closed it.
     return sys.stderr is not None and sys.stderr.isatty()
 
 
@@ -44,13 +44,13 @@ def progress(
 ) -> Iterator[Callable[[int, int], None] | None]:
     """Show the progress of work on standard error, and erase it at the end.
 
-    console: Console to show it; None: standard error.
+    console: Console for the progress bar; None: standard error.
     """
-    if console is None and not _is_watched():
+    if console is None and not _is_terminal():
         yield None
         return
-    bar = _Bar(console, words)
-    # A short calibration ends before the timer, and neither shows nor loads anything.
+    bar = _ProgressBar(console, words)
+    # A short calibration ends before the timer, so nothing is shown or loaded.
     timer = threading.Timer(patience, bar.show)
     timer.daemon = True
     timer.start()
@@ -62,7 +62,7 @@ def progress(
         bar.close()
 
 
-class _Bar:
+class _ProgressBar:
     def __init__(self, console: Console | None, words: tuple[str, str, str]) -> None:
         self.console = console
         self.before, self.while_counting, self.after = words
@@ -101,8 +101,8 @@ class _Bar:
 
 @contextmanager
 def work_progress(what: str) -> Iterator[Callable[[int, int], None] | None]:
-    """Show how much is done, how much a second, and the time left, on standard error."""
-    if not _is_watched():
+    """Show the amount done, the speed, and the remaining time, on standard error."""
+    if not _is_terminal():
         yield None
         return
     from rich import progress as rich
@@ -128,13 +128,13 @@ def work_progress(what: str) -> Iterator[Callable[[int, int], None] | None]:
         yield advance
 
 
-#: Columns of plain text, where there is no terminal to ask.
+#: Width of plain text without a terminal, in characters.
 _PLAIN_WIDTH: Final = 100
 
-#: Nobody reads a terminal that claims to be narrower: ``COLUMNS=0`` is left over from a script.
-_NARROWEST_COLUMNS: Final = 10
+#: Smallest plausible width; ``COLUMNS=0`` comes from scripts.
+_MIN_WIDTH: Final = 10
 
-#: Characters between two columns.
+#: Gap between columns, in characters.
 _COLUMN_GAP: Final = 2
 
 _STYLES: Final[dict[Style, str]] = {
@@ -151,38 +151,38 @@ _STYLES: Final[dict[Style, str]] = {
 
 class _Console(Console):
     def on_broken_pipe(self) -> None:
-        """Leave it to the caller; rich itself would end the process."""
+        """Raise the error to the caller; rich would end the process."""
         raise BrokenPipeError
 
 
 def report_console(file: TextIO | None = None) -> Console:
     """Return a console for reports.
 
-    file: Where it writes; None: standard output.
+    file: Output file; None: standard output.
     """
     made = _Console(file=file, highlight=False, emoji=False)
-    if made.width < _NARROWEST_COLUMNS or (not made.is_terminal and "COLUMNS" not in os.environ):
+    if made.width < _MIN_WIDTH or (not made.is_terminal and "COLUMNS" not in os.environ):
         made.width = _PLAIN_WIDTH
     return made
 
 
 class Report:
-    """Blocks of a report as rich prints them, in the width and characters of its console.
+    """Blocks of a report as a rich renderable, in the width and encoding of its console.
 
-    Pictures are left out; their numbers are in the tables. On a terminal numbers and units are as
-    in print; in piped output, as one can type them.
+    Pictures are omitted; their numbers are in the tables. Numbers and units are typeset on a
+    terminal, and typable in piped output.
     """
 
     def __init__(self, blocks: list[Block]) -> None:
-        self.blocks = without_pictures(blocks)
+        self.blocks = text_blocks(blocks)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield each block; called by rich."""
         before: Block | None = None
         for plain in self.blocks:
-            # Piped text stays as a campaign file would have it, and as one can type it.
+            # Piped text stays typable, as in a campaign file.
             block = typeset_block(plain) if options.is_terminal else plain
-            if before is not None and _stand_apart(before, block):
+            if before is not None and _needs_blank_line(before, block):
                 yield ""
             match block:
                 case Heading(text, _):
@@ -195,20 +195,22 @@ class Report:
             before = block
 
 
-def _stand_apart(before: Block, block: Block) -> bool:
+def _needs_blank_line(before: Block, block: Block) -> bool:
     if isinstance(block, Heading):
         return True
     return not isinstance(before, Heading) and isinstance(before, Table) | isinstance(block, Table)
 
 
 def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
-    """Yield the table; several, with the names repeated, if the columns do not fit side by side.
+    """Yield the table, split into several with repeated names if the columns do not fit.
 
-    A number is broken only if a single column next to the names is too wide.
+    Numbers are broken only if a single column next to the names is too wide.
     """
     titles = [encodable(column.title, options.encoding) for column in block.columns]
     rows = [[encodable(cell, options.encoding) for cell in row] for row in block.rows]
-    for number, (chosen, widths) in enumerate(_parts(block, [titles, *rows], options.max_width)):
+    for number, (chosen, widths) in enumerate(
+        _split_columns(block, [titles, *rows], options.max_width)
+    ):
         table = RichTable(
             box=box.SIMPLE_HEAD,
             padding=(0, _COLUMN_GAP - 1, 0, 0),
@@ -227,10 +229,10 @@ def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
         yield table
 
 
-def _parts(
+def _split_columns(
     block: Table, rows: list[list[str]], available: int
 ) -> Iterator[tuple[list[int], Sequence[int | None]]]:
-    """Yield the columns of each table that the terminal has room for, and their widths."""
+    """Yield the columns of each table that fits the terminal, and their widths."""
     wanted, whole, least = [], [], []
     for index, column in enumerate(block.columns):
         lines = [line for row in rows for line in row[index].split("\n")]
@@ -238,37 +240,40 @@ def _parts(
         title = max(map(len, rows[0][index].split()), default=0)
         cells = max((len(line) for row in rows[1:] for line in row[index].split("\n")), default=0)
         wanted.append(max(map(len, lines)))
-        # Numbers, which stand at the right, stay in one line; only the title above them is wrapped.
+        # Right-aligned numbers stay on one line; only their title is wrapped.
         words = max(title, cells) if column.align == "right" else words
         wrapped = max(words, min(column.narrowest, wanted[-1]))
         whole.append(wrapped if column.wraps else wanted[-1])
         least.append(wrapped if column.wraps else max(title, cells))
     everything = list(range(len(block.columns)))
     for widths in (whole, least):
-        if (spare := _spare(widths, everything, available)) >= 0:
-            yield everything, _spread(widths, wanted, everything, spare)
+        if (spare := _spare_width(widths, everything, available)) >= 0:
+            yield everything, _distribute_width(widths, wanted, everything, spare)
             return
-    # A column without a title belongs to the name before it.
+    # A column without a title belongs to the previous name.
     names = 1
     while names < len(everything) and not rows[0][names]:
         names += 1
     chosen = everything[:names]
     for index in everything[names:]:
-        if len(chosen) > names and _spare(least, [*chosen, index], available) < 0:
-            yield chosen, _spread(least, wanted, chosen, _spare(least, chosen, available))
+        if len(chosen) > names and _spare_width(least, [*chosen, index], available) < 0:
+            yield (
+                chosen,
+                _distribute_width(least, wanted, chosen, _spare_width(least, chosen, available)),
+            )
             chosen = everything[:names]
         chosen = [*chosen, index]
-    yield chosen, _spread(least, wanted, chosen, _spare(least, chosen, available))
+    yield chosen, _distribute_width(least, wanted, chosen, _spare_width(least, chosen, available))
 
 
-def _spare(widths: Sequence[int], chosen: Sequence[int], available: int) -> int:
+def _spare_width(widths: Sequence[int], chosen: Sequence[int], available: int) -> int:
     return available - sum(widths[index] for index in chosen) - _COLUMN_GAP * (len(chosen) - 1)
 
 
-def _spread(
+def _distribute_width(
     least: Sequence[int], wanted: Sequence[int], chosen: Sequence[int], spare: int
 ) -> Sequence[int | None]:
-    """Return the widths of columns, the room that is left given to those that lack most."""
+    """Return the widths of columns; spare width goes to those that lack most."""
     if spare < 0:
         return [None] * len(chosen)
     widths = [least[index] for index in chosen]

@@ -1,4 +1,4 @@
-"""Numbers and units as in print."""
+"""Typesetting of numbers, units and symbols."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from counterspin.characters import Lines
+from counterspin.characters import MultilineText
 from counterspin.reports.blocks import Bars, Block, Heading, HeatMap, Paragraph, Plot, Sphere, Table
 
 #: A coefficient, score or force in prose, such as K_II: the letter and its index. A superscript
 #: may follow.
 SYMBOL: Final = r"(K|E|a(?=_[IPO])|delta(?=_[IPO]))_([A-Z]{1,3}|\d|n)(?![^\W²³⁴]|\.\w)"
-#: Letters that are words in code -> as they are printed.
+#: Names of Greek letters -> printed letters.
 _GREEK: Final = {"delta": "δ"}
 
-RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+SUPERSCRIPTS: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
-#: A power of ten that stands by itself, before a unit or after a cross.
+#: A power of ten alone, before a unit or after a cross.
 _POWER: Final = re.compile(r"(?<![\w.])1e([-+]?\d+)(?!\w)")
 #: A number, perhaps with its uncertainty in brackets, times a power of ten.
 _TIMES_POWER: Final = re.compile(r"(?<![\w.])(\d+(?:\.\d+)?(?:\([\d.]+\))?)e([-+]?\d+)(?!\w)")
@@ -31,20 +31,20 @@ _CROSS: Final = re.compile(r"(?<=[\d)]) x (?=10[⁻⁰-⁹¹²³])")
 
 
 def typeset(text: str) -> str:
-    """Return a text with its powers of ten, exponents and micro signs set as in print.
+    """Return a text with typeset powers of ten, exponents and micro signs.
 
-    Words and other numbers stay as they are.
+    Other text is unchanged.
     """
-    text = _POWER.sub(lambda found: f"10{_raised(found[1])}", text)
-    text = _TIMES_POWER.sub(lambda found: f"{found[1]} × 10{_raised(found[2])}", text)
-    text = _EXPONENT.sub(lambda found: found[1].translate(RAISED), text)
+    text = _POWER.sub(lambda found: f"10{_superscript(found[1])}", text)
+    text = _TIMES_POWER.sub(lambda found: f"{found[1]} × 10{_superscript(found[2])}", text)
+    text = _EXPONENT.sub(lambda found: found[1].translate(SUPERSCRIPTS), text)
     return _SIGN.sub("−", _CROSS.sub(" × ", _MICRO.sub("µg", text)))
 
 
-def with_indices(text: str, index: Callable[[str, str], str], symbol: str = SYMBOL) -> str:
-    """Return prose with its symbols as a renderer sets them.
+def set_indices(text: str, index: Callable[[str, str], str], symbol: str = SYMBOL) -> str:
+    """Return prose with symbols formatted by a renderer.
 
-    index: Takes a symbol's letter and its index.
+    index: Function of a symbol's letter and its index.
     """
 
     def placed(found: re.Match[str]) -> str:
@@ -53,18 +53,22 @@ def with_indices(text: str, index: Callable[[str, str], str], symbol: str = SYMB
     return re.sub(rf"(?<![\w.]){symbol}", placed, text)
 
 
-def _raised(exponent: str) -> str:
-    """Return an exponent as it is printed; Python writes ``e-09`` and ``e+12``."""
+def _superscript(exponent: str) -> str:
+    """Return an exponent in superscript; Python writes ``e-09`` and ``e+12``."""
     sign = "-" if exponent.startswith("-") else ""
-    return f"{sign}{exponent.lstrip('+-0') or '0'}".translate(RAISED)
+    return f"{sign}{exponent.lstrip('+-0') or '0'}".translate(SUPERSCRIPTS)
 
 
 def _typeset_cell(cell: str) -> str:
-    return Lines(*typeset(cell).split("\n")) if isinstance(cell, Lines) else typeset(cell)
+    return (
+        MultilineText(*typeset(cell).split("\n"))
+        if isinstance(cell, MultilineText)
+        else typeset(cell)
+    )
 
 
 def typeset_block(block: Block) -> Block:
-    """Return a block with all of its words typeset; commands keep the characters to type."""
+    """Return a block with all text typeset, except commands."""
     match block:
         case Heading():
             return replace(block, text=typeset(block.text))

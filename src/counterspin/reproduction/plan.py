@@ -17,7 +17,7 @@ from counterspin.physics import quadrature
 from counterspin.physics.accelerometer import QX, indicated
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Ripple, Spindle
-from counterspin.results import ShownResult
+from counterspin.results import ReportableResult
 
 
 def _json_key(name: str) -> str:
@@ -60,7 +60,7 @@ class PaperSection:
     rows: tuple[Row, ...]
 
 
-class Reproduction(ShownResult):
+class Reproduction(ReportableResult):
     """The result of `reproduce`."""
 
     BLOCKS: ClassVar[str] = "counterspin.reproduction.page:reproduction_blocks"

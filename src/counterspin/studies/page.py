@@ -19,7 +19,7 @@ from counterspin.reports.blocks import (
     Style,
     Table,
 )
-from counterspin.reports.charts import reserve_figures, save
+from counterspin.reports.charts import reserve_figures, save_figure
 from counterspin.reports.numbers import field_unit, format_number
 from counterspin.studies.result import LEVELS, Z_BINS, Z_EDGE, CoefficientResult, StudyResult
 
@@ -213,7 +213,7 @@ def write_figures(result: StudyResult, folder: Path | str, *, overwrite: bool = 
     }
     reserve_figures(figures, FIGURE, overwrite=overwrite)
     for path, plots in figures.items():
-        save(list(plots), path, FIGURE, overwrite=overwrite)
+        save_figure(list(plots), path, FIGURE, overwrite=overwrite)
 
 
 def _coefficients(result: StudyResult) -> list[tuple[str, CoefficientResult]]:

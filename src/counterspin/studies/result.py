@@ -17,7 +17,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.loading import load_name
-from counterspin.results import ResultPart, ShownResult, draw_pictures
+from counterspin.results import ReportableResult, ResultPart, draw_pictures
 
 LEVELS: Final = (0.68, 0.95, 0.99)  #: of the intervals whose coverage is counted
 
@@ -172,7 +172,7 @@ class AnalysisResult(ResultPart):
     undetermined: list[str]  #: What the records do not determine.
 
 
-class StudyResult(ShownResult):
+class StudyResult(ReportableResult):
     """A study."""
 
     BLOCKS: ClassVar[str] = "counterspin.studies.page:study_blocks"

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import ClassVar, Final, Literal
 
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
-from counterspin.results import ResultPart, ShownResult
+from counterspin.results import ReportableResult, ResultPart
 
 
 class Installation(ResultPart):
@@ -45,7 +45,7 @@ class CheckedCase(ResultPart):
     note: str = ""  #: What went wrong where nothing could be compared.
 
 
-class Dossier(ShownResult):
+class Dossier(ReportableResult):
     """The result of `validate`."""
 
     BLOCKS: ClassVar[str] = "counterspin.validation.page:summary_blocks"

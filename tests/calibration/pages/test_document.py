@@ -24,7 +24,7 @@ from counterspin.reports.blocks import (
     Picture,
     Plot,
     Table,
-    without_pictures,
+    text_blocks,
 )
 
 #: Residuals eight times as large as the stated noise.
@@ -190,9 +190,9 @@ def test_degrees_of_freedom_are_counted_whole_and_units_are_in_print():
 def test_words_alone_have_no_empty_chapters():
     picture = next(residual_plots("Qx", result().accelerometers["Qx"], result().runs))
     one, two, deep, said = Heading("1"), Heading("2"), Heading("3", 3), Paragraph("words")
-    assert without_pictures([one, deep, picture, two, said]) == [two, said]
-    assert without_pictures([one, picture, deep, said, two, picture]) == [one, deep, said]
-    assert without_pictures([one, said, picture, picture, two]) == [one, said, two]
+    assert text_blocks([one, deep, picture, two, said]) == [two, said]
+    assert text_blocks([one, picture, deep, said, two, picture]) == [one, deep, said]
+    assert text_blocks([one, said, picture, picture, two]) == [one, said, two]
 
 
 def test_the_identifier_is_the_result_s_own():

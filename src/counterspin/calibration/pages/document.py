@@ -40,7 +40,7 @@ from counterspin.calibration.pages.verdict import (
 )
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, RunResult, State
-from counterspin.characters import Lines
+from counterspin.characters import MultilineText
 from counterspin.inference.distributions import expanded_uncertainty
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Picture, Style, Table
 from counterspin.reports.numbers import (
@@ -243,7 +243,7 @@ def _ripples(run: RunResult) -> str:
         return "-"
     # parts per million of the rate, whichever way it turns
     scale = 1e6 / abs(run.rate)
-    return Lines(
+    return MultilineText(
         *(
             f"{one.harmonic}: {format_compact(one.amplitude * scale, one.u_amplitude * scale)}"
             for one in run.ripples
