@@ -26,12 +26,8 @@ def test_every_violation_is_in_the_table_with_every_tumble(kept):
     assert set(kept) == {(v.name, way) for v in STUDY["violations"]() for way in WAYS}
 
 
-#: docs/trust.md, known limits: terms that are in u on request only.
-SILENT = [("K_0_asym", "12 positions in two mountings")]
-
-
-def test_none_is_silent_except_the_known_limit(kept):
-    assert [key for key, row in kept.items() if row.silent] == SILENT
+def test_none_is_silent(kept):
+    assert not [key for key, row in kept.items() if row.silent]
 
 
 def test_the_table_is_what_is_found(kept):
@@ -46,6 +42,9 @@ def test_wherever_something_is_found_the_head_is_named(kept, way):
     usual = STUDY["description"](*WAYS[way])
     for violation in STUDY["violations"]():
         if not kept[violation.name, way].codes:
+            continue
+        # Waves three and four times a turn are two columns each, and are noticed without a name.
+        if violation.symbol.startswith(("head.harmonic.3", "head.harmonic.4")):
             continue
         assuming = next(STUDY["calibrated"](STUDY["world_of"](violation, usual)))
         times = "once" if ".1." in violation.symbol else "twice"

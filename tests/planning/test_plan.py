@@ -262,7 +262,7 @@ RECORDS = {
 
 @pytest.mark.parametrize("changes", RECORDS.values(), ids=RECORDS)
 def test_the_search_predicts_what_the_forecast_says(changes, starter):
-    """Every u of random plans within 0.02 %."""
+    """Every u of random plans within 0.02 %; within 0.1 % of K_0_asym, whose product jumps."""
     search = Search(read_plan(starter(('senses = "one"', 'senses = "both"'), *changes)))
     rng = np.random.default_rng(12)
     for runs in (1, 3, 6, 10):
@@ -274,7 +274,10 @@ def test_the_search_predicts_what_the_forecast_says(changes, starter):
         predicted = dict(zip(search.predictor.names, search.predictor.u(design), strict=True))
         # Nothing has changed from run to run if there is only one.
         there = {name: told[name] for name in predicted if name in told}
-        assert predicted == pytest.approx(predicted | there, rel=2e-4)
+        jumping = {name for name in predicted if name.endswith(".K_0_asym")}
+        for names, rel in ((predicted.keys() - jumping, 2e-4), (jumping, 1e-3)):
+            expected = {name: (predicted | there)[name] for name in names}
+            assert {name: predicted[name] for name in names} == pytest.approx(expected, rel=rel)
 
 
 def test_forecast_has_all_samples_of_dense_records(plan_of, tmp_path):

@@ -41,7 +41,7 @@ def calibrated(folder, angles, values, **how):
         reading = written[0] if len(written) == 1 else f"[{', '.join(written)}]"
         run = at_rest(f"at {k}", f"{angle!r}{head} deg about north", "?")
         runs.append(run.replace('reading = "?"', f"reading = {reading}"))
-        runs += [f'time = "{k} min"\n'] if how.get("time") else []
+        runs += [f'time = "{k} min"\ntemperature = "23 degC"\n'] if how.get("time") else []
     model = f"[model]\nassume = {how.get('assume', 'all')!r}\nterms = {list(terms)}\n"
     text = "".join([HEAD, model.replace("'", '"'), *runs, *how.get("more", ())])
     (folder / "campaign.toml").write_text(text, encoding="utf-8")
@@ -151,8 +151,8 @@ def test_a_step_is_named_with_the_position_from_which_on_it_is(tmp_path, u, coun
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
 @pytest.mark.parametrize("assume", ['assume = "all"', ""], ids=["all assumed", "nothing assumed"])
-def test_a_drift_of_the_scale_is_named(tmp_path, u, assume):
-    """Of 100 ppm on an arm: K_II was 7.5 u off and good, where nothing was stated."""
+def test_a_drift_of_the_scale_is_named_or_in_the_uncertainty(tmp_path, u, assume):
+    """Of 100 ppm on an arm, as K_I.temperature of typical size makes it in 1 K."""
     test = arm()
     truth = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6}
     values = simulated(test, np.random.default_rng(17), SIGMA, truth=truth)
@@ -167,8 +167,14 @@ def test_a_drift_of_the_scale_is_named(tmp_path, u, assume):
     model = f"[model]\n{assume}\nterms = {list(truth)}\n".replace("'", '"')
     (tmp_path / "campaign.toml").write_text("".join([HEAD, model, *runs]), encoding="utf-8")
     result = calibrate(tmp_path)
-    assert result.state != "good"
-    assert "have a scale that drifts with the order" in misfits(result)[0].text
+    if assume:
+        assert result.state != "good"
+        assert "have a scale that drifts with the order" in misfits(result)[0].text
+    else:
+        k_ii = result["A.K_II"]
+        assert (result.state, result.findings) == ("good", [])
+        assert abs(k_ii.value - truth["K_II"]) < 3.0 * k_ii.u
+        assert k_ii.u < 0.01 * truth["K_II"]
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
@@ -300,12 +306,17 @@ def test_less_than_five_degrees_of_freedom_are_not_judged(tmp_path, count, codes
         assert "noticed only above 2 times the stated uncertainty" in stated.findings[0].text
 
 
-def test_twelve_positions_of_which_nothing_is_stated_are_judged(tmp_path):
-    """Mean and three waves are taken up, and 12 less 7 are left: at 5 chance would decide."""
+@pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
+def test_twelve_positions_of_which_nothing_is_stated_are_not_judged(tmp_path, u):
+    """Four waves of an unknown head, and what they leave to drifts, take up all twelve."""
     for seed in range(4):
         values = simulated(tumble(), np.random.default_rng(seed), SIGMA, truth=LEVEL)
-        result = calibrated(tmp_path, even(12), values, assume=[])
-        assert "unjudged-readings" not in [f.code for f in result.findings]
+        result = calibrated(tmp_path, even(12), values, u=u, assume=[])
+        assert [f.code for f in result.findings] == ["unjudged-readings"]
+        for symbol, value in LEVEL.items():
+            assert abs(result[f"A.{symbol}"].value - value) < 4.0 * result[f"A.{symbol}"].u
+        known = calibrated(tmp_path, even(12), values, u=SIGMA, assume=[], more=[STATED_HEAD])
+        assert (known.state, known.findings) == ("good", [])
 
 
 def shown(kind, rng):
@@ -425,7 +436,10 @@ STATED_HEAD = '[model.priors]\n"head.harmonic" = "0 ± 0.1 arcsec"\n'
 
 @pytest.mark.parametrize("count", [12, 24])
 def test_a_drift_of_ten_typical_sizes_that_nobody_states_is_not_good(tmp_path, count):
-    """The typical size holds it back, and K_F is off by four of its u; no u is stated."""
+    """The typical size holds it back, and K_F is off by four of its u; no u is stated.
+
+    An unknown change of temperature could make it, so that temperatures are stated.
+    """
     rng = np.random.default_rng(count)
     for _ in range(3):
         values = simulated(tumble(count), rng, SIGMA, truth=LEVEL)
@@ -438,17 +452,14 @@ def test_a_drift_of_ten_typical_sizes_that_nobody_states_is_not_good(tmp_path, c
 
 @pytest.mark.parametrize("count", [12, 24])
 def test_a_drift_that_an_unstated_head_hides_is_in_the_uncertainty(tmp_path, count):
-    """Errors of the head look like most of it: it moves K_F by 1.4 u, and some are noticed."""
+    """Errors of the head look like most of it: it moves K_F by 1.4 u."""
     rng = np.random.default_rng(count)
-    noticed = 0
     for _ in range(6):
         values = simulated(tumble(count), rng, SIGMA, truth=LEVEL)
         values += 12.0 * SIGMA * np.linspace(0.0, 1.0, count)
         result = calibrated(tmp_path, even(count), values, assume=[], time=True)
         low, high = result["A.K_F"].interval(0.95)
         assert low < LEVEL["K_F"] < high
-        noticed += result.state != "good"
-    assert noticed >= 4
 
 
 def turned_head(count, trial, *, again):
@@ -527,9 +538,12 @@ def test_readings_without_noise_have_that_of_their_last_digit(tmp_path, assume, 
     least = 10.0**-digits / 1.25 / math.sqrt(12.0)
     own = result.accelerometers["A"].coefficients
     assert all(abs(c.value - LEVEL[s]) < 4.0 * c.u for s, c in own.items())
-    if digits < 9:
+    if digits < 9 and assume:
         assert noise.value == pytest.approx(least, rel=1e-9)
         assert ROUNDED in " ".join(result.warnings)
+    elif digits < 9:
+        # Residuals of a fit without the waves of the head: of eight degrees of freedom.
+        assert least * (1.0 - 1e-9) < noise.value < 1.5 * least
     # They were refused, or a head off by 1,700 arcsec was named.
     assert noise.value >= 1e-9 / math.sqrt(12.0)
 

@@ -166,9 +166,12 @@ def test_proof_masses_off_the_fixture_s_centre_and_apart_are_good(tmp_path):
             c = result.accelerometers[name].coefficients[symbol]
             assert abs(c.value - TRUTH[symbol]) < 3.0 * c.u
         assert result.accelerometers[name].coefficients["K_II"].u < 3e-7
-    sources = {line.source for line in result.accelerometers["A"].budget["K_II"]}
-    assert {"centrifuge.radius.A.in", "centrifuge.radius.A.out"} <= sources
-    assert not any("radius.B" in source for source in sources)
+    a = result.accelerometers["A"]
+    sources = {line.source: line.contribution for line in a.budget["K_II"]}
+    assert {"centrifuge.radius.A.in", "centrifuge.radius.A.out"} <= sources.keys()
+    # Only by way of the misalignments of the mountings, which both share.
+    u = a.coefficients["K_II"].u
+    assert all(abs(size) < 1e-5 * u for s, size in sources.items() if "radius.B" in s)
 
 
 def test_a_radius_of_a_mounting_is_that_of_all_accelerometers(tmp_path):

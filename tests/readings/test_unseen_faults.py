@@ -27,7 +27,10 @@ pendulous_axis = "west"
 """
 TUMBLE = f"""{HEAD}
 terms = ["K_F", "K_I", "K_II", "delta_O"]
-priors = {{ "K_PP" = "0 ± 2e-6 g/g^2", "K_OO" = "0 ± 2e-6 g/g^2" }}
+[model.priors]
+"K_PP" = "0 ± 2e-6 g/g^2"
+"K_OO" = "0 ± 2e-6 g/g^2"
+"head.harmonic" = "0 ± 1e-7 rad"
 """
 ARM = f"""{HEAD}
 terms = ["K_F", "K_I", "K_II"]

@@ -21,22 +21,29 @@ import numpy as np
 
 EARTH_RATE = 7.292115e-5
 
-#: Coefficient -> the axes whose specific forces are multiplied; J stands for the size of a_I.
+#: Coefficient -> the axes whose specific forces are multiplied; J stands for the size of a_I, S for
+#: its sign.
 PRODUCTS = {
     "K_F": "",
     "K_I": "I",
     "K_II": "II",
     "K_III": "III",
     "K_4": "IIII",
+    "K_5": "IIIII",
     "K_IP": "IP",
     "K_IO": "IO",
     "K_PO": "PO",
     "K_PP": "PP",
     "K_OO": "OO",
     "K_OQ": "IJ",
+    "K_0_asym": "S",
+    "K_I_asym": "J",
     "delta_O": "P",
-    "delta_P": "-O",
+    "delta_P": "O",
 }
+WEIGHTS = {"delta_P": -1.0, "K_0_asym": 0.5, "K_I_asym": 0.5}
+#: Between minus and plus this, g, a reading has the sign of a_I linearly.
+SIGN_WIDTH = 1e-3
 AXES = {
     "east": (1.0, 0.0, 0.0),
     "west": (-1.0, 0.0, 0.0),
@@ -150,20 +157,21 @@ def rotated(vectors, angle, axis):
     )
 
 
-def indicated(own, a_ipo, more):
+def indicated(own, a_ipo, more, sign=np.sign):
     """Indicated specific force in g of forces along I, P, O in g.
 
     own: coefficient -> value; what is not named is that of a perfect instrument. `more` is what
-    conditions add to K_F, K_I and K_II.
+    conditions add to K_F, K_I and K_II; `sign` that of a_I.
     """
     total = 0.0
-    components = {**dict(zip("IPO", a_ipo, strict=True)), "J": np.abs(a_ipo[0])}
+    components = dict(zip("IPO", a_ipo, strict=True))
+    components |= {"J": np.abs(a_ipo[0]), "S": sign(a_ipo[0])}
     for symbol, axes in PRODUCTS.items():
         size = own.get(symbol, 1.0 if symbol == "K_I" else 0.0) + more.get(symbol, 0.0)
         if np.all(size == 0.0):
             continue
-        part = -1.0 if axes.startswith("-") else 1.0
-        for axis in axes.lstrip("-"):
+        part = WEIGHTS.get(symbol, 1.0)
+        for axis in axes:
             part = part * components[axis]
         total = total + size * part
     return total
@@ -237,6 +245,20 @@ def _panels(times):
     return np.concatenate([*between, times[-1:]])
 
 
+def _with_sign_changes(edges, along):
+    """Edges of panels and, as further ones, where a force along the input axis changes its sign."""
+    fine = np.unique(np.concatenate([np.linspace(a, b, 9) for a, b in itertools.pairwise(edges)]))
+    sign = np.sign(along(fine))
+    changes = np.flatnonzero(sign[:-1] * sign[1:] < 0.0)
+    low, high, below = fine[changes], fine[changes + 1], sign[changes]
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        before = np.sign(along(middle)) == below
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    edges = np.unique(np.concatenate([edges, low]))
+    return edges[np.append(True, np.diff(edges) > 1e-9)]
+
+
 def _attitude(run, x, felt, half, body):
     """Attitude error at the nodes of all panels and at their edges, but for the compliance, rad.
 
@@ -270,9 +292,6 @@ def record(place, run, instrument, x):
     latitude = place.latitude + x.get("site.latitude", 0.0)
     earth = EARTH_RATE * np.array([0.0, np.cos(latitude), np.sin(latitude)])
     true = run.times / (1.0 + x.get("records.clock", 0.0))
-    edges = _panels(true)
-    middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
-    t = middle[:, None] + half[:, None] * _NODES
     angle, about = run.turn
     body = rotated(np.eye(3), angle, np.array(AXES[about]))
     axes = instrument.axes() @ body
@@ -289,9 +308,14 @@ def record(place, run, instrument, x):
         sensed = np.moveaxis((force - np.cross(psi, force)) @ axes.T, -1, 0) / g
         return indicated(own, sensed, conditions(own, run.warmth, run.way, run.begins + t, lever))
 
+    edges = _panels(true)
+    if own.get("K_0_asym"):
+        edges = _with_sign_changes(edges, lambda t: force_at(t) @ axes[0])
+    middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
+    t = middle[:, None] + half[:, None] * _NODES
     force = force_at(t)
     psi, psi_at_edges = _attitude(run, x, force @ body.T / g, half, body)
-    at = np.searchsorted(edges, true - 1e-12)
+    at = np.searchsorted(edges, true - 1e-8)
     if instrument.observable == "force":
         return instrument.per_g * indication(force_at(true), psi_at_edges[at], true)
     # What the instrument adds to the force that acts, integrated panel by panel.
@@ -316,7 +340,7 @@ def reading(place, one, name, x):
         force = np.array([[0.0, 0.0, g]])
         turn = turn + x.get("head.zero", 0.0) * np.array(one.head)
         turn = turn + x.get("head of " + one.name, 0.0) * np.array(one.head)
-        for n in (1, 2):
+        for n in (1, 2, 3, 4):
             for quadrature, wave in (("cos", np.cos), ("sin", np.sin)):
                 size = x.get(f"head.harmonic.{n}.{quadrature}", 0.0)
                 turn = turn + size * wave(n * one.head_angle) * np.array(one.head)
@@ -362,7 +386,11 @@ def reading(place, one, name, x):
     axes = rotated(one.axes, size, turn / size) if size else one.axes
     own = of(x, name)
     a_ipo = axes @ force.T / g
-    return np.mean(indicated(own, a_ipo, conditions(own, one.warmth, one.way, one.begins, lever)))
+    more = conditions(own, one.warmth, one.way, one.begins, lever)
+    # On the arm the instrument rotates about the machine's axis.
+    spins = one.rate**2 * axes[0, 2] * axes[1, 2] if one.motion == "arm" else 0.0
+    mean = np.mean(indicated(own, a_ipo, more, lambda a: np.clip(a / SIGN_WIDTH, -1.0, 1.0)))
+    return mean + own.get("K_spin", 0.0) * spins
 
 
 # Least squares.

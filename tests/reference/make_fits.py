@@ -44,6 +44,7 @@ COMPASS = ("east", "north", "up")
 #: Typical sizes: of an accelerometer of navigation grade, of the platform, of the path, of inputs.
 OWN = {
     **{"K_F": 1e-4, "K_I": 1e-4, "K_II": 1e-5, "K_III": 1e-6, "K_4": 1e-9, "K_OQ": 1e-6},
+    **{"K_5": 1e-8, "K_0_asym": 5e-6, "K_I_asym": 1e-5},
     **dict.fromkeys(("K_IP", "K_IO", "K_PO", "K_PP", "K_OO"), 2e-6),
     **dict.fromkeys(("delta_O", "delta_P"), 5e-5),
     **{"K_F.temperature": 5e-6, "K_I.temperature": 1e-4, "K_II.temperature": 1e-8},
@@ -350,7 +351,8 @@ def readings(folder):
         **{"A.K_F": 2.1e-3, "A.K_I": 1.0008, "A.K_II": 1.6e-5, "A.K_III": 2e-6, "A.delta_O": 3e-4},
         **{"A.K_PP": -7e-7, "A.K_IP": 1.2e-6, "A.K_F.temperature": 2.4e-6, "head.zero": 1.5e-5},
         "A.K_F.hysteresis": -8e-6,
-        **{"head.harmonic.1.sin": -3e-6, "head.harmonic.2.cos": 9e-6},
+        **{"head.harmonic.1.sin": -3e-6, "head.harmonic.2.cos": 9e-6, "A.K_I_asym": -7e-6},
+        **{"head.harmonic.3.sin": 6e-6, "head.harmonic.4.cos": -8e-6, "A.K_0_asym": 4e-6},
         **{"centrifuge.radius.in": 1.2e-4, "centrifuge.stretch": 4e-9, "centrifuge.droop": 1.1e-7},
         **{"centrifuge.radius.A.out": -7e-5, "centrifuge.clock": 1.5e-5},
         "fixture.misalignment.out.forward": 4e-5,
@@ -387,7 +389,8 @@ def readings(folder):
     sides = [(m, e) for m in ("in", "out") for e in ("outward", "forward", "up")]
     unstated = {f"A.{s}": v for s, v in (OWN | WARM).items()} | AXIS_TILT | LATITUDE
     unstated |= {"centrifuge.stretch": 4.6e-9, "A.K_F.hysteresis": 2e-5}
-    unstated |= {f"head.harmonic.{n}": 1e-5 for n in ("1.cos", "2.cos", "2.sin")}
+    waves = [f"{n}.{q}" for n in (1, 2, 3, 4) for q in ("cos", "sin")]
+    unstated |= {f"head.harmonic.{wave}": 1e-5 for wave in waves if wave != "1.sin"}
     unstated |= {f"fixture.misalignment.{m}.{e}": 5e-5 for m, e in sides}
     # Of the mounting "in" the radius to the proof mass is stated.
     unstated |= RATE_CLOCK | {"centrifuge.radius.A.out": MOUNTED_RADIUS}

@@ -11,8 +11,9 @@ import triads
 SQUARES = {"X": 700e-6, "Y": -400e-6, "Z": 1200e-6}
 ASKED = 'terms = ["K_F", "K_I", "K_II", "delta_O", "delta_P"]\n'
 
-#: Radii of the proof masses; the default priors of 1 mm would leave 100 ug/g^2 to K_II.
-MEASURED = "[model.priors]\n" + "".join(
+#: Radii of the proof masses and asymmetries; their default priors of 1 mm and of consumer grade
+#: would leave 100 and 70 ug/g^2 to K_II.
+MEASURED = '[model.priors]\n"K_I_asym" = "0 ± 1e-4 g/g"\n' + "".join(
     f'"centrifuge.radius.{name}.{name}-{side}" = "1 ± 1e-5 m"\n'
     for name in triads.NAMES
     for side in ("inward", "outward")

@@ -19,6 +19,7 @@ from counterspin.campaign.conditions import (
     conditions_of,
     dated_of,
     directions_of,
+    has_assumed_warming,
     origin_of,
     temperatures_of,
 )
@@ -43,6 +44,9 @@ from counterspin.physics.terms import (
 
 #: Largest credible errors of a rotation that nobody recorded: rad, rad/s, 1/s.
 _ROTATION_LIMITS: Final = (math.pi, 1.0, 1e-2)
+
+#: Products of components of unit vectors that are smaller are zero.
+_ROUNDING: Final = 1e-9
 
 #: At 1 g their sum with K_II is that of the squares of the specific forces, a constant.
 SQUARES: Final = ("K_PP", "K_OO")
@@ -101,15 +105,12 @@ def is_requested(campaign: Campaign, symbol: str, name: str = "") -> bool:
     return posed and symbol in ("K_F", *LINEAR)
 
 
-def assumed_of(
-    campaign: Campaign, model: Unknowns, name: str, *, on_request: bool = False
-) -> tuple[Considered, ...]:
+def assumed_of(campaign: Campaign, model: Unknowns, name: str) -> tuple[Considered, ...]:
     """Return the terms that could reach an accelerometer and that are assumed to be perfect.
 
     Each is taken as a held term without uncertainty; a tilt is one term for each run.
 
     model: Of the campaign, as `model_of` returns it.
-    on_request: Whether to return also the terms that a fit has on request only and lacks.
     """
     there = {
         (other.owner, other.symbol): other.prior[1]
@@ -117,7 +118,7 @@ def assumed_of(
     }
     return tuple(
         Considered(owner, symbol, (term(symbol).nominal, 0.0), campaign.limit_of(symbol, owner))
-        for owner, symbol in _acting(campaign, name, on_request=on_request)
+        for owner, symbol in _acting(campaign, name)
         if there.get((owner, symbol), 0.0) == 0.0
     )
 
@@ -188,13 +189,8 @@ def inputs_by_owner(campaign: Campaign) -> dict[tuple[str, str], Quantity]:
     return inputs
 
 
-def _acting(
-    campaign: Campaign, only: str = "", *, on_request: bool = False
-) -> list[tuple[str, str]]:
-    """Return owner and symbol of all terms that act, of one accelerometer or of all of them.
-
-    on_request: Whether to return also terms that nobody requested and that no fit has by default.
-    """
+def _acting(campaign: Campaign, only: str = "") -> list[tuple[str, str]]:
+    """Return owner and symbol of all terms that act, of one accelerometer or of all of them."""
     names = [only] if only else list(campaign.accelerometers)
     of_frame = campaign.triad.of_frame if campaign.triad else ()
     known = {*campaign.model.terms, *campaign.model.considered, *campaign.model.priors}
@@ -203,10 +199,6 @@ def _acting(
         for name in names
         for symbol, row in OWN_TERMS.items()
         if symbol in campaign.model.terms or _acts(campaign, row)
-        if row.by_default
-        or on_request
-        or symbol in known
-        or _stated(campaign, name, symbol) is not None
         if (name, symbol) not in of_frame
     ]
     readings = tuple(r for r in campaign.readings if r.accelerometer in names)
@@ -216,18 +208,17 @@ def _acting(
         (o, s)
         for o, s in read
         if s in known
-        or (term(s).by_default and not s.startswith("centrifuge.radius."))
+        or not s.startswith("centrifuge.radius.")
         or (accelerometer_of(s) and same_for_all(s) not in known)
     ]
-    return list(dict.fromkeys([*own, *_of_platform(campaign, names, on_request), *read]))
+    return list(dict.fromkeys([*own, *_of_platform(campaign, names), *read]))
 
 
 def _acts(campaign: Campaign, row: Term[Product | Slope]) -> bool:
     """Return whether what a coefficient changes with has changed."""
     if isinstance(row.effect, Product):
-        # Everything but the arm keeps the instrument from rotating in space.
-        on_arm = any(reading.motion == "arm" for reading in campaign.readings)
-        return on_arm or not row.effect.of_rotation
+        arm = (reading.axes for reading in campaign.readings if reading.motion == "arm")
+        return not row.effect.of_rotation or any(_rotates(row.effect, axes) for axes in arm)
     if row.effect.condition == "force":
         return bool(campaign.runs) or any(reading.rate for reading in campaign.readings)
     origin = origin_of(campaign)
@@ -237,16 +228,21 @@ def _acts(campaign: Campaign, row: Term[Product | Slope]) -> bool:
     if row.effect.condition == "direction":
         return bool(directions_of(campaign))
     warm = set(temperatures_of(campaign))
-    recorded = any(run.temperature for run in campaign.runs)
-    # Where nobody took temperatures, what a change of 1 K may have done is a slope.
-    assumed_warm = recorded or row.effect.power == 1
-    of_runs = (run.warmth for run in conditions_of(campaign).values() if assumed_warm)
-    return any(of_runs) or any(temperature != origin.temperature for temperature in warm)
+    if any(run.temperature for run in campaign.runs):
+        warm |= {origin.temperature + run.warmth for run in conditions_of(campaign).values()}
+    # An assumed change of temperature is small: only the first power acts.
+    assumed = row.effect.power == 1 and has_assumed_warming(campaign)
+    return assumed or any(temperature != origin.temperature for temperature in warm)
 
 
-def _of_platform(
-    campaign: Campaign, names: Sequence[str], on_request: bool
-) -> Iterator[tuple[str, str]]:
+def _rotates(product: Product, axes: Mounting) -> bool:
+    """Return whether a constant rotation of an arm gives a product of the rotation a mean."""
+    up = axes.matrix[:, 2]
+    mean = product.evaluate(np.zeros(3), np.array([up[0], up[1], 0.0]))
+    return abs(float(mean)) > _ROUNDING
+
+
+def _of_platform(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Yield owner and symbol of the terms that records of these accelerometers show."""
     accelerometers = [campaign.accelerometers[name] for name in names]
     attitudes = dict.fromkeys(run.attitude.tobytes() for run in campaign.runs)
@@ -255,9 +251,6 @@ def _of_platform(
         if campaign.angle is None and symbol.startswith("encoder."):
             continue
         if isinstance(row.effect, Turn) and not _turns(campaign, row.effect):
-            continue
-        by_default = row.by_default or on_request
-        if not by_default and symbol not in {*wanted, *campaign.model.priors}:
             continue
         acting = {
             key

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, islice
 from typing import Final
@@ -16,7 +17,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint.series import CLOCK, RATE_CLOCK
 from counterspin.physics.effects import RunConditions
 
-#: By how much it is assumed to become warmer in a campaign that records no temperature, K.
+#: Assumed rise of the temperature during a series of runs, readings or poses that states none, K.
 UNKNOWN_WARMING: Final = 1.0
 
 
@@ -116,9 +117,8 @@ def conditions_of(
     """Return the conditions of every run with a record.
 
     Where the runs do not say when they were made, they count as made one after the other, without
-    a pause: the least that a trend can have done between them. Where none of them says how warm it
-    was, it counts as having become warmer from run to run, by `UNKNOWN_WARMING` from the first to
-    the last.
+    a pause: the least that a trend can have done between them. Where no run states a temperature,
+    the temperature is assumed to rise (`UNKNOWN_WARMING`).
 
     lengths: Run -> length of its record, s; those that are not there are taken from the
         description.
@@ -138,9 +138,11 @@ def conditions_of(
             one = replace(one, turns=tuple(step * place for place in turned))
         conditions[run.name] = one
         elapsed += length
-    if all(run.temperature is None for run in campaign.runs):
-        return _warming(conditions)
-    return conditions
+    assumed = assumed_warmths(campaign.runs)
+    return {
+        name: replace(of_run, warmth=assumed.get((name, 0), of_run.warmth))
+        for name, of_run in conditions.items()
+    }
 
 
 def _turn(course: Sequence[float], place: int) -> float:
@@ -158,15 +160,52 @@ def _turn(course: Sequence[float], place: int) -> float:
     return place + min(max(beside, -1.0), 1.0)
 
 
-def _warming(conditions: Mapping[str, RunConditions]) -> dict[str, RunConditions]:
-    """Return conditions with assumed temperatures: the same step from run to run."""
-    last = len(conditions) - 1
-    if last < 1:
-        return dict(conditions)
-    return {
-        name: replace(of_run, warmth=UNKNOWN_WARMING * (place / last - 0.5))
-        for place, (name, of_run) in enumerate(conditions.items())
-    }
+def assumed_warmths(series: Sequence[Run | Reading]) -> dict[tuple[str, int], float]:
+    """Return the assumed temperatures of a series that states none, less the reference, K.
+
+    They rise by the same step from member to member, by `UNKNOWN_WARMING` in all. The order is that
+    of the times if all state theirs, else that of the description.
+
+    Returns: By the keys of `_keys`; empty where a member states its temperature, or of one member.
+    """
+    if len(series) < 2 or any(member.temperature is not None for member in series):
+        return {}
+    keys, places = _keys(series), list(range(len(series)))
+    if all(member.time is not None for member in series):
+        places.sort(key=lambda place: series[place].time or 0.0)
+    warmths = UNKNOWN_WARMING * np.linspace(-0.5, 0.5, len(series))
+    return {keys[place]: warmth for place, warmth in zip(places, warmths.tolist(), strict=True)}
+
+
+def _keys(series: Sequence[Run | Reading]) -> list[tuple[str, int]]:
+    """Return name and number of each member: a table may name several readings alike."""
+    seen: Counter[str] = Counter()
+    keys = []
+    for member in series:
+        keys.append((member.name, seen[member.name]))
+        seen[member.name] += 1
+    return keys
+
+
+def assumed_of_readings(
+    campaign: Campaign, readings: Sequence[Reading]
+) -> Iterator[tuple[int, float]]:
+    """Yield the places of readings whose temperature is assumed, and that, less the reference."""
+    for name in campaign.accelerometers:
+        series = [reading for reading in campaign.readings if reading.accelerometer == name]
+        assumed = assumed_warmths(series)
+        places = [k for k, reading in enumerate(readings) if reading.accelerometer == name]
+        for place, key in zip(places, _keys([readings[k] for k in places]), strict=True):
+            if key in assumed:
+                yield place, assumed[key]
+
+
+def has_assumed_warming(campaign: Campaign) -> bool:
+    """Return whether a series of runs, readings or poses has assumed temperatures."""
+    poses = campaign.triad.poses if campaign.triad else ()
+    series = (campaign.runs, [pose[0] for pose in poses])
+    warming = any(assumed_warmths(members) for members in series)
+    return warming or any(True for _ in assumed_of_readings(campaign, campaign.readings))
 
 
 def clock_of(campaign: Campaign, reading: Reading) -> tuple[str, str]:

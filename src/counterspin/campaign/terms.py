@@ -24,6 +24,7 @@ from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import PathError, Turn
 from counterspin.physics.terms import (
     CONDITION_TERMS,
+    HEAD_WAVES,
     READING_TERMS,
     SHARED_TERMS,
     Term,
@@ -59,9 +60,6 @@ _AXES: Final = {
 
 #: What the setting errors of all positions begin with.
 POSITION: Final = "fixture.position"
-
-#: What the errors of a dividing head begin with that go with its angle.
-HEAD_WAVES: Final = "head.harmonic."
 
 
 def acts(row: Term[Turn | PathError], mounting: Mounting, attitude: Array) -> bool:

@@ -41,6 +41,7 @@ class Size:
 _NONE: Final = "order of magnitude, no source"
 _FIFTH: Final = "order of magnitude: a fifth of K_II, as at navigation grade"
 _TENTH: Final = "order of magnitude: a tenth of K_II, as at navigation grade"
+_TWENTIETH: Final = "order of magnitude: a twentieth of K_F, as at navigation grade"
 _OF_PAPER: Final = "the paper's Table 1 for K_IP (6e-6 g/g²), a third of it; the others likewise"
 
 _CROSS: Final = (
@@ -94,8 +95,16 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
         (1e-2, 1e-4, "ADXL350: nonlinearity ±0.5 % of 8 g, likewise"),
     ),
     "K_4": ((1e-5, 1e-9, _NONE), (1e-4, 1e-7, _NONE), (1e-3, 1e-6, _NONE)),
-    "K_5": ((1e-5, 1e-9, _NONE), (1e-4, 1e-7, _NONE), (1e-3, 1e-6, _NONE)),
-    "K_0_asym": ((1e-2, 5e-6, _NONE), (5e-2, 1e-4, _NONE), (0.1, 1e-3, _NONE)),
+    "K_5": (
+        (1e-5, 1e-8, "order of magnitude: 1 mg at 10 g, as much as K_II or K_III is there"),
+        (1e-4, 3e-7, "MS1010: nonlinearity 0.3 % of 10 g, as if all of it were of fifth order"),
+        (1e-3, 1e-6, "ADXL350: nonlinearity ±0.5 % of 8 g, likewise"),
+    ),
+    "K_0_asym": (
+        (1e-2, 5e-6, f"{_NONE}: a twentieth of K_F"),
+        (5e-2, 6e-5, _TWENTIETH),
+        (0.1, 2.5e-3, _TWENTIETH),
+    ),
     "K_I_asym": ((1e-2, 1e-5, _AS_SECOND), (5e-2, 3e-4, _AS_SECOND), (0.1, 1e-3, _AS_SECOND)),
     "K_spin": _PENDULUM,
     "K_ang": _PENDULUM,

@@ -29,6 +29,9 @@ from counterspin.physics.grades import DEFAULT_GRADE, SIZES, Size
 DEGREE_PER_HOUR: Final = math.radians(1.0) / 3600.0  #: rad/s
 ARCSEC: Final = math.pi / 648000.0  #: rad
 
+#: What the symbols of those errors of a dividing head begin with that vary with its angle.
+HEAD_WAVES: Final = "head.harmonic."
+
 Does = TypeVar("Does", bound=Effect)
 Does_co = TypeVar("Does_co", bound=Effect, covariant=True)
 
@@ -55,9 +58,6 @@ class Term(Generic[Does_co]):
     nominal: float = 0.0  #: The value of a perfect system.
     #: The motions in which a reading shows it, where it is of the machine or a slope.
     motions: tuple[str, ...] = ()
-    #: Whether the term is in every fit where it acts; otherwise only where it is requested, held or
-    #: stated.
-    by_default: bool = True
 
     def sizes(self, grade: str = DEFAULT_GRADE) -> Size:
         """Return how large the term is in an accelerometer of a grade; of others it is no matter.
@@ -107,12 +107,8 @@ def _own(
     """Return the row of a term that every accelerometer has for itself."""
     size = SIZES[symbol][DEFAULT_GRADE]
     sizes = (size.limit, size.typical, size.source)
-    always = symbol not in _ON_REQUEST
-    return Term(symbol, effect, words, unit, *sizes, "accelerometer", nominal, motions, always)
+    return Term(symbol, effect, words, unit, *sizes, "accelerometer", nominal, motions)
 
-
-#: Terms that a fit has only where they are requested, held or stated.
-_ON_REQUEST: Final = ("K_5", "K_0_asym", "K_I_asym", "K_spin", "K_ang")
 
 #: IEEE Std 1293 halves the asymmetries: K0' is the bias at positive less that at negative input.
 _WEIGHTS: Final = {"delta_P": -1.0, "K_0_asym": 0.5, "K_I_asym": 0.5}
@@ -232,7 +228,6 @@ def _turns() -> Iterator[Term[Turn]]:
             f"{_NO_SOURCE}: 1 arcsec, a good angle encoder in the table's servo loop",
             "machine",
             motions=("counter-rotating",),
-            by_default=False,
         )
 
 
@@ -345,9 +340,9 @@ def _displacements() -> Iterator[Term[Displacement]]:
         "order of magnitude: mounting errs by arcseconds (Lu et al.), ±5 shared out among the waves"
     )
     graduated = (1e-3, 1e-5, arcseconds)
-    for n, quadrature, called in _waves((1, 2), "error of the dividing head, {} a turn"):
+    for n, quadrature, called in _waves((1, 2, 3, 4), "error of the dividing head, {} a turn"):
         effect = Displacement("wave", "", n, quadrature)
-        symbol = f"head.harmonic.{n}.{quadrature}"
+        symbol = f"{HEAD_WAVES}{n}.{quadrature}"
         yield Term(symbol, effect, called, "rad", *graduated, "machine", motions=("static",))
 
 

@@ -92,7 +92,7 @@ def readings_fit(view: AccelerometerView) -> list[Finding]:
     too_few = _none_left(view) or _few_left(view)
     findings = [*too_few]
     for place, part in enumerate(parts):
-        if part.dof < FEWEST_FREEDOM and not too_few:
+        if not (too_few or part.stated) and part.tested_freedom < FEWEST_FREEDOM:
             findings.append(too_few_to_test(view.name, part))
         residual = residual_of([part])
         stated = math.isinf(part.dof)
@@ -183,8 +183,8 @@ def too_few_to_test(name: str, part: FittedReadings) -> Finding:
     """Return the finding that hardly any freedom is left to test residuals by."""
     text = (
         f"{part.readings.size} {part.words} without a stated uncertainty leave "
-        f"{format_number(part.dof, 2)} degrees of freedom after the estimation: their residuals "
-        "cannot be tested. State their uncertainty, or take more of them."
+        f"{format_number(part.tested_freedom, 2)} degrees of freedom after the estimation: their "
+        "residuals cannot be tested. State their uncertainty, or take more of them."
     )
     return Finding(code="unjudged-readings", subject=name, text=text)
 
@@ -195,7 +195,7 @@ def _followed(view: AccelerometerView) -> Iterator[tuple[int, Followed]]:
     testable = {
         place: part
         for place, part in enumerate(readings_of(view))
-        if part.place_in(fit) is not None and min(part.dof, part.freedom) >= FEWEST_FREEDOM
+        if part.place_in(fit) is not None and part.tested_freedom >= FEWEST_FREEDOM
     }
     if not testable:
         return

@@ -8,7 +8,7 @@ blocks of records.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from typing import Final, TypeVar
 
@@ -21,6 +21,7 @@ from counterspin.inference.joint.fit import JointFit, solve_blocks
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import Noise
+from counterspin.physics.terms import HEAD_WAVES
 from counterspin.readings.fitted import FEWEST_FREEDOM, FittedReadings, position_of
 from counterspin.readings.linear import LinearReadings, Measured
 
@@ -96,17 +97,21 @@ def _solved_or_held(
     """
     try:
         return _solved(readings, model, records, start)
-    except NotIdentifiableError:
-        bare = _without_unasked(readings, model)
+    except NotIdentifiableError as error:
         set_by_hand = any(group.u is None and any(group.position) for group in readings)
-        if not set_by_hand and bare == model:
-            raise
-    # Where hardly a position is read twice, its error hides the noise, and in few poses terms that
-    # nobody asks for do. The residuals show both together, and the noise is taken to be as large as
-    # that.
+        models = [m for m in _with_less(readings, model) if set_by_hand or m != model]
+        not_determined = error
+    # Errors of positions that are hardly read twice hide the noise, and so do nuisance terms in few
+    # readings or poses. The residuals show both together, which is an upper limit of the noise.
     unset = [group.with_positions_set() for group in readings]
-    together = _solved(unset, bare, records, start)
-    return _solved(readings, model, records, start, together)
+    for bare in models:
+        try:
+            together = _solved(unset, bare, records, start)
+        except NotIdentifiableError as error:
+            not_determined = error
+        else:
+            return _solved(readings, model, records, start, together)
+    raise not_determined
 
 
 def _place(
@@ -139,16 +144,26 @@ def _place(
     return place
 
 
-def _without_unasked(readings: Sequence[Measured], model: Unknowns) -> Unknowns:
-    """Return a model in which what is not asked for, and poses without u show, is as assumed."""
-    posed = {name for group in readings if group.u is None for name in group.triad}
+def _with_less(readings: Sequence[Measured], model: Unknowns) -> Iterator[Unknowns]:
+    """Yield models that hold ever more terms that hide the noise of readings or poses without u.
 
-    def held(other: U) -> U:
-        if other.owner not in posed or other.asked or math.isinf(other.prior[1]):
-            return other
-        return replace(other, prior=(other.prior[0], _HELD * other.prior[1]))
+    Of poses all nuisance terms are held. Of readings the waves of the dividing head that have
+    default priors are held first, and then the accelerometer's terms that have default priors too.
+    """
+    without_u = [group for group in readings if group.u is None]
+    posed = {name for group in without_u for name in group.triad}
+    read = {group.accelerometer for group in without_u if not group.triad}
+    for owners in (set(), read) if read else (set(),):
 
-    return Unknowns(tuple(map(held, model.unknowns)), tuple(map(held, model.considered)))
+        def held(other: U, owners: Collection[str] = owners) -> U:
+            hides = other.owner in posed
+            if other.unstated and read:
+                hides |= other.owner in owners or other.symbol.startswith(HEAD_WAVES)
+            if not hides or other.asked or math.isinf(other.prior[1]):
+                return other
+            return replace(other, prior=(other.prior[0], _HELD * other.prior[1]))
+
+        yield Unknowns(tuple(map(held, model.unknowns)), tuple(map(held, model.considered)))
 
 
 def _solved(

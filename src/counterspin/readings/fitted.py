@@ -20,9 +20,9 @@ from counterspin.physics.station import READINGS
 from counterspin.readings.linear import LinearReadings, Measured
 
 #: Least degrees of freedom from which residuals are judged, and repeats tell the noise alone: five,
-#: effective ones rounded, for twelve positions of which nothing is stated have just these. Of
-#: twenty columns that are tried, one is then told from chance every other time if it is 15 of its
-#: standard deviations; with four left it must be 26, with three 89, with two 5100 (Student's t).
+#: effective ones rounded, as twelve positions on a well-known head have. Of twenty columns that are
+#: tried, one is then told from chance every other time if it is 15 of its standard deviations; with
+#: four left it must be 26, with three 89, with two 5100 (Student's t).
 FEWEST_FREEDOM: Final = 4.5
 
 #: Readings without any noise, but for one that is off, leave this chi-square of the others.
@@ -108,6 +108,14 @@ class FittedReadings:
         Those that are no more than rounding say nothing of each other's size.
         """
         return self.stated or self.noise <= self.readings.least_noise
+
+    @property
+    def tested_freedom(self) -> float:
+        """The degrees of freedom by which residuals are tested.
+
+        A noise that was estimated without some terms has more than the fit with these terms leaves.
+        """
+        return min(self.dof, self.freedom)
 
     def under(self, fit: JointFit) -> Self:
         """Return how the same readings fit what a fit, which has them, says."""

@@ -6,7 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from counterspin.campaign.conditions import clock_of, directions_of, mean_of, origin_of
+from counterspin.campaign.conditions import (
+    assumed_of_readings,
+    clock_of,
+    directions_of,
+    mean_of,
+    origin_of,
+)
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.reading import Reading
 from counterspin.inference.joint.series import RATE
@@ -16,17 +22,29 @@ from counterspin.readings.known_attitudes import Readings
 
 def groups_of(campaign: Campaign, readings: Sequence[Reading]) -> list[Readings]:
     """Return the readings by accelerometer, motion and whether their noise was stated."""
-    keys = dict.fromkeys((r.accelerometer, r.motion, r.u is None) for r in readings)
+    return [group for group, _ in numbered_groups(campaign, readings)]
+
+
+def numbered_groups(
+    campaign: Campaign, readings: Sequence[Reading]
+) -> list[tuple[Readings, list[int]]]:
+    """Return the groups of `groups_of`, each with the places of its members."""
+    assumed = dict(assumed_of_readings(campaign, readings))
+    places: dict[tuple[str, str, bool], list[int]] = {}
+    for place, r in enumerate(readings):
+        places.setdefault((r.accelerometer, r.motion, r.u is None), []).append(place)
     return [
-        _group(
-            campaign,
-            [r for r in readings if (r.accelerometer, r.motion, r.u is None) == key],
+        (
+            _group(campaign, [readings[k] for k in group], [assumed.get(k, 0.0) for k in group]),
+            group,
         )
-        for key in keys
+        for group in places.values()
     ]
 
 
-def _group(campaign: Campaign, readings: Sequence[Reading]) -> Readings:
+def _group(
+    campaign: Campaign, readings: Sequence[Reading], assumed_warmths: Sequence[float]
+) -> Readings:
     first = readings[0]
     origin, ways = origin_of(campaign), directions_of(campaign)
     reference, start = origin.temperature, origin.time
@@ -51,7 +69,10 @@ def _group(campaign: Campaign, readings: Sequence[Reading]) -> Readings:
         value=np.array([r.value for r in readings]),
         u=None if first.u is None else np.array([r.u for r in readings], dtype=float),
         temperature=np.array(
-            [mean_of(r.temperature) - reference if r.temperature else 0.0 for r in readings]
+            [
+                mean_of(r.temperature) - reference if r.temperature else assumed
+                for r, assumed in zip(readings, assumed_warmths, strict=True)
+            ]
         ),
         time=np.array([(start if r.time is None else r.time) - start for r in readings]),
         direction=np.array([ways.get(r.name, (0.0,))[0] for r in readings]),

@@ -73,7 +73,7 @@ FORCE: Final = "sense of force"
 _HARMONICS: Final = 4
 
 #: How often a turn a head errs, in words.
-_TIMES: Final = {1: "once", 2: "twice"}
+_TIMES: Final = {1: "once", 2: "twice", 3: "three times", 4: "four times"}
 
 #: rad, by which the head's angle is changed to see what that does.
 _TURN: Final = 1e-4

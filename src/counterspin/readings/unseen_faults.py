@@ -15,6 +15,7 @@ import numpy as np
 
 from counterspin.calibration.checks.shifts import most_moved, shown_size
 from counterspin.calibration.view import AccelerometerView
+from counterspin.campaign.conditions import UNKNOWN_WARMING
 from counterspin.campaign.description import Campaign
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.distributions import student_quantile
@@ -38,9 +39,6 @@ _HEAD: Final = 36.0 * ARCSEC
 
 #: Fewest readings that a fault can begin among.
 _FEWEST: Final = 4
-
-#: Kelvin by which a temperature that nobody states changes during a series.
-_WARMING: Final = 1.0
 
 
 def unseen_faults(views: Sequence[AccelerometerView]) -> dict[str, list[str]]:
@@ -133,7 +131,7 @@ def _typical(campaign: Campaign, part: FittedReadings, fault: Alternative) -> fl
     if fault.kind == DRIFT:
         lasts = float(np.ptp(part.readings.time))
         by_time = lasts * campaign.typical_of("K_F.trend", name)
-        return max(by_time, _WARMING * campaign.typical_of("K_F.temperature", name))
+        return max(by_time, UNKNOWN_WARMING * campaign.typical_of("K_F.temperature", name))
     return None
 
 

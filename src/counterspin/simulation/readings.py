@@ -29,7 +29,7 @@ from counterspin.physics.motion import encoder_error
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.station import Station, mean_products
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
-from counterspin.readings.groups import groups_of
+from counterspin.readings.groups import groups_of, numbered_groups
 from counterspin.readings.known_attitudes import Readings
 from counterspin.readings.table import ReadingsSettings, ReadingsTable, load_table
 from counterspin.simulation.simulable import at_true_inputs, with_true_inputs
@@ -116,12 +116,6 @@ def true_machine(campaign: Campaign) -> dict[str, float]:
     return errors | dict(campaign.simulation.truth.machine)
 
 
-def numbered_groups(campaign: Campaign) -> list[tuple[Readings, list[int]]]:
-    """Return the groups of a campaign's readings, and the places of each in the campaign."""
-    numbered = [replace(r, name=str(place)) for place, r in enumerate(campaign.readings)]
-    return [(group, [int(name) for name in group.names]) for group in groups_of(campaign, numbered)]
-
-
 def true_readings(campaign: Campaign) -> tuple[tuple[Reading, ...], Array]:
     """Return a campaign's readings with what would be read without noise, and the head's errors.
 
@@ -132,7 +126,7 @@ def true_readings(campaign: Campaign) -> tuple[tuple[Reading, ...], Array]:
     errors = head_errors(readings, stream(campaign, 0))
     values, machine = np.zeros(len(readings)), true_machine(campaign)
     rates, of_rates = true_rates(campaign), rate_errors(campaign)
-    for group, places in numbered_groups(campaign):
+    for group, places in numbered_groups(campaign, campaign.readings):
         coefficients = truth.coefficients.get(group.accelerometer, {})
         was = with_rates(at_true_inputs(campaign, group), rates[places])
         was = was.with_rate_errors(of_rates[places])

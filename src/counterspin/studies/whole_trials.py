@@ -28,6 +28,7 @@ from counterspin.physics import observation, simulation
 from counterspin.physics.motion import encoder_error
 from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
 from counterspin.physics.terms import shown_by_readings, symbol_of
+from counterspin.readings.groups import numbered_groups
 from counterspin.readings.joining import with_groups
 from counterspin.readings.known_attitudes import INPUT_STEPS, Readings, with_input
 from counterspin.readings.means import stretches
@@ -35,7 +36,6 @@ from counterspin.simulation.readings import (
     drawn_by_run,
     head_errors,
     indications,
-    numbered_groups,
     true_directions,
     true_poses,
     true_rates,
@@ -220,7 +220,9 @@ class TrialReadings:
         ready = replace(campaign, readings=tuple(readings))
         return cls(
             ready.readings,
-            tuple((group, tuple(places)) for group, places in numbered_groups(ready)),
+            tuple(
+                (group, tuple(places)) for group, places in numbered_groups(ready, ready.readings)
+            ),
             np.array(noise),
             np.array(scattered),
             tuple(_drawn_poses(campaign)),

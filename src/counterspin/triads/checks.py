@@ -55,7 +55,7 @@ def _followed_by_poses(fit: JointFit, posed: Sequence[FittedReadings]) -> list[F
     """Return for each group of poses what its residuals follow, beyond chance."""
     found: list[Followed | None] = [None] * len(posed)
     fit = relax(fit)
-    testable = [k for k, part in enumerate(posed) if min(part.dof, part.freedom) >= FEWEST_FREEDOM]
+    testable = [k for k, part in enumerate(posed) if part.tested_freedom >= FEWEST_FREEDOM]
     groups = [group_of(posed[k], posed[k].place_in(fit) or 0) for k in testable]
     columns = [columns_beside(fit, group) for group in groups]
     for one in most_followed(fit, groups, columns) if testable else ():

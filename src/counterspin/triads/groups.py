@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from counterspin.campaign.conditions import directions_of, mean_of, origin_of
+from counterspin.campaign.conditions import assumed_warmths, directions_of, mean_of, origin_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.reading import Reading
 from counterspin.readings.groups import groups_of
@@ -52,6 +52,7 @@ def one_group(
     firsts = [pose[0] for pose in poses]
     origin, ways = origin_of(campaign), directions_of(campaign, found or firsts)
     warmth, start = origin.temperature, origin.time
+    assumed = assumed_warmths(found or firsts)
     stated = all(reading.u is not None for pose in poses for reading in pose)
     return TriadPoses(
         accelerometers=tuple(reading.accelerometer for reading in poses[0]),
@@ -61,7 +62,10 @@ def one_group(
         value=np.array([[reading.value for reading in pose] for pose in poses]),
         u=np.array([[r.u for r in pose] for pose in poses], dtype=float) if stated else None,
         temperature=np.array(
-            [mean_of(r.temperature) - warmth if r.temperature else 0.0 for r in firsts]
+            [
+                mean_of(r.temperature) - warmth if r.temperature else assumed.get((r.name, 0), 0.0)
+                for r in firsts
+            ]
         ),
         time=np.array([(start if r.time is None else r.time) - start for r in firsts]),
         direction=np.array([ways.get(first.name, (0.0,))[0] for first in firsts]),

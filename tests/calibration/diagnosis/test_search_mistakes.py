@@ -519,17 +519,35 @@ def test_a_gain_that_depends_on_the_frequency_is_named_before_a_stretch(tmp_path
     assert u < 100.0
 
 
-@pytest.mark.parametrize(
-    ("symbol", "value"), [("K_5", "1e-8 g/g^5"), ("K_I_asym", "2e-5 g/g"), ("K_0_asym", "4e-5 g")]
-)
-def test_a_term_that_a_fit_has_on_request_only_is_named_where_it_acts(tmp_path, symbol, value):
-    """In specific force, with nothing assumed: not K_OQ, K_4, a stretch or a latitude."""
-    forces = changed(
+def forces(folder, symbol, value, assume=""):
+    """Calibrate records of specific force of an accelerometer with one term more."""
+    text = changed(
         VELOCITIES,
+        ("[noise]", f"[model]\n{assume}\n[noise]"),
         ("velocity = {", "specific_force = {"),
         ('"m/s" }', '"m/s^2" }'),
         ('velocity = "1e-3 m/s"', 'specific_force = "1e-4 m/s^2"'),
     )
-    simulate(write(tmp_path, f'{forces}{symbol} = "{value}"\n'), tmp_path / "made")
-    first = calibrate(tmp_path / "made").findings[0]
+    simulate(write(folder, f'{text}{symbol} = "{value}"\n'), folder / "made")
+    return calibrate(folder / "made")
+
+
+ODD = [("K_5", "1e-8 g/g^5"), ("K_I_asym", "2e-5 g/g")]
+
+
+@pytest.mark.parametrize(("symbol", "value"), [*ODD, ("K_0_asym", "4e-5 g")])
+def test_an_asymmetry_or_a_fifth_order_that_is_assumed_away_is_named(tmp_path, symbol, value):
+    """Not K_OQ, K_4, a stretch or a latitude."""
+    first = forces(tmp_path, symbol, value, f'assume = ["{symbol}"]\n').findings[0]
     assert (first.code, first.subject) == ("term-missing", f"Qx.{symbol}")
+
+
+@pytest.mark.parametrize(("symbol", "value"), [*ODD, ("K_0_asym", "1e-5 g")])
+def test_an_asymmetry_or_a_fifth_order_of_typical_size_is_in_the_uncertainty(
+    tmp_path, symbol, value
+):
+    result = forces(tmp_path, symbol, value)
+    assert (result.state, result.findings) == ("good", [])
+    for name, true in {"K_F": 5e-3, "K_I": 1.002, "K_II": 2e-5}.items():
+        c = result[f"Qx.{name}"]
+        assert abs(c.value - true) < 3.0 * c.u

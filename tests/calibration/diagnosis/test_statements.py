@@ -25,13 +25,14 @@ priors = { "head.harmonic" = "0 ± 0.2 arcsec" }
 
 """
 
-#: Nothing is stated of the clock; the bias and the scale factor are.
+#: Nothing is stated of the clock; the bias, the scale factor and K_5, which looks like K_III, are.
 RECORDED = f"""{PLACE}
 [accelerometers.Qx]
 input_axis = "east"
 pendulous_axis = "down"
 bias = "0.005 ± 2e-6 g"
 scale_factor = "1.002 ± 5e-6 g/g"
+K_5 = "0 ± 1e-10 g/g^5"
 velocity = {{ column = "east", unit = "m/s" }}
 
 [noise]
@@ -58,7 +59,7 @@ def tumble(folder, mountings=(0,), more=""):
     rng = np.random.default_rng(4)
     text = changed(TUMBLE, ("priors = {", f"priors = {{ {more}"))
     for turn in mountings:
-        for angle in range(0, 360, 30):
+        for angle in range(0, 360, 15):
             value = 2e-3 + math.cos(math.radians(angle)) + 2e-6 * rng.standard_normal()
             text += at_rest(
                 f"{turn} {angle}",
@@ -71,12 +72,12 @@ def tumble(folder, mountings=(0,), more=""):
 
 @pytest.mark.parametrize(
     ("source", "symbol", "unit", "seen"),
-    [("1.sin", "K_F", 1e-6, False), ("2.sin", "K_I", 1.0, True)],
+    [("1.sin", "K_F", 1e-6, False), ("4.sin", "K_I", 1.0, True)],
 )
 def test_a_head_that_is_said_to_err_by_little(tmp_path, source, symbol, unit, seen):
     """Once a turn, 2.06 arcsec of it move K_F by 10 ug, and by nothing else are they seen.
 
-    Twice a turn so much would be seen a little: what is said is the most that is not.
+    Four times a turn so much would be seen a little: what is said is the most that is not.
     """
     result = tumble(tmp_path / "stated")
     assert (result.state, result.findings) == ("good", [])
@@ -86,6 +87,7 @@ def test_a_head_that_is_said_to_err_by_little(tmp_path, source, symbol, unit, se
         rf"{symbol} is wrong by ([\d.e-]+) \S+ \(([\d.]+) times its u\)",
         text,
     )
+    assert said, text
     size, shift, times = (float(number) for number in said.groups())
     typical = math.degrees(1e-5) * 3600.0
     assert size < 0.9 * typical if seen else size == pytest.approx(typical, rel=0.03)
@@ -104,7 +106,7 @@ def test_what_is_stated_as_its_typical_size_or_tested_needs_no_remark(tmp_path, 
     """Two mountings show what the head does, whatever is stated of it."""
     monkeypatch.setitem(globals(), "TUMBLE", changed(TUMBLE, ("0.2 arcsec", size)))
     typical = size.startswith("2")
-    assert remarks(tumble(tmp_path, (0,) if typical else (0, 90, 180))) == []
+    assert remarks(tumble(tmp_path, (0,) if typical else (0, 60, 135))) == []
 
 
 def test_the_clock_of_one_run_alone(tmp_path):

@@ -313,7 +313,7 @@ def _others(views: Sequence[AccelerometerView], now: Estimate) -> Iterator[Alter
     terms = {
         other: campaign.typical_of(other.symbol, other.owner)
         for view in views
-        for other in assumed_of(campaign, model, view.name, on_request=True)
+        for other in assumed_of(campaign, model, view.name)
         if not (campaign.readings and other.symbol in OWN_TERMS)
     }
     yield from mistakes.of_terms(fit, terms)
