@@ -174,7 +174,7 @@ def find_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
     """Return the layout of a file whose rows stand out; None if nothing looks like rows."""
     best: tuple[int, Layout] | None = None
     for delimiter in [dialect.delimiter] if dialect.delimiter else DELIMITERS:
-        parted = [(number, split(_marked_line(line), delimiter)) for number, line in lines]
+        parted = [(number, _split_marked(line, delimiter)) for number, line in lines]
         if delimiter == BLANKS:
             parted = _wide_names(parted, lines)
         for decimal in [dialect.decimal] if dialect.decimal else (".", ","):
@@ -182,6 +182,15 @@ def find_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
             if found is not None and (best is None or found[0] > best[0]):
                 best = found
     return best and best[1]
+
+
+def _split_marked(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line, the first with '#' before it if the line is a comment."""
+    mark = _COMMENT.match(line)
+    if mark is None:
+        return split(line, delimiter)
+    first, *cells = split(line[mark.end() :], delimiter) or [""]
+    return [f"#{first}", *cells]
 
 
 def _marked_line(line: str) -> str:
@@ -233,7 +242,7 @@ def plain_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
     number, line = written[0]
     # The delimiter is the one that the header uses most; a lone column has none.
     delimiter = dialect.delimiter or max(MARKS, key=line.count)
-    names = split(line, delimiter)
+    names = split(_COMMENT.sub("", line, count=1), delimiter)
     # Among the rows a blank line is a row of empty cells; here it stops the parser.
     body = iter([place for place, below in lines if place > number and below.strip()])
     cells: list[str] = []

@@ -1,0 +1,56 @@
+"""Intervals of the noise where rows are not the sensor's samples, in seeded trials."""
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from counterspin.inference.noise import rest
+from counterspin.inference.noise.rest import analyse, stretches_of
+
+STEP, SIGMA, SAMPLES, TRIALS = 0.01, 1e-3, 1200, 10
+
+
+def lost(part):
+    def log(rng, time, values):
+        keep = rng.random(time.size) > part
+        return time[keep], values[keep]
+
+    return log
+
+
+def repeated(ratio):
+    def log(_, time, values):
+        rows = np.arange(int(time.size * ratio))
+        places = np.minimum((rows / ratio).astype(int), time.size - 1)
+        return rows * STEP / ratio, values[places]
+
+    return log
+
+
+def restamped(_, time, values):
+    place = np.arange(time.size)
+    return time[place - (place % 3 == 2)], values
+
+
+@pytest.mark.parametrize(
+    "log",
+    [lost(0.05), lost(0.2), repeated(2.0), repeated(2.5), repeated(4.0), restamped],
+    ids=["5 % lost", "20 % lost", "2 rows", "2.5 rows", "4 rows", "stamps repeat"],
+)
+def test_intervals_of_n_hold(monkeypatch, log):
+    """At 95 %, of so many trials fewer hold with a probability of 1e-4 than the bound."""
+    monkeypatch.setattr(rest, "_limit", lambda *_: np.inf)  # of what is not seen: it takes long
+    hold, ratios = 0, []
+    for seed in range(TRIALS):
+        rng = np.random.default_rng(seed)
+        time = np.arange(SAMPLES) * STEP
+        values = 9.8 + SIGMA * rng.standard_normal(SAMPLES)
+        found = analyse(stretches_of(*log(rng, time, values)), 0).noise
+        white = found.components["random_walk"]
+        true = SIGMA**2 * STEP
+        hold += white.low <= true <= white.high
+        ratios.append(white.variance / true)
+        assert found.components["flicker"].variance == 0.0 or found.components["flicker"].low == 0.0
+    assert hold >= binom.ppf(1e-4, TRIALS, 0.95)
+    # The variance of so many samples is known to sqrt(2 / n); the bound is four of its errors.
+    assert abs(np.mean(ratios) - 1.0) < 4.0 * np.sqrt(2.0 / (0.8 * SAMPLES * TRIALS))
