@@ -135,9 +135,9 @@ class PosesDraft(AnsweredDraft):
                 "record": relative_name(contents.path, place),
                 "poses": poses,
             }
-            keys = contents.dialect_keys
-            runs.append(run | ({"records": keys} if keys else {}))
-        return {"records": {"time": rows} | self.guesses[0].temperature_table, "runs": runs}
+            runs.append(run)
+        records = {"time": rows} | self.contents.dialect_keys | self.guesses[0].temperature_table
+        return {"records": records, "runs": runs}
 
 
 def poses_draft(
