@@ -259,7 +259,7 @@ def test_many_poses_in_six_directions_give_no_angles_and_no_matrix(tmp_path):
 
 def test_faces_determine_biases_and_scale_factors_where_angles_are_not_asked_for(tmp_path):
     faces = triads.indications(np.vstack([np.eye(3), -np.eye(3)]))
-    description = triads.head(model='typical = { K_II = "1 ug/g^2" }')
+    description = triads.head(model='typical = { K_II = "1 ug/g^2", K_0_asym = "1 ug" }')
     result = cs.calibrate(triads.table(tmp_path, faces, u=1e-5, description=description))
     parameters = result.triad.parameters
     for k, name in enumerate(triads.NAMES):
