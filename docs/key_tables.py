@@ -23,7 +23,7 @@ from counterspin.certificates.lab import Lab
 from counterspin.comparisons.result import RepeatedCalibration, ResultComparison
 from counterspin.histories.result import History
 from counterspin.monitoring.result import CheckedRun, NoiseResult, WatchState
-from counterspin.physics.terms import OWN_TERMS
+from counterspin.physics.terms import ACCELEROMETER_TERMS
 from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
 from counterspin.studies.description import StudiedDocument, StudyDocument
 from counterspin.toml_text import write_value
@@ -166,7 +166,7 @@ def keys(name: str) -> dict[str, FieldInfo]:
     name, _, some = name.partition(" of ")
     model = model_of(name)
     bases = [b for b in model.__bases__ if b.__name__ in SHOWN]
-    told = {key for base in bases for key in base.model_fields} | set(OWN_TERMS)
+    told = {key for base in bases for key in base.model_fields} | set(ACCELEROMETER_TERMS)
     named = {field.alias or name: field for name, field in model.model_fields.items()}
     own = {key: field for key, field in named.items() if key not in told}
     return {key: f for key, f in own.items() if extra_of(f).get("x-of", some) == some}

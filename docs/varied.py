@@ -17,7 +17,7 @@ from scipy.special import ndtri, stdtr
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.model import model_of
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.physics.terms import OWN_TERMS, term
+from counterspin.physics.terms import ACCELEROMETER_TERMS, term
 from counterspin.simulation.simulate import simulate
 from kept_table import DOCS, UNITS, KeptTable, frame, table_of
 
@@ -191,7 +191,7 @@ def _unstated(described: str, rng: np.random.Generator) -> dict[str, dict[str, f
 def _shared(off: dict[str, dict[str, float]]) -> Iterator[str]:
     families: dict[str, list[str]] = {}
     for symbol, value in off.get("", {}).items():
-        if symbol not in OWN_TERMS:
+        if symbol not in ACCELEROMETER_TERMS:
             family, _, key = symbol.partition(".")
             families.setdefault(family, []).append(f'{key} = "{value!r} {term(symbol).unit}"')
     for family, lines in families.items():

@@ -14,7 +14,7 @@ from typing import Final
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result
-from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, term
+from counterspin.physics.terms import ACCELEROMETER_TERMS, SHARED_TERMS, term
 from counterspin.reports.numbers import field_unit, format_number
 from counterspin.simulation.simulate import simulate
 from kept_table import DOCS, UNITS, KeptTable, channel, frame, runs, table_of
@@ -218,7 +218,7 @@ def _rounded(size: float) -> str:
 def of_table() -> list[Violation]:
     """Return one violation for each term that is not asked for, at its typical size."""
     rows = []
-    for symbol in [*OWN_TERMS, *SHARED_TERMS]:
+    for symbol in [*ACCELEROMETER_TERMS, *SHARED_TERMS]:
         # The table errs under a strapped instrument only, and the usual campaign has a platform.
         if symbol in ("K_F", "K_I", "K_II", "K_III") or symbol.startswith("table."):
             continue
@@ -226,7 +226,7 @@ def of_table() -> list[Violation]:
         unit, factor = field_unit(row.unit)
         size = f"{format_number(row.typical * factor, 2)} {unit}"
         value = f'"{row.typical!r} {row.unit}"'
-        if symbol in OWN_TERMS:
+        if symbol in ACCELEROMETER_TERMS:
             world = {"[truth.Qx]\n": f'[truth.Qx]\n"{symbol}" = {value}\n'}
             if ".temperature" in symbol:
                 size += ", 1 K not recorded"

@@ -14,10 +14,10 @@ from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import columns, parabola
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import (
+    ACCELEROMETER_TERMS,
     CONDITION_TERMS,
     DEGREE_PER_HOUR,
     INPUTS,
-    OWN_TERMS,
     SHARED_TERMS,
     TABLE,
     TERMS,
@@ -92,7 +92,7 @@ def test_sizes_by_grade_are_those_of_the_code():
 
 
 def test_every_other_typical_size_says_where_it_comes_from():
-    known = {s: row for s, row in TABLE.items() if s not in OWN_TERMS}
+    known = {s: row for s, row in TABLE.items() if s not in ACCELEROMETER_TERMS}
     covered = []
     for names, size, source in rows_between("sources"):
         patterns = re.findall(r"`([\w.*]+)`", names)
@@ -120,7 +120,7 @@ def test_sizes_from_the_paper_are_parts_of_its_own():
 def test_what_navigation_grade_means_for_bias_and_drift():
     # A nautical mile is a minute of arc of the Earth.
     miles = math.degrees(1.0) * 60.0
-    assert OWN_TERMS["K_F"].typical * miles == pytest.approx(0.34, abs=0.005)
+    assert ACCELEROMETER_TERMS["K_F"].typical * miles == pytest.approx(0.34, abs=0.005)
     drift = SHARED_TERMS["platform.drift.north"].typical
     assert drift * 3600.0 * miles == pytest.approx(0.6, rel=1e-3)
 
@@ -174,7 +174,9 @@ def test_closed_forms_are_those_of_the_columns():
     times = np.linspace(0.0, 40.0, 81)
     checked = []
     for terms, column, parabolas in rows:
-        for symbol in (s for s in terms.replace(" − 1", "").split(", ") if s in OWN_TERMS):
+        for symbol in (
+            s for s in terms.replace(" − 1", "").split(", ") if s in ACCELEROMETER_TERMS
+        ):
             if column.startswith("$") and "t_0" not in column:
                 got = columns(trajectory, QX, [symbol], times)[:, 0]
                 expected = evaluated(column, t=times, **numbers)

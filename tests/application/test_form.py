@@ -11,7 +11,7 @@ from counterspin.campaign.resolution import CampaignDocument
 from counterspin.campaign.terms import BARE_NAMES
 from counterspin.certificates.lab import Lab
 from counterspin.physics.accelerometer import DIRECTIONS
-from counterspin.physics.terms import OWN_TERMS, TERMS, is_term
+from counterspin.physics.terms import ACCELEROMETER_TERMS, TERMS, is_term
 from counterspin.units import unit_factor
 
 
@@ -96,8 +96,8 @@ def test_every_field_has_a_label_and_help_in_words():
         for one in form:
             for asked in inside(one["fields"]):
                 assert re.match(r"[A-Z][a-z]", asked["label"]), asked
-                assert asked["key"] in OWN_TERMS or "_" not in asked["label"], asked
-                assert asked["help"] or asked["key"] in OWN_TERMS, asked
+                assert asked["key"] in ACCELEROMETER_TERMS or "_" not in asked["label"], asked
+                assert asked["help"] or asked["key"] in ACCELEROMETER_TERMS, asked
                 assert not re.search(r"`|\]\(", asked["help"]), asked
     assert field(campaign_form(), "accelerometers", "K_II")["label"] == (
         "Second-order coefficient (K_II)"
@@ -132,7 +132,7 @@ def test_terms_to_tick_are_those_that_a_model_may_name():
     rows = field(campaign_form(), "model", "terms")["rows"]
     symbols = [row["key"] for row in rows]
     assert len(symbols) == len(set(symbols))
-    assert set(OWN_TERMS) < set(symbols)
+    assert set(ACCELEROMETER_TERMS) < set(symbols)
     assert all(is_term(s) or s in BARE_NAMES for s in symbols)
     assert {name for name in BARE_NAMES if name.count(".") == 1} < set(symbols)
     assert all(re.match("[A-Z]", row["words"]) for row in rows)

@@ -20,7 +20,7 @@ from counterspin.physics.accelerometer import QX, Mounting
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import LEVEL
 from counterspin.physics.spindle import Spindle
-from counterspin.physics.terms import INPUTS, OWN_TERMS, SHARED_TERMS, term
+from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS, SHARED_TERMS, term
 from counterspin.simulation.simulate import simulate
 
 RADIUS, RATE, TIMING = 2.5, -2.0, 1e-3
@@ -71,7 +71,7 @@ def test_credible_sizes_of_unknowns_go_by_the_grade_of_their_accelerometer(tmp_p
     model = model_of(campaign)
     for name, grade in (("Qx", "navigation"), ("Qy", "consumer")):
         asked = [u for u in model.unknowns if u.owner == name]
-        perfect = [c for c in assumed_of(campaign, model, name) if c.symbol in OWN_TERMS]
+        perfect = [c for c in assumed_of(campaign, model, name) if c.symbol in ACCELEROMETER_TERMS]
         assert {u.symbol for u in asked} >= {"K_F", "K_II", "K_III"}
         assert {c.symbol for c in perfect} >= {"K_OO", "delta_O"}
         for one in (*asked, *perfect):
@@ -128,7 +128,7 @@ ASKED = ["K_F", "K_I", "K_II"]
 #: All but the clock.
 ASSUMED = [
     symbol
-    for symbol in (*OWN_TERMS, *SHARED_TERMS, *INPUTS)
+    for symbol in (*ACCELEROMETER_TERMS, *SHARED_TERMS, *INPUTS)
     if symbol not in (*ASKED, "records.clock")
 ]
 FORCE = f"""{PLACE}

@@ -50,14 +50,14 @@ def test_conditions_count_from_the_first_run_and_the_reference(tmp_path):
     assert found["middle"].start == 720.0
     assert found["fast"].start == 0.0
     # Without a reference, the mean of what was recorded is one.
-    assert [found[name].warmth for name in STATED] == pytest.approx([-1.0, 1.0, 0.0])
+    assert [found[name].temperature_offset for name in STATED] == pytest.approx([-1.0, 1.0, 0.0])
     text = changed(
         with_conditions(SMALL),
         ('radius = "2.5 m"', 'radius = "2.5 m"\nreference_temperature = "20 degC"'),
     )
     campaign = campaign_of(tmp_path, text)
     assert origin_of(campaign).temperature == pytest.approx(293.15)
-    assert conditions_of(campaign)["slow"].warmth == pytest.approx(1.0)
+    assert conditions_of(campaign)["slow"].temperature_offset == pytest.approx(1.0)
 
 
 def test_runs_without_a_time_follow_each_other(tmp_path):
@@ -70,7 +70,7 @@ def test_runs_without_a_time_follow_each_other(tmp_path):
 
 
 def test_where_nobody_took_a_temperature_it_rises_by_a_kelvin_from_run_to_run(tmp_path):
-    warmths = [c.warmth for c in conditions_of(campaign_of(tmp_path, SMALL)).values()]
+    warmths = [c.temperature_offset for c in conditions_of(campaign_of(tmp_path, SMALL)).values()]
     assert warmths == [-0.5, 0.0, 0.5]
     before, _, after = SMALL.partition("[[runs]]")
     one = f"{before}[[runs]]{after.partition('[[runs]]')[0]}{after[after.index('[simulation]') :]}"
@@ -166,12 +166,16 @@ def test_several_temperatures_are_spread_over_their_run(tmp_path):
     slow, middle, fast = conditions_of(campaign, lengths).values()
     # The ends count half: (20/2 + 24 + 22/2)/2; the reference is the mean of the three runs'.
     mean = (22.5 + 23.0 + 26.5) / 3.0
-    assert [slow.warmth, middle.warmth, fast.warmth] == pytest.approx([22.5 - mean, 23 - mean, 2.5])
-    assert slow.warmth_at(np.array([0.0, 20.0, 40.0, 60.0, 99.0])) + mean == pytest.approx(
-        [20.0, 22.0, 24.0, 23.0, 22.0]
-    )
-    assert not middle.course
-    assert middle.warmth_at(np.array([3.0])) == pytest.approx([23.0 - mean])
+    assert [
+        slow.temperature_offset,
+        middle.temperature_offset,
+        fast.temperature_offset,
+    ] == pytest.approx([22.5 - mean, 23 - mean, 2.5])
+    assert slow.temperature_offset_at(
+        np.array([0.0, 20.0, 40.0, 60.0, 99.0])
+    ) + mean == pytest.approx([20.0, 22.0, 24.0, 23.0, 22.0])
+    assert not middle.temperature_profile
+    assert middle.temperature_offset_at(np.array([3.0])) == pytest.approx([23.0 - mean])
 
 
 def test_a_run_may_turn_back_within(tmp_path):
@@ -182,8 +186,8 @@ def test_a_run_may_turn_back_within(tmp_path):
     slow, middle, fast = conditions_of(campaign, lengths).values()
     assert [slow.direction, middle.direction, fast.direction] == [0.5, -0.5, 0.5]
     # The lines 20 + 2 x and 24 - (x - 2) meet at 2.
-    assert slow.turns == pytest.approx([20.0])
-    assert middle.turns == fast.turns == ()
+    assert slow.reversal_times == pytest.approx([20.0])
+    assert middle.reversal_times == fast.reversal_times == ()
     assert slow.direction_at(np.array([0.0, 19.9, 20.1, 50.0])).tolist() == [0.5, 0.5, -0.5, -0.5]
 
 
@@ -192,7 +196,7 @@ def test_a_turn_between_two_temperatures_is_where_their_lines_meet(tmp_path):
     course = [20, 24, 28, 28.5, 25.5, 22.5]
     campaign = campaign_of(tmp_path, with_courses(course, [21], [20]))
     slow = conditions_of(campaign, {"slow": 50.0})["slow"]
-    assert slow.turns == pytest.approx([25.0])
+    assert slow.reversal_times == pytest.approx([25.0])
 
 
 @pytest.mark.parametrize(

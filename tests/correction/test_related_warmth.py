@@ -16,7 +16,7 @@ from counterspin.correction.apply import ApplyOptions, apply
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import QX, QY, Mounting, indicated
 from counterspin.physics.correction import CalibratedAccelerometer, Warmth, correct
-from counterspin.physics.terms import OWN_TERMS
+from counterspin.physics.terms import ACCELEROMETER_TERMS
 
 G = 9.8066
 REFERENCE = 20.0  # degC
@@ -35,7 +35,7 @@ CELSIUS = np.linspace(-10.0, 60.0, 31)
 def result(values, u=(), temperatures=(270.0, 340.0), reference=REFERENCE, **more):
     u = dict(u)
     own = {
-        s: Coefficient(value=v, u=u.get(s, 0.0), unit=OWN_TERMS[s].unit, estimated=True)
+        s: Coefficient(value=v, u=u.get(s, 0.0), unit=ACCELEROMETER_TERMS[s].unit, estimated=True)
         for s, v in values.items()
     }
     inputs = {"gravity": G, "latitude": 0.8, "radius": 2.5, "temperatures": list(temperatures)}
@@ -178,7 +178,7 @@ def test_known_slopes_need_a_temperature():
 
 def test_slopes_that_nothing_states_are_in_u_where_the_temperature_is_known():
     unstated = [
-        Knowledge(name=f"A.{s}", kind="unstated", unit=OWN_TERMS[s].unit, value=0.0, u=u)
+        Knowledge(name=f"A.{s}", kind="unstated", unit=ACCELEROMETER_TERMS[s].unit, value=0.0, u=u)
         for s, u in (("K_F.temperature", 3e-5), ("K_I.temperature", 1e-4))
     ]
     found = result({"K_F": 0.0, "K_I": 1.0}, rests_on=unstated)

@@ -16,14 +16,18 @@ from counterspin.physics.terms import CONDITION_TERMS, TERMS, term
 
 SITE = Site(9.8066, 0.7985)
 SPINDLE = Spindle(-2.4, 3e-4, (Ripple(1, 4e-3, 0.8),), start_angle=0.5)
-CONDITIONS = RunConditions(start=750.0, warmth=-1.7, direction=-0.5)
+CONDITIONS = RunConditions(start=750.0, temperature_offset=-1.7, direction=-0.5)
 TRAJECTORY = Trajectory(SPINDLE, 2.5, SITE, conditions=CONDITIONS)
 TIMES = np.linspace(0.0, 9.0, 181)
 
 
 #: Warmer, then colder than at its start; known to be on its way up first.
 WITHIN = replace(
-    CONDITIONS, direction=0.5, course=(-2.0, 1.0, -0.5, -3.0), length=8.0, turns=(8.0 / 3.0,)
+    CONDITIONS,
+    direction=0.5,
+    temperature_profile=(-2.0, 1.0, -0.5, -3.0),
+    length=8.0,
+    reversal_times=(8.0 / 3.0,),
 )
 
 
@@ -59,8 +63,8 @@ def test_a_trend_goes_on_within_the_run():
 #: A ramp of the temperature, from `BEGIN` by `RISE` K a second, over the times.
 BEGIN, RISE = -3.0, 0.75
 RAMP = RunConditions(
-    warmth=BEGIN + 0.5 * RISE * TIMES[-1],
-    course=(BEGIN, BEGIN + RISE * TIMES[-1]),
+    temperature_offset=BEGIN + 0.5 * RISE * TIMES[-1],
+    temperature_profile=(BEGIN, BEGIN + RISE * TIMES[-1]),
     length=TIMES[-1],
 )
 
@@ -101,7 +105,7 @@ def test_what_a_ramp_of_the_temperature_adds_to_the_scale_on_a_turning_spindle()
 def test_a_turn_of_the_temperature_turns_the_hysteresis():
     """Up until t1 and down from there: half of it more, then half of it less."""
     turned = 3.3
-    up = replace(TRAJECTORY, conditions=RunConditions(direction=0.5, turns=(turned,)))
+    up = replace(TRAJECTORY, conditions=RunConditions(direction=0.5, reversal_times=(turned,)))
     (shown,) = columns(up, QX, ["K_F.hysteresis"], TIMES).T
     since = np.maximum(TIMES - turned, 0.0)
     by_hand = SITE.gravity * (0.25 * TIMES**2 - 0.5 * since**2)
@@ -128,7 +132,9 @@ def test_at_the_reference_nothing_changes():
         "K_F": 1e-3,
         **{s: TERMS[s].nominal for s in ("K_I", "K_II")},
     }
-    assert changed({"K_I.temperature": 1e-4}, RunConditions(warmth=2.0), 0.0) == {"K_I": 1.0002}
+    assert changed({"K_I.temperature": 1e-4}, RunConditions(temperature_offset=2.0), 0.0) == {
+        "K_I": 1.0002
+    }
 
 
 @pytest.mark.parametrize("row", CONDITION_TERMS.values(), ids=CONDITION_TERMS)

@@ -6,15 +6,15 @@ from itertools import pairwise
 import pytest
 
 from counterspin.physics.grades import DEFAULT_GRADE, GRADES, SIZES
-from counterspin.physics.terms import OWN_TERMS, TABLE, term
+from counterspin.physics.terms import ACCELEROMETER_TERMS, TABLE, term
 
 
 def test_every_term_of_an_accelerometer_has_sizes_of_every_grade_and_no_other_term_has():
-    assert set(SIZES) == set(OWN_TERMS)
+    assert set(SIZES) == set(ACCELEROMETER_TERMS)
     assert all(tuple(sizes) == GRADES for sizes in SIZES.values())
 
 
-@pytest.mark.parametrize("symbol", OWN_TERMS)
+@pytest.mark.parametrize("symbol", ACCELEROMETER_TERMS)
 def test_a_worse_grade_is_no_better(symbol):
     sizes = [term(symbol).sizes(grade) for grade in GRADES]
     for better, worse in pairwise(sizes):
@@ -27,7 +27,7 @@ def test_a_worse_grade_is_no_better(symbol):
 
 def test_the_default_is_navigation_grade():
     assert DEFAULT_GRADE == "navigation"
-    for row in OWN_TERMS.values():
+    for row in ACCELEROMETER_TERMS.values():
         assert row.sizes() == row.sizes("navigation")
         assert (row.limit, row.typical, row.source) == tuple(vars(row.sizes()).values())
 

@@ -8,7 +8,7 @@ import pytest
 import sympy as sp
 
 from counterspin.physics.accelerometer import QX, QY, Mounting
-from counterspin.physics.motion import Site, Trajectory, encoder_error, true_trajectory
+from counterspin.physics.motion import Site, Trajectory, encoder_error, perturbed_trajectory
 from counterspin.physics.observation import ORDERS, columns, parabola, reference
 from counterspin.physics.simulation import recorded
 from counterspin.physics.spindle import Ripple, Spindle
@@ -50,7 +50,7 @@ def path_by_sympy():
 
 
 def test_the_path_is_that_of_its_definition():
-    motion = true_trajectory(TRAJECTORY, ERRORS).at(TIMES)
+    motion = perturbed_trajectory(TRAJECTORY, ERRORS).at(TIMES)
     got = (motion.position, motion.velocity, motion.acceleration)
     for value, expected in zip(got, path_by_sympy(), strict=True):
         np.testing.assert_allclose(value[:, :2], expected, rtol=0, atol=1e-13)
@@ -58,8 +58,8 @@ def test_the_path_is_that_of_its_definition():
 
 
 def test_without_errors_the_path_is_the_circle():
-    assert true_trajectory(TRAJECTORY, {"platform.tilt.north": 1e-3}) is TRAJECTORY
-    assert true_trajectory(TRAJECTORY, {"encoder.harmonic.1.cos": 1e-3}) is TRAJECTORY
+    assert perturbed_trajectory(TRAJECTORY, {"platform.tilt.north": 1e-3}) is TRAJECTORY
+    assert perturbed_trajectory(TRAJECTORY, {"encoder.harmonic.1.cos": 1e-3}) is TRAJECTORY
 
 
 @pytest.mark.parametrize("observable", ORDERS)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from counterspin.physics.accelerometer import QX, Mounting, direction
-from counterspin.physics.motion import Site, Trajectory, path_change
+from counterspin.physics.motion import Site, Trajectory, trajectory_sensitivity
 from counterspin.physics.observation import columns
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.station import FRAMES, Station, mean_products
@@ -80,7 +80,9 @@ def test_a_level_platform_on_a_tilted_axis_goes_up_and_down(case):
         change = replace(level, axis_tilt=tilt).force(site, angle) - level.force(site, angle)
         assert np.abs(change[0] - exact).max() < site.earth_rate**2 * radius + 1e-12 * size
         trajectory = Trajectory(Spindle(rate, start_angle=angle[0]), radius, site)
-        path = path_change(f"centrifuge.axis_tilt.{about}", trajectory.at(np.zeros(1)), 0)[0]
+        path = trajectory_sensitivity(
+            f"centrifuge.axis_tilt.{about}", trajectory.at(np.zeros(1)), 0
+        )[0]
         assert np.abs(path - exact).max() < site.earth_rate**2 * radius + 1e-12 * size
 
 

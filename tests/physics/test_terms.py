@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from equation_7 import EQUATION_7
 
-from counterspin.physics.effects import Product, Turn
+from counterspin.physics.effects import AttitudeError, SpecificForceProduct
 from counterspin.physics.terms import (
     DEGREE_PER_HOUR,
     PLATFORM_TERMS,
@@ -136,8 +136,8 @@ def test_platform_terms_are_those_of_three_axes_and_of_nine_pairs():
 
 
 def test_term_finds_rows_of_both_tables():
-    assert isinstance(term("K_II").effect, Product)
-    assert isinstance(term("platform.drift.up").effect, Turn)
+    assert isinstance(term("K_II").effect, SpecificForceProduct)
+    assert isinstance(term("platform.drift.up").effect, AttitudeError)
     assert term("K_OQ") is TERMS["K_OQ"]
 
 
@@ -192,7 +192,7 @@ def test_what_is_no_mounting_s_is_no_term(name):
 
 def test_readings_show_machine_and_conditions_and_no_platform():
     kinds = {type(row.effect).__name__ for row in READING_TERMS.values()}
-    assert kinds == {"Displacement", "PathError", "Slope", "Turn"}
+    assert kinds == {"AttitudeError", "SetupError", "Slope", "TrajectoryError"}
     assert not shown_by_readings("platform.tilt.east")
     assert not shown_by_readings("encoder.harmonic.1.cos")
 

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from counterspin.records.column_file import in_pieces
+from counterspin.records.column_file import iter_chunks
 
 
 @settings(max_examples=30, deadline=None)
@@ -17,7 +17,7 @@ def test_pieces_hold_every_row_once_and_in_order(lengths, size):
     batches = ({name: x[a:b] for name, x in columns.items()} for a, b in pairwise(ends))
     pieces = [
         {name: x.copy() for name, x in piece.items()}
-        for piece in in_pieces(batches, lambda _: size)
+        for piece in iter_chunks(batches, lambda _: size)
     ]
     assert [len(piece["a"]) for piece in pieces[:-1]] == [size] * (len(pieces) - 1)
     if pieces:

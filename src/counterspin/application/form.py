@@ -29,7 +29,7 @@ from counterspin.campaign.runs import READINGS, RECORDS, is_reading
 from counterspin.campaign.terms import BARE_NAMES
 from counterspin.campaign.truth import TRUE_TABLES, AccelerometerTruthSettings
 from counterspin.certificates.lab import Lab
-from counterspin.physics.terms import OWN_TERMS, READING_TERMS, SHARED_TERMS, TERMS
+from counterspin.physics.terms import ACCELEROMETER_TERMS, READING_TERMS, SHARED_TERMS, TERMS
 from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
 from counterspin.schemas import SECTIONS, unlinked
 from counterspin.units import advice, check_unit
@@ -164,7 +164,9 @@ def _field(key: str, field: FieldInfo, page: str) -> Field:
     base, metadata = _unwrapped(field.annotation, field.metadata)
     extra = extra_of(field)
     absent = extra.get("x-absent")
-    meaning = "" if key in OWN_TERMS else (field.description or "").removesuffix("; see below")
+    meaning = (
+        "" if key in ACCELEROMETER_TERMS else (field.description or "").removesuffix("; see below")
+    )
     said = "; ".join(filter(None, [meaning, f"if left out: {absent}" if absent else ""]))
     asked = {
         "key": key,
@@ -196,8 +198,8 @@ def _links(said: str, page: str) -> list[tuple[str, str]]:
 
 def _label(key: str) -> str:
     """Return a key in words: a term's description with its symbol."""
-    if key in OWN_TERMS:
-        words = OWN_TERMS[key].words
+    if key in ACCELEROMETER_TERMS:
+        words = ACCELEROMETER_TERMS[key].words
         return f"{words[:1].upper()}{words[1:]} ({key})"
     of_what = key.removeprefix("u").removeprefix("_")
     if key in ("u", f"u_{of_what}"):
@@ -208,7 +210,7 @@ def _label(key: str) -> str:
 @cache
 def _term_rows() -> tuple[Field, ...]:
     """Return the names that a list of terms may have, with descriptions: terms and families."""
-    rows = {symbol: row.words for symbol, row in OWN_TERMS.items()}
+    rows = {symbol: row.words for symbol, row in ACCELEROMETER_TERMS.items()}
     for family, of_family in BARE_NAMES.items():
         if family.count(".") == 1:
             rows[family] = f"{of_family[0].words}, and so on"

@@ -24,7 +24,14 @@ from counterspin.campaign.documents import DESCRIPTION_NAME, key_path, load_docu
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.summary import WhatIf
-from counterspin.physics.terms import INPUTS, OWN_TERMS, is_term, symbol_of, term, words_of
+from counterspin.physics.terms import (
+    ACCELEROMETER_TERMS,
+    INPUTS,
+    is_term,
+    symbol_of,
+    term,
+    words_of,
+)
 from counterspin.planning.recorded import FurtherRuns
 from counterspin.reports.numbers import field_unit, format_number, format_uncertainty
 from counterspin.reports.typography import typeset
@@ -324,7 +331,7 @@ def _prior(result: Result, accelerometer: str) -> tuple[tuple[str, str], str]:
     source, (_, update) = stated["source"], _asked(_accelerometer(result, accelerometer))
     symbol = symbol_of(source)
     row = term(symbol)
-    key = f"{accelerometer}.{source}" if symbol in OWN_TERMS else symbol
+    key = f"{accelerometer}.{source}" if symbol in ACCELEROMETER_TERMS else symbol
     size = KNOWN_BETTER * update.known[source]
     return (key, f"{row.nominal:g} ± {size:.2g} {row.unit}"), symbol
 

@@ -31,10 +31,10 @@ from counterspin.inference.joint.series import CLOCK, RATE_CLOCK, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.effects import Product, Slope, Turn
+from counterspin.physics.effects import AttitudeError, Slope, SpecificForceProduct
 from counterspin.physics.terms import (
+    ACCELEROMETER_TERMS,
     LINEAR,
-    OWN_TERMS,
     SHARED_TERMS,
     Term,
     accelerometer_of,
@@ -197,12 +197,12 @@ def _acting(campaign: Campaign, only: str = "") -> list[tuple[str, str]]:
     own = [
         (name, symbol)
         for name in names
-        for symbol, row in OWN_TERMS.items()
+        for symbol, row in ACCELEROMETER_TERMS.items()
         if symbol in campaign.model.terms or _acts(campaign, row)
         if (name, symbol) not in of_frame
     ]
     readings = tuple(r for r in campaign.readings if r.accelerometer in names)
-    read = [("", s) for s in symbols_shown(readings) if s not in OWN_TERMS]
+    read = [("", s) for s in symbols_shown(readings) if s not in ACCELEROMETER_TERMS]
     # A radius for all accelerometers of a mounting stands in place of theirs where it is named.
     read = [
         (o, s)
@@ -214,9 +214,9 @@ def _acting(campaign: Campaign, only: str = "") -> list[tuple[str, str]]:
     return list(dict.fromkeys([*own, *_of_platform(campaign, names), *read]))
 
 
-def _acts(campaign: Campaign, row: Term[Product | Slope]) -> bool:
+def _acts(campaign: Campaign, row: Term[SpecificForceProduct | Slope]) -> bool:
     """Return whether what a coefficient changes with has changed."""
-    if isinstance(row.effect, Product):
+    if isinstance(row.effect, SpecificForceProduct):
         arm = (reading.axes for reading in campaign.readings if reading.motion == "arm")
         return not row.effect.of_rotation or any(_rotates(row.effect, axes) for axes in arm)
     if row.effect.condition == "force":
@@ -229,13 +229,15 @@ def _acts(campaign: Campaign, row: Term[Product | Slope]) -> bool:
         return bool(directions_of(campaign))
     warm = set(temperatures_of(campaign))
     if any(run.temperature for run in campaign.runs):
-        warm |= {origin.temperature + run.warmth for run in conditions_of(campaign).values()}
+        warm |= {
+            origin.temperature + run.temperature_offset for run in conditions_of(campaign).values()
+        }
     # An assumed change of temperature is small: only the first power acts.
     assumed = row.effect.power == 1 and has_assumed_warming(campaign)
     return assumed or any(temperature != origin.temperature for temperature in warm)
 
 
-def _rotates(product: Product, axes: Mounting) -> bool:
+def _rotates(product: SpecificForceProduct, axes: Mounting) -> bool:
     """Return whether a constant rotation of an arm gives a product of the rotation a mean."""
     up = axes.matrix[:, 2]
     mean = product.evaluate(np.zeros(3), np.array([up[0], up[1], 0.0]))
@@ -250,7 +252,7 @@ def _of_platform(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[str
     for symbol, row in SHARED_TERMS.items():
         if campaign.angle is None and symbol.startswith("encoder."):
             continue
-        if isinstance(row.effect, Turn) and not _turns(campaign, row.effect):
+        if isinstance(row.effect, AttitudeError) and not _turns(campaign, row.effect):
             continue
         acting = {
             key
@@ -264,7 +266,7 @@ def _of_platform(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[str
             yield (run.name if row.per_run else ""), symbol
 
 
-def _turns(campaign: Campaign, turn: Turn) -> bool:
+def _turns(campaign: Campaign, turn: AttitudeError) -> bool:
     """Return whether a turn acts on records; a strapped instrument has a table but no gyros."""
     if turn.kind == "table":
         return campaign.strapped

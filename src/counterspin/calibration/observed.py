@@ -252,7 +252,7 @@ def _of_platform_velocity(
         accelerometer = signal.accelerometer
         axis = accelerometer.mounting.turned(run.attitude).input_axis
         # The reference has what is left of gravity in it; the velocity is off by that too.
-        left = observation.gravity_left(campaign.site, axis, time, accelerometer.observable)
+        left = observation.residual_gravity(campaign.site, axis, time, accelerometer.observable)
         errors.append(AxisError(axis, accelerometer.observable, time, signal.error + left))
     site = campaign.site
     north = replace(site, latitude=site.latitude + _LATITUDE_STEP)

@@ -23,7 +23,7 @@ from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run, is_reading
 from counterspin.campaign.settings import OBSERVABLES, CentrifugeSettings, NoiseSettings
 from counterspin.campaign.terms import symbols_shown
-from counterspin.physics.effects import PathError, Turn
+from counterspin.physics.effects import AttitudeError, TrajectoryError
 from counterspin.physics.terms import CONDITION_TERMS, SHARED_TERMS, shown_by_readings
 
 #: Where mistakes are, and what they are.
@@ -249,9 +249,9 @@ def _terms_that_cannot_act(
                 yield ("model", key), f'"{symbol}" {why}'
 
 
-def _without_effect(effect: Turn | PathError, strapped: bool) -> str:
+def _without_effect(effect: AttitudeError | TrajectoryError, strapped: bool) -> str:
     """Return why a term acts on no record of the double turntable; empty if it may act."""
-    if not isinstance(effect, Turn):
+    if not isinstance(effect, AttitudeError):
         return ""
     if effect.kind == "table" and not strapped:
         return (

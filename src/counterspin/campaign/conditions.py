@@ -132,15 +132,15 @@ def conditions_of(
         way = ways.get(run.name, (0.0,))
         one = RunConditions(start, mean_of(warmths) if warmths else 0.0, way[0])
         if len(warmths) > 1 and length:
-            one = replace(one, course=tuple(warmths), length=length)
+            one = replace(one, temperature_profile=tuple(warmths), length=length)
             turned = (_turn(warmths, int(place)) for place in np.flatnonzero(np.diff(way)))
             step = length / (len(warmths) - 1)
-            one = replace(one, turns=tuple(step * place for place in turned))
+            one = replace(one, reversal_times=tuple(step * place for place in turned))
         conditions[run.name] = one
         elapsed += length
     assumed = assumed_warmths(campaign.runs)
     return {
-        name: replace(of_run, warmth=assumed.get((name, 0), of_run.warmth))
+        name: replace(of_run, temperature_offset=assumed.get((name, 0), of_run.temperature_offset))
         for name, of_run in conditions.items()
     }
 

@@ -25,9 +25,9 @@ from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.grades import DEFAULT_GRADE, GRADES
 from counterspin.physics.terms import (
+    ACCELEROMETER_TERMS,
     CONDITION_TERMS,
     INPUTS,
-    OWN_TERMS,
     SHARED_TERMS,
     TABLE,
     TERMS,
@@ -247,7 +247,11 @@ def _symbols(name: str, path: KeyPath, on: Apparatus, problems: Problems) -> tup
     """Return the symbols of a name in a list."""
     if on.read and of_readings(name):
         return _read(name, path, on, problems)
-    if name in OWN_TERMS or name in SHARED_TERMS or (name in INPUTS and path[1] != "terms"):
+    if (
+        name in ACCELEROMETER_TERMS
+        or name in SHARED_TERMS
+        or (name in INPUTS and path[1] != "terms")
+    ):
         return (name,)
     if name not in BARE_NAMES:
         _unknown(name, path, problems)
@@ -281,10 +285,10 @@ def _without_doubles(symbols: Sequence[str]) -> tuple[str, ...]:
 
 
 def _unknown(name: str, path: KeyPath, problems: Problems) -> None:
-    known = [*OWN_TERMS, *BARE_NAMES, *SHARED_TERMS]
+    known = [*ACCELEROMETER_TERMS, *BARE_NAMES, *SHARED_TERMS]
     hint = did_you_mean(name, known)
     if "known:" in hint:
-        hint = f"; known: {', '.join([*OWN_TERMS, *BARE_NAMES])}"
+        hint = f"; known: {', '.join([*ACCELEROMETER_TERMS, *BARE_NAMES])}"
     problems.add(path, f'unknown term "{name}"' + hint)
 
 
@@ -311,9 +315,9 @@ def _resolve_priors(
         symbols: Sequence[str] = (key,)
         if read := on.read and of_readings(key):
             symbols = _read(key, path, on, problems)
-        elif owner in given and last in OWN_TERMS:
+        elif owner in given and last in ACCELEROMETER_TERMS:
             symbols, owners = (last,), (owner,)
-        elif key in OWN_TERMS:
+        elif key in ACCELEROMETER_TERMS:
             last, owners = key, [name for name in given if f"{name}.{key}" not in flat]
         elif key in BARE_NAMES:
             symbols = [row.symbol for row in BARE_NAMES[key]]
@@ -328,7 +332,7 @@ def _resolve_priors(
         of_owners = (on.grades.get(name, DEFAULT_GRADE) for name in owners)
         worst = max(of_owners, key=GRADES.index, default=DEFAULT_GRADE)
         problems.attempt(path, about_nominal, symbols[0], prior, worst)
-        if read or symbols[0] not in OWN_TERMS:
+        if read or symbols[0] not in ACCELEROMETER_TERMS:
             shared |= {symbol: less_nominal(symbol, prior, on.centrifuge) for symbol in symbols}
         for name in owners:
             if last in given[name]:
@@ -369,8 +373,8 @@ def _without_prior(
         if symbol in INPUTS or symbol in shared:
             continue
         lacking = [name for name, priors in own.items() if symbol not in priors]
-        if symbol not in OWN_TERMS or lacking:
-            yield symbol, ", ".join(lacking) if symbol in OWN_TERMS else "the machine"
+        if symbol not in ACCELEROMETER_TERMS or lacking:
+            yield symbol, ", ".join(lacking) if symbol in ACCELEROMETER_TERMS else "the machine"
 
 
 def _resolve_sizes(

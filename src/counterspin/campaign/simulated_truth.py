@@ -38,7 +38,7 @@ from counterspin.campaign.truth import (
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import CLOCK
 from counterspin.physics.spindle import Ripple, Spindle
-from counterspin.physics.terms import COMMON_NAMES, OWN_TERMS, SHARED_TERMS, term
+from counterspin.physics.terms import ACCELEROMETER_TERMS, COMMON_NAMES, SHARED_TERMS, term
 
 #: Tables of the errors that all accelerometers share.
 _SHARED: Final = ("platform", "centrifuge", "encoder", "table")
@@ -245,7 +245,7 @@ class TruthReader:
         )
         if table is None:
             return None, {}
-        values = {symbol: getattr(table, symbol) for symbol in OWN_TERMS}
+        values = {symbol: getattr(table, symbol) for symbol in ACCELEROMETER_TERMS}
         for key, symbol in COMMON_NAMES.items():
             if None not in (getattr(table, key), values[symbol]):
                 self.problems.add((*path, key), f"is {symbol}, given too; keep one")
@@ -258,12 +258,12 @@ class TruthReader:
         """Return term of the machine -> true value minus nominal, SI."""
         if readings is None:
             return {}
-        known = [symbol for symbol in symbols_shown(readings) if symbol not in OWN_TERMS]
+        known = [symbol for symbol in symbols_shown(readings) if symbol not in ACCELEROMETER_TERMS]
         machine: dict[str, float] = {}
         for key, text in self._machine().items():
             path = ("truth", _MACHINE, key)
             symbols = expand(key, known)
-            if key in OWN_TERMS:
+            if key in ACCELEROMETER_TERMS:
                 said = "belongs to an accelerometer; write it in [truth.NAME]"
                 self.problems.add(path, said)
             elif not symbols:

@@ -21,7 +21,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.reading import Reading
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.effects import PathError, Turn
+from counterspin.physics.effects import AttitudeError, TrajectoryError
 from counterspin.physics.terms import (
     CONDITION_TERMS,
     HEAD_WAVES,
@@ -32,8 +32,8 @@ from counterspin.physics.terms import (
 )
 
 
-def _bare_names() -> dict[str, tuple[Term[Turn | PathError], ...]]:
-    names: dict[str, list[Term[Turn | PathError]]] = {}
+def _bare_names() -> dict[str, tuple[Term[AttitudeError | TrajectoryError], ...]]:
+    names: dict[str, list[Term[AttitudeError | TrajectoryError]]] = {}
     for symbol, row in SHARED_TERMS.items():
         parts = symbol.split(".")
         for length in range(2, len(parts)):
@@ -42,7 +42,7 @@ def _bare_names() -> dict[str, tuple[Term[Turn | PathError], ...]]:
 
 
 #: Bare name, such as ``platform.tilt`` or ``encoder.harmonic.1`` -> the rows it stands for.
-BARE_NAMES: Final[Mapping[str, tuple[Term[Turn | PathError], ...]]] = _bare_names()
+BARE_NAMES: Final[Mapping[str, tuple[Term[AttitudeError | TrajectoryError], ...]]] = _bare_names()
 
 _NORTH: Final = np.array([0.0, 1.0, 0.0])
 _UP: Final = np.array([0.0, 0.0, 1.0])
@@ -62,7 +62,7 @@ _AXES: Final = {
 POSITION: Final = "fixture.position"
 
 
-def acts(row: Term[Turn | PathError], mounting: Mounting, attitude: Array) -> bool:
+def acts(row: Term[AttitudeError | TrajectoryError], mounting: Mounting, attitude: Array) -> bool:
     """Return whether a shared term reaches an accelerometer to first order in some run.
 
     mounting: The accelerometer's axes while the platform is level.
@@ -70,7 +70,7 @@ def acts(row: Term[Turn | PathError], mounting: Mounting, attitude: Array) -> bo
     """
     input_axis = mounting.turned(attitude).input_axis
     effect = row.effect
-    if isinstance(effect, PathError):
+    if isinstance(effect, TrajectoryError):
         # A tilted axis lifts the platform; all else moves it in the level plane.
         moved = input_axis[2:] if effect.kind == "axis_tilt" else input_axis[:2]
         return float(np.linalg.norm(moved)) > _ROUNDING
@@ -85,19 +85,19 @@ def acts(row: Term[Turn | PathError], mounting: Mounting, attitude: Array) -> bo
     return _leaves_a_mean(effect, input_axis, attitude, None)
 
 
-def shows(row: Term[Turn | PathError], mounting: Mounting, attitude: Array) -> bool:
+def shows(row: Term[AttitudeError | TrajectoryError], mounting: Mounting, attitude: Array) -> bool:
     """Return whether a shared term shows in an accelerometer's output at all, in waves as well.
 
     In displacement waves are negligible compared with the accelerations of `acts`; in velocity and
     specific force they appear where the effect of K_II does. Parameters as of `acts`.
     """
-    if not isinstance(row.effect, Turn):
+    if not isinstance(row.effect, AttitudeError):
         return acts(row, mounting, attitude)
     turned = np.cross(_axis_of(row.effect, attitude), mounting.turned(attitude).input_axis)
     return float(np.linalg.norm(turned)) > _ROUNDING
 
 
-def _axis_of(turn: Turn, attitude: Array) -> Array:
+def _axis_of(turn: AttitudeError, attitude: Array) -> Array:
     """Return the axis about which a term turns, east-north-up, shape (3,).
 
     Tilts are about geographic axes, the table about up, all others about the platform's own axes.
@@ -107,14 +107,14 @@ def _axis_of(turn: Turn, attitude: Array) -> Array:
     return axis
 
 
-def _leans(turn: Turn, input_axis: Array, attitude: Array) -> bool:
+def _leans(turn: AttitudeError, input_axis: Array, attitude: Array) -> bool:
     """Return whether gravity leaks into the input axis as a term turns the platform."""
     return abs(float(np.cross(_axis_of(turn, attitude), input_axis) @ _UP)) > _ROUNDING
 
 
 def rows_of(
     name: str, mountings: Iterable[Mounting], attitudes: Iterable[Array]
-) -> tuple[Term[Turn | PathError], ...]:
+) -> tuple[Term[AttitudeError | TrajectoryError], ...]:
     """Return the components that a bare name names.
 
     For the platform these are the components that leave an acceleration, in any run that starts at
@@ -124,15 +124,19 @@ def rows_of(
     """
     pairs = list(product(mountings, attitudes))
 
-    def meant(row: Term[Turn | PathError], mounting: Mounting, attitude: Array) -> bool:
-        if isinstance(row.effect, PathError):
+    def meant(
+        row: Term[AttitudeError | TrajectoryError], mounting: Mounting, attitude: Array
+    ) -> bool:
+        if isinstance(row.effect, TrajectoryError):
             return acts(row, mounting, attitude)
         return _leaves_a_mean(row.effect, mounting.turned(attitude).input_axis, attitude, _NORTH)
 
     return tuple(row for row in BARE_NAMES[name] if any(meant(row, *pair) for pair in pairs))
 
 
-def _leaves_a_mean(turn: Turn, input_axis: Array, attitude: Array, start: Array | None) -> bool:
+def _leaves_a_mean(
+    turn: AttitudeError, input_axis: Array, attitude: Array, start: Array | None
+) -> bool:
     """Return whether a term leaves an acceleration over whole revolutions.
 
     input_axis: In the run's attitude, shape (3,).

@@ -24,7 +24,7 @@ from counterspin.campaign.kinds import (
     small_rate_error,
 )
 from counterspin.campaign.settings import StatedNoise, term_keys
-from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS
+from counterspin.physics.terms import ACCELEROMETER_TERMS, SHARED_TERMS
 
 #: Of all recorders, and the largest error of a clock.
 ALL_RECORDERS: Final = "*"
@@ -206,7 +206,7 @@ AccelerometerTruthSettings = create_model(
     "AccelerometerTruthSettings",
     __base__=_AccelerometerTruthKeys,
     __doc__="[truth.NAME]: the true coefficients of one accelerometer.",
-    **term_keys(OWN_TERMS, coefficient),
+    **term_keys(ACCELEROMETER_TERMS, coefficient),
 )
 
 

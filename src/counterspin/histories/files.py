@@ -19,7 +19,7 @@ from counterspin.histories.result import UnusedResult
 from counterspin.inference.joint.summary import BudgetLine
 from counterspin.inference.verdicts import Conformity
 from counterspin.input import parse_json, read_file
-from counterspin.physics.effects import Product
+from counterspin.physics.effects import SpecificForceProduct
 from counterspin.physics.terms import TERMS, Term, is_term, term
 
 #: Common sources in a budget: an input of the campaign -> the key of its value in the result.
@@ -49,7 +49,7 @@ class TrackedValue:
     conformity: Conformity | None  #: Conformity with its specification; None without one.
 
 
-def term_of(quantity: str) -> Term[Product]:
+def term_of(quantity: str) -> Term[SpecificForceProduct]:
     """Return the term of a quantity; for a parameter of triads, a term with the same unit."""
     return TERMS[TRIAD_QUANTITIES.get(quantity, quantity)]
 

@@ -23,8 +23,8 @@ from counterspin.arrays import Array, semidefinite_root
 from counterspin.errors import ConvergenceError
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.effects import Product, Slope
-from counterspin.physics.terms import OWN_TERMS, TERMS
+from counterspin.physics.effects import Slope, SpecificForceProduct
+from counterspin.physics.terms import ACCELEROMETER_TERMS, TERMS
 
 _EPSILON: Final = float(np.finfo(np.float64).eps)
 
@@ -244,7 +244,7 @@ class CalibratedAccelerometer:
     @property
     def slopes(self) -> dict[str, Slope]:
         """What changes its coefficients with the conditions, by symbol."""
-        own = {s: OWN_TERMS[s].effect for s in self.coefficients}
+        own = {s: ACCELEROMETER_TERMS[s].effect for s in self.coefficients}
         return {s: effect for s, effect in own.items() if isinstance(effect, Slope)}
 
     def at(self, warmth: Array | float) -> dict[str, Array | float]:
@@ -259,16 +259,16 @@ class CalibratedAccelerometer:
         return values
 
 
-def product_of(symbol: str) -> Product:
+def product_of(symbol: str) -> SpecificForceProduct:
     """Return the product of a term, or of that whose coefficient a slope changes."""
-    effect = OWN_TERMS[symbol].effect
+    effect = ACCELEROMETER_TERMS[symbol].effect
     return TERMS[effect.coefficient].effect if isinstance(effect, Slope) else effect
 
 
 def _lever(slope: Slope, warmth: Array | float) -> Array:
     """Return what a slope is multiplied with; with time and heating it is at the beginning."""
     zero = np.zeros_like(warmth)
-    return slope.levers(zero, np.asarray(warmth, dtype=np.float64), zero, zero)
+    return slope.design_factors(zero, np.asarray(warmth, dtype=np.float64), zero, zero)
 
 
 @frozen(eq=False)

@@ -16,34 +16,34 @@ class RunConditions:
     """What is known of a run beside its motion."""
 
     start: float = 0.0  #: When it began, s from the beginning of the campaign.
-    warmth: float = 0.0  #: Its mean temperature less the reference temperature, K.
+    temperature_offset: float = 0.0  #: Its mean temperature less the reference temperature, K.
     #: 1/2 where it was on the way up at its start, -1/2 on the way down, 0 where neither is known.
     direction: float = 0.0
     #: Its temperatures less the reference temperature, K, evenly spread over its length and
     #: straight between; empty where it had one.
-    course: tuple[float, ...] = ()
+    temperature_profile: tuple[float, ...] = ()
     length: float = 0.0  #: Over which they are spread, s.
-    turns: tuple[float, ...] = ()  #: When its temperature turned back, s from its start.
+    reversal_times: tuple[float, ...] = ()  #: When its temperature turned back, s from its start.
 
     @property
     def knots(self) -> Array:
         """When its temperatures were as in the course, s from its start, shape (k,)."""
-        return np.linspace(0.0, self.length, len(self.course))
+        return np.linspace(0.0, self.length, len(self.temperature_profile))
 
     @property
     def breaks(self) -> Array:
         """When something in it bends or jumps, s from its start, shape (m,)."""
-        return np.append(self.knots, self.turns)
+        return np.append(self.knots, self.reversal_times)
 
-    def warmth_at(self, times: Array) -> Array:
+    def temperature_offset_at(self, times: Array) -> Array:
         """Return its temperature as in the course at times from its start, s, shape (n,)."""
-        if not self.course:
-            return np.full(times.shape, self.warmth)
-        return np.interp(times, self.knots, self.course)
+        if not self.temperature_profile:
+            return np.full(times.shape, self.temperature_offset)
+        return np.interp(times, self.knots, self.temperature_profile)
 
     def direction_at(self, times: Array) -> Array:
         """Return the direction at times from its start, s, shape (n,)."""
-        turned = np.searchsorted(np.sort(self.turns), times)
+        turned = np.searchsorted(np.sort(self.reversal_times), times)
         return np.asarray(self.direction * (1.0 - 2.0 * (turned % 2)))
 
 
@@ -52,7 +52,7 @@ AT_REFERENCE: Final = RunConditions()
 
 
 @frozen
-class Product:
+class SpecificForceProduct:
     """Coefficient times a product of a_I, a_P, a_O: the accelerometer's own error model, Eq. 7.
 
     A factor of the instrument's rotation counts as well: w_I, w_P (rad/s) or dw_O/dt (rad/s^2).
@@ -172,34 +172,44 @@ class Slope:
 
     def varies_within(self, conditions: RunConditions) -> bool:
         """Return whether the temperature, or its way, changed within a run; of time it is known."""
-        within = {"temperature": conditions.course, "direction": conditions.turns}
+        within = {
+            "temperature": conditions.temperature_profile,
+            "direction": conditions.reversal_times,
+        }
         return bool(within.get(self.condition))
 
-    def along(self, conditions: RunConditions, force: float, times: Array) -> Array:
+    def design_factors_at(self, conditions: RunConditions, force: float, times: Array) -> Array:
         """Return what the slope is multiplied with at times (n,) from a run's start, s.
 
         A change with time is taken at the start. force: Centripetal force at the run's rate, g.
         """
-        warmth, direction = conditions.warmth_at(times), conditions.direction_at(times)
+        warmth, direction = conditions.temperature_offset_at(times), conditions.direction_at(times)
         start, forces = np.full_like(warmth, conditions.start), np.full_like(warmth, force)
-        return self.levers(start, warmth, direction, forces)
+        return self.design_factors(start, warmth, direction, forces)
 
-    def lever(self, conditions: RunConditions, force: float) -> float:
+    def design_factor(self, conditions: RunConditions, force: float) -> float:
         """Return what the slope is multiplied with at the start of a run, in its mean temperature.
 
         force: Centripetal force at the run's rate, g.
         """
-        given = (conditions.start, conditions.warmth, conditions.direction, force)
-        return float(self.levers(*map(np.asarray, given)))
+        given = (conditions.start, conditions.temperature_offset, conditions.direction, force)
+        return float(self.design_factors(*map(np.asarray, given)))
 
-    def levers(self, start: Array, warmth: Array, direction: Array, force: Array) -> Array:
+    def design_factors(
+        self, start: Array, temperature_offset: Array, direction: Array, force: Array
+    ) -> Array:
         """Return the same for several, given as in `RunConditions`, of one shape."""
-        levers = {"temperature": warmth, "time": start, "direction": direction, "force": force**2}
-        return np.asarray(levers[self.condition] ** self.power)
+        conditions = {
+            "temperature": temperature_offset,
+            "time": start,
+            "direction": direction,
+            "force": force**2,
+        }
+        return np.asarray(conditions[self.condition] ** self.power)
 
 
 @frozen
-class Turn:
+class AttitudeError:
     """A turn of the platform, which it cannot feel, and with it of every accelerometer's axes.
 
     The small attitude error psi (rad) starts at the tilt and obeys
@@ -223,15 +233,15 @@ class Turn:
 
 
 @frozen
-class PathError:
+class TrajectoryError:
     """An error of the path: of the centrifuge's radius or axis, or of the recorded angle.
 
     With the spindle's angle theta and the radius R, the platform is at the distance
     R (1 + stretch R w^2) + sum of c cos n theta + s sin n theta from the axis, and the encoder
     records theta + sum of c cos n theta + s sin n theta. An axis that is tilted by a about east and
-    b about north carries the platform R (a sin theta - b cos theta) above the level; the platform
-    itself stays level, and its own tilt is a `Turn`. The errors are those of the machine, the same
-    in every run.
+    b about north carries the platform R (a sin theta - b cos theta) above the level. The platform
+    itself stays level: its own tilt is an `AttitudeError`. The errors are those of the machine, the
+    same in every run.
     """
 
     kind: str  #: ``stretch``, ``imbalance``, ``axis_tilt`` or ``encoder``.
@@ -242,7 +252,7 @@ class PathError:
 
 
 @frozen
-class Displacement:
+class SetupError:
     """Another place, direction or rate of the instrument at a reading."""
 
     #: ``radius``, ``rate``, ``droop``, ``misalignment``, or of the dividing head ``zero`` or
@@ -263,4 +273,4 @@ class Input:
 
 
 #: What a term can do.
-Effect = Product | Slope | Turn | PathError | Displacement | Input
+Effect = SpecificForceProduct | Slope | AttitudeError | TrajectoryError | SetupError | Input

@@ -22,7 +22,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.physics import quadrature
-from counterspin.physics.effects import AT_REFERENCE, PathError, RunConditions
+from counterspin.physics.effects import AT_REFERENCE, RunConditions, TrajectoryError
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import MOTION_TERMS
 
@@ -144,7 +144,7 @@ class Trajectory:
         return self.at(t).velocity_of_specific_force
 
 
-class Turning:
+class SpindleState:
     """The spindle at some times, shape (n,) each; what rests on the angle is worked out once.
 
     t: s, shape (n,).
@@ -180,20 +180,20 @@ class Turning:
         return np.sin(self.angle)
 
 
-def turning(spindle: Spindle, t: Array) -> Turning:
+def spindle_state(spindle: Spindle, t: Array) -> SpindleState:
     """Return the spindle at some times: the same object for the same times, if they are few.
 
     The accelerometers of a run share it, and so do all paths along which the spindle may carry
     them: what an error of the radius does, or of gravity, is the difference of two of them.
     """
     if t.size > _MOST_KEPT:
-        return Turning(spindle, t)
+        return SpindleState(spindle, t)
     return _kept(spindle, t.tobytes(), t.shape)
 
 
 @lru_cache(maxsize=64)
-def _kept(spindle: Spindle, times: bytes, shape: tuple[int, ...]) -> Turning:
-    return Turning(spindle, np.frombuffer(times).reshape(shape))
+def _kept(spindle: Spindle, times: bytes, shape: tuple[int, ...]) -> SpindleState:
+    return SpindleState(spindle, np.frombuffer(times).reshape(shape))
 
 
 def motion_at(trajectory: Trajectory, t: Array) -> Motion:
@@ -224,28 +224,28 @@ class Motion:
         self.t = np.asarray(t, dtype=float)
 
     @cached_property
-    def turning(self) -> Turning:
+    def spindle_state(self) -> SpindleState:
         """The spindle at these times."""
-        return turning(self.trajectory.spindle, self.t)
+        return spindle_state(self.trajectory.spindle, self.t)
 
     @property
     def angle(self) -> Array:
         """The spindle's angle, rad, shape (n,)."""
-        return self.turning.angle
+        return self.spindle_state.angle
 
     @property
     def rate(self) -> Array:
         """Its rate, rad/s, shape (n,)."""
-        return self.turning.rate
+        return self.spindle_state.rate
 
     @property
     def angular_acceleration(self) -> Array:
         """Its angular acceleration, rad/s^2, shape (n,)."""
-        return self.turning.angular_acceleration
+        return self.spindle_state.angular_acceleration
 
     @property
     def _outward(self) -> tuple[Array, Array]:
-        return self.turning.cosine, self.turning.sine
+        return self.spindle_state.cosine, self.spindle_state.sine
 
     @cached_property
     def _growth(self) -> tuple[Array, Array, Array] | None:
@@ -384,7 +384,7 @@ def _vectors(east: Array, north: Array, up: Array | None = None) -> Array:
 # Errors of the path ----------------------------------------------------------------------------
 
 
-def true_trajectory(trajectory: Trajectory, shared: Mapping[str, float]) -> Trajectory:
+def perturbed_trajectory(trajectory: Trajectory, shared: Mapping[str, float]) -> Trajectory:
     """Return the path with the errors of radius and axis, where there are any."""
     errors = [(MOTION_TERMS[s].effect, value) for s, value in shared.items() if s in MOTION_TERMS]
     imbalance = tuple(
@@ -418,16 +418,16 @@ def encoder_error(shared: Mapping[str, float], angle: Array) -> Array:
     return total
 
 
-def path_change(symbol: str, circle: Motion, order: int) -> Array:
+def trajectory_sensitivity(symbol: str, circle: Motion, order: int) -> Array:
     """Return the true motion less that of the circle at the recorded angle.
 
     order: 2 for the position, 1 for the velocity, 0 for the specific force.
     Returns: per unit of the term, in east-north-up, shape (n, 3).
     """
     if (error := MOTION_TERMS[symbol].effect).kind == "encoder":
-        return _turned_back(error, circle, order)
+        return _encoder_sensitivity(error, circle, order)
     # The motion is linear in radius and tilt: a whole unit of the error shows its derivative.
-    moved = motion_at(true_trajectory(circle.trajectory, {symbol: 1.0}), circle.t)
+    moved = motion_at(perturbed_trajectory(circle.trajectory, {symbol: 1.0}), circle.t)
     change: Array
     if order == 2:
         change = moved.position - circle.position
@@ -438,13 +438,13 @@ def path_change(symbol: str, circle: Motion, order: int) -> Array:
     return change
 
 
-def _turned_back(error: PathError, circle: Motion, order: int) -> Array:
+def _encoder_sensitivity(error: TrajectoryError, circle: Motion, order: int) -> Array:
     """Return what the encoder's error makes of the motion: the true angle is behind by it.
 
     In the level the platform is at R e^(i theta), a unit of the error takes it by
     -i R q e^(i theta), q being the wave, and its velocity and acceleration by the derivatives.
     """
-    trajectory, n, turning = circle.trajectory, error.harmonic, circle.turning
+    trajectory, n, turning = circle.trajectory, error.harmonic, circle.spindle_state
     rate, acceleration = circle.rate, circle.angular_acceleration
     turned = turning.cosine + 1j * turning.sine
     times_n = turned
@@ -518,10 +518,10 @@ def latitudes_with(gravity: float, anomaly: float) -> tuple[float, float]:
     At one of `HEIGHTS`, and but for an anomaly of the ground (m/s^2). Not a number where there is
     none.
     """
-    found = [
+    latitudes = [
         latitude
         for step in range(_STEPS + 1)
         for latitude in [0.5 * math.pi * step / _STEPS]
         if gravity_range(latitude)[0] - anomaly <= gravity <= gravity_range(latitude)[1] + anomaly
     ]
-    return min(found, default=math.nan), max(found, default=math.nan)
+    return min(latitudes, default=math.nan), max(latitudes, default=math.nan)

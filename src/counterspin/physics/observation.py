@@ -17,8 +17,15 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.physics import quadrature
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.effects import AT_REFERENCE, Effect, PathError, Product, Slope, Turn
-from counterspin.physics.motion import Motion, Site, Trajectory, motion_at, path_change
+from counterspin.physics.effects import (
+    AT_REFERENCE,
+    AttitudeError,
+    Effect,
+    Slope,
+    SpecificForceProduct,
+    TrajectoryError,
+)
+from counterspin.physics.motion import Motion, Site, Trajectory, motion_at, trajectory_sensitivity
 from counterspin.physics.quadrature import Panels
 from counterspin.physics.terms import TERMS, term
 
@@ -26,7 +33,7 @@ from counterspin.physics.terms import TERMS, term
 _MOST_NODES: Final = 16384
 
 #: What is integrated along a trajectory.
-Integrated = Product | Turn | Slope
+Integrated = SpecificForceProduct | AttitudeError | Slope
 
 #: How often each observable integrates the specific force.
 ORDERS: Final = {"displacement": 2, "velocity": 1, "specific_force": 0}
@@ -64,11 +71,11 @@ def reference(
     ideal = {"displacement": "position"}.get(observable, observable)
     result: Array = getattr(motion_at(trajectory, times), ideal) @ axis
     if trajectory.site.gravity_left:
-        result = result + gravity_left(trajectory.site, axis, times, observable)
+        result = result + residual_gravity(trajectory.site, axis, times, observable)
     return result
 
 
-def gravity_left(site: Site, input_axis: Array, times: Array, observable: str) -> Array:
+def residual_gravity(site: Site, input_axis: Array, times: Array, observable: str) -> Array:
     """Return what the navigation computer leaves of gravity in a record, shape (n,).
 
     input_axis: In the run's attitude, east-north-up, shape (3,).
@@ -133,45 +140,55 @@ def columns(
     [4.9, 490.0]
     """
     order = ORDERS[observable]
-    does = [term(symbol).effect for symbol in symbols]
-    shown = _Shown(trajectory, mounting.turned(attitude), attitude, times, order)
-    linear = {i: vector for i, one in enumerate(does) if (vector := shown.along(one)) is not None}
+    effects = [term(symbol).effect for symbol in symbols]
+    integrals = _TimeIntegrals(trajectory, mounting.turned(attitude), attitude, times, order)
+    linear = {
+        i: vector for i, one in enumerate(effects) if (vector := integrals.along(one)) is not None
+    }
     bias = [i for i, symbol in enumerate(symbols) if symbol == "K_F"]
-    kinked = {i: one for i, one in enumerate(does) if isinstance(one, Product) and one.has_kink}
-    path = [i for i, one in enumerate(does) if isinstance(one, PathError)]
+    kinked = {
+        i: one
+        for i, one in enumerate(effects)
+        if isinstance(one, SpecificForceProduct) and one.has_kink
+    }
+    path = [i for i, one in enumerate(effects) if isinstance(one, TrajectoryError)]
     slopes = {
         i: one
-        for i, one in enumerate(does)
+        for i, one in enumerate(effects)
         if isinstance(one, Slope) and not one.varies_within(trajectory.conditions)
     }
-    apart = {*linear, *bias, *kinked, *path, *slopes}
+    solved = {*linear, *bias, *kinked, *path, *slopes}
     smooth = {
-        i: one for i, one in enumerate(does) if i not in apart and isinstance(one, Integrated)
+        i: one for i, one in enumerate(effects) if i not in solved and isinstance(one, Integrated)
     }
-    if unseen := set(range(len(does))) - apart - set(smooth):
+    if unseen := set(range(len(effects))) - solved - set(smooth):
         raise ValueError(f"no record shows {', '.join(symbols[i] for i in sorted(unseen))}")
-    result = np.empty((len(does), times.size))
+    result = np.empty((len(effects), times.size))
     result[bias] = trajectory.site.gravity * times**order / max(1, order)
     if kinked:
-        result[list(kinked)] = shown.kinked(list(kinked.values()))
+        result[list(kinked)] = integrals.kinked(list(kinked.values()))
     if smooth:
-        result[list(smooth)] = shown.smooth(list(smooth.values()))
+        result[list(smooth)] = integrals.smooth(list(smooth.values()))
     for i, vector in linear.items():
-        result[i] = vector @ shown.force
+        result[i] = vector @ integrals.force
     for i in path:
-        result[i] = path_change(symbols[i], shown.motion, order) @ shown.input_axis
-    own = {symbol: result[i] for i, symbol in enumerate(symbols) if i not in slopes}
-    changing = {slope.coefficient for slope in slopes.values()} - own.keys()
+        result[i] = (
+            trajectory_sensitivity(symbols[i], integrals.motion, order) @ integrals.input_axis
+        )
+    own_columns = {symbol: result[i] for i, symbol in enumerate(symbols) if i not in slopes}
+    changing = {slope.coefficient for slope in slopes.values()} - own_columns.keys()
     if changing:
         more = columns(trajectory, mounting, [*changing], times, observable, attitude=attitude)
-        own |= dict(zip(changing, more.T, strict=True))
+        own_columns |= dict(zip(changing, more.T, strict=True))
     for i, slope in slopes.items():
-        lever = slope.lever(trajectory.conditions, trajectory.centripetal)
-        result[i] = lever * own[slope.coefficient]
+        lever = slope.design_factor(trajectory.conditions, trajectory.centripetal)
+        result[i] = lever * own_columns[slope.coefficient]
         if slope.condition == "time":  # it goes on changing within the run
             result[i] += trajectory.site.gravity * times ** (order + 1) / math.factorial(order + 1)
     # The accelerometer sees what is shared through its scale factor.
-    shared = [i for i, one in enumerate(does) if isinstance(one, Turn | PathError)]
+    shared = [
+        i for i, one in enumerate(effects) if isinstance(one, AttitudeError | TrajectoryError)
+    ]
     result[shared] *= scale_factor
     return result.T
 
@@ -244,7 +261,9 @@ def _along(trajectory: Trajectory, duration: float, kinked: tuple[float, ...] = 
     return (_along_short if few else _along_long)(trajectory, duration, kinked)
 
 
-def _made(trajectory: Trajectory, duration: float, kinked: tuple[float, ...]) -> _Integrals:
+def _make_integrals(
+    trajectory: Trajectory, duration: float, kinked: tuple[float, ...]
+) -> _Integrals:
     of_panels = partial(
         quadrature.panel_edges, trajectory.spindle, duration, coarse=trajectory.coarse
     )
@@ -257,10 +276,13 @@ def _made(trajectory: Trajectory, duration: float, kinked: tuple[float, ...]) ->
     return _Integrals(trajectory, Panels(edges))
 
 
-_along_short, _along_long = lru_cache(maxsize=48)(_made), lru_cache(maxsize=8)(_made)
+_along_short, _along_long = (
+    lru_cache(maxsize=48)(_make_integrals),
+    lru_cache(maxsize=8)(_make_integrals),
+)
 
 
-def wave_of(turn: Turn, angle: Array) -> Array:
+def wave_of(turn: AttitudeError, angle: Array) -> Array:
     """Return the error of the counter-rotating table's angle per unit of its term, shape (n,).
 
     angle: Of the spindle, rad, shape (n,).
@@ -280,7 +302,7 @@ def _integrands(
     return values
 
 
-class _Shown:
+class _TimeIntegrals:
     """The integrals along one trajectory at one set of times."""
 
     def __init__(
@@ -306,10 +328,10 @@ class _Shown:
     def along(self, effect: Effect) -> Array | None:
         """Return the vector whose product with the specific force is the term, if there is one."""
         match effect:
-            case Product(is_linear=True, factors=(factor,), weight=weight):
+            case SpecificForceProduct(is_linear=True, factors=(factor,), weight=weight):
                 axis: Array = weight * self._axes.matrix["IPO".index(factor)]
                 return axis
-            case Turn(kind="tilt", axis=about):
+            case AttitudeError(kind="tilt", axis=about):
                 # (-psi x f) . I = f . (psi x I)
                 return np.cross(np.eye(3)[about], self._axes.input_axis)
         return None
@@ -328,19 +350,19 @@ class _Shown:
     def smooth(self, effects: Sequence[Integrated]) -> Array:
         """Return the integrals of terms, (k, n)."""
         if self._order == 0:
-            return self._seen(effects)
+            return self._specific_force_columns(effects)
         along = _along(self._trajectory, self._duration)
         return along.at(self._times, effects, self._axes, self._attitude, self._order)
 
     def kinked(self, effects: Sequence[Integrated]) -> Array:
         """Return the integrals of terms that have a kink where a_I changes sign, (k, n)."""
         if self._order == 0:
-            return self._seen(effects)
+            return self._specific_force_columns(effects)
         axis = tuple(self._axes.input_axis.tolist())
         kinked = _along(self._trajectory, self._duration, axis)
         return kinked.at(self._times, effects, self._axes, self._attitude, self._order)
 
-    def _seen(self, effects: Sequence[Integrated]) -> Array:
+    def _specific_force_columns(self, effects: Sequence[Integrated]) -> Array:
         """Return what terms add to the specific force, m/s^2, (k, n)."""
         return _integrands(effects, self.motion, self._axes, self._attitude)
 
@@ -357,18 +379,18 @@ class _SensorInputs:
 
     def integrand(self, effect: Integrated) -> Array:
         """Return what a term integrates, m/s^2 per unit coefficient and K_I, shape (m,)."""
-        if isinstance(effect, Product):
+        if isinstance(effect, SpecificForceProduct):
             return self._gravity * effect.evaluate(self._a_ipo)
         if isinstance(effect, Slope):
             path = self._motion.trajectory
-            lever = effect.along(path.conditions, path.centripetal, self._motion.t)
+            lever = effect.design_factors_at(path.conditions, path.centripetal, self._motion.t)
             return lever * self.integrand(TERMS[effect.coefficient].effect)
         # The table turns about up, all else about the platform's axes.
         turned = self._turned_about_up if effect.kind == "table" else self._turned[effect.axis]
         integrand: Array = self._attitude_error(effect) * turned
         return integrand
 
-    def _attitude_error(self, turn: Turn) -> Array:
+    def _attitude_error(self, turn: AttitudeError) -> Array:
         """Return the attitude error per unit of a term that is not a tilt, rad, (m,)."""
         if turn.kind == "drift":
             return self._motion.t
@@ -426,18 +448,18 @@ def parabola(symbol: str, mounting: Mounting, rate: float, radius: float, gravit
     force = radius * rate**2 / gravity
     match term(symbol).effect:
         case Slope() as slope:
-            return 0.5 * gravity * slope.lever(AT_REFERENCE, force)
-        case Product(of_rotation=False) as product:
+            return 0.5 * gravity * slope.design_factor(AT_REFERENCE, force)
+        case SpecificForceProduct(of_rotation=False) as product:
             vertical = float(matrix[1, 2]) ** product.factors.count("P")  # a_P is -1 with P down
             horizontal = force ** (product.degree - product.factors.count("P"))
             return 0.5 * gravity * product.weight * vertical * horizontal * _mean(product)
-        case Turn() as turn:
+        case AttitudeError() as turn:
             return _parabola_of_platform(turn, matrix, rate, radius, gravity)
     return 0.0  # the path comes back to where it was after each revolution
 
 
 def _parabola_of_platform(
-    turn: Turn, matrix: Array, rate: float, radius: float, gravity: float
+    turn: AttitudeError, matrix: Array, rate: float, radius: float, gravity: float
 ) -> float:
     force = radius * rate**2 / gravity
     seen = np.cross(np.eye(3)[turn.axis], matrix[0])
@@ -461,7 +483,7 @@ def _parabola_of_platform(
     return 0.0
 
 
-def _mean(product: Product) -> float:
+def _mean(product: SpecificForceProduct) -> float:
     """Return the mean of a product over a revolution: a_I is a cosine there, a_O a sine."""
     i, o = product.power, product.factors.count("O")
     if not product.is_even or o % 2:

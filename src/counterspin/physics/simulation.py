@@ -17,7 +17,7 @@ from counterspin.arrays import Array
 from counterspin.physics import observation, quadrature
 from counterspin.physics.accelerometer import SLOWEST_FLICKER, Mounting, indicated
 from counterspin.physics.effects import RunConditions
-from counterspin.physics.motion import Trajectory, true_trajectory
+from counterspin.physics.motion import Trajectory, perturbed_trajectory
 from counterspin.physics.terms import CONDITION_TERMS, PLATFORM_TERMS, TERMS
 
 #: Times for which slow waves are summed at once: there may be a hundred of them.
@@ -84,7 +84,7 @@ def recorded(
     """
     order = observation.ORDERS[observable]
     axes = mounting.turned(attitude)
-    trajectory = true_trajectory(trajectory, shared)
+    trajectory = perturbed_trajectory(trajectory, shared)
     platform = {symbol: value for symbol, value in shared.items() if symbol in PLATFORM_TERMS}
     g = trajectory.site.gravity
     trend = sum(
@@ -145,7 +145,10 @@ def _since(
             grown = conditions.direction_at(times) - conditions.direction
         else:
             power = row.effect.power
-            grown = conditions.warmth_at(times) ** power - conditions.warmth**power
+            grown = (
+                conditions.temperature_offset_at(times) ** power
+                - conditions.temperature_offset**power
+            )
         more = more + slope * grown * TERMS[row.effect.coefficient].effect.evaluate(
             axes.matrix @ force.T
         )
@@ -163,7 +166,7 @@ def changed(
             continue
         changing = row.effect.coefficient
         before = at_start.get(changing, TERMS[changing].nominal)
-        at_start[changing] = before + slope * row.effect.lever(conditions, force)
+        at_start[changing] = before + slope * row.effect.design_factor(conditions, force)
     return at_start
 
 

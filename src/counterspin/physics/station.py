@@ -23,7 +23,13 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.physics import quadrature
 from counterspin.physics.accelerometer import DIRECTIONS, Mounting
-from counterspin.physics.effects import SIGN_WIDTH, Displacement, Input, PathError, Turn
+from counterspin.physics.effects import (
+    SIGN_WIDTH,
+    AttitudeError,
+    Input,
+    SetupError,
+    TrajectoryError,
+)
 from counterspin.physics.motion import Site
 from counterspin.physics.terms import TERMS, term
 
@@ -285,24 +291,24 @@ def moved(
     """
     changed: dict[str, Any] = {}
     match term(symbol).effect:
-        case Displacement("radius"):
+        case SetupError("radius"):
             changed["radius"] = station.radius + size
-        case Displacement("rate") | Input("clock"):
+        case SetupError("rate") | Input("clock"):
             # A fast clock counts too few revolutions: the rate is larger than the one stated.
             changed["rate"] = station.rate * (1.0 + size)
-        case PathError("stretch"):
+        case TrajectoryError("stretch"):
             changed["stretch"] = station.stretch + size
-        case PathError("axis_tilt", about=axis):
+        case TrajectoryError("axis_tilt", about=axis):
             east, north = station.axis_tilt
             changed["axis_tilt"] = (east + size, north) if axis == "east" else (east, north + size)
-        case Displacement("droop"):
+        case SetupError("droop"):
             changed["droop"] = station.droop + size
-        case Turn("table", harmonic=n, quadrature=quadrature):
+        case AttitudeError("table", harmonic=n, quadrature=quadrature):
             parts = (n, size, 0.0) if quadrature == "cos" else (n, 0.0, size)
             changed["table"] = (*station.table, parts)
-        case Displacement("misalignment", axis):
+        case SetupError("misalignment", axis):
             changed["turn"] = _turn_after(station, size * _axis_of(axis, station.motion))
-        case Displacement("zero" | "wave", harmonic=n, quadrature=quadrature):
+        case SetupError("zero" | "wave", harmonic=n, quadrature=quadrature):
             # The zero is a wave of no turns.
             wave = np.sin if quadrature == "sin" else np.cos
             changed["turn"] = _turn_after(station, size * wave(n * head_angle) * head)

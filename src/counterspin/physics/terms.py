@@ -16,13 +16,13 @@ from typing import Any, Final, Generic, TypeVar
 
 from counterspin.frozen import frozen
 from counterspin.physics.effects import (
-    Displacement,
+    AttitudeError,
     Effect,
     Input,
-    PathError,
-    Product,
+    SetupError,
     Slope,
-    Turn,
+    SpecificForceProduct,
+    TrajectoryError,
 )
 from counterspin.physics.grades import DEFAULT_GRADE, SIZES, Size
 
@@ -82,7 +82,11 @@ class Term(Generic[Does_co]):
     def family(self) -> str:
         """The symbol without the quadrature of a harmonic."""
         effect: Effect = self.effect
-        wave = effect.quadrature if isinstance(effect, PathError | Displacement | Turn) else ""
+        wave = (
+            effect.quadrature
+            if isinstance(effect, TrajectoryError | SetupError | AttitudeError)
+            else ""
+        )
         return self.symbol.removesuffix(f".{wave}") if wave else self.symbol
 
     @property
@@ -96,7 +100,7 @@ _TURNING: Final = ("arm", "counter-rotating")
 _EVERYWHERE: Final = (*_TURNING, "static")
 
 
-def _own(
+def _accelerometer_term(
     symbol: str,
     effect: Does,
     words: str,
@@ -120,7 +124,7 @@ _UNITS: Final = {
 }
 
 
-def _products() -> Iterator[Term[Product]]:
+def _products() -> Iterator[Term[SpecificForceProduct]]:
     asymmetry = "asymmetry of the {}, positive less negative input"
     for symbol, factors, ieee, words in (
         ("K_F", "", "K0", "bias"),
@@ -142,11 +146,11 @@ def _products() -> Iterator[Term[Product]]:
         ("delta_O", "P", "delta_o", "misalignment about the output axis"),
         ("delta_P", "O", "delta_p", "misalignment about the pendulous axis"),
     ):
-        product = Product(tuple(factors.split()), ieee, _WEIGHTS.get(symbol, 1.0))
+        product = SpecificForceProduct(tuple(factors.split()), ieee, _WEIGHTS.get(symbol, 1.0))
         degree = product.degree
         unit = "g" if degree == 0 else "g/g" if degree == 1 else f"g/g^{degree}"
         unit = _UNITS.get(symbol, unit)
-        yield _own(symbol, product, words, unit, 1.0 if symbol == "K_I" else 0.0)
+        yield _accelerometer_term(symbol, product, words, unit, 1.0 if symbol == "K_I" else 0.0)
 
 
 def _slopes() -> Iterator[Term[Slope]]:
@@ -171,18 +175,18 @@ def _slopes() -> Iterator[Term[Slope]]:
         motions = _TURNING if condition == "force" else _EVERYWHERE
         power = symbol.rpartition(".")[2]
         slope = Slope(symbol.partition(".")[0], condition, int(power) if power.isdigit() else 1)
-        yield _own(symbol, slope, words, unit, motions=motions)
+        yield _accelerometer_term(symbol, slope, words, unit, motions=motions)
 
 
 _NO_SOURCE: Final = "order of magnitude, no source"
 
 
-def _turns() -> Iterator[Term[Turn]]:
+def _turns() -> Iterator[Term[AttitudeError]]:
     levelled = f"{_NO_SOURCE}: 0.5 arcsec, a good level or autocollimator", 0.5 * ARCSEC
     aligned = f"{_NO_SOURCE}: 10 arcsec, as azimuth is found less well", 10.0 * ARCSEC
     for axis, name in enumerate(_NAMES):
         source, typical = aligned if name == "up" else levelled
-        turn, words = Turn("tilt", axis), f"tilt about {name}"
+        turn, words = AttitudeError("tilt", axis), f"tilt about {name}"
         yield Term(f"platform.tilt.{name}", turn, words, "rad", 1e-2, typical, source, "run")
     # kind, unit, words; credible and typical size, source
     rate = 10.0 * DEGREE_PER_HOUR, 0.01 * DEGREE_PER_HOUR
@@ -215,12 +219,12 @@ def _turns() -> Iterator[Term[Turn]]:
             for j in range(3) if crossed else (None,):
                 suffix = name if j is None else "xyz"[i] + "xyz"[j]
                 called = words.format(*([name] if j is None else suffix))
-                turn = Turn(kind, i, j)
+                turn = AttitudeError(kind, i, j)
                 yield Term(f"platform.{kind}.{suffix}", turn, called, unit, *sizes, "platform")
     for n, quadrature, called in _waves((1, 2), "error of the counter-rotating table, {} a turn"):
         yield Term(
             f"table.harmonic.{n}.{quadrature}",
-            Turn("table", 2, harmonic=n, quadrature=quadrature),
+            AttitudeError("table", 2, harmonic=n, quadrature=quadrature),
             called,
             "rad",
             1e-3,
@@ -231,10 +235,10 @@ def _turns() -> Iterator[Term[Turn]]:
         )
 
 
-def _path_errors() -> Iterator[Term[PathError]]:
+def _path_errors() -> Iterator[Term[TrajectoryError]]:
     yield Term(
         "centrifuge.stretch",
-        PathError("stretch"),
+        TrajectoryError("stretch"),
         "stretch of the arm",
         "s^2/m",
         1e-5,
@@ -252,7 +256,7 @@ def _path_errors() -> Iterator[Term[PathError]]:
     for axis in ("east", "north"):
         yield Term(
             f"centrifuge.axis_tilt.{axis}",
-            PathError("axis_tilt", about=axis),
+            TrajectoryError("axis_tilt", about=axis),
             f"tilt of the spindle's axis about {axis}",
             "rad",
             1e-2,
@@ -271,11 +275,11 @@ def _path_errors() -> Iterator[Term[PathError]]:
 
 def _harmonics(
     name: str, orders: tuple[int, ...], sizes: tuple[str, float, float, str], words: str
-) -> Iterator[Term[PathError]]:
+) -> Iterator[Term[TrajectoryError]]:
     """Yield both quadratures of harmonics; `sizes` are unit, credible and typical size, source."""
     kind = "encoder" if name.startswith("encoder") else "imbalance"
     for n, quadrature, called in _waves(orders, words):
-        effect = PathError(kind, n, quadrature)
+        effect = TrajectoryError(kind, n, quadrature)
         yield Term(f"{name}.{n}.{quadrature}", effect, called, *sizes, "machine")
 
 
@@ -287,7 +291,7 @@ def _waves(orders: tuple[int, ...], words: str) -> Iterator[tuple[int, str, str]
             yield n, quadrature, f"{words.format(times[n - 1])} ({wave})"
 
 
-def _displacements() -> Iterator[Term[Displacement]]:
+def _displacements() -> Iterator[Term[SetupError]]:
     radius = "a fixture's drawing; measured, 1e-7 to 4e-6 of the radius"
     head = f"{_NO_SOURCE}: 5 arcsec"
     rate = f"{_NO_SOURCE}: the mean rate of a precision centrifuge"
@@ -334,14 +338,14 @@ def _displacements() -> Iterator[Term[Displacement]]:
         scope = "reading" if symbol == "centrifuge.rate" else scope
         of, about = symbol.split(".")[1], symbol.rpartition(".")[2]
         turned = symbol.startswith("fixture.")
-        effect = Displacement("misalignment", about) if turned else Displacement(of)
+        effect = SetupError("misalignment", about) if turned else SetupError(of)
         yield Term(symbol, effect, words, unit, limit, typical, source, scope, motions=motions)
     arcseconds = (
         "order of magnitude: mounting errs by arcseconds (Lu et al.), ±5 shared out among the waves"
     )
     graduated = (1e-3, 1e-5, arcseconds)
     for n, quadrature, called in _waves((1, 2, 3, 4), "error of the dividing head, {} a turn"):
-        effect = Displacement("wave", "", n, quadrature)
+        effect = SetupError("wave", "", n, quadrature)
         symbol = f"{HEAD_WAVES}{n}.{quadrature}"
         yield Term(symbol, effect, called, "rad", *graduated, "machine", motions=("static",))
 
@@ -399,12 +403,18 @@ PLATFORM_TERMS: Final = _by_symbol(_turns())
 MOTION_TERMS: Final = _by_symbol(_path_errors())
 INPUTS: Final = _by_symbol(_inputs())
 
-OWN_TERMS: Final[Mapping[str, Term[Product | Slope]]] = {**TERMS, **CONDITION_TERMS}
-SHARED_TERMS: Final[Mapping[str, Term[Turn | PathError]]] = {**PLATFORM_TERMS, **MOTION_TERMS}
+ACCELEROMETER_TERMS: Final[Mapping[str, Term[SpecificForceProduct | Slope]]] = {
+    **TERMS,
+    **CONDITION_TERMS,
+}
+SHARED_TERMS: Final[Mapping[str, Term[AttitudeError | TrajectoryError]]] = {
+    **PLATFORM_TERMS,
+    **MOTION_TERMS,
+}
 
 #: Every row, by symbol.
 TABLE: Final[Mapping[str, Term[Effect]]] = {
-    **OWN_TERMS,
+    **ACCELEROMETER_TERMS,
     **SHARED_TERMS,
     **_by_symbol(_displacements()),
     **INPUTS,

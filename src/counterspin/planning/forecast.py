@@ -32,7 +32,7 @@ from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle, angle_error_to_come
-from counterspin.physics.terms import CONDITION_TERMS, OWN_TERMS
+from counterspin.physics.terms import ACCELEROMETER_TERMS, CONDITION_TERMS
 from counterspin.planning.weights import PlannedInstrument, Setup, expected_record
 from counterspin.records.reduction import block_size
 from counterspin.reports.numbers import field_unit, format_number
@@ -276,7 +276,7 @@ def expected_values(campaign: Campaign, unknowns: tuple[Unknown, ...] | list[Unk
     values = []
     for unknown in unknowns:
         known = coefficients.get(unknown.owner, {}).get(unknown.symbol)
-        if unknown.symbol not in OWN_TERMS and platform:
+        if unknown.symbol not in ACCELEROMETER_TERMS and platform:
             of_run = platform.get(unknown.owner) or next(iter(platform.values()))
             known = of_run.get(unknown.symbol)
         if known is None:

@@ -22,7 +22,7 @@ from counterspin.inference.joint.series import CLOCK, Series
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.effects import Product, RunConditions
+from counterspin.physics.effects import RunConditions, SpecificForceProduct
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import ORDERS
 from counterspin.physics.spindle import Spindle
@@ -276,7 +276,10 @@ class TermWeights:
             accelerometer=instrument.name,
             run=attitude,
             trajectory=Trajectory(
-                Spindle(rate), setup.radius, setup.site, conditions=RunConditions(warmth=1.0)
+                Spindle(rate),
+                setup.radius,
+                setup.site,
+                conditions=RunConditions(temperature_offset=1.0),
             ),
             mounting=instrument.mounting,
             observable=instrument.observable,
@@ -339,4 +342,4 @@ def key_of(unknown: Unknown, ending: str = "") -> Key:
 
 def _has_kink(symbol: str) -> bool:
     effect = getattr(term(symbol), "effect", None)
-    return isinstance(effect, Product) and effect.has_kink
+    return isinstance(effect, SpecificForceProduct) and effect.has_kink

@@ -266,7 +266,7 @@ class Readings:
     def lever(self, symbol: str) -> Array:
         """Return what a slope of a coefficient is multiplied with, shape (n,)."""
         forces = np.array([one.radius * one.rate**2 for one in self.stations]) / self.site.gravity
-        return CONDITION_TERMS[symbol].effect.levers(
+        return CONDITION_TERMS[symbol].effect.design_factors(
             self.time, self.temperature, np.broadcast_to(self.direction, self.size), forces
         )
 

@@ -26,9 +26,9 @@ from counterspin.readings.means import (
     read_rows,
     stated_rotation,
 )
-from counterspin.records.column_file import Piece
+from counterspin.records.column_file import Chunk
 from counterspin.records.record import Record, RecordColumns
-from counterspin.records.reduction import Blocks, Reducer, block_size
+from counterspin.records.reduction import BlockAverager, BlockMeans, block_size
 
 
 @frozen(eq=False)
@@ -124,12 +124,12 @@ def _rotation(campaign: Campaign, reading: Reading, record: Record) -> SpindleFi
         raise RecordError(f"{record.report.path}: {error}") from None
 
 
-def _angle_blocks(record: Record, rate: float) -> Blocks:
+def _angle_blocks(record: Record, rate: float) -> BlockMeans:
     """Return the means of times and angles over blocks, as records of the double turntable have."""
     step = record.report.step
-    reducer = Reducer(block_size(step, rate), step, rate, judges=False)
+    reducer = BlockAverager(block_size(step, rate), step, rate, judges=False)
     uneven = float(np.abs(np.diff(record.time) / step - 1.0).max(initial=0.0))
-    return reducer.reduce(Piece(record.time, record.angle, []), uneven).blocks
+    return reducer.average(Chunk(record.time, record.angle, []), uneven).blocks
 
 
 def _rotation_at(

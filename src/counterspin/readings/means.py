@@ -30,7 +30,7 @@ from counterspin.frozen import frozen
 from counterspin.records.memory import MemoryTable
 from counterspin.records.reading import read_record
 from counterspin.records.record import Record, RecordColumns, RecordReport, StatedMotion
-from counterspin.records.spikes import FEWEST_SAMPLES, find_spikes
+from counterspin.records.spikes import FEWEST_SAMPLES, detect_outliers
 
 #: Most stretches of a record whose means tell its noise; fewest samples of one.
 _STRETCHES: Final = 64
@@ -181,7 +181,7 @@ def _bursts(t: Array, y: Array, rotation: RowRotation) -> np.ndarray:
     steps = np.diff(times)
     step = median(steps)
     uneven = float(np.abs(steps / step - 1.0).max())
-    for place in find_spikes(times, means, 0.0, step, uneven):
+    for place in detect_outliers(times, means, 0.0, step, uneven):
         found[edges[place] : edges[place + 1]] = True
     return found
 

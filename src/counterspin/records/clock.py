@@ -18,7 +18,7 @@ import numpy as np
 from counterspin.arrays import SIGMA_OF_MAD, aligned, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
-from counterspin.records.column_file import Piece
+from counterspin.records.column_file import Chunk
 from counterspin.records.record import Gap
 from counterspin.records.spikes import middle
 
@@ -83,7 +83,7 @@ class UsableRows:
     """
 
     rows: np.ndarray | None
-    piece: Piece
+    piece: Chunk
     unevenness: float
 
 
@@ -139,7 +139,7 @@ class Clock:
         turned = _wrap(advances - nominal * spans)
         self.rate = nominal + median(turned / spans)
 
-    def accept(self, first_row: int, piece: Piece) -> UsableRows:
+    def accept(self, first_row: int, piece: Chunk) -> UsableRows:
         """Check one piece."""
         accepted = self._accept_whole(piece) or self._accept_rows(first_row, piece)
         good = accepted.piece
@@ -155,7 +155,7 @@ class Clock:
         return accepted
 
     def _accept_whole(  # noqa: PLR0911 - each test hands over to the row-by-row judgement
-        self, piece: Piece
+        self, piece: Chunk
     ) -> UsableRows | None:
         """Take the piece as it stands, if nothing in it needs attention (NaN fails every test)."""
         time, angle = piece.time, piece.angle
@@ -198,7 +198,7 @@ class Clock:
             lengths = np.diff(breaks, append=len(angle))
             unwrapped = angle + np.repeat(_TURN * turns, lengths)
             self.findings.wrapped = True
-            piece = Piece(time, unwrapped, piece.signals)
+            piece = Chunk(time, unwrapped, piece.signals)
         return UsableRows(None, piece, unevenness)
 
     def _differences(self, column: np.ndarray) -> np.ndarray:
@@ -209,7 +209,7 @@ class Clock:
         np.subtract(column[1:], column[:-1], out=steps)
         return steps
 
-    def _accept_rows(self, first_row: int, piece: Piece) -> UsableRows:
+    def _accept_rows(self, first_row: int, piece: Chunk) -> UsableRows:
         """Judge a piece row by row."""
         time = piece.time
         for column, word in ((time, "time"), (piece.angle, "angle")):
@@ -239,7 +239,7 @@ class Clock:
             rows = rows[good]
         chosen = piece[rows]
         if piece.angle is not None:
-            chosen = Piece(chosen.time, unwrapped[good], chosen.signals)
+            chosen = Chunk(chosen.time, unwrapped[good], chosen.signals)
         unevenness = float(np.abs(np.diff(chosen.time) / self.step - 1).max(initial=0.0))
         return UsableRows(rows, chosen, unevenness)
 
@@ -252,7 +252,7 @@ class Clock:
         plausible: np.ndarray = rows[~large]
         return plausible
 
-    def _drop_repeats(self, piece: Piece, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    def _drop_repeats(self, piece: Chunk, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
         again = np.flatnonzero(steps == 0)
         if not len(again):
             return rows

@@ -32,7 +32,7 @@ _PIECE_ROWS = 65536
 
 
 @frozen
-class Piece:
+class Chunk:
     """Consecutive rows of a record, arrays (n,), NaN where a cell is empty."""
 
     time: np.ndarray  #: s since the record's first sample.
@@ -43,10 +43,10 @@ class Piece:
         """Return the number of rows."""
         return len(self.time)
 
-    def __getitem__(self, rows: np.ndarray) -> Piece:
+    def __getitem__(self, rows: np.ndarray) -> Chunk:
         """Return the rows at (m,) places, or those that a (n,) mask marks."""
         angle = None if self.angle is None else self.angle[rows]
-        return Piece(self.time[rows], angle, [signal[rows] for signal in self.signals])
+        return Chunk(self.time[rows], angle, [signal[rows] for signal in self.signals])
 
     @property
     def columns(self) -> list[np.ndarray]:
@@ -54,12 +54,12 @@ class Piece:
         return [self.time, *([] if self.angle is None else [self.angle]), *self.signals]
 
 
-def piece_rows(block: int) -> int:
+def chunk_size(block: int) -> int:
     """Return the rows to a piece: a whole number of blocks."""
     return block * max(1, _PIECE_ROWS // block)
 
 
-def in_pieces(
+def iter_chunks(
     batches: Iterator[Columns], choose_rows: Callable[[Columns], int]
 ) -> Iterator[Columns]:
     """Yield columns in pieces of a fixed number of rows, however the file was batched.
@@ -69,7 +69,7 @@ def in_pieces(
     head: list[Columns] = []
     for batch in batches:
         head.append(batch)
-        if sum(map(column_rows, head)) >= piece_rows(1):
+        if sum(map(column_rows, head)) >= chunk_size(1):
             break
     if not sum(map(column_rows, head)):
         return
@@ -246,7 +246,7 @@ class ColumnFile(ABC):
         try:
             batches = list(self.batches(wanted))
         except RecordError:
-            if not self.look_closely():
+            if not self.use_strict_parser():
                 raise
             batches = list(self.batches(wanted))
         if not batches:
@@ -306,7 +306,7 @@ class ColumnFile(ABC):
         """Say where each of the data rows stands in the file."""
         return [self.locate_row(row) for row in range(rows)]
 
-    def look_closely(self) -> bool:
+    def use_strict_parser(self) -> bool:
         """Read with more patience from now on, if there is such a way that was not taken yet."""
         return False
 

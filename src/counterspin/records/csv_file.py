@@ -279,7 +279,7 @@ class CsvFile(ColumnFile):
             self._refuse_bad_lines()
             raise
 
-    def look_closely(self) -> bool:
+    def use_strict_parser(self) -> bool:
         """Look out for comments, blanks around numbers and text from now on, at twice the time."""
         before, self._closely = self._closely, True
         return not before

@@ -20,12 +20,12 @@ from counterspin.errors import RecordError
 from counterspin.input import FileIdentity
 from counterspin.records.clock import LARGEST_ANGLE, LISTED, Clock
 from counterspin.records.column_file import (
+    Chunk,
     ColumnFile,
     Columns,
-    Piece,
+    chunk_size,
     column_rows,
-    in_pieces,
-    piece_rows,
+    iter_chunks,
 )
 from counterspin.records.dialect import TO_BE_FOUND
 from counterspin.records.formats import open_columns
@@ -40,7 +40,7 @@ from counterspin.records.record import (
     RecordReport,
     StatedMotion,
 )
-from counterspin.records.reduction import Blocks, Reducer, block_size, span_of_main_rows
+from counterspin.records.reduction import BlockAverager, BlockMeans, block_size, span_of_main_rows
 from counterspin.records.run_file import RunFile, is_derived, pulse_angle
 from counterspin.records.sampling import RepeatedValues
 from counterspin.records.several_sensors import refuse_several_sensors
@@ -55,7 +55,7 @@ from counterspin.records.signals import (
     switch,
     waves,
 )
-from counterspin.records.spikes import find_spikes
+from counterspin.records.spikes import detect_outliers
 
 #: More empty cells than this part of a run's rows refuse the record.
 MOST_EMPTY = 0.05
@@ -114,11 +114,11 @@ def _read(
 ) -> Record:
     with opened(path, columns, motion.rate, pulses and pulses[0]) as (file, found, files):
         try:
-            record = _judged(file, found, motion, block)
+            record = _read_tested(file, found, motion, block)
         except RecordError:
-            if not file.look_closely():
+            if not file.use_strict_parser():
                 raise
-            record = _judged(file, found, motion, block)
+            record = _read_tested(file, found, motion, block)
         others = {one.path: one.identity for one in files[1:] if one.identity}
         if columns.pulses and pulses and pulses[1]:
             others[columns.pulses] = pulses[1]
@@ -170,7 +170,7 @@ def _pulse_times(
 
 
 @np.errstate(all="ignore")  # values beyond measure are refused at the end
-def _judged(
+def _read_tested(
     file: ColumnFile | RunFile,
     columns: RecordColumns,
     motion: StatedMotion,
@@ -219,14 +219,14 @@ class _RecordReader:
         """The first sample's time in the file's own clock, s."""
         return self._first_time * self._columns.time.factor
 
-    def blocks(self, within: tuple[float, float] = (-np.inf, np.inf)) -> Blocks:
+    def blocks(self, within: tuple[float, float] = (-np.inf, np.inf)) -> BlockMeans:
         """Read the file to its end, piece after piece.
 
         within: First and last time, s in the file's own clock, between which rows are taken.
         """
-        parts: list[Blocks] = []
-        reducer: Reducer | None = None
-        for columns in in_pieces(self._file.batches(self._columns.names), self._choose_rows):
+        parts: list[BlockMeans] = []
+        reducer: BlockAverager | None = None
+        for columns in iter_chunks(self._file.batches(self._columns.names), self._choose_rows):
             rows = column_rows(columns)
             if not self._motion.steady:
                 signals = [columns[spec.name] for spec in self._signals]
@@ -240,19 +240,19 @@ class _RecordReader:
                 taken = {name: column[first:last] for name, column in columns.items()}
                 if reducer is None:
                     self._first_time = self._first_number(taken[self._columns.time.name])
-                piece = self._piece(taken)
+                piece = self._make_chunk(taken)
                 if reducer is None:
                     self._clock.start(piece.time, piece.angle)
                     self._repeats.start(self._file.path, self._rows + first, piece.signals)
-                    reducer = Reducer(
+                    reducer = BlockAverager(
                         self._block,
                         self._clock.step,
                         self._clock.rate,
                         judges=not self._motion.posed,
                     )
                 signals = self._repeats.without(self._rows + first, piece.signals, self._block > 1)
-                piece = Piece(piece.time, piece.angle, signals)
-                blocks = self._take(self._rows + first, piece, reducer)
+                piece = Chunk(piece.time, piece.angle, signals)
+                blocks = self._process_chunk(self._rows + first, piece, reducer)
                 if blocks is not None:
                     parts.append(blocks)
             self._rows += rows
@@ -266,9 +266,9 @@ class _RecordReader:
         self._refuse_empty()
         if not parts:
             raise RecordError(f"{self._file.path}: no row of the record can be used.")
-        return Blocks.joined(parts)
+        return BlockMeans.joined(parts)
 
-    def span_of_main_rows(self, blocks: Blocks) -> tuple[float, float] | None:
+    def span_of_main_rows(self, blocks: BlockMeans) -> tuple[float, float] | None:
         """Return the times, in the file's own clock, between which no rows stand alone."""
         rate = abs(self._motion.rate)
         revolution = 2 * np.pi / rate if rate else 0.0
@@ -287,12 +287,12 @@ class _RecordReader:
     def _choose_rows(self, columns: Columns) -> int:
         """Choose the block from the spacing of the first rows; return the rows to a piece."""
         spec = self._columns.time
-        time = columns[spec.name][: piece_rows(1)] * spec.factor
+        time = columns[spec.name][: chunk_size(1)] * spec.factor
         steps = np.diff(time[np.isfinite(time)])
         steps = steps[steps > 0]
         if self._wants_blocks and len(steps):
             self._block = block_size(median(steps), self._motion.rate)
-        return piece_rows(self._block)
+        return chunk_size(self._block)
 
     def _first_number(self, time: np.ndarray) -> float:
         finite = time[np.isfinite(time)]
@@ -303,27 +303,29 @@ class _RecordReader:
             )
         return float(finite[0])
 
-    def _piece(self, columns: Columns) -> Piece:
+    def _make_chunk(self, columns: Columns) -> Chunk:
         """Return time from the record's start (s), the angle (rad) and the signals as filed."""
         time, angle = self._columns.time, self._columns.angle
         seconds = columns[time.name]
         if self._first_time:
             seconds = seconds - self._first_time
-        return Piece(
+        return Chunk(
             _scaled(seconds, time.factor),
             None if angle is None else _scaled(columns[angle.name], angle.factor, angle.offset),
             [columns[spec.name] for spec in self._signals],
         )
 
-    def _take(self, first_row: int, piece: Piece, reducer: Reducer) -> Blocks | None:
-        accepted = self._clock.accept(first_row, piece)
+    def _process_chunk(
+        self, first_row: int, chunk: Chunk, reducer: BlockAverager
+    ) -> BlockMeans | None:
+        accepted = self._clock.accept(first_row, chunk)
         good = accepted.piece
         if not len(good):
-            self._count_empty(first_row, piece.signals)
+            self._count_empty(first_row, chunk.signals)
             return None
-        reduced = reducer.reduce(good, accepted.unevenness)
+        reduced = reducer.average(good, accepted.unevenness)
         if not reduced.complete or accepted.rows is not None:
-            self._count_empty(first_row, piece.signals)
+            self._count_empty(first_row, chunk.signals)
         for place, outlying in enumerate(reduced.outliers):
             if len(outlying):
                 rows = outlying if accepted.rows is None else accepted.rows[outlying]
@@ -389,19 +391,19 @@ class _RecordReader:
         counts.update(zip((s.name for s in self._signals), empty, strict=True))
         return counts
 
-    def record(self, blocks: Blocks) -> Record:
+    def record(self, blocks: BlockMeans) -> Record:
         """Check the record as a whole and assemble it."""
         self._check_length(blocks)
         if blocks.angle is not None and self._columns.angle is not None:
-            self._refuse_beyond_measure(self._columns.angle, blocks.angle)
+            self._check_magnitude(self._columns.angle, blocks.angle)
         phase = self._motion.rate * blocks.time if blocks.angle is None else blocks.angle
         signals: dict[str, np.ndarray] = {}
         parts: dict[str, np.ndarray] = {}
         for place, (name, spec) in enumerate(self._columns.signals.items()):
             signal = _scaled(blocks.signals[place], spec.factor, spec.offset)
-            self._refuse_beyond_measure(spec, signal)
+            self._check_magnitude(spec, signal)
             if self._block > 1:
-                signal = self._without_odd_blocks(blocks, place, signal)
+                signal = self._reject_outlying_blocks(blocks, place, signal)
             if not self._motion.steady:
                 signal, fitted = self._check_amplitude(place, name, blocks, phase, signal)
                 noise = noise_of(fitted) * np.sqrt(median(blocks.count))
@@ -422,7 +424,7 @@ class _RecordReader:
             angle_sd=blocks.angle_sd,
         )
 
-    def _check_length(self, blocks: Blocks) -> None:
+    def _check_length(self, blocks: BlockMeans) -> None:
         duration = float(blocks.time[-1] - blocks.time[0])
         revolutions = duration * abs(self._motion.rate) / (2 * np.pi)
         steady = self._motion.steady
@@ -447,7 +449,7 @@ class _RecordReader:
                 "further one. Check the unit of the time column, or cut the record."
             )
 
-    def _refuse_beyond_measure(self, spec: ColumnSpec, values: np.ndarray) -> None:
+    def _check_magnitude(self, spec: ColumnSpec, values: np.ndarray) -> None:
         largest = float(np.abs(values[~np.isnan(values)]).max(initial=0.0))
         if not largest < LARGEST_VALUE:
             raise RecordError(
@@ -459,7 +461,7 @@ class _RecordReader:
         self,
         place: int,
         accelerometer: str,
-        blocks: Blocks,
+        blocks: BlockMeans,
         phase: np.ndarray,
         signal: np.ndarray,
     ) -> tuple[np.ndarray, Waves]:
@@ -487,7 +489,7 @@ class _RecordReader:
             fitted = waves(phase, signal)
         change = change_of_unit(fitted, may_grow=expected is None)
         if change is not None:
-            raise self._changed(accelerometer, fitted, change, blocks.time, phase)
+            raise self._unit_change_error(accelerometer, fitted, change, blocks.time, phase)
         if expected is not None:
             wrong = against_reference(fitted, expected, self._columns.angle is not None)
             if wrong is not None:
@@ -495,7 +497,7 @@ class _RecordReader:
                 raise RecordError(f"{self._file.path}: column '{column}' {wrong}.")
         return signal, fitted
 
-    def _changed(
+    def _unit_change_error(
         self,
         accelerometer: str,
         fitted: Waves,
@@ -513,7 +515,7 @@ class _RecordReader:
         signals: list[np.ndarray] = []
         row = 0
         for columns in self._file.batches(self._columns.names):
-            time = self._piece(columns).time
+            time = self._make_chunk(columns).time
             inside = np.flatnonzero((time >= begin) & (time <= end))
             rows.append(row + inside)
             times.append(time[inside])
@@ -527,21 +529,23 @@ class _RecordReader:
             f"{change.words}. Cut the record here or correct the column."
         )
 
-    def _without_odd_blocks(self, blocks: Blocks, place: int, signal: np.ndarray) -> np.ndarray:
+    def _reject_outlying_blocks(
+        self, blocks: BlockMeans, place: int, signal: np.ndarray
+    ) -> np.ndarray:
         """Leave out block means that stand off from their neighbours (a burst, a dead stretch)."""
         weight = np.sqrt(blocks.count / self._block)
         step = self._clock.step * self._block
         unevenness = float(np.abs(np.diff(blocks.time) / step - 1).max(initial=0.0))
         # The mean over a shorter piece of a wave's crest is another: such blocks are not compared.
         judged = np.where(blocks.count >= 0.9 * self._block, signal, np.nan)
-        odd = find_spikes(blocks.time, judged, self._clock.rate, step, unevenness, weight)
+        odd = detect_outliers(blocks.time, judged, self._clock.rate, step, unevenness, weight)
         if len(odd):
             self._outliers[place] += int(blocks.count[odd].sum())
             signal = signal.copy()
             signal[odd] = np.nan
         return signal
 
-    def _report(self, blocks: Blocks) -> RecordReport:
+    def _report(self, blocks: BlockMeans) -> RecordReport:
         findings = self._clock.findings
         outliers = dict(zip((s.name for s in self._signals), self._outliers, strict=True))
         listed = list(self._listed)

@@ -14,8 +14,8 @@ import math
 import numpy as np
 
 from counterspin.frozen import frozen
-from counterspin.records.column_file import Piece
-from counterspin.records.spikes import find_spikes
+from counterspin.records.column_file import Chunk
+from counterspin.records.spikes import detect_outliers
 
 #: A block covers at most this part of a revolution: the means then lose nothing of K_II.
 BLOCKS_PER_REVOLUTION = 64
@@ -30,7 +30,7 @@ _ROW_UNEVENNESS = 0.5
 
 
 @frozen
-class Blocks:
+class BlockMeans:
     """Reduced samples (n,): mean time and spread of the times, s; samples; angle, rad."""
 
     time: np.ndarray
@@ -42,7 +42,7 @@ class Blocks:
     angle_sd: np.ndarray
 
     @classmethod
-    def joined(cls, parts: list[Blocks]) -> Blocks:
+    def joined(cls, parts: list[BlockMeans]) -> BlockMeans:
         """Return the parts one after the other."""
         return cls(
             np.concatenate([part.time for part in parts]),
@@ -64,7 +64,7 @@ def block_size(step: float, rate: float) -> int:
     return size if size >= 2 else 1
 
 
-def span_of_main_rows(blocks: Blocks, shortest_gap: float) -> tuple[float, float] | None:
+def span_of_main_rows(blocks: BlockMeans, shortest_gap: float) -> tuple[float, float] | None:
     """Return between which times, s, a record stands without the rows that stand alone at its ends.
 
     A few rows beyond a gap, at the start or at the end, tell little; but a fit follows them, and
@@ -88,15 +88,15 @@ def span_of_main_rows(blocks: Blocks, shortest_gap: float) -> tuple[float, float
 
 
 @frozen
-class ReducedPiece:
+class AveragedChunk:
     """A piece, reduced."""
 
-    blocks: Blocks  #: Its means.
+    blocks: BlockMeans  #: Its means.
     outliers: list[np.ndarray]  #: For each signal the places of its outlying samples.
     complete: bool  #: Whether it is certain that every sample is a number.
 
 
-class Reducer:
+class BlockAverager:
     """Reduces pieces of a record to blocks.
 
     block: Samples in a block; 1 keeps point samples.
@@ -113,27 +113,29 @@ class Reducer:
         # A product with a constant vector is the fastest sum along short rows.
         self._mean = np.full(block, 1 / block)
 
-    def reduce(self, piece: Piece, unevenness: float) -> ReducedPiece:
+    def average(self, chunk: Chunk, unevenness: float) -> AveragedChunk:
         """Reduce one piece."""
-        time, signals = piece.time, piece.signals
+        time, signals = chunk.time, chunk.signals
         outliers = [np.empty(0, dtype=int) for _ in signals]
         if self._judges:
-            outliers = [find_spikes(time, x, self._rate, self._step, unevenness) for x in signals]
+            outliers = [
+                detect_outliers(time, x, self._rate, self._step, unevenness) for x in signals
+            ]
         by_rows = unevenness < _ROW_UNEVENNESS
         if self._block == 1:
-            return ReducedPiece(_points(piece, outliers), outliers, False)
+            return AveragedChunk(_points(chunk, outliers), outliers, False)
         if by_rows and not any(len(places) for places in outliers):
-            blocks = self._even_means(piece, unevenness)
+            blocks = self._even_means(chunk, unevenness)
             # The mean over a sample that is no number is none either.
             if all(np.isfinite(x).all() for x in blocks.signals):
-                return ReducedPiece(blocks, outliers, True)
+                return AveragedChunk(blocks, outliers, True)
         usable = [np.isfinite(x) for x in signals]
         for mask, places in zip(usable, outliers, strict=True):
             mask[places] = False
-        return ReducedPiece(self._means(piece, usable, by_rows), outliers, False)
+        return AveragedChunk(self._means(chunk, usable, by_rows), outliers, False)
 
-    def _even_means(self, piece: Piece, unevenness: float) -> Blocks:
-        size, time = self._block, piece.time
+    def _even_means(self, chunk: Chunk, unevenness: float) -> BlockMeans:
+        size, time = self._block, chunk.time
         whole = len(time) // size * size
         tail = len(time) - whole
 
@@ -143,7 +145,7 @@ class Reducer:
 
         mean_time = means(time)
         count = np.full(len(mean_time), size)
-        mean_angle = None if piece.angle is None else means(piece.angle)
+        mean_angle = None if chunk.angle is None else means(chunk.angle)
 
         def spreads(x: np.ndarray, mean: np.ndarray) -> np.ndarray:
             apart = x[:whole].reshape(-1, size) - mean[: whole // size, None]
@@ -155,17 +157,17 @@ class Reducer:
             sd = np.full(len(mean_time), self._step * math.sqrt((size**2 - 1) / 12))
         else:
             sd = spreads(time, mean_time)
-            if piece.angle is not None and mean_angle is not None:
-                angle_sd = spreads(piece.angle, mean_angle)
+            if chunk.angle is not None and mean_angle is not None:
+                angle_sd = spreads(chunk.angle, mean_angle)
         if tail:
             sd[-1] = time[whole:].std()
             count[-1] = tail
-        signals = [means(x) for x in piece.signals]
-        return Blocks(mean_time, sd, count, mean_angle, signals, angle_sd)
+        signals = [means(x) for x in chunk.signals]
+        return BlockMeans(mean_time, sd, count, mean_angle, signals, angle_sd)
 
-    def _means(self, piece: Piece, usable: list[np.ndarray], by_rows: bool) -> Blocks:
+    def _means(self, chunk: Chunk, usable: list[np.ndarray], by_rows: bool) -> BlockMeans:
         """Reduce a piece with gaps, empty cells or outliers."""
-        time = piece.time
+        time = chunk.time
         if by_rows:
             places = np.arange(len(time)) // self._block
         else:
@@ -191,29 +193,29 @@ class Reducer:
         mean_time = means(time)
         sd = np.sqrt(means((time - mean_time[places]) ** 2))
         mean_angle, angle_sd = None, np.full(len(sd), math.nan)
-        if piece.angle is not None:
-            mean_angle = means(piece.angle)
-            angle_sd = np.sqrt(means((piece.angle - mean_angle[places]) ** 2))
-        return Blocks(
+        if chunk.angle is not None:
+            mean_angle = means(chunk.angle)
+            angle_sd = np.sqrt(means((chunk.angle - mean_angle[places]) ** 2))
+        return BlockMeans(
             mean_time[filled],
             sd[filled],
             count[filled],
             None if mean_angle is None else mean_angle[filled],
             [
                 np.where(gone, np.nan, means(np.where(np.isfinite(x), x, 0.0)))[filled]
-                for x, gone in zip(piece.signals, absent, strict=True)
+                for x, gone in zip(chunk.signals, absent, strict=True)
             ],
             angle_sd[filled],
         )
 
 
-def _points(piece: Piece, outliers: list[np.ndarray]) -> Blocks:
+def _points(chunk: Chunk, outliers: list[np.ndarray]) -> BlockMeans:
     """Return every sample as a block of its own."""
     # Copies: the next piece overwrites this one.
-    signals = [x.copy() for x in piece.signals]
+    signals = [x.copy() for x in chunk.signals]
     for x, places in zip(signals, outliers, strict=True):
         x[places] = np.nan
-    rows = len(piece)
-    angle = None if piece.angle is None else piece.angle.copy()
+    rows = len(chunk)
+    angle = None if chunk.angle is None else chunk.angle.copy()
     none, count = np.zeros(rows), np.ones(rows, dtype=int)
-    return Blocks(piece.time.copy(), none, count, angle, signals, none.copy())
+    return BlockMeans(chunk.time.copy(), none, count, angle, signals, none.copy())

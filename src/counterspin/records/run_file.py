@@ -53,9 +53,9 @@ class RunFile:
             notes.append(f"the angle taken between {len(pulses)} pulses")
         self.found = ", ".join(notes)
 
-    def look_closely(self) -> bool:
+    def use_strict_parser(self) -> bool:
         """As of `ColumnFile`."""
-        looking = [file.look_closely() for file in self._files]  # all of them
+        looking = [file.use_strict_parser() for file in self._files]  # all of them
         return any(looking)
 
     def locate_row(self, row: int) -> str:

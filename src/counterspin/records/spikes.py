@@ -43,7 +43,7 @@ _SHIFT_RAD = 1e-3
 
 
 @np.errstate(invalid="ignore")  # samples that are no numbers make residuals that are none
-def find_spikes(
+def detect_outliers(
     time: np.ndarray,
     signal: np.ndarray,
     rate: float,
@@ -86,7 +86,7 @@ def find_spikes(
     filler = np.abs(signal) > _FILLER_RATIO * usual
     if usual > 0.0 and filler.any():
         rest = np.where(filler if finite is None else filler | ~finite, np.nan, signal)
-        others = find_spikes(time, rest, rate, step, unevenness, weight)
+        others = detect_outliers(time, rest, rate, step, unevenness, weight)
         return np.union1d(np.flatnonzero(filler if finite is None else filler & finite), others)
 
     def robust(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

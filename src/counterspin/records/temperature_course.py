@@ -15,7 +15,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.errors import RecordError
-from counterspin.records.column_file import ColumnFile, in_pieces, piece_rows
+from counterspin.records.column_file import ColumnFile, chunk_size, iter_chunks
 from counterspin.records.isolation import in_reader_process
 from counterspin.records.memory import MemoryTable
 from counterspin.records.reading import opened
@@ -51,7 +51,7 @@ def _read(path: Path | MemoryTable, columns: RecordColumns) -> tuple[float, ...]
         try:
             return _course(file, resolved)
         except RecordError:
-            if not file.look_closely():
+            if not file.use_strict_parser():
                 raise
             return _course(file, resolved)
 
@@ -61,7 +61,7 @@ def _course(file: ColumnFile | RunFile, columns: RecordColumns) -> tuple[float, 
     where = f"{file.path}: column '{spec.name}'"
     span, last, gap, rows = (math.inf, -math.inf), math.nan, (0.0, 0.0, 0.0), 0
     parts: list[Array] = []
-    for piece in in_pieces(file.batches(columns.names), lambda _: piece_rows(1)):
+    for piece in iter_chunks(file.batches(columns.names), lambda _: chunk_size(1)):
         time, warm = piece[columns.time.name] * columns.time.factor, piece[spec.name] + spec.offset
         infinite = np.flatnonzero(np.isinf(time))
         if len(infinite):

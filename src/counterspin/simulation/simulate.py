@@ -27,7 +27,7 @@ from counterspin.campaign.simulated_truth import SimulatedTruth
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import make_folder, write_text, write_whole
 from counterspin.physics import observation, simulation
-from counterspin.physics.motion import Trajectory, encoder_error, true_trajectory
+from counterspin.physics.motion import Trajectory, encoder_error, perturbed_trajectory
 from counterspin.physics.own_velocity import AxisError, of_own_velocity
 from counterspin.records.frames import memory_table
 from counterspin.records.memory import MemoryTable
@@ -403,7 +403,7 @@ def _indicated(
     if not campaign.own_velocity:
         return signals
     site = replace(campaign.site, removed_gravity=None)  # its velocity is off by what is left too
-    moved = true_trajectory(replace(trajectory, site=site), shared)
+    moved = perturbed_trajectory(replace(trajectory, site=site), shared)
     errors = []
     for name, accelerometer in campaign.accelerometers.items():
         observable = accelerometer.observable

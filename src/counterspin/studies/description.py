@@ -37,7 +37,7 @@ from counterspin.campaign.terms import BARE_NAMES, expand, rows_of, symbols_show
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import CLOCK
 from counterspin.inference.joint.unknowns import unit_of
-from counterspin.physics.terms import INPUTS, OWN_TERMS, SHARED_TERMS, term
+from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS, SHARED_TERMS, term
 from counterspin.simulation.simulable import (
     require_room,
     simulation_problems,
@@ -278,7 +278,7 @@ def _known(campaign: Campaign, varying: Sequence[VariedQuantity]) -> Iterator[Va
     stated = inputs_by_owner(campaign)
     model = model_of(campaign)
     for parameter in (*model.unknowns, *model.considered):
-        owner = parameter.owner if parameter.symbol in {**OWN_TERMS, **INPUTS} else ""
+        owner = parameter.owner if parameter.symbol in {**ACCELEROMETER_TERMS, **INPUTS} else ""
         if parameter.asked or parameter.prior[1] == 0.0 or (owner, parameter.symbol) in known:
             continue
         known.add((owner, parameter.symbol))
@@ -389,9 +389,9 @@ def _names(
 ) -> list[tuple[str, str]]:
     """Return owner and symbol of everything that a name stands for."""
     owner, _, last = key.partition(".")
-    if owner in campaign.accelerometers and last in OWN_TERMS:
+    if owner in campaign.accelerometers and last in ACCELEROMETER_TERMS:
         return [(owner, last)]
-    if key in OWN_TERMS:
+    if key in ACCELEROMETER_TERMS:
         return [(name, key) for name in campaign.accelerometers]
     shown = symbols_shown(campaign.readings)
     if key in INPUTS or last == CLOCK:
@@ -405,10 +405,10 @@ def _names(
         mountings = [a.mounting for a in campaign.accelerometers.values()]
         rows = rows_of(key, mountings, [run.attitude for run in campaign.runs])
         return [("", row.symbol) for row in rows]
-    known = [*OTHERS, *OWN_TERMS, *BARE_NAMES, *SHARED_TERMS, *shown]
+    known = [*OTHERS, *ACCELEROMETER_TERMS, *BARE_NAMES, *SHARED_TERMS, *shown]
     hint = did_you_mean(key, known)
     if "known:" in hint:
-        hint = f"; known: {', '.join([*OTHERS, *OWN_TERMS, *BARE_NAMES])}"
+        hint = f"; known: {', '.join([*OTHERS, *ACCELEROMETER_TERMS, *BARE_NAMES])}"
     problems.add(path, "cannot be varied in a study" + hint)
     return []
 

@@ -19,7 +19,7 @@ from counterspin.campaign.noise_at_rest import true_noise
 from counterspin.frozen import frozen
 from counterspin.physics import simulation
 from counterspin.physics.spindle import Ripple, Spindle
-from counterspin.physics.terms import INPUTS, OWN_TERMS
+from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS
 
 WHITE: Final = "noise.displacement"  #: of a sample, m
 
@@ -354,7 +354,7 @@ class StudyTruth:
 
         For an input, return the mean true value minus the stated value.
         """
-        owner = owner if symbol in OWN_TERMS or symbol in INPUTS else ""
+        owner = owner if symbol in ACCELEROMETER_TERMS or symbol in INPUTS else ""
         stated = self.stated.get((owner, symbol), 0.0)
         for quantity in self.varying:
             if (quantity.owner, quantity.symbol) == (owner, symbol):
@@ -417,4 +417,4 @@ def of_run(values: Array, run: int) -> Array:
 
 def nominal(owner: str, symbol: str) -> float:
     """Return the value of a coefficient in a perfect system."""
-    return OWN_TERMS[symbol].nominal if owner else 0.0
+    return ACCELEROMETER_TERMS[symbol].nominal if owner else 0.0

@@ -29,7 +29,13 @@ from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.effects import Effect, PathError, Product, Slope, Turn
+from counterspin.physics.effects import (
+    AttitudeError,
+    Effect,
+    Slope,
+    SpecificForceProduct,
+    TrajectoryError,
+)
 from counterspin.physics.motion import Site
 from counterspin.physics.spindle import TURN, Spindle
 from counterspin.physics.terms import term
@@ -95,15 +101,15 @@ _HIGHEST_POWER: Final = 4
 def obstacle(symbol: str) -> str | None:
     """Return the obstacle to a term in this quadrature, in words after its symbol, or None."""
     match term(symbol).effect:
-        case Product(has_kink=kink, power=power) if kink or power > _HIGHEST_POWER:
+        case SpecificForceProduct(has_kink=kink, power=power) if kink or power > _HIGHEST_POWER:
             return "has a kink" if kink else "has harmonics above the fourth"
-        case Product(of_rotation=True) | Turn(kind="table"):
+        case SpecificForceProduct(of_rotation=True) | AttitudeError(kind="table"):
             return "does not act on a platform that keeps its attitude"
-        case PathError():
+        case TrajectoryError():
             return "changes the path"
         case Slope():
             return "changes from run to run"
-        case Turn(kind="g2_sensitivity"):
+        case AttitudeError(kind="g2_sensitivity"):
             # Its turn before the first strobe is an integral without a closed form.
             return "has no closed form"
     return None
@@ -270,7 +276,7 @@ def _effect(
 ) -> Array:
     g = motion.site.gravity
     axes = motion.mounting
-    if isinstance(effect, Product):
+    if isinstance(effect, SpecificForceProduct):
         if not effect.factors:
             return np.full(gain.shape[1], 0.5 * g)
         if effect.is_linear:
@@ -278,7 +284,7 @@ def _effect(
             return _linear(motion, axis, field, weight, gain)
         a_ipo = np.stack([field.along(axis) for axis in axes.matrix]) / g
         return _weighted(weight, g * effect.evaluate(a_ipo))
-    assert isinstance(effect, Turn)
+    assert isinstance(effect, AttitudeError)
     if effect.kind == "tilt":
         axis = np.cross(np.eye(3)[effect.axis], axes.input_axis)
         return _linear(motion, axis, field, weight, gain)

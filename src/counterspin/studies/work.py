@@ -23,7 +23,7 @@ from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import ROTATION, Unknowns
 from counterspin.inference.noise.model import Noise
-from counterspin.physics.terms import OWN_TERMS
+from counterspin.physics.terms import ACCELEROMETER_TERMS
 from counterspin.studies.draws import DRIFT, NOISE_STREAM, TRUTH_STREAM, Draws, StudyTruth, stream
 from counterspin.studies.result import Driver, Tally
 from counterspin.workers import ALONE, WorkerPool, Workers, worker_pool
@@ -77,7 +77,7 @@ class JointRequest:
             if unknown.asked
             and not (unknown.unstated and unknown.prior[1] >= unknown.limit)
             and (
-                unknown.symbol in OWN_TERMS
+                unknown.symbol in ACCELEROMETER_TERMS
                 or (not unknown.owner and unknown.symbol not in ROTATION)
             )
         ]

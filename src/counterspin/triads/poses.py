@@ -294,7 +294,7 @@ def lever_of(poses: TriadPoses, symbol: str) -> Array | None:
     if slope.condition == "force":
         return None
     ways = np.broadcast_to(poses.direction, poses.size)
-    return slope.levers(poses.time, poses.temperature, ways, np.zeros(poses.size))
+    return slope.design_factors(poses.time, poses.temperature, ways, np.zeros(poses.size))
 
 
 def _changing(symbol: str) -> int:

@@ -18,7 +18,7 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates.issuing import certificate
 from counterspin.errors import CounterspinError, RecordError
-from counterspin.physics.terms import OWN_TERMS
+from counterspin.physics.terms import ACCELEROMETER_TERMS
 from counterspin.records.record import ColumnSpec, RecordColumns, StatedMotion
 from counterspin.records.signals import Swing
 from counterspin.validation.cases import DATA, document
@@ -80,7 +80,9 @@ def fitted_numbers(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         answer[f"misfit of {name}"] = [residual.chi2, residual.dof, residual.lack_of_fit_p]
         for symbol, lines in accelerometer.budget.items():
             for line in lines:
-                source = f"{name}.{line.source}" if line.source in OWN_TERMS else line.source
+                source = (
+                    f"{name}.{line.source}" if line.source in ACCELEROMETER_TERMS else line.source
+                )
                 answer[f"{name}.{symbol} by {source}"] = [line.contribution]
         if accelerometer.correlation is not None:
             places = [

@@ -17,7 +17,7 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.physics.grades import GRADES
 from counterspin.physics.terms import (
-    OWN_TERMS,
+    ACCELEROMETER_TERMS,
     is_term,
     term,
 )
@@ -77,7 +77,7 @@ def incredible(
     found = {
         symbol: finding
         for symbol, c in coefficients.items()
-        if symbol in OWN_TERMS
+        if symbol in ACCELEROMETER_TERMS
         and (finding := _finding(limit_of, name, symbol, f"{name}.{symbol}", c)) is not None
     }
     scale = found.pop("K_I", None)

@@ -57,7 +57,7 @@ from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.motion import gravity_range, latitudes_with
-from counterspin.physics.terms import INPUTS, OWN_TERMS
+from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS
 
 #: Share of good campaigns in which a prior, or another alternative, is blamed all the same.
 _FALSE_ALARMS: Final = 0.5 * SIGNIFICANCE
@@ -314,7 +314,7 @@ def _others(views: Sequence[AccelerometerView], now: Estimate) -> Iterator[Alter
         other: campaign.typical_of(other.symbol, other.owner)
         for view in views
         for other in assumed_of(campaign, model, view.name)
-        if not (campaign.readings and other.symbol in OWN_TERMS)
+        if not (campaign.readings and other.symbol in ACCELEROMETER_TERMS)
     }
     yield from mistakes.of_terms(fit, terms)
     yield from mistakes.jumps(fit, _STEPS)

@@ -17,7 +17,7 @@ from counterspin.calibration.result_parts import (
     ReadingResult,
 )
 from counterspin.campaign.documents import DESCRIPTION_NAME
-from counterspin.physics.effects import Product
+from counterspin.physics.effects import SpecificForceProduct
 from counterspin.physics.terms import (
     MOTION_TERMS,
     PLATFORM_TERMS,
@@ -134,7 +134,7 @@ def _method(result: Result) -> str:
     )
 
 
-def _sum(terms: Iterable[Term[Product]]) -> str:
+def _sum(terms: Iterable[Term[SpecificForceProduct]]) -> str:
     parts = []
     for term in terms:
         product = term.effect.text.replace("*", " ")

@@ -14,7 +14,7 @@ from counterspin.calibration.view import AccelerometerView
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.fit import JointFit
-from counterspin.physics.terms import INPUTS, OWN_TERMS, shown_by_readings
+from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS, shown_by_readings
 
 
 def compare(view: AccelerometerView) -> Comparison | None:
@@ -116,5 +116,5 @@ def _considered(fit: JointFit, index: int) -> dict[str, tuple[float, float]]:
             strict=False,
         )
         if other.symbol not in (*encoder.SYMBOLS, *INPUTS)
-        and (other.symbol in OWN_TERMS or not shown_by_readings(other.symbol))
+        and (other.symbol in ACCELEROMETER_TERMS or not shown_by_readings(other.symbol))
     }

@@ -56,7 +56,7 @@ from counterspin.inference.noise.search import FoundNoise
 from counterspin.inference.two_stage.first_stage import Parabola, strobe_angle
 from counterspin.inference.two_stage.model import DRIFT, TwoStageRequest, strobed, two_stage_model
 from counterspin.inference.two_stage.second_stage import SecondStage, resolve, with_found_noise
-from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, TERMS
+from counterspin.physics.terms import ACCELEROMETER_TERMS, SHARED_TERMS, TERMS
 
 #: What the second stage estimates of an accelerometer.
 _ESTIMATED: Final = ("K_II", "K_F")
@@ -89,7 +89,7 @@ def two_stage(
     }
     if RIPPLE in unknowns and options.ripple == "ratio":
         unknowns[RIPPLE] = unknowns[RIPPLE].model_copy(update={"unit": "1"})
-    others = [s for s in campaign.model.terms if s in OWN_TERMS and s not in unknowns]
+    others = [s for s in campaign.model.terms if s in ACCELEROMETER_TERMS and s not in unknowns]
     known = {symbol: _known(accelerometer, symbol) for symbol in others}
     coefficients = {**unknowns, **known}
     places = {
@@ -331,7 +331,8 @@ def request_of(
         other.symbol: other.prior
         for other in (*model.unknowns, *model.considered)
         if math.isfinite(other.prior[1])
-        and other.symbol in (OWN_TERMS if other.owner == accelerometer.name else SHARED_TERMS)
+        and other.symbol
+        in (ACCELEROMETER_TERMS if other.owner == accelerometer.name else SHARED_TERMS)
     }
     noise = problem.noise[accelerometer.name]
     request = TwoStageRequest(
@@ -347,7 +348,10 @@ def request_of(
         timing=_number(stated, "timing") or 0.0,
         u_radius=campaign.radius.u / campaign.radius.value,
         u_gravity=campaign.gravity.u / campaign.gravity.value,
-        limits={s: campaign.limit_of(s, accelerometer.name) for s in (*OWN_TERMS, *SHARED_TERMS)},
+        limits={
+            s: campaign.limit_of(s, accelerometer.name)
+            for s in (*ACCELEROMETER_TERMS, *SHARED_TERMS)
+        },
     )
     return request if components is None else request.with_noise(components.noise)
 

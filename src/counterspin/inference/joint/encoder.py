@@ -22,7 +22,7 @@ from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics import observation, quadrature
 from counterspin.physics.angle_error import SLOW, AngleError, displaced
-from counterspin.physics.effects import Product
+from counterspin.physics.effects import SpecificForceProduct
 from counterspin.physics.spindle import MAX_HARMONICS
 from counterspin.physics.terms import TERMS
 
@@ -127,7 +127,7 @@ def columns(series: Series, symbols: Sequence[str], coefficients: Mapping[str, f
     return np.asarray(shown - series.share * slope[:, None] * turned)
 
 
-def _slope(rows: Mapping[Product, float], a_ipo: Array) -> Array:
+def _slope(rows: Mapping[SpecificForceProduct, float], a_ipo: Array) -> Array:
     """Return the derivative of the sum of coefficient x product along I, P, O, shape (3, n)."""
     return np.stack(
         [sum(value * row.slope(a_ipo, axis) for row, value in rows.items()) for axis in "IPO"]

@@ -180,7 +180,7 @@ def of_coriolis(fit: JointFit, *, own_velocity: bool) -> Iterator[Alternative]:
         for i in places:
             series = fit.prepared[i].series
             site, axis = series.trajectory.site, series.mounting.turned(series.attitude).input_axis
-            left = observation.gravity_left(site, axis, series.time, series.observable)
+            left = observation.residual_gravity(site, axis, series.time, series.observable)
             errors.append(AxisError(axis, series.observable, series.time, series.error + left))
         for i, part in zip(places, taken(site, errors), strict=True):
             if part.any():

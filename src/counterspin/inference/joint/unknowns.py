@@ -21,8 +21,8 @@ from counterspin.inference.joint.series import Series, concerns
 from counterspin.inference.least_squares import REGULARISATION, Block, Solution
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import (
+    ACCELEROMETER_TERMS,
     INPUTS,
-    OWN_TERMS,
     SHARED_TERMS,
     TERMS,
     shown_by_readings,
@@ -96,7 +96,7 @@ class Unknown:
 
     def concerns(self, series: Series) -> bool:
         """Return whether the unknown can show in a series."""
-        if self.symbol in OWN_TERMS:
+        if self.symbol in ACCELEROMETER_TERMS:
             return self.owner == series.accelerometer
         if self.symbol in INPUTS:
             return concerns(series, self.symbol, self.owner)

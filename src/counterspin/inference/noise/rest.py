@@ -27,7 +27,7 @@ from counterspin.inference.noise.search import KEEPING_GAIN, Choice, Maximum
 from counterspin.inference.noise.spectrum import SpectralLine, find_lines
 from counterspin.inference.noise.wander import Variances
 from counterspin.records.sampling import Samples
-from counterspin.records.spikes import find_spikes
+from counterspin.records.spikes import detect_outliers
 
 #: Most samples missing in a row within a part; more are a gap. Where many samples are lost, more in
 #: a row are, up to a number that a record of so many exceeds with a small probability.
@@ -160,7 +160,7 @@ def stretches_of(time: Array, values: Array) -> Stretches:
     # The median of rounded times is off; their mean over steps that are one is not.
     single = steps < 1.5 * step
     step = float(steps[single].mean())
-    spikes = find_spikes(time, values, 0.0, step, float(steps[single].std() / step))
+    spikes = detect_outliers(time, values, 0.0, step, float(steps[single].std() / step))
     spikes = spikes[np.isfinite(values[spikes])]
     clean = values.copy()
     clean[spikes] = np.nan
