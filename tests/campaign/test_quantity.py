@@ -9,6 +9,7 @@ from counterspin.campaign.quantity import (
     attitude_rows,
     attitude_words,
     last_digit,
+    latitude_text,
     parse,
 )
 from counterspin.physics.terms import SHARED_TERMS, TERMS
@@ -28,6 +29,10 @@ FINITE = st.builds(math.copysign, UNCERTAINTY, st.sampled_from([1.0, -1.0]))
         ("2.5 +- 1e-5 m", "m", 2.5, 1e-5),
         ("  2.5±1e-5m ", "m", 2.5, 1e-5),
         ("2500 ± 0.01 mm", "m", 2.5, 1e-5),
+        ("100 in", "m", 2.54, 0.0),
+        ("10 ± 0.01 ft", "m", 3.048, 0.003048),
+        ("100 gon", "rad", math.pi / 2, 0.0),
+        ("32.174 ft/s^2", "m/s^2", 9.80663520, 0.0),
         ("-45.75 deg", "rad", math.radians(-45.75), 0.0),
         ("−45.75 °", "rad", math.radians(-45.75), 0.0),
         ("0 ± 0.5 arcsec", "rad", 0.0, math.radians(0.5 / 3600)),
@@ -61,6 +66,25 @@ def test_reads_what_people_write(text, unit, value, u):
     assert quantity.value == pytest.approx(value, rel=4e-16, abs=0.0)
     assert quantity.u == pytest.approx(u, rel=4e-16, abs=0.0)
     assert quantity.unit == unit
+
+
+@pytest.mark.parametrize(
+    ("text", "degrees"),
+    [
+        ("45.75N", 45.75),
+        ("45.75° S", -45.75),
+        ("45 deg 45 min N", 45.75),
+        ("45°45'36\"s", -45.76),
+        ("45.75 ± 0.1 deg", 45.75),
+    ],
+)
+def test_latitudes_as_maps_write_them(text, degrees):
+    assert parse(latitude_text(text), "rad").value == pytest.approx(math.radians(degrees))
+
+
+def test_a_latitude_has_fewer_than_60_minutes():
+    with pytest.raises(ValueError, match="less than 60"):
+        latitude_text("45 deg 75 min N")
 
 
 @pytest.mark.parametrize(

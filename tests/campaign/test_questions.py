@@ -33,6 +33,7 @@ def test_nothing_to_ask(tmp_path):
         ("9.81", "45 deg", False),
         ("9.8066", "0.8 deg", False),  # 0.8 rad was meant
         ("9.8066", "-45.75 deg", True),
+        ("9.8066", "45 deg 45 min N", True),
         ("9.7803 ± 0.02", "45 deg", True),  # it says itself that it is not known
     ],
 )

@@ -116,6 +116,8 @@ def test_a_sampling_rate_beside_the_columns_shows_the_unit_of_the_time():
         ("mV", "mV"),
         ("out_A", "A"),
         ("sensor A", ""),
+        ("drop_ft", "ft"),
+        ("volts in", ""),
         ("s", ""),
         ("Output", ""),
     ],

@@ -5,6 +5,7 @@ import pytest
 from counterspin.ingest.questions import AXES, SENSES, FileQuestion, judged_answers
 
 GRAVITY = FileQuestion("gravity", "?", "9.8066 ± 1e-5 m/s^2", quantity="m/s^2")
+LATITUDE = FileQuestion("latitude", "?", "45.75 deg", quantity="rad")
 RATE = FileQuestion("rate", "?", "0.25 rev/s", quantity="rad/s")
 AXIS = FileQuestion("axis", "?", "east", AXES)
 SENSE = FileQuestion("sense", "?", "clockwise", SENSES)
@@ -18,6 +19,8 @@ COUNTS = FileQuestion("counts", "?", "65536")
         (GRAVITY, "9,8073", "9.8073 m/s^2"),
         (GRAVITY, "9.8073 ± 1e-5", "9.8073 ± 1e-5 m/s^2"),
         (GRAVITY, "980.73 cm/s^2", "980.73 cm/s^2"),
+        (LATITUDE, "45,75", "45.75 deg"),
+        (LATITUDE, "45 deg 45 min S", "-45.75 deg"),
         (AXIS, "North", "north"),
         (AXIS, "O", "east"),
         (AXIS, "n", "north"),

@@ -40,6 +40,13 @@ _QUANTITY = re.compile(rf"({NUMBER})(?:{PLUS_MINUS}({NUMBER}))?(?:\s+|(?=[^\d.\s
 BARE: Final = re.compile(rf"{NUMBER}(?:{PLUS_MINUS}{NUMBER})?")
 # After a value: its unit, and an uncertainty with or without its own.
 _UNIT_TWICE = re.compile(rf"([^±]*?){PLUS_MINUS}({NUMBER})\s*([^±]*)")
+#: A latitude as maps write it: degrees, minutes and seconds of arc, and a hemisphere.
+_LATITUDE: Final = re.compile(
+    r"(\d+(?:\.\d+)?)\s*(?:deg|°)?"
+    r"(?:\s*(\d+(?:\.\d+)?)\s*(?:min|arcmin|['′])"
+    r"(?:\s*(\d+(?:\.\d+)?)\s*(?:sec|s|arcsec|[\"″]))?)?\s*([NS])",
+    re.IGNORECASE,
+)
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)\b", re.IGNORECASE)
 
 
@@ -131,6 +138,18 @@ def parse(
         raise ValueError(f"{text!r} {_unit_once(match[1], twice, gravity)}")
     written = Quantity(float(match[1]), float(match[2] or 0.0), match[3])
     return _in_unit(written, unit, text, gravity)
+
+
+def latitude_text(text: object) -> object:
+    """Return ``45.75N`` or ``45 deg 45 min N`` in degrees, and any other value unchanged."""
+    match = _LATITUDE.fullmatch(text.strip()) if isinstance(text, str) else None
+    if match is None:
+        return text
+    degrees, minutes, seconds = (float(part or 0.0) for part in match.groups()[:3])
+    if minutes >= 60.0 or seconds >= 60.0:
+        raise ValueError(f"{text!r}: minutes and seconds of arc are less than 60")
+    sign = "-" if match[4] in "Ss" else ""
+    return f"{sign}{degrees + minutes / 60.0 + seconds / 3600.0:.12g} deg"
 
 
 def _in_unit(quantity: Quantity, unit: str, text: str, gravity: float | None) -> Quantity:

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Final
 
 from pydantic import (
     AfterValidator,
+    BeforeValidator,
     PlainValidator,
     ValidationInfo,
 )
@@ -38,7 +39,7 @@ from counterspin.campaign.kinds import (
     read_exactly,
     record_file,
 )
-from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.quantity import Quantity, latitude_text
 from counterspin.physics.terms import Term
 from counterspin.units import check_unit, unit_factor
 
@@ -75,9 +76,9 @@ class SiteSettings(SettingsSection):
     gravity: Annotated[Quantity, known("m/s^2"), AfterValidator(of_earth)] = described(
         "plumb-line gravity; the g of all g-units", "9.8066 ± 1e-5 m/s^2"
     )
-    latitude: Annotated[Quantity, known("rad", "deg"), AfterValidator(a_latitude)] = described(
-        "for the Earth's rate", "45.75 ± 0.001 deg"
-    )
+    latitude: Annotated[
+        Quantity, known("rad", "deg"), BeforeValidator(latitude_text), AfterValidator(a_latitude)
+    ] = described("for the Earth's rate", "45.75 ± 0.001 deg")
     removed_gravity: Annotated[float, read_exactly("m/s^2"), AfterValidator(of_earth)] | None = (
         described(
             "what the navigation computer takes away of gravity, a fixed number; see below",

@@ -20,7 +20,7 @@ import numpy as np
 
 from counterspin.campaign.columns import SENSE_WORDS
 from counterspin.campaign.kinds import COMPASS
-from counterspin.campaign.quantity import BARE, parse
+from counterspin.campaign.quantity import BARE, latitude_text, parse
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
@@ -120,6 +120,7 @@ class FileQuestion:
             *_, usual = self.example.split()
             bare = BARE.fullmatch(clean) and self.key != "rate"
             text = f"{clean} {usual}" if bare else clean
+            text = str(latitude_text(text)) if self.key == "latitude" else text
             parse(text, self.quantity)
             return text
         if self.unit:

@@ -33,6 +33,10 @@ _WORDS: Final = {
     "meters": "m",
     "metre": "m",
     "metres": "m",
+    "inch": "in",
+    "inches": "in",
+    "foot": "ft",
+    "feet": "ft",
     "counts": "count",
     "volt": "V",
     "volts": "V",
@@ -57,6 +61,9 @@ _WORDS: Final = {
     "m*s-2": "m/s^2",
     "m/sec^2": "m/s^2",
     "m/s/s": "m/s^2",
+    "ft/s2": "ft/s^2",
+    "ft/sec^2": "ft/s^2",
+    "ft/s/s": "ft/s^2",
     "m.s⁻²": "m/s^2",
     "m s⁻²": "m/s^2",
     "m·s⁻²": "m/s^2",
@@ -89,10 +96,10 @@ def bracketed_unit(name: str) -> str:
 def unit_in_name(name: str) -> str:
     """Return the unit at the end of a name, `time_s`, `Reading mV`, `U/mV`; empty without one.
 
-    A single letter alone is a name, and so is A after a blank: sensor A.
+    A single letter alone is a name, and so is A after a blank: sensor A. "in" is a word.
     """
     *before, ending = re.split(r"[_\s,]+", name.strip())
-    if "A" == ending != name.rpartition("_")[2]:
+    if ending == "in" or "A" == ending != name.rpartition("_")[2]:
         return ""
     if not before and len(ending) < 2:
         return ""
