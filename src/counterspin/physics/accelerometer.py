@@ -41,7 +41,7 @@ def direction(value: str | Sequence[float]) -> Array:
 
 @frozen
 class Mounting:
-    """Where an accelerometer's axes point.
+    """Directions of the axes of an accelerometer.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""How far a spindle identified from a recorded angle may be from the true one.
+"""Error of a spindle angle that was identified from a recorded angle.
 
 The true angle is the identified one plus a sum of coefficient x function: a constant, a slope and a
 bend (the first three Legendre polynomials over the record) and cosine
@@ -45,7 +45,7 @@ class AngleError:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each coefficient is of: angle, rate, drift, ripple1 twice, ripple2 twice, ..."""
+        """Names of the coefficients: angle, rate, drift, ripple1 twice, ripple2 twice, ..."""
         return SLOW + tuple(f"ripple{n}" for n in self.harmonics for _ in range(2))
 
     @property

@@ -127,7 +127,7 @@ def _polynomial(
 
 
 def _turning_point(poly: Array) -> Array:
-    """Return where the slope, positive at zero, first vanishes beyond; infinite if never."""
+    """Return the first positive zero of the slope, which is positive at 0; infinite if none."""
     slope = _derivative(poly)
     if poly.shape[0] == 4:
         return _first_zero_of_parabola(slope)
@@ -192,7 +192,7 @@ def _slope(poly: Array, x: Array) -> Array:
 
 
 def _rounding(poly: Array, x: Array, y: Array) -> Array:
-    """Return what rounding may make of the polynomial's value, which cancels against y."""
+    """Return the bound of the rounding error of the polynomial minus y."""
     return 2.0 * _EPSILON * (_value(np.abs(poly), x) + np.abs(y))
 
 
@@ -234,7 +234,7 @@ class CalibratedAccelerometer:
     covariance: Array  #: Of these coefficients in their order, shape (t, t).
 
     def using(self, axis: str) -> tuple[str, ...]:
-        """Return the symbols that need the specific force along P or O for value or variance."""
+        """Return the symbols whose value or variance needs the specific force along P or O."""
         return tuple(
             symbol
             for place, (symbol, value) in enumerate(self.coefficients.items())
@@ -243,7 +243,7 @@ class CalibratedAccelerometer:
 
     @property
     def slopes(self) -> dict[str, Slope]:
-        """What changes its coefficients with the conditions, by symbol."""
+        """Slopes of its coefficients with the conditions, by symbol."""
         own = {s: ACCELEROMETER_TERMS[s].effect for s in self.coefficients}
         return {s: effect for s, effect in own.items() if isinstance(effect, Slope)}
 
@@ -266,7 +266,7 @@ def product_of(symbol: str) -> SpecificForceProduct:
 
 
 def _lever(slope: Slope, warmth: Array | float) -> Array:
-    """Return what a slope is multiplied with; with time and heating it is at the beginning."""
+    """Return the factor of a slope, with time and direction of the temperature at zero."""
     zero = np.zeros_like(warmth)
     return slope.design_factors(zero, np.asarray(warmth, dtype=np.float64), zero, zero)
 
@@ -282,7 +282,7 @@ class KnownForce:
 
 @frozen(eq=False)
 class Warmth:
-    """How much warmer it was than where the coefficients are those that are named, K."""
+    """Temperature minus the temperature of the stated coefficients, K."""
 
     value: Array | float = 0.0  #: Shape (n,), or one for all samples.
     u: float = 0.0  #: Its standard uncertainty, common to all samples.
@@ -305,7 +305,7 @@ class Warmth:
 
 @frozen(eq=False)
 class CorrectedForces:
-    """What the accelerometers' indications stand for."""
+    """Specific forces that the accelerometers' indications represent."""
 
     force: Array  #: Specific force along each input axis in g, shape (n, m).
     #: Its standard uncertainty from coefficients and known forces, shape (n, m); the noise of the
@@ -393,7 +393,7 @@ def correct(
 
 @frozen(eq=False)
 class Prediction:
-    """What an accelerometer indicates at specific forces."""
+    """Predicted indications of an accelerometer at specific forces."""
 
     indicated: Array  #: In g, shape (n,).
     #: Standard uncertainty from the coefficients, with what nothing states at its typical size; the
@@ -402,7 +402,7 @@ class Prediction:
     unit: str = "g"  #: Of both.
 
     def __repr__(self) -> str:
-        """Return how many there are, and the extremes."""
+        """Return the number of indications and their extremes."""
         n = self.indicated.size
         low, high = float(self.indicated.min()), float(self.indicated.max())
         largest = float(self.u.max())
@@ -410,7 +410,7 @@ class Prediction:
 
 
 def indication(instrument: CalibratedAccelerometer, a_ipo: Array) -> tuple[Array, Array]:
-    """Return what an accelerometer indicates (Eq. 7), and its u from the coefficients; both in g.
+    """Return the indication (Eq. 7) and its u from the coefficients, both in g.
 
     It is as warm as where its coefficients are those that are named.
 
@@ -427,7 +427,7 @@ def indication(instrument: CalibratedAccelerometer, a_ipo: Array) -> tuple[Array
 def _projections(
     instruments: Sequence[CalibratedAccelerometer], known: Sequence[KnownForce]
 ) -> tuple[Array, np.ndarray]:
-    """Return the weights that lead from forces along the known directions to a_P and a_O.
+    """Return the weights of forces along the known directions that give a_P and a_O.
 
     Shape (m, 2, m + len(known)); and whether they determine a_P and a_O, shape (m, 2).
     """

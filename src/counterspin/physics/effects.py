@@ -1,4 +1,4 @@
-"""What an error term does: the few kinds of effect that rows of the table of terms have."""
+"""Effects of error terms: the kinds that the rows of the table of terms use."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ from counterspin.frozen import frozen
 
 @frozen
 class RunConditions:
-    """What is known of a run beside its motion."""
+    """Conditions of a run: start time, temperature and its direction of change."""
 
-    start: float = 0.0  #: When it began, s from the beginning of the campaign.
-    temperature_offset: float = 0.0  #: Its mean temperature less the reference temperature, K.
-    #: 1/2 where it was on the way up at its start, -1/2 on the way down, 0 where neither is known.
+    start: float = 0.0  #: Start time, s from the beginning of the campaign.
+    temperature_offset: float = 0.0  #: Mean temperature minus the reference temperature, K.
+    #: 1/2 if the temperature rose at the start of the run, -1/2 if it fell, 0 if unknown.
     direction: float = 0.0
-    #: Its temperatures less the reference temperature, K, evenly spread over its length and
-    #: straight between; empty where it had one.
+    #: Temperatures minus the reference temperature, K, at evenly spaced times, linear in between;
+    #: empty if the temperature was constant.
     temperature_profile: tuple[float, ...] = ()
-    length: float = 0.0  #: Over which they are spread, s.
-    reversal_times: tuple[float, ...] = ()  #: When its temperature turned back, s from its start.
+    length: float = 0.0  #: Duration of the profile, s.
+    reversal_times: tuple[float, ...] = ()  #: Times of reversal, s from the start of the run.
 
     @property
     def knots(self) -> Array:
-        """When its temperatures were as in the course, s from its start, shape (k,)."""
+        """Times of the temperature profile, s from the start of the run, shape (k,)."""
         return np.linspace(0.0, self.length, len(self.temperature_profile))
 
     @property
     def breaks(self) -> Array:
-        """When something in it bends or jumps, s from its start, shape (m,)."""
+        """Times of kinks and jumps, s from the start of the run, shape (m,)."""
         return np.append(self.knots, self.reversal_times)
 
     def temperature_offset_at(self, times: Array) -> Array:
-        """Return its temperature as in the course at times from its start, s, shape (n,)."""
+        """Return the temperature offset, K, at times from the start of the run, s, shape (n,)."""
         if not self.temperature_profile:
             return np.full(times.shape, self.temperature_offset)
         return np.interp(times, self.knots, self.temperature_profile)
 
     def direction_at(self, times: Array) -> Array:
-        """Return the direction at times from its start, s, shape (n,)."""
+        """Return the direction at times from the start of the run, s, shape (n,)."""
         turned = np.searchsorted(np.sort(self.reversal_times), times)
         return np.asarray(self.direction * (1.0 - 2.0 * (turned % 2)))
 
@@ -83,22 +83,22 @@ class SpecificForceProduct:
 
     @property
     def is_even(self) -> bool:
-        """Whether the product keeps its value when a_I changes its sign."""
+        """True if the product keeps its value when a_I changes its sign."""
         return sum(factor in ("I", "sign_I") for factor in self.factors) % 2 == 0
 
     @property
     def has_kink(self) -> bool:
-        """Whether the product or its slope jumps where a_I changes sign."""
+        """True if the product or its slope jumps where a_I changes sign."""
         return "|I|" in self.factors or "sign_I" in self.factors
 
     @property
     def is_linear(self) -> bool:
-        """Whether the product is the specific force along one axis."""
+        """True if the product is the specific force along one axis."""
         return self.factors in (("I",), ("P",), ("O",))
 
     @property
     def of_rotation(self) -> bool:
-        """Whether the instrument must rotate in space to show the coefficient."""
+        """True if the instrument must rotate in space to show the coefficient."""
         return not set(self.factors).isdisjoint(ROTATIONS)
 
     def evaluate(
@@ -144,8 +144,8 @@ class SpecificForceProduct:
 #: Factors of the instrument's rotation, in the order in which `Product.evaluate` takes them.
 ROTATIONS: Final = ("w_I", "w_P", "dw_O/dt")
 
-#: Between minus and plus this, g, the sign of a_I counts as growing linearly in a reading: which
-#: side of zero a position at right angles to gravity is on, nobody knows.
+#: Between minus and plus this, g, the sign of a_I counts as growing linearly in a reading,
+#: because the sign of a_I in a position at right angles to gravity is unknown.
 SIGN_WIDTH: Final = 1e-3
 
 _TEXTS: Final = {"|I|": "|a_I|", "sign_I": "sign(a_I)"} | {name: name for name in ROTATIONS}
@@ -161,17 +161,17 @@ def _component(a_ipo: Array, factor: str) -> Array:
 
 @frozen
 class Slope:
-    """What one of an accelerometer's coefficients grows by, per unit of a condition."""
+    """Change of a coefficient of an accelerometer per unit of a condition."""
 
-    coefficient: str  #: Symbol of the term that changes.
+    coefficient: str  #: Symbol of the coefficient that changes.
     #: ``temperature`` (K from the reference temperature), ``time`` (s from the beginning of the
     #: campaign), ``direction`` (in which the temperature went) or ``force`` (the square of the
     #: centripetal one at the run's rate, g^2).
     condition: str
-    power: int = 1  #: With which power of the condition it grows.
+    power: int = 1  #: Power of the condition that multiplies the slope.
 
     def varies_within(self, conditions: RunConditions) -> bool:
-        """Return whether the temperature, or its way, changed within a run; of time it is known."""
+        """Return True if temperature or direction changed in a run; False for other conditions."""
         within = {
             "temperature": conditions.temperature_profile,
             "direction": conditions.reversal_times,
@@ -179,16 +179,18 @@ class Slope:
         return bool(within.get(self.condition))
 
     def design_factors_at(self, conditions: RunConditions, force: float, times: Array) -> Array:
-        """Return what the slope is multiplied with at times (n,) from a run's start, s.
+        """Return the factor of the slope at times (n,) from the start of a run, s.
 
-        A change with time is taken at the start. force: Centripetal force at the run's rate, g.
+        The time condition is taken at the start of the run.
+
+        force: Centripetal force at the run's rate, g.
         """
         warmth, direction = conditions.temperature_offset_at(times), conditions.direction_at(times)
         start, forces = np.full_like(warmth, conditions.start), np.full_like(warmth, force)
         return self.design_factors(start, warmth, direction, forces)
 
     def design_factor(self, conditions: RunConditions, force: float) -> float:
-        """Return what the slope is multiplied with at the start of a run, in its mean temperature.
+        """Return the factor of the slope at the start of a run, at its mean temperature.
 
         force: Centripetal force at the run's rate, g.
         """
@@ -198,7 +200,7 @@ class Slope:
     def design_factors(
         self, start: Array, temperature_offset: Array, direction: Array, force: Array
     ) -> Array:
-        """Return the same for several, given as in `RunConditions`, of one shape."""
+        """Return the factors of the slope for arrays of conditions, all of one shape."""
         conditions = {
             "temperature": temperature_offset,
             "time": start,
@@ -210,7 +212,7 @@ class Slope:
 
 @frozen
 class AttitudeError:
-    """A turn of the platform, which it cannot feel, and with it of every accelerometer's axes.
+    """An attitude error of the platform, and with it of the axes of every accelerometer.
 
     The small attitude error psi (rad) starts at the tilt and obeys
     d(psi)/dt = drift + D f/g + E |f|^2/g^2; a platform of compliance C leans by C f/g besides. It
@@ -234,7 +236,7 @@ class AttitudeError:
 
 @frozen
 class TrajectoryError:
-    """An error of the path: of the centrifuge's radius or axis, or of the recorded angle.
+    """An error of the trajectory: of the centrifuge's radius or axis, or of the recorded angle.
 
     With the spindle's angle theta and the radius R, the platform is at the distance
     R (1 + stretch R w^2) + sum of c cos n theta + s sin n theta from the axis, and the encoder
@@ -253,7 +255,7 @@ class TrajectoryError:
 
 @frozen
 class SetupError:
-    """Another place, direction or rate of the instrument at a reading."""
+    """An error of the position, direction or rate of the instrument at a reading."""
 
     #: ``radius``, ``rate``, ``droop``, ``misalignment``, or of the dividing head ``zero`` or
     #: ``wave``.
@@ -266,11 +268,11 @@ class SetupError:
 
 @frozen
 class Input:
-    """A quantity that the description states, and that enters the reference or its units."""
+    """A quantity of the campaign description that enters the reference or its units."""
 
     of: str  #: ``radius``, ``gravity``, ``latitude``, ``timing_offset`` or ``clock``.
-    between: tuple[float, float]  #: Which values are possible, SI.
+    between: tuple[float, float]  #: Range of possible values, SI.
 
 
-#: What a term can do.
+#: The effect of a term.
 Effect = SpecificForceProduct | Slope | AttitudeError | TrajectoryError | SetupError | Input

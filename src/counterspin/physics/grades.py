@@ -1,4 +1,4 @@
-"""How large the terms of an accelerometer are, by its grade, and where that comes from.
+"""Sizes of the terms of an accelerometer by grade, with their sources.
 
 A credible size is an order of magnitude, several times what data sheets allow if they name it:
 beyond it is a mistake, not an instrument. A typical size is the standard uncertainty of a term of
@@ -31,7 +31,7 @@ DEFAULT_GRADE: Final = GRADES[0]
 
 @frozen
 class Size:
-    """How large a term is, in the unit of its row."""
+    """Size of a term, in the unit of its row."""
 
     limit: float  #: The largest credible size.
     typical: float  #: Standard uncertainty to assume where nothing is known.

@@ -36,7 +36,7 @@ EARTH_RATE: Final = 7.292115e-5  #: rad/s, rotation rate of the Earth (WGS 84)
 
 @frozen
 class Site:
-    """Where the centrifuge stands.
+    """Site of the centrifuge.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Site:
 
     @property
     def gravity_left(self) -> float:
-        """What the navigation computer leaves of gravity, upwards, m/s^2."""
+        """Gravity that the navigation computer does not remove, upwards, m/s^2."""
         return 0.0 if self.removed_gravity is None else self.gravity - self.removed_gravity
 
     @property
@@ -129,7 +129,7 @@ class Trajectory:
         return self.at(t).acceleration
 
     def harmful_acceleration(self, t: Array) -> Array:
-        """Return what the navigation computer subtracts (Eq. 10, 12), m/s^2, shape (n, 3).
+        """Return the correction that the computer subtracts (Eq. 10, 12), m/s^2, shape (n, 3).
 
         Coriolis acceleration plus the reaction to gravity, 2 Omega x v + (0, 0, g).
         """
@@ -145,7 +145,7 @@ class Trajectory:
 
 
 class SpindleState:
-    """The spindle at some times, shape (n,) each; what rests on the angle is worked out once.
+    """State of the spindle at given times, shape (n,) each; each quantity is computed once.
 
     t: s, shape (n,).
     """
@@ -181,7 +181,7 @@ class SpindleState:
 
 
 def spindle_state(spindle: Spindle, t: Array) -> SpindleState:
-    """Return the spindle at some times: the same object for the same times, if they are few.
+    """Return the spindle state at given times; cached if the times are few.
 
     The accelerometers of a run share it, and so do all paths along which the spindle may carry
     them: what an error of the radius does, or of gravity, is the difference of two of them.
@@ -197,7 +197,7 @@ def _kept(spindle: Spindle, times: bytes, shape: tuple[int, ...]) -> SpindleStat
 
 
 def motion_at(trajectory: Trajectory, t: Array) -> Motion:
-    """Return the motion at some times, not to be changed: the same object for the same few times.
+    """Return the motion at given times, read-only; cached if the times are few.
 
     The accelerometers of a run share it.
     """
@@ -212,7 +212,7 @@ def _kept_motion(trajectory: Trajectory, times: bytes, shape: tuple[int, ...]) -
 
 
 class Motion:
-    """The motion at some times; what several quantities rest on is worked out once.
+    """The motion at given times; each quantity is computed once.
 
     The quantities are those of `Trajectory`, shape (n, 3).
 
@@ -249,7 +249,7 @@ class Motion:
 
     @cached_property
     def _growth(self) -> tuple[Array, Array, Array] | None:
-        """Radius less the trajectory's, m, and its time derivatives; None where there is none."""
+        """Growth of the radius, m, and its time derivatives; None if the radius is constant."""
         trajectory, w = self.trajectory, self.rate
         if trajectory.stretch == 0.0 and not trajectory.imbalance:
             return None
@@ -385,7 +385,7 @@ def _vectors(east: Array, north: Array, up: Array | None = None) -> Array:
 
 
 def perturbed_trajectory(trajectory: Trajectory, shared: Mapping[str, float]) -> Trajectory:
-    """Return the path with the errors of radius and axis, where there are any."""
+    """Return the trajectory with errors of radius and axis applied."""
     errors = [(MOTION_TERMS[s].effect, value) for s, value in shared.items() if s in MOTION_TERMS]
     imbalance = tuple(
         (error.harmonic, value, 0.0) if error.quadrature == "cos" else (error.harmonic, 0.0, value)
@@ -403,7 +403,7 @@ def perturbed_trajectory(trajectory: Trajectory, shared: Mapping[str, float]) ->
 
 
 def encoder_error(shared: Mapping[str, float], angle: Array) -> Array:
-    """Return the recorded angle less the true one in rad, shape (n,).
+    """Return the recorded angle minus the true angle in rad, shape (n,).
 
     angle: The true angle, rad, shape (n,).
     """
@@ -419,7 +419,7 @@ def encoder_error(shared: Mapping[str, float], angle: Array) -> Array:
 
 
 def trajectory_sensitivity(symbol: str, circle: Motion, order: int) -> Array:
-    """Return the true motion less that of the circle at the recorded angle.
+    """Return the true motion minus the motion on the circle at the recorded angle.
 
     order: 2 for the position, 1 for the velocity, 0 for the specific force.
     Returns: per unit of the term, in east-north-up, shape (n, 3).
@@ -439,7 +439,7 @@ def trajectory_sensitivity(symbol: str, circle: Motion, order: int) -> Array:
 
 
 def _encoder_sensitivity(error: TrajectoryError, circle: Motion, order: int) -> Array:
-    """Return what the encoder's error makes of the motion: the true angle is behind by it.
+    """Return the change of the motion by an encoder error: the true angle lags by it.
 
     In the level the platform is at R e^(i theta), a unit of the error takes it by
     -i R q e^(i theta), q being the wave, and its velocity and acceleration by the derivatives.

@@ -1,4 +1,4 @@
-"""What a record shows of each error: observation columns, metres per unit coefficient (Eq. 10-14).
+"""Design columns of the error terms, metres per unit coefficient (Eq. 10-14).
 
 Given the trajectory, the error of the recorded output is linear in the coefficients,
 e(t) = start offset + start velocity x t + sum_j (K_j - nominal) x column_j(t). The columns are
@@ -49,9 +49,9 @@ def reference(
     observable: str = "displacement",
     attitude: Array = LEVEL,
 ) -> Array:
-    """Return what perfect accelerometers record along an accelerometer's input axis (Eq. 11).
+    """Return the record of perfect accelerometers along an input axis (Eq. 11).
 
-    Gravity that the navigation computer leaves is in it, as S'' = f - f_h has it.
+    It includes the residual gravity of the navigation computer, as in S'' = f - f_h.
 
     Parameters
     ----------
@@ -76,12 +76,12 @@ def reference(
 
 
 def residual_gravity(site: Site, input_axis: Array, times: Array, observable: str) -> Array:
-    """Return what the navigation computer leaves of gravity in a record, shape (n,).
+    """Return the contribution of residual gravity to a record, shape (n,).
 
     input_axis: In the run's attitude, east-north-up, shape (3,).
     """
     order = ORDERS[observable]
-    if order == 0:  # from a force nothing is taken away
+    if order == 0:  # gravity is not removed from a force
         return np.zeros(times.size)
     return site.gravity_left * float(input_axis[2]) * times**order / order
 
@@ -214,7 +214,7 @@ def over_blocks(function: Callable[[Array], Array], times: Array, spread: Array)
 
 
 class _Integrals:
-    """Integrals along a trajectory, whatever the times are at which they are asked."""
+    """Integrals along a trajectory, evaluated at any times."""
 
     def __init__(self, trajectory: Trajectory, panels: Panels) -> None:
         self._panels = panels
@@ -231,7 +231,7 @@ class _Integrals:
     ) -> Array:
         """Return the integrals of terms.
 
-        All functions are integrated together: where the times lie in the panels is found once.
+        All functions are integrated together, so the times are located in the panels only once.
         """
         return self._panels.at(times, self._of(effects, axes, attitude, order))
 
@@ -250,7 +250,7 @@ class _Integrals:
 
 
 def _along(trajectory: Trajectory, duration: float, kinked: tuple[float, ...] = ()) -> _Integrals:
-    """Return the integrals along a trajectory, which are kept for a while.
+    """Return the cached integrals along a trajectory.
 
     Accelerometers of one run share the motion, and a fit and its checks the integrals.
 
@@ -294,7 +294,7 @@ def wave_of(turn: AttitudeError, angle: Array) -> Array:
 def _integrands(
     effects: Sequence[Integrated], motion: Motion, axes: Mounting, attitude: Array
 ) -> Array:
-    """Return what terms integrate, m/s^2 per unit coefficient and K_I, shape (k, m)."""
+    """Return the integrands of terms, m/s^2 per unit coefficient and K_I, shape (k, m)."""
     sensed = _SensorInputs(motion, axes, attitude)
     values = np.empty((len(effects), motion.t.size))
     for index, effect in enumerate(effects):
@@ -363,12 +363,12 @@ class _TimeIntegrals:
         return kinked.at(self._times, effects, self._axes, self._attitude, self._order)
 
     def _specific_force_columns(self, effects: Sequence[Integrated]) -> Array:
-        """Return what terms add to the specific force, m/s^2, (k, n)."""
+        """Return the contributions of terms to the specific force, m/s^2, (k, n)."""
         return _integrands(effects, self.motion, self._axes, self._attitude)
 
 
 class _SensorInputs:
-    """What accelerometer and gyros sense during a motion; each part is worked out once."""
+    """Inputs of accelerometer and gyros during a motion; each is computed once."""
 
     def __init__(self, motion: Motion, axes: Mounting, attitude: Array) -> None:
         self._motion = motion
@@ -378,7 +378,7 @@ class _SensorInputs:
         self._gravity = motion.trajectory.site.gravity
 
     def integrand(self, effect: Integrated) -> Array:
-        """Return what a term integrates, m/s^2 per unit coefficient and K_I, shape (m,)."""
+        """Return the integrand of a term, m/s^2 per unit coefficient and K_I, shape (m,)."""
         if isinstance(effect, SpecificForceProduct):
             return self._gravity * effect.evaluate(self._a_ipo)
         if isinstance(effect, Slope):
@@ -410,7 +410,7 @@ class _SensorInputs:
 
     @cached_property
     def _turned(self) -> Array:
-        """What a turn about each of the platform's axes makes of the force, m/s^2, (3, m)."""
+        """Change of the sensed force per turn about each platform axis, m/s^2, (3, m)."""
         arms = np.cross(self._attitude, self._axes.input_axis)
         return arms @ self._motion.specific_force.T
 

@@ -33,19 +33,18 @@ _DEGREE: Final = 7
 
 @frozen
 class AxisError:
-    """What one accelerometer's record is off by."""
+    """Error of the record of one accelerometer."""
 
     input_axis: Array  #: In the run's attitude, east-north-up, shape (3,).
     #: ``displacement``, ``velocity`` or ``specific_force``; in the last nothing is removed.
     observable: str
     time: Array  #: s, increasing, shape (n,).
-    #: What is recorded less the motion along the input axis, m, m/s or m/s^2, shape (n,); NaN where
-    #: it is missing.
+    #: Record minus the motion along the input axis, m, m/s or m/s^2, shape (n,); NaN if missing.
     error: Array
 
 
 def taken(site: Site, errors: Sequence[AxisError]) -> list[Array]:
-    """Return what a computer with its own velocity took off the records that it has made.
+    """Return the Coriolis correction that a computer with its own velocity subtracted.
 
     site: For the Earth's rotation.
     """
@@ -62,7 +61,7 @@ def of_own_velocity(site: Site, errors: Sequence[AxisError]) -> list[Array]:
 
 
 def coriolis(site: Site) -> Array:
-    """Return the matrix that makes 2 Omega x a vector of it, 1/s, shape (3, 3)."""
+    """Return the matrix of the cross product 2 Omega x, 1/s, shape (3, 3)."""
     matrix: Array = 2.0 * np.cross(site.earth_rotation, np.eye(3)).T
     return matrix
 
@@ -114,7 +113,7 @@ def _moved(record: AxisError, grid: Array) -> Array:
 
 
 def _integral_over(time: Array) -> Callable[[Array], Array]:
-    """Return what integrates values (k, n) at these times from the first one on.
+    """Return a function that integrates values (k, n) at these times from the first time.
 
     A polynomial is integrated exactly, and trapezoids only what it leaves: a gap in the record
     then costs next to nothing, for across it the error is not straight.

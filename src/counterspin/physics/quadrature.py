@@ -171,7 +171,7 @@ class Panels:
 
 
 class _Places:
-    """Where times lie in panels, with the polynomials there.
+    """Positions of times in panels, with the polynomials at these times.
 
     Places in the same panel stand in a row, so that a matrix product serves them all. Rows are a
     little longer than the usual number of places in a panel; where there are more, there are

@@ -1,4 +1,4 @@
-"""What an imperfect system records, without linearisation: the full Eq. 7 on a turned platform.
+"""Records of an imperfect system without linearisation: the full Eq. 7 on a turned platform.
 
 Estimation uses columns that are linear in the coefficients (`counterspin.physics.observation`).
 This module does not: it turns the specific force by the platform's whole attitude error, puts it
@@ -70,7 +70,7 @@ def recorded(
     *,
     attitude: Array = observation.LEVEL,
 ) -> Array:
-    """Return what the system records along one input axis, without noise.
+    """Return the noiseless record of the system along one input axis.
 
     The navigation computer knows its position and velocity at t = 0 exactly. What an encoder
     records beside it is `counterspin.physics.motion.encoder_error`.
@@ -130,7 +130,7 @@ def _since(
     force: Array,
     times: Array,
 ) -> Array | float:
-    """Return what an accelerometer indicates more, as its temperature is not that of `changed`.
+    """Return the change of the indication with temperature, relative to that of `changed`.
 
     force: Sensed at the times, g, shape (n, 3).
     times: s from the run's start, shape (n,).

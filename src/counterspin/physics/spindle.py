@@ -312,7 +312,7 @@ def fit_spindle(
 
 
 def angle_error_to_come(time: Array, rate: float, noise: float, weights: Array) -> AngleError:
-    """Return what a fit of an angle will leave open, before there is one.
+    """Return the expected angle error of a fit before the angle is measured.
 
     time: Of the samples or block means, s, shape (n,).
     rate: rad/s.
@@ -330,14 +330,14 @@ def angle_error_to_come(time: Array, rate: float, noise: float, weights: Array) 
 
 
 def _resolvable(time: Array, rate: float) -> int:
-    """Return how many harmonics the samples of a revolution can tell apart, at most."""
+    """Return the largest number of harmonics that the samples of a revolution can resolve."""
     spacing = median(np.diff(time)) if time.size > 1 else 0.0
     resolvable = int(math.pi / abs(rate * spacing)) - 1 if spacing else 0
     return min(MAX_HARMONICS, resolvable, (time.size - 8) // 2)
 
 
 def _supported(ripple: Ripple, u_ripple: tuple[float, float], samples: int) -> bool:
-    """Return whether the extended Bayesian information criterion keeps a harmonic.
+    """Return True if the extended Bayesian information criterion keeps a harmonic.
 
     Two more parameters, chosen among `MAX_HARMONICS` pairs, must gain more than
     2 ln(n) + 2 ln(MAX_HARMONICS) of chi-square (Chen and Chen, Biometrika 95 (2008) 759); for a
@@ -348,7 +348,7 @@ def _supported(ripple: Ripple, u_ripple: tuple[float, float], samples: int) -> b
 
 
 class _Samples(NamedTuple):
-    """What a fit is given, each of shape (n,): s, rad, root of the weight, s."""
+    """Samples of a fit, each of shape (n,): s, rad, root of the weight, s."""
 
     time: Array
     angle: Array
@@ -358,7 +358,7 @@ class _Samples(NamedTuple):
 
 @frozen
 class _Coefficients:
-    """What a fit found of 1, t/span, (t/span)^2 and cos, sin of each harmonic; rad."""
+    """Fitted coefficients of 1, t/span, (t/span)^2 and cos, sin of each harmonic; rad."""
 
     rate: float
     harmonics: Sequence[int]
@@ -369,7 +369,7 @@ class _Coefficients:
 def _angle_error(
     time: Array, harmonics: Sequence[int], whole: _Coefficients, part: _Coefficients
 ) -> AngleError:
-    """Return how far the true angle may be from that of `part`, by what `whole` says of it."""
+    """Return the error of the angle of `part`, given the coefficients of `whole`."""
     start, span = float(np.min(time)), float(np.ptp(time))
     rows = [slow_part(whole.factor[:3], part.rate, start, span)]
     apart = [slow_part((whole.value[:3] - part.value[:3])[:, None], part.rate, start, span)[:, 0]]

@@ -1,4 +1,4 @@
-"""Where one reading is taken: at rest, on the arm of a centrifuge, or on a double turntable.
+"""Stations of readings: at rest, on the arm of a centrifuge, or on a double turntable.
 
 A reading is the mean of an accelerometer's output over whole revolutions, or at rest. Given the
 station, it is linear in the coefficients: each counts with the mean of its product of specific
@@ -66,7 +66,7 @@ _ANGLES: Final = 16
 
 @frozen
 class Station:
-    """Where and how one reading is taken."""
+    """Position, attitude and motion of the instrument during one reading."""
 
     motion: MotionKind  #: ``counter-rotating``, ``arm`` or ``static``.
     mounting: Mounting  #: The accelerometer's axes in the station's frame.

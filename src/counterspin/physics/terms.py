@@ -43,8 +43,8 @@ class Term(Generic[Does_co]):
     #: The paper's symbol for a coefficient, else a name of words with dots; used everywhere. The
     #: words ``MOUNTING``, ``ACCELEROMETER.MOUNTING`` and ``POSITION`` stand for names.
     symbol: str
-    effect: Does_co  #: What it does to an output.
-    words: str  #: What it is called.
+    effect: Does_co  #: Effect on an output.
+    words: str  #: Description for readers.
     unit: str  #: g-units for coefficients of an accelerometer, else SI.
     #: The largest credible size. A standard uncertainty that is not below it says that the data do
     #: not determine the term. Of an accelerometer's term that of navigation grade: see `sizes`.
@@ -60,7 +60,7 @@ class Term(Generic[Does_co]):
     motions: tuple[str, ...] = ()
 
     def sizes(self, grade: str = DEFAULT_GRADE) -> Size:
-        """Return how large the term is in an accelerometer of a grade; of others it is no matter.
+        """Return the size of the term for a grade; only accelerometer terms depend on it.
 
         grade: One of `counterspin.physics.grades.GRADES`.
         """
@@ -70,12 +70,12 @@ class Term(Generic[Does_co]):
 
     @property
     def per_run(self) -> bool:
-        """Whether every run has a value of its own (the tilt, set anew at each alignment)."""
+        """True if every run has its own value (the tilt, set again at each alignment)."""
         return self.scope == "run"
 
     @property
     def per_mounting(self) -> bool:
-        """Whether every mounting has a value of its own."""
+        """True if every mounting has its own value."""
         return self.scope == "mounting"
 
     @property
@@ -91,7 +91,7 @@ class Term(Generic[Does_co]):
 
     @property
     def words_of_family(self) -> str:
-        """What both quadratures of a harmonic are called together."""
+        """Common description of both quadratures of a harmonic."""
         return self.words.partition(" (")[0]
 
 
@@ -461,7 +461,7 @@ def _find(symbol: str) -> tuple[Term[Effect] | None, str]:
 
 
 def is_term(symbol: str) -> bool:
-    """Return whether the table has a row for a symbol."""
+    """Return True if the table has a row for a symbol."""
     return _find(symbol)[0] is not None
 
 
@@ -482,13 +482,13 @@ def same_for_all(symbol: str) -> str:
 
 
 def shown_by_readings(symbol: str) -> bool:
-    """Return whether a symbol is of the machine or a slope, and so may show in readings."""
+    """Return True if the term of a symbol may affect readings: machine terms and slopes."""
     row, _ = _find(symbol)
     return row is not None and bool(row.motions)
 
 
 def term(symbol: str) -> Term[Any]:
-    """Return the row of the table with this symbol; of a mounting's own, that of all mountings."""
+    """Return the row of the table with this symbol, whatever mounting the symbol names."""
     row, _ = _find(symbol)
     if row is None:
         raise ValueError(f"unknown term {symbol!r}; known: {', '.join(TABLE)}")
@@ -501,9 +501,9 @@ def symbol_of(name: str) -> str:
 
 
 def words_of(name: str) -> str:
-    """Return what the term in the name of an unknown is called, with its mounting or position.
+    """Return the description of the term in the name of an unknown, with mounting or position.
 
-    Empty where the name is of no term.
+    Empty if the name contains no term.
     """
     row, mounting = _find(symbol_of(name))
     return f"{row.words} {mounting}".rstrip() if row else ""

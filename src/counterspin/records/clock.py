@@ -60,7 +60,7 @@ _UNIT_SLIPS = (
 
 @dataclass
 class ClockFindings:
-    """What was found in the time and angle columns (counts of rows)."""
+    """Findings in the time and angle columns (counts of rows)."""
 
     repeated: int = 0
     differing: int = 0
@@ -384,7 +384,7 @@ class Clock:
 
 
 def _tolerance(strays: np.ndarray, angle: np.ndarray) -> float:
-    """Return how far a step of the angle may stray: noise, the encoder's step, rounding."""
+    """Return the tolerance of a step of the angle: noise, the encoder's step, rounding."""
     size = np.abs(strays)
     rounding = 1e-10 + 8 * np.finfo(float).eps * float(abs(angle[0]) + abs(angle[-1]))
     apart = size[size > rounding]

@@ -1,6 +1,6 @@
-"""What all record files have in common, whatever their format, and their columns in pieces.
+"""Interface of record files of all formats, and their columns in chunks.
 
-A piece is consecutive rows, few enough for the processor's cache.
+A chunk is a number of consecutive rows that fits the processor's cache.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 Columns = dict[str, np.ndarray]
 
-#: Rows in a piece, about: three columns of them fit the processor's second cache.
+#: Rows in a chunk, about: three columns of them fit the processor's second cache.
 _PIECE_ROWS = 65536
 
 
@@ -55,14 +55,14 @@ class Chunk:
 
 
 def chunk_size(block: int) -> int:
-    """Return the rows to a piece: a whole number of blocks."""
+    """Return the rows of a chunk: a whole number of blocks."""
     return block * max(1, _PIECE_ROWS // block)
 
 
 def iter_chunks(
     batches: Iterator[Columns], choose_rows: Callable[[Columns], int]
 ) -> Iterator[Columns]:
-    """Yield columns in pieces of a fixed number of rows, however the file was batched.
+    """Yield columns in chunks of a fixed number of rows, whatever the file's batches.
 
     batches: Consecutive batches of the file's columns.
     """
@@ -226,7 +226,7 @@ class ColumnFile(ABC):
             self._require(wanted)
 
     def has(self, name: str) -> bool:
-        """Return whether the file has a column of this name."""
+        """Return True if the file has a column of this name."""
         return name in self.names
 
     def batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
@@ -242,7 +242,7 @@ class ColumnFile(ABC):
                 rows += count
 
     def whole(self, wanted: Sequence[str]) -> Columns:
-        """Return whole columns, which `require` has passed; with more patience if it has to be."""
+        """Return whole columns, which `require` has passed; with the strict parser if needed."""
         try:
             batches = list(self.batches(wanted))
         except RecordError:
@@ -307,7 +307,7 @@ class ColumnFile(ABC):
         return [self.locate_row(row) for row in range(rows)]
 
     def use_strict_parser(self) -> bool:
-        """Read with more patience from now on, if there is such a way that was not taken yet."""
+        """Switch to the strict parser; return False if there is none or it is in use."""
         return False
 
     def single_numbers(self) -> dict[str, float]:
@@ -381,7 +381,7 @@ class ColumnFile(ABC):
 
 
 def _same_cell(cell: str, value: str) -> bool:
-    """Return whether a cell has a value, as a text or as a number."""
+    """Return True if a cell equals a value, as text or as a number."""
     if cell == value.strip():
         return True
     try:

@@ -352,7 +352,7 @@ class CsvFile(ColumnFile):
         return text.cast(pl.Float64(), strict=False)
 
     def _bad(self, name: str) -> pl.Expr:
-        """Return whether a cell is neither empty nor what belongs there."""
+        """Return True for cells that are neither empty nor valid."""
         import polars as pl
 
         empty = pl.col(name).str.strip_chars().str.to_lowercase().is_in(list(EMPTY_WORDS))

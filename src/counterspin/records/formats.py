@@ -138,7 +138,7 @@ def _loaded(opener: Opener | str) -> Opener:
 
 
 def opener_of(path: Path) -> Opener:
-    """Return what opens a file; RecordError if no record has its ending, or if it is a folder."""
+    """Return the opener of a file; RecordError for an unknown ending or a folder."""
     if wrong := wrong_ending(path):
         raise RecordError(f"{path}: {wrong}")
     return _loaded(RECORD_FORMATS[path.suffix.lower()])
@@ -190,7 +190,7 @@ def read_small_table(
 
 
 def is_workbook(path: Path) -> bool:
-    """Return whether a file is a workbook of Excel."""
+    """Return True if a file is an Excel workbook."""
     return path.suffix.lower() == ".xlsx"
 
 

@@ -1,4 +1,4 @@
-"""Which files are read in the reader's process; `reader_process` has that process.
+"""Choice of the files that the reader's process reads; see `reader_process`.
 
 The readers of Parquet, HDF5, MATLAB and Excel files are native code, which a flipped bit can crash.
 Text can do no harm and is read here; but where it is long, and little comes back, the process at
@@ -56,7 +56,7 @@ def in_reader_process_if_slow(
 
 
 def uses_reader_process(path: Path | MemoryTable) -> bool:
-    """Return whether a file's format asks for the reader's process, or its length is worth it."""
+    """Return True if the format or the length of a file calls for the reader's process."""
     if not isinstance(path, Path):
         return False
     try:

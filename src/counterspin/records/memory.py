@@ -29,7 +29,7 @@ class MemoryTable:
     others: tuple[str, ...] = ()  #: Names of columns that hold something else than numbers.
 
     def __str__(self) -> str:
-        """Return what messages call it."""
+        """Return the name of the table in messages."""
         return self.name
 
     @cached_property

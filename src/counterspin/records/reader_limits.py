@@ -41,7 +41,7 @@ def processor_seconds(size: int) -> float:
 
 
 def waiting_seconds(path: Path) -> float:
-    """Return how long the process that asks waits for the reading of a file, s."""
+    """Return the timeout for reading a file, s."""
     try:
         size = path.stat().st_size
     except (OSError, ValueError):

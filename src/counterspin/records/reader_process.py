@@ -269,7 +269,7 @@ def _load(name: str) -> None:
 
 
 def _may_fork() -> bool:
-    """Return whether this process can be doubled: with threads it may hold locks for ever."""
+    """Return True if this process can fork: with threads a fork may inherit held locks."""
     try:
         return sys.platform == "linux" and len(os.listdir("/proc/self/task")) == 1  # noqa: PTH208
     except OSError:

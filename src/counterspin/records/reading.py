@@ -176,7 +176,7 @@ def _read_tested(
     motion: StatedMotion,
     block: Literal["auto"] | None,
 ) -> Record:
-    """Read a file, and again without the rows that turn out to stand alone at its ends."""
+    """Read a file, and read it again without isolated rows at its ends."""
     reader = _RecordReader(file, columns, motion, block)
     blocks = reader.blocks(columns.part)
     within = reader.span_of_main_rows(blocks)
@@ -220,7 +220,7 @@ class _RecordReader:
         return self._first_time * self._columns.time.factor
 
     def blocks(self, within: tuple[float, float] = (-np.inf, np.inf)) -> BlockMeans:
-        """Read the file to its end, piece after piece.
+        """Read the file to its end, chunk by chunk.
 
         within: First and last time, s in the file's own clock, between which rows are taken.
         """
@@ -532,7 +532,7 @@ class _RecordReader:
     def _reject_outlying_blocks(
         self, blocks: BlockMeans, place: int, signal: np.ndarray
     ) -> np.ndarray:
-        """Leave out block means that stand off from their neighbours (a burst, a dead stretch)."""
+        """Reject block means that deviate from their neighbours (a burst, a dropout)."""
         weight = np.sqrt(blocks.count / self._block)
         step = self._clock.step * self._block
         unevenness = float(np.abs(np.diff(blocks.time) / step - 1).max(initial=0.0))

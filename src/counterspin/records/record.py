@@ -1,4 +1,4 @@
-"""What a record is: columns, stated motion, the samples read, and what was found on the way."""
+"""Records: columns, nominal motion, the samples read, and the report on reading them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Outlier:
 
 @frozen
 class RecordReport:
-    """What reading a record found."""
+    """Report on reading a record."""
 
     path: Path  #: The file.
     #: Rows of the file, and rows that entered the record.
@@ -71,11 +71,11 @@ class RecordReport:
     step: float
     rate: float | None
     block: int  #: Samples that a full block holds; 1 for point samples.
-    found: str = ""  #: How the file is written, where that is not plain.
-    outside: int = 0  #: Rows outside the part that is used.
+    found: str = ""  #: Description of an unusual file format.
+    outside: int = 0  #: Rows outside the time range that is used.
 
     def counts(self, outliers: int = 0) -> dict[str, int]:
-        """Return how many rows of each kind there are; `outliers`: found after reading."""
+        """Return the number of rows of each kind; `outliers`: detected after reading."""
         return {
             "rows": self.rows,
             "repeated": self.repeated,
@@ -113,11 +113,11 @@ class RecordReport:
 
 
 def rejected_of(counts: Mapping[str, int]) -> int:
-    """Return how many samples were recorded but not used, of `RecordReport.counts`."""
+    """Return the number of unused samples in `RecordReport.counts`."""
     return counts["repeated"] + counts["empty"] + counts["outliers"]
 
 
-#: What a column holds; see `ColumnSpec`.
+#: Content of a column; see `ColumnSpec`.
 ColumnKind = Literal["numbers", "stamps", "rows", "pulses", "temperature"]
 
 
@@ -145,19 +145,19 @@ class ColumnSpec:
 
     @property
     def in_g(self) -> bool:
-        """Whether the gravity assumed is in its numbers: recorded in g, or as a current."""
+        """True if the numbers depend on the assumed gravity: recorded in g, or as a current."""
         if self.wanted:
             return self.unit is not None and base_unit(self.unit)[1]["[gravity]"] != 0.0
         return bool(self.name)
 
     def filed(self, values: Array) -> Array:
-        """Return values in SI as the column has them."""
+        """Return values in SI, converted to the numbers of the column."""
         filed: Array = (values - self.offset) / self.factor
         return filed
 
     @property
     def is_made(self) -> bool:
-        """Whether no row of the file has it."""
+        """True if the column is derived and no row of the file contains it."""
         return self.kind in ("rows", "pulses")
 
     def resolved(self, file: ColumnFile) -> ColumnSpec:
@@ -190,7 +190,7 @@ class ColumnSpec:
 
 @frozen
 class RecordColumns:
-    """Which columns of a file hold what."""
+    """Roles of the columns of a file."""
 
     #: Time and spindle angle (wrapped or not), or no angle.
     time: ColumnSpec
@@ -236,13 +236,13 @@ class RecordColumns:
 
     @property
     def names(self) -> list[str]:
-        """The columns that are read row by row, each once, those too that are made."""
+        """The columns that are read row by row, each once, including derived columns."""
         specs = [self.time, *([self.angle] if self.angle else []), *self.signals.values()]
         return list(dict.fromkeys(spec.name for spec in specs))
 
     @property
     def filed(self) -> list[str]:
-        """Those of them that a file has."""
+        """The columns that a file contains."""
         made = [spec.name for spec in (self.time, self.angle) if spec and spec.is_made]
         return [name for name in self.names if name not in made]
 
@@ -257,7 +257,7 @@ class StatedMotion:
     swings: Mapping[str, Swing] = field(default_factory=dict)
     #: Whether the signal is one level, as at rest or on an arm, beside which its waves are small.
     steady: bool = False
-    #: Whether it is moved from rest to rest, by no known course: no sample is an outlier of one.
+    #: Whether it is moved between rests in an unknown way, so that no sample counts as an outlier.
     posed: bool = False
 
 

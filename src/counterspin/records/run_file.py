@@ -18,13 +18,13 @@ _OFF_PLACE = 0.2
 
 
 def is_derived(columns: RecordColumns) -> bool:
-    """Return whether a record has columns that are in no file."""
+    """Return True if a record has columns that no file contains."""
     angle = columns.angle
     return columns.time.kind == "rows" or (angle is not None and angle.kind == "pulses")
 
 
 class RunFile:
-    """What the reader of a record sees of its files.
+    """Files of a record, presented to its reader as one file.
 
     rate: Stated rate of the spindle, rad/s.
     pulses: Times of the pulses, s in the record's own time; None where the angle is a column.

@@ -1,4 +1,4 @@
-"""What a signal shows as a whole: its unit and axis by its wave, and what a recorder took off it.
+"""Checks of a whole signal: unit and axis by its first harmonic, and removed polynomials.
 
 The amplitude of the signal of an accelerometer that lies across the spindle axis follows from the
 radius and the rate alone, so a change of unit in the middle of a record, a dead channel, or a
@@ -135,13 +135,13 @@ def waves(angle: np.ndarray, signal: np.ndarray) -> Waves:
 
 
 def noise_of(fitted: Waves) -> float:
-    """Return what a signal scatters by beside its waves, in its unit; NaN where nothing tells."""
+    """Return the noise of a signal around its harmonics, in its unit; NaN if unknown."""
     return median(fitted.deviation) if len(fitted.deviation) else math.nan
 
 
 @frozen
 class UnitChange:
-    """Where a wave's amplitude changes: a revolution before it and one after it, and the words."""
+    """A change of amplitude: a revolution before it and one after it, and its description."""
 
     before: int
     after: int
@@ -193,7 +193,7 @@ def change_of_unit(fitted: Waves, *, may_grow: bool) -> UnitChange | None:
 
 
 def lost_samples(fitted: Waves, angle: np.ndarray, signal: np.ndarray) -> np.ndarray:
-    """Return which of (n,) samples have left the wave, where it is afterwards what it was before.
+    """Return the indices of lost samples: off the harmonic, which is the same before and after.
 
     A channel that is dead for a while, a filler or a burst: all from the first to the last sample
     that is off the waves of both the revolution before and the one after.
@@ -358,7 +358,7 @@ class PolynomialParts:
 
 
 def removed(parts: Sequence[Array]) -> int:
-    """Return how many of 1, t and t^2 were removed from records that one recorder made.
+    """Return the number of terms of 1, t, t^2 that one recorder removed from its records.
 
     A line through the ends counts as one of least squares. One record does not show it: a recorder
     that begins at zero may come back to its last digit of it by chance.

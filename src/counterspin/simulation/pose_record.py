@@ -29,15 +29,15 @@ _ALONG: Final = 1e-6
 
 
 def pose_seconds(record: PoseRecord) -> float:
-    """Return how long a simulated sensor rests in each pose, s.
+    """Return the duration of each pose of a simulated sensor, s.
 
-    It is twice what is asked for, and a second more, which the search for rests needs about it.
+    It is twice the requested duration plus the second that the search for rests needs.
     """
     return 2.0 * record.rest + 1.0
 
 
 def record_seconds(record: PoseRecord, poses: int) -> float:
-    """Return how long a simulated record with so many poses is, s."""
+    """Return the duration of a simulated record with a number of poses, s."""
     return poses * (pose_seconds(record) + _MOTION) - _MOTION
 
 
@@ -85,7 +85,7 @@ def _aside(first: Array, last: Array) -> Array:
 def indicated_forces(
     campaign: Campaign, record: PoseRecord, time: Array, force: Array
 ) -> dict[str, Array]:
-    """Return what each accelerometer of the triad indicates without noise, m/s^2, shape (n,).
+    """Return the noiseless indication of each accelerometer of the triad, m/s^2, shape (n,).
 
     time, force: As of `forces_in_record`.
     """

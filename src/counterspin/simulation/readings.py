@@ -50,7 +50,7 @@ def indications(
     machine: Mapping[str, float],
     head_error: Array,
 ) -> Array:
-    """Return what is indicated at each reading of a group, without noise, in g.
+    """Return the noiseless indication at each reading of a group, in g.
 
     Nothing is linearised: the stations are moved by what the machine does.
 
@@ -103,13 +103,13 @@ def drawn_by_run(readings: Sequence[Reading], generator: np.random.Generator) ->
 
 
 def setting_spread(campaign: Campaign) -> dict[str, float]:
-    """Return how far off positions may be set, rad, by symbol: one for all that is read there."""
+    """Return the standard uncertainty of setting each position, rad, by symbol."""
     priors = campaign.model.priors.items()
     return {symbol: prior.u for symbol, prior in priors if symbol.startswith(f"{POSITION}.")}
 
 
 def true_machine(campaign: Campaign) -> dict[str, float]:
-    """Return what is true of the machine, drawn errors of setting positions among it."""
+    """Return the true machine terms, including drawn errors of setting positions."""
     assert campaign.simulation is not None
     generator, spread = stream(campaign, 0, 1), setting_spread(campaign)
     errors = {symbol: u * float(generator.standard_normal()) for symbol, u in spread.items()}
@@ -263,7 +263,7 @@ def _instantaneous(group: Readings, effective: Array, station: Station, force: A
 
 @frozen
 class NoiselessReadings:
-    """What would be read without noise."""
+    """Noiseless readings."""
 
     readings: tuple[Reading, ...]  #: At known attitudes, in the campaign's order.
     poses: tuple[tuple[Reading, ...], ...]  #: At unknown ones.

@@ -1,4 +1,4 @@
-"""Whether a campaign can be simulated, and the campaign with its inputs as they truly are."""
+"""Checks that a campaign can be simulated, and the campaign with its true inputs."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ def _unfit_clock(campaign: Campaign) -> Iterator[str]:
 
 
 def paper_rows(rate: float, duration: float, sampling_rate: float, *, means: bool) -> float:
-    """Return how many rows a record takes that is computed, not read.
+    """Return the number of rows of a computed record.
 
     rate, duration, sampling_rate: rad/s, s, Hz.
     means: Whether the samples are averaged as `calibrate` does it.
@@ -309,7 +309,7 @@ def at_true_inputs(campaign: Campaign, group: Readings) -> Readings:
 
 
 def stamped_over_true(campaign: Campaign, recording: Recording) -> float:
-    """Return what a recorder of this clock shows of a time, less the error that is stated of it."""
+    """Return recorded over true time, with the stated clock error removed."""
     assert campaign.simulation is not None
     stated = recording.clock.value if recording.clock else 0.0
     true = campaign.simulation.truth.inputs.get((recording.recorder, CLOCK), stated)

@@ -292,7 +292,7 @@ def _is_simulated(description: Path) -> bool:
 
 
 def _targets(campaign: Campaign, folder: Path) -> tuple[Path, ...]:
-    """Return where each record goes: the place that it has in the campaign's own folder."""
+    """Return the target path of each record, relative as in the campaign's own folder."""
     records = {f"runs[{index}].record": run.record for index, run in enumerate(campaign.runs)}
     of_readings = dict.fromkeys(r.record for r in campaign.readings if r.record is not None)
     names = {r.record: r.name for r in campaign.readings}
@@ -303,7 +303,7 @@ def _targets(campaign: Campaign, folder: Path) -> tuple[Path, ...]:
 
 
 def _rest_taken_along(campaign: Campaign, folder: Path) -> dict[Path, Path | MemoryTable]:
-    """Return where the record at rest goes and what it is; {}: none, or it stays where it is."""
+    """Return target -> record at rest; empty if there is none or it is not copied."""
     named, place = campaign.noise and campaign.noise.rest, campaign.rest
     if not named or place is None or Path(named).is_absolute():
         return {}
@@ -316,7 +316,7 @@ def _rest_taken_along(campaign: Campaign, folder: Path) -> dict[Path, Path | Mem
 
 
 def _inside(campaign: Campaign, folder: Path, files: Mapping[str, Path]) -> tuple[Path, ...]:
-    """Return where files go: the places that they have in the campaign's own folder."""
+    """Return the target paths of files, relative as in the campaign's own folder."""
     targets, problems = [], []
     for key, file in files.items():
         if file.suffix.lower() not in WRITERS:
@@ -384,7 +384,7 @@ def simulate_run(
 def _indicated(
     campaign: Campaign, run: Run, trajectory: Trajectory, times: Array
 ) -> dict[str, Array]:
-    """Return what the navigation computer makes along each input axis, without noise."""
+    """Return the noiseless output of the navigation computer along each input axis."""
     assert campaign.simulation is not None
     truth = campaign.simulation.truth
     shared = truth.runs[run.name].shared
@@ -418,7 +418,7 @@ def _indicated(
 
 
 def _start_error(truth: SimulatedTruth, name: str, times: Array, observable: str) -> Array | float:
-    """Return what the system's error at the start leaves in its output: nothing in a force."""
+    """Return the contribution of the start errors to the output; zero in a force."""
     offset, velocity = truth.start_offset.get(name, 0.0), truth.start_velocity.get(name, 0.0)
     if observable == "displacement":
         return offset + velocity * times
