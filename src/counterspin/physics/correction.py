@@ -65,8 +65,11 @@ def invert(
     force = np.full(y.shape, np.nan)
     rows = np.flatnonzero(present)
     if rows.size:
-        own = {s: value[rows] if np.ndim(value) else value for s, value in coefficients.items()}  # type: ignore[index]
-        force[rows] = _rising(own, y[rows], p[rows], o[rows], rows)
+        row_coefficients = {
+            s: value[rows] if np.ndim(value) else value  # type: ignore[index]
+            for s, value in coefficients.items()
+        }
+        force[rows] = _rising(row_coefficients, y[rows], p[rows], o[rows], rows)
     return force
 
 
@@ -102,8 +105,8 @@ def _rising(
     if beyond.size:
         worst = int(beyond[0])
         level = float(side[worst] * turn[worst])
-        there = _value(poly[:, worst : worst + 1], turn[worst : worst + 1])
-        reach = float(y[worst] + side[worst] * there[0])
+        worst_value = _value(poly[:, worst : worst + 1], turn[worst : worst + 1])
+        reach = float(y[worst] + side[worst] * worst_value[0])
         raise NotInvertibleError(
             int(rows[worst]),
             f"cannot be corrected: it indicates {y[worst]:.6g} g, and this model has its turning "
@@ -155,13 +158,13 @@ def _positive_zeros(poly: Array) -> Array:
     stretches[1:-1] = np.minimum(_positive_zeros(_derivative(poly)), _MAX_FORCE)
     low, high = stretches[:-1], stretches[1:]
     rising, ends = (np.stack([_value(poly, x) for x in at]) > 0.0 for at in (low, high))
-    there = rising != ends
-    zero = np.where(there, 0.5 * (low + high), np.inf)
-    for _ in range(_MAX_STEPS if there.any() else 0):
-        before = np.stack([_value(poly, x) for x in np.where(there, zero, 0.0)]) > 0.0
+    crosses = rising != ends
+    zero = np.where(crosses, 0.5 * (low + high), np.inf)
+    for _ in range(_MAX_STEPS if crosses.any() else 0):
+        before = np.stack([_value(poly, x) for x in np.where(crosses, zero, 0.0)]) > 0.0
         low, high = np.where(before == rising, zero, low), np.where(before == rising, high, zero)
-        new = np.where(there, 0.5 * (low + high), np.inf)
-        if np.all((new == zero) | ~there):
+        new = np.where(crosses, 0.5 * (low + high), np.inf)
+        if np.all((new == zero) | ~crosses):
             break
         zero = new
     return np.sort(zero, axis=0)
@@ -244,8 +247,8 @@ class CalibratedAccelerometer:
     @property
     def slopes(self) -> dict[str, Slope]:
         """Slopes of its coefficients with the conditions, by symbol."""
-        own = {s: ACCELEROMETER_TERMS[s].effect for s in self.coefficients}
-        return {s: effect for s, effect in own.items() if isinstance(effect, Slope)}
+        effects = {s: ACCELEROMETER_TERMS[s].effect for s in self.coefficients}
+        return {s: effect for s, effect in effects.items() if isinstance(effect, Slope)}
 
     def at(self, warmth: Array | float) -> dict[str, Array | float]:
         """Return the coefficients of products at a temperature, as of `Warmth`."""
@@ -254,8 +257,10 @@ class CalibratedAccelerometer:
             s: value for s, value in self.coefficients.items() if s not in slopes
         }
         for symbol, slope in slopes.items():
-            own = values.get(slope.coefficient, TERMS[slope.coefficient].nominal)
-            values[slope.coefficient] = own + self.coefficients[symbol] * _lever(slope, warmth)
+            reference_value = values.get(slope.coefficient, TERMS[slope.coefficient].nominal)
+            values[slope.coefficient] = reference_value + self.coefficients[symbol] * _lever(
+                slope, warmth
+            )
         return values
 
 
@@ -376,11 +381,15 @@ def correct(
         from_known[:, k, :-1] = p * weights[k, 0, m:] + o * weights[k, 1, m:]
         from_known[:, k, -1] = _by_warmth(instrument, a_ipo[k], warmth.value)
         variance[:, k, k] = _variance(instrument, a_ipo[k], warmth)
-    for (k, other), covariance in between.items():
+    for (k, column), covariance in between.items():
         for weight, value in warmth.nodes:
-            one, two = (_products(instruments[at], a_ipo[at], value) for at in (k, other))
-            variance[:, k, other] += weight * np.sum((one @ covariance) * two, axis=1)
-        variance[:, other, k] = variance[:, k, other]
+            row_products, column_products = (
+                _products(instruments[at], a_ipo[at], value) for at in (k, column)
+            )
+            variance[:, k, column] += weight * np.sum(
+                (row_products @ covariance) * column_products, axis=1
+            )
+        variance[:, column, k] = variance[:, k, column]
     inverse = np.full_like(jacobian, np.nan)
     present = np.isfinite(jacobian).all(axis=(1, 2))
     inverse[present] = np.linalg.inv(jacobian[present])
@@ -462,8 +471,8 @@ def _settled(
     """Correct each accelerometer with the others' corrected forces until none moves."""
     force = np.array(indicated, dtype=np.float64)
     # A sample that one accelerometer misses is missing altogether.
-    there = np.isfinite(np.concatenate([force, given], axis=1)).all(axis=1)
-    force[~(there & np.isfinite(warmth))] = np.nan
+    finite = np.isfinite(np.concatenate([force, given], axis=1)).all(axis=1)
+    force[~(finite & np.isfinite(warmth))] = np.nan
     m = len(instruments)
     coupled = bool(np.any(weights[:, :, :m]))
     scale = 32.0 * _EPSILON * (1.0 + np.max(np.abs(force), axis=1, keepdims=True))

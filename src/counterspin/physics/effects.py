@@ -135,8 +135,8 @@ class SpecificForceProduct:
             value = np.full(a_ipo.shape[1:], self.weight, dtype=np.float64)
             if factor == "|I|":
                 value *= np.sign(a_ipo[0])
-            for other in self.factors[:place] + self.factors[place + 1 :]:
-                value *= _component(a_ipo, other)
+            for remaining in self.factors[:place] + self.factors[place + 1 :]:
+                value *= _component(a_ipo, remaining)
             total += value
         return total
 

@@ -143,23 +143,27 @@ def columns(
     effects = [term(symbol).effect for symbol in symbols]
     integrals = _TimeIntegrals(trajectory, mounting.turned(attitude), attitude, times, order)
     linear = {
-        i: vector for i, one in enumerate(effects) if (vector := integrals.along(one)) is not None
+        i: vector
+        for i, effect in enumerate(effects)
+        if (vector := integrals.along(effect)) is not None
     }
     bias = [i for i, symbol in enumerate(symbols) if symbol == "K_F"]
     kinked = {
-        i: one
-        for i, one in enumerate(effects)
-        if isinstance(one, SpecificForceProduct) and one.has_kink
+        i: effect
+        for i, effect in enumerate(effects)
+        if isinstance(effect, SpecificForceProduct) and effect.has_kink
     }
-    path = [i for i, one in enumerate(effects) if isinstance(one, TrajectoryError)]
+    path = [i for i, effect in enumerate(effects) if isinstance(effect, TrajectoryError)]
     slopes = {
-        i: one
-        for i, one in enumerate(effects)
-        if isinstance(one, Slope) and not one.varies_within(trajectory.conditions)
+        i: effect
+        for i, effect in enumerate(effects)
+        if isinstance(effect, Slope) and not effect.varies_within(trajectory.conditions)
     }
     solved = {*linear, *bias, *kinked, *path, *slopes}
     smooth = {
-        i: one for i, one in enumerate(effects) if i not in solved and isinstance(one, Integrated)
+        i: effect
+        for i, effect in enumerate(effects)
+        if i not in solved and isinstance(effect, Integrated)
     }
     if unseen := set(range(len(effects))) - solved - set(smooth):
         raise ValueError(f"no record shows {', '.join(symbols[i] for i in sorted(unseen))}")
@@ -187,7 +191,7 @@ def columns(
             result[i] += trajectory.site.gravity * times ** (order + 1) / math.factorial(order + 1)
     # The accelerometer sees what is shared through its scale factor.
     shared = [
-        i for i, one in enumerate(effects) if isinstance(one, AttitudeError | TrajectoryError)
+        i for i, effect in enumerate(effects) if isinstance(effect, AttitudeError | TrajectoryError)
     ]
     result[shared] *= scale_factor
     return result.T
@@ -242,10 +246,12 @@ class _Integrals:
             return self._panels.series(_integrands(effects, self._motion, axes, attitude), order)
         who = (axes.matrix.tobytes(), attitude.tobytes(), order)
         new = [effect for effect in effects if (*who, effect) not in self._kept]
-        found = self._panels.series(_integrands(new, self._motion, axes, attitude), order)
-        self._kept |= {(*who, effect): one for effect, one in zip(new, found, strict=True)}
+        integrals = self._panels.series(_integrands(new, self._motion, axes, attitude), order)
+        self._kept |= {
+            (*who, effect): integral for effect, integral in zip(new, integrals, strict=True)
+        }
         if len(new) == len(effects):
-            return found
+            return integrals
         return np.stack([self._kept[*who, effect] for effect in effects])
 
 

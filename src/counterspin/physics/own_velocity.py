@@ -104,8 +104,8 @@ def _along(site: Site, errors: Sequence[AxisError], acting: Array) -> list[Array
 
 def _moved(record: AxisError, grid: Array) -> Array:
     """Return an accelerometer's error in position since the start of the record, m."""
-    there = np.isfinite(record.error)
-    time, error = record.time[there], record.error[there]
+    finite = np.isfinite(record.error)
+    time, error = record.time[finite], record.error[finite]
     if record.observable == "velocity":
         error = _integral_over(time)(error[None])[0]
     moved: Array = np.interp(grid, time, error - error[0])

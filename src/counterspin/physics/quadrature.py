@@ -158,16 +158,16 @@ class Panels:
         last = edges[-1] + 1e-12 * (edges[-1] - edges[0])
         if times.size and (times.min() < first or times.max() > last):
             raise ValueError("times lie outside the panels")
-        found = []
+        pieces = []
         for begin in range(0, times.size if len(series) else 0, _CHUNK_TIMES):
             t = times[begin : begin + _CHUNK_TIMES]
             # Accelerometers of a run, and paths of one spindle, are asked at the same times.
             few = max(t.size, edges.size) <= _MOST_KEPT
             places = _kept_places(edges.tobytes(), t.tobytes()) if few else _Places(edges, t)
-            found.append(places.evaluate(series))
-        if not found:
+            pieces.append(places.evaluate(series))
+        if not pieces:
             return np.empty((len(series), times.size))
-        return found[0] if len(found) == 1 else np.concatenate(found, axis=1)
+        return pieces[0] if len(pieces) == 1 else np.concatenate(pieces, axis=1)
 
 
 class _Places:

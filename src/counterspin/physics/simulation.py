@@ -92,7 +92,7 @@ def recorded(
         for symbol, slope in coefficients.items()
         if symbol in CONDITION_TERMS and CONDITION_TERMS[symbol].effect.condition == "time"
     )
-    conditions, every = trajectory.conditions, coefficients
+    conditions, all_coefficients = trajectory.conditions, coefficients
     coefficients = changed(coefficients, conditions, trajectory.centripetal)
     scale_error = coefficients.get("K_I", 1.0) - 1.0
 
@@ -101,7 +101,9 @@ def recorded(
         force = trajectory.specific_force(t)
         psi = attitude_error(trajectory, platform, t, attitude)
         felt = _turned(force, psi) / g
-        sensed = indicated(axes, coefficients, felt) + _since(every, conditions, axes, felt, t)
+        sensed = indicated(axes, coefficients, felt) + _since(
+            all_coefficients, conditions, axes, felt, t
+        )
         return g * (sensed + trend * t) - (1.0 + scale_error) * (force @ axes.input_axis)
 
     # The scale factor's own part has an exact integral, which a quadrature would spoil.

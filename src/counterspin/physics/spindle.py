@@ -372,7 +372,9 @@ def _angle_error(
     """Return the error of the angle of `part`, given the coefficients of `whole`."""
     start, span = float(np.min(time)), float(np.ptp(time))
     rows = [slow_part(whole.factor[:3], part.rate, start, span)]
-    apart = [slow_part((whole.value[:3] - part.value[:3])[:, None], part.rate, start, span)[:, 0]]
+    differences = [
+        slow_part((whole.value[:3] - part.value[:3])[:, None], part.rate, start, span)[:, 0]
+    ]
     for n in harmonics:
         size = abs(n * part.rate)
         place = 3 + 2 * list(whole.harmonics).index(n)
@@ -381,13 +383,13 @@ def _angle_error(
             taken = 3 + 2 * list(part.harmonics).index(n)
             pair = pair - part.value[taken : taken + 2]
         rows.append(size * whole.factor[place : place + 2])
-        apart.append(size * pair)
+        differences.append(size * pair)
     return AngleError(
         rate=part.rate,
         start=start,
         span=span,
         harmonics=tuple(harmonics),
-        deviation=np.concatenate(apart),
+        deviation=np.concatenate(differences),
         root=triangular_root(np.concatenate(rows)),
     )
 

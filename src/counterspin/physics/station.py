@@ -320,7 +320,7 @@ def moved(
 def _axis_of(name: str, motion: str) -> Array:
     """Return the unit vector of a named axis in a motion's frame; zero where it has none."""
     names = ("outward", "forward", "up") if motion == "arm" else ("east", "north", "up")
-    return np.array([float(name == other) for other in names])
+    return np.array([float(name == axis_name) for axis_name in names])
 
 
 def _turn_after(station: Station, turn: Array) -> tuple[float, float, float]:

@@ -334,7 +334,9 @@ def _displacements() -> Iterator[Term[SetupError]]:
         ),
         ("head.zero", "zero of the dividing head", "rad", 1e-2, 2.5e-5, head, ("static",)),
     ):
-        scope = next((own for own in ("mounting", "position") if own.upper() in symbol), "machine")
+        scope = next(
+            (owner for owner in ("mounting", "position") if owner.upper() in symbol), "machine"
+        )
         scope = "reading" if symbol == "centrifuge.rate" else scope
         of, about = symbol.split(".")[1], symbol.rpartition(".")[2]
         turned = symbol.startswith("fixture.")

@@ -387,9 +387,9 @@ def _tolerance(strays: np.ndarray, angle: np.ndarray) -> float:
     """Return the tolerance of a step of the angle: noise, the encoder's step, rounding."""
     size = np.abs(strays)
     rounding = 1e-10 + 8 * np.finfo(float).eps * float(abs(angle[0]) + abs(angle[-1]))
-    apart = size[size > rounding]
-    quantum = float(apart.min()) if len(apart) else 0.0
-    if len(apart) <= max(4, _COMMON_PART * len(size)):
+    significant = size[size > rounding]
+    quantum = float(significant.min()) if len(significant) else 0.0
+    if len(significant) <= max(4, _COMMON_PART * len(size)):
         # An encoder's step shows again and again, a jump once: it must not excuse itself.
         quantum = min(quantum, _ENCODER_STEP_RAD)
     # Beside a gap, or by an uneven clock, strays may be less than the step, which is common too.

@@ -104,9 +104,9 @@ class CsvFile(ColumnFile):
         if dialect.delimiter is None and dialect.decimal is None:
             unsaid = dialect.skip_lines is None and not dialect.units_row
             layout = plain_layout(lines, dialect) if unsaid and plain else None
-        found = layout or find_layout(lines, dialect)
-        layout = found or plain_layout(lines, dialect)
-        if found is None and dialect.encoding is None:
+        detected = layout or find_layout(lines, dialect)
+        layout = detected or plain_layout(lines, dialect)
+        if detected is None and dialect.encoding is None:
             # What is in no known form may be no text at all.
             self._refuse_what_is_no_text(head)
         if layout is None:

@@ -31,8 +31,8 @@ def memory_table(name: str, frame: Any) -> MemoryTable:
         columns[key] = numbers
     lengths = {key: len(values) for key, values in columns.items()}
     if len(set(lengths.values())) > 1:
-        said = ", ".join(f"'{key}' {length}" for key, length in lengths.items())
-        raise RecordError(f"{name}: the columns differ in length: {said}.")
+        listing = ", ".join(f"'{key}' {length}" for key, length in lengths.items())
+        raise RecordError(f"{name}: the columns differ in length: {listing}.")
     if not any(lengths.values()):
         raise RecordError(f"{name}: there are no rows of numbers.")
     return MemoryTable(name, columns, tuple(others))

@@ -112,14 +112,16 @@ def _read(
     block: Literal["auto"] | None,
     pulses: tuple[np.ndarray, FileIdentity | None] | None,
 ) -> Record:
-    with opened(path, columns, motion.rate, pulses and pulses[0]) as (file, found, files):
+    with opened(path, columns, motion.rate, pulses and pulses[0]) as (file, columns_found, files):
         try:
-            record = _read_tested(file, found, motion, block)
+            record = _read_tested(file, columns_found, motion, block)
         except RecordError:
             if not file.use_strict_parser():
                 raise
-            record = _read_tested(file, found, motion, block)
-        others = {one.path: one.identity for one in files[1:] if one.identity}
+            record = _read_tested(file, columns_found, motion, block)
+        others = {
+            file_read.path: file_read.identity for file_read in files[1:] if file_read.identity
+        }
         if columns.pulses and pulses and pulses[1]:
             others[columns.pulses] = pulses[1]
         return replace(record, others=others) if others else record
@@ -140,10 +142,10 @@ def opened(
         files = [stack.enter_context(open_columns(path, columns.dialect))]
         files += [stack.enter_context(open_columns(more, columns.dialect)) for more in columns.more]
         columns = columns.required(files[0])
-        for one in files:
-            one.stamps = columns.stamps
-            one.require(columns.filed)
-            refuse_several_sensors(one, columns.filed)
+        for record_file in files:
+            record_file.stamps = columns.stamps
+            record_file.require(columns.filed)
+            refuse_several_sensors(record_file, columns.filed)
         columns = columns.resolved(files[0])
         if len(files) == 1 and not is_derived(columns):
             yield files[0], columns, files
@@ -232,10 +234,12 @@ class _RecordReader:
                 signals = [columns[spec.name] for spec in self._signals]
                 self._polynomials.add(columns[self._columns.time.name], signals)
             first, last = self._rows_within(columns, within)
-            left = rows - (last - first)
-            outside = rows - _count(*self._rows_within(columns, self._columns.part)) if left else 0
+            excluded = rows - (last - first)
+            outside = (
+                rows - _count(*self._rows_within(columns, self._columns.part)) if excluded else 0
+            )
             self._outside += outside
-            self._lone += left - outside
+            self._lone += excluded - outside
             if first < last:
                 taken = {name: column[first:last] for name, column in columns.items()}
                 if reducer is None:
@@ -387,7 +391,7 @@ class _RecordReader:
         if self._columns.angle is not None:
             counts[self._columns.angle.name] = self._clock.findings.empty_angle
         blank = self._repeats.blank
-        empty = (count - held for count, held in zip(self._empty, blank, strict=True))
+        empty = (count - blank_count for count, blank_count in zip(self._empty, blank, strict=True))
         counts.update(zip((s.name for s in self._signals), empty, strict=True))
         return counts
 
@@ -408,8 +412,8 @@ class _RecordReader:
                 signal, fitted = self._check_amplitude(place, name, blocks, phase, signal)
                 noise = noise_of(fitted) * np.sqrt(median(blocks.count))
                 ends = self._polynomials.ends(place)
-                own = np.append(self._polynomials.of(place), ends)
-                parts[name] = own * (spec.factor / noise)
+                moments = np.append(self._polynomials.of(place), ends)
+                parts[name] = moments * (spec.factor / noise)
             signals[name] = signal
         return Record(
             blocks.time,

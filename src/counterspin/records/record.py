@@ -164,23 +164,23 @@ class ColumnSpec:
         """Return the column with the unit that the file states, or compare that with it."""
         if not self.wanted or self.kind in ("stamps", "rows"):
             return self
-        own = file.units.get(self.name, "")
+        file_unit = file.units.get(self.name, "")
         where = f"{file.path}: column '{self.name}'"
         if self.unit is None:
-            if not own:
+            if not file_unit:
                 raise RecordError(f"{where} has no unit in the file; state it in the campaign.")
-            if self.kind == "temperature" and own in TEMPERATURE_SCALES:
-                return replace(self, unit=own).resolved(file)
+            if self.kind == "temperature" and file_unit in TEMPERATURE_SCALES:
+                return replace(self, unit=file_unit).resolved(file)
             try:
-                factor = unit_factor(own, self.wanted, gravity=self.gravity)
+                factor = unit_factor(file_unit, self.wanted, gravity=self.gravity)
             except ValueError as error:
-                raise RecordError(f"{where} is in '{own}' by the file: {error}.") from None
+                raise RecordError(f"{where} is in '{file_unit}' by the file: {error}.") from None
             # Beside the unit there may be a sense, or a clock that is known to be fast.
-            return replace(self, factor=factor * self.factor, unit=own)
-        same = own == self.unit or same_unit(own, self.unit, gravity=self.gravity)
-        if own and file.units_row and not same:
+            return replace(self, factor=factor * self.factor, unit=file_unit)
+        same = file_unit == self.unit or same_unit(file_unit, self.unit, gravity=self.gravity)
+        if file_unit and file.units_row and not same:
             raise RecordError(
-                f"{where} is in '{own}' by the file's row of units, but in '{self.unit}' by "
+                f"{where} is in '{file_unit}' by the file's row of units, but in '{self.unit}' by "
                 "the campaign."
             )
         if self.kind == "temperature":

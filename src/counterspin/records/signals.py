@@ -204,10 +204,10 @@ def lost_samples(fitted: Waves, angle: np.ndarray, signal: np.ndarray) -> np.nda
     edges = np.flatnonzero(np.diff(odd))
     lost = []
     for first, last in zip(edges[::2], edges[1::2] + 1, strict=True):
-        beside = (max(int(first) - 1, 0), min(int(last) + 1, len(odd) - 1))
-        samples = np.arange(fitted.first[beside[0]], fitted.last[beside[1]] + 1)
+        neighbours = (max(int(first) - 1, 0), min(int(last) + 1, len(odd) - 1))
+        samples = np.arange(fitted.first[neighbours[0]], fitted.last[neighbours[1]] + 1)
         off = np.ones(len(samples), dtype=bool)
-        for turn in beside:
+        for turn in neighbours:
             least = _LOST_PART * abs(fitted.amplitude[turn]) + _LOST_SDS * fitted.deviation[turn]
             off &= np.abs(signal[samples] - fitted.value(turn, angle[samples])) > least
         if off.any():
@@ -320,9 +320,9 @@ class PolynomialParts:
                 self._of_time[place] += whole
             else:
                 good = stamped & np.isfinite(signal)
-                own = powers[:, good]
-                sums = own @ signal[good]
-                self._of_time[place] += own @ own.T
+                used_powers = powers[:, good]
+                sums = used_powers @ signal[good]
+                self._of_time[place] += used_powers @ used_powers.T
             self._of_signals[place] += sums
             self._take_ends(place, signal)
 

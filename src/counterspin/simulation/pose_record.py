@@ -56,9 +56,9 @@ def forces_in_record(
     along = generator.standard_normal((poses, 3))
     along /= np.linalg.norm(along, axis=1)[:, None]
     time = np.arange(sample_count(record_seconds(record, poses), rate)) / rate
-    each = pose_seconds(record) + _MOTION
-    place = np.minimum((time / each).astype(int), poses - 1)
-    moved = np.clip((time - place * each - pose_seconds(record)) / _MOTION, 0.0, 1.0)
+    interval = pose_seconds(record) + _MOTION
+    place = np.minimum((time / interval).astype(int), poses - 1)
+    moved = np.clip((time - place * interval - pose_seconds(record)) / _MOTION, 0.0, 1.0)
     part = 0.5 * (1.0 - np.cos(np.pi * moved))
     first, last = along[place], along[np.minimum(place + 1, poses - 1)]
     aside = _aside(first, last)
@@ -75,11 +75,13 @@ def _aside(first: Array, last: Array) -> Array:
     """Return unit vectors at right angles to the first ones, towards the last ones, (n, 3)."""
     aside = last - np.sum(first * last, axis=1)[:, None] * first
     size = np.linalg.norm(aside, axis=1)
-    other = np.cross(first, np.eye(3)[np.argmin(np.abs(first), axis=1)])
-    other /= np.linalg.norm(other, axis=1)[:, None]
+    fallback = np.cross(first, np.eye(3)[np.argmin(np.abs(first), axis=1)])
+    fallback /= np.linalg.norm(fallback, axis=1)[:, None]
     near = size < _ALONG
-    found: Array = np.where(near[:, None], other, aside / np.where(near, 1.0, size)[:, None])
-    return found
+    perpendicular: Array = np.where(
+        near[:, None], fallback, aside / np.where(near, 1.0, size)[:, None]
+    )
+    return perpendicular
 
 
 def indicated_forces(
@@ -100,8 +102,8 @@ def indicated_forces(
     begun = 0.0 if record.time is None else record.time - origin.time
     values = []
     for first in range(0, len(time), _ROWS):
-        own = time[first : first + _ROWS]
-        n = len(own)
+        chunk = time[first : first + _ROWS]
+        n = len(chunk)
         rows = TriadPoses(
             accelerometers=names,
             names=("",) * n,
@@ -109,8 +111,8 @@ def indicated_forces(
             gravity=campaign.site.gravity,
             value=np.zeros((n, 3)),
             u=None,
-            temperature=np.interp(own, knots, course),
-            time=begun + own,
+            temperature=np.interp(chunk, knots, course),
+            time=begun + chunk,
             repeats=np.ones(n),
             scatter=np.zeros(n),
             in_si=np.zeros((n, 3)),

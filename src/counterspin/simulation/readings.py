@@ -60,8 +60,8 @@ def indications(
     """
     stations = group.turned(group.stations_with(machine), head_error)
     products = mean_products(stations, group.site)
-    found: Array = np.sum(products * _effective(group, coefficients), axis=1)
-    return found
+    indicated: Array = np.sum(products * _effective(group, coefficients), axis=1)
+    return indicated
 
 
 def _effective(group: Readings, coefficients: Mapping[str, float]) -> Array:
@@ -93,9 +93,9 @@ def drawn_by_run(readings: Sequence[Reading], generator: np.random.Generator) ->
     seen: Counter[tuple[str, str]] = Counter()
     for index, reading in enumerate(readings):
         # A table may name several readings alike; each is a position of its own.
-        own = (reading.accelerometer, reading.name)
-        position = (reading.name, seen[own])
-        seen[own] += 1
+        key = (reading.accelerometer, reading.name)
+        position = (reading.name, seen[key])
+        seen[key] += 1
         if position not in drawn:
             drawn[position] = float(generator.standard_normal())
         numbers[index] = drawn[position]
@@ -159,7 +159,7 @@ def _mean_rate(spindle: Spindle, duration: float) -> float:
     """
     drift = spindle.drift * duration
     slow = spindle.rate**2 * (1.0 + drift + drift**2 / 3.0)
-    ripple = sum(0.5 * one.amplitude**2 for one in spindle.ripples)
+    ripple = sum(0.5 * harmonic.amplitude**2 for harmonic in spindle.ripples)
     return math.copysign(math.sqrt(slow + ripple), spindle.rate)
 
 
@@ -183,8 +183,10 @@ def true_poses(campaign: Campaign) -> tuple[tuple[Reading, ...], ...]:
     along = true_directions(campaign)
     values = indications_along(group, [truth.get(name, {}) for name in group.accelerometers], along)
     return tuple(
-        tuple(replace(one, value=value) for one, value in zip(pose, own, strict=True))
-        for pose, own in zip(poses, values.tolist(), strict=True)
+        tuple(
+            replace(reading, value=value) for reading, value in zip(pose, pose_values, strict=True)
+        )
+        for pose, pose_values in zip(poses, values.tolist(), strict=True)
     )
 
 
@@ -223,7 +225,9 @@ def simulate_mean_record(
     if reading.duration is None:
         raise ValueError(f'the run "{reading.name}" states no duration')
     time = np.arange(sample_count(reading.duration, rate)) / rate
-    (group,) = (at_true_inputs(campaign, one) for one in groups_of(campaign, [reading]))
+    (group,) = (
+        at_true_inputs(campaign, reading_group) for reading_group in groups_of(campaign, [reading])
+    )
     stations = group.stations_with(true_machine(campaign))
     (station,) = group.turned(stations, np.array([head_error]))
     (effective,) = _effective(group, truth.coefficients.get(reading.accelerometer, {}))
@@ -293,9 +297,9 @@ def filled_description(
             continue
         old = _texts(run["reading"])
         new = []
-        own = _of_pose(next(posed), run["reading"]) if is_pose(run) else ready
+        filled = _of_pose(next(posed), run["reading"]) if is_pose(run) else ready
         for texts in old:
-            reading = next(own)
+            reading = next(filled)
             new.append([_with_value(text, campaign, reading, generator) for text in texts])
         run["reading"] = _like(run["reading"], new)
         for before, after in zip(chain(*old), chain(*new), strict=True):
@@ -321,15 +325,15 @@ def _description(campaign: Campaign) -> str:
 
 def _texts(reading: Any) -> list[list[str]]:
     """Return the repeats of each accelerometer's reading as they are written."""
-    each = list(reading.values()) if isinstance(reading, dict) else [reading]
-    return [[one] if isinstance(one, str) else one for one in each]
+    cells = list(reading.values()) if isinstance(reading, dict) else [reading]
+    return [[cell] if isinstance(cell, str) else cell for cell in cells]
 
 
 def _like(reading: Any, new: list[list[str]]) -> Any:
     """Return new texts in the form of the old ones."""
-    each = list(reading.values()) if isinstance(reading, dict) else [reading]
+    cells = list(reading.values()) if isinstance(reading, dict) else [reading]
     written: list[Any] = [
-        own[0] if isinstance(one, str) else own for one, own in zip(each, new, strict=True)
+        texts[0] if isinstance(cell, str) else texts for cell, texts in zip(cells, new, strict=True)
     ]
     return dict(zip(reading, written, strict=True)) if isinstance(reading, dict) else written[0]
 

@@ -138,16 +138,16 @@ def refuse_unsupported(campaign: Campaign) -> None:
     """Raise CampaignError if records are read in a way in which none are simulated."""
     problems = []
     common = Recording(campaign.time, campaign.angle, campaign.dialect, campaign.temperature)
-    own = {f'run "{r.name}", records': r.recording for r in campaign.runs if r.recording}
-    for where, one in ({"records": common} | own).items():
-        said = [key for key, value in vars(one.dialect).items() if value is not None]
+    run_recordings = {f'run "{r.name}", records': r.recording for r in campaign.runs if r.recording}
+    for where, recording in ({"records": common} | run_recordings).items():
+        said = [key for key, value in vars(recording.dialect).items() if value is not None]
         problems += [f"{where}.{key}: simulated records are plain; leave it out" for key in said]
-        for key, channel in (("time", one.time), ("angle", one.angle)):
+        for key, channel in (("time", recording.time), ("angle", recording.angle)):
             if channel is not None and channel.name and (channel.kind != "numbers"):
                 problems.append(f"{where}.{key}: simulated records have numbers in every row")
             elif channel is not None and channel.name and not channel.unit:
                 problems.append(f"{where}.{key}.unit: is missing, to simulate records")
-        if one.time.kind == "rows" and campaign.runs:
+        if recording.time.kind == "rows" and campaign.runs:
             problems.append(f"{where}.time: simulated records have a column of the time")
     for name, accelerometer in campaign.accelerometers.items():
         if accelerometer.channel.name and not accelerometer.channel.unit:
@@ -168,9 +168,9 @@ def refuse_unsupported(campaign: Campaign) -> None:
 def _untold_temperatures(campaign: Campaign) -> Iterator[str]:
     """Yield the runs whose record has a column of a temperature that nothing states."""
     runs = [run for run in campaign.runs if campaign.recording_of(run).temperature]
-    read = [one for one in campaign.readings if one.record is not None and campaign.temperature]
+    read = [item for item in campaign.readings if item.record is not None and campaign.temperature]
     posed = campaign.triad.records if campaign.triad and campaign.temperature else ()
-    stated = {one.name: one.temperature for some in (runs, read, posed) for one in some}
+    stated = {item.name: item.temperature for some in (runs, read, posed) for item in some}
     for name in (name for name, temperature in stated.items() if not temperature):
         yield (
             f'run "{name}": temperature is missing; its record has a column of it, so that the '
@@ -291,20 +291,20 @@ def at_true_inputs(campaign: Campaign, group: Readings) -> Readings:
     """
     assert campaign.simulation is not None
     true, model = with_true_inputs(campaign), campaign.model
-    own = {*model.terms, *model.considered, *model.priors}
-    own |= campaign.simulation.truth.machine.keys()
+    symbols = {*model.terms, *model.considered, *model.priors}
+    symbols |= campaign.simulation.truth.machine.keys()
     for symbol, (was, stated) in {
         "centrifuge.radius": (true.radius, campaign.radius),
         "site.gravity": (true.gravity, campaign.gravity),
         "site.latitude": (true.latitude, campaign.latitude),
     }.items():
-        group = with_input(group, symbol, was.value - stated.value, own)
+        group = with_input(group, symbol, was.value - stated.value, symbols)
     inputs = campaign.simulation.truth.inputs
     for owner, symbol in dict.fromkeys(clock_of(campaign, r) for r in campaign.readings):
         known = campaign.rate_clock if symbol == RATE_CLOCK else campaign.clock
         assumed = known.value if known else 0.0
         name = f"{owner}.{symbol}" if owner else symbol
-        group = with_input(group, name, inputs.get((owner, symbol), assumed) - assumed, own)
+        group = with_input(group, name, inputs.get((owner, symbol), assumed) - assumed, symbols)
     return group
 
 

@@ -217,8 +217,8 @@ def _run_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
     """Yield the records of the double turntable's runs."""
     assert campaign.simulation is not None
     streams = np.random.SeedSequence(campaign.simulation.seed).spawn(len(campaign.runs))
-    for run, own in zip(campaign.runs, streams, strict=True):
-        yield pl.DataFrame(simulate_run(campaign, run, np.random.default_rng(own)))
+    for run, run_streams in zip(campaign.runs, streams, strict=True):
+        yield pl.DataFrame(simulate_run(campaign, run, np.random.default_rng(run_streams)))
 
 
 def _mean_records(campaign: Campaign, head_errors: Array) -> Iterator[pl.DataFrame]:
@@ -230,10 +230,10 @@ def _mean_records(campaign: Campaign, head_errors: Array) -> Iterator[pl.DataFra
     for reading, error in recorded:
         if reading.record is not None:
             by_file.setdefault(reading.record, []).append((reading, error))
-    for index, own in enumerate(by_file.values()):
+    for index, file_readings in enumerate(by_file.values()):
         generator = stream(campaign, 2 + index)
         columns: dict[str, Array] = {}
-        for reading, error in own:
+        for reading, error in file_readings:
             accelerometer = campaign.accelerometers[reading.accelerometer]
             time, angle, signal = simulate_mean_record(campaign, reading, error)
             if not columns:
@@ -311,8 +311,8 @@ def _rest_taken_along(campaign: Campaign, folder: Path) -> dict[Path, Path | Mem
         words = "is outside the campaign's folder; name a file beside the description"
         raise CampaignError(str(campaign.path), [f"noise.from: {named} {words}"])
     target, rest = folder / named, campaign.record_at(place)
-    there = isinstance(rest, Path) and target.exists() and target.samefile(rest)
-    return {} if there else {target: rest}
+    same_file = isinstance(rest, Path) and target.exists() and target.samefile(rest)
+    return {} if same_file else {target: rest}
 
 
 def _inside(campaign: Campaign, folder: Path, files: Mapping[str, Path]) -> tuple[Path, ...]:
@@ -412,8 +412,8 @@ def _indicated(
         errors.append(AxisError(axis, observable, times, signals[name] - true))
     felt = of_own_velocity(site, errors)
     return {
-        name: signal + new - one.error
-        for (name, signal), new, one in zip(signals.items(), felt, errors, strict=True)
+        name: signal + new - error.error
+        for (name, signal), new, error in zip(signals.items(), felt, errors, strict=True)
     }
 
 
