@@ -39,7 +39,7 @@ from counterspin.physics.observation import columns, parabola
 from counterspin.physics.terms import CONDITION_TERMS, DEGREE_PER_HOUR, INPUTS, SHARED_TERMS, TERMS
 from counterspin.readings import fitted, patterns
 from counterspin.readings.entries import MOST_READINGS, MOST_RECORDS
-from counterspin.records import column_file, reduction, spikes
+from counterspin.records import column_file, outliers, reduction
 from counterspin.reproduction import plan as paper
 from counterspin.studies import strobed_effects
 from counterspin.studies.result import FEWEST_TRIALS
@@ -121,7 +121,7 @@ NUMBERS = [
     ("methods", "flicker above {} half-waves", [wander._FUNCTION_RANGE[1]]),
     ("methods", "false alarm in one of {} good", [1 / diagnostics.SIGNIFICANCE]),
     ("methods", "at least {} of its prior's variance", [1 - identifiability.PRIOR_LEFT]),
-    ("methods", "off their neighbours by more than {} standard", [spikes.LIMIT_SDS]),
+    ("methods", "off their neighbours by more than {} standard", [outliers.LIMIT_SDS]),
     ("methods", "reaches in one of a {} whole records", [1 / used_rows.FALSE_ALARMS]),
     ("methods", "residuals more than {} the stated noise", [findings.RESIDUAL_RATIO_LIMIT]),
     ("methods", "noise beyond {} ug/Hz^0.5, a run", [1e6 * findings.LARGEST_WALK]),
@@ -188,7 +188,7 @@ NUMBERS = [
         "benchmarks",
         "One pass over each piece of {} rows: the least and the largest step of time and angle, "
         "the residuals among {} neighbours",
-        [column_file._PIECE_ROWS, spikes.WINDOW_SAMPLES],
+        [column_file._CHUNK_ROWS, outliers.WINDOW_SAMPLES],
     ),
     ("benchmarks", "a polynomial of degree {}", [strobed_effects.DEGREE]),
     ("physics", "to have risen evenly by {} K from", [conditions.UNKNOWN_WARMING]),

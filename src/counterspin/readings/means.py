@@ -28,9 +28,9 @@ from counterspin.arrays import Array, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.memory import MemoryTable
+from counterspin.records.outliers import FEWEST_SAMPLES, detect_outliers
 from counterspin.records.reading import read_record
 from counterspin.records.record import Record, RecordColumns, RecordReport, StatedMotion
-from counterspin.records.spikes import FEWEST_SAMPLES, detect_outliers
 
 #: Most stretches of a record whose means tell its noise; fewest samples of one.
 _STRETCHES: Final = 64

@@ -11,7 +11,7 @@
 - `sampling`, `several_sensors`: the samples of a sensor in the rows of its log, and rows of several
   sensors
 - `run_file`: the files of one run as one, with the time and the angle that no file has
-- `clock`, `spikes`, `reduction`: the steps of reading a piece, in the order in which it passes them
+- `clock`, `outliers`, `reduction`: the steps of reading a chunk, in their order
 - `signals`: the unit of a signal by its wave, and whether a recorder took a line off it
 - `memory`: columns that a program holds, in the place of a file; `frames`: columns of frames
 - `temperature_course`: the course of a temperature in a record

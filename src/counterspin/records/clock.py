@@ -1,6 +1,6 @@
 """The clock of a record, and the encoder as its witness.
 
-`Clock.accept` takes a piece of a record and returns the rows that can be used, with the angle
+`Clock.accept` takes a chunk of a record and returns the rows that can be used, with the angle
 unwrapped. Time never runs backwards; rows with the same time are one row; missing rows are gaps.
 The encoder is the witness of the clock: across a gap the angle must have advanced with the time,
 and a sample that does not fit its neighbours is dropped when the angle comes back, and is a jump,
@@ -19,8 +19,8 @@ from counterspin.arrays import SIGMA_OF_MAD, aligned, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.column_file import Chunk
+from counterspin.records.outliers import middle
 from counterspin.records.record import Gap
-from counterspin.records.spikes import middle
 
 #: Most gaps, and most rows of each kind of finding, that are listed; all are counted.
 LISTED = 100
@@ -76,19 +76,19 @@ class ClockFindings:
 
 @frozen
 class UsableRows:
-    """The usable rows of a piece: `rows` are places in the piece, None when all are used.
+    """The usable rows of a chunk: `rows` are places in the chunk, None when all are used.
 
-    `piece` is the piece at those rows, with the angle unwrapped; `unevenness` is the largest
+    `chunk` is the chunk at those rows, with the angle unwrapped; `unevenness` is the largest
     deviation of a time step from the usual one, relative to it.
     """
 
     rows: np.ndarray | None
-    piece: Chunk
+    chunk: Chunk
     unevenness: float
 
 
 class Clock:
-    """Checks time and angle, piece after piece.
+    """Checks time and angle, chunk after chunk.
 
     nominal_rate: The run's stated rate, rad/s, signed.
     """
@@ -112,7 +112,7 @@ class Clock:
         return RecordError(f"{self._path}, {self._locate(row)}: {words}")
 
     def start(self, time: np.ndarray, angle: np.ndarray | None) -> None:
-        """Take the spacing and the rate from the first piece; refuse a wrong rate or unit."""
+        """Take the spacing and the rate from the first chunk; refuse a wrong rate or unit."""
         good = np.isfinite(time) if angle is None else np.isfinite(time) & np.isfinite(angle)
         t = time[good]
         steps = np.diff(t)
@@ -139,13 +139,13 @@ class Clock:
         turned = _wrap(advances - nominal * spans)
         self.rate = nominal + median(turned / spans)
 
-    def accept(self, first_row: int, piece: Chunk) -> UsableRows:
-        """Check one piece."""
-        accepted = self._accept_whole(piece) or self._accept_rows(first_row, piece)
-        good = accepted.piece
+    def accept(self, first_row: int, chunk: Chunk) -> UsableRows:
+        """Check one chunk."""
+        accepted = self._accept_whole(chunk) or self._accept_rows(first_row, chunk)
+        good = accepted.chunk
         if len(good):
             last = -1 if accepted.rows is None else int(accepted.rows[-1])
-            self._last_values = [float(column[last]) for column in piece.columns]
+            self._last_values = [float(column[last]) for column in chunk.columns]
             self._last_time = float(good.time[-1])
             if good.angle is not None:
                 self._last_angle = float(good.angle[-1])
@@ -155,10 +155,10 @@ class Clock:
         return accepted
 
     def _accept_whole(  # noqa: PLR0911 - each test hands over to the row-by-row judgement
-        self, piece: Chunk
+        self, chunk: Chunk
     ) -> UsableRows | None:
-        """Take the piece as it stands, if nothing in it needs attention (NaN fails every test)."""
-        time, angle = piece.time, piece.angle
+        """Take the chunk as it stands, if nothing in it needs attention (NaN fails every test)."""
+        time, angle = chunk.time, chunk.angle
         if len(time) < 2:
             return None
         steps = self._differences(time)
@@ -170,7 +170,7 @@ class Clock:
         if not 0 < gone < _GAP_STEPS * self.step:
             return None
         if angle is None:
-            return UsableRows(None, piece, unevenness)
+            return UsableRows(None, chunk, unevenness)
         if self._lost is not None:
             return None
         advance = self._differences(angle)
@@ -198,8 +198,8 @@ class Clock:
             lengths = np.diff(breaks, append=len(angle))
             unwrapped = angle + np.repeat(_TURN * turns, lengths)
             self.findings.wrapped = True
-            piece = Chunk(time, unwrapped, piece.signals)
-        return UsableRows(None, piece, unevenness)
+            chunk = Chunk(time, unwrapped, chunk.signals)
+        return UsableRows(None, chunk, unevenness)
 
     def _differences(self, column: np.ndarray) -> np.ndarray:
         """Return the steps of a column, in an array that the next call writes over."""
@@ -209,10 +209,10 @@ class Clock:
         np.subtract(column[1:], column[:-1], out=steps)
         return steps
 
-    def _accept_rows(self, first_row: int, piece: Chunk) -> UsableRows:
-        """Judge a piece row by row."""
-        time = piece.time
-        for column, word in ((time, "time"), (piece.angle, "angle")):
+    def _accept_rows(self, first_row: int, chunk: Chunk) -> UsableRows:
+        """Judge a chunk row by row."""
+        time = chunk.time
+        for column, word in ((time, "time"), (chunk.angle, "angle")):
             if column is not None and np.isinf(column).any():
                 row = first_row + int(np.flatnonzero(np.isinf(column))[0])
                 raise self._fail(row, f"the {word} is infinite.")
@@ -229,16 +229,16 @@ class Clock:
                 f"time runs backwards, from {earlier:.9g} s to {time[rows[place]]:.9g} s "
                 "after the record's start.",
             )
-        rows = self._drop_repeats(piece, rows, steps)
+        rows = self._drop_repeats(chunk, rows, steps)
         self._note_gaps(first_row + rows, time[rows], before)
-        if piece.angle is not None:
-            has_number = ~np.isnan(piece.angle[rows])
+        if chunk.angle is not None:
+            has_number = ~np.isnan(chunk.angle[rows])
             self.findings.empty_angle += int((~has_number).sum())
-            rows = self._plausible(first_row, rows[has_number], piece.angle)
-            good, unwrapped = self._follow(first_row, rows, time[rows], piece.angle[rows])
+            rows = self._plausible(first_row, rows[has_number], chunk.angle)
+            good, unwrapped = self._follow(first_row, rows, time[rows], chunk.angle[rows])
             rows = rows[good]
-        chosen = piece[rows]
-        if piece.angle is not None:
+        chosen = chunk[rows]
+        if chunk.angle is not None:
             chosen = Chunk(chosen.time, unwrapped[good], chosen.signals)
         unevenness = float(np.abs(np.diff(chosen.time) / self.step - 1).max(initial=0.0))
         return UsableRows(rows, chosen, unevenness)
@@ -252,12 +252,12 @@ class Clock:
         plausible: np.ndarray = rows[~large]
         return plausible
 
-    def _drop_repeats(self, piece: Chunk, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    def _drop_repeats(self, chunk: Chunk, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
         again = np.flatnonzero(steps == 0)
         if not len(again):
             return rows
         differ = np.zeros(len(again), dtype=bool)
-        for place, column in enumerate(piece.columns):
+        for place, column in enumerate(chunk.columns):
             now = column[rows[again]]
             then = column[rows[again - 1]]
             if again[0] == 0:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 Columns = dict[str, np.ndarray]
 
 #: Rows in a chunk, about: three columns of them fit the processor's second cache.
-_PIECE_ROWS = 65536
+_CHUNK_ROWS = 65536
 
 
 @frozen
@@ -56,7 +56,7 @@ class Chunk:
 
 def chunk_size(block: int) -> int:
     """Return the rows of a chunk: a whole number of blocks."""
-    return block * max(1, _PIECE_ROWS // block)
+    return block * max(1, _CHUNK_ROWS // block)
 
 
 def iter_chunks(

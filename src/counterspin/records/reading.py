@@ -1,7 +1,7 @@
 """Reading a record: the samples of one run, checked, cleaned and reduced.
 
-Whatever the format and the length, a record passes once through memory, in pieces: its clock is
-checked against the encoder (`clock`), outliers are found among their neighbours (`spikes`) and
+Whatever the format and the length, a record passes once through memory, in chunks: its clock is
+checked against the encoder (`clock`), outliers are found among their neighbours (`outliers`) and
 the rest is averaged (`reduction`). At the end the amplitudes are checked (`signals`).
 """
 
@@ -31,6 +31,7 @@ from counterspin.records.dialect import TO_BE_FOUND
 from counterspin.records.formats import open_columns
 from counterspin.records.isolation import in_reader_process, in_reader_process_if_slow
 from counterspin.records.memory import MemoryTable
+from counterspin.records.outliers import detect_outliers
 from counterspin.records.record import (
     ColumnSpec,
     Gap,
@@ -55,7 +56,6 @@ from counterspin.records.signals import (
     switch,
     waves,
 )
-from counterspin.records.spikes import detect_outliers
 
 #: More empty cells than this part of a run's rows refuse the record.
 MOST_EMPTY = 0.05
@@ -227,7 +227,7 @@ class _RecordReader:
         within: First and last time, s in the file's own clock, between which rows are taken.
         """
         parts: list[BlockMeans] = []
-        reducer: BlockAverager | None = None
+        averager: BlockAverager | None = None
         for columns in iter_chunks(self._file.batches(self._columns.names), self._choose_rows):
             rows = column_rows(columns)
             if not self._motion.steady:
@@ -242,25 +242,25 @@ class _RecordReader:
             self._lone += excluded - outside
             if first < last:
                 taken = {name: column[first:last] for name, column in columns.items()}
-                if reducer is None:
+                if averager is None:
                     self._first_time = self._first_number(taken[self._columns.time.name])
-                piece = self._make_chunk(taken)
-                if reducer is None:
-                    self._clock.start(piece.time, piece.angle)
-                    self._repeats.start(self._file.path, self._rows + first, piece.signals)
-                    reducer = BlockAverager(
+                chunk = self._make_chunk(taken)
+                if averager is None:
+                    self._clock.start(chunk.time, chunk.angle)
+                    self._repeats.start(self._file.path, self._rows + first, chunk.signals)
+                    averager = BlockAverager(
                         self._block,
                         self._clock.step,
                         self._clock.rate,
                         judges=not self._motion.posed,
                     )
-                signals = self._repeats.without(self._rows + first, piece.signals, self._block > 1)
-                piece = Chunk(piece.time, piece.angle, signals)
-                blocks = self._process_chunk(self._rows + first, piece, reducer)
+                signals = self._repeats.without(self._rows + first, chunk.signals, self._block > 1)
+                chunk = Chunk(chunk.time, chunk.angle, signals)
+                blocks = self._process_chunk(self._rows + first, chunk, averager)
                 if blocks is not None:
                     parts.append(blocks)
             self._rows += rows
-        if reducer is None:
+        if averager is None:
             raise RecordError(
                 f"{self._file.path}: none of its {self._rows} rows is in the part to be used."
                 if self._rows
@@ -289,7 +289,7 @@ class _RecordReader:
         return (int(inside[0]), int(inside[-1]) + 1) if len(inside) else (0, 0)
 
     def _choose_rows(self, columns: Columns) -> int:
-        """Choose the block from the spacing of the first rows; return the rows to a piece."""
+        """Choose the block from the spacing of the first rows; return the rows to a chunk."""
         spec = self._columns.time
         time = columns[spec.name][: chunk_size(1)] * spec.factor
         steps = np.diff(time[np.isfinite(time)])
@@ -320,14 +320,14 @@ class _RecordReader:
         )
 
     def _process_chunk(
-        self, first_row: int, chunk: Chunk, reducer: BlockAverager
+        self, first_row: int, chunk: Chunk, averager: BlockAverager
     ) -> BlockMeans | None:
         accepted = self._clock.accept(first_row, chunk)
-        good = accepted.piece
+        good = accepted.chunk
         if not len(good):
             self._count_empty(first_row, chunk.signals)
             return None
-        reduced = reducer.average(good, accepted.unevenness)
+        reduced = averager.average(good, accepted.unevenness)
         if not reduced.complete or accepted.rows is not None:
             self._count_empty(first_row, chunk.signals)
         for place, outlying in enumerate(reduced.outliers):

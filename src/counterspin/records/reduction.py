@@ -1,9 +1,9 @@
-"""Means over blocks of at most 1/64 revolution, made piece by piece while a record is read.
+"""Means over blocks of at most 1/64 revolution, made chunk by chunk while a record is read.
 
-A record is cut into pieces of a fixed number of rows, each small enough for the processor's
-cache, and each piece is reduced by itself: blocks never reach across two pieces, so the result
+A record is cut into chunks of a fixed number of rows, each small enough for the processor's
+cache, and each chunk is reduced by itself: blocks never reach across two chunks, so the result
 depends on neither the length of the record nor on how the file was read. In an evenly sampled
-piece a block is a number of rows; where rows are missing it is a span of time. Outliers are found
+chunk a block is a number of rows; where rows are missing it is a span of time. Outliers are found
 before the mean is taken, and the rows that remain carry the block's mean time and angle.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from counterspin.frozen import frozen
 from counterspin.records.column_file import Chunk
-from counterspin.records.spikes import detect_outliers
+from counterspin.records.outliers import detect_outliers
 
 #: A block covers at most this part of a revolution: the means then lose nothing of K_II.
 BLOCKS_PER_REVOLUTION = 64
@@ -89,7 +89,7 @@ def span_of_main_rows(blocks: BlockMeans, shortest_gap: float) -> tuple[float, f
 
 @frozen
 class AveragedChunk:
-    """A piece, reduced."""
+    """A chunk, reduced."""
 
     blocks: BlockMeans  #: Its means.
     outliers: list[np.ndarray]  #: For each signal the places of its outlying samples.
@@ -97,7 +97,7 @@ class AveragedChunk:
 
 
 class BlockAverager:
-    """Reduces pieces of a record to blocks.
+    """Reduces chunks of a record to blocks.
 
     block: Samples in a block; 1 keeps point samples.
     step: The usual spacing of the samples, s.
@@ -114,7 +114,7 @@ class BlockAverager:
         self._mean = np.full(block, 1 / block)
 
     def average(self, chunk: Chunk, unevenness: float) -> AveragedChunk:
-        """Reduce one piece."""
+        """Reduce one chunk."""
         time, signals = chunk.time, chunk.signals
         outliers = [np.empty(0, dtype=int) for _ in signals]
         if self._judges:
@@ -166,7 +166,7 @@ class BlockAverager:
         return BlockMeans(mean_time, sd, count, mean_angle, signals, angle_sd)
 
     def _means(self, chunk: Chunk, usable: list[np.ndarray], by_rows: bool) -> BlockMeans:
-        """Reduce a piece with gaps, empty cells or outliers."""
+        """Reduce a chunk with gaps, empty cells or outliers."""
         time = chunk.time
         if by_rows:
             places = np.arange(len(time)) // self._block
@@ -211,7 +211,7 @@ class BlockAverager:
 
 def _points(chunk: Chunk, outliers: list[np.ndarray]) -> BlockMeans:
     """Return every sample as a block of its own."""
-    # Copies: the next piece overwrites this one.
+    # Copies: the next chunk overwrites this one.
     signals = [x.copy() for x in chunk.signals]
     for x, places in zip(signals, outliers, strict=True):
         x[places] = np.nan

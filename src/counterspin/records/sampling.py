@@ -17,7 +17,7 @@ import numpy.typing as npt
 from counterspin.arrays import Array, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
-from counterspin.records.spikes import resolution
+from counterspin.records.outliers import resolution
 
 #: Rows that show whether values repeat.
 _SHOWING_ROWS: Final = 100_000

@@ -26,7 +26,7 @@ from counterspin.units import WORKING_TEMPERATURES, ZERO_CELSIUS
 #: Most values of a course.
 MOST_KNOTS: Final = 64
 
-#: Parts of a piece of a record whose means are kept, and of the record whose means are fitted.
+#: Parts of a chunk of a record whose means are kept, and of the record whose means are fitted.
 _PARTS_OF_PIECE: Final = 256
 _PARTS: Final = 1024
 
@@ -61,8 +61,8 @@ def _course(file: ColumnFile | RunFile, columns: RecordColumns) -> tuple[float, 
     where = f"{file.path}: column '{spec.name}'"
     span, last, gap, rows = (math.inf, -math.inf), math.nan, (0.0, 0.0, 0.0), 0
     parts: list[Array] = []
-    for piece in iter_chunks(file.batches(columns.names), lambda _: chunk_size(1)):
-        time, warm = piece[columns.time.name] * columns.time.factor, piece[spec.name] + spec.offset
+    for chunk in iter_chunks(file.batches(columns.names), lambda _: chunk_size(1)):
+        time, warm = chunk[columns.time.name] * columns.time.factor, chunk[spec.name] + spec.offset
         infinite = np.flatnonzero(np.isinf(time))
         if len(infinite):
             place = file.locate_row(rows + int(infinite[0]))

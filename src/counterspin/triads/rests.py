@@ -20,9 +20,9 @@ from counterspin.arrays import SIGMA_OF_MAD, Array, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.memory import MemoryTable
+from counterspin.records.outliers import resolution
 from counterspin.records.reading import read_record
 from counterspin.records.record import Record, RecordColumns, StatedMotion
-from counterspin.records.spikes import resolution
 
 #: Shortest pose, s, where nothing else is stated.
 SHORTEST_REST: Final = 1.5
@@ -212,7 +212,7 @@ def _spikes(values: Array, rows: int, resolutions: Array) -> np.ndarray:
     """Return which values, one or two in a row, stand far off their neighbours, shape (n, 3).
 
     A median of five does not see them. The motions of a hand are no smooth waves, so that
-    `counterspin.records.spikes` would take their ends for outliers.
+    `counterspin.records.outliers` would take their ends for outliers.
 
     rows: In a stretch whose scatter is one.
     """

@@ -26,8 +26,8 @@ from counterspin.inference.noise.model import COMPONENTS, SPECIFIC_FORCE, WANTED
 from counterspin.inference.noise.search import KEEPING_GAIN, Choice, Maximum
 from counterspin.inference.noise.spectrum import SpectralLine, find_lines
 from counterspin.inference.noise.wander import Variances
+from counterspin.records.outliers import detect_outliers
 from counterspin.records.sampling import Samples
-from counterspin.records.spikes import detect_outliers
 
 #: Most samples missing in a row within a part; more are a gap. Where many samples are lost, more in
 #: a row are, up to a number that a record of so many exceeds with a small probability.

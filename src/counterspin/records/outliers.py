@@ -32,7 +32,7 @@ LIMIT_SDS = 6.0
 _SCREEN_SDS = 5.5
 #: A window may be this many times noisier than its surroundings before that counts against it.
 _NOISE_RATIO = 4.0
-#: Times the middle of a piece beyond which a sample is no measurement at all.
+#: Times the middle of a chunk beyond which a sample is no measurement at all.
 _FILLER_RATIO = 1e9
 #: Relative unevenness of the steps that may be ignored.
 _IGNORED_UNEVENNESS = 1e-4
@@ -122,7 +122,7 @@ def detect_outliers(
 def middle(values: np.ndarray) -> float:
     """Return the median of values without NaN, of an even number the upper one.
 
-    For the few hundred values of a piece `np.median` takes several times as long.
+    For the few hundred values of a chunk `np.median` takes several times as long.
     """
     half = len(values) // 2
     parted = values.copy()

@@ -1,4 +1,4 @@
-"""Pieces of a record."""
+"""Chunks of a record."""
 
 from itertools import pairwise
 
@@ -11,17 +11,17 @@ from counterspin.records.column_file import iter_chunks
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.integers(0, 90_000), min_size=1, max_size=6), st.integers(1, 70_000))
-def test_pieces_hold_every_row_once_and_in_order(lengths, size):
+def test_chunks_hold_every_row_once_and_in_order(lengths, size):
     ends = np.cumsum([0, *lengths])
     columns = {"b": np.arange(ends[-1], dtype=float), "a": -np.arange(ends[-1], dtype=float)}
     batches = ({name: x[a:b] for name, x in columns.items()} for a, b in pairwise(ends))
-    pieces = [
-        {name: x.copy() for name, x in piece.items()}
-        for piece in iter_chunks(batches, lambda _: size)
+    chunks = [
+        {name: x.copy() for name, x in chunk.items()}
+        for chunk in iter_chunks(batches, lambda _: size)
     ]
-    assert [len(piece["a"]) for piece in pieces[:-1]] == [size] * (len(pieces) - 1)
-    if pieces:
+    assert [len(chunk["a"]) for chunk in chunks[:-1]] == [size] * (len(chunks) - 1)
+    if chunks:
         for name, expected in columns.items():
-            np.testing.assert_array_equal(np.concatenate([p[name] for p in pieces]), expected)
+            np.testing.assert_array_equal(np.concatenate([p[name] for p in chunks]), expected)
     else:
         assert ends[-1] == 0
