@@ -188,7 +188,7 @@ def _removed(campaign: Campaign, observed: Sequence[ObservedRun]) -> list[str]:
 
 
 def _remarks(campaign: Campaign) -> list[str]:
-    """Return what a user should know of the campaign though it is nothing against the result."""
+    """Return remarks on the campaign that do not count against the result."""
     left_out = list[str]()
     if campaign.skipped:
         names = ", ".join(campaign.skipped)

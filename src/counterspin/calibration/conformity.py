@@ -1,4 +1,4 @@
-"""Whether the coefficients of a result meet their specifications."""
+"""Conformity of the coefficients of a result with their specifications."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a result may be relied on: what was found against it, and the state that follows.
+"""Findings about the reliability of a result, and the state that follows from them.
 
 Every check of a calibration reports a `Finding`. `judge_result` adds those that follow from the
 numbers of the result itself, puts each below the cause that accounts for it, ranks them and sets

@@ -37,7 +37,7 @@ class JointProblem:
 
     @cached_property
     def model(self) -> Unknowns:
-        """What is unknown."""
+        """The unknowns of the fit."""
         model = model_of(self.campaign)
         if self.delay == 0.0:
             return model
@@ -51,7 +51,7 @@ class JointProblem:
 
     @cached_property
     def series(self) -> tuple[Series, ...]:
-        """What was recorded."""
+        """The recorded series."""
         return series_of(self.campaign, self.observed)
 
     @cached_property
@@ -60,7 +60,7 @@ class JointProblem:
         return noise_of(self.campaign)
 
     def series_of(self, name: str) -> list[Series]:
-        """Return what was recorded of one accelerometer."""
+        """Return the series of an accelerometer."""
         return [one for one in self.series if one.accelerometer == name]
 
 

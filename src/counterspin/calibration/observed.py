@@ -1,4 +1,4 @@
-"""What was observed: records brought together with the rotation they were taken on."""
+"""Observed records, joined with the rotation on which they were taken."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def recorded_twice(campaign: Campaign, earlier: Run | Reading, run: Run | Readin
 
 
 def _samples_digest(record: Record) -> bytes:
-    """Return what two records have in common only if all their samples are the same."""
+    """Return a digest that two records share only if all their samples are equal."""
     digest = hashlib.sha256()
     for values in (record.time, record.angle, *record.signals.values()):
         if values is not None:

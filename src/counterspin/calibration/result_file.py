@@ -1,4 +1,4 @@
-"""What is asked of a result's file: earlier schemas brought up to date, numbers that can be.
+"""Validation of result files: migration of earlier schemas, and plausibility of numbers.
 
 In results of schema 1 what was not stated was no part of u. Such a result took as perfect what its
 model left out; so it says that it assumed it.

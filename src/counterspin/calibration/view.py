@@ -145,7 +145,7 @@ class AccelerometerView:
 
     @cached_property
     def places(self) -> dict[str, int]:
-        """What is asked of it: symbol -> place among the unknowns of the fit."""
+        """Parameters of interest: symbol -> index among the unknowns of the fit."""
         return {
             unknown.symbol: index
             for index, unknown in enumerate(self.fit.model.unknowns)
@@ -158,7 +158,7 @@ class AccelerometerView:
         return self.places.get("K_II")
 
     def jackknife(self) -> list[Jackknife]:
-        """Return what becomes of its K_II without each run."""
+        """Return the jackknife of its K_II: the shift without each run."""
         return [] if self.k_ii is None else leave_out(self.estimate, self.k_ii)
 
     def with_parts(self, parts: Sequence[FittedGroup]) -> AccelerometerView:

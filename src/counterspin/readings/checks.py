@@ -325,7 +325,7 @@ def _most_lone(part: FittedReadings) -> float:
 
 
 def _count(far_off: Sequence[Outlying]) -> int:
-    """Return how many readings are off, by themselves or with those of their position."""
+    """Count the outlying readings, alone or with those of their position."""
     return len({place for one in far_off for place in one.places})
 
 

@@ -1,4 +1,4 @@
-"""How a group of readings or poses fits a solution that has followed it."""
+"""Goodness of fit of a group of readings or poses."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class FittedReadings:
         return min(self.dof, self.freedom)
 
     def under(self, fit: JointFit) -> Self:
-        """Return how the same readings fit what a fit, which has them, says."""
+        """Evaluate the same readings under another fit that includes them."""
         group, solution, model = self.readings, fit.solution, fit.model
         place = self.place_in(fit)
         assert place is not None
@@ -144,11 +144,11 @@ class FittedReadings:
 
     @property
     def words(self) -> str:
-        """What these readings are called."""
+        """The name of these readings."""
         return READINGS[self.readings.motion]
 
     def outlying(self) -> list[Outlying]:
-        """Return what noise leaves open.
+        """Return the outliers among readings and positions.
 
         Each reading, and the readings of each position that was read more than once together, are
         compared with the noise of the others (externally studentised), at the level of the other

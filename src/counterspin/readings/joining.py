@@ -210,7 +210,7 @@ def results_of(
 
 
 def _found_in(mean: RecordMean | None) -> dict[str, Any]:
-    """Return what a result states of the record that a reading is the mean of."""
+    """Return the fields of a result that describe the record averaged in a reading."""
     if mean is None:
         return {}
     report = mean.report

@@ -124,7 +124,7 @@ class Readings:
 
     @cached_property
     def _head_angles(self) -> list[float]:
-        """What the head shows at each reading, rad."""
+        """Indicated angle of the head at each reading, rad."""
         angles: list[float] = np.broadcast_to(self.head_angle, self.size).tolist()
         return angles
 
@@ -171,7 +171,7 @@ class Readings:
 
     @property
     def accelerometers(self) -> tuple[str, ...]:
-        """Which were read: the one."""
+        """The name of the accelerometer that was read."""
         return (self.accelerometer,)
 
     @property
@@ -264,7 +264,7 @@ class Readings:
         return np.array([float(own == name) for own in names or ("",) * self.size])
 
     def lever(self, symbol: str) -> Array:
-        """Return what a slope of a coefficient is multiplied with, shape (n,)."""
+        """Return the regressor of the slope of a coefficient, shape (n,)."""
         forces = np.array([one.radius * one.rate**2 for one in self.stations]) / self.site.gravity
         return CONDITION_TERMS[symbol].effect.design_factors(
             self.time, self.temperature, np.broadcast_to(self.direction, self.size), forces
@@ -395,7 +395,7 @@ class _Here:
         return self.slope(more + less, 2.0 * self.products[there], step, there) / step
 
     def u_of_rate(self) -> Array:
-        """Return what the random errors of the rates add, g, shape (n,)."""
+        """Return the standard uncertainty from random errors of the rates, g, shape (n,)."""
         group = self.group
         uncertain = np.broadcast_to(group.u_rate, group.size)
         there = np.flatnonzero(uncertain)
@@ -406,7 +406,7 @@ class _Here:
         return added
 
     def variance_of_head(self) -> Array:
-        """Return what the random error of the head's angle adds, g^2, shape (n,)."""
+        """Return the variance from the random error of the head's angle, g^2, shape (n,)."""
         group = self.group
         if not group.u_head.any():
             return np.zeros(group.size)

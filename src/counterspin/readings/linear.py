@@ -132,7 +132,7 @@ class Measured(Protocol):
 
 
 def source_of(group: Measured) -> str:
-    """Return what a group is called in a budget: whose, of which motion, with which noise."""
+    """Return the name of a group in a budget: accelerometer, motion and kind of noise."""
     estimated = "" if group.u is not None else " (noise estimated)"
     return f"{group.accelerometer}: {READINGS[group.motion]}{estimated}"
 
@@ -153,7 +153,7 @@ class LinearReadings(Observation):
 
     @property
     def source(self) -> str:
-        """What the readings are called."""
+        """The name of the readings."""
         return source_of(self.group)
 
     run = source
@@ -198,7 +198,7 @@ class LinearReadings(Observation):
         )
 
     def gains(self, solution: Solution, weights: Array) -> Array:
-        """Return what 1 g in each reading moves a combination of the unknowns by, shape (n,)."""
+        """Return the change of a combination of the unknowns per 1 g in a reading, shape (n,)."""
         moved = weights @ solution.least_covariance[:, list(self.unknowns)]
         gains: Array = (self.design @ moved) / self.sigma**2
         return gains
@@ -255,7 +255,7 @@ class LinearReadings(Observation):
         return found
 
     def leverages(self, solution: Solution) -> Array:
-        """Return how far the fit follows each reading: 0 not at all, 1 wholly."""
+        """Return the leverage of each reading, from 0 to 1."""
         rows = self.design / self.sigma[:, None]
         followed: Array = np.sum((rows @ self._covariance(solution)) * rows, axis=1)
         clipped: Array = np.clip(followed, 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""What the residuals of readings follow: tests that need neither repeats nor a stated noise.
+"""Tests for patterns in the residuals of readings, which need neither repeats nor a stated noise.
 
 Each is one further column beside the fit (`counterspin.inference.joint.alternatives`): a wave of
 the dividing head's angle, its error where it has been mounted on in several ways, a term of the
@@ -213,7 +213,7 @@ def _errors_of_the_head(readings: Readings, unknown: Collection[str]) -> Iterato
 
 
 def _slope(readings: Readings, there: npt.NDArray[np.bool_]) -> Array:
-    """Return what a turn of the head by 1 rad makes of what is felt along the input axis, (n,)."""
+    """Return the derivative of the force along the input axis with respect to head angle, (n,)."""
     place = [*TERMS].index("K_I")
     more, less = (readings.products({"head.zero": by})[:, place] for by in (_TURN, -_TURN))
     slope: Array = there * (more - less) / (2.0 * _TURN)
@@ -260,7 +260,7 @@ def in_order(readings: Measured, forces: Array) -> Iterator[_Column]:
 
 
 def _course(readings: Measured) -> tuple[Array, str]:
-    """Return how far the series had come, from 0 to 1, shape (n,), and by what: time or order."""
+    """Return the progress of the series, from 0 to 1, shape (n,), and its basis: time or order."""
     by_time = np.ptp(readings.time) > 0.0
     x = readings.time if by_time else np.arange(float(readings.size))
     return (x - x.min()) / np.ptp(x), "time" if by_time else "order"
@@ -441,7 +441,7 @@ def _turns(wave: Alternative) -> str:
 
 
 def _wave(columns: Sequence[Alternative], places: tuple[int, ...]) -> Alternative:
-    """Return what cosine and sine of one wave, or of two, are together."""
+    """Return the alternative that joins the cosine and sine of one wave, or of two."""
     first = columns[places[0]]
     turns = " and ".join(dict.fromkeys(_turns(columns[k]) for k in places))
     words = {WAVE: "waves of", HEAD: "error", SWING: "wave"}[first.kind]

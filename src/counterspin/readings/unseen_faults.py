@@ -1,4 +1,4 @@
-"""Which single faults of typical size readings and poses would not show, and what these would do.
+"""Single faults of typical size that readings and poses would not show, and their effects.
 
 With few degrees of freedom a fit takes up a step of the bias or another range of the meter, and
 leaves hardly anything of it in the residuals. Each such fault is one column beside the fit. A fault
@@ -93,7 +93,7 @@ def remarks_of(faults: Mapping[str, Sequence[str]]) -> Iterator[str]:
 
 
 def _noticed_from(part: FittedReadings, tests: int) -> float:
-    """Return how many standard deviations of a column the tests notice, all tests counted.
+    """Return the smallest effect that the tests notice, in standard deviations, for all tests.
 
     An estimated noise is compared with what the other residuals tell of it.
     """

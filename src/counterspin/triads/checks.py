@@ -31,7 +31,7 @@ _MOST_NAMED: Final = 4
 
 
 def pose_findings(fit: JointFit, posed: Sequence[FittedReadings]) -> list[Finding]:
-    """Return what speaks against the poses: residuals that are no noise, poses that stand out.
+    """Return the findings against the poses: residuals that are not noise, and outlying poses.
 
     fit: Which has them.
     """

@@ -83,7 +83,7 @@ class Poses:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What makes the threshold doubtful, a sentence each; none of a clear record."""
+        """Reasons to doubt the threshold, a sentence each; empty for a clear record."""
         found = []
         if math.isinf(self.contrast):
             found.append("Nothing moves in the record: all of it counts as rest.")

@@ -1,4 +1,4 @@
-"""What a fit says of three accelerometers as one sensor: NIST's nine parameters, and its poses.
+"""Results for three accelerometers as one sensor: NIST's nine parameters, and the poses.
 
 The parameters do not depend on how the triad stands in its frame: three offsets, three
 sensitivities and the three angles between the axes along which the accelerometers feel (Geist,
@@ -287,7 +287,7 @@ def _correlation(estimated: Estimate, parameters: Mapping[str, _Parameter]) -> C
 
 
 def _by_gravity(estimated: Estimate, parameters: Mapping[str, _Parameter]) -> dict[str, float]:
-    """Return what each parameter moves by per m/s^2 of the g assumed; nothing where g is exact."""
+    """Return the change of each parameter per m/s^2 of the assumed g; empty if g is exact."""
     model = estimated.fit.model
     for held, terms in ((False, model.unknowns), (True, model.considered)):
         for place, term in enumerate(terms):
@@ -338,7 +338,7 @@ def _poses(
 
 
 def _second_order(campaign: Campaign, there: PosesAt) -> Array:
-    """Return what terms that were asked for, beside the linear ones, add to indications, (n, 3)."""
+    """Return the effect of the requested nonlinear terms on the indications, shape (n, 3)."""
     symbols = [s for s in campaign.model.terms if s in TERMS and s not in ("K_F", *LINEAR)]
     places = [_SYMBOLS.index(symbol) for symbol in symbols]
     added: Array = np.sum(there.products[:, :, places] * there.effective[:, :, places], axis=2)
@@ -346,7 +346,7 @@ def _second_order(campaign: Campaign, there: PosesAt) -> Array:
 
 
 def _changes(poses: TriadPoses, there: PosesAt, asked: Sequence[Unknown]) -> Array:
-    """Return what slopes that were asked for add to indications, (n, 3)."""
+    """Return the effect of the requested slopes on the indications, shape (n, 3)."""
     added, own = np.zeros_like(poses.value), set(asked)
     for index, place, term, lever in levers(poses, there.everything):
         unknown = there.everything[index]
@@ -363,7 +363,7 @@ def _rms(parts: Sequence[Array], gravity: float) -> float | None:
 
 
 def _records(poses: Iterable[FoundPose]) -> dict[str, PosesInRecord]:
-    """Return what was found in the records with poses."""
+    """Return the results of the records with poses."""
     records = {one.record.name: one.record.poses for one in poses if one.record is not None}
     traces = {name: found.trace(_TRACE_POINTS) for name, found in records.items()}
     return {

@@ -1,4 +1,4 @@
-"""Whether estimates are of a size that an instrument has, and that first order holds for.
+"""Checks that estimates are credible for an instrument and small enough for first order.
 
 With the sign of all readings reversed a fit is as good as before; only its K_I says that something
 is wrong, near -1. So each estimate is compared with its largest credible size about what it ideally

@@ -20,7 +20,7 @@ _HIDDEN_SHARE: Final = 0.5
 
 
 def residual_findings(view: AccelerometerView) -> list[Finding]:
-    """Return what the tests of an accelerometer's residuals found: one finding for all records."""
+    """Return the finding of the tests of an accelerometer's residuals, over all records."""
     findings = view.data.findings(view)
     if not view.has_records:
         return findings

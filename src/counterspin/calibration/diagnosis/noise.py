@@ -1,4 +1,4 @@
-"""Whether residuals are the noise: as stated or as found, in all runs or in some of them."""
+"""Tests whether residuals agree with the stated or estimated noise, in all or some runs."""
 
 from __future__ import annotations
 

@@ -337,7 +337,7 @@ class _BestExplanation:
 def _best(
     now: Estimate, priors: Sequence[Alternative], others: Sequence[Alternative], given: bool
 ) -> _BestExplanation | None:
-    """Return what explains most, if it is more than chance; None if nothing does."""
+    """Return the best explanation; None if no explanation is significant."""
     every = (*priors, *others)
     held = scores(now.fit, every, noise_given=given)
     place = _largest(held)

@@ -1,4 +1,4 @@
-"""What is said of the cause of a misfit."""
+"""Text about the cause of a misfit."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Explanation(PriorExplanation):
 
     @property
     def _place(self) -> str:
-        """Which records the alternative is of."""
+        """Records to which the alternative applies."""
         parts = [self.fit.prepared[i] for i in self.other.columns]
         if len(parts) == 1:
             return f"{parts[0].accelerometer} in {parts[0].run}"
