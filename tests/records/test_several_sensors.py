@@ -9,7 +9,7 @@ from counterspin.ingest.contents import read_contents, read_files
 from counterspin.ingest.overview import UndecidedDraft, sensor_question
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import read_numbers
-from counterspin.records.several_sensors import sensor_columns
+from counterspin.records.several_sensors import sensor_columns, stacked_sensors
 
 VALUES = {"A": 1.0, "B": 2.0, "C": 3.0}
 
@@ -75,6 +75,55 @@ def test_init_asks_which_sensor_and_noise_refuses(tmp_path):
     assert sensor_question([chosen]) is None
     assert chosen.dialect_keys == {"select": {"column": "device", "value": "C"}}
     assert set(chosen.columns[1].values.tolist()) == {3.0}
-    with pytest.raises(RecordError, match="column 'device' takes 3 values"):
+    with pytest.raises(RecordError, match=r'takes 3 values.*with `select`, such as "device=A"'):
         cs.noise(path)
     assert read_contents(path).selected is None
+
+
+def stacked(path, names):
+    """Write the records of two sensors one after the other; the second is five times as noisy."""
+    rng = np.random.default_rng(3)
+    rows = [
+        (i * 0.01, name, scale * rng.standard_normal())
+        for name, scale in zip(names, (0.01, 0.05), strict=True)
+        for i in range(3000)
+    ]
+    pl.DataFrame(rows, ["time_s", "device", "ax_m/s^2"], orient="row").write_csv(path)
+    return path
+
+
+@pytest.mark.parametrize("names", [("A", "B"), (1, 2)])
+def test_records_that_follow_one_another_are_told_apart(tmp_path, names):
+    import counterspin as cs
+
+    path = stacked(tmp_path / "log.csv", names)
+    with pytest.raises(RecordError, match="column 'device' takes 2 values"):
+        cs.noise(path, sampling_rate="100 Hz")
+    (chosen,) = read_files([path], {"select": str(names[1])})
+    assert chosen.dialect_keys == {"select": {"column": "device", "value": str(names[1])}}
+    for name, scale in zip(names, (0.01, 0.05), strict=True):
+        (signal,) = cs.noise(path, select=f"device={name}", columns=["ax_m/s^2"]).signals
+        white = signal.components["acceleration"]
+        assert white.low < scale * 0.1 < white.high
+        assert signal.rows == 3000
+
+
+def test_time_must_fall_where_the_sensor_changes():
+    cells = [f"P{n}" for n in range(3) for _ in range(50)]
+    time = np.tile(np.arange(50.0), 3)
+    assert list(stacked_sensors({"device": ["A"] * 150}, {"time": time})) == []
+    assert list(stacked_sensors({"device": cells}, {"drift": np.arange(150.0)})) == []
+    assert list(stacked_sensors({"device": cells}, {"time": time})) == [
+        ("device", ["P0", "P1", "P2"])
+    ]
+
+
+def test_selections_that_cannot_be_made(tmp_path):
+    import counterspin as cs
+
+    path = several(tmp_path / "log.csv")
+    for select, told in (("device=Q", "never has the value 'Q'"), ("dev=A", "select")):
+        with pytest.raises(RecordError, match=told):
+            cs.noise(path, select=select)
+    with pytest.raises(CampaignError, match="write column=value"):
+        cs.noise(path, select="A")

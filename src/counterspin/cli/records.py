@@ -164,6 +164,8 @@ class ColumnOptions:
         Gravity for conversion between g and m/s^2, without a campaign; default 9.80665 m/s^2.
     rate
         Rate of a spindle that turned nearby, such as "1 rev/s": names its spectral lines.
+    select
+        Read the rows of one of several sensors in a file: column=value, such as device=A.
     """
 
     columns: Annotated[list[str] | None, Parameter(name="--column", consume_multiple=False)] = None
@@ -171,6 +173,7 @@ class ColumnOptions:
     sampling_rate: str | None = None
     gravity: str | None = None
     rate: str | None = None
+    select: str | None = None
 
 
 _AS_THE_FILE_SAYS = ColumnOptions()
@@ -223,6 +226,7 @@ def noise(
         sampling_rate=recorded.sampling_rate,
         gravity=recorded.gravity,
         rate=recorded.rate,
+        select=recorded.select,
     )
     with saved.written(result):
         if plot is not None:

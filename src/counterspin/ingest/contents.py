@@ -19,7 +19,12 @@ from counterspin.records.dialect import Dialect
 from counterspin.records.formats import is_workbook, open_columns
 from counterspin.records.isolation import in_reader_process
 from counterspin.records.reading import LARGEST_VALUE
-from counterspin.records.several_sensors import SHOWING_ROWS, sensor_columns
+from counterspin.records.several_sensors import (
+    SHOWING_ROWS,
+    STACKED_NAME,
+    sensor_columns,
+    stacked_sensors,
+)
 from counterspin.records.table_files import table_sheets
 
 #: The answer that every sheet of a workbook is a run.
@@ -126,7 +131,8 @@ def read_contents(
 ) -> FileContents:
     """Return the contents of a file, or of one of its sheets.
 
-    sensor: Value of the column that tells several sensors apart, of the rows that are read.
+    sensor: Value of the column that tells several sensors apart, of the rows that are read; or
+        that column and the value, ``device=A``.
     """
     return in_reader_process(_read_contents, path, sheet, sheets, sensor)
 
@@ -138,7 +144,10 @@ def _read_contents(
         footer = file.footer
         cells = file.first_cells([name for name in file.names if name], SHOWING_ROWS)
         told_apart, kinds = next(sensor_columns(cells), ("", []))
+    stated, _, value = (sensor or "").partition("=")
     chosen = (told_apart, sensor) if sensor is not None and sensor in kinds else None
+    if chosen is None and value:
+        chosen = told_apart, _ = stated.strip(), value.strip()
     dialect = Dialect(sheet=sheet, skip_footer=len(footer), select=chosen)
     with open_columns(path, dialect) as file:
         names = [name for name in dict.fromkeys(file.names) if name][:_MAX_COLUMNS]
@@ -154,6 +163,10 @@ def _read_contents(
                     spoilt.append(why.replace(str(path), path.name))
             else:
                 columns.append(column)
+        if not told_apart:
+            told_apart, kinds = _stacked(file, columns, others)
+            if sensor in kinds:
+                return _read_contents(path, sheet, sheets, f"{told_apart}={sensor}")
         if not columns:
             seen = file.seen()
             lines = f"Its first lines:\n{seen}\n{_WANTED}" if seen else _WANTED
@@ -179,6 +192,19 @@ def _read_contents(
             sensors=(told_apart, tuple(kinds)) if told_apart else None,
             selected=chosen and chosen[1],
         )
+
+
+def _stacked(
+    file: ColumnFile, columns: Sequence[FileColumn], others: Sequence[str]
+) -> tuple[str, list[str]]:
+    """Return the column that tells apart sensors whose records follow one another, and values."""
+    numbers = {column.name: column.values for column in columns}
+    cells = {
+        name: [cell.strip() for cell in file.all_cells(name)]
+        for name in (*numbers, *others)
+        if STACKED_NAME.fullmatch(name)
+    }
+    return next(stacked_sensors(cells, numbers), ("", []))
 
 
 def _words(file: ColumnFile, names: Sequence[str], rows: int) -> dict[str, list[str]]:

@@ -29,9 +29,9 @@ from counterspin.monitoring.result import (
     shown_unit,
 )
 from counterspin.physics import observation
+from counterspin.records.column_file import quoted
 from counterspin.records.frames import memory_table
 from counterspin.records.memory import MemoryTable
-from counterspin.records.several_sensors import several_words
 from counterspin.records.unit_words import file_unit
 from counterspin.reports.numbers import format_number
 from counterspin.threads import one_blas_thread
@@ -70,6 +70,7 @@ def noise(
     sampling_rate: str | None = None,
     gravity: str | None = None,
     rate: str | None = None,
+    select: str | None = None,
 ) -> NoiseResult:
     """Estimate the noise of a record at rest: spectrum, Allan deviation, components and lines.
 
@@ -90,6 +91,8 @@ def noise(
         Gravity that converts between g and m/s^2; None: the campaign's, or 9.80665 m/s^2.
     rate
         Rate of a nearby rotating spindle, such as ``"1 rev/s"``, whose lines are named.
+    select
+        Rows of one of several sensors in a file, such as ``"device=A"``.
 
     Returns
     -------
@@ -114,10 +117,12 @@ def noise(
             full_campaign = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
             if gravity is not None:
                 raise CampaignError("noise", ["`gravity`: the campaign states it"])
+            if select is not None:
+                raise CampaignError("noise", ["`select`: the campaign states it, in [records]"])
             g = full_campaign.gravity.value
             signals = _select_signals(rest_signals(full_campaign, source), columns)
         else:
-            signals, unused = _guess_signals(source, columns, unit, sampling_rate, g)
+            signals, unused = _guess_signals(source, columns, unit, sampling_rate, g, select)
         rest_records = [at_rest(source, signal) for signal in signals]
         parts = [_estimate_noise(rest_record, turning) for rest_record in rest_records]
     checksum = None
@@ -157,19 +162,26 @@ def _guess_signals(
     unit: str | None,
     sampling_rate: str | None,
     gravity: float,
+    select: str | None,
 ) -> tuple[list[RestSignal], list[str]]:
     """Return the signals of a file by its column names and units, and the other columns' names."""
     answers = {} if sampling_rate is None else {"sampling_rate": sampling_rate}
+    if select is not None and not (select.partition("=")[2] and isinstance(source, Path)):
+        raise CampaignError("noise", ["`select`: write column=value, of a file; filter a frame"])
     if isinstance(source, MemoryTable):
         file_columns = tuple(
             FileColumn(name, "", values) for name, values in source.columns.items()
         )
         seen = FileContents(Path(source.name), file_columns, source.others, "")
     else:
-        seen = read_contents(source)
-        if seen.sensors is not None:
-            words = several_words(*seen.sensors)
-            raise RecordError(f"{source}: {words} Give that description as `campaign`.")
+        seen = read_contents(source, sensor=select)
+        if seen.sensors is not None and seen.selected is None:
+            key, sensors = seen.sensors
+            raise RecordError(
+                f"{source}: column '{key}' takes {len(sensors)} values ({quoted(sensors, 8)}): the "
+                "rows are those of several sensors. Select the rows of one with `select`, such as "
+                f'"{key}={sensors[0]}".'
+            )
     guess = guess_file(seen, answers)
     missing = [name for name in columns if name not in {c.name for c in seen.columns}]
     if missing:

@@ -265,8 +265,7 @@ class ColumnFile(ABC):
 
         if not self.has(column):
             raise RecordError(f"{self.path}: select: {self._missing_words([column])}")
-        with record_errors(self.path):
-            cells = [cell.strip() for cell in self._cells(column)]
+        cells = [cell.strip() for cell in self.all_cells(column)]
         mask = np.array([_same_cell(cell, value) for cell in cells])
         if not mask.any():
             known = quoted(sorted(set(cells)), 8)
@@ -277,6 +276,11 @@ class ColumnFile(ABC):
         self.selection = mask
         note = f"rows with {value} in column '{column}'"
         self.found = f"{self.found}, {note}" if self.found else note
+
+    def all_cells(self, column: str) -> list[str]:
+        """Return all cells of a column, as text."""
+        with record_errors(self.path):
+            return self._cells(column)
 
     def _cells(self, column: str) -> list[str]:
         """Return all cells of a column as text."""

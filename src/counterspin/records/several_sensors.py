@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from counterspin.errors import RecordError
 from counterspin.records.column_file import ColumnFile, quoted
+
+if TYPE_CHECKING:
+    import numpy as np
 
 #: Names of columns that tell sensors apart.
 _NAME: Final = re.compile(
@@ -16,6 +19,12 @@ _NAME: Final = re.compile(
     r"|addr(ess)?|serial|sn|id|uid|tag|topic|stream|kind|module|board|probe|slot|port)"
     r"([ _-]?(id|no|nr|num|number|name|type|index|idx|address|instance))?([^a-z].*)?$"
 )
+#: Of these, names of columns that tell sensors apart where their records follow one another.
+STACKED_NAME: Final = re.compile(
+    r"(?i)(.*[^a-z])?(device|sensor|instance|imu|node|mac|addr(ess)?|serial|board|probe|topic)"
+    r"([ _-]?(id|no|nr|num|number|name|index|address))?([^a-z].*)?$"
+)
+_FEWEST_STACKED_ROWS: Final = 20
 #: Rows that show whether values alternate, and most different values.
 SHOWING_ROWS: Final = 2000
 _MOST_VALUES: Final = 32
@@ -42,6 +51,30 @@ def sensor_columns(cells: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, li
         named = _NAME.fullmatch(name) and whole and often
         if (in_turn or named) and fewest >= max(2.0, _FEWEST_PART * len(column)):
             yield name, sorted(values)
+
+
+def stacked_sensors(
+    cells: Mapping[str, Sequence[str]], numbers: Mapping[str, np.ndarray]
+) -> Iterator[tuple[str, list[str]]]:
+    """Yield columns that tell apart sensors whose records follow one another, and their values.
+
+    cells: Column whose name `STACKED_NAME` has -> all its cells.
+    numbers: Column of numbers -> its values. One of them, the time, falls at each change alone.
+    """
+    for name, column in cells.items():
+        starts = [row for row in range(1, len(column)) if column[row] != column[row - 1]]
+        values = list(dict.fromkeys(column))
+        edges = [0, *starts, len(column)]
+        shortest = min(end - start for start, end in pairwise(edges))
+        if not 0 < len(starts) == len(values) - 1 < _MOST_VALUES:
+            continue
+        if shortest < _FEWEST_STACKED_ROWS:
+            continue
+        for time, series in numbers.items():
+            falls = [row for row, step in enumerate((series[1:] < series[:-1]).tolist(), 1) if step]
+            if time != name and falls == starts:
+                yield name, sorted(values)
+                break
 
 
 def refuse_several_sensors(file: ColumnFile, wanted: Sequence[str]) -> None:
