@@ -1,4 +1,4 @@
-"""Whether a quantity conforms, given its estimate and how uncertain that is (JCGM 106:2012).
+"""Conformity of a quantity, given its estimate and uncertainty (JCGM 106:2012).
 
 What is known of the quantity is a normal distribution about the estimate, or Student's t where the
 uncertainty has few degrees of freedom (JCGM 101:2008, 6.4.9). No knowledge of other items is used.
@@ -120,7 +120,7 @@ def decide(
 
 
 def undecided(specification: Specification, rule: DecisionRule, reason: str) -> Conformity:
-    """Return what is said of an item without an estimate on which a verdict can rest."""
+    """Return the verdict on an item without a usable estimate."""
     return Conformity(
         specification=specification.text,
         low=specification.low,

@@ -1,4 +1,4 @@
-"""What the data can and cannot tell apart, by name.
+"""Identifiability of parameters by the data, by name.
 
 Some coefficients act alike: while the platform is level, the bias K_F and K_PP have the same
 column, and K_I and K_IP the same but for the sign. IEEE Std 836 calls such terms "bucking". A
@@ -65,7 +65,7 @@ class ConfoundedTerms:
 
     @property
     def inseparable(self) -> bool:
-        """Whether the records cannot tell the terms apart at all; else they hardly can."""
+        """True if the records cannot separate the terms; False if they hardly can."""
         return abs(self.correlation) > _INSEPARABLE_CORRELATION
 
     def of(self, owner: str) -> ConfoundedTerms:
@@ -77,7 +77,7 @@ class ConfoundedTerms:
 
 @frozen
 class Assessment:
-    """Which unknowns are determined, and what stands behind those that are not."""
+    """Determined unknowns, and the combinations behind those that are not."""
 
     #: For each symbol, whether the data determine it: u is below the largest credible size, and of
     #: a prior's variance at least a tenth is taken away. What is known exactly is not determined by

@@ -31,7 +31,7 @@ _CHUNK: Final = 32 * QR_ROWS  #: rows copied at a time, which bounds the memory
 
 @frozen
 class Block:
-    """What one record says about the shared unknowns, in rotated rows of unit variance.
+    """Information of one record on the shared unknowns, in rotated rows of unit variance.
 
     ``target = factor @ unknowns + considered @ considered_values + noise``.
     """
@@ -210,7 +210,7 @@ class Solution:
 
     @property
     def least_covariance(self) -> Array:
-        """What the weights minimise: the covariance from noise, priors and regularisation, (p, p).
+        """Covariance that the weights minimise, from noise, priors and regularisation, (p, p).
 
         Considered terms and noise that does not show have no part in the weights.
         """
@@ -223,7 +223,7 @@ class Solution:
 
     @property
     def leverages(self) -> Array:
-        """How far the fit follows each of the blocks' stacked rows: 0 not at all, 1 wholly.
+        """Leverage of each of the blocks' stacked rows: 0 none, 1 full.
 
         A row's residual has one minus this for its expected square, priors being right.
         """
@@ -262,7 +262,7 @@ class Solution:
         return np.asarray(self._rows.triangle @ unknowns[self._rows.free])
 
     def unexplained(self, data: Array, priors: Array) -> Array:
-        """Return what no value of the unknowns explains of columns beside those of the problem.
+        """Return the part of additional columns that no value of the unknowns explains.
 
         data: In the blocks' stacked rows, shape (n, c).
         priors: In the rows of the priors, each over its sd, shape (p, c); only rows that have one

@@ -1,4 +1,4 @@
-"""What repeated measurements vary by beyond their own uncertainties, by what was repeated.
+"""Variance of repeated measurements beyond their own uncertainties, by what was repeated.
 
 Each measurement has a known uncertainty, and its groups: which day it is of, which mounting, which
 turn-on. Whatever is common to a group is drawn anew for each, with the variance of its component;
@@ -36,7 +36,7 @@ _SMALL: Final = 1e-2
 
 @frozen
 class Component:
-    """What measurements vary by from group to group."""
+    """Variance of measurements between groups."""
 
     groups: int  #: How many there are.
     #: What they tell beyond coarser groups; the variance of s groups alone has s - 1.

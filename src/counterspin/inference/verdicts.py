@@ -13,7 +13,7 @@ Verdict = Literal["pass", "fail", "undecided"]
 
 @frozen
 class Conformity:
-    """Whether a coefficient meets its specification, by a stated decision rule (JCGM 106)."""
+    """Verdict on a coefficient's specification, by a stated decision rule (JCGM 106)."""
 
     _: KW_ONLY
     specification: str  #: As it was written, such as ``abs <= 5e-5 g/g^2``.

@@ -109,7 +109,7 @@ def _variances(fit: JointFit, runs: Sequence[str], index: int) -> Array:
 
 
 def growth(fit: JointFit, lost: Array, runs: Sequence[str], index: int) -> Array:
-    """Return what each variance of a noise adds to each shift's variance per unit, (runs, 4).
+    """Return the change of each shift's variance per unit of each noise variance, (runs, 4).
 
     Both estimates keep their weights. With C the covariance, and L what the information loses, the
     whole estimate's grows by C L C, that without the run by its own, and their covariance by the

@@ -1,4 +1,4 @@
-"""What would explain the records better than the model does: one parameter at a time.
+"""Parameters that would explain the records better than the model, one at a time.
 
 Each alternative is one parameter that the fit holds at nothing: a prior that may be wrong, an input
 that may be another, a scale, a jump. Its column is held against the whitened residuals of the fit
@@ -93,7 +93,7 @@ class Scores:
 
     @property
     def tested(self) -> int:
-        """How many of the alternatives can be told at all."""
+        """Number of alternatives that the records can distinguish."""
         return int(np.count_nonzero(np.isfinite(self.u)))
 
 
@@ -228,7 +228,7 @@ def beside_fit(fit: JointFit, alternatives: Sequence[Alternative]) -> Beside:
 
 
 def effects_of(fit: JointFit, alternatives: Sequence[Alternative]) -> tuple[Array, Array]:
-    """Return what one unit of each alternative does, where the fit knows nothing of it.
+    """Return the effect of one unit of each alternative outside the space of the fit.
 
     Returns: the size of what it leaves in the residuals, in standard deviations, shape (m,), and by
         how much it moves the unknowns, shape (p, m).

@@ -186,7 +186,7 @@ _ROUNDING: Final = 1e-9
 def what_if(
     fit: JointFit, places: Mapping[str, int], budget: Mapping[str, Sequence[BudgetLine]], owner: str
 ) -> WhatIf | None:
-    """Return what an update of coefficients needs; None where nothing that counts could change.
+    """Return the inputs of a coefficient update; None where no relevant value could change.
 
     places: Coefficient -> its place among the unknowns.
     budget: Coefficient -> its budget.

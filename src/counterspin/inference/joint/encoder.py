@@ -1,4 +1,4 @@
-"""What the encoder's noise leaves open of each run's rotation, and what that does to a record.
+"""Rotation errors of each run due to encoder noise, and their effect on a record.
 
 Reference and columns are taken along the spindle that was fitted to the recorded angle. The fit is
 uncertain, and a ripple that the noise hides is in no trajectory. In displacement that hardly
@@ -50,7 +50,7 @@ def _symbols(error: AngleError) -> tuple[str, ...]:
 
 
 def columns(series: Series, symbols: Sequence[str], coefficients: Mapping[str, float]) -> Array:
-    """Return what a record shows of one standard deviation of each term.
+    """Return the effect of one standard deviation of each term on a record.
 
     By the chain rule: the angle's error changes the reference, and through each coefficient what
     the accelerometer makes of the specific force. Platform errors, which turn that change by less

@@ -93,7 +93,7 @@ class _State:
 
     @property
     def values(self) -> dict[Unknown, float]:
-        """What the fit says of its unknowns, less nominal."""
+        """Estimates of the unknowns minus their nominal values."""
         return dict(zip(self.fit.model.unknowns, self.fit.solution.estimate.tolist(), strict=True))
 
     def with_model(self, model: Unknowns, scale_factors: Mapping[str, float]) -> _State:

@@ -31,7 +31,7 @@ from counterspin.inference.noise.model import Noise
 
 @frozen
 class Residuals:
-    """What a fit leaves of one series."""
+    """Residuals of one series."""
 
     plain: Array  #: In the series' own unit, shape (n,).
     #: In rows of unit variance, shape (m,), m <= n: differences belong to the later rows.
@@ -105,7 +105,7 @@ class JointFit:
 
     @cached_property
     def assessment(self) -> Assessment:
-        """Which of the coefficients that are asked for are determined."""
+        """Mask of the parameters of interest that are determined."""
         asked = self.model.asked
         assessment = assess(
             self.solution,
@@ -117,7 +117,7 @@ class JointFit:
 
     @cached_property
     def residuals(self) -> tuple[Residuals, ...]:
-        """What the model leaves of each series, considered terms being what they seem to be."""
+        """Residuals of each series, with considered terms at their estimates."""
         return tuple(self._residuals_of(prepared) for prepared in self.prepared)
 
     def _residuals_of(self, prepared: Prepared) -> Residuals:

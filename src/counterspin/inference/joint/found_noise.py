@@ -75,7 +75,7 @@ def _found(prepared: Sequence[Prepared], model: Unknowns, request: Noise) -> Fou
 
 
 def losses(fit: JointFit, name: str) -> Array:
-    """Return what each series' information loses per unit of each variance of a noise.
+    """Return the loss of each series' information per unit of each noise variance.
 
     In the coordinates in which all information is the identity (`Solution.root_of`), (series,
     4, f, f); zero for other accelerometers' series.
@@ -132,7 +132,7 @@ def _shares(series: Series, noise: Noise) -> Array:
 
 
 def growth_of(fit: JointFit, lost: Mapping[str, Array]) -> dict[str, Array]:
-    """Return what each variance of each noise adds to the covariance per unit, (4, p, p).
+    """Return the change of the covariance per unit of each noise variance, (4, p, p).
 
     lost: Accelerometer -> `losses`.
     """
@@ -188,7 +188,7 @@ def widened(
 
 
 def unseen_covariance(fit: JointFit, found: Mapping[str, FoundNoise]) -> Array:
-    """Return what walks that the records do not show may add to a fit's covariance, (p, p)."""
+    """Return the covariance that undetected walks may add to a fit, (p, p)."""
     hidden = {name: one for name, one in found.items() if one.unseen is not None}
     lost = {name: losses(fit, name) for name in uncertain(fit.noise, hidden)}
     wider, _ = widened(fit, growth_of(fit, lost), fit.noise, hidden)

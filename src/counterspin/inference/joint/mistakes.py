@@ -140,7 +140,7 @@ def _responses(fit: JointFit, accelerometers: Sequence[str]) -> Iterator[Alterna
 
 
 def _fallen(fit: JointFit, i: int, power: int, since: float | None = None) -> Array:
-    """Return what a bias of t^power makes of a record, in g and s from a time on, or its start."""
+    """Return the effect of a bias of t^power on a record, in g and s from a time or its start."""
     series = fit.prepared[i].series
     total = power + series.order
     fallen: Array = (series.time - (series.time[0] if since is None else since)) ** total
@@ -163,7 +163,7 @@ def _drift(fit: JointFit, places: Sequence[int], owner: str, typical: float) -> 
 
 
 def _output(fit: JointFit, i: int) -> Array:
-    """Return what the fit makes of a record: with its noise, it would explain itself."""
+    """Return the fitted output. The recorded output would correlate with its own noise."""
     series = fit.prepared[i].series
     return series.reference() + series.error - fit.residuals[i].plain
 

@@ -60,7 +60,7 @@ class Prepared(Observation):
         return "counter-rotating"
 
     def block(self, noises: Mapping[str, Noise]) -> Block:
-        """Return what the record says of its columns, its own start errors projected out."""
+        """Return the record's information on its columns, its start errors projected out."""
         noise = noises[self.accelerometer]
         uneven = noise.random_walk > 0.0 or noise.wanders or self.series.jitter > 0.0
         if uneven or noise.sample_variance == 0.0:

@@ -68,7 +68,7 @@ class StampErrors:
 
     @property
     def left(self) -> float:
-        """What is known to be left of the time stamps' noise after the correction, s."""
+        """Known residual noise of the time stamps after the correction, s."""
         return self.encoder * math.sqrt(self.share) if self.share > 0.0 else self.timing
 
 
@@ -294,7 +294,7 @@ class Series:
 
     @property
     def order(self) -> int:
-        """How often the observable integrates the specific force."""
+        """Number of times that the observable integrates the specific force."""
         return observation.ORDERS[self.observable]
 
     def polynomials(self, count: int) -> Array:
@@ -388,7 +388,7 @@ class Series:
         return Differences.of(self.time, self.order, self.count, self.block_spacing, self.relative)
 
     def whitener(self, noise: Noise) -> Whitener:
-        """Return what turns the rows into rows whose noise has unit covariance."""
+        """Return the whitener of the rows, which gives their noise unit covariance."""
         start = self.trajectory.conditions.start
         return whitener_of(self.differences, noise, start, self.jitter_variance)
 
@@ -445,7 +445,7 @@ def concerns(series: Series, name: str, recorder: str) -> bool:
 def expected_output(
     series: Series, known: Mapping[str, float], table: Mapping[str, Array]
 ) -> Array:
-    """Return what a series records with known errors, whose columns a table has, shape (n,)."""
+    """Return the output of a series with known errors, columns from a table, shape (n,)."""
     output = series.reference()
     for symbol, value in known.items():
         output = output + value * table[symbol]

@@ -42,7 +42,7 @@ class BudgetLine:
 
 @frozen
 class WhatIf:
-    """What the uncertainties of coefficients depend on, as far as an update of them needs it."""
+    """Inputs of the coefficients' uncertainties, as far as an update needs them."""
 
     names: list[str]  #: Coefficients and sources, named as in a budget.
     units: list[str]  #: Of each: SI, or g-units.
@@ -57,7 +57,7 @@ class WhatIf:
 
     @property
     def is_whole(self) -> bool:
-        """Whether names, units and matrices belong together, as those of a file may not."""
+        """True if names, units and matrices are consistent; those of a file may not be."""
         names = set(self.names)
         matrices = (self.weighed, self.beside or self.weighed)
         return (
@@ -108,7 +108,7 @@ class WhatIf:
 
 @frozen
 class Jackknife:
-    """What becomes of one unknown without a run."""
+    """Change of one unknown without a run."""
 
     run: str  #: The run left out.
     #: The estimate without it; None where the other runs do not determine the unknown.

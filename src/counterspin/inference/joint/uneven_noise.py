@@ -52,7 +52,7 @@ _TRIALS: Final = np.geomspace(0.1, 1e6, 57)
 
 @frozen
 class Uneven:
-    """How the white noise of an accelerometer's records differs."""
+    """Heteroscedasticity of the white noise of an accelerometer's records."""
 
     #: Run -> its standard deviation over that of the accelerometer; empty: they are alike.
     runs: Mapping[str, float]
@@ -70,7 +70,7 @@ class Uneven:
 def uneven_noise(
     fit: JointFit, series: Sequence[Series], requests: Mapping[str, Noise]
 ) -> dict[str, Uneven]:
-    """Return what is uneven of the white noise that is found, by accelerometer.
+    """Return the heteroscedasticity of estimated white noise, by accelerometer.
 
     series: With all rows, for the slopes of their signals.
     """
@@ -119,7 +119,7 @@ def _differences(left: Mapping[int, Array]) -> dict[int, Array]:
 def _uneven(
     fit: JointFit, series: Sequence[Series], squares: Mapping[int, Array], noise: Noise
 ) -> Uneven | None:
-    """Return what explains the sizes of third differences best, if anything does."""
+    """Return the best explanation of the sizes of third differences, if there is one."""
     by_run = _by_run(fit, squares)
     if by_run is None and not _uneven_within(fit, squares):
         return None

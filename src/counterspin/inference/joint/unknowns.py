@@ -66,7 +66,7 @@ class Unknown:
 
     @property
     def defaulted(self) -> bool:
-        """Whether a requested parameter is not determined and has its default prior."""
+        """True for a requested parameter that is not determined and has its default prior."""
         return self.asked and self.unstated and self.prior[1] == self.default
 
     @property
@@ -76,7 +76,7 @@ class Unknown:
 
     @property
     def nominal(self) -> float:
-        """What the coefficient is in a perfect system."""
+        """Value of the coefficient in a perfect system."""
         return TERMS[self.symbol].nominal if self.symbol in TERMS else 0.0
 
     @property
@@ -112,7 +112,7 @@ class Considered(Unknown):
 
 @frozen
 class Unknowns:
-    """What is estimated and what is held."""
+    """Estimated and considered unknowns."""
 
     #: In the order of the solution's rows and considered columns; unknowns that are asked for come
     #: first.
@@ -121,7 +121,7 @@ class Unknowns:
 
     @property
     def asked(self) -> tuple[Unknown, ...]:
-        """What is asked for: the first of the unknowns."""
+        """Parameters of interest: the first of the unknowns."""
         return tuple(unknown for unknown in self.unknowns if unknown.asked)
 
     def with_default_priors(self, chosen: Collection[Unknown]) -> Unknowns:
@@ -138,7 +138,7 @@ class Unknowns:
 
     @property
     def has_inputs(self) -> bool:
-        """Whether an input is among the unknowns or among what is held."""
+        """True if an input is among the estimated or considered unknowns."""
         return any(other.symbol in INPUTS for other in (*self.unknowns, *self.considered))
 
     def without_inputs(self) -> Unknowns:
@@ -170,7 +170,7 @@ class Unknowns:
 
 @frozen
 class Observation(ABC):
-    """What was measured together, n rows of it, and its columns."""
+    """Joint measurement of n rows, and its columns."""
 
     #: Which of the model's unknowns and considered columns the columns below belong to.
     unknowns: tuple[int, ...]
@@ -182,7 +182,7 @@ class Observation(ABC):
     @property
     @abstractmethod
     def source(self) -> str:
-        """What its noise is called, in a budget and among the noises of a fit."""
+        """Name of its noise in a budget and among the noises of a fit."""
 
     @property
     @abstractmethod
@@ -196,7 +196,7 @@ class Observation(ABC):
 
     @abstractmethod
     def block(self, noise: Mapping[str, Noise]) -> Block:
-        """Return what it says of its columns, by the noise of its source."""
+        """Return its information on its columns, by the noise of its source."""
 
     def variances_by_rates(self, solution: Solution, weights: Array) -> tuple[float, float]:  # noqa: ARG002
         """Return the variances of a combination by random errors of rates: stated, and default.
@@ -227,7 +227,7 @@ class Observation(ABC):
         )
 
     def block_in(self, model: Unknowns, noise: Mapping[str, Noise]) -> Block:
-        """Return what it says, its columns where a model has them."""
+        """Return its information, with its columns at their places in a model."""
         block = self.block(noise)
         factor = np.zeros((block.factor.shape[0], len(model.unknowns)))
         factor[:, list(self.unknowns)] = block.factor

@@ -1,4 +1,4 @@
-"""Which rows of the records a joint fit uses: those that noise explains, and that are independent.
+"""Selection of the rows for a joint fit: rows that noise explains and that are independent.
 
 Outliers, which the noise of their neighbours does not explain, are left out round by round, and
 taken back where another model explains them.

@@ -39,7 +39,7 @@ _GROUP_PART: Final = 0.02
 
 @frozen
 class SampleKind:
-    """What samples of the specific force are made of."""
+    """Composition of the samples of the specific force."""
 
     order: int  #: They are differences of this order of what has white noise.
     #: 2: second differences of a displacement, 1: differences of a velocity, which are means over a

@@ -141,7 +141,7 @@ class DifferencedRecord:
 
     @property
     def _uneven(self) -> bool:
-        """Whether its white noise is in no proportion to what else is white in a sample."""
+        """True if its white noise is not proportional to the other white noise of a sample."""
         return bool(np.any(self.added)) or self.differences.relative != 1.0
 
     def _scale(self, unit: Variances) -> float:
@@ -246,7 +246,7 @@ class RestrictedLikelihood:
 
     @property
     def rows(self) -> int:
-        """How many differenced rows there are."""
+        """Number of differenced rows."""
         return sum(record.rows for record in self.records)
 
     @property
@@ -256,7 +256,7 @@ class RestrictedLikelihood:
 
     @property
     def order(self) -> int:
-        """How often the observable integrates acceleration."""
+        """Number of times that the observable integrates acceleration."""
         return self.records[0].order
 
     @property
@@ -266,7 +266,7 @@ class RestrictedLikelihood:
 
     @property
     def added(self) -> list[float | Array]:
-        """What is known of each record's white variance beside what is estimated."""
+        """Known white variance of each record, in addition to the estimated variance."""
         return [record.added for record in self.records]
 
     @property

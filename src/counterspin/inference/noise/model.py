@@ -89,7 +89,7 @@ class Noise:
 
     @property
     def wanted(self) -> tuple[str, ...]:
-        """Which components are to be estimated."""
+        """Components to be estimated."""
         return tuple(name for name in COMPONENTS if getattr(self, name) is WANTED)
 
     @property
@@ -104,7 +104,7 @@ class Noise:
 
     @property
     def wanders(self) -> bool:
-        """Whether the bias wanders, or may."""
+        """True if the bias wanders, or may wander."""
         return self.flicker != 0.0 or self.bias_walk != 0.0
 
     @property
@@ -176,7 +176,7 @@ class Differences:
 
     @property
     def rows(self) -> int:
-        """How many rows the differences have."""
+        """Number of rows of the differences."""
         return len(self.blocks.time) - self.order
 
     def apply(self, rows: ArrayLike) -> Array:
@@ -287,7 +287,7 @@ class Whitener:
 
     @property
     def rows(self) -> int:
-        """How many rows come out."""
+        """Number of output rows."""
         return self.differences.rows
 
     def apply(self, rows: ArrayLike) -> Array:
@@ -362,7 +362,7 @@ def information_lost(
     before: float = 0.0,
     added: float | Array = 0.0,
 ) -> Array:
-    """Return what each of `COMPONENTS` takes of a record's information per unit of it, (4, m, m).
+    """Return the loss of a record's information per unit of each of `COMPONENTS`, (4, m, m).
 
     Where its noise has the covariance V, a record says X' V^-1 X of unknowns with the columns X. A
     variance that grows by one adds a matrix B to V, and takes X' V^-1 B V^-1 X from that. Between

@@ -94,7 +94,7 @@ class Stretches:
 
 @frozen(eq=False)
 class RestAnalysis:
-    """What a record says of its noise."""
+    """Noise estimates from a record."""
 
     noise: RestNoise
     recorded: Variances  #: Variances of the series of recorded samples, as of `RestNoise`.
@@ -119,7 +119,7 @@ class RestSignal:
 
 @frozen(eq=False)
 class RestRecord:
-    """What one column says of its noise."""
+    """Noise estimates from one column."""
 
     signal: RestSignal
     stretches: Stretches
@@ -127,7 +127,7 @@ class RestRecord:
 
 
 def at_rest(record: object, signal: RestSignal) -> RestRecord:
-    """Return what a column says of its noise; RecordError if it cannot.
+    """Return the noise estimates from a column; RecordError if they are not possible.
 
     record: What messages call the record.
     """
@@ -282,7 +282,7 @@ class SizedComponent:
 
 @frozen(eq=False)
 class Band:
-    """How the record's spectrum stands to that of the noise found, in a band."""
+    """Ratio of the record's spectrum to that of the estimated noise, in a band."""
 
     low: float  #: Hz.
     high: float  #: Hz.

@@ -43,7 +43,7 @@ _SETTLED: Final = 1e-15
 
 @frozen
 class BlockSpans:
-    """Where the samples of each row lie; a row is the mean of the samples of its block."""
+    """Sample positions of each row; a row is the mean of the samples of its block."""
 
     time: Array  #: (n,) mean time of the samples, s, increasing.
     count: Array  #: (n,) how many samples.
@@ -74,7 +74,7 @@ class BlockSpans:
 
     @cached_property
     def unlike(self) -> NDArray[np.bool_]:
-        """Which rows, of the second and later ones, are unlike the one before them, (n-1,)."""
+        """Mask of the rows from the second on that differ from the previous row, (n-1,)."""
         _, step = self.since_last
         new: NDArray[np.bool_] = np.diff(self.count) != 0.0
         for part in (step, self.half):

@@ -181,13 +181,13 @@ class Choice:
 
     @property
     def possible(self) -> bool:
-        """Whether every record has any noise."""
+        """True if every record has noise."""
         added = all(np.all(part) for part in self.likelihood.added)
         return added or bool(self.names) or any(self.noise.known.variances)
 
     @cached_property
     def free(self) -> bool:
-        """Whether all noise has one scale, which is to be found: others are ratios to the first."""
+        """True if all noise has one unknown scale: others are ratios to the first."""
         known = dict(zip(COMPONENTS, self.noise.known.variances, strict=True))
         rest = [size for name, size in known.items() if name not in self.names]
         return bool(self.names) and not any(rest) and not _added(self.likelihood)

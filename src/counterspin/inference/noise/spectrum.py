@@ -1,4 +1,4 @@
-"""What a record at rest shows before any model: its spectrum, its lines, its Allan deviation.
+"""Model-free analysis of a record at rest: its spectrum, its lines, its Allan deviation.
 
 - The spectrum is Welch's (IEEE Trans. Audio Electroacoust. 15 (1967) 70), with Hann windows that
   overlap by half, neighbouring frequencies joined so that there are a few a decade.
@@ -201,7 +201,7 @@ def _fitted(
 
 
 def _background(power: Array) -> Array:
-    """Return what noise alone would make of a spectrum: its running median over ln 2."""
+    """Return the noise floor of a spectrum: its running median over ln 2."""
     from scipy.ndimage import median_filter
 
     width = min(2 * _NEIGHBOURS + 1, (power.size // 2) | 1)

@@ -1,4 +1,4 @@
-"""What a walk that the records do not show may add to the coefficients' uncertainty.
+"""Uncertainty of the coefficients due to a walk that the records do not show.
 
 Near the limit of what records can show, the criterion drops a random walk that is there. Estimates
 are none the worse for it, but their intervals are: K_F and K_II rest on the slowest changes of a

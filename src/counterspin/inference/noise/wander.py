@@ -95,7 +95,7 @@ def functions_needed(variances: Variances, spacing: float, length: float, order:
 def integrated_cosines(
     times: Array, samples: Array, spacing: Array, order: int, count: int, length: float
 ) -> Array:
-    """Return what a record shows of each cosine of the bias, shape (n, count).
+    """Return the effect of each cosine of the bias on a record, shape (n, count).
 
     times, samples, spacing: Mean time of each row (s), how many samples it is the mean of, and the
         time between these (s), shape (n,).

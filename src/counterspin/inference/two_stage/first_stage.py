@@ -206,7 +206,7 @@ class Parabola:
 
     @property
     def by_noise(self) -> tuple[float, float]:
-        """What b2's variance grows by with the white variance and with N^2."""
+        """Derivatives of b2's variance with respect to the white variance and N^2."""
         gain, strobes = self.gain[2], self.strobes
         white = float(np.sum((gain * strobes.noise_factor) ** 2))
         return white, float(gain @ walk_covariance(strobes.time) @ gain)

@@ -1,4 +1,4 @@
-"""What is asked of the two-stage method, and its records as rows of a joint fit.
+"""Inputs of the two-stage method, and its records as rows of a joint fit.
 
 The joint fit reduces a record to square-root information by whitening it. The first stage reduces
 it to one number, the curvature b2 of a parabola through its strobes, which is linear in the
@@ -44,7 +44,7 @@ _SPINDLE_LIMIT: Final = 1e-2
 
 @frozen
 class TwoStageRequest:
-    """What the two-stage method estimates, takes as known and assumes of the noise.
+    """Estimated unknowns, known values and assumed noise of the two-stage method.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class TwoStageRequest:
 
     @cached_property
     def unknowns(self) -> dict[str, tuple[float, float]]:
-        """What is estimated, K_II first, with its prior; infinite: nothing is known of it."""
+        """Estimated unknowns, K_II first, with their priors; infinite: no prior information."""
         unknowns = {"K_II": self.priors.get("K_II", NO_PRIOR)}
         bias = self.priors.get("K_F", NO_PRIOR)
         if self.model == "exact" and self.fit_bias and bias[1] > 0.0:
@@ -115,7 +115,7 @@ class TwoStageRequest:
 
     @cached_property
     def considered(self) -> dict[str, tuple[float, float]]:
-        """What is taken as known: (value, standard uncertainty), K_I included."""
+        """Known values: (value, standard uncertainty), K_I included."""
         known = {"K_F": (0.0, 0.0), "K_I": (TERMS["K_I"].nominal, 0.0), **self.priors}
         return {symbol: prior for symbol, prior in known.items() if symbol not in self.unknowns}
 
@@ -237,7 +237,7 @@ class Curvature(Prepared):
         return cls(**own, parabola=parabola)
 
     def block(self, noises: Mapping[str, Noise]) -> Block:  # noqa: ARG002 -- it has its own
-        """Return what the strobes say as one row of unit variance, and what they leave."""
+        """Return the strobes' information as one row of unit variance, and their residuals."""
         parabola = self.parabola
         sigma = max(parabola.u_b2, LEAST_SIGMA)
         curvature = parabola.gain[2][None, :] / sigma

@@ -55,7 +55,7 @@ _SMALLEST_VISIBLE: Final = 0.5
 
 @frozen
 class StrobedRun:
-    """What the second stage needs of one run.
+    """Inputs of the second stage from one run.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class SecondStage:
 
     @cached_property
     def contributions(self) -> Array:
-        """What each run's noise moves each unknown by, one standard deviation, shape (p, runs)."""
+        """Effect of each run's noise on each unknown, one standard deviation, shape (p, runs)."""
         return _contributions(self.fit)
 
     @property
@@ -186,7 +186,7 @@ class SecondStage:
         return alike
 
     def shift(self, symbol: str) -> Array:
-        """Return what one unit of a held term that is not taken away moves the unknowns by, (p,).
+        """Return the effect of one unit of an uncorrected considered term on the unknowns, (p,).
 
         Of a term that every run has anew, the runs' effects are combined as independent ones.
         """
