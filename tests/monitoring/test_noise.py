@@ -1,5 +1,6 @@
 """The noise of records at rest, from files as recorders write them to table, report and plot."""
 
+import datetime
 import json
 import math
 from functools import cache
@@ -262,3 +263,44 @@ def test_the_command_writes_json_report_and_plot(tmp_path, capsys):
 def test_a_file_that_is_not_there(tmp_path, capsys):
     assert main(["noise", str(Path(tmp_path) / "none.csv")]) != 0
     assert "file not found" in capsys.readouterr().err
+
+
+def test_a_column_of_zeros_is_not_used_beside_a_measurement(tmp_path):
+    frame = {"time_s": columns()[0], "a_g": columns()[1] / G, "residual_g": np.zeros(6_000)}
+    found = cs.noise(frame)
+    assert [signal.column for signal in found.signals] == ["a_g"]
+    assert found.unused == ["residual_g"]
+    with pytest.raises(RecordError, match="all its samples are equal"):
+        cs.noise(frame, columns=["residual_g"])
+
+
+START = datetime.datetime(2024, 3, 5, 23, 59, 30)
+
+
+@pytest.mark.parametrize(
+    ("name", "stamp"),
+    [
+        ("GPS TOW (s)", lambda seconds: f"{345600 + seconds:.2f}"),
+        ("Time", lambda seconds: f"{45356.4 + seconds / 86400:.10f}"),
+        (
+            "time",
+            lambda seconds: (START + datetime.timedelta(seconds=seconds)).strftime(
+                "%d %B %Y %H:%M:%S.%f"
+            ),
+        ),
+        ("# Sampling rate: 100 Hz", None),
+    ],
+)
+def test_times_of_week_serial_days_months_and_a_rate_in_the_head(tmp_path, name, stamp):
+    time, values = columns()
+    rows = [f"{value:.12g}" for value in values / G]
+    if stamp is None:
+        lines = [name, "a (g),b (count)", *(f"{row},1" for row in rows)]
+    else:
+        seconds = time.tolist()
+        lines = [f"{name},a (g)", *(f"{stamp(s)},{r}" for s, r in zip(seconds, rows, strict=True))]
+    (tmp_path / "rest.csv").write_text("\n".join(lines))
+    (signal,) = cs.noise(tmp_path / "rest.csv").signals
+    assert signal.sampling_rate == pytest.approx(100.0, rel=1e-4)
+    expected = size(of_frame(), "acceleration").value
+    assert size(signal, "acceleration").value == pytest.approx(expected, rel=1e-3)

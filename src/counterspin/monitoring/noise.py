@@ -220,6 +220,12 @@ def _guess_signals(
             f"({', '.join(unused) or 'there is none beside the time'}). Name it with `columns`, "
             "and its unit with `unit`."
         )
+    moving = [signal for signal in taken if np.unique(signal.values).size > 1]
+    if moving and not columns:
+        # Zeros of a residual, or of an axis that is not connected.
+        used = {signal.column for signal in moving}
+        unused += [signal.column for signal in taken if signal.column not in used]
+        taken = moving
     return taken, unused
 
 
