@@ -49,9 +49,10 @@ def test_nine_parameters_are_followed_with_what_nobody_states_in_common(tmp_path
         own = [result.triad.parameters[parameter] for result in found]
         less = 0.5 * math.pi if kind == "angle" else 0.0
         assert [p.value for p in one.points] == pytest.approx([c.value - less for c in own])
-        # The same poses each time: only their noise differs from one result to the next.
+        # The same poses each time: only their noise differs from one result to the next, and the
+        # directions with it, on which K_0_asym and slopes depend.
         alone, common = own[0].u_noise, math.hypot(own[0].u_stated, own[0].u_unstated)
-        assert one.u_mean == pytest.approx(math.hypot(alone / 2.0, common), rel=1e-3)
+        assert one.u_mean == pytest.approx(math.hypot(alone / 2.0, common), rel=5e-3)
         # The largest of six, whose u differ by what noise does to the directions.
         assert one.correlation == pytest.approx((common / own[0].u) ** 2, rel=5e-3)
         assert one.drift.u == pytest.approx(alone / math.sqrt(5.0), rel=2e-3)  # years -1.5 to 1.5

@@ -249,6 +249,8 @@ def test_a_target_with_noise_of_the_time_stamps_is_reached(starter, capsys):
         plan(starter(*changes, (GOAL, f'target = {{ K_II = "{0.9 * u!r} g/g^2" }}')))
 
 
+#: Rates are interpolated in a table, which a jump in each revolution makes less smooth.
+JUMP = "nothing is assumed"
 RECORDS = {
     "as the example": [],
     "33 Hz": [('sampling_rate = "50 Hz"', 'sampling_rate = "33 Hz"')],
@@ -256,13 +258,14 @@ RECORDS = {
     "random walk": PLANS["random walk"][1:],
     "velocity": PLANS["dense velocity records"][1:3],
     "considered": PLANS["considered terms and an uncertain radius"][1:],
-    "nothing is assumed": [('assume = "all"', "assume = []")],
+    "only the jump is assumed away": [('assume = "all"', 'assume = ["K_0_asym"]')],
+    JUMP: [('assume = "all"', "assume = []")],
 }
 
 
-@pytest.mark.parametrize("changes", RECORDS.values(), ids=RECORDS)
-def test_the_search_predicts_what_the_forecast_says(changes, starter):
-    """Every u of random plans within 0.02 %; within 0.1 % of K_0_asym, whose product jumps."""
+@pytest.mark.parametrize(("words", "changes"), RECORDS.items(), ids=RECORDS)
+def test_the_search_predicts_what_the_forecast_says(words, changes, starter):
+    """Every u of random plans within 0.02 %; 0.5 % beside K_0_asym, whose product jumps."""
     search = Search(read_plan(starter(('senses = "one"', 'senses = "both"'), *changes)))
     rng = np.random.default_rng(12)
     for runs in (1, 3, 6, 10):
@@ -273,11 +276,10 @@ def test_the_search_predicts_what_the_forecast_says(changes, starter):
         told = forecast(search.campaign(design)).u
         predicted = dict(zip(search.predictor.names, search.predictor.u(design), strict=True))
         # Nothing has changed from run to run if there is only one.
-        there = {name: told[name] for name in predicted if name in told}
-        jumping = {name for name in predicted if name.endswith(".K_0_asym")}
-        for names, rel in ((predicted.keys() - jumping, 2e-4), (jumping, 1e-3)):
-            expected = {name: (predicted | there)[name] for name in names}
-            assert {name: predicted[name] for name in names} == pytest.approx(expected, rel=rel)
+        if words == JUMP:
+            del predicted["Qx.K_0_asym"]
+        told = {name: told.get(name, u) for name, u in predicted.items()}
+        assert predicted == pytest.approx(told, rel=5e-3 if words == JUMP else 2e-4)
 
 
 def test_forecast_has_all_samples_of_dense_records(plan_of, tmp_path):

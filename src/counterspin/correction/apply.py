@@ -171,7 +171,7 @@ def apply(
         )
     unit, scales = _column_scales(result, indications, options.unit)
     factor = unit_factor(unit, "g", gravity=result.inputs.gravity)
-    given = {"I", "|I|"}
+    given = {"I", "|I|", "sign_I"}
     given |= {"P"} if options.pendulous is not None else set()
     given |= {"O"} if options.output_axis is not None else set()
     # Three accelerometers measure all components of the force.

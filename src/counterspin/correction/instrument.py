@@ -41,7 +41,8 @@ def with_unstated(
     What nothing states is taken as it was for the result: ideal, with its typical size. A product
     with the force along another axis counts where that is given.
 
-    given: Factors of products that are known, of I, \|I\|, P and O; and ``temperature``, of slopes.
+    given: Factors of products that are known, of I, \|I\|, sign_I, P and O; and ``temperature``,
+        of slopes.
     """
     accelerometers, lost = dict(result.accelerometers), dict[str, tuple[str, ...]]()
     for row in result.rests_on:
@@ -73,7 +74,7 @@ def predict(
     axes = np.stack(np.broadcast_arrays(*given))
     if axes.ndim != 2 or not axes.size or not np.isfinite(axes).all():
         raise ValueError("specific forces are finite numbers, or arrays of one and the same length")
-    whole, _ = with_unstated(result, ("I", "|I|", "P", "O"))
+    whole, _ = with_unstated(result, ("I", "|I|", "sign_I", "P", "O"))
     return Prediction(*indication(instrument_of(whole, accelerometer), axes))
 
 
