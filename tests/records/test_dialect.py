@@ -164,6 +164,12 @@ def test_lines_below_the_rows_are_counted(below, count):
     assert footer_lines([*ROWS, *below], ";", ",") == count
 
 
+def test_a_word_among_numbers_of_mountings_does_not_end_the_rows():
+    rows = ["up;0;1,25", *["+1;30;2,5", "-1;42;-3,5"] * 12, "up;0;1,25", "down;0;-1,25"]
+    assert footer_lines(rows, ";", ",") == 0
+    assert footer_lines([*rows, "Mean;12;0,5"], ";", ",") == 1
+
+
 def test_any_number_of_blanks_parts_cells():
     layout = found(["# about", "Time [s]  East (mm)", *["  0.5    1.25 "] * 3])
     assert (layout.delimiter, layout.names) == (" ", ("Time [s]", "East (mm)"))

@@ -69,6 +69,7 @@ class CsvFile(ColumnFile):
         self._are_quotes_checked = False
         #: As UTF-8 and with tabs, where it is no superset of ASCII, or blanks part the cells.
         self._content: bytes | None = None
+        self._is_utf8 = False  # of the content in memory
         self._head: list[Line] = []
         self._encoding = dialect.encoding or "utf-8"
         self._find_layout(dialect)
@@ -143,6 +144,7 @@ class CsvFile(ColumnFile):
     def _ungroup(self, mark: str) -> None:
         """Take the content without the marks between groups of three digits."""
         self._content = ungrouped(self.content().decode(self._encoding), mark).encode()
+        self._is_utf8 = True
 
     def _part_by_tabs(self) -> None:
         """Take the content with one tab for the blanks between two cells; lines stay lines."""
@@ -178,11 +180,18 @@ class CsvFile(ColumnFile):
 
     def first_cells(self, names: Sequence[str], count: int) -> dict[str, list[str]]:
         """Return the first cells of columns, as they are written."""
+        if not names:
+            return {}
         with record_errors(self.path):
-            frame = self._text(names).head(count).collect() if names else None
-        return {} if frame is None else {n: [str(c or "") for c in frame[n]] for n in names}
+            frame = self._text(names).head(count).collect()
+            cells = {name: [str(cell or "") for cell in frame[name]] for name in names}
+        replaced = any("\ufffd" in cell for column in cells.values() for cell in column)
+        if replaced and self._use_utf8():
+            return self.first_cells(names, count)
+        return cells
 
     def _cells(self, column: str) -> list[str]:
+        self._use_utf8()
         frame = self._text([column]).collect()
         return [str(cell or "") for cell in frame[column]]
 
@@ -203,6 +212,7 @@ class CsvFile(ColumnFile):
         if wide and self._encoding != "utf-8-sig":
             try:
                 self._content = self.content().decode(self._encoding).encode()
+                self._is_utf8 = True
             except UnicodeError:
                 raise RecordError(f"{self.path}: this is not text in {self._encoding}.") from None
         if self._content is not None:
@@ -213,7 +223,7 @@ class CsvFile(ColumnFile):
 
     def _decoded(self, raw: bytes) -> str:
         """Return a line of the head as text."""
-        encoding = "utf-8" if self._content is not None else self._encoding
+        encoding = "utf-8" if self._is_utf8 else self._encoding
         try:
             text = raw.removeprefix(BOM_UTF8) if encoding == "utf-8" else raw
             return text.decode(encoding).rstrip("\r\n")
@@ -264,15 +274,25 @@ class CsvFile(ColumnFile):
 
         return self._scan(wanted, pl.String(), comments=True)
 
+    def _use_utf8(self) -> bool:
+        """Encode the content as UTF-8 and return True; return False if it is UTF-8 already.
+
+        Numbers are the same in all encodings, but words are not.
+        """
+        if self._is_utf8 or self._encoding == "utf-8":
+            return False
+        content = self.content() if self._content is None else self._content
+        self._content = content.decode(self._encoding, errors="replace").encode()
+        self._is_utf8 = True
+        return True
+
     def _table(self) -> pl.DataFrame:
         """Return every column of the file as text; comments are left out."""
         import polars as pl
 
         names = [name for name in self.names if name]
         self._require(names)
-        if self._content is None and self._encoding != "utf-8":
-            # Numbers are the same in all, but words are not.
-            self._content = self.content().decode(self._encoding, errors="replace").encode()
+        self._use_utf8()
         try:
             return self._text(names).collect()
         except pl.exceptions.PolarsError:

@@ -492,6 +492,11 @@ def footer_lines(lines: Sequence[str], delimiter: str, decimal: str) -> int:
             continue
         fits = all(_is_row_cell(cells[n], decimal) for n in numeric if n < len(cells))
         fits = fits and any(n < len(cells) and _is_number(cells[n], decimal) for n in numeric)
+        # A row may have a word where most have a number, such as `up` among `+1` and `-1`.
+        beside = [n for n in numeric if n > 0]
+        fits = fits or bool(
+            beside and len(cells) == width and all(_is_number(cells[n], decimal) for n in beside)
+        )
         if fits and not _RESULT_LABEL.fullmatch(cells[0]):
             break
         count = place

@@ -247,7 +247,9 @@ class _RecordReader:
                 chunk = self._make_chunk(taken)
                 if averager is None:
                     self._clock.start(chunk.time, chunk.angle)
-                    self._repeats.start(self._file.path, self._rows + first, chunk.signals)
+                    self._repeats.start(
+                        self._file.path, self._rows + first, chunk.time, chunk.signals
+                    )
                     averager = BlockAverager(
                         self._block,
                         self._clock.step,

@@ -111,12 +111,17 @@ class RepeatedValues:
         self._first_row = 0
         self.blank = [0] * len(names)  #: Values of each signal that were replaced by NaN.
 
-    def start(self, path: object, first_row: int, signals: Sequence[Array]) -> None:
-        """Find how values repeat in the first piece; RecordError if it cannot be told."""
+    def start(self, path: object, first_row: int, time: Array, signals: Sequence[Array]) -> None:
+        """Find how values repeat in the first chunk; RecordError if it cannot be told.
+
+        Rows that repeat the time of the row before are no evidence: the clock drops them.
+        """
         self._first_row = first_row
+        later = np.diff(time, prepend=math.nan) != 0.0
         for name, signal in zip(self._names, signals, strict=True):
             try:
-                self._holding.append(Holding.of(signal))
+                repeats = later.all() or Holding.of(signal[later]) is not None
+                self._holding.append(Holding.of(signal) if repeats else None)
             except ValueError as error:
                 raise RecordError(f"{path}: column '{name}': {error}.") from None
 
