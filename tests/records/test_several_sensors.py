@@ -22,6 +22,7 @@ VALUES = {"A": 1.0, "B": 2.0, "C": 3.0}
         ("instance", ["0", "1"], True),
         ("whatever", ["left", "right"], True),
         ("temperature", ["24", "25"], False),
+        ("Temperatur", ["22,30", "22,31"], False),
         ("device", ["A"], False),
         ("type", ["24.1", "25.2"], False),
     ],

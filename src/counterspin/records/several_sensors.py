@@ -44,7 +44,9 @@ def sensor_columns(cells: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, li
         if not 2 <= count <= min(_MOST_VALUES, len(column) // 4):
             continue
         in_turn = column[count:] == column[:-count] and not all(map(_is_number, values))
-        whole = all(not _is_number(value) or float(value).is_integer() for value in values)
+        whole = all(
+            not _is_number(value) or float(value.replace(",", ".")).is_integer() for value in values
+        )
         changes = sum(before != after for before, after in pairwise(column))
         often = changes >= _CHANGING_PART * len(column)
         fewest = min(column.count(value) for value in values)
@@ -100,7 +102,7 @@ def several_words(name: str, values: Sequence[str]) -> str:
 
 def _is_number(text: str) -> bool:
     try:
-        float(text)
+        float(text.replace(",", "."))
     except ValueError:
         return False
     return True
