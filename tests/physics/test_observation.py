@@ -496,7 +496,7 @@ def test_what_is_kept_of_a_trajectory_is_told_apart():
     for found, (trajectory, axes, symbols, observable, attitude) in zip(
         together, asked, strict=True
     ):
-        kept, turning = observation._along_short, motion._kept
+        kept, turning = observation._along_short, motion._cached_spindle_state
         kept.cache_clear(), turning.cache_clear()
         alone = columns(trajectory, axes, symbols, times, observable, attitude=attitude)
         np.testing.assert_array_equal(found, alone)

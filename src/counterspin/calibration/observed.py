@@ -230,7 +230,7 @@ def observe_run(
     trajectory = Trajectory(spindle, campaign.radius.value, campaign.site, conditions=conditions)
     signals = {}
     for name, accelerometer in campaign.accelerometers.items():
-        reference = observation.over_blocks(
+        reference = observation.block_average(
             lambda t, a=accelerometer: observation.reference(  # type: ignore[misc]
                 trajectory, a.mounting, t, a.observable, run.attitude
             ),

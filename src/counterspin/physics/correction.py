@@ -258,9 +258,9 @@ class CalibratedAccelerometer:
         }
         for symbol, slope in slopes.items():
             reference_value = values.get(slope.coefficient, TERMS[slope.coefficient].nominal)
-            values[slope.coefficient] = reference_value + self.coefficients[symbol] * _lever(
-                slope, warmth
-            )
+            values[slope.coefficient] = reference_value + self.coefficients[
+                symbol
+            ] * _design_factor(slope, warmth)
         return values
 
 
@@ -270,7 +270,7 @@ def product_of(symbol: str) -> SpecificForceProduct:
     return TERMS[effect.coefficient].effect if isinstance(effect, Slope) else effect
 
 
-def _lever(slope: Slope, warmth: Array | float) -> Array:
+def _design_factor(slope: Slope, warmth: Array | float) -> Array:
     """Return the factor of a slope, with time and direction of the temperature at zero."""
     zero = np.zeros_like(warmth)
     return slope.design_factors(zero, np.asarray(warmth, dtype=np.float64), zero, zero)
@@ -526,7 +526,7 @@ def _products(instrument: CalibratedAccelerometer, a_ipo: Array, warmth: Array |
     columns = [product_of(symbol).evaluate(a_ipo) for symbol in instrument.coefficients]
     for place, symbol in enumerate(instrument.coefficients):
         if symbol in slopes:
-            columns[place] = columns[place] * _lever(slopes[symbol], warmth)
+            columns[place] = columns[place] * _design_factor(slopes[symbol], warmth)
     return np.stack(columns, axis=1)
 
 

@@ -185,9 +185,15 @@ class Slope:
 
         force: Centripetal force at the run's rate, g.
         """
-        warmth, direction = conditions.temperature_offset_at(times), conditions.direction_at(times)
-        start, forces = np.full_like(warmth, conditions.start), np.full_like(warmth, force)
-        return self.design_factors(start, warmth, direction, forces)
+        temperature_offset, direction = (
+            conditions.temperature_offset_at(times),
+            conditions.direction_at(times),
+        )
+        start, forces = (
+            np.full_like(temperature_offset, conditions.start),
+            np.full_like(temperature_offset, force),
+        )
+        return self.design_factors(start, temperature_offset, direction, forces)
 
     def design_factor(self, conditions: RunConditions, force: float) -> float:
         """Return the factor of the slope at the start of a run, at its mean temperature.

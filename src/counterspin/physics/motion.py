@@ -188,11 +188,11 @@ def spindle_state(spindle: Spindle, t: Array) -> SpindleState:
     """
     if t.size > _MOST_KEPT:
         return SpindleState(spindle, t)
-    return _kept(spindle, t.tobytes(), t.shape)
+    return _cached_spindle_state(spindle, t.tobytes(), t.shape)
 
 
 @lru_cache(maxsize=64)
-def _kept(spindle: Spindle, times: bytes, shape: tuple[int, ...]) -> SpindleState:
+def _cached_spindle_state(spindle: Spindle, times: bytes, shape: tuple[int, ...]) -> SpindleState:
     return SpindleState(spindle, np.frombuffer(times).reshape(shape))
 
 
@@ -203,11 +203,11 @@ def motion_at(trajectory: Trajectory, t: Array) -> Motion:
     """
     if t.size > _MOST_KEPT:
         return trajectory.at(t)
-    return _kept_motion(trajectory, t.tobytes(), t.shape)
+    return _cached_motion(trajectory, t.tobytes(), t.shape)
 
 
 @lru_cache(maxsize=16)
-def _kept_motion(trajectory: Trajectory, times: bytes, shape: tuple[int, ...]) -> Motion:
+def _cached_motion(trajectory: Trajectory, times: bytes, shape: tuple[int, ...]) -> Motion:
     return trajectory.at(np.frombuffer(times).reshape(shape))
 
 
@@ -275,7 +275,7 @@ class Motion:
         position: Array = self.trajectory.radius * _vectors(cos, sin)
         if self._growth is not None:
             position += _vectors(self._growth[0] * cos, self._growth[0] * sin)
-        return self._lifted(position)
+        return self._lift(position)
 
     @cached_property
     def velocity(self) -> Array:
@@ -287,7 +287,7 @@ class Motion:
             growth, outward, _ = self._growth
             forward = growth * self.rate
             velocity += _vectors(outward * cos - forward * sin, outward * sin + forward * cos)
-        return self._lifted(velocity)
+        return self._lift(velocity)
 
     @cached_property
     def acceleration(self) -> Array:
@@ -301,9 +301,9 @@ class Motion:
             outward = curve - growth * squared
             forward = 2.0 * speed * self.rate + growth * alpha
             acceleration += _vectors(outward * cos - forward * sin, outward * sin + forward * cos)
-        return self._lifted(acceleration)
+        return self._lift(acceleration)
 
-    def _lifted(self, level: Array) -> Array:
+    def _lift(self, level: Array) -> Array:
         """Return a vector of the level plane, or its derivative, as the tilted axis lifts it."""
         east, north = self.trajectory.axis_tilt
         if east or north:
@@ -444,12 +444,12 @@ def _encoder_sensitivity(error: TrajectoryError, circle: Motion, order: int) -> 
     In the level the platform is at R e^(i theta), a unit of the error takes it by
     -i R q e^(i theta), q being the wave, and its velocity and acceleration by the derivatives.
     """
-    trajectory, n, turning = circle.trajectory, error.harmonic, circle.spindle_state
+    trajectory, n, spindle_state = circle.trajectory, error.harmonic, circle.spindle_state
     rate, acceleration = circle.rate, circle.angular_acceleration
-    turned = turning.cosine + 1j * turning.sine
-    times_n = turned
+    phasor = spindle_state.cosine + 1j * spindle_state.sine
+    times_n = phasor
     for _ in range(n - 1):
-        times_n = times_n * turned
+        times_n = times_n * phasor
     cos, sin = times_n.real, times_n.imag
     # wave and its derivative by the angle's n-fold
     wave, slope = (cos, -sin) if error.quadrature == "cos" else (sin, cos)
@@ -462,7 +462,7 @@ def _encoder_sensitivity(error: TrajectoryError, circle: Motion, order: int) -> 
         else:
             curve = n * acceleration * slope - (n * rate) ** 2 * wave
             along = curve + 2j * n * rate**2 * slope + (1j * acceleration - rate**2) * wave
-        level = -1j * trajectory.radius * along * turned
+        level = -1j * trajectory.radius * along * phasor
         return np.column_stack([level.real, level.imag, np.zeros(wave.size)])
 
     if order > 0:

@@ -145,7 +145,7 @@ def columns(
     linear = {
         i: vector
         for i, effect in enumerate(effects)
-        if (vector := integrals.along(effect)) is not None
+        if (vector := integrals.linear_vector(effect)) is not None
     }
     bias = [i for i, symbol in enumerate(symbols) if symbol == "K_F"]
     kinked = {
@@ -185,8 +185,8 @@ def columns(
         more = columns(trajectory, mounting, [*changing], times, observable, attitude=attitude)
         own_columns |= dict(zip(changing, more.T, strict=True))
     for i, slope in slopes.items():
-        lever = slope.design_factor(trajectory.conditions, trajectory.centripetal)
-        result[i] = lever * own_columns[slope.coefficient]
+        factor = slope.design_factor(trajectory.conditions, trajectory.centripetal)
+        result[i] = factor * own_columns[slope.coefficient]
         if slope.condition == "time":  # it goes on changing within the run
             result[i] += trajectory.site.gravity * times ** (order + 1) / math.factorial(order + 1)
     # The accelerometer sees what is shared through its scale factor.
@@ -197,7 +197,7 @@ def columns(
     return result.T
 
 
-def over_blocks(function: Callable[[Array], Array], times: Array, spread: Array) -> Array:
+def block_average(function: Callable[[Array], Array], times: Array, spread: Array) -> Array:
     """Return a function of time averaged over blocks of samples.
 
     Two points at the mean time plus and minus its standard deviation inside the block have the
@@ -255,7 +255,9 @@ class _Integrals:
         return np.stack([self._kept[*who, effect] for effect in effects])
 
 
-def _along(trajectory: Trajectory, duration: float, kinked: tuple[float, ...] = ()) -> _Integrals:
+def _trajectory_integrals(
+    trajectory: Trajectory, duration: float, kinked: tuple[float, ...] = ()
+) -> _Integrals:
     """Return the cached integrals along a trajectory.
 
     Accelerometers of one run share the motion, and a fit and its checks the integrals.
@@ -288,7 +290,7 @@ _along_short, _along_long = (
 )
 
 
-def wave_of(turn: AttitudeError, angle: Array) -> Array:
+def table_angle_error(turn: AttitudeError, angle: Array) -> Array:
     """Return the error of the counter-rotating table's angle per unit of its term, shape (n,).
 
     angle: Of the spindle, rad, shape (n,).
@@ -331,7 +333,7 @@ class _TimeIntegrals:
         """The input axis in the run's attitude, east-north-up, shape (3,)."""
         return self._axes.input_axis
 
-    def along(self, effect: Effect) -> Array | None:
+    def linear_vector(self, effect: Effect) -> Array | None:
         """Return the vector whose product with the specific force is the term, if there is one."""
         match effect:
             case SpecificForceProduct(is_linear=True, factors=(factor,), weight=weight):
@@ -357,7 +359,7 @@ class _TimeIntegrals:
         """Return the integrals of terms, (k, n)."""
         if self._order == 0:
             return self._specific_force_columns(effects)
-        along = _along(self._trajectory, self._duration)
+        along = _trajectory_integrals(self._trajectory, self._duration)
         return along.at(self._times, effects, self._axes, self._attitude, self._order)
 
     def kinked(self, effects: Sequence[Integrated]) -> Array:
@@ -365,7 +367,7 @@ class _TimeIntegrals:
         if self._order == 0:
             return self._specific_force_columns(effects)
         axis = tuple(self._axes.input_axis.tolist())
-        kinked = _along(self._trajectory, self._duration, axis)
+        kinked = _trajectory_integrals(self._trajectory, self._duration, axis)
         return kinked.at(self._times, effects, self._axes, self._attitude, self._order)
 
     def _specific_force_columns(self, effects: Sequence[Integrated]) -> Array:
@@ -389,11 +391,15 @@ class _SensorInputs:
             return self._gravity * effect.evaluate(self._a_ipo)
         if isinstance(effect, Slope):
             path = self._motion.trajectory
-            lever = effect.design_factors_at(path.conditions, path.centripetal, self._motion.t)
-            return lever * self.integrand(TERMS[effect.coefficient].effect)
+            factors = effect.design_factors_at(path.conditions, path.centripetal, self._motion.t)
+            return factors * self.integrand(TERMS[effect.coefficient].effect)
         # The table turns about up, all else about the platform's axes.
-        turned = self._turned_about_up if effect.kind == "table" else self._turned[effect.axis]
-        integrand: Array = self._attitude_error(effect) * turned
+        sensitivity = (
+            self._azimuth_sensitivity
+            if effect.kind == "table"
+            else self._tilt_sensitivity[effect.axis]
+        )
+        integrand: Array = self._attitude_error(effect) * sensitivity
         return integrand
 
     def _attitude_error(self, turn: AttitudeError) -> Array:
@@ -401,11 +407,11 @@ class _SensorInputs:
         if turn.kind == "drift":
             return self._motion.t
         if turn.kind == "table":
-            return wave_of(turn, self._motion.angle)
+            return table_angle_error(turn, self._motion.angle)
         if turn.kind == "g2_sensitivity":
             return self._motion.square_of_specific_force / self._gravity**2
         assert turn.force_axis is not None
-        along = self._gained if turn.kind == "g_sensitivity" else self._along_platform
+        along = self._velocity_gained if turn.kind == "g_sensitivity" else self._platform_force
         error: Array = along[turn.force_axis]
         return error
 
@@ -415,24 +421,24 @@ class _SensorInputs:
         return self._axes.matrix @ self._motion.specific_force.T / self._gravity
 
     @cached_property
-    def _turned(self) -> Array:
+    def _tilt_sensitivity(self) -> Array:
         """Change of the sensed force per turn about each platform axis, m/s^2, (3, m)."""
         arms = np.cross(self._attitude, self._axes.input_axis)
         return arms @ self._motion.specific_force.T
 
     @cached_property
-    def _turned_about_up(self) -> Array:
+    def _azimuth_sensitivity(self) -> Array:
         """Change of the sensed force per turn about up, m/s^2, (m,)."""
         arm = np.cross([0.0, 0.0, 1.0], self._axes.input_axis)
         return np.asarray(self._motion.specific_force @ arm)
 
     @cached_property
-    def _gained(self) -> Array:
+    def _velocity_gained(self) -> Array:
         """Integral of the specific force along the platform's axes in g s, (3, m)."""
         return self._attitude @ self._motion.velocity_of_specific_force.T / self._gravity
 
     @cached_property
-    def _along_platform(self) -> Array:
+    def _platform_force(self) -> Array:
         """Specific force along the platform's axes in g, (3, m)."""
         return self._attitude @ self._motion.specific_force.T / self._gravity
 

@@ -48,7 +48,7 @@ def attitude_error(
             psi[:, row.axis] += value
             continue
         if row.kind == "table":
-            psi[:, 2] += value * observation.wave_of(row, motion.angle)
+            psi[:, 2] += value * observation.table_angle_error(row, motion.angle)
             continue
         if row.kind == "g_sensitivity":
             size = motion.velocity_of_specific_force @ attitude[row.force_axis] / g

@@ -419,7 +419,7 @@ def _fit(
     for _ in range(20):
         _waves(w0 * time, harmonics, root_weight, columns[3:-1])
         if spread is not None:
-            # As `observation.over_blocks`: the mean of the waves at both ends of the spread.
+            # As `observation.block_average`: the mean of the waves at both ends of the spread.
             for place, harmonic in enumerate(harmonics):
                 columns[3 + 2 * place : 5 + 2 * place] *= np.cos(harmonic * w0 * spread)
         triangle = triangle_of(in_parts(columns.T))

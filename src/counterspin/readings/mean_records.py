@@ -127,7 +127,7 @@ def _rotation(campaign: Campaign, reading: Reading, record: Record) -> SpindleFi
 def _angle_blocks(record: Record, rate: float) -> BlockMeans:
     """Return the means of times and angles over blocks, as records of the double turntable have."""
     step = record.report.step
-    reducer = BlockAverager(block_size(step, rate), step, rate, judges=False)
+    reducer = BlockAverager(block_size(step, rate), step, rate, reject_outliers=False)
     uneven = float(np.abs(np.diff(record.time) / step - 1.0).max(initial=0.0))
     return reducer.average(Chunk(record.time, record.angle, []), uneven).blocks
 

@@ -19,7 +19,7 @@ from counterspin.arrays import SIGMA_OF_MAD, aligned, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.column_file import Chunk
-from counterspin.records.outliers import middle
+from counterspin.records.outliers import upper_median
 from counterspin.records.record import Gap
 
 #: Most gaps, and most rows of each kind of finding, that are listed; all are counted.
@@ -178,7 +178,7 @@ class Clock:
         if not (low > -LARGEST_ANGLE and high < LARGEST_ANGLE and abs(angle[0]) < LARGEST_ANGLE):
             return None
         sample = advance[:: max(1, len(advance) // 512)]
-        usual = middle(sample)
+        usual = upper_median(sample)
         tolerance = _tolerance(_wrap(sample - usual), angle)
         # Where the angle has been wrapped, and the turns to add from there on.
         breaks, turns = np.zeros(1, dtype=int), np.zeros(1)
@@ -398,7 +398,9 @@ def _tolerance(strays: np.ndarray, angle: np.ndarray) -> float:
         common = float(np.partition(size, -rare)[-rare])
         quantum = max(quantum, min(common, _ENCODER_STEP_RAD))
     return (
-        _STRAY_SDS * SIGMA_OF_MAD * middle(size) + 3 * quantum + rounding if len(size) else rounding
+        _STRAY_SDS * SIGMA_OF_MAD * upper_median(size) + 3 * quantum + rounding
+        if len(size)
+        else rounding
     )
 
 

@@ -33,7 +33,7 @@ _SCREEN_SDS = 5.5
 #: A window may be this many times noisier than its surroundings before that counts against it.
 _NOISE_RATIO = 4.0
 #: Times the middle of a chunk beyond which a sample is no measurement at all.
-_FILLER_RATIO = 1e9
+_SENTINEL_RATIO = 1e9
 #: Relative unevenness of the steps that may be ignored.
 _IGNORED_UNEVENNESS = 1e-4
 #: How late a sample may be before moving it along the slope no longer serves: in steps, or, where
@@ -82,12 +82,12 @@ def detect_outliers(
         return np.empty(0, dtype=int)
     starts = np.minimum(np.arange(len(peak)) * width, len(signal) - width)
     # A filler such as 1e30 in place of an empty cell would drown its window by rounding alone.
-    usual = middle(np.abs(signal))
-    filler = np.abs(signal) > _FILLER_RATIO * usual
-    if usual > 0.0 and filler.any():
-        rest = np.where(filler if finite is None else filler | ~finite, np.nan, signal)
-        others = detect_outliers(time, rest, rate, step, unevenness, weight)
-        return np.union1d(np.flatnonzero(filler if finite is None else filler & finite), others)
+    usual = upper_median(np.abs(signal))
+    sentinel = np.abs(signal) > _SENTINEL_RATIO * usual
+    if usual > 0.0 and sentinel.any():
+        measured = np.where(sentinel if finite is None else sentinel | ~finite, np.nan, signal)
+        others = detect_outliers(time, measured, rate, step, unevenness, weight)
+        return np.union1d(np.flatnonzero(sentinel if finite is None else sentinel & finite), others)
 
     def robust(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         index = starts[chosen, None] + np.arange(width)
@@ -119,15 +119,15 @@ def detect_outliers(
     return np.flatnonzero(marked)
 
 
-def middle(values: np.ndarray) -> float:
+def upper_median(values: np.ndarray) -> float:
     """Return the median of values without NaN, of an even number the upper one.
 
     For the few hundred values of a chunk `np.median` takes several times as long.
     """
     half = len(values) // 2
-    parted = values.copy()
-    parted.partition(half)
-    return float(parted[half])
+    partitioned = values.copy()
+    partitioned.partition(half)
+    return float(partitioned[half])
 
 
 def _screen_all(
@@ -168,18 +168,22 @@ def _screen(
         late -= np.arange(width) - (width - 1) / 2
         broken = np.abs(late).max(axis=1) > max(_SHIFT_RAD / abs(phase_step), _SHIFT_STEPS)
         windows = windows - ((windows @ basis) @ slopes) * late
-    rest = aligned(len(windows), width)
-    np.matmul(windows @ basis, functions, out=rest)
-    np.subtract(windows, rest, out=rest)
-    judged = rest[~broken] if broken.any() else rest
-    sample = judged.ravel()[:: max(1, judged.size // 512) | 1]
+    residuals = aligned(len(windows), width)
+    np.matmul(windows @ basis, functions, out=residuals)
+    np.subtract(windows, residuals, out=residuals)
+    tested = residuals[~broken] if broken.any() else residuals
+    sample = tested.ravel()[:: max(1, tested.size // 512) | 1]
     if not len(sample):
-        return np.zeros(len(rest)), broken, 0.0
-    centre = middle(sample)
-    scale = SIGMA_OF_MAD * middle(np.abs(sample - centre))
-    if max(judged.max() - centre, centre - judged.min()) <= _SCREEN_SDS * scale:
-        return np.zeros(len(rest)), broken, scale  # no window needs its own peak: the usual case
-    return np.maximum(rest.max(axis=1) - centre, centre - rest.min(axis=1)), broken, scale
+        return np.zeros(len(residuals)), broken, 0.0
+    centre = upper_median(sample)
+    scale = SIGMA_OF_MAD * upper_median(np.abs(sample - centre))
+    if max(tested.max() - centre, centre - tested.min()) <= _SCREEN_SDS * scale:
+        return (
+            np.zeros(len(residuals)),
+            broken,
+            scale,
+        )  # no window needs its own peak: the usual case
+    return np.maximum(residuals.max(axis=1) - centre, centre - residuals.min(axis=1)), broken, scale
 
 
 def resolution(signal: np.ndarray) -> float:

@@ -41,7 +41,7 @@ from counterspin.records.record import (
     RecordReport,
     StatedMotion,
 )
-from counterspin.records.reduction import BlockAverager, BlockMeans, block_size, span_of_main_rows
+from counterspin.records.reduction import BlockAverager, BlockMeans, block_size, main_segment
 from counterspin.records.run_file import RunFile, is_derived, pulse_angle
 from counterspin.records.sampling import RepeatedValues
 from counterspin.records.several_sensors import refuse_several_sensors
@@ -180,12 +180,12 @@ def _read_tested(
 ) -> Record:
     """Read a file, and read it again without isolated rows at its ends."""
     reader = _RecordReader(file, columns, motion, block)
-    blocks = reader.blocks(columns.part)
-    within = reader.span_of_main_rows(blocks)
-    if within is not None:
+    blocks = reader.read(columns.part)
+    segment = reader.main_segment(blocks)
+    if segment is not None:
         reader = _RecordReader(file, columns, motion, block)
         begin, end = columns.part
-        blocks = reader.blocks((max(begin, within[0]), min(end, within[1])))
+        blocks = reader.read((max(begin, segment[0]), min(end, segment[1])))
     return reader.record(blocks)
 
 
@@ -221,10 +221,10 @@ class _RecordReader:
         """The first sample's time in the file's own clock, s."""
         return self._first_time * self._columns.time.factor
 
-    def blocks(self, within: tuple[float, float] = (-np.inf, np.inf)) -> BlockMeans:
+    def read(self, time_range: tuple[float, float] = (-np.inf, np.inf)) -> BlockMeans:
         """Read the file to its end, chunk by chunk.
 
-        within: First and last time, s in the file's own clock, between which rows are taken.
+        time_range: First and last time, s in the file's own clock, between which rows are taken.
         """
         parts: list[BlockMeans] = []
         averager: BlockAverager | None = None
@@ -233,7 +233,7 @@ class _RecordReader:
             if not self._motion.steady:
                 signals = [columns[spec.name] for spec in self._signals]
                 self._polynomials.add(columns[self._columns.time.name], signals)
-            first, last = self._rows_within(columns, within)
+            first, last = self._rows_within(columns, time_range)
             excluded = rows - (last - first)
             outside = (
                 rows - _count(*self._rows_within(columns, self._columns.part)) if excluded else 0
@@ -254,7 +254,7 @@ class _RecordReader:
                         self._block,
                         self._clock.step,
                         self._clock.rate,
-                        judges=not self._motion.posed,
+                        reject_outliers=not self._motion.posed,
                     )
                 signals = self._repeats.without(self._rows + first, chunk.signals, self._block > 1)
                 chunk = Chunk(chunk.time, chunk.angle, signals)
@@ -274,20 +274,20 @@ class _RecordReader:
             raise RecordError(f"{self._file.path}: no row of the record can be used.")
         return BlockMeans.joined(parts)
 
-    def span_of_main_rows(self, blocks: BlockMeans) -> tuple[float, float] | None:
+    def main_segment(self, blocks: BlockMeans) -> tuple[float, float] | None:
         """Return the times, in the file's own clock, between which no rows stand alone."""
         rate = abs(self._motion.rate)
         revolution = 2 * np.pi / rate if rate else 0.0
-        within = span_of_main_rows(blocks, max(revolution, _LONE_STEPS * self._clock.step))
+        within = main_segment(blocks, max(revolution, _LONE_STEPS * self._clock.step))
         return within and (within[0] + self._start_time, within[1] + self._start_time)
 
-    def _rows_within(self, columns: Columns, within: tuple[float, float]) -> tuple[int, int]:
+    def _rows_within(self, columns: Columns, time_range: tuple[float, float]) -> tuple[int, int]:
         """Return the first of the rows inside, and the one after the last."""
         spec = self._columns.time
-        if within == (-np.inf, np.inf):
+        if time_range == (-np.inf, np.inf):
             return 0, column_rows(columns)
         time = columns[spec.name] * spec.factor
-        inside = np.flatnonzero(~((time < within[0]) | (time > within[1])))
+        inside = np.flatnonzero(~((time < time_range[0]) | (time > time_range[1])))
         return (int(inside[0]), int(inside[-1]) + 1) if len(inside) else (0, 0)
 
     def _choose_rows(self, columns: Columns) -> int:
@@ -543,12 +543,12 @@ class _RecordReader:
         step = self._clock.step * self._block
         unevenness = float(np.abs(np.diff(blocks.time) / step - 1).max(initial=0.0))
         # The mean over a shorter piece of a wave's crest is another: such blocks are not compared.
-        judged = np.where(blocks.count >= 0.9 * self._block, signal, np.nan)
-        odd = detect_outliers(blocks.time, judged, self._clock.rate, step, unevenness, weight)
-        if len(odd):
-            self._outliers[place] += int(blocks.count[odd].sum())
+        tested = np.where(blocks.count >= 0.9 * self._block, signal, np.nan)
+        outliers = detect_outliers(blocks.time, tested, self._clock.rate, step, unevenness, weight)
+        if len(outliers):
+            self._outliers[place] += int(blocks.count[outliers].sum())
             signal = signal.copy()
-            signal[odd] = np.nan
+            signal[outliers] = np.nan
         return signal
 
     def _report(self, blocks: BlockMeans) -> RecordReport:

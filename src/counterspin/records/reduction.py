@@ -64,7 +64,7 @@ def block_size(step: float, rate: float) -> int:
     return size if size >= 2 else 1
 
 
-def span_of_main_rows(blocks: BlockMeans, shortest_gap: float) -> tuple[float, float] | None:
+def main_segment(blocks: BlockMeans, shortest_gap: float) -> tuple[float, float] | None:
     """Return between which times, s, a record stands without the rows that stand alone at its ends.
 
     A few rows beyond a gap, at the start or at the end, tell little; but a fit follows them, and
@@ -105,11 +105,13 @@ class BlockAverager:
     judges: Whether outlying samples are looked for.
     """
 
-    def __init__(self, block: int, step: float, rate: float, *, judges: bool = True) -> None:
+    def __init__(
+        self, block: int, step: float, rate: float, *, reject_outliers: bool = True
+    ) -> None:
         self._block = block
         self._step = step
         self._rate = rate
-        self._judges = judges
+        self._reject_outliers = reject_outliers
         # A product with a constant vector is the fastest sum along short rows.
         self._mean = np.full(block, 1 / block)
 
@@ -117,13 +119,13 @@ class BlockAverager:
         """Reduce one chunk."""
         time, signals = chunk.time, chunk.signals
         outliers = [np.empty(0, dtype=int) for _ in signals]
-        if self._judges:
+        if self._reject_outliers:
             outliers = [
                 detect_outliers(time, x, self._rate, self._step, unevenness) for x in signals
             ]
         by_rows = unevenness < _ROW_UNEVENNESS
         if self._block == 1:
-            return AveragedChunk(_points(chunk, outliers), outliers, False)
+            return AveragedChunk(_point_blocks(chunk, outliers), outliers, False)
         if by_rows and not any(len(places) for places in outliers):
             blocks = self._even_means(chunk, unevenness)
             # The mean over a sample that is no number is none either.
@@ -136,21 +138,21 @@ class BlockAverager:
 
     def _even_means(self, chunk: Chunk, unevenness: float) -> BlockMeans:
         size, time = self._block, chunk.time
-        whole = len(time) // size * size
-        tail = len(time) - whole
+        full_samples = len(time) // size * size
+        tail = len(time) - full_samples
 
         def means(x: np.ndarray) -> np.ndarray:
-            mean: np.ndarray = x[:whole].reshape(-1, size) @ self._mean
-            return np.append(mean, x[whole:].mean()) if tail else mean
+            mean: np.ndarray = x[:full_samples].reshape(-1, size) @ self._mean
+            return np.append(mean, x[full_samples:].mean()) if tail else mean
 
         mean_time = means(time)
         count = np.full(len(mean_time), size)
         mean_angle = None if chunk.angle is None else means(chunk.angle)
 
         def spreads(x: np.ndarray, mean: np.ndarray) -> np.ndarray:
-            apart = x[:whole].reshape(-1, size) - mean[: whole // size, None]
-            spread = np.sqrt(np.einsum("ij,ij->i", apart, apart) / size)
-            return np.append(spread, x[whole:].std()) if tail else spread
+            deviation = x[:full_samples].reshape(-1, size) - mean[: full_samples // size, None]
+            spread = np.sqrt(np.einsum("ij,ij->i", deviation, deviation) / size)
+            return np.append(spread, x[full_samples:].std()) if tail else spread
 
         angle_sd = np.full(len(mean_time), math.nan)
         if unevenness < _IGNORED_UNEVENNESS:
@@ -160,7 +162,7 @@ class BlockAverager:
             if chunk.angle is not None and mean_angle is not None:
                 angle_sd = spreads(chunk.angle, mean_angle)
         if tail:
-            sd[-1] = time[whole:].std()
+            sd[-1] = time[full_samples:].std()
             count[-1] = tail
         signals = [means(x) for x in chunk.signals]
         return BlockMeans(mean_time, sd, count, mean_angle, signals, angle_sd)
@@ -209,7 +211,7 @@ class BlockAverager:
         )
 
 
-def _points(chunk: Chunk, outliers: list[np.ndarray]) -> BlockMeans:
+def _point_blocks(chunk: Chunk, outliers: list[np.ndarray]) -> BlockMeans:
     """Return every sample as a block of its own."""
     # Copies: the next chunk overwrites this one.
     signals = [x.copy() for x in chunk.signals]

@@ -118,7 +118,7 @@ def columns(series: Series, symbols: Sequence[str], coefficients: Mapping[str, f
             total += quadrature.integrate(of_products, edges, t, order)
         return np.asarray(total @ error.root[:, places])
 
-    shown = observation.over_blocks(seen, series.time, series.spread)
+    shown = observation.block_average(seen, series.time, series.spread)
     if series.share == 0.0:
         return shown
     turned = motion.spindle.angle_functions(error, series.time)[0] @ error.root[:, places]

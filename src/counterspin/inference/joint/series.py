@@ -149,7 +149,7 @@ class Series:
                 scale_factor=scale_factor,
             )[: t.size]
 
-        columns = observation.over_blocks(shown, self.time, self.spread)
+        columns = observation.block_average(shown, self.time, self.spread)
         kinked = [k for k, s in enumerate(symbols) if s in TERMS and TERMS[s].effect.has_kink]
         if kinked and self.order == 0 and np.any(self.spread):
             rows, times = self._samples_at_sign_changes(motion)
@@ -177,7 +177,7 @@ class Series:
     def reference(self, trajectory: Trajectory | None = None, later: float = 0.0) -> Array:
         """Return the reference averaged over the blocks, shape (n,), at times later by `later`."""
         motion = trajectory or self.trajectory
-        return observation.over_blocks(
+        return observation.block_average(
             lambda t: observation.reference(
                 motion, self.mounting, t + later, self.observable, self.attitude
             ),
@@ -266,7 +266,7 @@ class Series:
         if stamps is not None:
             stamped = time - stamps.share * stamps.delay
             sampled = stamped + stamps.delay
-            ahead = observation.over_blocks(
+            ahead = observation.block_average(
                 lambda t: spindle.angle(t) - before.angle(t), sampled, self.spread
             )
             stamps = replace(stamps, delay=stamps.delay - ahead / spindle.angular_rate(sampled))
