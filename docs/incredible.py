@@ -154,7 +154,7 @@ def of_readings(mistake: Mistake, way: str) -> str:
     if way == "tumble":
         axes = ("up", "west") if mistake.upright else ("east", "up")
         pieces.append(_read_accelerometer(*axes, mistake.stated))
-        for angle in range(0, 360, 30):
+        for angle in range(0, 360, 15):
             # From up, about north: the input axis turns to the east, the pendulous one up.
             turn = math.radians(angle if mistake.upright else angle + 90.0)
             reading = read(math.cos(turn), math.sin(turn))
