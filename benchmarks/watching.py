@@ -27,6 +27,7 @@ def campaign(folder, seconds):
     """Return the folder of a simulated campaign whose last run lasts so many seconds."""
     description = cs.init(folder / "made")
     starter = cs.read_campaign(description)
+    assert starter.source is not None
     runs = [run | {"duration": f"{seconds} s"} for run in starter.source.document["runs"]]
     sampling = {"sampling_rate": f"{ROWS_A_SECOND} Hz", "revolutions": None}
     changed = starter.change({"simulation": sampling, "runs": runs})

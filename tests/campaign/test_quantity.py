@@ -87,6 +87,11 @@ def test_a_latitude_has_fewer_than_60_minutes():
         latitude_text("45 deg 75 min N")
 
 
+@pytest.mark.parametrize("text", ["45.75 degs", "45.75 degN", "45 deg 45 min 30 s", "45.75 n"])
+def test_misspelt_units_of_latitudes_are_not_hemispheres(text):
+    assert latitude_text(text) == text
+
+
 @pytest.mark.parametrize(
     ("text", "unit", "value"),
     [

@@ -42,10 +42,9 @@ BARE: Final = re.compile(rf"{NUMBER}(?:{PLUS_MINUS}{NUMBER})?")
 _UNIT_TWICE = re.compile(rf"([^±]*?){PLUS_MINUS}({NUMBER})\s*([^±]*)")
 #: A latitude as maps write it: degrees, minutes and seconds of arc, and a hemisphere.
 _LATITUDE: Final = re.compile(
-    r"(\d+(?:\.\d+)?)\s*(?:deg|°)?"
-    r"(?:\s*(\d+(?:\.\d+)?)\s*(?:min|arcmin|['′])"
-    r"(?:\s*(\d+(?:\.\d+)?)\s*(?:sec|s|arcsec|[\"″]))?)?\s*([NS])",
-    re.IGNORECASE,
+    r"(\d+(?:\.\d+)?)\s*(?:deg\b|°)?"
+    r"(?:\s*(\d+(?:\.\d+)?)\s*(?:min\b|arcmin\b|['′])"
+    r"(?:\s*(\d+(?:\.\d+)?)\s*(?:sec\b|s\b|arcsec\b|[\"″]))?)?\s*([NS])"
 )
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)\b", re.IGNORECASE)
 
@@ -148,7 +147,7 @@ def latitude_text(text: object) -> object:
     degrees, minutes, seconds = (float(part or 0.0) for part in match.groups()[:3])
     if minutes >= 60.0 or seconds >= 60.0:
         raise ValueError(f"{text!r}: minutes and seconds of arc are less than 60")
-    sign = "-" if match[4] in "Ss" else ""
+    sign = "-" if match[4] == "S" else ""
     return f"{sign}{degrees + minutes / 60.0 + seconds / 3600.0:.12g} deg"
 
 
