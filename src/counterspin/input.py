@@ -77,7 +77,7 @@ def open_file(path: Path) -> FileIO:
 
 
 def read_file(path: Path, most: int = DOCUMENT_BYTES) -> bytes:
-    """Return what is in an ordinary file; OSError as of `open_file`, or if there is more."""
+    """Return the content of an ordinary file; OSError as of `open_file`, or if there is more."""
     with open_file(path) as file:
         parts = []
         left = most
@@ -126,7 +126,7 @@ def _refuse_constant(word: str) -> None:
 
 
 def looks_like(content: bytes) -> str:
-    """Return what a file seems to be, for a message; empty text where nothing tells."""
+    """Return the apparent type of a file, for a message; empty if it is unknown."""
     text = content[:1000].removeprefix(b"\xef\xbb\xbf").lstrip()
     if not text:
         return "an empty file"

@@ -84,7 +84,7 @@ def reserve(
 
 
 def mark(words: str) -> str:
-    """Return what a file of a kind says of itself, to stand where its format has such remarks."""
+    """Return the note that identifies the file in formats with a field for remarks."""
     return f"Made by counterspin: {words}."
 
 

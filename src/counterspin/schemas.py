@@ -102,7 +102,7 @@ def parts_of(part: type) -> dict[str, type]:
 
 
 def name_of(part: type, field: str) -> str:
-    """Return what a field is called in the file."""
+    """Return the name of a field in the file."""
     fields = part.model_fields if issubclass(part, BaseModel) else {}
     return fields[field].alias or field if field in fields else field
 

@@ -174,7 +174,7 @@ def _asked_about(campaign: Campaign) -> list[Finding]:
 
 
 def _removed(campaign: Campaign, observed: Sequence[ObservedRun]) -> list[str]:
-    """Return what recorders removed that start offset and start velocity take up."""
+    """Return remarks on parts that recorders removed and start values replace."""
     remarks = []
     for name, accelerometer in campaign.accelerometers.items():
         count, runs = removed_of({run.run.name: run.record.polynomials[name] for run in observed})

@@ -26,7 +26,7 @@ class FailedCampaign(ResultPart):
 
 
 class BatchResult(ReportableResult):
-    """What became of each campaign, by its folder as it was named."""
+    """Results and errors of campaigns, by folder as named."""
 
     BLOCKS: ClassVar[str] = "counterspin.calibration.pages.document:batch_blocks"
     KIND: ClassVar[str] = "batch"

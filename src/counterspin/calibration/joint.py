@@ -211,7 +211,7 @@ def _undetermined(view: AccelerometerView, own: Mapping[str, Coefficient]) -> It
 
 
 def _remedy(view: AccelerometerView, symbol: str) -> str:
-    """Return what would determine a term."""
+    """Return advice on data that would determine a term."""
     campaign = view.campaign
     rates = [abs(run.rate) for run in campaign.runs]
     rates += [abs(reading.rate) for reading in campaign.readings if reading.rate]

@@ -105,7 +105,7 @@ def stated_times(campaign: Campaign) -> tuple[float, float]:
 
 
 def _stamp_errors(run: ObservedRun, timing: float, encoder_noise: float) -> StampErrors | None:
-    """Return what the recorded angle of a run shows of its time stamps."""
+    """Return the errors of the time stamps of a run that its recorded angle shows."""
     rotation, record = run.rotation, run.record
     if rotation is None:
         return None

@@ -53,7 +53,7 @@ SQUARES: Final = ("K_PP", "K_OO")
 
 
 def model_of(campaign: Campaign) -> Unknowns:
-    """Return what a campaign asks for, what it holds, and everything else that acts."""
+    """Return the requested, the considered and all other acting terms of a campaign."""
     asked: list[Unknown] = []
     others: list[Unknown] = []
     held: list[Considered] = []
@@ -159,7 +159,7 @@ def prior_of(
 
 
 def _stated(campaign: Campaign, owner: str, symbol: str) -> Quantity | None:
-    """Return what the description says of a term of somebody."""
+    """Return the stated prior of a term of an owner."""
     if owner in campaign.accelerometers and symbol in campaign.accelerometers[owner].priors:
         return campaign.accelerometers[owner].priors[symbol]
     return campaign.model.priors.get(symbol)

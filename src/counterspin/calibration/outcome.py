@@ -1,4 +1,4 @@
-"""What a method has found, as the result states it: coefficients, noise, residuals, runs."""
+"""The outcome of a method, as the result states it: coefficients, noise, residuals, runs."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def coefficient(estimate: Estimate, assessment: Assessment, index: int) -> Coeff
 
 
 def knowledge(estimate: Estimate, stated_inputs: Mapping[str, Quantity]) -> list[Knowledge]:
-    """Return what an estimate rests on beside its data, in the order of the fit."""
+    """Return the prior information of an estimate, in the order of the fit."""
     model, solution = estimate.fit.model, estimate.fit.solution
     rows = []
     for place, other in enumerate((*model.unknowns, *model.considered)):
@@ -346,7 +346,7 @@ def run_result(
     fit: Mapping[str, dict[str, float | str | None]] | None = None,
     outliers: int = 0,
 ) -> RunResult:
-    """Return what one run showed of its rotation and its samples."""
+    """Return the rotation and the counts of samples of a run."""
     rotation, report = run.rotation, run.record.report
     spindle, own = run.trajectory.spindle, dict(terms or {})
     # Where no angle was recorded the joint fit has found the rotation.
@@ -398,7 +398,7 @@ def many_outliers(
 
 
 def own_description(accelerometer: Accelerometer, shown: Collection[str]) -> dict[str, Any]:
-    """Return what is needed of an accelerometer's description to apply its result without it."""
+    """Return the parts of an accelerometer's description that applying its result needs."""
     output = accelerometer.output
     return {
         "serial_number": accelerometer.serial_number,

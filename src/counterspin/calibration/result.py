@@ -137,7 +137,7 @@ class Result(ReportableResult):
         return StatedGravity(inputs.gravity, inputs.u_gravity, sensitivity)
 
     def __getstate__(self) -> dict[Any, Any]:
-        """Return what is pickled: the numbers, without whole residuals."""
+        """Return the pickled state: the numbers, without the full residuals."""
         state = super().__getstate__()
         private = dict(state["__pydantic_private__"] or {})
         return state | {"__pydantic_private__": private | {"_residuals": None}}
@@ -375,7 +375,7 @@ write_result = Result.write
 
 
 def _to_gravity(result: Result, accelerometer: AccelerometerResult, symbol: str) -> float:
-    """Return what a coefficient moves by per m/s^2 of the g assumed."""
+    """Return the sensitivity of a coefficient to the assumed g, per m/s^2."""
     c = accelerometer.coefficients[symbol]
     earlier = result.method == "two-stage" and not accelerometer.budget
     if earlier and symbol in TERMS and c.value is not None:

@@ -69,7 +69,7 @@ def predict(
     pendulous: npt.ArrayLike,
     output_axis: npt.ArrayLike,
 ) -> Prediction:
-    """Return what an accelerometer of a result indicates; see `Result.predict`."""
+    """Return the indications of an accelerometer of a result; see `Result.predict`."""
     given = (np.atleast_1d(np.asarray(part, float)) for part in (force, pendulous, output_axis))
     axes = np.stack(np.broadcast_arrays(*given))
     if axes.ndim != 2 or not axes.size or not np.isfinite(axes).all():
@@ -119,7 +119,7 @@ def instrument_of(result: Result, name: str, *, placed: bool = False) -> Calibra
 
 
 def terms_of(accelerometer: AccelerometerResult) -> dict[str, Coefficient]:
-    """Return what is estimated or known of an accelerometer's products and their slopes."""
+    """Return the estimates and priors of an accelerometer's products and their slopes."""
     known = {**accelerometer.known, **accelerometer.coefficients}
     return {symbol: c for symbol, c in known.items() if acts(symbol)}
 

@@ -37,7 +37,7 @@ TESTS: Final[dict[Test, str]] = {
 
 
 def overview(all_contents: Sequence[FileContents]) -> list[str]:
-    """Return what was seen in each file: its rows and its columns, a line each."""
+    """Return an overview of each file: its rows and its columns, a line each."""
     return [line for contents in all_contents for line in _lines(contents)]
 
 

@@ -167,7 +167,11 @@ def _guess_signals(
     """Return the signals of a file by its column names and units, and the other columns' names."""
     answers = {} if sampling_rate is None else {"sampling_rate": sampling_rate}
     if select is not None and not (select.partition("=")[2] and isinstance(source, Path)):
-        raise CampaignError("noise", ["`select`: write column=value, of a file; filter a frame"])
+        problem = (
+            "`select`: write COLUMN=VALUE, such as device=A. It selects rows of a file; filter a "
+            "data frame yourself"
+        )
+        raise CampaignError("noise", [problem])
     if isinstance(source, MemoryTable):
         file_columns = tuple(
             FileColumn(name, "", values) for name, values in source.columns.items()

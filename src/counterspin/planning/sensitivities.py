@@ -21,7 +21,7 @@ Columns = Callable[[Observation], Array]
 
 @frozen(eq=False)
 class Sensitivities:
-    """What m effects that the model lacks would move, and what the fit would leave of them."""
+    """Shifts of the estimates by m unmodelled effects, and the residuals of those effects."""
 
     #: What one unit of each moves the unknowns by, shape (p, m).
     moved: Array
@@ -34,7 +34,7 @@ class Sensitivities:
 
 
 def sensitivities(fit: JointFit, columns: Columns) -> Sensitivities:
-    """Return what further columns would do to a fit, each by itself."""
+    """Return the effect of each further column, alone, on a fit."""
     model = fit.model
     # One after the other: the columns of all of them together would take much memory.
     blocks = [_block(one, columns(one), fit) for one in fit.observations]
@@ -59,7 +59,7 @@ def _with_further(model: Unknowns, count: int) -> Unknowns:
 
 
 def _block(one: Observation, columns: Array, fit: JointFit) -> Block:
-    """Return what an observation says, with columns behind the considered ones, (n, m)."""
+    """Return the block of an observation with columns (n, m) after the considered ones."""
     before = len(fit.model.considered)
     count = before + columns.shape[1]
     whole = replace(

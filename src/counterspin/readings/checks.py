@@ -272,7 +272,7 @@ def _explained(
 
 
 def clause_of(other: Alternative) -> str:
-    """Return what residuals do that follow a column, as the rest of a sentence."""
+    """Return the description of residuals that follow a column, as the end of a sentence."""
     when = {
         "order": "the order in which they were taken",
         "angle": "the angle of the head",

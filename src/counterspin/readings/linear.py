@@ -244,7 +244,7 @@ class LinearReadings(Observation):
         return float(rest @ rest + found @ found)
 
     def moved_by(self, solution: Solution) -> Array:
-        """Return what is left of the columns of what is considered, shape (n, q)."""
+        """Return the residual columns of the considered terms, shape (n, q)."""
         moved: Array = self.design @ solution.sensitivity_considered[list(self.unknowns)]
         moved[:, list(self.considered)] += self.fixed
         return moved
@@ -303,7 +303,7 @@ class LinearReadings(Observation):
         return share
 
     def left_of(self, column: Array, solution: Solution) -> Array:
-        """Return what the fit leaves of a column over the standard uncertainties, shape (n,)."""
+        """Return the residual of a column in standard uncertainties, shape (n,)."""
         rows = self.design / self.sigma[:, None]
         left: Array = column - rows @ (self._covariance(solution) @ (rows.T @ column))
         return left

@@ -43,7 +43,7 @@ class AveragedRecord:
 
 @frozen(eq=False)
 class MeanRecords:
-    """What was found in the records whose means are readings."""
+    """Findings in the records whose means are readings."""
 
     #: By accelerometer and reading.
     means: Mapping[tuple[str, str], RecordMean] = field(default_factory=dict)

@@ -510,7 +510,7 @@ def _is_row_cell(cell: str, decimal: str) -> bool:
 
 
 def grouping(lines: Iterable[str]) -> str | None:
-    """Return what parts groups of three digits in cells that have decimals too; None: nothing."""
+    """Return the thousands separator of cells that have decimals too; None without one."""
     text = "\n".join(lines)
     for mark, decimal in _GROUPED.items():
         edge = '"' if mark == "," else r'["\t;\n]'

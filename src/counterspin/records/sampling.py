@@ -98,7 +98,7 @@ class Holding:
 
 
 class RepeatedValues:
-    """The values of the signals of a record that a faster log repeats, piece after piece.
+    """Repeated values in the signals of a record, chunk after chunk.
 
     names: The columns of the signals.
     """
@@ -126,7 +126,7 @@ class RepeatedValues:
                 raise RecordError(f"{path}: column '{name}': {error}.") from None
 
     def without(self, first_row: int, signals: Sequence[Array], interpolates: bool) -> list[Array]:
-        """Return the signals of a piece with repeated values replaced.
+        """Return the signals of a chunk with repeated values replaced.
 
         interpolates: Whether they are interpolated between new values, as the mean of a block
             needs them; otherwise they are NaN.

@@ -34,7 +34,7 @@ class FoundPose:
 
     @property
     def noise_within(self) -> float:
-        """What the means of a record's rows scatter by, if each row is by itself, m/s^2."""
+        """Standard deviation of the means of a record if its rows are independent, m/s^2."""
         if self.record is None:
             return 0.0
         found = self.record.poses
@@ -53,7 +53,7 @@ def campaign_poses(campaign: Campaign) -> list[FoundPose]:
 
 
 def noise_within(poses: Sequence[FoundPose], gravity: float) -> float:
-    """Return what is known of the noise from within poses that were found in records, g."""
+    """Return the noise estimated within the poses found in records, g."""
     within = [one.noise_within for one in poses if one.record is not None]
     return math.sqrt(sum(size**2 for size in within) / len(within)) / gravity if within else 0.0
 

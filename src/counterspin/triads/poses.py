@@ -271,7 +271,7 @@ class PosesAt:
 def indications_along(
     poses: TriadPoses, coefficients: Sequence[Mapping[str, float]], direction: Array
 ) -> Array:
-    """Return what a triad indicates in poses of given directions, g, shape (n, 3).
+    """Return the indications of a triad in poses of given directions, g, shape (n, 3).
 
     coefficients: Of each accelerometer, slopes included; those not named are nominal.
     direction: Of the specific force in the triad's frame: unit vectors at rest, in motion the force

@@ -154,7 +154,7 @@ def _likely(symbol: str) -> str:
 
 
 def _of_scale(value: float, limit: float) -> str:
-    """Return what makes a scale factor what it is: a sign, a unit, a column."""
+    """Return the likely cause of an incredible scale factor: a sign, a unit, a column."""
     factors = dict.fromkeys((_GRAVITY, 1.0 / _GRAVITY), "a unit, m/s^2 against g")
     factors |= {10.0**power: f"a unit off by a power of ten, 1e{power}" for power in _POWERS}
     # The true one may be as far from 1 as instruments of its grade are.

@@ -1,4 +1,4 @@
-"""What was found out about one accelerometer, as blocks of a report."""
+"""The results of one accelerometer, as blocks of a report."""
 
 from __future__ import annotations
 

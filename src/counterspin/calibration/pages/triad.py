@@ -145,7 +145,7 @@ def shown_parameter(name: str, c: Coefficient) -> tuple[str, Coefficient]:
 
 
 def parameter_words(name: str) -> str:
-    """Return what a parameter is called."""
+    """Return the name of a parameter."""
     kind, *names = name.split(".")
     if kind in _WORDS and not is_term(".".join(names)):
         return _WORDS[kind].format(*names)

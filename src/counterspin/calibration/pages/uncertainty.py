@@ -48,7 +48,7 @@ class HasUncertainty(Protocol):
 
 
 class HasAnswer(Protocol):
-    """What is told of an accelerometer, found or forecast."""
+    """Uncertainties of an accelerometer, estimated or forecast."""
 
     @property
     def coefficients(self) -> Mapping[str, HasUncertainty]:
@@ -60,7 +60,7 @@ class HasAnswer(Protocol):
 
     @property
     def what_if(self) -> WhatIf | None:
-        """What an update of the uncertainties needs."""
+        """Data for an update of the uncertainties."""
 
 
 class HasAssumptions(Protocol):
@@ -68,7 +68,7 @@ class HasAssumptions(Protocol):
 
     @property
     def assumed(self) -> Sequence[str]:
-        """What is taken as perfect."""
+        """Terms assumed to be perfect."""
 
 
 def decisive_lines(
