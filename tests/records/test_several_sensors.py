@@ -126,5 +126,5 @@ def test_selections_that_cannot_be_made(tmp_path):
     for select, told in (("device=Q", "never has the value 'Q'"), ("dev=A", "select")):
         with pytest.raises(RecordError, match=told):
             cs.noise(path, select=select)
-    with pytest.raises(CampaignError, match="write column=value"):
+    with pytest.raises(CampaignError, match="write COLUMN=VALUE"):
         cs.noise(path, select="A")
