@@ -188,7 +188,7 @@ def photograph_the_application(browser: Any) -> None:
             page.get_by_role("img", name="Double turntable").wait_for()
             page.locator(".drop").screenshot(path=IMAGES / "application-import.png")
             page.goto(door.link.partition("#")[0] + "#/campaign/first")
-            page.get_by_role("heading", name="Is it good?").wait_for()
+            page.get_by_role("heading", name="Quality checks").wait_for()
             page.evaluate("scrollTo(0, 0)")
             page.screenshot(path=IMAGES / "application-result.png")
             page.close()

@@ -10,7 +10,8 @@ PAGE = {"kind": "result", "names": "three/result.json"}
 
 def test_a_result_is_shown_with_the_report_s_words_and_pictures(page):
     told = page.get("/api/page", params=PAGE).json()
-    assert "of Qx = " in told["html"]
+    assert '<h2 id="at-card-qx">Qx</h2>' in told["html"]
+    assert (told["state"], told["words"]) == ("reservations", "With reservations")
     assert '<div class="still" data-place="0"></div>' in told["html"]
     assert "<script>" not in told["html"]
     query = PAGE | {"place": 0}

@@ -37,6 +37,15 @@ PLACE = (
 PHONE = {"width": 360, "height": 740}
 
 
+def see_pictures(tab):
+    """Wait for a picture of the open chapter, and for a plot of the residuals."""
+    still = tab.locator("figure:not(.zoomable)").first
+    still.scroll_into_view_if_needed()
+    still.locator("svg").wait_for()
+    tab.get_by_role("tab", name="Residuals").click()
+    tab.locator("figure.zoomed canvas").first.wait_for()
+
+
 def test_from_exports_to_the_certificate(opened, desk, folder):
     """As a person would: bring the recorder's files, calibrate, look, issue the certificate."""
     tab = opened()
@@ -78,15 +87,12 @@ def test_from_exports_to_the_certificate(opened, desk, folder):
         tab.get_by_text(re.compile(r"^Waiting for another job, \d+ s$")).wait_for()
         # No seconds are spoken.
         assert tab.locator(".job [aria-live]").all_inner_texts() == ["Waiting for another job"]
-    tab.get_by_role("heading", name="Is it good?").wait_for()
+    tab.get_by_role("heading", name="Quality checks").wait_for()
     assert (folder / "mine" / "result.json").is_file()
-    assert tab.locator(".answer").count() == 2
-    # What can be zoomed is drawn from its data; other pictures come as they come near.
-    tab.locator("figure.zoomed canvas").first.wait_for()
-    still = tab.locator("figure:not(.zoomable)").first
-    still.scroll_into_view_if_needed()
-    still.locator("svg").wait_for()
-    tab.get_by_role("link", name="Certificate", exact=True).click()
+    assert tab.locator(".instrument").count() == 2
+    # Other pictures than those that can be zoomed come as they come near.
+    see_pictures(tab)
+    tab.get_by_role("link", name="Certify", exact=True).last.click()
     tab.get_by_role("button", name="Issue").click()
     with tab.expect_download() as saved:
         tab.get_by_role("button", name="mine/certificate.xml").click()
@@ -213,7 +219,7 @@ def test_from_a_table_of_readings_to_a_result(opened, folder, tmp_path):
     tab.wait_for_timeout(1000)
     tab.mouse.up()
     tab.get_by_role("button", name="Calibrate").click()
-    tab.get_by_role("heading", name="Is it good?").wait_for()
+    tab.get_by_role("heading", name="Quality checks").wait_for()
     assert (folder / "tumble" / "result.json").is_file()
 
 
@@ -237,7 +243,7 @@ def test_from_a_pasted_table_of_an_arm_to_a_result(opened, folder):
     assert tab.get_by_label("in the mounting 'B'").input_value() == "outward"
     tab.get_by_role("button", name="Write the campaign").click()
     tab.get_by_role("button", name="Calibrate").click()
-    tab.get_by_role("heading", name="Is it good?").wait_for()
+    tab.get_by_role("heading", name="Quality checks").wait_for()
     assert (folder / "arm" / "result.json").is_file()
 
 
@@ -256,18 +262,19 @@ def test_from_a_log_of_poses_to_a_triad(opened, folder, tmp_path):
     assert tab.get_by_label("In which unit are the three axes?").input_value() == "m/s^2"
     tab.get_by_role("button", name="Write the campaign").click()
     tab.get_by_role("button", name="Calibrate").click()
-    tab.get_by_role("heading", name="Is it good?").wait_for()
+    tab.get_by_role("heading", name="Quality checks").wait_for()
     result = Result.read(folder / "triad" / "result.json")
     assert len(result.triad.poses) == 24
 
 
 def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder, tmp_path):
     tab = opened("/campaign/three")
-    tab.get_by_role("navigation", name="On this page").get_by_role("button", name="Runs").click()
-    assert tab.evaluate("document.activeElement.textContent") == "Runs"
+    tab.get_by_role("tab", name="Coefficients").press("End")
+    assert tab.evaluate("document.activeElement.textContent") == "Inputs"
+    tab.get_by_role("heading", name="Inputs and reproduction").wait_for()
     tab.get_by_text("Add records, copy").click()
     tab.get_by_label("Name of the folder").fill("four")
-    tab.get_by_role("button", name="Copy").click()
+    tab.get_by_role("button", name="Copy", exact=True).click()
     tab.get_by_text(re.compile(r" four$")).wait_for()
     tab.get_by_text("Add records, copy").click()
     # Every second row, so that its samples are not those of a run that is there.
@@ -378,7 +385,7 @@ def test_a_phone_scrolls_in_one_direction(opened):
     tab.get_by_role("link", name="three").wait_for()
     assert tab.evaluate(width) <= PHONE["width"]
     tab.get_by_role("link", name="three").click()
-    tab.get_by_role("heading", name="Is it good?").wait_for()
+    tab.get_by_role("heading", name="Quality checks").wait_for()
     assert tab.evaluate(width) <= PHONE["width"]
 
 
@@ -412,7 +419,7 @@ def test_a_window_that_a_link_of_the_page_opens_has_the_key(opened):
     tab = opened()
     with tab.context.expect_page() as other:
         tab.get_by_role("link", name="three").click(modifiers=["Control"])
-    other.value.get_by_role("heading", name="Is it good?").wait_for()
+    other.value.get_by_role("heading", name="Quality checks").wait_for()
 
 
 def test_the_browser_is_led_to_the_page_by_a_file_that_others_cannot_read(
@@ -558,7 +565,7 @@ def test_a_try_is_shown_in_its_own_place(opened, desk):
     tab.get_by_label("Result file").fill("try.json")
     tab.get_by_role("button", name="Calibrate").click()
     tab.wait_for_url("**/#/result/three%2Ftry.json")
-    tab.get_by_role("heading", name="Is it good?").wait_for()
+    tab.get_by_role("heading", name="Quality checks").wait_for()
 
 
 def test_what_is_printed_has_every_figure_though_nobody_has_scrolled_to_it(opened):
@@ -594,6 +601,7 @@ def test_the_value_that_a_click_prepares_is_ready_to_be_typed_over(opened, folde
     file.write_text(file.read_text("utf-8").replace('assume = "all"', ""), encoding="utf-8")
     calibrate(folder / "three").write(folder / "three" / "result.json", overwrite=True)
     tab = opened("/campaign/three")
+    tab.get_by_role("tab", name="Uncertainty budget").click()
     tab.get_by_role("button", name="Prepare the value").first.click()
     field = tab.locator("input:focus")
     tab.wait_for_url("**#/description/three-K_OO#*")
@@ -627,15 +635,52 @@ def test_limits_are_stated_and_a_study_is_made_by_keyboard(opened, desk):
     assert "[specification]\nK_II =" in tab.get_by_label("campaign.toml").input_value()
     tab.get_by_role("button", name="Save").press("Enter")
     tab.get_by_text("Saved three/campaign.toml").wait_for()
+    tab.get_by_text("More", exact=True).click()
     tab.get_by_role("link", name="Result").press("Enter")
     tab.get_by_role("button", name="Calibrate").press("Enter")
     tab.get_by_role("cell", name="pass").first.wait_for()
+    tab.get_by_text("Report", exact=True).click()
     with tab.expect_download() as saved:
         tab.get_by_role("button", name="Report as HTML").press("Enter")
     assert saved.value.suggested_filename == "result.html"
     assert b"K_II" in saved.value.path().read_bytes()
+    tab.get_by_text("More", exact=True).click()
     tab.get_by_role("link", name="Try out").press("Enter")
     tab.get_by_role("heading", name="Requirements for the centrifuge").wait_for()
     tab.get_by_label("Trials").fill("4")
     tab.keyboard.press("Enter")
     tab.get_by_role("heading", name="Verdict").wait_for()
+
+
+def test_the_first_screen_has_the_answer_and_a_slider_changes_u(opened, folder):
+    file = folder / "three" / "campaign.toml"
+    file.write_text(file.read_text("utf-8").replace('assume = "all"', ""), encoding="utf-8")
+    calibrate(folder / "three").write(folder / "three" / "result.json", overwrite=True)
+    tab = opened("/campaign/three")
+    tab.set_viewport_size({"width": 1400, "height": 900})
+    tab.get_by_role("heading", name="Quality checks").wait_for()
+    for selector in (".head .state", ".instrument .value", ".instrument .parts", ".checks li"):
+        for shown in tab.locator(selector).all():
+            box = shown.bounding_box()
+            assert box["y"] + box["height"] <= 900.0, selector
+    tab.get_by_role("tab", name="Uncertainty budget").click()
+    slider = tab.locator("td.control input").first
+    slider.fill("-1")
+    tab.get_by_text(re.compile("^u of K.* instead of ")).wait_for()
+    assert "as now" not in slider.get_attribute("aria-valuetext")
+
+
+def test_tables_and_figures_are_saved(opened):
+    tab = opened("/result/three%2Fresult.json")
+    tab.get_by_role("tab", name="Uncertainty budget").click()
+    with tab.expect_download() as saved:
+        tab.get_by_role("button", name="CSV: Uncertainty budget of K_II, Qx").click()
+    rows = saved.value.path().read_text("utf-8-sig").splitlines()
+    assert rows[0].startswith("Source,")
+    assert rows[-1].startswith("combined,")
+    for kind, beginning in (("SVG", b"<svg"), ("PNG", b"\x89PNG")):
+        with tab.expect_download() as saved:
+            tab.get_by_role("button", name=re.compile(f"^{kind}: Contributions")).first.click()
+        content = saved.value.path().read_bytes()
+        assert content.startswith(beginning)
+        assert b"var(--" not in content

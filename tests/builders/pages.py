@@ -60,7 +60,7 @@ def blocks(name="Qx"):
         ),
         Paragraph(f"Warning: {name} is odd", "warning"),
         Paragraph("Joint method.", "quiet"),
-        Heading("Is it good?"),
+        Heading("Quality checks"),
         Paragraph(f"{name} is good."),
         Heading(f"Accelerometer {name}"),
         Table(

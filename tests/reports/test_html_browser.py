@@ -12,7 +12,7 @@ from chromium import chromium, needs_chromium
 from pages import page
 from pypdf import PdfReader
 
-from counterspin.reports.blocks import Column, Table
+from counterspin.reports.blocks import Card, Check, Column, Heading, Paragraph, Share, Table
 
 pytestmark = needs_chromium
 
@@ -348,3 +348,59 @@ def test_a_symbol_is_seen_with_its_index_and_copied_as_it_is_typed(desk):
     )
     assert index < letter
     assert answer.locator("sub i").first.evaluate("i => i.getBoundingClientRect().width") == 0
+
+
+CARD = Card(
+    title="Qx",
+    detail="",
+    state="good",
+    state_words="Good",
+    symbol="K_II",
+    value="27.0 ± 0.5",
+    unit="µg/g²",
+    remarks=(),
+    shares=(Share("noise 90 %", 0.9), Share("others 10 %", 0.1)),
+    note="",
+    checks=(Check("Fit", "passed", "the residuals look like noise"),),
+    paragraphs=(Paragraph("K_II of Qx = 27.0 ± 0.5 µg/g²", "answer"),),
+)
+
+
+def test_chapters_are_tabs_on_a_screen_and_follow_one_another_on_paper(browser, tmp_path):
+    blocks = [
+        CARD,
+        Heading("First"),
+        Paragraph("in the first"),
+        Heading("Second"),
+        Paragraph("in it"),
+    ]
+    path = tmp_path / "tabs.html"
+    path.write_text(page(made=blocks), encoding="utf-8")
+    with opened(browser, path) as (tab, _, wrong):
+        second = tab.get_by_text("in it")
+        assert tab.get_by_text("in the first").is_visible()
+        assert second.is_hidden()
+        tab.get_by_role("tab", name="First").press("ArrowRight")
+        assert second.is_visible()
+        assert tab.get_by_text("in the first").is_hidden()
+        # A link to a heading opens its tab.
+        tab.evaluate("location.hash = 'at-first'")
+        tab.get_by_text("in the first").wait_for()
+        tab.emulate_media(media="print")
+        assert tab.get_by_text("in the first").is_visible()
+        assert second.is_visible()
+        assert wrong == []
+    with opened(browser, path, java_script_enabled=False) as (tab, _, _):
+        assert tab.get_by_text("in it").is_visible()
+
+
+def test_a_table_is_copied_and_saved(browser, tmp_path):
+    table = Table((Column("Name"), Column("Value, ug")), (("a, b", "−1.5"), ('c"d', "2")))
+    path = tmp_path / "table.html"
+    path.write_text(page(made=[Heading("Table"), table]), encoding="utf-8")
+    with opened(browser, path, accept_downloads=True) as (tab, _, wrong):
+        with tab.expect_download() as saved:
+            tab.get_by_role("button", name="CSV").click()
+        text = saved.value.path().read_bytes().decode("utf-8-sig")
+        assert text == 'Name,"Value, ug"\r\n"a, b",-1.5\r\n"c""d",2\r\n'
+        assert wrong == []

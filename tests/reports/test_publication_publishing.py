@@ -105,21 +105,21 @@ def test_without_a_file_the_report_is_printed(stored, capsys):
     assert main(["report", str(stored)]) == 0
     said = capsys.readouterr().out
     assert "27.0000 ± 0.0010 µg/g²" in said
-    assert "Is it good?" in said
+    assert "Quality checks" in said
     assert "counterspin calibrate ." in said
 
 
 def test_a_campaign_is_calibrated_first(tmp_path, capsys):
     assert main(["demo", "-o", str(tmp_path / "demo")]) == 0
     assert main(["report", str(tmp_path / "demo"), "-o", str(tmp_path / "r.md")]) == 0
-    assert "Is it good?" in (tmp_path / "r.md").read_text(encoding="utf-8")
+    assert "Quality checks" in (tmp_path / "r.md").read_text(encoding="utf-8")
     assert capsys.readouterr().out.endswith(f"Wrote {tmp_path / 'r.md'}.\n")
 
 
 def test_a_result_may_have_any_name(stored, capsys):
     other = stored.rename(stored.with_name("result of May"))
     assert main(["report", str(other)]) == 0
-    assert "Is it good?" in capsys.readouterr().out
+    assert "Quality checks" in capsys.readouterr().out
     other.write_text("hello", "utf-8")
     assert main(["report", str(other)]) == 1
     assert "not a result file" in capsys.readouterr().err

@@ -258,7 +258,13 @@ def page_of(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> dict[str
     told: dict[str, Any] = {"title": made.title, "html": text, "command": made.command}
     told["empty"] = made.empty
     if kind == "result":
-        told["accelerometers"] = list(desk.result(names[0]).accelerometers)
+        from counterspin.calibration.findings import judge_result
+        from counterspin.calibration.pages.card import STATE_WORDS
+
+        result = judge_result(desk.result(names[0]))
+        told["accelerometers"] = list(result.accelerometers)
+        told["state"] = result.state
+        told["words"] = STATE_WORDS[result.state] if result.state else "Not judged"
     return told
 
 

@@ -10,7 +10,7 @@ are also in tables. Every character of a text is visible once it is in a block
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any, Final, Literal
 
 from counterspin.characters import escape_controls
@@ -169,16 +169,63 @@ class Sphere(_TextBlock):
     stands_out: frozenset[int] = frozenset()  #: Indices of points drawn in the colour of warnings.
 
 
+@frozen
+class Share(_TextBlock):
+    """A part of a variance, as a segment of a stacked bar."""
+
+    label: str
+    size: float  #: From 0 to 1.
+    typical: bool = False  #: Whether it is from a typical size, as nothing is stated.
+
+
+@frozen
+class Check(_TextBlock):
+    """A quality check: what was checked, and what came of it."""
+
+    title: str
+    outcome: Literal["passed", "failed", "open"]  #: "open": not checked.
+    text: str
+
+
+@frozen
+class Card(_TextBlock):
+    """The answer on one instrument at a glance; text has `paragraphs` in its place."""
+
+    title: str
+    detail: str
+    #: State of the result, as a word for styles and in words.
+    state: str
+    state_words: str
+    #: Value with its standard uncertainty, and its unit; empty: no value.
+    symbol: str
+    value: str
+    unit: str
+    remarks: tuple[str, ...]  #: Lines below the value.
+    shares: tuple[Share, ...]  #: Parts of its variance, the largest first.
+    note: str
+    checks: tuple[Check, ...]
+    paragraphs: tuple[Paragraph, ...]
+
+
 Picture = Plot | Bars | HeatMap | Sphere
-Block = Heading | Paragraph | Table | Picture
+Block = Heading | Paragraph | Table | Picture | Card
 Words = Heading | Paragraph | Table
+
+
+def without_cards(blocks: Iterable[Block]) -> Iterator[Heading | Paragraph | Table | Picture]:
+    """Yield the blocks, with the paragraphs of a card in its place."""
+    for block in blocks:
+        if isinstance(block, Card):
+            yield from block.paragraphs
+        else:
+            yield block
 
 
 def text_blocks(blocks: Iterable[Block]) -> list[Words]:
     """Return the blocks except pictures, without headings of sections with pictures only."""
     kept: list[Words] = []
     drawn = False
-    for block in [*blocks, None]:
+    for block in [*without_cards(blocks), None]:
         if isinstance(block, Picture):
             drawn = True
             continue

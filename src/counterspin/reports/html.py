@@ -21,6 +21,7 @@ from counterspin.output import mark
 from counterspin.reports.blocks import (
     ANSWER_STYLES,
     Block,
+    Card,
     Heading,
     Paragraph,
     Picture,
@@ -64,6 +65,7 @@ def html(
             page_mark=Markup(_css_text(identifier)),
             summary=summary["content"],
             chapters=chapters,
+            tabbed=_is_tabbed(blocks),
             uplot=Markup(_uplot()) if page.zoomable else None,
             script=Markup(_asset("report.js")),
         )
@@ -85,7 +87,7 @@ def html_fragment(blocks: Sequence[Block], *, title: str) -> str:
     """
     summary, *chapters = _Page(drawn=False).chapters(blocks, title)
     template = _environment().get_template("part.html.jinja")
-    return template.render(summary=summary["content"], chapters=chapters)
+    return template.render(summary=summary["content"], chapters=chapters, tabbed=_is_tabbed(blocks))
 
 
 def page_style() -> str:
@@ -96,6 +98,11 @@ def page_style() -> str:
 def page_script() -> str:
     """Return the script of a report, after that of its plots; it offers `counterspin.draw`."""
     return f"{_uplot()}\n{_asset('report.js')}"
+
+
+def _is_tabbed(blocks: Iterable[Block]) -> bool:
+    """Return whether chapters are tabs on a screen: where cards have the answer."""
+    return any(isinstance(block, Card) for block in blocks)
 
 
 def _environment() -> Environment:
@@ -164,7 +171,10 @@ class _Page:
         items: list[dict[str, Any]] = []
         for kind, group in groupby(blocks, _item_type):
             members = list(group)
-            if kind in ANSWER_STYLES:
+            if kind == "card":
+                cards = [self.item(block, label) for block in members]
+                items.append({"kind": "cards", "cards": cards})
+            elif kind in ANSWER_STYLES:
                 lines = [
                     _split_answer(block.text) for block in members if isinstance(block, Paragraph)
                 ]
@@ -185,6 +195,8 @@ class _Page:
                 return {"block": block, "label": f"Table: {label}"}
             case Paragraph():
                 return {"block": block}
+            case Card():
+                return {"block": block, "id": self.name(f"card {block.title}")}
         return self.figure(block)
 
     def figure(self, picture: Picture) -> dict[str, Any]:
@@ -214,6 +226,8 @@ def _item_type(block: Block) -> str:
             return "paragraph"
         case Table():
             return "table"
+        case Card():
+            return "card"
     return "figure"
 
 

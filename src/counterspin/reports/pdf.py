@@ -17,7 +17,15 @@ from typing import Any, Final, Literal
 from counterspin.characters import escape_controls
 from counterspin.frozen import frozen
 from counterspin.output import mark
-from counterspin.reports.blocks import ANSWER_STYLES, Block, Heading, Paragraph, Picture, Table
+from counterspin.reports.blocks import (
+    ANSWER_STYLES,
+    Block,
+    Heading,
+    Paragraph,
+    Picture,
+    Table,
+    without_cards,
+)
 from counterspin.reports.charts import svg
 
 #: PDF/A with attachments: fixed appearance (level b, included in a) and tagged parts for screen
@@ -66,6 +74,7 @@ def pdf(
         raise ValueError(f"each attachment needs a name of its own; got {', '.join(names)}")
     title, identifier = escape_controls(title), escape_controls(identifier)
     moment = date.astimezone(UTC).replace(microsecond=0)
+    blocks = list(without_cards(blocks))
     if not any(isinstance(block, Heading) and block.level == 1 for block in blocks):
         blocks = [Heading(title, 1), *blocks]
     pictures = [svg(block) for block in blocks if isinstance(block, Picture)]

@@ -8,7 +8,17 @@ from dataclasses import replace
 from typing import Final
 
 from counterspin.characters import MultilineText
-from counterspin.reports.blocks import Bars, Block, Heading, HeatMap, Paragraph, Plot, Sphere, Table
+from counterspin.reports.blocks import (
+    Bars,
+    Block,
+    Card,
+    Heading,
+    Paragraph,
+    Picture,
+    Plot,
+    Sphere,
+    Table,
+)
 
 #: A coefficient, score or force in prose, such as K_II: the letter and its index. A superscript
 #: may follow.
@@ -67,6 +77,19 @@ def _typeset_cell(cell: str) -> str:
     )
 
 
+def _typeset_card(card: Card) -> Card:
+    return replace(
+        card,
+        value=typeset(card.value),
+        unit=typeset(card.unit),
+        remarks=tuple(map(typeset, card.remarks)),
+        shares=tuple(replace(share, label=typeset(share.label)) for share in card.shares),
+        note=typeset(card.note),
+        checks=tuple(replace(check, text=typeset(check.text)) for check in card.checks),
+        paragraphs=tuple(replace(p, text=typeset(p.text)) for p in card.paragraphs),
+    )
+
+
 def typeset_block(block: Block) -> Block:
     """Return a block with all text typeset, except commands."""
     match block:
@@ -80,22 +103,23 @@ def typeset_block(block: Block) -> Block:
                 columns=tuple(replace(c, title=typeset(c.title)) for c in block.columns),
                 rows=tuple(tuple(map(_typeset_cell, row)) for row in block.rows),
             )
+        case Card():
+            return _typeset_card(block)
+    return _typeset_picture(block)
+
+
+def _typeset_picture(picture: Picture) -> Picture:
+    titled = replace(picture, title=typeset(picture.title))
+    match titled:
         case Plot():
             return replace(
-                block,
-                title=typeset(block.title),
-                x_label=typeset(block.x_label),
-                y_label=typeset(block.y_label),
-                series=tuple(replace(s, label=typeset(s.label)) for s in block.series),
+                titled,
+                x_label=typeset(titled.x_label),
+                y_label=typeset(titled.y_label),
+                series=tuple(replace(s, label=typeset(s.label)) for s in titled.series),
             )
         case Bars():
-            return replace(
-                block,
-                title=typeset(block.title),
-                texts=tuple(map(typeset, block.texts)),
-            )
-        case HeatMap() | Sphere():
-            titled = replace(block, title=typeset(block.title))
-            if isinstance(titled, Sphere):
-                titled = replace(titled, value_label=typeset(titled.value_label))
-            return titled
+            return replace(titled, texts=tuple(map(typeset, titled.texts)))
+        case Sphere():
+            return replace(titled, value_label=typeset(titled.value_label))
+    return titled

@@ -7,8 +7,8 @@ import pytest
 from results import coefficient, result, trace
 
 from counterspin.calibration.findings import judge_result
+from counterspin.calibration.pages import document as pages_document
 from counterspin.calibration.pages.accelerometer import accelerometer_blocks
-from counterspin.calibration.pages.document import document
 from counterspin.calibration.pages.pictures import (
     budget_bars,
     correlation_map,
@@ -25,10 +25,16 @@ from counterspin.reports.blocks import (
     Plot,
     Table,
     text_blocks,
+    without_cards,
 )
 
 #: Residuals eight times as large as the stated noise.
 MISFIT = {"rms": 0.08, "unit": "m", "dof": 100.0, "chi2": 6400.0, "lack_of_fit_p": 0.0}
+
+
+def document(result):
+    """Return the report as text has it."""
+    return list(without_cards(pages_document.document(result)))
 
 
 def texts(blocks):
@@ -56,14 +62,16 @@ def test_so_many_degrees_of_freedom_that_nothing_changes_are_not_shown(dof, show
 
 def test_chapters_in_order():
     headings = [b.text for b in document(result()) if isinstance(b, Heading) and b.level == 2]
-    wanted = ["Is it good?", "Accelerometer Qx", "Platform", "Runs", "Model"]
-    assert [h for h in headings if h in wanted] == wanted
-    assert headings[-1] == "Inputs and reproduction"
+    assert headings == ["Coefficients", "Uncertainty budget", "Residuals", "Runs", "Inputs"]
+    sections = [b.text for b in document(result()) if isinstance(b, Heading) and b.level == 3]
+    wanted = ["Quality checks", "Accelerometer Qx", "Platform", "Residuals of Qx", "Model"]
+    assert [h for h in sections if h in wanted] == wanted
+    assert sections[-1] == "Inputs and reproduction"
 
 
 def checked(blocks):
     """Return the sentence that says whether a result is good, and the table below it."""
-    place = blocks.index(Heading("Is it good?"))
+    place = blocks.index(Heading("Quality checks", 3))
     sentence, table = blocks[place + 1 : place + 3]
     assert isinstance(table, Table)
     assert [column.title for column in table.columns] == ["Check", "Outcome"]

@@ -6,7 +6,7 @@ import { bring, get, send } from "./api.js";
 import { attempt, command, commandLine, labelled, make, say, stateMark, warning } from "./dom.js";
 import { resultLines } from "./folder.js";
 import { carryOut, followRunning } from "./job.js";
-import { certificateLink, pagePart, resultLinks, underAnswer, withContents } from "./result.js";
+import { dashboard, pagePart } from "./result.js";
 import { campaignTabs } from "./tabs.js";
 
 /**
@@ -32,7 +32,7 @@ function calibration(campaign) {
   const output = make("input", { value: "result.json", required: true, autocomplete: "off" });
   const reason = make("input", { autocomplete: "off" });
   const show = (/** @type {import("./job.js").Job} */ job) => showResult(campaign.name, job.output);
-  const button = make("button", { class: "main", form: "calibration", disabled: campaign.mistakes.length > 0 },
+  const button = make("button", { class: campaign.results.length ? "" : "main", form: "calibration", disabled: campaign.mistakes.length > 0 },
     campaign.results.length ? "Calibrate again" : "Calibrate");
   const form = make("form", {
     id: "calibration",
@@ -107,30 +107,35 @@ export async function campaignView(name) {
   const result = campaign.results[0];
   const { button, below } = calibration(campaign);
   const good = result && result.state !== "damaged";
+  const state = stateMark(campaign.state, campaign.words);
+  const steps = campaignTabs(name, "campaign", {
+    step: good ? "review" : campaign.mistakes.length ? "confirm" : "calibrate",
+    result: good ? result.name : undefined,
+  });
   /** @type {Node[]} */
-  const content = [
-    make("div", { class: "head" },
-      make("div", {}, make("h1", {}, campaign.title), name ? make("p", { class: "quiet" }, `Folder ${name}`) : null),
-      make("div", { class: "row" }, stateMark(campaign.state, campaign.words), button,
-        good ? certificateLink(result.name) : null)),
-    campaignTabs(name, "campaign"),
+  const troubles = [
     ...campaign.mistakes.map(warning),
     ...(campaign.missing.length
       ? [warning(`Not there: ${campaign.missing.join(", ")}`)] : []),
-    ...below,
   ];
+  /** @type {Node[]} */
+  const content = [];
+  if (good) {
+    const { told, part } = await pagePart("result", [result.name]);
+    content.push(...troubles,
+      await dashboard({ title: campaign.title, name: result.name, told, part, state, actions: [button], steps, campaign: name }),
+      ...below, commandLine(told.command));
+  } else {
+    content.push(
+      make("div", { class: "head" },
+        make("div", {}, make("h1", {}, campaign.title, " ", state), name ? make("p", { class: "quiet" }, `Folder ${name}`) : null),
+        make("div", { class: "row" }, button)),
+      steps, ...troubles, ...below);
+  }
   if (campaign.results.length > 1) {
     content.push(make("section", {}, make("h2", {}, "Results"),
       make("ul", { class: "cards" }, ...campaign.results.map(/** @param {any} r */ (r) =>
         make("li", { class: "card" }, ...resultLines(r))))));
-  }
-  if (good) {
-    const { told, part } = await pagePart("result", [result.name]);
-    // The campaign's own title stands above.
-    part?.querySelector("h1")?.remove();
-    if (part) await underAnswer(part, result.name, told.accelerometers, name);
-    content.push(make("section", { "aria-label": "Result" },
-      part ? withContents(result.name, part) : resultLinks(result.name)), commandLine(told.command));
   }
   content.push(keeping(name));
   return { title: campaign.title, content };

@@ -1,5 +1,5 @@
 // @ts-check
-// What the uncertainty of a result consists of, what it would be, and what would reduce it.
+// What the uncertainty of a result would be with better inputs, and what would reduce it.
 
 import { campaignAddress, descriptionAddress } from "./addresses.js";
 import { get, send } from "./api.js";
@@ -18,9 +18,6 @@ const LEAST = 0.005;
  */
 export const named = ({ name, words }) => (words ? `${words}, ${name}` : name);
 
-/** @param {number} share */
-export const percent = (share) => (share < 0.001 ? "< 0.1 %" : `${Number((100 * share).toPrecision(2))} %`);
-
 /**
  * How well a source is known at a place of its slider, which has tenfold at one.
  * @param {Source} source
@@ -35,87 +32,57 @@ export const knownTo = (source, place) => source.u * 10 ** place;
 export const size = ({ factor, unit }, u) => `${Number((u * factor).toPrecision(2))} ${unit}`;
 
 /**
- * The parts of u^2 as one bar, and what each is.
- * @param {Source[]} sources
- */
-function partsOf(sources) {
-  const rest = Math.max(1 - sources.reduce((sum, { share }) => sum + share, 0), 0);
-  const all = [
-    ...sources.map((one, place) => ({ label: named(one), share: one.share, colour: `var(--series-${place + 1})` })),
-    { label: "noise and all else", share: rest, colour: "var(--muted)" },
-  ];
-  return [
-    make("div", { class: "parts", "aria-hidden": "true" }, ...all.map(({ share, colour }) =>
-      make("i", { style: `width: ${100 * share}%; background: ${colour}` }))),
-    make("ul", { class: "key" }, ...all.map(({ label, share, colour }) =>
-      make("li", {}, make("b", { style: `background: ${colour}` }), ...symbols(`${label}: ${percent(share)}`)))),
-  ];
-}
-
-/**
- * One accelerometer's uncertainty by source, and sliders for what is known of them.
+ * Add sliders to the budget of one accelerometer: what u would be if its sources were known better.
+ * @param {HTMLElement} part
  * @param {string} result
  * @param {string} accelerometer
  */
-async function whatIf(result, accelerometer) {
+export async function addSliders(part, result, accelerometer) {
   const asked = { name: result, accelerometer };
-  const first = await send("POST", "what-if", asked);
+  const first = await send("POST", "what-if", asked).catch(() => null);
+  if (!first) return;
+  const label = `Table: Uncertainty budget of ${first.symbol}, ${accelerometer}`;
+  const box = [...part.querySelectorAll(".scroll")].find((one) => one.getAttribute("aria-label") === label);
+  if (!box) return;
   /** @type {Source[]} */
   const sources = first.sources.filter((/** @type {Source} */ { share }) => share >= LEAST).slice(0, MOST);
-  const shown = make("div");
-  const answer = make("p", { class: "answer-line", role: "status" });
+  const answer = make("p", { class: "answer-line", role: "status" }, ...symbols(`u of ${first.symbol}: ${first.text}`));
   const wrong = make("div");
   /** @type {Record<string, number>} */
   const known = {};
-
-  /** @param {any} told */
-  const show = (told) => {
-    // The same order, whatever becomes the largest: colours stay with their source.
-    const byName = new Map(told.sources.map((/** @type {Source} */ one) => [one.name, one]));
-    shown.replaceChildren(...partsOf(sources.map((one) => byName.get(one.name) ?? { ...one, share: 0 })));
+  const ask = oneAtATime(async () => {
+    const told = await send("POST", "what-if", { ...asked, known: { ...known } });
     const instead = Object.keys(known).length ? ` instead of ${first.text}` : "";
-    answer.replaceChildren(...symbols(`Uncertainty of ${first.symbol} of ${accelerometer}: ${told.text}${instead}`));
-  };
-  const ask = oneAtATime(async () => show(await send("POST", "what-if", { ...asked, known: { ...known } })), wrong);
-  show(first);
-  const sliders = sources.map((source, place) => {
+    answer.replaceChildren(...symbols(`u of ${first.symbol}: ${told.text}${instead}`));
+  }, wrong);
+  const rows = /** @type {HTMLTableRowElement[]} */ ([...box.querySelectorAll("tr")]);
+  rows[0].append(make("th", { scope: "col", class: "control" }, "What if it were known to"));
+  const cells = rows.slice(1).map((row) => {
+    const cell = make("td", { class: "control" });
+    row.append(cell);
+    return { name: row.cells[0].textContent, cell };
+  });
+  sources.forEach((source, place) => {
+    const cell = cells.find(({ name }) => name === source.name)?.cell;
+    if (!cell) return;
     const id = `known-${accelerometer}-${place}`;
-    const now = size(source, source.u);
-    const words = make("output", { for: id, "aria-live": "off" }, `known to ${now}, as now`);
+    const words = make("output", { for: id, "aria-live": "off" }, size(source, source.u));
     const range = make("input", {
-      id, type: "range", min: -2, max: 1, step: 0.05, value: 0, "aria-valuetext": words.textContent,
+      id, type: "range", min: -2, max: 1, step: 0.05, value: 0,
+      "aria-label": named(source), "aria-valuetext": `${words.textContent}, as now`,
       oninput: () => {
         const u = knownTo(source, Number(range.value));
         if (Number(range.value)) known[source.name] = u;
         else delete known[source.name];
-        words.textContent = `known to ${size(source, u)}, ${Number(range.value) ? `now ${now}` : "as now"}`;
-        range.setAttribute("aria-valuetext", words.textContent);
+        words.textContent = size(source, u);
+        range.setAttribute("aria-valuetext", `${words.textContent}${Number(range.value) ? "" : ", as now"}`);
         ask();
       },
     });
-    return make("div", {}, make("label", { for: id }, ...symbols(named(source))), range, words);
+    cell.append(range, words);
   });
-  /** @type {Node[]} */
-  const content = [answer, shown];
-  if (sliders.length) {
-    content.push(make("details", { open: true },
-      make("summary", {}, "What if one of these were known better?"),
-      make("p", { class: "quiet" }, "Move left for better known, right for less well known. Computed by updating the fit, with the noise as estimated."),
-      make("div", { class: "sliders" }, ...sliders)), wrong);
-  }
-  return make("div", { class: "card" }, ...content);
-}
-
-/**
- * What the uncertainties of a result consist of; nothing of one that does not say it.
- * @param {string} result
- * @param {string[]} accelerometers
- */
-export async function consistsOf(result, accelerometers) {
-  const parts = await Promise.all(accelerometers.map((one) => whatIf(result, one).catch(() => null)));
-  const there = parts.filter((part) => part !== null);
-  return there.length
-    ? [make("section", { class: "consists" }, make("h2", {}, "What the uncertainty consists of"), ...there)] : [];
+  box.before(answer);
+  box.after(wrong);
 }
 
 /**

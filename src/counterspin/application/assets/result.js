@@ -1,9 +1,9 @@
 // @ts-check
-// A result: the report's own blocks.
+// A result on one screen: the answer on cards, its chapters as tabs.
 
 import { get, getText, getTextNow, save } from "./api.js";
-import { attempt, commandLine, make, say } from "./dom.js";
-import { consistsOf, waysPart } from "./improving.js";
+import { attempt, commandLine, make, say, stateMark } from "./dom.js";
+import { addSliders, waysPart } from "./improving.js";
 import { follow } from "./job.js";
 
 /**
@@ -22,7 +22,11 @@ function fetchPictures(part, asked) {
         (error) => { box.textContent = error.message; });
     }
   }, { rootMargin: "600px" });
-  // What can be zoomed is drawn here.
+  // What can be zoomed is drawn here; its still picture is fetched when it is saved.
+  part.querySelectorAll(".still[data-place]").forEach((target) => {
+    const box = /** @type {any} */ (target);
+    box.fetchPicture = () => getText("picture", { ...asked, place: box.dataset.place });
+  });
   part.querySelectorAll("figure:not(.zoomable) .still[data-place]").forEach((box) => near.observe(box));
   const beforePrint = () => {
     if (!part.isConnected) return removeEventListener("beforeprint", beforePrint);
@@ -87,56 +91,55 @@ export const saving = (words, name, said) => make("button", {
 
 /** @param {string} name of a result */
 export const certificateLink = (name) =>
-  make("a", { class: "button", href: `#/certificate/${encodeURIComponent(name)}` }, "Certificate");
+  make("a", { class: "button main", href: `#/certificate/${encodeURIComponent(name)}` }, "Certify");
 
 /**
- * The files that can be had of a result.
+ * The files that can be had of a result, as a menu.
  * @param {string} name
  */
-export const resultLinks = (name) => make("p", { class: "links" },
-  ...["HTML", "PDF", "Markdown"].map((kind) => saving(`Report as ${kind}`, "report",
-    { name, kind: kind === "Markdown" ? "md" : kind.toLowerCase() })),
-  saving("Result as JSON", "file", { name }));
+export const reportMenu = (name) => make("details", { class: "menu" }, make("summary", {}, "Report"),
+  make("div", {},
+    ...["HTML", "PDF", "Markdown"].map((kind) => saving(`Report as ${kind}`, "report",
+      { name, kind: kind === "Markdown" ? "md" : kind.toLowerCase() })),
+    saving("Result as JSON", "file", { name })));
 
 /**
- * The headings of a part, as links that go there.
+ * A button that copies the values on the cards.
  * @param {HTMLElement} part
  */
-export function contents(part) {
-  const headings = [...part.querySelectorAll("h2")].filter((one) => one.textContent?.trim());
-  return make("nav", { class: "contents", "aria-label": "On this page" },
-    make("p", { class: "quiet" }, "On this page"),
-    make("ol", {}, ...headings.map((one) => make("li", {}, make("button", {
-      type: "button",
-      onclick: () => {
-        one.tabIndex = -1;
-        one.scrollIntoView();
-        one.focus({ preventScroll: true });
-      },
-    }, one.textContent)))));
+const copyButton = (part) => make("button", {
+  type: "button",
+  onclick: () => {
+    const lines = [...part.querySelectorAll(".instrument")].map((card) =>
+      [card.querySelector("h2"), ...card.querySelectorAll(".value, .halves p:not(.value)")]
+        .map((element) => element?.textContent?.trim()).join("\t"));
+    navigator.clipboard.writeText(lines.join("\n"))
+      .then(() => say("The result is copied."), () => say("The browser does not allow copying."));
+  },
+}, "Copy result");
+
+/**
+ * The screen of a result: title, state and actions above, then cards and tabs.
+ * @param {{title: string, name: string, told: any, part: HTMLElement | null, state: Node,
+ *   actions?: (Node | null)[], steps?: Node, campaign?: string}} shown
+ */
+export async function dashboard({ title, name, told, part, state, actions = [], steps, campaign }) {
+  part?.querySelector("h1")?.remove();
+  if (part) {
+    const ways = campaign === undefined ? null : waysPart(campaign, name);
+    await Promise.all(told.accelerometers.map((/** @type {string} */ one) => addSliders(part, name, one)));
+    const found = await ways;
+    // Behind the budgets, which they would change.
+    if (found) part.querySelector("#at-uncertainty-budget")?.parentElement?.append(found);
+  }
+  const buttons = part
+    ? [reportMenu(name), copyButton(part), certificateLink(name)] : [reportMenu(name)];
+  return make("div", { class: "dashboard" },
+    make("div", { class: "head" },
+      make("div", {}, make("h1", {}, title, " ", state), campaign ? make("p", { class: "quiet" }, `Folder ${campaign}`) : null),
+      make("div", { class: "row" }, ...actions, ...buttons)),
+    ...(steps ? [steps] : []), ...(part ? [part] : []));
 }
-
-/**
- * Put what the uncertainty consists of, and what would reduce it, below the answer.
- * @param {HTMLElement} part
- * @param {string} result
- * @param {string[]} accelerometers
- * @param {string} [campaign] whose result it is
- */
-export async function underAnswer(part, result, accelerometers, campaign) {
-  const [consists, ways] = await Promise.all([
-    consistsOf(result, accelerometers), campaign === undefined ? null : waysPart(campaign, result)]);
-  const first = part.querySelector("h2");
-  if (first) first.before(...(ways ? [ways] : []), ...consists);
-}
-
-/**
- * A result's page: what can be made of it above, its contents at the side.
- * @param {string} name
- * @param {HTMLElement} part
- */
-export const withContents = (name, part) =>
-  make("div", { class: "beside" }, make("div", {}, resultLinks(name), part), contents(part));
 
 /**
  * The page of a result.
@@ -144,13 +147,11 @@ export const withContents = (name, part) =>
  */
 export async function resultView(name) {
   const { told, part } = await pagePart("result", [name]);
-  part?.querySelector("h1")?.remove();
-  if (part) await underAnswer(part, name, told.accelerometers);
+  const state = stateMark(told.state, told.words);
   return {
     title: told.title,
     content: [
-      make("div", { class: "head" }, make("h1", {}, told.title), make("div", { class: "row" }, certificateLink(name))),
-      part ? withContents(name, part) : resultLinks(name),
+      await dashboard({ title: told.title, name, told, part, state }),
       commandLine(told.command),
     ],
   };

@@ -1,21 +1,32 @@
 // @ts-check
-// The places of one campaign.
+// The steps of a campaign, and its further places.
 
 import { make } from "./dom.js";
 
-/** Its address -> what it is called. */
-const TABS = {
-  campaign: "Result", description: "Description", runs: "Records", live: "Live", try: "Try out",
-};
+/** Further places of a campaign: address -> title. */
+const PLACES = { description: "Description", runs: "Records", live: "Live", try: "Try out" };
+
+/** @typedef {"confirm" | "calibrate" | "review"} Step the step that a campaign has reached */
+
+const STEPS = ["Import", "Confirm", "Calibrate", "Review", "Certify"];
 
 /**
- * Links to the places of a campaign.
+ * The steps from files to a certificate, and links to the further places of a campaign.
  * @param {string} name
  * @param {string} here
+ * @param {{step?: Step, result?: string}} [reached]
  */
-export const campaignTabs = (name, here) =>
-  make("nav", { class: "tabs", "aria-label": "The campaign" },
-    ...Object.entries(TABS).map(([place, words]) => make("a", {
-      href: `#/${place}/${encodeURIComponent(name)}`,
-      "aria-current": place === here ? "page" : null,
-    }, words)));
+export function campaignTabs(name, here, { step = "review", result } = {}) {
+  const at = (/** @type {string} */ place) => `#/${place}/${encodeURIComponent(name)}`;
+  const now = ["import", "confirm", "calibrate", "review"].indexOf(step);
+  const links = [at("runs"), at("description"), at("campaign"), at("campaign"),
+    result === undefined ? null : `#/certificate/${encodeURIComponent(result)}`];
+  const steps = STEPS.map((words, place) => make("li", {
+    class: place < now ? "done" : place === now ? "now" : "",
+    "aria-current": place === now ? "step" : null,
+  }, links[place] && (place <= now || place === 4) ? make("a", { href: links[place] }, words) : make("span", {}, words)));
+  return make("nav", { class: "steps", "aria-label": "The campaign" }, make("ol", {}, ...steps),
+    make("details", { class: "menu" }, make("summary", {}, "More"),
+      make("div", {}, ...Object.entries({ campaign: "Result", ...PLACES }).map(([place, words]) =>
+        make("a", { href: at(place), "aria-current": place === here ? "page" : null }, words)))));
+}

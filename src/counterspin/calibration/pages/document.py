@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Final
 
 from rich.console import Console
@@ -17,6 +17,7 @@ from counterspin.calibration.pages.accelerometer import (
     in_field_units,
     note_blocks,
 )
+from counterspin.calibration.pages.card import accelerometer_card
 from counterspin.calibration.pages.methods import model_blocks, origin_blocks
 from counterspin.calibration.pages.pictures import (
     budget_bars,
@@ -118,22 +119,20 @@ def first_screen(result: Result) -> list[Block]:
 # The answer
 
 
-def answer_blocks(result: Result, *, in_g: bool = False) -> Iterator[Block]:
+def answer_blocks(result: Result, *, report: bool = False) -> Iterator[Block]:
     """Yield title, K_II of each accelerometer, warnings about the whole and conventions.
 
     Where the records contradict the result, that is said before any number.
 
-    in_g: Whether K_II is given in g/g^2 beside ug/g^2.
+    report: Whether K_II is given in g/g^2 beside ug/g^2, on a card for each accelerometer.
     """
     yield Heading(result.title or "Calibration", 1)
     yield from misfit_blocks(result)
     yield from seal_warnings(result)
     for name, accelerometer in result.accelerometers.items():
-        if (coefficient := accelerometer.coefficients.get("K_II")) is not None:
-            state = accelerometer.state
-            yield _answer_line(f"K_II of {name}", coefficient, in_g=in_g, state=state)
-            if sentence := dominance(accelerometer) or largest_part(accelerometer):
-                yield Paragraph(sentence)
+        paragraphs = list(_answer(name, accelerometer, in_g=report))
+        card = accelerometer_card(name, accelerometer, paragraphs) if report else None
+        yield from paragraphs if card is None else [card]
     yield from triad_line(result)
     if sentence := assumption(result):
         yield Paragraph(sentence)
@@ -150,6 +149,15 @@ def answer_blocks(result: Result, *, in_g: bool = False) -> Iterator[Block]:
         "whose K2 is K_II/K_I.",
         "quiet",
     )
+
+
+def _answer(name: str, accelerometer: AccelerometerResult, *, in_g: bool) -> Iterator[Paragraph]:
+    """Yield K_II of an accelerometer and what its uncertainty comes from."""
+    if (coefficient := accelerometer.coefficients.get("K_II")) is not None:
+        state = accelerometer.state
+        yield _answer_line(f"K_II of {name}", coefficient, in_g=in_g, state=state)
+        if sentence := dominance(accelerometer) or largest_part(accelerometer):
+            yield Paragraph(sentence)
 
 
 def _answer_line(
@@ -321,39 +329,58 @@ def _details(result: Result) -> Iterator[Block]:
 def document(result: Result) -> list[Block]:
     """Return the full report of a result."""
     result = judge_result(result)
-    blocks = (
-        *answer_blocks(result, in_g=True),
-        Heading("Is it good?"),
-        *verdict_tables(result),
-        *conformity_blocks(result),
-        *_chapters(result),
-        *triad_blocks(result, details=True),
-        *pose_pictures(result),
-        *platform_blocks(result),
-        *knowledge_blocks(result),
-        *run_blocks(result.runs, details=True),
-        *_drawn(ripple_plot(result.runs)),
-        *model_blocks(result),
-    )
+    chapters = {
+        "Coefficients": _coefficients(result),
+        "Uncertainty budget": _budgets(result),
+        "Residuals": _residuals(result),
+        "Runs": _runs(result),
+    }
+    blocks: list[Block] = list(answer_blocks(result, report=True))
+    for title, chapter in chapters.items():
+        if content := _sections(chapter):
+            blocks += [Heading(title), *content]
     # Names of files and checksums are left as they are.
-    heading, inputs, *origin = origin_blocks(result)
-    return [*map(typeset_block, (*blocks, heading, inputs)), *origin]
+    heading, inputs, *origin = _sections(origin_blocks(result))
+    blocks += [Heading("Inputs"), *_sections(model_blocks(result)), heading, inputs]
+    return [*map(typeset_block, blocks), *origin]
 
 
-def _chapters(result: Result) -> Iterator[Block]:
+def _sections(blocks: Iterable[Block]) -> list[Block]:
+    """Return blocks with headings of chapters as those of sections."""
+    return [Heading(b.text, 3) if isinstance(b, Heading) else b for b in blocks]
+
+
+def _coefficients(result: Result) -> Iterator[Block]:
+    yield Heading("Quality checks")
+    yield from verdict_tables(result)
+    yield from conformity_blocks(result)
     for name, accelerometer in result.accelerometers.items():
         yield from accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=True)
         yield from _drawn(jackknife_plot(name, accelerometer), correlation_map(name, accelerometer))
-        yield from _budget(name, accelerometer)
+    yield from triad_blocks(result, details=True)
+    yield from pose_pictures(result)
+    yield from platform_blocks(result)
+
+
+def _budgets(result: Result) -> Iterator[Block]:
+    for name, accelerometer in result.accelerometers.items():
+        yield from budget_blocks(name, accelerometer)
+        yield from _drawn(budget_bars(name, accelerometer))
+    yield from knowledge_blocks(result)
+
+
+def _residuals(result: Result) -> Iterator[Block]:
+    for name, accelerometer in result.accelerometers.items():
         plots = list(residual_plots(name, accelerometer, result.runs))
         if plots:
-            yield Heading(f"Residuals of {name}", 3)
+            yield Heading(f"Residuals of {name}")
             yield from plots
 
 
-def _budget(name: str, accelerometer: AccelerometerResult) -> Iterator[Block]:
-    yield from _drawn(budget_bars(name, accelerometer))
-    yield from budget_blocks(name, accelerometer)
+def _runs(result: Result) -> Iterator[Block]:
+    # The chapter has the heading.
+    yield from list(run_blocks(result.runs, details=True))[1:]
+    yield from _drawn(ripple_plot(result.runs))
 
 
 def _drawn(*pictures: Picture | None) -> Iterator[Picture]:

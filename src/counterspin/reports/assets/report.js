@@ -74,6 +74,155 @@ var counterspin = (() => {
   const moved = new ResizeObserver((boxes) => boxes.forEach(({ target }) =>
     target.classList.toggle("more", target.scrollWidth > target.clientWidth + 1)));
 
+  // Chapters as tabs on a screen; on paper they follow one another
+
+  const TAB = "counterspin-tab";
+
+  /** @param {HTMLElement} box with a section for each chapter */
+  function tabs(box) {
+    const sections = /** @type {HTMLElement[]} */ ([...box.children]);
+    const bar = make("div", { class: "tablist", role: "tablist", "aria-label": "Chapters" });
+    /** @type {(chosen: number, focus?: boolean) => void} */
+    const open = (chosen, focus = false) => buttons.forEach((tab, place) => {
+      const selected = place === chosen;
+      tab.setAttribute("aria-selected", String(selected));
+      tab.tabIndex = selected ? 0 : -1;
+      sections[place].classList.toggle("open", selected);
+      if (selected && focus) tab.focus();
+    });
+    const buttons = sections.map((section, place) => {
+      const heading = /** @type {HTMLElement} */ (section.querySelector("h2"));
+      section.id = `${heading.id}-panel`;
+      const tab = make("button", { type: "button", role: "tab", id: `${heading.id}-tab`, "aria-controls": section.id });
+      tab.append(...heading.cloneNode(true).childNodes);
+      section.setAttribute("role", "tabpanel");
+      section.setAttribute("aria-labelledby", tab.id);
+      tab.addEventListener("click", () => {
+        open(place);
+        try {
+          sessionStorage.setItem(TAB, heading.id);
+        } catch { /* nothing is kept */ }
+      });
+      return tab;
+    });
+    bar.addEventListener("keydown", (event) => {
+      const now = buttons.findIndex((tab) => tab.tabIndex === 0);
+      /** @type {Record<string, number>} */
+      const targets = { ArrowLeft: now - 1, ArrowRight: now + 1, Home: 0, End: buttons.length - 1 };
+      if (!(event.key in targets)) return;
+      event.preventDefault();
+      open((targets[event.key] + buttons.length) % buttons.length, true);
+    });
+    bar.append(...buttons);
+    box.prepend(bar);
+    box.classList.add("tabbed");
+    const follow = () => {
+      const target = document.getElementById(location.hash.slice(1));
+      const place = sections.findIndex((section) => target && section.contains(target));
+      if (place < 0 || !target) return;
+      open(place);
+      target.scrollIntoView();
+    };
+    let kept = null;
+    try {
+      kept = sessionStorage.getItem(TAB);
+    } catch { /* nothing is kept */ }
+    open(Math.max(sections.findIndex((section) => section.id === `${kept}-panel`), 0));
+    addEventListener("hashchange", follow);
+    follow();
+  }
+
+  // Tables to copy and save, figures to save
+
+  /** @type {(name: string, type: string, content: BlobPart) => void} */
+  function saveAs(name, type, content) {
+    const link = make("a", { download: name, href: URL.createObjectURL(new Blob([content], { type })) });
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(/** @type {HTMLAnchorElement} */ (link).href), 10000);
+  }
+
+  /** @param {string} text */
+  const fileName = (text) => text.replace(/[^A-Za-z0-9]+/g, "-").replace(/^-|-$/g, "").toLowerCase();
+
+  /** @type {(words: string, of: string, work: (button: HTMLElement) => void | Promise<void>) => HTMLElement} */
+  function tool(words, of, work) {
+    const one = make("button", { type: "button", "aria-label": `${words}: ${of}` }, words);
+    one.addEventListener("click", async () => {
+      try {
+        await work(one);
+      } catch {
+        one.textContent = "Failed";
+      }
+    });
+    return one;
+  }
+
+  /** @param {HTMLTableElement} table */
+  const cellsOf = (table) => [...table.rows].map((row) =>
+    [...row.cells].filter((cell) => !cell.classList.contains("control"))
+      .map((cell) => (cell.textContent ?? "").replace(/[\u00a0\u202f]/g, " ").trim()));
+
+  /** @param {string} text */
+  async function copy(text) {
+    if (navigator.clipboard) return navigator.clipboard.writeText(text);
+    const area = /** @type {HTMLTextAreaElement} */ (make("textarea", {}, text));
+    document.body.append(area);
+    area.select();
+    document.execCommand("copy");
+    area.remove();
+  }
+
+  /** @param {HTMLElement} box */
+  function tableTools(box) {
+    const table = /** @type {HTMLTableElement} */ (box.querySelector("table"));
+    const label = (box.getAttribute("aria-label") ?? "").replace(/^Table: /, "");
+    const quote = (/** @type {string} */ cell) => {
+      const plain = cell.replace(/−/g, "-");
+      return /[",\n]/.test(plain) ? `"${plain.replaceAll('"', '""')}"` : plain;
+    };
+    box.before(make("div", { class: "tools save" },
+      tool("Copy", label, async (button) => {
+        await copy(cellsOf(table).map((row) => row.join("\t")).join("\n"));
+        button.textContent = "Copied";
+        setTimeout(() => { button.textContent = "Copy"; }, 2000);
+      }),
+      tool("CSV", label, () => saveAs(`${fileName(label)}.csv`, "text/csv;charset=utf-8",
+        `\ufeff${cellsOf(table).map((row) => row.map(quote).join(",")).join("\r\n")}\r\n`))));
+  }
+
+  /** @param {HTMLElement} figure */
+  function figureTools(figure) {
+    const caption = /** @type {HTMLElement} */ (figure.querySelector("figcaption"));
+    const title = caption.textContent ?? "figure";
+    const still = /** @type {any} */ (figure.querySelector(".still"));
+    const drawing = async () => {
+      const text = still.querySelector("svg")?.outerHTML ?? await still.fetchPicture();
+      const svg = /** @type {Element} */ (new DOMParser().parseFromString(text, "text/html").querySelector("svg"));
+      const [, , width, height] = (svg.getAttribute("viewBox") ?? "0 0 800 500").split(/[\s,]+/).map(Number);
+      svg.setAttribute("width", String(width));
+      svg.setAttribute("height", String(height));
+      svg.setAttribute("style", `background: ${colour("--ground")}`);
+      const whole = new XMLSerializer().serializeToString(svg)
+        .replace(/var\((--[\w-]+)[^)]*\)/g, (_, name) => colour(name));
+      return { whole, width, height };
+    };
+    caption.after(make("div", { class: "tools save" },
+      tool("SVG", title, async () => saveAs(`${fileName(title)}.svg`, "image/svg+xml", (await drawing()).whole)),
+      tool("PNG", title, async () => {
+        const { whole, width, height } = await drawing();
+        const image = new Image();
+        image.src = `data:image/svg+xml;charset=utf-8,${encodeURIComponent(whole)}`;
+        await image.decode();
+        const canvas = /** @type {HTMLCanvasElement} */ (make("canvas", {}));
+        [canvas.width, canvas.height] = [2 * width, 2 * height];
+        const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
+        context.fillStyle = colour("--ground");
+        context.fillRect(0, 0, canvas.width, canvas.height);
+        context.drawImage(image, 0, 0, canvas.width, canvas.height);
+        canvas.toBlob((blob) => { if (blob) saveAs(`${fileName(title)}.png`, "image/png", blob); });
+      })));
+  }
+
   // A plot: lines and bands are uPlot's, points and levels are drawn here, over them
 
   /** @param {any} plot */
@@ -318,18 +467,18 @@ var counterspin = (() => {
       chart.setScale("x", { min: centre - half, max: centre + half });
     };
     /** @type {(sign: string, words: string, action: () => void) => HTMLElement} */
-    const tool = (sign, words, action) => {
+    const key = (sign, words, action) => {
       const one = make("button", { type: "button", "aria-label": words, title: words }, sign);
       one.addEventListener("click", action);
       return one;
     };
     box.append(
       make("div", { class: "tools" },
-        tool("+", "Zoom in", () => see(0, 0.5)),
-        tool("−", "Zoom out", () => see(0, 2)),
-        tool("‹", "Move left", () => see(-0.25, 1)),
-        tool("›", "Move right", () => see(0.25, 1)),
-        tool("Whole", "Show the whole", () => chart.setScale("x", { min: whole[0], max: whole[1] })),
+        key("+", "Zoom in", () => see(0, 0.5)),
+        key("−", "Zoom out", () => see(0, 2)),
+        key("‹", "Move left", () => see(-0.25, 1)),
+        key("›", "Move right", () => see(0.25, 1)),
+        key("Whole", "Show the whole", () => chart.setScale("x", { min: whole[0], max: whole[1] })),
         make("p", {}, "Drag to zoom in, double-click to zoom out.")),
       canvas,
       readout,
@@ -346,6 +495,9 @@ var counterspin = (() => {
   /** @param {ParentNode} part */
   function draw(part) {
     part.querySelectorAll(".scroll").forEach((box) => moved.observe(box));
+    part.querySelectorAll('.scroll[aria-label^="Table: "]').forEach((box) => tableTools(/** @type {HTMLElement} */ (box)));
+    part.querySelectorAll("figure[id]").forEach((figure) => figureTools(/** @type {HTMLElement} */ (figure)));
+    part.querySelectorAll(".chapters.tabs").forEach((box) => tabs(/** @type {HTMLElement} */ (box)));
     if (uPlot) part.querySelectorAll("figure.zoomable").forEach(zoomable);
   }
 

@@ -1,0 +1,74 @@
+"""A card has the answer of an accelerometer: value, interval, parts of u and quality checks."""
+
+import pytest
+from results import coefficient, result
+
+from counterspin.calibration.findings import judge_result
+from counterspin.calibration.pages.card import accelerometer_card
+
+#: Residuals eight times as large as the stated noise.
+MISFIT = {"rms": 0.08, "unit": "m", "dof": 100.0, "chi2": 6400.0, "lack_of_fit_p": 0.0}
+
+
+def card(**changes):
+    judged = judge_result(result(**changes))
+    return accelerometer_card("Qx", judged.accelerometers["Qx"], ())
+
+
+def outcomes(made):
+    return {check.title: check.outcome for check in made.checks}
+
+
+def test_a_good_result():
+    made = card()
+    assert (made.state, made.symbol, made.value, made.unit) == (
+        "good",
+        "K_II",
+        "27.0000 ± 0.0010",
+        "ug/g^2",
+    )
+    # Student's t for 50 degrees of freedom: 2.0086.
+    assert made.remarks == (
+        "= (2.70000 ± 0.00010) x 1e-5 g/g^2",
+        "95 % interval: 26.9980 to 27.0020 ug/g^2",
+        "U = 0.0020 ug/g^2, k = 2.01",
+    )
+    assert outcomes(made) == {"Fit": "passed", "Runs": "passed", "Method": "passed"}
+    assert made.detail == "serial number Q-104, input axis east, pendulous axis down"
+
+
+def test_the_parts_of_the_bar_are_a_whole():
+    made = card()
+    assert sum(share.size for share in made.shares) == pytest.approx(1.0, abs=1e-9)
+    assert made.shares[0].label == "noise of Qx 64 %"
+
+
+def test_a_contradicted_result_has_no_interval():
+    made = card(residual=MISFIT)
+    assert made.state == "contradicted"
+    assert made.remarks == ()
+    assert outcomes(made)["Fit"] == "failed"
+    assert made.note.startswith("The residuals are 8")
+
+
+def test_what_was_not_checked_is_open():
+    made = card(jackknife=[], two_stage=None)
+    assert outcomes(made) == {"Fit": "passed", "Runs": "open", "Method": "open"}
+
+
+def test_a_run_that_drives_the_result_fails_its_check():
+    made = card(jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -7.0}])
+    assert outcomes(made)["Runs"] == "failed"
+    assert "without slow" in next(c.text for c in made.checks if c.title == "Runs")
+
+
+def test_a_coefficient_that_is_not_determined_has_no_value():
+    undetermined = coefficient(0.0, 1e-5, "g/g^2", estimated=False)
+    made = card(coefficients={"K_II": undetermined})
+    assert made.value == ""
+    assert made.remarks == made.shares == ()
+
+
+def test_without_k_ii_the_card_has_the_first_coefficient():
+    assert card(coefficients={"K_I": coefficient(0.0, 1e-6, "g/g")}).symbol == "K_I"
+    assert card(coefficients={}) is None
