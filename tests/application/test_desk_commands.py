@@ -18,6 +18,7 @@ SHOWN = {
     ),
     "check_command": desk.check_command(PLACE, PLACE, "run 1"),
     "compare_command": desk.compare_command([PLACE, PLACE]),
+    "demo_command": desk.demo_command(PLACE),
     "export_command": desk.export_command(PLACE, [PLACE], {"radius": "2.5 ± 1e-5 m"}, "tumble"),
     "forecast_command": desk.forecast_command(PLACE),
     "history_command": desk.history_command(PLACE, "K_I"),

@@ -10,6 +10,8 @@ from counterspin.application.keeping import (
     copy_campaign,
     put_away,
     rename_campaign,
+    restore_campaign,
+    trash_contents,
 )
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CounterspinError
@@ -39,9 +41,38 @@ def test_another_name_is_another_folder(desk, folder):
 def test_what_is_put_away_is_kept(desk, folder, page):
     before = names(folder / "three")
     place = put_away(desk, "three")["place"]
-    assert place.startswith(f"{TRASH}/")
-    assert names(folder / place) == before
-    assert page.get("/api/folder").json()["campaigns"] == []
+    assert names(folder / TRASH / place) == before
+    told = page.get("/api/folder").json()
+    assert told["campaigns"] == []
+    assert told["trash"] == [{"place": place, "name": "three"}]
+
+
+def test_what_is_restored_replaces_nothing(desk, folder):
+    before = names(folder / "three")
+    copy_campaign(desk, "three", "lab/first")
+    for name, restored in (("lab/first", "lab/first"), ("three", "three-2")):
+        place = put_away(desk, name)["place"]
+        if name == "three":
+            copy_campaign(desk, "lab/first", "three")
+        assert restore_campaign(desk, place) == {"name": restored}
+        assert names(folder / restored) == before
+    assert trash_contents(desk) == []
+
+
+@pytest.mark.parametrize("place", ["", "three", "../three", "20260101T000000000000-..%2F..%2Fout"])
+def test_only_what_is_in_the_trash_is_restored(desk, folder, place):
+    (folder / TRASH).mkdir()
+    before = sorted(folder.rglob("*"))
+    with pytest.raises(CounterspinError):
+        restore_campaign(desk, place)
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_a_planted_name_does_not_lead_out_of_the_folder(desk, folder):
+    planted = "20260101T000000000000-..%2F..%2Fout"
+    (folder / TRASH / planted).mkdir(parents=True)
+    with pytest.raises(CounterspinError, match="not a valid file name"):
+        restore_campaign(desk, planted)
 
 
 @pytest.mark.parametrize("how", [copy_campaign, rename_campaign])

@@ -300,6 +300,15 @@ def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder, tmp_pat
     tab.get_by_role("button", name="Move to the trash").click()
     tab.wait_for_url("**#/")
     assert not (folder / "four").exists()
+    # What was moved to the trash comes back: at once, or later from its list.
+    tab.get_by_role("button", name="Undo").click()
+    tab.wait_for_url("**#/campaign/four")
+    assert (folder / "four" / "campaign.toml").is_file()
+    tab.get_by_text("Add records, copy").click()
+    tab.get_by_role("button", name="Move to the trash").click()
+    tab.get_by_text("Trash (1)").click()
+    tab.get_by_role("button", name="Restore four").click()
+    tab.wait_for_url("**#/campaign/four")
     assert (folder / "three" / "campaign.toml").is_file()
 
 
@@ -684,3 +693,14 @@ def test_tables_and_figures_are_saved(opened):
         content = saved.value.path().read_bytes()
         assert content.startswith(beginning)
         assert b"var(--" not in content
+
+
+def test_a_sample_campaign_is_opened_with_its_result(opened, folder):
+    tab = opened("/")
+    tab.get_by_role("button", name="Open a sample campaign").click()
+    tab.wait_for_url("**#/campaign/sample")
+    tab.locator(".instrument").first.wait_for()
+    (found,) = Result.read(folder / "sample" / "result.json").accelerometers.values()
+    k_ii = found.coefficients["K_II"]
+    truth = read_campaign(folder / "sample").simulation.truth.coefficients
+    assert abs(k_ii.value - next(iter(truth.values()))["K_II"]) < 4.0 * k_ii.u

@@ -6,11 +6,13 @@ import json
 import math
 from collections.abc import Iterator
 from functools import partial
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.application.desk import Desk, calibrate_command, init_command
-from counterspin.application.jobs import Job, calibrate_into
+from counterspin.application.desk import Desk, calibrate_command, demo_command, init_command
+from counterspin.application.jobs import Job, Progress, calibrate_into, report_progress
+from counterspin.application.keeping import free_name, trash_contents
 from counterspin.application.record_plots import STUDY_NAME
 from counterspin.calibration.options import Method
 from counterspin.calibration.pages.accelerometer import in_field_units
@@ -64,6 +66,7 @@ def folder_overview(desk: Desk) -> dict[str, Any]:
         "results": others,
         "plans": plans,
         "labs": labs,
+        "trash": trash_contents(desk),
         "terms": [{"name": name, "words": row.words} for name, row in TERMS.items()],
     }
 
@@ -264,6 +267,32 @@ def begin_campaign(desk: Desk, name: str, test: Test = "double-turntable") -> di
     folder = desk.place(name)
     init(folder, test)
     return {"name": name, "command": init_command(folder, test)}
+
+
+def begin_sample(desk: Desk) -> dict[str, Any]:
+    """Start to simulate and calibrate a sample campaign in a new folder; return the job."""
+    name = free_name(desk, "sample")
+    place = desk.place(name)
+
+    def make(number: int) -> Job:
+        return Job(number, name, name, demo_command(place), "sample")
+
+    return desk.jobs.begin(make, sample_into, place).shown()
+
+
+def sample_into(there: Connection, folder: Path) -> None:
+    """Simulate and calibrate a sample; report to `there` as `report_progress` does."""
+
+    def work(progress: Progress) -> None:
+        from counterspin.calibration.calibrate import calibrate
+        from counterspin.reproduction.demo import write_description
+        from counterspin.simulation.simulate import simulate
+
+        write_description(folder)
+        simulate(folder, folder)
+        calibrate(folder, progress=progress).write(folder / _RESULT_NAME)
+
+    report_progress(there, work)
 
 
 def as_json(value: Any) -> str:

@@ -45,6 +45,11 @@ def init_command(folder: Path, test: str) -> str:
     return _typed(["init", str(folder), f"--test={test}"])
 
 
+def demo_command(folder: Path) -> str:
+    """Return the command that simulates and calibrates the demonstration's campaign."""
+    return _typed(["demo", "--output", str(folder)])
+
+
 def compare_command(results: Sequence[Path]) -> str:
     """Return the command that compares results."""
     return _typed(["compare", *map(str, results)])

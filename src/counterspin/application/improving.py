@@ -15,7 +15,7 @@ from counterspin.application.desk import Desk, calibrate_command, forecast_comma
 from counterspin.application.editing import checked_campaign, with_value
 from counterspin.application.folder import NotThereError
 from counterspin.application.jobs import Job, Progress, report_progress
-from counterspin.application.keeping import copy_campaign
+from counterspin.application.keeping import copy_campaign, free_name
 from counterspin.arrays import Array
 from counterspin.calibration.pages.uncertainty import KNOWN_BETTER
 from counterspin.calibration.result import Result
@@ -318,7 +318,7 @@ def prepare_way(
             text = with_value(text, ["runs", first + place], run)
     if problems := checked_campaign(desk, source, text).problems:
         raise CounterspinError(": ".join(problems[0]))
-    copy = copy_campaign(desk, name, _free(desk, f"{name}-{ending}"))["name"]
+    copy = copy_campaign(desk, name, free_name(desk, f"{name}-{ending}"))["name"]
     desk.folder.write(f"{copy}/{DESCRIPTION_NAME}", text, before.version)
     return {"name": copy, "key": key}
 
@@ -334,12 +334,6 @@ def _prior(result: Result, accelerometer: str) -> tuple[tuple[str, str], str]:
     key = f"{accelerometer}.{source}" if symbol in ACCELEROMETER_TERMS else symbol
     size = KNOWN_BETTER * update.known[source]
     return (key, f"{row.nominal:g} ± {size:.2g} {row.unit}"), symbol
-
-
-def _free(desk: Desk, name: str) -> str:
-    """Return a name that no folder has."""
-    names = (name if number == 1 else f"{name}-{number}" for number in range(1, 1000))
-    return next(one for one in names if not desk.folder.path(one).exists())
 
 
 def _accelerometer(result: Result, name: str) -> AccelerometerResult:

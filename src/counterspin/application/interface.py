@@ -92,6 +92,8 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Callable[..., Any]]] = {
     ("POST", "copy"): keeping.copy_campaign,
     ("POST", "rename"): keeping.rename_campaign,
     ("POST", "put-away"): keeping.put_away,
+    ("POST", "restore"): keeping.restore_campaign,
+    ("POST", "sample"): campaigns.begin_sample,
     ("POST", "records"): keeping.add_records,
     ("GET", "description"): editing.description,
     ("GET", "lab"): editing.lab_data,

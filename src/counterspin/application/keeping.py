@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import filecmp
+import re
 import shutil
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
+from urllib.parse import quote, unquote
 
 import numpy as np
 
 from counterspin.application.desk import Desk, FileCache, export_command
 from counterspin.application.editing import checked_campaign, with_value
-from counterspin.application.folder import OutsideError, ServedFolder
+from counterspin.application.folder import NotThereError, OutsideError, ServedFolder
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
@@ -165,6 +167,9 @@ def begin_drafted(
 #: Where campaigns go that are put away; as a hidden folder it is no part of the page.
 TRASH: Final = ".counterspin-trash"
 
+#: Folders in the trash: when each was moved, and its name before, percent-encoded.
+_TRASHED: Final = re.compile(r"\d{8}T\d{12}-(?P<name>.+)")
+
 
 def remove_abandoned_parts(served: ServedFolder) -> None:
     """Remove the incomplete uploads and copies of campaigns that killed servers left."""
@@ -196,10 +201,42 @@ def put_away(desk: Desk, name: str) -> dict[str, Any]:
     """Move a campaign's folder to the trash; return its new path."""
     source = _idle(desk, name)
     moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%f")
-    place = desk.folder.root / TRASH / f"{moment}-{source.name}"
+    # A campaign of a subfolder is restored into it.
+    place = desk.folder.root / TRASH / f"{moment}-{quote(desk.folder.name(source), safe='')}"
     make_folder(place.parent)
     _move(source, place)
-    return {"place": desk.folder.name(place)}
+    return {"place": place.name}
+
+
+def trash_contents(desk: Desk) -> list[dict[str, str]]:
+    """Return place and former name of each campaign in the trash, the latest first."""
+    trash = desk.folder.root / TRASH
+    places = sorted(trash.iterdir(), reverse=True) if trash.is_dir() else []
+    return [
+        {"place": place.name, "name": unquote(match["name"])}
+        for place in places
+        if (match := _TRASHED.fullmatch(place.name))
+    ]
+
+
+def restore_campaign(desk: Desk, place: str) -> dict[str, Any]:
+    """Move a campaign from the trash back to its folder, or beside what is there; return its name.
+
+    place: Its name in the trash.
+    """
+    former = {entry["place"]: entry["name"] for entry in trash_contents(desk)}.get(place)
+    if former is None:
+        raise NotThereError(f"the trash has no {place}")
+    target = desk.folder.path(free_name(desk, former))
+    make_folder(target.parent)
+    _move(desk.folder.root / TRASH / place, target)
+    return {"name": desk.folder.name(target)}
+
+
+def free_name(desk: Desk, name: str) -> str:
+    """Return the name if no folder has it, or else with the first free number."""
+    names = (name if number == 1 else f"{name}-{number}" for number in range(1, 1000))
+    return next(free for free in names if not desk.folder.path(free).exists())
 
 
 def add_records(desk: Desk, name: str, files: list[str]) -> dict[str, Any]:

@@ -68,7 +68,7 @@ def demo(folder: Path | str = DEFAULT_FOLDER, *, overwrite: bool = False) -> Dem
         If the folder holds another or an edited campaign, or its records, or cannot be written.
     """
     folder = Path(folder)
-    _write_description(folder)
+    write_description(folder)
     campaign = read_campaign(folder)
     records = simulate(campaign, folder, overwrite=overwrite)
     problem = JointProblem(campaign, tuple(observe(campaign)))
@@ -82,7 +82,8 @@ def demo(folder: Path | str = DEFAULT_FOLDER, *, overwrite: bool = False) -> Dem
     )
 
 
-def _write_description(folder: Path) -> None:
+def write_description(folder: Path) -> None:
+    """Write the paper's plan; CounterspinError if the folder holds another campaign or records."""
     text = (files("counterspin.reproduction") / "paper.toml").read_text("utf-8")
     target = folder / DESCRIPTION_NAME
     try:

@@ -90,10 +90,13 @@ function keeping(name) {
       make("button", { type: "button", onclick: moved("rename", "It is now called") }, "Rename"),
       make("button", {
         type: "button",
-        onclick: () => doing(async () => {
-          const { place: where } = await send("POST", "put-away", { name });
-          return `It is now in ${where}; move it back to restore it.`;
-        }, go("#/")),
+        onclick: () => attempt(place, async () => {
+          const { place: trashed } = await send("POST", "put-away", { name });
+          location.hash = "#/";
+          say(`${name} is in the trash.`, async () => {
+            location.hash = campaignAddress((await send("POST", "restore", { place: trashed })).name);
+          });
+        }),
       }, "Move to the trash")),
     place);
 }

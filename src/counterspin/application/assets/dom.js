@@ -133,16 +133,26 @@ export function oneAtATime(question, wrong) {
   return ask;
 }
 
+let messages = 0;
+
 /**
- * Say something for a moment, aloud too.
+ * Say something for a moment, aloud too, with a button that takes it back.
  * @param {string} text
+ * @param {() => Promise<void>} [undo]
  */
-export function say(text) {
+export function say(text, undo) {
   const place = /** @type {HTMLElement} */ (document.getElementById("said"));
-  place.textContent = text;
+  const mine = ++messages;
+  place.replaceChildren(make("span", {}, text));
+  if (undo) {
+    place.append(" ", make("button", {
+      type: "button",
+      onclick: () => undo().then(() => say("Undone."), (error) => say(error.message)),
+    }, "Undo"));
+  }
   setTimeout(() => {
-    if (place.textContent === text) place.textContent = "";
-  }, 6000);
+    if (mine === messages) place.replaceChildren();
+  }, undo ? 10000 : 6000);
 }
 
 /**

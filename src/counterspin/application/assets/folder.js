@@ -4,7 +4,8 @@
 import { campaignAddress, resultAddress } from "./addresses.js";
 import { get, send } from "./api.js";
 import { exportsPart } from "./exports.js";
-import { labelled, make, say, stateMark, submitting, symbols } from "./dom.js";
+import { attempt, labelled, make, say, stateMark, submitting, symbols } from "./dom.js";
+import { carryOut } from "./job.js";
 import { pagePart } from "./result.js";
 
 /** @typedef {{name: string, state: string, words: string, title?: string,
@@ -88,8 +89,14 @@ function newCampaign() {
     }),
   }, labelled("Folder of the example", name), labelled("Kind of test", test),
   make("button", {}, "Write an example"));
+  const place = make("div");
+  const sample = make("button", {
+    type: "button",
+    onclick: carryOut(place, () => send("POST", "sample", {}), (job) => { location.hash = campaignAddress(job.output); }),
+  }, "Open a sample campaign");
   return [
     make("h2", {}, "Begin a campaign"),
+    make("div", { class: "row" }, sample, make("p", { class: "quiet" }, "Simulated records of the paper's plan, already calibrated.")), place,
     make("h3", {}, "From your recorder's files"), exportsPart(),
     make("h3", {}, "From an example"), form, wrong,
   ];
@@ -112,6 +119,22 @@ function instruments(names) {
   return place;
 }
 
+/**
+ * The campaigns in the trash, each with a button that restores it.
+ * @param {{place: string, name: string}[]} trash
+ */
+function trashPart(trash) {
+  const wrong = make("div");
+  const restore = (/** @type {string} */ place) => () => attempt(wrong, async () => {
+    const { name } = await send("POST", "restore", { place });
+    say(`Restored ${name}.`);
+    location.hash = campaignAddress(name);
+  });
+  return make("details", { class: "keeping" }, make("summary", {}, `Trash (${trash.length})`),
+    ...trash.map(({ place, name }) => make("div", { class: "row" }, make("span", {}, name),
+      make("button", { type: "button", onclick: restore(place) }, `Restore ${name}`))), wrong);
+}
+
 /** Go to where a campaign begins, below those that there are. */
 function begin() {
   const field = /** @type {HTMLElement} */ (document.querySelector(".drop input"));
@@ -128,7 +151,8 @@ export async function folderView() {
       folder.campaigns.length > 2 ? make("button", { type: "button", class: "main", onclick: begin }, "New campaign") : null),
     ...folder.campaigns.length
       ? campaignList(folder.campaigns)
-      : [make("p", {}, "There is no campaign in this folder yet.")],
+      : [make("p", {}, "counterspin calibrates accelerometers from records of a centrifuge or tumble test: it estimates their " +
+        "error coefficients, above all K_II, with uncertainties. This folder has no campaign yet.")],
     instruments([...folder.campaigns.flatMap(/** @param {any} c */ (c) => c.results), ...folder.results]
       .filter(/** @param {any} r */ (r) => r.state !== "damaged").map(/** @param {any} r */ (r) => r.name)),
     make("section", {}, ...newCampaign()),
@@ -138,6 +162,7 @@ export async function folderView() {
       make("ul", { class: "cards" }, ...results.map(/** @param {any} r */ (r) =>
         make("li", { class: "card" }, make("h3", {}, r.title || r.name), ...resultLines(r))))));
   }
+  if (folder.trash.length) content.push(trashPart(folder.trash));
   return { title: folder.folder, content };
 }
 

@@ -15,6 +15,7 @@ const WORDS = /** @type {Record<string, [string, string]>} */ ({
   forecast: ["Forecasting", "Forecasting"],
   plan: ["Planning", "Planning"],
   fit: ["Fitting", "Fitting"],
+  sample: ["Simulating", "Estimating"],
 });
 
 const PAUSE = 250;
