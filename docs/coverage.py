@@ -16,9 +16,9 @@ import numpy as np
 from scipy.special import ndtri, stdtr, stdtrit
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.joint_problem import noise_of, series_of
-from counterspin.calibration.model import model_of
-from counterspin.calibration.observed import observe
+from counterspin.calibration.joint_problem import make_noise, make_series
+from counterspin.calibration.model import make_unknowns
+from counterspin.calibration.observed_runs import observe
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.inference.joint.estimation import estimate
 from counterspin.physics.terms import TERMS
@@ -222,7 +222,7 @@ def _errors(case: Case, campaign: Campaign) -> Iterator[tuple[str, float, float]
                     yield symbol, (c.value - truth[name][symbol]) / c.u, c.dof or math.inf
         return
     observed = tuple(observe(campaign))
-    found = estimate(series_of(campaign, observed), model_of(campaign), noise_of(campaign))
+    found = estimate(make_series(campaign, observed), make_unknowns(campaign), make_noise(campaign))
     solution = found.fit.solution
     for i, unknown in enumerate(found.fit.model.unknowns):
         if unknown.symbol not in TERMS:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import ndtri, stdtr
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.model import model_of
+from counterspin.calibration.model import make_unknowns
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.physics.terms import ACCELEROMETER_TERMS, term
 from counterspin.simulation.simulate import simulate
@@ -178,7 +178,7 @@ def _unstated(described: str, rng: np.random.Generator) -> dict[str, dict[str, f
     """Draw everything that a campaign does not state: owner -> symbol -> value."""
     with tempfile.TemporaryDirectory() as folder:
         campaign = _written(Path(folder), described)
-        unknowns = model_of(campaign).unknowns
+        unknowns = make_unknowns(campaign).unknowns
     off: dict[str, dict[str, float]] = {}
     for unknown in unknowns:
         if unknown.unstated:

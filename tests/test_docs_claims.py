@@ -17,7 +17,7 @@ from scipy.special import stdtrit
 import counterspin as cs
 from counterspin.calibration import assembly, findings, outcome
 from counterspin.calibration.checks import limits, small_angles
-from counterspin.calibration.diagnosis import search
+from counterspin.calibration.diagnosis import ranking, search
 from counterspin.calibration.two_stage import findings as two_stage_findings
 from counterspin.campaign import conditions, runs
 from counterspin.certificates import build
@@ -50,7 +50,7 @@ from kept_table import RATES
 ARCSEC = math.radians(1.0 / 3600.0)
 ENCODER = SHARED_TERMS["encoder.harmonic.1.sin"].typical
 ALARMS = 100.0 * diagnostics.FALSE_ALARMS
-CAUSES = 100.0 * search._FALSE_ALARMS
+CAUSES = 100.0 * ranking.FALSE_ALARMS
 PLAN = (2.5, 9.8)  #: radius and gravity of the paper's plan
 
 
@@ -100,8 +100,8 @@ NUMBERS = [
         [encoder._CONSIDERED_NORM_SQUARED, encoder._ESTIMATED_NORM_SQUARED],
     ),
     ("methods", "| below {} | left out", [encoder._CONSIDERED_NORM_SQUARED]),
-    ("methods", "further than {} typical sizes from nothing", [limits._TYPICAL_SIZES]),
-    ("result", "further than {} of its typical sizes", [limits._TYPICAL_SIZES]),
+    ("methods", "further than {} typical sizes from nothing", [limits._MAX_DEFAULT_SDS]),
+    ("result", "further than {} of its typical sizes", [limits._MAX_DEFAULT_SDS]),
     ("methods", "above {} of the noise of one row", [prepared._LEAST_EFFECT]),
     ("methods", "With the typical {} ug/g^2 of navigation grade", [1e6 * TERMS["K_OO"].typical]),
     ("methods", "enter u as stated, or with {} arcsec", [ENCODER / ARCSEC]),
@@ -128,16 +128,16 @@ NUMBERS = [
     ("methods", "the others by more than {} standard", [findings.CONTRADICTION_SIGMAS]),
     ("methods", "shifts below {} of their u, of many", [diagnostics.AGREEMENT]),
     ("methods", "within {} of the difference's u", [diagnostics.AGREEMENT]),
-    ("diagnosis", "| each record, at {} times, then", [search._STEPS]),
+    ("diagnosis", "| each record, at {} times, then", [ranking.STEPS]),
     ("diagnosis", "all of its own or none, to {} %", [100 * (mistakes._WHOLE_VELOCITY[1] - 1)]),
     (
         "diagnosis",
         "within {} of its chi-square, or within {} % of the gain",
-        [search._DECISIVE_CHI2, 100 * search._DECISIVE_PART],
+        [ranking._DECISIVE_CHI2, 100 * ranking._DECISIVE_FRACTION],
     ),
     ("diagnosis", "head of the finding, then up to {} others", [search._MAX_RIVALS]),
     ("diagnosis", "for up to {} causes", [search._MAX_CAUSES]),
-    ("diagnosis", "what is below {} % of its size", [100 * search._FIRST_ORDER_PART]),
+    ("diagnosis", "what is below {} % of its size", [100 * search._MIN_RELATIVE_SIZE]),
     ("diagnosis", "blamed in at most {} % of good campaigns", [CAUSES]),
     ("diagnosis", "left out (`run-disagrees`): {} % of campaigns", [ALARMS]),
     ("diagnosis", "(`noise-differs`): {} %, likewise", [ALARMS]),
@@ -169,7 +169,7 @@ NUMBERS = [
     ),
     ("result", "two-stage K_II differs by more than {} standard", [diagnostics.AGREEMENT]),
     ("result", "more than {} % of a run were outliers", [100 * outcome.OUTLIER_SHARE]),
-    ("result", "shorter than {} % of the run's", [100 * assembly.COMPLETE_PART]),
+    ("result", "shorter than {} % of the run's", [100 * assembly.COMPLETE_FRACTION]),
     ("result", "is infinite, or more than {}", [distributions._INFINITE_DOF]),
     (
         "result",

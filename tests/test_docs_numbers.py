@@ -70,7 +70,7 @@ ROWS = {
         ("a gap of more than {} revolutions", clock._GAP_REVOLUTIONS),
         ("more than {} revolutions unless", reading.ANY_REVOLUTIONS),
         ("unless there are {} rows for each", 1.0 / reading.FURTHER_REVOLUTIONS_A_ROW),
-        ("a record shorter than {} of that", assembly.COMPLETE_PART),
+        ("a record shorter than {} of that", assembly.COMPLETE_FRACTION),
         ("the Allan deviation is {} B", math.sqrt(2.0 * math.log(2.0) / math.pi)),
         ("more than {} times the largest credible size", simulable.TRUTH_MARGIN),
         ("a ripple above harmonic {},", simulable._MAX_RIPPLE_HARMONIC),
@@ -139,8 +139,8 @@ ROWS = {
     ],
     "compare": [("the same within {}, or", rerun.LIMIT)],
     "monitoring": [
-        ("its rate is off by more than {} %", 100.0 * assembly.RATE_DIFFERENCE),
-        ("shorter than {} of what is stated", assembly.COMPLETE_PART),
+        ("its rate is off by more than {} %", 100.0 * assembly.MAX_RATE_DEVIATION),
+        ("shorter than {} of what is stated", assembly.COMPLETE_FRACTION),
         ("more than {} % of it are outliers", 100.0 * outcome.OUTLIER_SHARE),
         ("A run of fewer than {} revolutions is not assessed", observer.MIN_REVOLUTIONS),
         (

@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 from campaigns import SMALL, campaign_of, changed, write
 
-from counterspin.calibration import observed
+from counterspin.calibration import observed_runs
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.checksums import Checksums
 from counterspin.errors import RecordError
@@ -42,7 +42,7 @@ def test_the_folder_s_name_is_no_pattern(records, tmp_path):
 
 @pytest.mark.parametrize("changed_when", ["after its checksum", "before its checksum"])
 def test_a_record_that_changes_beside_its_checksum_is_refused(folder, monkeypatch, changed_when):
-    record, read = folder / "fast.csv", observed.read_record
+    record, read = folder / "fast.csv", observed_runs.read_record
     early = changed_when == "after its checksum"
 
     def change():
@@ -57,7 +57,7 @@ def test_a_record_that_changes_beside_its_checksum_is_refused(folder, monkeypatc
             change()
         return result
 
-    monkeypatch.setattr(observed, "read_record", reading)
+    monkeypatch.setattr(observed_runs, "read_record", reading)
     # Checksums are taken on a thread; here at once, or at the end.
     expect = (lambda self, _: self.of([record]) and []) if early else (lambda *_: [])
     monkeypatch.setattr(Checksums, "expect", expect)

@@ -33,7 +33,7 @@ EXTRAS = {
         ("calibration/conformity.py", "campaign/specification.py", "inference/conformity.py"),
         {"application", "certificates", "schemas", "validation"},
     ),
-    "notebook": (("calibration/notebook.py",), set()),
+    "notebook": (("calibration/result_conversion.py",), set()),
     "formats": (
         (
             *("records/array_files.py", "records/table_files.py"),

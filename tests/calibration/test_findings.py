@@ -12,10 +12,10 @@ from counterspin import cli
 from counterspin.calibration.findings import (
     Cause,
     judge_result,
-    lack_of_fit,
-    not_determined,
-    rank,
-    refusal,
+    lack_of_fit_finding,
+    not_determined_finding,
+    rank_findings,
+    refusal_reason,
 )
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Finding, Residual
@@ -35,7 +35,7 @@ def test_a_good_result():
     found = judged()
     assert (found.state, found.findings) == ("good", [])
     assert found.accelerometers["Qx"].state == "good"
-    assert refusal(found, ["Qx"]) is None
+    assert refusal_reason(found, ["Qx"]) is None
 
 
 def run(z, dof=None):
@@ -101,7 +101,7 @@ def test_each_finding_and_the_state_that_follows(change, code, state, size):
 
 
 def _undetermined(symbol="K_III", *, requested=True):
-    return not_determined(f"Qx.{symbol}", symbol, more=" Add a run.", requested=requested)
+    return not_determined_finding(f"Qx.{symbol}", symbol, more=" Add a run.", requested=requested)
 
 
 def test_a_requested_term_without_data_has_a_state_between_reservations_and_contradicted():
@@ -136,10 +136,10 @@ def test_the_cause_that_explains_most_comes_first_whatever_lies_below_it():
     above = small.model_copy(update={"explains": [Finding(code="jump", subject="Qx", text="It.")]})
     large = Finding(code="term-missing", subject="Qx.K_4", text="Term.", size=18.0)
     causes = [Cause(large, ("Qx",), {}), Cause(small, ("Qx",), {})]
-    assert rank([above, large], causes) == [large, above]
-    assert rank([large, above]) == [above, large]  # where nobody says which are causes
+    assert rank_findings([above, large], causes) == [large, above]
+    assert rank_findings([large, above]) == [above, large]  # where nobody says which are causes
     grave = above.model_copy(update={"contradicts": True})
-    assert rank([large, grave], causes) == [grave, large]
+    assert rank_findings([large, grave], causes) == [grave, large]
 
 
 def test_one_cause_is_one_finding():
@@ -167,8 +167,10 @@ def test_the_whole_is_as_bad_as_the_worst_of_its_parts():
     assert found.accelerometers["Qx"].state == "good"
     assert found.accelerometers["Qy"].state == "contradicted"
     assert found.state == "contradicted"
-    assert refusal(found, ["Qx"]) is None
-    assert refusal(found, ["Qx", "Qy"]).startswith("Qy is contradicted by its records: Without")
+    assert refusal_reason(found, ["Qx"]) is None
+    assert refusal_reason(found, ["Qx", "Qy"]).startswith(
+        "Qy is contradicted by its records: Without"
+    )
 
 
 def test_a_reason_is_kept_where_there_is_something_to_accept():
@@ -176,7 +178,7 @@ def test_a_reason_is_kept_where_there_is_something_to_accept():
     found = judge_result(result(jackknife=run(-6.1)), "it is fine")
     assert found.state == "contradicted"
     assert found.accepted_misfit == "it is fine"
-    assert refusal(found, ["Qx"]) is None
+    assert refusal_reason(found, ["Qx"]) is None
 
 
 def test_judging_twice_changes_nothing(tmp_path):
@@ -192,7 +194,7 @@ def test_a_few_residuals_are_as_large_by_chance(dof, contradicts):
     chi2 = dof * 2.3**2
     p = chi_square_tail(dof, chi2)
     residual = Residual(rms=2.3, unit="g", dof=dof, chi2=chi2, lack_of_fit_p=p)
-    assert lack_of_fit("A", ["They are large."], residual).contradicts is contradicts
+    assert lack_of_fit_finding("A", ["They are large."], residual).contradicts is contradicts
 
 
 # Edited by hand
@@ -253,7 +255,7 @@ def test_a_state_without_a_seal_gets_no_better(whitewashed, tmp_path, stated):
     (tmp_path / "r.json").write_text(json.dumps(whitewashed))
     again = judge_result(Result.read("r.json"))
     assert again.state == again.accelerometers["Qx"].state == stated
-    assert (refusal(again, ["Qx"]) is None) == (stated == "reservations")
+    assert (refusal_reason(again, ["Qx"]) is None) == (stated == "reservations")
 
 
 def test_what_a_cause_explains_is_not_found_again(tmp_path):
@@ -300,7 +302,7 @@ def test_an_incredible_result_of_an_earlier_version_is_held_to_it(
     assert not any(f.code == "incredible" for f in before.findings)
     assert found.state == found.accelerometers["Qx"].state == "contradicted"
     assert ("incredible", f"Qx.{symbol}") in {(f.code, f.subject) for f in found.findings}
-    assert refusal(found, ["Qy"]) is None
+    assert refusal_reason(found, ["Qy"]) is None
     assert cli.main(["certificate", "old.json", "LAB.toml", "-o", "c.xml"]) == 1
     assert f"{symbol} = {value:g}" in " ".join(capsys.readouterr().err.split())
     read = cs.history(["old.json"]).left_out

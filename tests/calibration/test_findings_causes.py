@@ -2,7 +2,7 @@
 
 from results import result
 
-from counterspin.calibration.findings import Cause, below_causes, judge_result, merge_shared
+from counterspin.calibration.findings import Cause, group_by_cause, judge_result, merge_shared
 from counterspin.calibration.result_parts import Finding
 
 MISFIT = Finding(code="lack-of-fit", subject="Qx", text="Large.", size=8.0, contradicts=True)
@@ -19,7 +19,7 @@ def cause(*remaining, names=("Qx",)):
 def below(*found, causes, name="Qx"):
     return [
         (one.code, [other.code for other in one.explains])
-        for one in below_causes(name, found, causes)
+        for one in group_by_cause(name, found, causes)
     ]
 
 
@@ -43,13 +43,13 @@ def test_another_accelerometer_s_findings_are_its_own():
 
 
 def test_a_cause_is_as_grave_as_what_it_accounts_for():
-    (head,) = below_causes("Qx", [MISFIT], [cause()])
+    (head,) = group_by_cause("Qx", [MISFIT], [cause()])
     assert head.contradicts
     assert not HEAD.contradicts
 
 
 def test_of_two_accelerometers_a_cause_is_one():
-    own = below_causes("Qx", [MISFIT], [cause()])
+    own = group_by_cause("Qx", [MISFIT], [cause()])
     (both,) = merge_shared([*own, HEAD.model_copy(update={"explains": [RUN]})])
     assert [other.code for other in both.explains] == ["lack-of-fit", "run-disagrees"]
 

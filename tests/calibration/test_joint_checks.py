@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from mistaken_campaigns import Mistake, make_records, mistaken
 
+from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.joint import unseen_ripple
-from counterspin.calibration.view import AccelerometerView
+from counterspin.calibration.joint import check_unrecorded_ripple
 from counterspin.campaign.memory import make_campaign
 from counterspin.simulation.simulate import simulate
 
@@ -37,7 +37,7 @@ def seen(observable: str, angle: object | None) -> AccelerometerView:
 
 
 def test_a_ripple_that_nobody_recorded_is_a_warning():
-    (finding,) = unseen_ripple(seen("specific_force", None))
+    (finding,) = check_unrecorded_ripple(seen("specific_force", None))
     # At 10 g a ripple of 1e-8 of the rate is 1e-9 g/g^2.
     assert "a ripple of 1e-08 of the rate" in finding.text
 
@@ -46,7 +46,7 @@ def test_a_ripple_that_nobody_recorded_is_a_warning():
     ("observable", "angle"), [("specific_force", object()), ("displacement", None)]
 )
 def test_a_recorded_angle_or_displacement_need_no_warning(observable, angle):
-    assert unseen_ripple(seen(observable, angle)) == []
+    assert check_unrecorded_ripple(seen(observable, angle)) == []
 
 
 def test_a_run_that_says_nothing_of_k_ii_is_not_compared():

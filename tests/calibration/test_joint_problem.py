@@ -8,11 +8,11 @@ import pytest
 from campaigns import PLACE, SMALL, changed, runs, write
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.joint_problem import JointProblem, series_of
-from counterspin.calibration.model import assumed_of, model_of
-from counterspin.calibration.observed import ObservedRun, Signal
+from counterspin.calibration.joint_problem import JointProblem, make_series
+from counterspin.calibration.model import fixed_terms, make_unknowns
+from counterspin.calibration.observed_runs import ObservedRun, Signal
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.calibration.two_stage.method import request_of
+from counterspin.calibration.two_stage.method import make_request
 from counterspin.campaign.description import read_campaign
 from counterspin.inference.joint.series import Series
 from counterspin.inference.noise.model import Noise
@@ -56,7 +56,7 @@ def test_noise_of_the_time_stamps_is_the_rms_slope_times_their_noise(observable,
         trajectory,
         {"Qx": Signal(accelerometer, np.zeros(400))},
     )
-    (series,) = series_of(campaign, [run])
+    (series,) = make_series(campaign, [run])
     slope = (series.reference(later=1e-5) - series.reference(later=-1e-5)) / 2e-5
     assert series.jitter == pytest.approx(TIMING * math.sqrt(np.mean(slope**2)), rel=1e-6)
     variance = np.maximum((TIMING * slope) ** 2, 0.02 * series.jitter**2)
@@ -68,16 +68,16 @@ def test_noise_of_the_time_stamps_is_the_rms_slope_times_their_noise(observable,
 def test_credible_sizes_of_unknowns_go_by_the_grade_of_their_accelerometer(tmp_path):
     of_qy = ('input_axis = "north"', 'input_axis = "north"\ngrade = "consumer"')
     campaign = read_campaign(write(tmp_path, changed(SMALL, of_qy)))
-    model = model_of(campaign)
+    model = make_unknowns(campaign)
     for name, grade in (("Qx", "navigation"), ("Qy", "consumer")):
         asked = [u for u in model.unknowns if u.owner == name]
-        perfect = [c for c in assumed_of(campaign, model, name) if c.symbol in ACCELEROMETER_TERMS]
+        perfect = [c for c in fixed_terms(campaign, model, name) if c.symbol in ACCELEROMETER_TERMS]
         assert {u.symbol for u in asked} >= {"K_F", "K_II", "K_III"}
         assert {c.symbol for c in perfect} >= {"K_OO", "delta_O"}
         for one in (*asked, *perfect):
             assert one.limit == term(one.symbol).sizes(grade).limit
         accelerometer = campaign.accelerometers[name]
-        request = request_of(JointProblem(campaign), accelerometer, TwoStageOptions())
+        request = make_request(JointProblem(campaign), accelerometer, TwoStageOptions())
         assert request.limit_of("K_II") == term("K_II").sizes(grade).limit
 
 

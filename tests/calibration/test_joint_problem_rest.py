@@ -12,7 +12,7 @@ from recorded_campaigns import WHITE, at_rest, record
 from scipy.stats import f as fisher
 
 import counterspin as cs
-from counterspin.calibration.joint_problem import noise_of
+from counterspin.calibration.joint_problem import make_noise
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.pages.document import document
 from counterspin.campaign.description import read_campaign
@@ -43,7 +43,7 @@ def described(folder, **noise):
 
 def test_a_campaign_has_the_sizes_of_its_record_at_rest_each_accelerometer_its_own(folder):
     found = cs.noise(folder / "rest.csv", campaign=folder)
-    noise = noise_of(
+    noise = make_noise(
         read_campaign(folder).change({"noise": {"displacement": None, "from": "rest.csv"}})
     )
     for signal in found.signals:
@@ -60,7 +60,7 @@ def test_a_campaign_has_the_sizes_of_its_record_at_rest_each_accelerometer_its_o
 
 
 def test_a_key_beside_the_record_overrules_it(folder):
-    (one,) = noise_of(
+    (one,) = make_noise(
         described(
             folder, **{"from": "rest.csv", "displacement": "2 cm", "acceleration": "1 ug/Hz^0.5"}
         )
@@ -72,17 +72,17 @@ def test_a_key_beside_the_record_overrules_it(folder):
 
 def test_stated_steps_are_a_part_of_what_is_white(folder):
     campaign = described(folder, **{"from": "rest.csv", "quantisation": "2 cm"})
-    plain = noise_of(described(folder, **{"from": "rest.csv"}))["Qx"]
-    assert noise_of(campaign)["Qx"].sample_variance == pytest.approx(plain.sample_variance)
+    plain = make_noise(described(folder, **{"from": "rest.csv"}))["Qx"]
+    assert make_noise(campaign)["Qx"].sample_variance == pytest.approx(plain.sample_variance)
 
 
 @pytest.fixture(scope="module")
 def both(folder):
     """Return the results with the record at rest, and with its figure stated by hand."""
     campaign = described(folder, **{"from": "rest.csv", "acceleration": "0 g/Hz^0.5"})
-    white = noise_of(campaign)["Qx"].white
+    white = make_noise(campaign)["Qx"].white
     by_hand = described(folder, displacement=f"{white!r} m")
-    return cs.calibrate(campaign), cs.calibrate(by_hand), noise_of(campaign)["Qx"]
+    return cs.calibrate(campaign), cs.calibrate(by_hand), make_noise(campaign)["Qx"]
 
 
 def test_the_answer_is_that_of_the_same_noise_by_hand_with_the_degrees_of_freedom_of_the_record(
@@ -173,7 +173,7 @@ def test_records_of_velocity_and_force_say_the_noise_of_the_accelerometer(
         values = np.cumsum(force) / 20.0 + 1e-4 * rng.standard_normal(force.size)
     frame = pl.DataFrame({"time_s": np.arange(force.size) / 20.0, "east": values})
     frame.write_csv(tmp_path / "rest.csv")
-    (noise,) = noise_of(read_campaign(write(tmp_path, text))).values()
+    (noise,) = make_noise(read_campaign(write(tmp_path, text))).values()
     assert noise.random_walk == pytest.approx(1e-3, rel=0.03)
     assert noise.covariance[1][1] == pytest.approx(2 * 1e-12 / 20_000, rel=0.3)
     assert order or noise.white == 0.0
@@ -219,13 +219,13 @@ def test_a_record_that_cannot_be_used_is_named_with_its_key(folder, tmp_path):
     with pytest.raises(RecordError, match=r"none\.csv \(noise\.from\): file not found"):
         cs.calibrate(missing)
     with pytest.raises(RecordError, match=r"noise\.from: .*none\.csv: file not found"):
-        noise_of(missing)
+        make_noise(missing)
     pl.read_csv(folder / "rest.csv").head(20).write_csv(tmp_path / "short.csv")
     with pytest.raises(RecordError, match=r"noise\.from: .*short\.csv.*20 samples are too few"):
-        noise_of(described(folder, **{"from": str(tmp_path / "short.csv")}))
+        make_noise(described(folder, **{"from": str(tmp_path / "short.csv")}))
     pl.read_csv(folder / "rest.csv").drop("east_m").write_csv(tmp_path / "other.csv")
     with pytest.raises(RecordError, match=r"(?s)noise\.from: .*other\.csv.*east_m"):
-        noise_of(described(folder, **{"from": str(tmp_path / "other.csv")}))
+        make_noise(described(folder, **{"from": str(tmp_path / "other.csv")}))
 
 
 def test_what_is_no_record_at_rest_is_refused(folder):

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from campaigns import SMALL, campaign_of, changed
 
-from counterspin.calibration.joint import joint
+from counterspin.calibration.joint import fit_jointly
 from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.observed import observe
-from counterspin.calibration.outcome import many_outliers
+from counterspin.calibration.observed_runs import observe
+from counterspin.calibration.outcome import check_outlier_share
 from counterspin.records.record import RecordReport, rejected_of
 from counterspin.simulation.simulate import simulate
 
@@ -21,11 +21,11 @@ def test_outliers_of_the_fit_are_counted_in_samples(tmp_path):
     slow, *others = observe(campaign)
     place = 500
     assert slow.record.count[place] > 1
-    before = joint(JointProblem(campaign, (slow, *others))).runs["slow"].counts["outliers"]
+    before = fit_jointly(JointProblem(campaign, (slow, *others))).runs["slow"].counts["outliers"]
     error = slow.signals["Qx"].error.copy()
     error[place] += 1.0
     spoilt = replace(slow, signals={**slow.signals, "Qx": replace(slow.signals["Qx"], error=error)})
-    after = joint(JointProblem(campaign, (spoilt, *others))).runs["slow"].counts["outliers"]
+    after = fit_jointly(JointProblem(campaign, (spoilt, *others))).runs["slow"].counts["outliers"]
     assert after - before == slow.record.count[place]
 
 
@@ -54,5 +54,5 @@ def test_counts_are_summed_over_the_columns():
     ("outliers", "accelerometers", "said"), [(46, 1, 0), (47, 1, 1), (96, 2, 0), (97, 2, 1)]
 )
 def test_more_than_a_twentieth_is_said(outliers, accelerometers, said):
-    found = many_outliers("A.r", report(outliers).counts(), accelerometers)
+    found = check_outlier_share("A.r", report(outliers).counts(), accelerometers)
     assert [(f.code, f.subject) for f in found] == [("many-outliers", "A.r")] * said

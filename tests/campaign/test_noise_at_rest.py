@@ -7,7 +7,7 @@ from campaigns import SMALL, changed, runs_of, write
 from recorded_campaigns import WHITE, at_rest
 
 import counterspin as cs
-from counterspin.calibration.joint_problem import noise_of
+from counterspin.calibration.joint_problem import make_noise
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.memory import make_campaign
 from counterspin.campaign.noise_at_rest import true_noise
@@ -66,7 +66,7 @@ def test_a_simulated_folder_has_the_record_at_rest(folder, tmp_path):
     cs.simulate(folder, tmp_path / "there")
     assert (tmp_path / "there/rest.csv").read_bytes() == (folder / "rest.csv").read_bytes()
     again = read_campaign(tmp_path / "there")
-    assert noise_of(again) == noise_of(read_campaign(folder))
+    assert make_noise(again) == make_noise(read_campaign(folder))
     cs.simulate(folder, tmp_path / "there", overwrite=True)
     with pytest.raises(cs.CounterspinError, match="exists"):
         cs.simulate(folder, tmp_path / "there")
@@ -163,19 +163,19 @@ def test_a_plan_says_that_it_cannot_plan_with_a_bias_that_wanders(tmp_path):
 
 def test_a_record_at_rest_may_be_in_memory(folder, tmp_path):
     frame, recorded = pl.read_csv(folder / "rest.csv"), cs.simulate(read_campaign(folder))
-    of_file = noise_of(recorded)
+    of_file = make_noise(recorded)
     document = {**recorded.source.document, "noise": {"angle": "1e-6 rad"}}
     records = {run.name: recorded.record_at(run.record).frame() for run in recorded.runs}
     held = make_campaign(document, {**records, "noise.from": frame}, folder=tmp_path / "nowhere")
-    assert noise_of(held) == of_file
+    assert make_noise(held) == of_file
     result = cs.calibrate(held)
     assert result.accelerometers["Qx"].noise["displacement"].record == "rest.parquet"
     assert result.provenance.in_memory["rest.parquet"] == "arrays"
     again = read_campaign(held.write(tmp_path / "written"))
     assert again.rest == tmp_path / "written" / "rest.parquet"
-    assert noise_of(again) == of_file
+    assert make_noise(again) == of_file
     other = held.change({}, records={"noise.from": frame.with_columns(pl.col("east_m") * 2.0)})
-    assert noise_of(other)["Qx"].white == pytest.approx(2.0 * of_file["Qx"].white, rel=1e-6)
+    assert make_noise(other)["Qx"].white == pytest.approx(2.0 * of_file["Qx"].white, rel=1e-6)
 
 
 def test_a_file_may_be_given_for_a_record_at_rest_too(folder, tmp_path):
@@ -183,5 +183,5 @@ def test_a_file_may_be_given_for_a_record_at_rest_too(folder, tmp_path):
     given = make_campaign(
         {**described, "noise": {}}, {"noise.from": folder / "rest.csv"}, folder=tmp_path
     )
-    assert noise_of(given) == noise_of(read_campaign(folder))
+    assert make_noise(given) == make_noise(read_campaign(folder))
     assert write_document(given.source.document["noise"]).strip() == f'from = "{folder}/rest.csv"'

@@ -9,7 +9,12 @@ from campaigns import SMALL, write
 from results import remove_seal, sealed
 
 import counterspin as cs
-from counterspin.calibration.options import TwoStageOptions, asked_by, command_words, without_words
+from counterspin.calibration.options import (
+    TwoStageOptions,
+    command_arguments,
+    exclusion_arguments,
+    parse_options,
+)
 from counterspin.cli import main
 from counterspin.comparisons.result import RepeatedCalibration
 from counterspin.errors import CampaignError, RecordError
@@ -137,8 +142,8 @@ def test_what_was_in_memory_cannot_be_repeated(camp, capsys):
 
 def test_words_are_read_back():
     options = TwoStageOptions("as-printed", False, "ratio", False, True)
-    words = [*command_words("two-stage", options), *without_words(["slow"])]
-    assert asked_by(words) == ("two-stage", options, ("slow",))
-    assert asked_by([]) == ("joint", TwoStageOptions(), ())
+    words = [*command_arguments("two-stage", options), *exclusion_arguments(["slow"])]
+    assert parse_options(words) == ("two-stage", options, ("slow",))
+    assert parse_options([]) == ("joint", TwoStageOptions(), ())
     with pytest.raises(CampaignError, match="--newer"):
-        asked_by(["--newer"])
+        parse_options(["--newer"])

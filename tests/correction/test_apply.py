@@ -18,8 +18,8 @@ from workbooks import write_workbook
 
 import counterspin as cs
 from counterspin import cli
-from counterspin.calibration.findings import judge_result, not_determined
-from counterspin.calibration.outcome import own_description
+from counterspin.calibration.findings import judge_result, not_determined_finding
+from counterspin.calibration.outcome import describe_instrument
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
@@ -392,7 +392,7 @@ def test_a_result_that_does_not_determine_what_is_needed_is_not_applied():
     terms = accelerometer({"K_I": 1.0}).coefficients | {"K_III": nothing}
 
     def found(symbol):
-        finding = not_determined(f"Qx.{symbol}", symbol, more=" Add a run.", requested=True)
+        finding = not_determined_finding(f"Qx.{symbol}", symbol, more=" Add a run.", requested=True)
         return result({"Qx": accelerometer({}, coefficients=terms, findings=[finding])})
 
     with pytest.raises(RecordError, match=r"needs K_III, which .* not determine\. .* Add a run\."):
@@ -434,7 +434,7 @@ def test_results_repeat_what_the_campaign_knows_beforehand(tmp_path):
     file = tmp_path / "campaign.toml"
     text = file.read_text(encoding="utf-8").replace('# K_III = "0', 'K_OO = "2e-6')
     file.write_text(text.replace("g/g^3", "g/g^2", 1), encoding="utf-8")
-    parts = own_description(cs.read_campaign(tmp_path).accelerometers["Qx"], ["K_F", "K_I"])
+    parts = describe_instrument(cs.read_campaign(tmp_path).accelerometers["Qx"], ["K_F", "K_I"])
     assert parts["known"] == {"K_OO": coefficient("K_OO", 2e-6, 1e-5, estimated=False)}
     found = found_of(**parts)
     assert found.axes == list(QX.axes)

@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 from recorders import FILES
 
-from counterspin.calibration.observed import read_run
+from counterspin.calibration.observed_runs import read_run
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CounterspinError
 from counterspin.ingest.contents import read_files

@@ -6,7 +6,7 @@ import pytest
 from scipy.io import savemat
 from workbooks import write_workbook
 
-from counterspin.calibration.observed import observe
+from counterspin.calibration.observed_runs import observe
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.ingest.contents import read_files

@@ -174,8 +174,8 @@ def test_repeats_at_one_setting_tell_the_noise_with_the_residuals():
     fit = solve_readings([together], asked)
     np.testing.assert_allclose(fit.solution.estimate, apart.solution.estimate, atol=1e-15)
     np.testing.assert_allclose(fit.solution.u, apart.solution.u, rtol=1e-5)
-    assert fit.groups[0].dof == pytest.approx(apart.groups[0].dof, abs=1e-6)
-    assert fit.groups[0].dof == pytest.approx(57.0, abs=1e-6)
+    assert fit.groups[0].noise_dof == pytest.approx(apart.groups[0].noise_dof, abs=1e-6)
+    assert fit.groups[0].noise_dof == pytest.approx(57.0, abs=1e-6)
 
 
 def test_readings_of_one_position_are_judged_together():
@@ -232,10 +232,10 @@ def test_the_noise_beside_a_head_has_the_freedom_of_its_repeats():
     weight = np.linalg.inv(np.diag(fit.groups[0].sigma ** 2))
     left = weight - weight @ x @ np.linalg.solve(x.T @ weight @ x, x.T @ weight)
     exactly = np.trace(left @ of_noise @ left @ of_noise) + 12 * (repeats - 1)
-    assert fit.groups[0].dof == pytest.approx(exactly, rel=1e-4)
-    assert 24.0 < fit.groups[0].dof < 28.0
+    assert fit.groups[0].noise_dof == pytest.approx(exactly, rel=1e-4)
+    assert 24.0 < fit.groups[0].noise_dof < 28.0
     # Four standard deviations of a noise of as many degrees of freedom.
-    assert abs(fit.groups[0].noise / SIGMA - 1.0) < 4.0 / math.sqrt(2.0 * fit.groups[0].dof)
+    assert abs(fit.groups[0].noise / SIGMA - 1.0) < 4.0 / math.sqrt(2.0 * fit.groups[0].noise_dof)
 
 
 def test_fewer_readings_than_unknowns_cannot_tell_their_noise():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import counterspin as cs
-from counterspin.calibration.model import model_of
+from counterspin.calibration.model import make_unknowns
 from counterspin.errors import CampaignError
 from counterspin.readings.joining import with_readings
 
@@ -101,7 +101,7 @@ def assert_good(z):
 @pytest.mark.parametrize("u", [SIGMA, None])
 def test_random_errors_of_stated_rates_are_in_u(tmp_path, u):
     of = campaign(tmp_path, more=ASSUMED, spread=" ± 1e-5", u=u)
-    rng, model = np.random.default_rng(1), model_of(of)
+    rng, model = np.random.default_rng(1), make_unknowns(of)
     rates = np.array([r.rate for r in of.readings])
     errors = rng.normal(0.0, 1e-5, (60, rates.size)) / rates
     assert_good([deviations(with_values(of, rng, rate_errors=one), model) for one in errors])
@@ -146,7 +146,7 @@ def of_two(folder):
 
 def test_radii_drawn_from_their_stated_priors_are_in_u(tmp_path):
     of = of_two(tmp_path)
-    rng, model = np.random.default_rng(4), model_of(of)
+    rng, model = np.random.default_rng(4), make_unknowns(of)
     z = [
         deviations(
             with_values(of, rng, radii={key: 1.0 + rng.normal(0.0, OFFSET) for key in RADII}), model
@@ -177,7 +177,7 @@ def test_proof_masses_off_the_fixture_s_centre_and_apart_are_good(tmp_path):
 def test_a_radius_of_a_mounting_is_that_of_all_accelerometers(tmp_path):
     priors = '[model.priors]\n"centrifuge.radius.in" = "1.0002 ± 1e-6 m"\n'
     of = campaign(tmp_path, more=ASSUMED + priors, names=("A", "B"), sides=["in"])
-    names = [u.name for u in model_of(of).unknowns if "radius" in u.name]
+    names = [u.name for u in make_unknowns(of).unknowns if "radius" in u.name]
     assert names == ["centrifuge.radius.in"]
     both = {(name, "in"): 1.0002 for name in "AB"}
     result = cs.calibrate(with_values(of, np.random.default_rng(6), radii=both))

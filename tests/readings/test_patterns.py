@@ -42,8 +42,8 @@ def held(test, values, u, terms=LEVEL):
         0,
         told.sigma,
         np.ones(own.size),
-        told.dof if estimated else told.squares,
-        told.dof if estimated else told.freedom,
+        told.noise_dof if estimated else told.chi2,
+        told.noise_dof if estimated else told.residual_dof,
         estimated,
         0.0,
     )
@@ -154,11 +154,11 @@ def test_the_gain_is_that_of_a_fit_with_the_column():
     assert found.alternatives[0].symbol == "cos 2 phi"
     assert {"K_II", "K_PP"} <= {other.symbol for other in found.alternatives}
     with_term = solve_readings([readings(test, values, 2e-6)], model((*LEVEL, "K_II")))
-    gain = group.squares - with_term.groups[0].squares
+    gain = group.squares - with_term.groups[0].chi2
     assert found.p == pytest.approx(2.0 * stats.norm.sf(math.sqrt(gain)), rel=1e-3)
     estimated, own, columns = held(test, values, None)
     (found,) = most_followed(estimated, [own], [columns])
-    f = gain / (with_term.groups[0].squares / (24 - 4))
+    f = gain / (with_term.groups[0].chi2 / (24 - 4))
     assert found.p == pytest.approx(stats.f.sf(f, 1, 24 - 4), rel=1e-3)
 
 

@@ -62,7 +62,7 @@ def test_the_fit_is_that_of_all_angles_at_once(stated):
         covariance = covariance * scale
         (group,) = fit.groups
         assert group.noise == pytest.approx(math.sqrt(scale), rel=1e-6)
-        assert group.dof == pytest.approx(16.0, abs=1e-6)
+        assert group.noise_dof == pytest.approx(16.0, abs=1e-6)
     u_of = np.sqrt(np.diag(covariance))
     found = fit.solution.estimate + _nominal()
     assert np.max(np.abs(found - expected) / u_of) < 1e-6

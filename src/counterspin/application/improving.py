@@ -83,7 +83,7 @@ def fit_into(there: Connection, campaign: Path) -> None:
     def work(_: Progress) -> dict[str, SeenRecord]:
         from counterspin.calibration.joint import estimate_campaign
         from counterspin.calibration.joint_problem import JointProblem
-        from counterspin.calibration.observed import observe, with_recorded_temperatures
+        from counterspin.calibration.observed_runs import observe, with_recorded_temperatures
         from counterspin.campaign.description import read_campaign
         from counterspin.threads import one_blas_thread
 
@@ -262,7 +262,7 @@ def search_into(there: Connection, campaign: Path) -> None:
     """Search for helpful runs; report to `there` as `processes.report_progress` does."""
 
     def work(progress: Progress) -> dict[str, FurtherRuns | None]:
-        from counterspin.calibration.observed import with_recorded_temperatures
+        from counterspin.calibration.observed_runs import with_recorded_temperatures
         from counterspin.campaign.description import read_campaign
         from counterspin.planning.recorded import further_runs, observed_with_noise
 

@@ -26,7 +26,7 @@ from counterspin.application.folder import NotThereError
 from counterspin.application.improving import SeenRecord, fitted_run
 from counterspin.application.jobs import Job, Progress, report_progress
 from counterspin.arrays import Array
-from counterspin.calibration.observed import record_columns
+from counterspin.calibration.observed_runs import record_columns
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
 from counterspin.campaign.runs import Run

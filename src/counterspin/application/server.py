@@ -306,7 +306,7 @@ def _load(desk: Desk, ended: threading.Event) -> None:
     Drawing and writing once fills the caches of fonts and templates.
     """
     pages = "counterspin.calibration.pages.document"
-    for name in ("polars", "scipy.special", "counterspin.calibration.observed", pages):
+    for name in ("polars", "scipy.special", "counterspin.calibration.observed_runs", pages):
         if ended.is_set():
             return
         import_module(name)

@@ -2,13 +2,12 @@
 
 - `calibrate`: the whole way, from a folder to a `Result`; `batch`: many campaigns
 - `options`: how a calibration is made
-- `observed`: records brought together with the rotation they were taken on, and with how warm it
-  was
-- `timing`: the timing offset at which the fit takes derivatives
+- `observed_runs`: records with the identified rotation and the recorded temperatures
+- `timing_offset`: the timing offset at which the fit takes derivatives
 - `assembly`: from observed runs to a `Result`, by either method
 - `model`: what is asked for, held, stated and unstated; what is assumed to be perfect
 - `joint_problem`: the joint fit's data and noise
-- `view`: the fit as one accelerometer sees it, and data other than records in it
+- `accelerometer_view`: the fit as one accelerometer sees it, and data other than records in it
 - `joint`: the outcome of the joint method
 - `two_stage`: the two-stage method
 - `outcome`: what a method has found, as the result states it
@@ -18,6 +17,7 @@
 - `conformity`: whether coefficients meet their specifications
 - `result`, `result_parts`: what a calibration found, its JSON; what it is made of
 - `result_file`: results of earlier schemas, and numbers that no result has
-- `notebook`: coefficients as frames, for uncertainties and GTC; `si_estimates`: in SI units
+- `result_conversion`: coefficients as frames, for uncertainties and GTC
+- `si_estimates`: coefficients in SI units
 - `pages`: the result as a person reads it
 """

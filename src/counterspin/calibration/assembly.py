@@ -9,15 +9,15 @@ from typing import Final
 from counterspin._version import __version__
 from counterspin.calibration.extensions import apply_specifications, apply_two_stage
 from counterspin.calibration.findings import judge_result
-from counterspin.calibration.joint import joint
+from counterspin.calibration.joint import fit_jointly
 from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.model import assumed
-from counterspin.calibration.observed import ObservedRun, removed_of
-from counterspin.calibration.options import Method, TwoStageOptions, command_words
-from counterspin.calibration.outcome import many_outliers
+from counterspin.calibration.model import fixed_symbols
+from counterspin.calibration.observed_runs import ObservedRun, detect_detrending
+from counterspin.calibration.options import Method, TwoStageOptions, command_arguments
+from counterspin.calibration.outcome import check_outlier_share
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Finding, Inputs, Provenance
-from counterspin.calibration.timing import with_located_delay
+from counterspin.calibration.timing_offset import locate_delay
 from counterspin.campaign.conditions import origin_of, temperatures_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
@@ -25,54 +25,54 @@ from counterspin.records.signals import WORDS as REMOVED
 from counterspin.results import environment
 
 #: A record that lasts less than this part of what the campaign states is asked about.
-COMPLETE_PART: Final = 0.9
+COMPLETE_FRACTION: Final = 0.9
 
 #: A rate that differs by more than this part from the nominal one is another rate.
-RATE_DIFFERENCE: Final = 1e-3
+MAX_RATE_DEVIATION: Final = 1e-3
 
 #: Rates are off alike if their parts differ by less than this part of them.
-_OFFSET_SPREAD: Final = 0.1
+_MAX_COMMON_SPREAD: Final = 0.1
 
 
-def calibration(
+def assemble_result(
     campaign: Campaign,
     observed: Sequence[ObservedRun],
     method: Method,
     options: TwoStageOptions,
-    inputs: Callable[[], tuple[Mapping[str, str], Mapping[str, str]]],
+    load_inputs: Callable[[], tuple[Mapping[str, str], Mapping[str, str]]],
     accepted_misfit: str | None = None,
 ) -> Result:
     """Estimate every coefficient, and bring together what the result says.
 
     accepted_misfit: The reason for which the result is to be used though the records contradict it.
     """
-    problem = with_located_delay(JointProblem(campaign, observed))
+    problem = locate_delay(JointProblem(campaign, observed))
     observed = problem.observed
-    found = joint(problem) if method == "joint" else apply_two_stage(problem, options)
+    outcome = fit_jointly(problem) if method == "joint" else apply_two_stage(problem, options)
     findings = [
-        *found.findings,
-        *_asked_about(campaign),
-        *_other_rates({**_rates(observed), **found.arm_rates}),
+        *outcome.findings,
+        *_question_findings(campaign),
+        *_rate_findings({**_measured_rates(observed), **outcome.arm_rates}),
         *(
             finding
-            for name, run in found.runs.items()
-            for finding in many_outliers(name, run.counts, len(campaign.accelerometers))
+            for name, run in outcome.runs.items()
+            for finding in check_outlier_share(name, run.counts, len(campaign.accelerometers))
         ),
-        *_odd_ends(observed),
+        *_record_end_findings(observed),
     ]
-    checksums, in_memory = inputs()
-    warm, stated = temperatures_of(campaign), campaign.reference_temperature
+    checksums, in_memory = load_inputs()
+    temperatures, reference_temperature = temperatures_of(campaign), campaign.reference_temperature
     result = Result(
         method=method,
-        model=found.model,
+        model=outcome.model,
         findings=findings,
         title=campaign.title,
-        accelerometers=found.accelerometers,
-        platform=found.platform,
-        triad=found.triad,
-        confounded=found.confounded,
-        correlation=found.correlation,
-        runs=found.runs,
+        accelerometers=outcome.accelerometers,
+        platform=outcome.platform,
+        triad=outcome.triad,
+        confounded=outcome.confounded,
+        correlation=outcome.correlation,
+        runs=outcome.runs,
         inputs=Inputs(
             gravity=campaign.gravity.value,
             u_gravity=campaign.gravity.u,
@@ -80,29 +80,35 @@ def calibration(
             u_latitude=campaign.latitude.u,
             radius=campaign.radius.value,
             u_radius=campaign.radius.u,
-            reference_temperature=origin_of(campaign).temperature if warm else stated,
-            temperatures=[min(warm), max(warm)] if warm else [],
+            reference_temperature=origin_of(campaign).temperature
+            if temperatures
+            else reference_temperature,
+            temperatures=[min(temperatures), max(temperatures)] if temperatures else [],
         ),
-        rests_on=found.rests_on,
-        assumed=list(assumed(campaign, problem.model)),
+        rests_on=outcome.rests_on,
+        assumed=list(fixed_symbols(campaign, problem.model)),
         details=dict(campaign.details),
-        warnings=[*_remarks(campaign), *_removed(campaign, observed), *found.remarks],
+        warnings=[
+            *_campaign_remarks(campaign),
+            *_detrending_remarks(campaign, observed),
+            *outcome.remarks,
+        ],
         provenance=Provenance(
             version=__version__,
             inputs=dict(checksums),
             in_memory=dict(in_memory),
-            options=command_words(method, options),
+            options=command_arguments(method, options),
             environment=environment(),
         ),
     )
-    result._residuals = found.residuals
-    result = judge_result(result, accepted_misfit, found.causes)
+    result._residuals = outcome.residuals
+    result = judge_result(result, accepted_misfit, outcome.causes)
     if campaign.specifications is None:
         return result
     return apply_specifications(result, campaign.specifications)
 
 
-def _rates(observed: Sequence[ObservedRun]) -> dict[str, tuple[float, float]]:
+def _measured_rates(observed: Sequence[ObservedRun]) -> dict[str, tuple[float, float]]:
     """Return run -> its rate by the recorded angle, and the stated rate, rad/s."""
     return {
         run.run.name: (run.rotation.spindle.rate, run.run.rate)
@@ -111,73 +117,83 @@ def _rates(observed: Sequence[ObservedRun]) -> dict[str, tuple[float, float]]:
     }
 
 
-def _other_rates(rates: Mapping[str, tuple[float, float]]) -> list[Finding]:
+def _rate_findings(rates: Mapping[str, tuple[float, float]]) -> list[Finding]:
     """Return the runs whose spindle turned at another rate than the description says.
 
     Where all runs did, by the same part, it is the time that they share.
 
     rates: Run -> its rate by the recorded angle, and the stated rate, rad/s.
     """
-    findings, parts = [], []
+    findings, deviations = [], []
     for name, (rate, stated) in rates.items():
-        part = rate / stated - 1.0
-        parts.append(part)
-        if abs(part) > RATE_DIFFERENCE:
+        deviation = rate / stated - 1.0
+        deviations.append(deviation)
+        if abs(deviation) > MAX_RATE_DEVIATION:
             text = (
                 f"{name}: the spindle turned at {rate:.6f} rad/s, not at the nominal "
                 f"{stated:.6f} rad/s; the recorded angle is used."
             )
-            findings.append(Finding(code="other-rate", subject=name, text=text, size=abs(part)))
-    least, most = min(parts, default=0.0), max(parts, default=0.0)
-    if len(findings) < 2 or len(findings) < len(parts) or most - least > _OFFSET_SPREAD * abs(most):
+            findings.append(
+                Finding(code="other-rate", subject=name, text=text, size=abs(deviation))
+            )
+    smallest, largest = min(deviations, default=0.0), max(deviations, default=0.0)
+    if (
+        len(findings) < 2
+        or len(findings) < len(deviations)
+        or largest - smallest > _MAX_COMMON_SPREAD * abs(largest)
+    ):
         return findings
     text = (
-        f"The spindle turned {abs(most):.3%} {'faster' if most > 0.0 else 'slower'} than stated, "
+        f"The spindle turned {abs(largest):.3%} {'faster' if largest > 0.0 else 'slower'} than "
+        "stated, "
         f"equally in every run: the clock of the records or the stated rates are off "
         "by that much. Times and rates are used as recorded."
     )
-    size = abs(most)
+    size = abs(largest)
     return [Finding(code="time-base", subject="records.time", text=text, size=size)]
 
 
-def _odd_ends(observed: Sequence[ObservedRun]) -> list[Finding]:
+def _record_end_findings(observed: Sequence[ObservedRun]) -> list[Finding]:
     """Return the runs whose record ends early, or with rows that stand alone."""
     findings = []
     for run in observed:
-        name, stated = run.run.name, run.run.duration
+        name, nominal = run.run.name, run.run.duration
         if any(map(math.isfinite, run.run.part)):
-            stated = None  # it is cut on purpose
-        lasts = float(run.record.time[-1] - run.record.time[0])
-        if stated is not None and lasts < COMPLETE_PART * stated:
+            nominal = None  # it is cut on purpose
+        duration = float(run.record.time[-1] - run.record.time[0])
+        if nominal is not None and duration < COMPLETE_FRACTION * nominal:
             text = (
-                f"{name}: the record lasts {lasts:.4g} s instead of the {stated:.4g} s that the "
+                f"{name}: the record lasts {duration:.4g} s instead of the {nominal:.4g} s that "
+                "the "
                 "campaign states. Is the record complete?"
             )
             findings.append(
-                Finding(code="short-record", subject=name, text=text, size=stated / lasts)
+                Finding(code="short-record", subject=name, text=text, size=nominal / duration)
             )
-        if lone := run.record.report.lone:
-            rows = "1 row stands" if lone == 1 else f"{lone} rows stand"
+        if isolated := run.record.report.lone:
+            rows = "1 row stands" if isolated == 1 else f"{isolated} rows stand"
             text = (
                 f"{name}: {rows} alone at an end of the record, beyond a gap; left out. Look at "
                 "the record."
             )
-            findings.append(Finding(code="lone-rows", subject=name, text=text, size=lone))
+            findings.append(Finding(code="lone-rows", subject=name, text=text, size=isolated))
     return findings
 
 
-def _asked_about(campaign: Campaign) -> list[Finding]:
+def _question_findings(campaign: Campaign) -> list[Finding]:
     return [
         Finding(code=question.code, subject=question.subject, text=question.text)
         for question in questions(campaign)
     ]
 
 
-def _removed(campaign: Campaign, observed: Sequence[ObservedRun]) -> list[str]:
+def _detrending_remarks(campaign: Campaign, observed: Sequence[ObservedRun]) -> list[str]:
     """Return remarks on parts that recorders removed and start values replace."""
     remarks = []
     for name, accelerometer in campaign.accelerometers.items():
-        count, runs = removed_of({run.run.name: run.record.polynomials[name] for run in observed})
+        count, runs = detect_detrending(
+            {run.run.name: run.record.polynomials[name] for run in observed}
+        )
         if count:
             remarks.append(
                 f"A {REMOVED[count]} was removed from column '{accelerometer.channel.name}' "
@@ -187,14 +203,14 @@ def _removed(campaign: Campaign, observed: Sequence[ObservedRun]) -> list[str]:
     return remarks
 
 
-def _remarks(campaign: Campaign) -> list[str]:
+def _campaign_remarks(campaign: Campaign) -> list[str]:
     """Return remarks on the campaign that do not count against the result."""
-    left_out = list[str]()
+    remarks = list[str]()
     if campaign.skipped:
         names = ", ".join(campaign.skipped)
-        left_out.append(f"Left out on request: {names}.")
+        remarks.append(f"Left out on request: {names}.")
     if campaign.model.setting is not None and not any(r.position for r in campaign.readings):
-        left_out.append(
+        remarks.append(
             "[fixture] position is not used: it is the error of "
             "setting known attitudes, and all attitudes here are estimated."
         )
@@ -202,20 +218,20 @@ def _remarks(campaign: Campaign) -> list[str]:
     rated += [reading.name for reading in campaign.readings if reading.by_clock and reading.u_rate]
     if rated:
         names = ", ".join(dict.fromkeys(rated))
-        left_out.append(
+        remarks.append(
             f"The stated uncertainty of the rate is not used for {names}: the rate is identified "
             "from the record, and the stated rate is its nominal value."
         )
     recordings = [campaign.recording_of(run) for run in campaign.runs]
     if any(recording.angle and recording.angle.kind == "pulses" for recording in recordings):
-        left_out.append(
+        remarks.append(
             "The angle is known at pulses only: changes of the rate between them, "
             "such as a ripple, are neither seen nor included in the uncertainty."
         )
     if campaign.angle is not None or not campaign.runs:
-        return left_out
+        return remarks
     return [
-        *left_out,
+        *remarks,
         "The records have no angle: the rotation follows from the nominal rates, and "
         "the drift of the rate is an unknown.",
     ]

@@ -34,7 +34,7 @@ class BatchResult(ReportableResult):
     campaigns: dict[str, Result | FailedCampaign]
 
     @field_serializer("campaigns", when_used="json")
-    def _with_seals(
+    def _serialize_campaigns(
         self, campaigns: dict[str, Result | FailedCampaign]
     ) -> dict[str, Result | FailedCampaign]:
         """Seal each result too: whoever takes one out has the file that it would have had."""
@@ -87,70 +87,70 @@ def calibrate_many(
 
     progress: Called with (campaigns done, campaigns in all).
     """
-    how = (method, options or TwoStageOptions(), accept_misfit, tuple(without))
+    arguments = (method, options or TwoStageOptions(), accept_misfit, tuple(without))
     directories = list(dict.fromkeys(directories))
-    done: dict[int, Result | FailedCampaign] = {}
+    outcomes: dict[int, Result | FailedCampaign] = {}
 
-    def enter(index: int, outcome: Result | FailedCampaign) -> None:
-        done[index] = outcome
+    def record_outcome(index: int, outcome: Result | FailedCampaign) -> None:
+        outcomes[index] = outcome
         if progress is not None:
-            progress(len(done), len(directories))
+            progress(len(outcomes), len(directories))
 
-    places = range(len(directories))
+    indices = range(len(directories))
     if workers.alone:
-        for index in places:
-            enter(index, attempt(directories[index], *how))
+        for index in indices:
+            record_outcome(index, attempt(directories[index], *arguments))
     else:
 
-        def together(some: Sequence[int], count: int) -> list[int]:
-            jobs = {index: (directories[index], *how) for index in some}
-            return _together(jobs, replace(workers, processes=count), enter)
+        def run_pool(some: Sequence[int], count: int) -> list[int]:
+            jobs = {index: (directories[index], *arguments) for index in some}
+            return _run_pool(jobs, replace(workers, processes=count), record_outcome)
 
         try:
             # Those whose worker died, and those that were in hand beside them, are tried again,
             # each by itself: who kills its worker then harms nobody else.
-            for index in together(places, workers.capped().processes):
-                if together([index], 1):
-                    died = "its process died twice; perhaps memory ran out"
-                    enter(index, FailedCampaign(error=died))
+            for index in run_pool(indices, workers.capped().processes):
+                if run_pool([index], 1):
+                    reason = "its process died twice; perhaps memory ran out"
+                    record_outcome(index, FailedCampaign(error=reason))
         except CounterspinError as error:
             # The cluster is gone. What it has done before is not thrown away.
-            if not done:
+            if not outcomes:
                 raise
-            for index in places:
-                if index not in done:
-                    enter(index, FailedCampaign(error=str(error)))
-    return BatchResult(campaigns={str(directories[index]): done[index] for index in places})
+            for index in indices:
+                if index not in outcomes:
+                    record_outcome(index, FailedCampaign(error=str(error)))
+    return BatchResult(campaigns={str(directories[index]): outcomes[index] for index in indices})
 
 
-def _together(
+def _run_pool(
     jobs: Mapping[int, tuple[Path, Method, TwoStageOptions, str | None, tuple[str, ...]]],
     workers: Workers,
-    enter: Callable[[int, Result | FailedCampaign], None],
+    record_outcome: Callable[[int, Result | FailedCampaign], None],
 ) -> list[int]:
     """Do jobs side by side, and return those that were in hand when a worker died."""
     suspects: list[int] = []
-    left = list(jobs)
-    died: tuple[type[BaseException], ...] = (BrokenProcessPool,)
-    while left:
+    remaining = list(jobs)
+    crash_errors: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+    while remaining:
         pending: dict[Future[Result | FailedCampaign], int] = {}
-        few = replace(workers, processes=min(workers.processes, len(left)))
+        pool_workers = replace(workers, processes=min(workers.processes, len(remaining)))
         try:
-            with worker_pool(few, __name__) as pool:
-                died = pool.died
-                while left or pending:
+            with worker_pool(pool_workers, __name__) as pool:
+                crash_errors = pool.died
+                while remaining or pending:
                     # No more than there are workers, so that few are suspects when one dies.
-                    while left and len(pending) < pool.size:
-                        pending[pool.executor.submit(attempt, *jobs[left[0]])] = left[0]
-                        del left[0]
+                    while remaining and len(pending) < pool.size:
+                        pending[pool.executor.submit(attempt, *jobs[remaining[0]])] = remaining[0]
+                        del remaining[0]
                     finished, _ = wait(pending, return_when=FIRST_COMPLETED)
                     for future in finished:
                         index = pending.pop(future)
                         try:
-                            enter(index, future.result())
-                        except died:
+                            record_outcome(index, future.result())
+                        except crash_errors:
                             suspects.append(index)
-        except died:
+        except crash_errors:
             # All processes went with the one; a cluster's others work on.
             suspects += pending.values()
     return suspects

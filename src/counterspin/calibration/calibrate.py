@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-from counterspin.calibration.options import Method, TwoStageOptions, without_words
+from counterspin.calibration.options import Method, TwoStageOptions, exclusion_arguments
 from counterspin.campaign.checksums import checksums_of
 from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, RecordError
@@ -21,7 +21,7 @@ from counterspin.records.memory import MemoryTable
 from counterspin.threads import one_blas_thread
 
 if TYPE_CHECKING:
-    from counterspin.calibration.observed import ObservedRun
+    from counterspin.calibration.observed_runs import ObservedRun
     from counterspin.calibration.result import Result
     from counterspin.campaign.checksums import Checksums
     from counterspin.campaign.description import Campaign
@@ -70,94 +70,98 @@ def calibrate(
     NotIdentifiableError
         If the records cannot determine the unknowns.
     """
-    _refuse_mixed(method, options)
+    _check_method(method, options)
     if accept_misfit is not None and not accept_misfit.strip():
         raise CampaignError("calibrate", ["accept_misfit: give the reason in words"])
-    with checksums_of(where) as checksums, ThreadPoolExecutor(1) as beside:
+    with checksums_of(where) as checksums, ThreadPoolExecutor(1) as loader:
         # Loaded only now: checksums need none of it, and are taken on another core meanwhile.
-        from counterspin.calibration.observed import with_recorded_temperatures
+        from counterspin.calibration.observed_runs import with_recorded_temperatures
         from counterspin.campaign.description import Campaign, read_campaign
 
         campaign = where if isinstance(where, Campaign) else read_campaign(where)
         if without:
-            campaign = _left_out(campaign, without)
-        beside.submit(_load, campaign)
-        averaged = _averaged_files(campaign)
+            campaign = _exclude_runs(campaign, without)
+        loader.submit(_preload_modules, campaign)
+        file_identities = _identify_averaged_files(campaign)
         with one_blas_thread():
             campaign = with_recorded_temperatures(campaign)
-            observed = _observed(campaign, progress)
+            observed = _observe_runs(campaign, progress)
             checksums.hurry()
-            from counterspin.calibration.assembly import calibration
+            from counterspin.calibration.assembly import assemble_result
 
-            result = calibration(
+            result = assemble_result(
                 campaign,
                 observed,
                 method,
                 options or TwoStageOptions(),
-                lambda: _provenance(campaign, observed, averaged, checksums),
+                lambda: _collect_inputs(campaign, observed, file_identities, checksums),
                 accept_misfit,
             )
         if not without:
             return result
-        words = [*result.provenance.options, *without_words(without)]
-        provenance = result.provenance.model_copy(update={"options": words})
+        option_words = [*result.provenance.options, *exclusion_arguments(without)]
+        provenance = result.provenance.model_copy(update={"options": option_words})
         return result.model_copy(update={"provenance": provenance})
 
 
-def _left_out(campaign: Campaign, without: Sequence[str]) -> Campaign:
+def _exclude_runs(campaign: Campaign, without: Sequence[str]) -> Campaign:
     """Return a campaign without runs; what it came from is still its file."""
     from counterspin.campaign.documents import keep, source_of
 
-    _require_runs(campaign, without)
-    described = source_of(campaign).document.get("runs", ())
-    runs = [{**run, "skip": True} if run.get("name") in without else run for run in described]
+    _check_excluded(campaign, without)
+    entries = source_of(campaign).document.get("runs", ())
+    runs = [{**run, "skip": True} if run.get("name") in without else run for run in entries]
     try:
         changed = campaign.change({"runs": runs})
     except CampaignError as error:
         # The file is right: what is wrong with the rest is due to what is left out.
-        left = f"`without`: with {_quoted(without)} left out, "
-        raise CampaignError(str(campaign.path), [left + p for p in error.problems]) from error
+        prefix = f"`without`: with {_quote_names(without)} left out, "
+        raise CampaignError(
+            str(campaign.path), [prefix + problem for problem in error.problems]
+        ) from error
     assert campaign.source is not None
     return keep(replace(changed, path=campaign.path, title=campaign.title), campaign.source)
 
 
-def _require_runs(campaign: Campaign, without: Sequence[str]) -> None:
+def _check_excluded(campaign: Campaign, without: Sequence[str]) -> None:
     """Raise CampaignError if a run that is to be left out is none, or if none would be left."""
     if campaign.source is None:  # `change` says what to do
         return
-    described = campaign.source.document
-    runs = [str(run.get("name")) for run in described.get("runs", ())]
-    of_table = {reading.name for reading in campaign.readings} - set(runs)
+    document = campaign.source.document
+    runs = [str(run.get("name")) for run in document.get("runs", ())]
+    table_rows = {reading.name for reading in campaign.readings} - set(runs)
     problems = []
     for name in dict.fromkeys(without):
-        if name in of_table:
-            file = described["readings"]["file"]
+        if name in table_rows:
+            file = document["readings"]["file"]
             problems.append(
                 f'`without`: "{name}" is a row of the table of readings and no entry of [[runs]]; '
                 f"take the row out of a copy of {file}"
             )
         elif name not in runs:
-            there = f"its runs are {_quoted(runs)}" if runs else "it has no [[runs]]"
-            problems.append(f'`without`: there is no run "{name}"; {there}')
-    if not problems and not of_table and set(runs) <= {*without, *campaign.skipped}:
-        problems.append(f"`without`: no run would be left; its runs are {_quoted(runs)}")
+            hint = f"its runs are {_quote_names(runs)}" if runs else "it has no [[runs]]"
+            problems.append(f'`without`: there is no run "{name}"; {hint}')
+    if not problems and not table_rows and set(runs) <= {*without, *campaign.skipped}:
+        problems.append(f"`without`: no run would be left; its runs are {_quote_names(runs)}")
     if problems:
         raise CampaignError(str(campaign.path), problems)
 
 
-def _quoted(names: Sequence[str]) -> str:
+def _quote_names(names: Sequence[str]) -> str:
     return ", ".join(f'"{name}"' for name in names)
 
 
-def _load(campaign: Campaign) -> None:
+def _preload_modules(campaign: Campaign) -> None:
     """Load beside the first record what the reading needs, then what comes after it."""
     records = [campaign.record_at(run.record) for run in campaign.runs]
-    if not all(isinstance(r, MemoryTable) or uses_reader_process(r) for r in records):
+    if not all(
+        isinstance(record, MemoryTable) or uses_reader_process(record) for record in records
+    ):
         import_module("polars")
     import_module("counterspin.calibration.assembly")
 
 
-def _refuse_mixed(method: str, options: TwoStageOptions | None) -> None:
+def _check_method(method: str, options: TwoStageOptions | None) -> None:
     """Refuse what would be passed over in silence: half of K_II is at stake."""
     if method not in get_args(Method):
         known = " or ".join(get_args(Method))
@@ -172,10 +176,10 @@ def _refuse_mixed(method: str, options: TwoStageOptions | None) -> None:
         )
 
 
-def _observed(
+def _observe_runs(
     campaign: Campaign, progress: Callable[[int, int], None] | None
 ) -> tuple[ObservedRun, ...]:
-    from counterspin.calibration.observed import observe
+    from counterspin.calibration.observed_runs import observe
 
     observed = []
     for run in observe(campaign):
@@ -185,7 +189,7 @@ def _observed(
     return tuple(observed)
 
 
-def _averaged_files(campaign: Campaign) -> dict[Path, FileIdentity]:
+def _identify_averaged_files(campaign: Campaign) -> dict[Path, FileIdentity]:
     """Return the files of means and of rest before they are read, each with its identity."""
     files: dict[Path, FileIdentity] = {}
     for file in {*(reading.record for reading in campaign.readings), campaign.rest} - {None}:
@@ -195,52 +199,61 @@ def _averaged_files(campaign: Campaign) -> dict[Path, FileIdentity]:
     return files
 
 
-def _provenance(
+def _collect_inputs(
     campaign: Campaign,
     observed: Sequence[ObservedRun],
-    averaged: Mapping[Path, FileIdentity],
+    file_identities: Mapping[Path, FileIdentity],
     checksums: Checksums,
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Return the checksums of description and records by name, and which were in memory only."""
-    read: list[tuple[Path, FileIdentity]] = []
+    read_files: list[tuple[Path, FileIdentity]] = []
     for run in observed:
         if run.record.identity is not None:
-            read += [(run.run.record, run.record.identity), *run.record.others.items()]
+            read_files += [(run.run.record, run.record.identity), *run.record.others.items()]
     # These are the same before and after they were read and hashed.
-    changed = [file for file, identity in averaged.items() if _identity(file) != identity]
-    read += averaged.items()
-    changed += [file for file, identity in read if checksums.identity(file) != identity]
+    changed = [
+        file for file, identity in file_identities.items() if _current_identity(file) != identity
+    ]
+    read_files += file_identities.items()
+    changed += [file for file, identity in read_files if checksums.identity(file) != identity]
     if changed:
         raise RecordError(
             f"{changed[0]}: the file was changed while the campaign was calibrated; the result "
             "would state a wrong checksum. Wait until the file is complete."
         )
-    description, checksum, how = _described(campaign)
+    description, checksum, origin = _describe_source(campaign)
     inputs = {description: checksum}
-    in_memory = {description: how} if how else {}
+    in_memory = {description: origin} if origin else {}
     files = []
-    rest = [campaign.rest] if campaign.rest is not None else []
-    for file in (*(file for run in campaign.runs for file in run.files), *campaign.tables, *rest):
+    static_records = [campaign.rest] if campaign.rest is not None else []
+    for file in (
+        *(file for run in campaign.runs for file in run.files),
+        *campaign.tables,
+        *static_records,
+    ):
         if isinstance(record := campaign.record_at(file), Path):
             files.append(file)
         else:
-            inputs[_name(campaign, file)] = record.checksum
-            in_memory[_name(campaign, file)] = "arrays"
-    names = (_name(campaign, file) for file in files)
+            inputs[_file_label(campaign, file)] = record.checksum
+            in_memory[_file_label(campaign, file)] = "arrays"
+    names = (_file_label(campaign, file) for file in files)
     inputs |= dict(zip(names, checksums.of(files), strict=True))
     # What was read with the description is known as it was then.
-    inputs |= {_name(campaign, file): sha for file, sha in campaign.table_checksums.items()}
+    inputs |= {
+        _file_label(campaign, file): table_checksum
+        for file, table_checksum in campaign.table_checksums.items()
+    }
     return inputs, in_memory
 
 
-def _identity(file: Path) -> FileIdentity | None:
+def _current_identity(file: Path) -> FileIdentity | None:
     try:
         return FileIdentity.of(file)
     except OSError:
         return None
 
 
-def _described(campaign: Campaign) -> tuple[str, str, str | None]:
+def _describe_source(campaign: Campaign) -> tuple[str, str, str | None]:
     """Return the description's name and checksum, and how it differs from a file's, if it does."""
     source = campaign.source
     if source is None:
@@ -248,17 +261,17 @@ def _described(campaign: Campaign) -> tuple[str, str, str | None]:
         import numpy as np
 
         with np.printoptions(threshold=1_000_000, precision=17):
-            here = replace(campaign, path=Path(), folder=Path())
-            used = repr([getattr(here, one.name) for one in fields(here)])
-        return DESCRIPTION_NAME, f"sha256:{sha256(used.encode()).hexdigest()}", "changed"
-    name = DESCRIPTION_NAME if source.file is None else _name(campaign, source.file)
-    how = None
+            detached = replace(campaign, path=Path(), folder=Path())
+            content = repr([getattr(detached, attribute.name) for attribute in fields(detached)])
+        return DESCRIPTION_NAME, f"sha256:{sha256(content.encode()).hexdigest()}", "changed"
+    name = DESCRIPTION_NAME if source.file is None else _file_label(campaign, source.file)
+    origin = None
     if source.in_memory:
-        how = f"changed: {', '.join(source.changed)}" if source.changed else "made in Python"
-    return name, source.content_checksum(), how
+        origin = f"changed: {', '.join(source.changed)}" if source.changed else "made in Python"
+    return name, source.content_checksum(), origin
 
 
-def _name(campaign: Campaign, file: Path) -> str:
+def _file_label(campaign: Campaign, file: Path) -> str:
     """Return a file's name as the campaign knows it: relative to its folder where it can be."""
     try:
         return file.relative_to(campaign.folder).as_posix()

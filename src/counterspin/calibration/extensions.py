@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, cast
 
+from counterspin.calibration.accelerometer_view import AccelerometerView, ReadingData
 from counterspin.calibration.findings import Cause
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.outcome import Outcome
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Comparison, Trace
-from counterspin.calibration.view import AccelerometerView, ReadingData
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import Estimate
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from counterspin.campaign.specification import Specifications
 
 DIAGNOSIS: Final = "counterspin.calibration.diagnosis.search:diagnose"
-TWO_STAGE: Final = "counterspin.calibration.two_stage.method:in_two_stages"
+TWO_STAGE: Final = "counterspin.calibration.two_stage.method:calibrate_two_stage"
 CONFORMITY: Final = "counterspin.calibration.conformity:with_conformity"
 READINGS: Final = "counterspin.readings.joining:join"
-TWO_STAGE_COMPARISON: Final = "counterspin.calibration.two_stage.comparison:compare"
+TWO_STAGE_COMPARISON: Final = "counterspin.calibration.two_stage.comparison:compare_k_ii"
 TRACES: Final = "counterspin.calibration.pages.traces:traces"
 
 
@@ -50,12 +50,12 @@ Diagnose = Callable[
 
 def find_diagnosis() -> Diagnose | None:
     """Return the function that searches for causes; None where it is not installed."""
-    return cast("Diagnose | None", _find(DIAGNOSIS))
+    return cast("Diagnose | None", _load_optional(DIAGNOSIS))
 
 
 def apply_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outcome:
     """Return the outcome of the two-stage method; CampaignError where it is not installed."""
-    method = _find(TWO_STAGE)
+    method = _load_optional(TWO_STAGE)
     if method is None:
         raise CampaignError("calibrate", ["method: this installation has no two-stage method"])
     return cast(Outcome, method(problem, options))
@@ -63,19 +63,19 @@ def apply_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outcome:
 
 def compare_two_stage(view: AccelerometerView) -> Comparison | None:
     """Return the two-stage K_II beside the joint one; None where the method does not apply."""
-    compare = _find(TWO_STAGE_COMPARISON)
+    compare = _load_optional(TWO_STAGE_COMPARISON)
     return None if compare is None else cast("Comparison | None", compare(view))
 
 
 def thin_residuals(view: AccelerometerView) -> dict[str, Trace]:
     """Return the residuals that pictures show, by run; none where no pages are installed."""
-    traces = _find(TRACES)
+    traces = _load_optional(TRACES)
     return {} if traces is None else cast("dict[str, Trace]", traces(view))
 
 
 def join_readings(problem: JointProblem) -> tuple[Estimate, ReadingData]:
     """Return the estimate from records, readings and poses, and the last two in it."""
-    if (join := _find(READINGS)) is None:
+    if (join := _load_optional(READINGS)) is None:
         raise CampaignError("calibrate", ["this installation does not read readings"])
     return cast("tuple[Estimate, ReadingData]", join(problem))
 
@@ -85,5 +85,5 @@ def apply_specifications(result: Result, specifications: Specifications) -> Resu
     return cast(Result, load_name(CONFORMITY)(result, specifications))
 
 
-def _find(name: str) -> Callable[..., Any] | None:
+def _load_optional(name: str) -> Callable[..., Any] | None:
     return load_name(name) if is_installed(name) else None

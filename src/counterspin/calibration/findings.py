@@ -12,9 +12,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
 from counterspin.calibration.checks.limits import (
-    beyond_typical,
-    incredible,
-    incredible_shared,
+    check_credibility,
+    check_default_priors,
+    check_shared_credibility,
     widest_limit,
 )
 from counterspin.calibration.result import Result
@@ -66,7 +66,7 @@ ACCOUNTABLE: Final = frozenset(
 )
 
 #: Part of what a size exceeds 1 by that may remain of a finding which a cause accounts for.
-_PART_LEFT: Final = 0.2
+_REMAINING_FRACTION: Final = 0.2
 
 
 def judge_result(
@@ -80,18 +80,22 @@ def judge_result(
     if result.state is not None:
         return result if result.sealed and not result.assumes_all else _with_worst_state(result)
     accelerometers = {
-        name: _with_state(name, accelerometer, result, causes)
+        name: _judge_accelerometer(name, accelerometer, result, causes)
         for name, accelerometer in result.accelerometers.items()
     }
-    own = [finding for one in accelerometers.values() for finding in one.findings]
+    accelerometer_findings = [
+        finding for judged in accelerometers.values() for finding in judged.findings
+    ]
     # What has just been calibrated was held to what its campaign says is credible.
-    shared = [*result.findings, *(_not_credible(result) if result.assumes_all else ())]
-    everything = rank(merge_shared([*below_causes("", shared, causes), *own]), causes)
-    state = state_of(everything)
+    shared = [*result.findings, *(_check_shared_terms(result) if result.assumes_all else ())]
+    all_findings = rank_findings(
+        merge_shared([*group_by_cause("", shared, causes), *accelerometer_findings]), causes
+    )
+    state = state_of(all_findings)
     return result.model_copy(
         update={
             "accelerometers": accelerometers,
-            "findings": everything,
+            "findings": all_findings,
             "state": state,
             "accepted_misfit": accepted_misfit if state == "contradicted" else None,
             "warnings": [*result.warnings, *(finding.text for finding in result.findings)],
@@ -106,14 +110,14 @@ def _with_worst_state(result: Result) -> Result:
     """
     accelerometers = {}
     for name, stated in result.accelerometers.items():
-        known = {(f.code, f.subject) for f in _with_explained(stated.findings)}
-        found = list(incredible(widest_limit, name, stated.coefficients))
+        known = {(f.code, f.subject) for f in _flatten_explained(stated.findings)}
+        candidates = list(check_credibility(widest_limit, name, stated.coefficients))
         if not result.sealed:
-            gravity, fits = result.inputs.gravity, len(result.accelerometers)
-            found += _of_the_whole(name, stated, result)
-            found += from_numbers(name, stated, gravity, fits)
-        new = [finding for finding in found if (finding.code, finding.subject) not in known]
-        findings = rank([*stated.findings, *new])
+            gravity, accelerometer_count = result.inputs.gravity, len(result.accelerometers)
+            candidates += _check_model(name, stated, result)
+            candidates += check_statistics(name, stated, gravity, accelerometer_count)
+        new = [finding for finding in candidates if (finding.code, finding.subject) not in known]
+        findings = rank_findings([*stated.findings, *new])
         accelerometers[name] = stated.model_copy(
             update={
                 "findings": findings,
@@ -121,44 +125,46 @@ def _with_worst_state(result: Result) -> Result:
                 "warnings": [*stated.warnings, *(f"{name}: {finding.text}" for finding in new)],
             }
         )
-    own = [finding for one in accelerometers.values() for finding in one.findings]
-    known = {(f.code, f.subject) for f in _with_explained(result.findings)}
-    shared = [f for f in _not_credible(result) if (f.code, f.subject) not in known]
-    everything = rank(merge_shared([*result.findings, *shared, *own]))
-    states = (one.state for one in accelerometers.values())
-    state = _worst_state(result.state, state_of(everything), *states)
+    accelerometer_findings = [
+        finding for accelerometer in accelerometers.values() for finding in accelerometer.findings
+    ]
+    known = {(f.code, f.subject) for f in _flatten_explained(result.findings)}
+    shared = [f for f in _check_shared_terms(result) if (f.code, f.subject) not in known]
+    all_findings = rank_findings(merge_shared([*result.findings, *shared, *accelerometer_findings]))
+    states = (accelerometer.state for accelerometer in accelerometers.values())
+    state = _worst_state(result.state, state_of(all_findings), *states)
     return result.model_copy(
-        update={"accelerometers": accelerometers, "findings": everything, "state": state}
+        update={"accelerometers": accelerometers, "findings": all_findings, "state": state}
     )
 
 
-def _with_explained(findings: Iterable[Finding]) -> Iterator[Finding]:
+def _flatten_explained(findings: Iterable[Finding]) -> Iterator[Finding]:
     for finding in findings:
         yield finding
-        yield from _with_explained(finding.explains)
+        yield from _flatten_explained(finding.explains)
 
 
 def _worst_state(*states: State | None) -> State:
     return max((state for state in states if state is not None), key=_STATES.index)
 
 
-def _with_state(
+def _judge_accelerometer(
     name: str, accelerometer: AccelerometerResult, result: Result, causes: Sequence[Cause]
 ) -> AccelerometerResult:
     # An earlier version has sentences only.
     sentences = [] if accelerometer.findings else accelerometer.warnings
-    found = [
+    candidates = [
         *accelerometer.findings,
         *(
             Finding(code="warning", subject=name, text=text.removeprefix(f"{name}: "))
             for text in sentences
         ),
-        *_of_the_whole(name, accelerometer, result),
-        *from_numbers(name, accelerometer, result.inputs.gravity, len(result.accelerometers)),
+        *_check_model(name, accelerometer, result),
+        *check_statistics(name, accelerometer, result.inputs.gravity, len(result.accelerometers)),
     ]
     if result.assumes_all:
-        found += incredible(widest_limit, name, accelerometer.coefficients)
-    findings = rank(below_causes(name, found, causes), causes)
+        candidates += check_credibility(widest_limit, name, accelerometer.coefficients)
+    findings = rank_findings(group_by_cause(name, candidates, causes), causes)
     return accelerometer.model_copy(
         update={
             "findings": findings,
@@ -169,13 +175,14 @@ def _with_state(
     )
 
 
-def rank(findings: Iterable[Finding], causes: Sequence[Cause] = ()) -> list[Finding]:
+def rank_findings(findings: Iterable[Finding], causes: Sequence[Cause] = ()) -> list[Finding]:
     """Return findings: contradictions, undetermined terms, wrong equations, causes, others by size.
 
     causes: In the order in which they were found, the one that explains most first.
     """
     order = {
-        (cause.finding.code, cause.finding.subject): place for place, cause in enumerate(causes)
+        (cause.finding.code, cause.finding.subject): position
+        for position, cause in enumerate(causes)
     }
     return sorted(
         findings,
@@ -199,7 +206,7 @@ def state_of(findings: Sequence[Finding]) -> State:
     return "reservations" if findings else "good"
 
 
-def refusal(result: Result, names: Iterable[str]) -> str | None:
+def refusal_reason(result: Result, names: Iterable[str]) -> str | None:
     """Return why a result may not be certified or applied; None if it may."""
     if result.accepted_misfit is not None:
         return None
@@ -218,7 +225,7 @@ def refusal(result: Result, names: Iterable[str]) -> str | None:
 # Findings from the numbers of a result
 
 
-def _of_the_whole(
+def _check_model(
     name: str, accelerometer: AccelerometerResult, result: Result
 ) -> Iterator[Finding]:
     known = {(finding.code, finding.subject) for finding in accelerometer.findings}
@@ -235,21 +242,21 @@ def _of_the_whole(
         )
 
 
-def _not_credible(result: Result) -> Iterator[Finding]:
+def _check_shared_terms(result: Result) -> Iterator[Finding]:
     """Yield what platform, machine, runs and all that is unstated have that nothing has."""
-    of_runs = (
+    run_terms = (
         (symbol, f"{run}.{symbol}", c)
-        for run, own in result.runs.items()
-        for symbol, c in own.terms.items()
+        for run, run_result in result.runs.items()
+        for symbol, c in run_result.terms.items()
     )
-    of_all = (
+    platform_terms = (
         (symbol, symbol, _deviation(c, result.inputs.radius))
         if symbol.startswith("centrifuge.radius.")
         else (symbol, symbol, c)
         for symbol, c in result.platform.items()
     )
-    yield from incredible_shared(widest_limit, (*of_all, *of_runs))
-    yield from beyond_typical(result.rests_on)
+    yield from check_shared_credibility(widest_limit, (*platform_terms, *run_terms))
+    yield from check_default_priors(result.rests_on)
 
 
 def _deviation(c: Coefficient, nominal: float) -> Coefficient:
@@ -257,8 +264,8 @@ def _deviation(c: Coefficient, nominal: float) -> Coefficient:
     return c.model_copy(update={"value": value})
 
 
-def from_numbers(
-    name: str, accelerometer: AccelerometerResult, gravity: float, accelerometers: int
+def check_statistics(
+    name: str, accelerometer: AccelerometerResult, gravity: float, accelerometer_count: int
 ) -> Iterator[Finding]:
     """Yield what follows from the residuals, the noise, the runs and the two-stage method.
 
@@ -266,15 +273,15 @@ def from_numbers(
     """
     known = {(finding.code, finding.subject) for finding in accelerometer.findings}
     if ("lack-of-fit", name) not in known:
-        yield from _misfit(name, accelerometer.residual, accelerometers)
-    yield from _implausible_noise(name, accelerometer, gravity)
+        yield from _check_fit(name, accelerometer.residual, accelerometer_count)
+    yield from _check_noise(name, accelerometer, gravity)
     # Where the residuals are far beyond the noise, uncertainties are too small by as much, and what
     # exceeds them for that reason alone is no finding of its own.
-    excess = _times_noise(accelerometer.residual) or 1.0
+    excess = _noise_ratio(accelerometer.residual) or 1.0
     excess = excess if excess > RESIDUAL_RATIO_LIMIT else 1.0
-    yield from _disagreeing_run(name, accelerometer.jackknife, excess, accelerometers)
-    if (beside := accelerometer.two_stage) is not None and not methods_agree(beside, excess):
-        z = abs(beside.z) / excess
+    yield from _check_jackknife(name, accelerometer.jackknife, excess, accelerometer_count)
+    if (two_stage := accelerometer.two_stage) is not None and not methods_agree(two_stage, excess):
+        z = abs(two_stage.z) / excess
         yield Finding(
             code="methods-disagree",
             subject=f"{name}.K_II",
@@ -284,21 +291,21 @@ def from_numbers(
         )
 
 
-def _misfit(name: str, residual: Residual, accelerometers: int) -> Iterator[Finding]:
+def _check_fit(name: str, residual: Residual, accelerometer_count: int) -> Iterator[Finding]:
     p = residual.lack_of_fit_p
-    if p is None or _fits(residual, accelerometers):
+    if p is None or _is_acceptable_fit(residual, accelerometer_count):
         return
-    times = _times_noise(residual)
-    what = (
+    ratio = _noise_ratio(residual)
+    description = (
         "do not look like independent noise"
-        if times is None
-        else f"are {format_number(times)} times as large as the stated noise"
+        if ratio is None
+        else f"are {format_number(ratio)} times as large as the stated noise"
     )
-    text = f"The residuals {what} (p = {format_number(p, 2)})."
-    yield lack_of_fit(name, [text], residual)
+    text = f"The residuals {description} (p = {format_number(p, 2)})."
+    yield lack_of_fit_finding(name, [text], residual)
 
 
-def not_determined(
+def not_determined_finding(
     subject: str, symbol: str, data: str = "records", more: str = "", *, requested: bool = False
 ) -> Finding:
     """Return the finding that data do not determine a coefficient; `more` is what to do.
@@ -309,19 +316,19 @@ def not_determined(
     return Finding(code="not-determined", subject=subject, text=text, undetermined=requested)
 
 
-def lack_of_fit(name: str, sentences: Sequence[str], residual: Residual) -> Finding:
+def lack_of_fit_finding(name: str, sentences: Sequence[str], residual: Residual) -> Finding:
     """Return the finding that the residuals of an accelerometer are not its noise."""
     more = len(sentences) - 1
     text = sentences[0] + (f" ({more} more such findings for other runs.)" if more > 1 else "")
-    p, times = residual.lack_of_fit_p, _times_noise(residual)
+    p, ratio = residual.lack_of_fit_p, _noise_ratio(residual)
     # A few residuals, such as two readings, are as large by chance now and then.
-    sure = p is not None and equivalent_deviations(p) > CONTRADICTION_SIGMAS
+    significant = p is not None and equivalent_deviations(p) > CONTRADICTION_SIGMAS
     return Finding(
         code="lack-of-fit",
         subject=name,
         text=text,
-        size=times if times is not None or p is None else equivalent_deviations(p),
-        contradicts=sure and times is not None and times > RESIDUAL_RATIO_LIMIT,
+        size=ratio if ratio is not None or p is None else equivalent_deviations(p),
+        contradicts=significant and ratio is not None and ratio > RESIDUAL_RATIO_LIMIT,
     )
 
 
@@ -330,7 +337,7 @@ def equivalent_deviations(p: float) -> float:
     return -normal_quantile(0.5 * max(p, 1e-300))
 
 
-def _fits(residual: Residual, accelerometers: int = 1) -> bool:
+def _is_acceptable_fit(residual: Residual, accelerometer_count: int = 1) -> bool:
     """Return whether the probability of a worse fit is no reason for a finding.
 
     All accelerometers of a campaign share the significance.
@@ -338,17 +345,17 @@ def _fits(residual: Residual, accelerometers: int = 1) -> bool:
     # With stated noise it is chi-square's own, which shares the significance with other tests.
     limit = SIGNIFICANCE if residual.chi2 is None else CHI_SQUARE_SIGNIFICANCE
     p = residual.lack_of_fit_p
-    return p is None or p >= limit / accelerometers
+    return p is None or p >= limit / accelerometer_count
 
 
-def _times_noise(residual: Residual) -> float | None:
+def _noise_ratio(residual: Residual) -> float | None:
     """Return how many times as large as the stated noise the residuals are."""
     if residual.chi2 is None or not residual.dof > 0.0:
         return None
     return math.sqrt(residual.chi2 / residual.dof)
 
 
-def _implausible_noise(
+def _check_noise(
     name: str, accelerometer: AccelerometerResult, gravity: float
 ) -> Iterator[Finding]:
     walk = accelerometer.noise.get("acceleration")
@@ -367,16 +374,16 @@ def _implausible_noise(
         )
 
 
-def _disagreeing_run(
-    name: str, lines: Sequence[Jackknife], excess: float, accelerometers: int
+def _check_jackknife(
+    name: str, lines: Sequence[Jackknife], excess: float, accelerometer_count: int
 ) -> Iterator[Finding]:
     compared = sum(1 for line in lines if line.z is not None)
-    worst = _worst(lines)
+    worst = _largest_shift(lines)
     if worst is None or worst.z is None or worst.shift is None:
         return
     z = abs(worst.z) / excess
     size = normal_equivalent(z, worst.dof)
-    if size <= agreement_of(compared * accelerometers):
+    if size <= agreement_of(compared * accelerometer_count):
         return
     unit, factor = field_unit("g/g^2")
     yield Finding(
@@ -390,19 +397,19 @@ def _disagreeing_run(
     )
 
 
-def _worst(lines: Sequence[Jackknife]) -> Jackknife | None:
+def _largest_shift(lines: Sequence[Jackknife]) -> Jackknife | None:
     compared = [line for line in lines if line.z is not None]
-    return max(compared, key=_rarity, default=None)
+    return max(compared, key=_significance, default=None)
 
 
-def _rarity(line: Jackknife) -> float:
+def _significance(line: Jackknife) -> float:
     return normal_equivalent(line.z or 0.0, line.dof)
 
 
 # What speaks for a result
 
 
-def level_of_methods(methods: Sequence[MethodAgreement]) -> float:
+def method_test_level(methods: Sequence[MethodAgreement]) -> float:
     """Return the probability below which test methods disagree: all tests share a level."""
     return SIGNIFICANCE / sum(1 + len(method.without) for method in methods)
 
@@ -412,15 +419,15 @@ def methods_agree(comparison: Comparison, excess: float = 1.0) -> bool:
     return abs(comparison.z) / excess <= AGREEMENT
 
 
-def supports(accelerometer: AccelerometerResult) -> Iterator[tuple[str, str]]:
+def supporting_evidence(accelerometer: AccelerometerResult) -> Iterator[tuple[str, str]]:
     """Yield what speaks for a result: what was checked, and a clause without a full stop."""
     residual = accelerometer.residual
     p = residual.lack_of_fit_p
-    if p is not None and _fits(residual):
+    if p is not None and _is_acceptable_fit(residual):
         noise = "the stated noise" if residual.chi2 is not None else "independent noise"
         yield "fit", f"the residuals look like {noise} (p = {format_number(p, 2)})"
-    worst = _worst(accelerometer.jackknife)
-    if worst is not None and _rarity(worst) <= AGREEMENT:
+    worst = _largest_shift(accelerometer.jackknife)
+    if worst is not None and _significance(worst) <= AGREEMENT:
         yield "each run left out", "no run drives the result"
     if accelerometer.two_stage is not None and methods_agree(accelerometer.two_stage):
         yield "another method", "the two-stage method agrees"
@@ -439,44 +446,48 @@ class Cause:
     #: two-stage method is not tried again: its disagreement remains where a lack of fit does.
     remaining: Mapping[tuple[str, str], float]
 
-    def accounts_for(self, name: str, found: Finding) -> bool:
+    def accounts_for(self, name: str, finding: Finding) -> bool:
         """Return whether a finding of an accelerometer would be gone if this were put right."""
-        by_method = found.code == "methods-disagree"
-        code, subject = ("lack-of-fit", name) if by_method else (found.code, found.subject)
-        left = self.remaining.get((code, subject))
-        if found.code not in ACCOUNTABLE:
+        is_method_check = finding.code == "methods-disagree"
+        code, subject = (
+            ("lack-of-fit", name) if is_method_check else (finding.code, finding.subject)
+        )
+        remaining_size = self.remaining.get((code, subject))
+        if finding.code not in ACCOUNTABLE:
             return False
-        return left is None or (
-            found.code != "methods-disagree"
-            and left - 1.0 < _PART_LEFT * ((found.size or 0.0) - 1.0)
+        return remaining_size is None or (
+            finding.code != "methods-disagree"
+            and remaining_size - 1.0 < _REMAINING_FRACTION * ((finding.size or 0.0) - 1.0)
         )
 
 
-def below_causes(name: str, found: Iterable[Finding], causes: Sequence[Cause]) -> list[Finding]:
+def group_by_cause(
+    name: str, findings: Iterable[Finding], causes: Sequence[Cause]
+) -> list[Finding]:
     """Return the causes of an accelerometer's findings, then what they do not account for.
 
     name: The accelerometer's; empty: what is found of platform, machine and inputs.
     """
-    left, heads = list(found), []
+    unexplained, grouped = list(findings), []
     for cause in causes:
         if name and name not in cause.accelerometers:
             continue
-        explained = [finding for finding in left if cause.accounts_for(name, finding)]
-        left = [finding for finding in left if finding not in explained]
-        heads.append(_above(cause.finding, explained))
-    return [*heads, *left]
+        explained = [finding for finding in unexplained if cause.accounts_for(name, finding)]
+        unexplained = [finding for finding in unexplained if finding not in explained]
+        grouped.append(_attach_explained(cause.finding, explained))
+    return [*grouped, *unexplained]
 
 
-def merge_shared(found: Iterable[Finding]) -> list[Finding]:
+def merge_shared(findings: Iterable[Finding]) -> list[Finding]:
     """Return findings with those that several accelerometers share once."""
     known: dict[tuple[str, str, str], Finding] = {}
-    for finding in found:
+    for finding in findings:
         key = finding.code, finding.subject, finding.text
-        known[key] = _above(known[key], finding.explains) if key in known else finding
+        known[key] = _attach_explained(known[key], finding.explains) if key in known else finding
     return list(known.values())
 
 
-def _above(head: Finding, explained: Sequence[Finding]) -> Finding:
-    below = [*head.explains, *(finding for finding in explained if finding not in head.explains)]
-    grave = head.contradicts or any(finding.contradicts for finding in below)
-    return head.model_copy(update={"explains": below, "contradicts": grave})
+def _attach_explained(head: Finding, explained: Sequence[Finding]) -> Finding:
+    attached = [*head.explains, *(finding for finding in explained if finding not in head.explains)]
+    grave = head.contradicts or any(finding.contradicts for finding in attached)
+    return head.model_copy(update={"explains": attached, "contradicts": grave})

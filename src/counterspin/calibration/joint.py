@@ -5,14 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from counterspin.calibration.checks.limits import beyond_typical, incredible, incredible_shared
-from counterspin.calibration.checks.priors import contradicted_prior
-from counterspin.calibration.checks.residuals import (
-    hidden_walk,
-    other_noise,
-    residual_findings,
+from counterspin.calibration.accelerometer_view import AccelerometerView, Contribution, ReadingData
+from counterspin.calibration.checks.limits import (
+    check_credibility,
+    check_default_priors,
+    check_shared_credibility,
 )
-from counterspin.calibration.checks.small_angles import large_drifts, large_tilts
+from counterspin.calibration.checks.priors import find_prior_conflict
+from counterspin.calibration.checks.residuals import (
+    noise_remarks,
+    residual_findings,
+    undetected_walk_remarks,
+)
+from counterspin.calibration.checks.small_angles import check_drifts, check_tilts
 from counterspin.calibration.extensions import (
     Diagnosis,
     compare_two_stage,
@@ -21,32 +26,31 @@ from counterspin.calibration.extensions import (
     thin_residuals,
 )
 from counterspin.calibration.findings import (
-    not_determined,
+    not_determined_finding,
 )
 from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.model import inputs_of, is_requested
+from counterspin.calibration.model import is_requested, stated_inputs
 from counterspin.calibration.outcome import (
     Outcome,
     coefficient,
     confounded,
     confounded_platform,
     correlation,
+    describe_instrument,
+    full_correlation,
     in_output_units,
-    knowledge,
+    mounting_radii,
     noise_lines,
-    own_description,
-    radii,
+    prior_information,
     residual,
     residual_frame,
     run_result,
-    whole_correlation,
 )
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
     Finding,
 )
-from counterspin.calibration.view import AccelerometerView, Contribution, ReadingData
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.identifiability import Assessment
 from counterspin.inference.joint.budget import budget, what_if
@@ -61,80 +65,85 @@ _SAME_RATE: Final = 1.05
 _PRIOR: Final = " State what is known of it in [model.priors], or remove it from model.terms."
 
 
-def _beside_stated(unknown: Unknown, c: Coefficient) -> Coefficient:
+def _as_deviation(unknown: Unknown, c: Coefficient) -> Coefficient:
     """Return an estimate as far as it is from what is stated of it: a shorter arm is no mistake."""
     stated = unknown.prior_mean
     return c if c.value is None else c.model_copy(update={"value": c.value - stated})
 
 
-def joint(problem: JointProblem) -> Outcome:
+def fit_jointly(problem: JointProblem) -> Outcome:
     """Fit all records of a campaign together."""
     campaign, observed, model = problem.campaign, problem.observed, problem.model
     estimated, data = estimate_campaign(problem)
     assessment = estimated.fit.assessment
     views = [
-        AccelerometerView(problem, estimated, assessment, name, data).with_parts(data.parts)
+        AccelerometerView(problem, estimated, assessment, name, data).with_groups(data.groups)
         for name in campaign.accelerometers
     ]
-    added = data.contributions(views)
+    contributions = data.contributions(views)
     shared = {
         unknown: coefficient(estimated, assessment, index)
         for index, unknown in enumerate(model.asked)
         if unknown.symbol not in TERMS and unknown.owner not in campaign.accelerometers
-    } | _rotations(estimated, assessment)
-    each = (
-        (unknown.symbol, unknown.name, _beside_stated(unknown, c)) for unknown, c in shared.items()
+    } | _rotation_coefficients(estimated, assessment)
+    deviations = (
+        (unknown.symbol, unknown.name, _as_deviation(unknown, c)) for unknown, c in shared.items()
     )
-    beyond = list(incredible_shared(campaign.limit_of, each))
-    shared |= radii(campaign, shared)
+    incredible_findings = list(check_shared_credibility(campaign.limit_of, deviations))
+    shared |= mounting_radii(campaign, shared)
     outliers: dict[str, int] = {run.run.name: 0 for run in observed}
     for record, mask in zip(estimated.series, estimated.outliers, strict=True):
         outliers[record.run] += int(record.count[mask].sum())
     longest = max((float(record.time[-1]) for record in estimated.series), default=0.0)
-    accelerometers = {view.name: _accelerometer(view, added[view.name]) for view in views}
+    accelerometers = {
+        view.name: _accelerometer_result(view, contributions[view.name]) for view in views
+    }
     terms = {
         run.run.name: {u.symbol: c for u, c in shared.items() if u.owner == run.run.name}
         for run in observed
     }
     diagnose = find_diagnosis()
     diagnosis = diagnose(views, accelerometers) if diagnose else Diagnosis()
-    rests_on = knowledge(estimated, inputs_of(campaign))
-    units = {name: OBSERVABLES[a.observable] for name, a in campaign.accelerometers.items()}
+    rests_on = prior_information(estimated, stated_inputs(campaign))
+    units = {
+        name: OBSERVABLES[accelerometer.observable]
+        for name, accelerometer in campaign.accelerometers.items()
+    }
     return Outcome(
         model="exact",
         accelerometers=accelerometers,
         runs={
             name: run_result(
-                run, terms=terms[name], fit=run_fits(views, name), outliers=outliers[name]
+                run, terms=terms[name], fit=run_fit_tests(views, name), outliers=outliers[name]
             )
             for run in observed
             for name in [run.run.name]
         },
         platform={u.symbol: c for u, c in shared.items() if not u.owner},
         confounded=confounded_platform(assessment),
-        correlation=whole_correlation(estimated, assessment),
+        correlation=full_correlation(estimated, assessment),
         rests_on=rests_on,
         findings=[
             *(
-                not_determined(
+                not_determined_finding(
                     u.name, u.name, more=_PRIOR, requested=is_requested(campaign, u.symbol)
                 )
                 for u, c in shared.items()
                 if c.value is None
             ),
-            *large_drifts(shared, longest),
-            *large_tilts(campaign, terms, accelerometers),
-            *beyond,
-            *beyond_typical(rests_on),
-            *(() if diagnose else contradicted_prior(views[0])),
+            *check_drifts(shared, longest),
+            *check_tilts(campaign, terms, accelerometers),
+            *incredible_findings,
+            *check_default_priors(rests_on),
+            *(() if diagnose else find_prior_conflict(views[0])),
         ],
         causes=diagnosis.causes,
         remarks=(
-            *(remark for contribution in added.values() for remark in contribution.remarks),
+            *(remark for contribution in contributions.values() for remark in contribution.remarks),
             *diagnosis.remarks,
             *data.remarks(views),
-            *hidden_walk(views),
-            *other_noise(views),
+            *undetected_walk_remarks(views),
+            *noise_remarks(views),
         ),
         residuals=residual_frame(estimated.fit, units),
         **data.fields(estimated),
@@ -149,7 +158,9 @@ def estimate_campaign(problem: JointProblem) -> tuple[Estimate, ReadingData]:
     return estimate(problem.series, problem.model, problem.noise), ReadingData()
 
 
-def _rotations(estimated: Estimate, assessment: Assessment) -> dict[Unknown, Coefficient]:
+def _rotation_coefficients(
+    estimated: Estimate, assessment: Assessment
+) -> dict[Unknown, Coefficient]:
     """Return the rotations that were found from the displacement, as the runs had them."""
     spindles = {record.run: record.trajectory.spindle for record in estimated.series}
     rotations = {}
@@ -161,56 +172,64 @@ def _rotations(estimated: Estimate, assessment: Assessment) -> dict[Unknown, Coe
     return rotations
 
 
-def _accelerometer(view: AccelerometerView, contribution: Contribution) -> AccelerometerResult:
+def _accelerometer_result(
+    view: AccelerometerView, contribution: Contribution
+) -> AccelerometerResult:
     name, estimated = view.name, view.estimate
-    own = {
+    coefficients = {
         symbol: coefficient(estimated, view.assessment, index)
-        for symbol, index in view.places.items()
+        for symbol, index in view.indices.items()
     }
     budgets = {
         symbol: budget(estimated.fit, index, name)
-        for symbol, index in view.places.items()
-        if own[symbol].estimated
+        for symbol, index in view.indices.items()
+        if coefficients[symbol].estimated
     }
     return AccelerometerResult(
         # The campaign's order is the user's; the table of terms has its own.
-        coefficients={symbol: own[symbol] for symbol in view.campaign.model.terms if symbol in own},
+        coefficients={
+            symbol: coefficients[symbol]
+            for symbol in view.campaign.model.terms
+            if symbol in coefficients
+        },
         correlation=correlation(view),
         confounded=confounded(view),
         residual=residual(contribution.residual_view),
         noise=noise_lines(view),
         budget=budgets,
-        what_if=what_if(estimated.fit, view.places, budgets, name),
+        what_if=what_if(estimated.fit, view.indices, budgets, name),
         jackknife=view.jackknife(),
         two_stage=compare_two_stage(view) if view.problem.observed else None,
         traces=thin_residuals(view),
-        output=in_output_units(view.campaign, name, own),
+        output=in_output_units(view.campaign, name, coefficients),
         findings=[
             *contribution.findings,
             *residual_findings(contribution.residual_view),
-            *unseen_ripple(view),
-            *_undetermined(view, own),
-            *incredible(view.campaign.limit_of, name, own),
+            *check_unrecorded_ripple(view),
+            *_undetermined_findings(view, coefficients),
+            *check_credibility(view.campaign.limit_of, name, coefficients),
         ],
         **contribution.fields,
-        **own_description(view.accelerometer, own),
+        **describe_instrument(view.accelerometer, coefficients),
     )
 
 
-def _undetermined(view: AccelerometerView, own: Mapping[str, Coefficient]) -> Iterator[Finding]:
-    for symbol, c in own.items():
+def _undetermined_findings(
+    view: AccelerometerView, coefficients: Mapping[str, Coefficient]
+) -> Iterator[Finding]:
+    for symbol, c in coefficients.items():
         if c.value is None:
             data, advice = view.data.advice(view, symbol)
-            yield not_determined(
+            yield not_determined_finding(
                 f"{view.name}.{symbol}",
                 symbol,
                 data,
-                advice or _remedy(view, symbol),
+                advice or _suggest_data(view, symbol),
                 requested=is_requested(view.campaign, symbol, view.name),
             )
 
 
-def _remedy(view: AccelerometerView, symbol: str) -> str:
+def _suggest_data(view: AccelerometerView, symbol: str) -> str:
     """Return advice on data that would determine a term."""
     campaign = view.campaign
     rates = [abs(run.rate) for run in campaign.runs]
@@ -223,7 +242,7 @@ def _remedy(view: AccelerometerView, symbol: str) -> str:
 # Checks
 
 
-def run_fits(
+def run_fit_tests(
     views: Sequence[AccelerometerView], run: str
 ) -> dict[str, dict[str, float | str | None]]:
     """Return the tests of one run's residuals, by accelerometer."""
@@ -246,7 +265,7 @@ def run_fits(
     return fits
 
 
-def unseen_ripple(view: AccelerometerView) -> list[Finding]:
+def check_unrecorded_ripple(view: AccelerometerView) -> list[Finding]:
     """Return a finding where a ripple would move K_II and no angle was recorded to show it.
 
     A ripple shakes the platform along the tangent with R w^2 times its ratio. In displacement
@@ -256,7 +275,7 @@ def unseen_ripple(view: AccelerometerView) -> list[Finding]:
     index, campaign = view.k_ii, view.campaign
     if index is None or view.accelerometer.observable == "displacement":
         return []
-    if campaign.angle is not None or (view.parts and not view.has_records):
+    if campaign.angle is not None or (view.groups and not view.has_records):
         return []
     fastest = max(abs(run.rate) for run in campaign.runs)
     force = campaign.radius.value * fastest**2 / campaign.gravity.value

@@ -29,17 +29,17 @@ class TwoStageOptions:
     from_residuals: bool = False
 
 
-def acceptance_words(accepted_misfit: str | None) -> list[str]:
+def acceptance_arguments(accepted_misfit: str | None) -> list[str]:
     """Return the words by which a command line accepts a misfit, if it was accepted."""
     return [] if accepted_misfit is None else [f"--accept-misfit={accepted_misfit}"]
 
 
-def without_words(without: Sequence[str]) -> list[str]:
+def exclusion_arguments(without: Sequence[str]) -> list[str]:
     """Return the words by which a command line leaves runs out."""
     return [f"--without={name}" for name in without]
 
 
-def command_words(method: str, options: TwoStageOptions) -> list[str]:
+def command_arguments(method: str, options: TwoStageOptions) -> list[str]:
     """Return the words of a command line that asks for a calibration, where it is not the usual.
 
     A result keeps them, so that whoever reads it can repeat it: the one place below the command
@@ -47,8 +47,8 @@ def command_words(method: str, options: TwoStageOptions) -> list[str]:
     """
     if method == "joint":
         return []
-    usual = TwoStageOptions()
-    typed = {
+    defaults = TwoStageOptions()
+    flags = {
         "model": f"--model={options.model}",
         "weighted": "--no-weighted",
         "ripple": f"--ripple={options.ripple}",
@@ -57,33 +57,33 @@ def command_words(method: str, options: TwoStageOptions) -> list[str]:
     }
     return [
         "--method=two-stage",
-        *(text for key, text in typed.items() if getattr(options, key) != getattr(usual, key)),
+        *(text for key, text in flags.items() if getattr(options, key) != getattr(defaults, key)),
     ]
 
 
 #: Words without a value, and the option that each sets.
-_PLAIN: Final[dict[str, dict[str, Any]]] = {
+_FLAGS: Final[dict[str, dict[str, Any]]] = {
     "--no-weighted": {"weighted": False},
     "--no-fit-bias": {"fit_bias": False},
     "--sigma=residuals": {"from_residuals": True},
 }
 
 
-def asked_by(words: Sequence[str]) -> tuple[Method, TwoStageOptions, tuple[str, ...]]:
+def parse_options(words: Sequence[str]) -> tuple[Method, TwoStageOptions, tuple[str, ...]]:
     """Return the method, its options and the runs left out that a result's words ask for."""
     method: Method = "joint"
-    asked: dict[str, Any] = {}
+    keywords: dict[str, Any] = {}
     without = []
     for word in words:
         key, _, value = word.partition("=")
         if word == "--method=two-stage":
             method = "two-stage"
-        elif word in _PLAIN:
-            asked |= _PLAIN[word]
+        elif word in _FLAGS:
+            keywords |= _FLAGS[word]
         elif key in ("--model", "--ripple"):
-            asked[key.removeprefix("--")] = value
+            keywords[key.removeprefix("--")] = value
         elif key == "--without":
             without.append(value)
         else:
             raise CampaignError("the result's options", [f"{word}: this version has no such"])
-    return method, TwoStageOptions(**asked), tuple(without)
+    return method, TwoStageOptions(**keywords), tuple(without)

@@ -11,8 +11,9 @@ import numpy as np
 import polars as pl
 
 from counterspin.arrays import median
+from counterspin.calibration.accelerometer_view import AccelerometerView, FittedGroup
 from counterspin.calibration.findings import Cause
-from counterspin.calibration.observed import ObservedRun
+from counterspin.calibration.observed_runs import ObservedRun
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
@@ -27,7 +28,6 @@ from counterspin.calibration.result_parts import (
     RunResult,
     TriadResult,
 )
-from counterspin.calibration.view import AccelerometerView, FittedGroup
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.quantity import Quantity
@@ -54,10 +54,10 @@ def coefficient(estimate: Estimate, assessment: Assessment, index: int) -> Coeff
     unknown, solution = estimate.fit.model.unknowns[index], estimate.fit.solution
     unit = unknown.unit
     if not assessment.determined[unknown.name]:
-        known = math.isfinite(unknown.prior[1]) and not unknown.defaulted
+        has_prior = math.isfinite(unknown.prior[1]) and not unknown.defaulted
         return Coefficient(
-            value=unknown.prior[0] if known else None,
-            u=unknown.prior[1] if known else None,
+            value=unknown.prior[0] if has_prior else None,
+            u=unknown.prior[1] if has_prior else None,
             unit=unit,
             estimated=False,
         )
@@ -75,29 +75,29 @@ def coefficient(estimate: Estimate, assessment: Assessment, index: int) -> Coeff
     )
 
 
-def knowledge(estimate: Estimate, stated_inputs: Mapping[str, Quantity]) -> list[Knowledge]:
+def prior_information(estimate: Estimate, stated_inputs: Mapping[str, Quantity]) -> list[Knowledge]:
     """Return the prior information of an estimate, in the order of the fit."""
     model, solution = estimate.fit.model, estimate.fit.solution
     rows = []
-    for place, other in enumerate((*model.unknowns, *model.considered)):
-        if other.asked or other.symbol in encoder.SYMBOLS:
+    for index, parameter in enumerate((*model.unknowns, *model.considered)):
+        if parameter.asked or parameter.symbol in encoder.SYMBOLS:
             continue
-        stated = stated_inputs.get(other.name)
+        stated = stated_inputs.get(parameter.name)
         # The prior of an input is a deviation from the value at which derivatives are taken.
-        base = stated.value - other.prior[0] if stated else 0.0
-        found = u_found = None
-        if place < len(model.unknowns):
-            found = base + other.nominal + float(solution.estimate[place])
-            u_found = float(solution.u[place])
+        base = stated.value - parameter.prior[0] if stated else 0.0
+        posterior = u_posterior = None
+        if index < len(model.unknowns):
+            posterior = base + parameter.nominal + float(solution.estimate[index])
+            u_posterior = float(solution.u[index])
         rows.append(
             Knowledge(
-                name=other.name,
-                kind=kind_of(other),
-                unit=other.unit,
-                value=base + other.prior[0],
-                u=other.prior[1],
-                found=found,
-                u_found=u_found,
+                name=parameter.name,
+                kind=kind_of(parameter),
+                unit=parameter.unit,
+                value=base + parameter.prior[0],
+                u=parameter.prior[1],
+                found=posterior,
+                u_found=u_posterior,
             )
         )
     return rows
@@ -105,11 +105,11 @@ def knowledge(estimate: Estimate, stated_inputs: Mapping[str, Quantity]) -> list
 
 def correlation(view: AccelerometerView) -> Correlation | None:
     """Return the correlations of an accelerometer's own and the platform's coefficients."""
-    own = f"{view.name}."
+    prefix = f"{view.name}."
     return _correlation(
         view.estimate,
         {
-            place: unknown.name.removeprefix(own)
+            place: unknown.name.removeprefix(prefix)
             for place, unknown in enumerate(view.fit.model.unknowns)
             if view.assessment.determined.get(unknown.name)
             and (unknown.owner == view.name or unknown.symbol not in TERMS)
@@ -117,7 +117,7 @@ def correlation(view: AccelerometerView) -> Correlation | None:
     )
 
 
-def whole_correlation(estimate: Estimate, assessment: Assessment) -> Correlation | None:
+def full_correlation(estimate: Estimate, assessment: Assessment) -> Correlation | None:
     """Return the correlations of everything determined, but for the runs' own rotations."""
     return _correlation(
         estimate,
@@ -158,7 +158,7 @@ def confounded_platform(assessment: Assessment) -> list[ConfoundedTerms]:
 def residual(view: AccelerometerView) -> Residual:
     """Return the size of an accelerometer's residuals, a sample, and how well the model fits."""
     if not view.has_records:
-        return residual_of(view.parts)
+        return residual_of(view.groups)
     squares, samples, diagnostics = 0.0, 0.0, view.diagnostics
     for _, prepared, residuals in view.records():
         squares += float(np.sum(residuals.plain**2 * prepared.series.count))
@@ -172,71 +172,77 @@ def residual(view: AccelerometerView) -> Residual:
     )
 
 
-def residual_of(parts: Sequence[FittedGroup]) -> Residual:
+def residual_of(groups: Sequence[FittedGroup]) -> Residual:
     """Return the size of the residuals of readings, and how well the model fits them."""
-    left = np.concatenate([part.residuals for part in parts])
-    stated = [part for part in parts if math.isinf(part.dof)]
-    chi2 = sum(part.squares for part in stated)
-    freedom = sum(part.freedom for part in stated)
-    testable = len(stated) == len(parts) and freedom > 0.5
+    residuals = np.concatenate([group.residuals for group in groups])
+    stated = [group for group in groups if math.isinf(group.noise_dof)]
+    chi2 = sum(group.chi2 for group in stated)
+    dof = sum(group.residual_dof for group in stated)
+    testable = len(stated) == len(groups) and dof > 0.5
     return Residual(
-        rms=float(np.sqrt(np.mean(left**2))),
+        rms=float(np.sqrt(np.mean(residuals**2))),
         unit="g",
-        dof=round(sum(part.freedom for part in parts), 9),  # of as many readings as unknowns: 0
+        dof=round(
+            sum(group.residual_dof for group in groups), 9
+        ),  # of as many readings as unknowns: 0
         chi2=chi2 if testable else None,
-        lack_of_fit_p=chi_square_tail(freedom, chi2) if testable else None,
+        lack_of_fit_p=chi_square_tail(dof, chi2) if testable else None,
     )
 
 
-def readings_noise(parts: Sequence[FittedGroup]) -> dict[str, NoiseLine]:
+def reading_noise(groups: Sequence[FittedGroup]) -> dict[str, NoiseLine]:
     """Return the noise of readings, motion by motion."""
     return {
-        part.words: NoiseLine(
-            value=median(part.sigma),
-            u=median(part.sigma) / math.sqrt(2.0 * part.dof) if math.isfinite(part.dof) else None,
+        group.label: NoiseLine(
+            value=median(group.sigma),
+            u=median(group.sigma) / math.sqrt(2.0 * group.noise_dof)
+            if math.isfinite(group.noise_dof)
+            else None,
             unit="g",
-            estimated=math.isfinite(part.dof),
+            estimated=math.isfinite(group.noise_dof),
         )
-        for part in parts
+        for group in groups
     }
 
 
 def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
     """Return the noise used, component by component, given or estimated."""
-    of_readings = readings_noise(view.parts)
+    reading_lines = reading_noise(view.groups)
     if not view.has_records:
-        return of_readings
+        return reading_lines
     components = view.estimate.components.get(view.name)
     noise, observable = view.fit.noise[view.name], view.accelerometer.observable
-    of_records = record_noise(noise, components, observable)
-    own = view.series
-    if any(one.relative != 1.0 for one in own):
-        line = of_records[observable]
-        runs = {one.run: line.value * math.sqrt(one.relative) for one in own}
-        of_records[observable] = line.model_copy(update={"runs": runs})
-    if timing := found_timing(view):
-        of_records["timing"] = NoiseLine(value=timing, unit="s", estimated=True)
-    return from_rest(of_records, view.campaign, noise, observable) | of_readings
+    record_lines = record_noise(noise, components, observable)
+    record_series = view.series
+    if any(series.relative != 1.0 for series in record_series):
+        white_line = record_lines[observable]
+        runs = {
+            series.run: white_line.value * math.sqrt(series.relative) for series in record_series
+        }
+        record_lines[observable] = white_line.model_copy(update={"runs": runs})
+    if timing := estimated_timing_noise(view):
+        record_lines["timing"] = NoiseLine(value=timing, unit="s", estimated=True)
+    return with_static_uncertainty(record_lines, view.campaign, noise, observable) | reading_lines
 
 
-def found_timing(view: AccelerometerView) -> float:
+def estimated_timing_noise(view: AccelerometerView) -> float:
     """Return the noise of the time stamps that the residuals of the records show, s; 0: none."""
     stated = view.campaign.noise is not None and view.campaign.noise.timing
-    return 0.0 if stated else max((one.scatter for one in view.series), default=0.0)
+    return 0.0 if stated else max((series.scatter for series in view.series), default=0.0)
 
 
-def from_rest(
+def with_static_uncertainty(
     lines: dict[str, NoiseLine], campaign: Campaign, noise: Noise, observable: str
 ) -> dict[str, NoiseLine]:
     """Return lines of noise that say which are from the record at rest, and how well it knows."""
-    said = dict(lines)
+    updated = dict(lines)
     keys = (observable, "acceleration", "flicker", "bias_walk") if noise.covariance else ()
     for place, key in enumerate(keys):
         variance, line = noise.covariance[place][place], lines.get(key)
         if variance > 0.0 and line is not None and not line.estimated and campaign.noise:
             u = 0.5 * math.sqrt(variance) / line.value
-            said[key] = line.model_copy(update={"u": u, "record": campaign.noise.rest})
-    return said
+            updated[key] = line.model_copy(update={"u": u, "record": campaign.noise.rest})
+    return updated
 
 
 def record_noise(
@@ -247,17 +253,21 @@ def record_noise(
     lines = {}
     labels = (observable, "acceleration", "flicker", "bias_walk")
     units = (unit, WALK_UNIT, "m/s^2", "m/s^2/s^0.5")
-    for place, (part, label, its_unit) in enumerate(zip(COMPONENTS, labels, units, strict=True)):
-        size = float(getattr(noise, part))
-        estimated = components is not None and part in components.estimated
-        dropped = components is not None and part in components.dropped
+    for index, (component, label, component_unit) in enumerate(
+        zip(COMPONENTS, labels, units, strict=True)
+    ):
+        size = float(getattr(noise, component))
+        estimated = components is not None and component in components.estimated
+        dropped = components is not None and component in components.dropped
         if size == 0.0 and not dropped:
             continue
         u = None
         if components is not None and estimated and size > 0.0:
             # From the variance of a variance to that of its root.
-            u = 0.5 * math.sqrt(float(components.covariance[place, place])) / size
-        lines[label] = NoiseLine(value=size, u=u, unit=its_unit, estimated=estimated or dropped)
+            u = 0.5 * math.sqrt(float(components.covariance[index, index])) / size
+        lines[label] = NoiseLine(
+            value=size, u=u, unit=component_unit, estimated=estimated or dropped
+        )
     if noise.quantisation > 0.0:
         lines["quantisation"] = NoiseLine(value=noise.quantisation, unit=unit, estimated=False)
     return lines
@@ -289,7 +299,9 @@ def residual_frame(fit: JointFit, units: Mapping[str, str]) -> pl.DataFrame | No
     return pl.concat(frames) if frames else None
 
 
-def radii(campaign: Campaign, shared: Mapping[Unknown, Coefficient]) -> dict[Unknown, Coefficient]:
+def mounting_radii(
+    campaign: Campaign, shared: Mapping[Unknown, Coefficient]
+) -> dict[Unknown, Coefficient]:
     """Return the radii of mountings as such; the fit has their deviations from the machine's."""
     return {
         unknown: c.model_copy(update={"value": c.value + campaign.radius.value})
@@ -299,23 +311,23 @@ def radii(campaign: Campaign, shared: Mapping[Unknown, Coefficient]) -> dict[Unk
 
 
 def in_output_units(
-    campaign: Campaign, name: str, own: dict[str, Coefficient]
+    campaign: Campaign, name: str, coefficients: dict[str, Coefficient]
 ) -> dict[str, Coefficient]:
     """Return bias and scale factor in what the readings are in; empty where that is g."""
     output = campaign.accelerometers[name].output
     if output is None:
         return {}
-    shown, size = {}, output.sensitivity
+    converted, sensitivity = {}, output.sensitivity
     for symbol, key, unit, zero in (
         ("K_F", "bias", output.unit, output.zero),
         ("K_I", "scale_factor", f"{output.unit}/g", 0.0),
     ):
-        c = own.get(symbol)
+        c = coefficients.get(symbol)
         if c is None or c.value is None or c.u is None:
             continue
-        value, u = zero + c.value * size, c.u * abs(size)
-        shown[key] = Coefficient(value=value, u=u, dof=c.dof, unit=unit, estimated=c.estimated)
-    return shown
+        value, u = zero + c.value * sensitivity, c.u * abs(sensitivity)
+        converted[key] = Coefficient(value=value, u=u, dof=c.dof, unit=unit, estimated=c.estimated)
+    return converted
 
 
 @frozen
@@ -348,9 +360,9 @@ def run_result(
 ) -> RunResult:
     """Return the rotation and the counts of samples of a run."""
     rotation, report = run.rotation, run.record.report
-    spindle, own = run.trajectory.spindle, dict(terms or {})
+    spindle, run_terms = run.trajectory.spindle, dict(terms or {})
     # Where no angle was recorded the joint fit has found the rotation.
-    rotation_terms = {symbol: own.pop(symbol) for symbol in ROTATION if symbol in own}
+    rotation_terms = {symbol: run_terms.pop(symbol) for symbol in ROTATION if symbol in run_terms}
     _, rate, drift = (rotation_terms.get(symbol) for symbol in ROTATION)
     counts = report.counts(outliers)
     ripples = [
@@ -377,12 +389,12 @@ def run_result(
         counts=counts,
         notes=report.notes(),
         parabolas=dict(parabolas or {}),
-        terms=own,
+        terms=run_terms,
         fit=dict(fit or {}),
     )
 
 
-def many_outliers(
+def check_outlier_share(
     subject: str, counts: Mapping[str, int], accelerometers: int = 1
 ) -> list[Finding]:
     """Return a finding where outliers are more than `OUTLIER_SHARE` of a record's samples."""
@@ -397,7 +409,7 @@ def many_outliers(
     return [Finding(code="many-outliers", subject=subject, text=text, size=share)]
 
 
-def own_description(accelerometer: Accelerometer, shown: Collection[str]) -> dict[str, Any]:
+def describe_instrument(accelerometer: Accelerometer, estimated: Collection[str]) -> dict[str, Any]:
     """Return the parts of an accelerometer's description that applying its result needs."""
     output = accelerometer.output
     return {
@@ -405,7 +417,7 @@ def own_description(accelerometer: Accelerometer, shown: Collection[str]) -> dic
         "known": {
             symbol: Coefficient(value=prior.value, u=prior.u, unit=prior.unit, estimated=False)
             for symbol, prior in accelerometer.priors.items()
-            if symbol not in shown
+            if symbol not in estimated
         },
         "axes": list(accelerometer.mounting.axes),
         "observable": accelerometer.observable,

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 _PICTURES: Final = "counterspin.calibration.pages.pictures"
 #: Earlier schemas and faults of a file that is read.
 _FILE: Final = "counterspin.calibration.result_file"
-_NOTEBOOK: Final = "counterspin.calibration.notebook"
+_CONVERSION: Final = "counterspin.calibration.result_conversion"
 
 #: Why a result has no frame of residuals: its file holds those that the pictures show.
 _NO_RESIDUALS = (
@@ -266,16 +266,16 @@ class Result(ReportableResult):
 
     def table(self, library: str = "polars") -> Any:
         """Return the coefficients as a frame of ``polars`` or ``pandas``, in units of the field."""
-        return load_name(f"{_NOTEBOOK}:frame")(self, library)
+        return load_name(f"{_CONVERSION}:coefficient_frame")(self, library)
 
     def to_uncertainties(self) -> dict[str, Any]:
         """Return the coefficients for the package uncertainties, with their correlations."""
-        made: dict[str, Any] = load_name(f"{_NOTEBOOK}:to_uncertainties")(self)
+        made: dict[str, Any] = load_name(f"{_CONVERSION}:to_uncertainties")(self)
         return made
 
     def to_gtc(self) -> dict[str, Any]:
         """Return the coefficients for the package GTC, with their correlations."""
-        made: dict[str, Any] = load_name(f"{_NOTEBOOK}:to_gtc")(self)
+        made: dict[str, Any] = load_name(f"{_CONVERSION}:to_gtc")(self)
         return made
 
     def residuals(self, accelerometer: str | None = None, run: str | None = None) -> pl.DataFrame:
@@ -351,7 +351,7 @@ class Result(ReportableResult):
 
     def __repr__(self) -> str:
         """Return state, coefficients and the gravest finding, at most 20 lines."""
-        made: str = load_name(f"{_NOTEBOOK}:brief")(self)
+        made: str = load_name(f"{_CONVERSION}:summarize")(self)
         return made
 
     __str__ = __repr__
@@ -367,7 +367,7 @@ class Result(ReportableResult):
 
     def validation_errors(self) -> Iterator[str]:
         """Yield what would be applied or shown wrongly, though each part looks like one."""
-        yield from load_name(f"{_FILE}:faults_of_result")(self)
+        yield from load_name(f"{_FILE}:find_faults")(self)
 
 
 read_result = Result.read

@@ -36,46 +36,49 @@ def upgrade(document: Mapping[str, Any]) -> dict[str, Any]:
 
     document: As it was read; what is not as schema 1 has it is left for the checks to find.
     """
-    new = _of_coefficients(dict(document))
+    new = _migrate_coefficients(dict(document))
     assumed: dict[str, None] = {}
     accelerometers = new.get("accelerometers")
-    for own in accelerometers.values() if isinstance(accelerometers, dict) else ():
-        if isinstance(own, dict):
-            left_out = own.pop("left_out", None)
+    for accelerometer in accelerometers.values() if isinstance(accelerometers, dict) else ():
+        if isinstance(accelerometer, dict):
+            left_out = accelerometer.pop("left_out", None)
             assumed |= dict.fromkeys(left_out if isinstance(left_out, dict) else ())
-            if isinstance(own.get("budget"), dict):
-                own["budget"] = {s: _lines(lines) for s, lines in own["budget"].items()}
+            if isinstance(accelerometer.get("budget"), dict):
+                accelerometer["budget"] = {
+                    symbol: _migrate_budget(lines)
+                    for symbol, lines in accelerometer["budget"].items()
+                }
     return {**new, "schema": 2, "assumed": list(assumed)}
 
 
-def _of_coefficients(value: Any) -> Any:
+def _migrate_coefficients(value: Any) -> Any:
     """Return a document with the parts of every coefficient's u under their new names."""
     if isinstance(value, list):
-        return [_of_coefficients(item) for item in value] if _nested(value) else value
+        return [_migrate_coefficients(item) for item in value] if _holds_tables(value) else value
     if not isinstance(value, dict):
         return value
-    own = {key: _of_coefficients(item) for key, item in value.items()}
-    if "u_prior" in own or "u_considered" in own or "u_typical" in own:
-        own.pop("u_typical", None)
-        parts = [own.pop("u_prior", None), own.pop("u_considered", None)]
+    migrated = {key: _migrate_coefficients(item) for key, item in value.items()}
+    if "u_prior" in migrated or "u_considered" in migrated or "u_typical" in migrated:
+        migrated.pop("u_typical", None)
+        parts = [migrated.pop("u_prior", None), migrated.pop("u_considered", None)]
         sizes = [part for part in parts if isinstance(part, int | float)]
-        own["u_stated"] = math.hypot(*sizes) if sizes else None
-        own["u_unstated"] = 0.0 if sizes else None
-    return own
+        migrated["u_stated"] = math.hypot(*sizes) if sizes else None
+        migrated["u_unstated"] = 0.0 if sizes else None
+    return migrated
 
 
-def _nested(values: list[Any]) -> bool:
+def _holds_tables(values: list[Any]) -> bool:
     # Rows of numbers, which are most of a document, have nothing to rename.
     return bool(values) and isinstance(values[0], dict)
 
 
-def _lines(lines: Any) -> Any:
+def _migrate_budget(lines: Any) -> Any:
     if not isinstance(lines, list):
         return lines
-    return [_line(line) if isinstance(line, dict) else line for line in lines]
+    return [_migrate_line(line) if isinstance(line, dict) else line for line in lines]
 
 
-def _line(line: dict[str, Any]) -> dict[str, Any]:
+def _migrate_line(line: dict[str, Any]) -> dict[str, Any]:
     source = line.get("source")
     match = _LINE.fullmatch(source) if isinstance(source, str) else None
     if match is None:
@@ -86,16 +89,16 @@ def _line(line: dict[str, Any]) -> dict[str, Any]:
 # Numbers that would be applied or shown wrongly
 
 
-def faults_of_result(result: Result) -> Iterator[str]:
+def find_faults(result: Result) -> Iterator[str]:
     """Yield what would be applied or shown wrongly of a result."""
     if not 0.0 < result.inputs.gravity < math.inf:
         yield f"the gravity is {result.inputs.gravity} m/s^2"
     if not result.accelerometers:
         yield "it has no accelerometers"
-    together = [*result.confounded]
+    confounded_sets = [*result.confounded]
     for accelerometer in result.accelerometers.values():
-        together += accelerometer.confounded
-    if any(len(confounded.terms) < 2 for confounded in together):
+        confounded_sets += accelerometer.confounded
+    if any(len(confounded.terms) < 2 for confounded in confounded_sets):
         yield "fewer than two terms are listed as inseparable"
     for name, run in result.runs.items():
         if not 0.0 < abs(run.rate) < math.inf:
@@ -103,27 +106,29 @@ def faults_of_result(result: Result) -> Iterator[str]:
     if result.correlation is not None:
         yield from matrix_faults("its correlation matrix", result.correlation)
     for name, accelerometer in result.accelerometers.items():
-        yield from faults_of(name, accelerometer)
+        yield from find_accelerometer_faults(name, accelerometer)
 
 
-def faults_of(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
+def find_accelerometer_faults(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
     """Yield what no calibration can have found of an accelerometer."""
     if not accelerometer.coefficients:
         yield f"{name} has no coefficients"
-    for symbol, c in {
+    for symbol, coefficient in {
         **accelerometer.known,
         **accelerometer.coefficients,
         **accelerometer.second_unknown,
     }.items():
-        if symbol in TERMS and c.unit != TERMS[symbol].unit:
-            yield f"{symbol} of {name} is in {c.unit}, not in {TERMS[symbol].unit}"
-        if not (abs(c.value or 0.0) < _LARGEST_COEFFICIENT > (c.u or 0.0) >= 0.0):
-            yield f"{symbol} of {name} is {c.value} ± {c.u}"
-        if c.dof is not None and not _FEWEST_DOF <= c.dof < math.inf:
-            yield f"{symbol} of {name} has {c.dof} degrees of freedom"
-    for left_out in accelerometer.jackknife:
-        if left_out.dof is not None and not _FEWEST_DOF <= left_out.dof < math.inf:
-            yield f"{name} without {left_out.run} has {left_out.dof} degrees of freedom"
+        if symbol in TERMS and coefficient.unit != TERMS[symbol].unit:
+            yield f"{symbol} of {name} is in {coefficient.unit}, not in {TERMS[symbol].unit}"
+        if not (
+            abs(coefficient.value or 0.0) < _LARGEST_COEFFICIENT > (coefficient.u or 0.0) >= 0.0
+        ):
+            yield f"{symbol} of {name} is {coefficient.value} ± {coefficient.u}"
+        if coefficient.dof is not None and not _FEWEST_DOF <= coefficient.dof < math.inf:
+            yield f"{symbol} of {name} has {coefficient.dof} degrees of freedom"
+    for jackknife_line in accelerometer.jackknife:
+        if jackknife_line.dof is not None and not _FEWEST_DOF <= jackknife_line.dof < math.inf:
+            yield f"{name} without {jackknife_line.run} has {jackknife_line.dof} degrees of freedom"
     if accelerometer.correlation:
         yield from matrix_faults(f"the correlation matrix of {name}", accelerometer.correlation)
     if accelerometer.what_if is not None and not accelerometer.what_if.is_whole:
@@ -148,11 +153,11 @@ def _trace_faults(words: str, trace: Trace) -> Iterator[str]:
     quantiles = trace.quantiles.normal if trace.quantiles else []
     if (trace.rows or 1) < 1 or any(abs(z) > _FARTHEST_QUANTILE for z in quantiles):
         yield f"rows or quantiles in the trace of {words} are none"
-    if any(len(set(map(len, together))) > 1 for together in _drawn_together(trace)):
+    if any(len(set(map(len, lists))) > 1 for lists in _paired_lists(trace)):
         yield f"lists in the trace of {words} are of unequal length"
 
 
-def _drawn_together(trace: Trace) -> Iterator[tuple[Sized, ...]]:
+def _paired_lists(trace: Trace) -> Iterator[tuple[Sized, ...]]:
     yield trace.time, trace.low, trace.high
     if (spectrum := trace.spectrum) is not None:
         yield spectrum.frequency, spectrum.power

@@ -367,7 +367,7 @@ class TriadResult(ResultPart):
         polars.DataFrame or pandas.DataFrame
             The owner is ``triad``, the term such as ``angle.X.Y``; in the units of the field.
         """
-        made = load_name("counterspin.calibration.notebook:frame_of_rows")
+        made = load_name("counterspin.calibration.result_conversion:rows_frame")
         return made((("triad", n, c) for n, c in self.parameters.items()), library)
 
     def __repr__(self) -> str:

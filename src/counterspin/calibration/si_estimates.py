@@ -53,7 +53,7 @@ def si_estimate(
     return _estimate(value, u, (1.0, *si_unit(unit)), dof, gravity)
 
 
-def own_estimate(
+def instrument_unit_estimate(
     value: float, u: float, unit: str, dof: float | None, gravity: StatedGravity
 ) -> SiEstimate:
     """Return in SI units what is in an instrument's own unit, or in that over g.
@@ -76,10 +76,10 @@ def _estimate(
     si_value, si_u = value * scale, u * scale
     if gravity.u == 0.0:
         return SiEstimate(si_value, si_u, symbol, dof, si_u, 0.0, 0.0)
-    kept = gravity.sensitivity * gravity.u * scale
-    shift = kept + power * si_value / g * gravity.u
-    without = math.sqrt(max(si_u**2 - kept**2, 0.0))
-    combined = math.hypot(without, shift)
+    shift_kept = gravity.sensitivity * gravity.u * scale
+    shift = shift_kept + power * si_value / g * gravity.u
+    u_without_g = math.sqrt(max(si_u**2 - shift_kept**2, 0.0))
+    combined = math.hypot(u_without_g, shift)
     # What g adds or takes away has no degrees of freedom (GUM G.4.1).
-    freedom = None if dof is None else dof * (combined / si_u) ** 4
-    return SiEstimate(si_value, combined, symbol, freedom, without, shift, kept)
+    effective_dof = None if dof is None else dof * (combined / si_u) ** 4
+    return SiEstimate(si_value, combined, symbol, effective_dof, u_without_g, shift, shift_kept)

@@ -18,7 +18,7 @@ from lxml import etree
 from markupsafe import Markup
 
 from counterspin._version import __version__
-from counterspin.calibration.findings import judge_result, refusal
+from counterspin.calibration.findings import judge_result, refusal_reason
 from counterspin.calibration.pages.methods import readings_of
 from counterspin.calibration.pages.triad import parameter_words
 from counterspin.calibration.result import Result
@@ -65,7 +65,7 @@ def check_certifiable(result: Result, names: Sequence[str]) -> None:
             "this result was computed with the paper's equations as printed, which give "
             "half the true K_II; calibrate again with the exact model"
         )
-    if (refused := refusal(judge_result(result), names)) is not None:
+    if (refused := refusal_reason(judge_result(result), names)) is not None:
         raise RecordError(refused)
     by_accelerometer = (result.accelerometers[name].coefficients.values() for name in names)
     if not any(

@@ -18,7 +18,7 @@ from counterspin.calibration.result_parts import Coefficient, Correlation, Triad
 from counterspin.calibration.si_estimates import (
     SiEstimate,
     StatedGravity,
-    own_estimate,
+    instrument_unit_estimate,
     si_estimate,
 )
 from counterspin.certificates import certificate_text
@@ -74,7 +74,7 @@ def output_coefficients_in_si(result: Result, name: str) -> dict[str, SiEstimate
             scale = c.value / unit.value if unit.value else c.u / (unit.u or math.inf)
         value = replace(gravity, sensitivity=gravity.sensitivity * scale)
         with suppress(ValueError):
-            estimates[key] = own_estimate(c.value, c.u, c.unit, c.dof, value)
+            estimates[key] = instrument_unit_estimate(c.value, c.u, c.unit, c.dof, value)
     return estimates
 
 

@@ -11,7 +11,7 @@ from typing import Final
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.findings import judge_result
-from counterspin.calibration.options import asked_by
+from counterspin.calibration.options import parse_options
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.campaign.checksums import Checksums
@@ -170,7 +170,7 @@ def rerun(
             f"{result_name}: made from data in memory; only results from a "
             "campaign's files can be repeated"
         )
-    method, options, without = asked_by(before.provenance.options)
+    method, options, without = parse_options(before.provenance.options)
     with ExitStack() as stack:
         paths, moved = _locate_inputs(before.provenance.inputs, campaign_folder, result_name)
         if moved:

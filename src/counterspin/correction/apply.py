@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array
-from counterspin.calibration.findings import judge_result, refusal
+from counterspin.calibration.findings import judge_result, refusal_reason
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.campaign.quantity import parse
@@ -184,7 +184,7 @@ def apply(
         instrument_of(completed, name, placed=bool(options.others)) for name in indications
     ]
     judged_result = judge_result(result)
-    if (refused := refusal(judged_result, indications)) is not None:
+    if (refused := refusal_reason(judged_result, indications)) is not None:
         raise RecordError(refused)
     _require_determined(judged_result, indications)
     mounting = instruments[0].mounting

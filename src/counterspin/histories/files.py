@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, Literal
 
-from counterspin.calibration.findings import judge_result, refusal
+from counterspin.calibration.findings import judge_result, refusal_reason
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.errors import CampaignError, RecordError
@@ -280,7 +280,7 @@ def _reason_unusable(result: Result, names: Sequence[str]) -> str | None:
     if result.model == "as-printed":
         return "comes from the equations as printed, which return half the true K_II"
     for name in names:
-        if refusal(result, [name]) is not None:
+        if refusal_reason(result, [name]) is not None:
             return f"its records contradict it: {result.accelerometers[name].findings[0].text}"
     return None
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from counterspin.calibration.observed import ObservedRun
+from counterspin.calibration.observed_runs import ObservedRun
 from counterspin.campaign.checking import did_you_mean
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.reading import PoseRecord

@@ -16,13 +16,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from counterspin.calibration.observed import (
+from counterspin.calibration.observed_runs import (
     ObservedRun,
-    columns_of_temperature,
     observe_run,
     read_run,
     record_columns,
-    temperatures_of,
+    recorded_temperatures,
+    temperature_columns,
 )
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
@@ -235,7 +235,7 @@ class Observer:
                 if isinstance(run, Run)
                 else columns_of_poses(campaign)
             )
-            warm = columns_of_temperature(campaign, run)
+            warm = temperature_columns(campaign, run)
             table = _growing_table(run, columns, warm) if grow else None
             self._watched.append(_WatchedRun(run, columns, table))
 
@@ -333,7 +333,7 @@ class Observer:
             frames = {**source.frames, watched.run.record: watched.table.table}
             source = replace(source, frames=frames)
         try:
-            watched.temperature = temperatures_of(source, watched.run, {})
+            watched.temperature = recorded_temperatures(source, watched.run, {})
             run = copy_record(watched.run, temperature=watched.temperature)
             if isinstance(run, Run):
                 watched.record = read_run(source, run)

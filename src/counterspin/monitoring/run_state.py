@@ -12,13 +12,13 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.assembly import COMPLETE_PART, RATE_DIFFERENCE
+from counterspin.calibration.accelerometer_view import AccelerometerView, ReadingData
+from counterspin.calibration.assembly import COMPLETE_FRACTION, MAX_RATE_DEVIATION
 from counterspin.calibration.joint import estimate_campaign
 from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.model import model_of
-from counterspin.calibration.observed import ObservedRun
+from counterspin.calibration.model import make_unknowns
+from counterspin.calibration.observed_runs import ObservedRun
 from counterspin.calibration.outcome import OUTLIER_SHARE, coefficient
-from counterspin.calibration.view import AccelerometerView, ReadingData
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import said_noise
@@ -133,12 +133,12 @@ def run_remarks(
     faults, unusual = list[str](), list[str]()
     if state.rate is not None:
         part = state.rate / state.nominal_rate - 1.0
-        if abs(part) > RATE_DIFFERENCE:
+        if abs(part) > MAX_RATE_DEVIATION:
             faults.append(
                 f"The spindle turned at {state.rate:.6f} rad/s, not at the nominal "
                 f"{state.nominal_rate:.6f} rad/s ({part:+.2%})."
             )
-    if state.stated_seconds and state.seconds < COMPLETE_PART * state.stated_seconds:
+    if state.stated_seconds and state.seconds < COMPLETE_FRACTION * state.stated_seconds:
         faults.append(
             f"The record lasts {state.seconds:.4g} s, the campaign states "
             f"{state.stated_seconds:.4g} s."
@@ -163,7 +163,7 @@ class CurrentFit:
     @property
     def posed(self) -> tuple[FittedReadings, ...]:
         """Fitted poses of its triad."""
-        fitted = (part for part in self.data.parts if isinstance(part, FittedReadings))
+        fitted = (part for part in self.data.groups if isinstance(part, FittedReadings))
         return tuple(part for part in fitted if part.readings.triad)
 
     @cached_property
@@ -219,7 +219,7 @@ def _with_unit(campaign: Campaign, name: str, u: float | str) -> str:
         number = float(u)
     except ValueError:
         return str(u)
-    symbols = [u.symbol for u in model_of(campaign).asked if name in (u.name, u.symbol)]
+    symbols = [u.symbol for u in make_unknowns(campaign).asked if name in (u.name, u.symbol)]
     return f"{number!r} {unit_of(symbols[0])}" if symbols else str(u)
 
 
@@ -244,7 +244,7 @@ def current_estimates(fit: CurrentFit, names: Sequence[str]) -> list[CurrentEsti
 
 def undetermined_estimates(campaign: Campaign, names: Sequence[str]) -> list[CurrentEstimate]:
     """Return the named parameters of interest as not determined."""
-    symbols = {unknown.name: unknown.symbol for unknown in model_of(campaign).asked}
+    symbols = {unknown.name: unknown.symbol for unknown in make_unknowns(campaign).asked}
     return [
         CurrentEstimate(name=name, value=None, u=None, unit=unit_of(symbols[name]))
         for name in names
@@ -255,7 +255,9 @@ def undetermined_estimates(campaign: Campaign, names: Sequence[str]) -> list[Cur
 def displayed_names(campaign: Campaign, goals: Iterable[str] = ()) -> list[str]:
     """Return the displayed names: K_II of each, parameters of interest of a triad, and goals."""
     of_triad = campaign.triad.accelerometers if campaign.triad and campaign.posed else ()
-    requested = [unknown.name for unknown in model_of(campaign).asked if unknown.owner in of_triad]
+    requested = [
+        unknown.name for unknown in make_unknowns(campaign).asked if unknown.owner in of_triad
+    ]
     squares = (f"{name}.K_II" for name in campaign.accelerometers)
     return list(dict.fromkeys([*squares, *requested, *goals]))
 
@@ -340,7 +342,7 @@ def missing_directions(
     poses leave no direction: the variance of |f| nowhere exceeds that of a single pose (Kiefer and
     Wolfowitz, Canadian J. Math. 12 (1960) 363).
     """
-    model = fit.estimate.fit.model if fit else model_of(campaign)
+    model = fit.estimate.fit.model if fit else make_unknowns(campaign)
     point = fit.estimate.fit.solution.estimate if fit else np.zeros(len(model.unknowns))
     group = one_group(campaign, [found_pose.pose for found_pose in found_poses])
     ups = every_up(group.accelerometers)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from counterspin.calibration.observed import ObservedRun
+from counterspin.calibration.observed_runs import ObservedRun
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.runs import Run

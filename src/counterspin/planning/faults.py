@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.model import assumed_of, model_of
+from counterspin.calibration.model import fixed_terms, make_unknowns
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.runs import sample_count
 from counterspin.frozen import frozen
@@ -206,7 +206,7 @@ def _family_fault(symbol: str, parts: Sequence[Considered], size: float) -> Faul
 def faults_of(campaign: Campaign, name: str) -> list[Fault]:
     """Return the possible undetected faults for an accelerometer: terms assumed to be perfect."""
     by_symbol: dict[str, list[Considered]] = {}
-    for considered_term in assumed_of(campaign, model_of(campaign), name):
+    for considered_term in fixed_terms(campaign, make_unknowns(campaign), name):
         by_symbol.setdefault(term(considered_term.symbol).family, []).append(considered_term)
     return [
         _family_fault(symbol, parts, campaign.typical_of(parts[0].symbol, name))

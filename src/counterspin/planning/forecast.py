@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.model import model_of
+from counterspin.calibration.model import make_unknowns
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.noise_at_rest import said_noise, true_noise
@@ -119,7 +119,7 @@ def forecast(
     if sampling_rate is None and campaign.simulation is not None:
         sampling_rate = campaign.simulation.sampling_rate
     _check(campaign, sampling_rate)
-    model = model or model_of(campaign)
+    model = model or make_unknowns(campaign)
     if expected is None:
         expected = expected_values(campaign, model.unknowns)
     groups = all_groups(campaign)
@@ -261,7 +261,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
         return series
     # Of a record in g the size depends on the gravity assumed, errors included; what noise of the
     # time stamps does depends on its slope.
-    unknowns = model_of(campaign).unknowns
+    unknowns = make_unknowns(campaign).unknowns
     values = expected_values(campaign, unknowns).tolist()
     expected = dict(zip(unknowns, values, strict=True))
     record = expected_record(series, expected, scale_factors(campaign)[name]).with_timing(timing)
@@ -307,7 +307,7 @@ def setup_of(campaign: Campaign, sampling_rate: float, *, considering: bool = Tr
     warm = tuple(
         run.model_copy(update={"temperature": (reference + 1.0,)}) for run in campaign.runs
     )
-    model = model_of(replace(campaign, reference_temperature=reference, runs=warm))
+    model = make_unknowns(replace(campaign, reference_temperature=reference, runs=warm))
     # The warming is assumed, as in runs without a recorded temperature: it is a slope.
     model = model.without([row.symbol for row in CONDITION_TERMS.values() if row.effect.power > 1])
     if not considering:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from counterspin.calibration.model import model_of
+from counterspin.calibration.model import make_unknowns
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.documents import (
@@ -410,7 +410,7 @@ def resolve_goal(
     wanted = settings.target if settings.target is not None else settings.minimise
     if wanted is None:
         wanted = ["K_II"]
-    shared = [u for u in model_of(campaign).asked if u.owner not in _run_names(campaign)]
+    shared = [u for u in make_unknowns(campaign).asked if u.owner not in _run_names(campaign)]
     before = len(problems.lines)
     sizes: dict[str, float] = {}
     units: set[str] = set()

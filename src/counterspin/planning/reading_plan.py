@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array
-from counterspin.calibration.model import model_of
+from counterspin.calibration.model import make_unknowns
 from counterspin.campaign.description import Campaign
 from counterspin.errors import CounterspinError, NotIdentifiableError
 from counterspin.inference.joint.unknowns import Unknowns
@@ -190,7 +190,7 @@ class ReadingSearch:
     def __init__(self, plan: ReadingPlan) -> None:
         self.plan = plan
         self.limits = (plan.readings, plan.total_time)
-        model = model_of(plan.stand_in)
+        model = make_unknowns(plan.stand_in)
         self.possible = _possibilities(plan, model)
         self.criterion = plan.goal.criterion_of([unknown.name for unknown in model.unknowns])
 

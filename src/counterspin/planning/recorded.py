@@ -12,8 +12,8 @@ import numpy as np
 
 from counterspin.calibration.joint import estimate_campaign
 from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.model import model_of
-from counterspin.calibration.observed import ObservedRun, observe, with_recorded_temperatures
+from counterspin.calibration.model import make_unknowns
+from counterspin.calibration.observed_runs import ObservedRun, observe, with_recorded_temperatures
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.documents import source_of
 from counterspin.campaign.noise_at_rest import said_noise
@@ -45,7 +45,7 @@ def with_pose_noise(campaign: Campaign) -> Campaign:
     if blank or all(reading.u is not None for pose in poses for reading in pose):
         return campaign
     *_, group = poses_together(campaign, poses, noise_within(fitted_poses, campaign.gravity.value))
-    noise = solve_readings([group], model_of(campaign)).groups[0].noise
+    noise = solve_readings([group], make_unknowns(campaign)).groups[0].noise
     noisy = tuple(_with_noise(pose, noise) for pose in poses)
     return replace(campaign, triad=replace(campaign.triad, poses=noisy, records=()))
 

@@ -15,7 +15,7 @@ from pydantic import model_validator
 
 from counterspin._version import __version__
 from counterspin.arrays import Array
-from counterspin.calibration.model import assumed, model_of
+from counterspin.calibration.model import fixed_symbols, make_unknowns
 from counterspin.calibration.outcome import coefficient
 from counterspin.calibration.result_parts import Provenance
 from counterspin.campaign.description import Campaign
@@ -194,7 +194,7 @@ def result_of(
         readings=planned_readings(campaign),
         accelerometers=accelerometers_of(prediction),
         platform=platform_of(prediction),
-        assumed=list(assumed(campaign, model_of(campaign))),
+        assumed=list(fixed_symbols(campaign, make_unknowns(campaign))),
         warnings=[*_one_rate(campaign), *(question.text for question in questions(campaign))],
         provenance=Provenance(version=__version__, inputs={}),
     )

@@ -9,14 +9,14 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import median
+from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.findings import (
     CONTRADICTION_SIGMAS,
     equivalent_deviations,
-    lack_of_fit,
+    lack_of_fit_finding,
 )
-from counterspin.calibration.outcome import many_outliers, residual_of
+from counterspin.calibration.outcome import check_outlier_share, residual_of
 from counterspin.calibration.result_parts import Finding
-from counterspin.calibration.view import AccelerometerView
 from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE, SIGNIFICANCE
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.joint.alternatives import Alternative
@@ -95,18 +95,18 @@ def readings_fit(view: AccelerometerView) -> list[Finding]:
         if not (too_few or part.stated) and part.tested_freedom < FEWEST_FREEDOM:
             findings.append(too_few_to_test(view.name, part))
         residual = residual_of([part])
-        stated = math.isinf(part.dof)
+        stated = math.isinf(part.noise_dof)
         p = residual.lack_of_fit_p if stated else part.misfit_of_positions
         sentences = []
         if p is not None and p < level / len(parts):
             said = (
-                f"The residuals of the {part.words} do not agree with the stated noise"
+                f"The residuals of the {part.label} do not agree with the stated noise"
                 if stated
-                else f"Positions of the {part.words} deviate more from the model than "
+                else f"Positions of the {part.label} deviate more from the model than "
                 "repeats of one position from each other"
             )
             sentences = [f"{said} (p = {p:.2g})."]
-        general = lack_of_fit(view.name, sentences, residual) if sentences else None
+        general = lack_of_fit_finding(view.name, sentences, residual) if sentences else None
         outlying = lone_or_many(view.name, part)
         if place in followed:
             general = _explained(view.name, part, followed[place], general)
@@ -135,8 +135,8 @@ def _none_left(view: AccelerometerView) -> list[Finding]:
 
 def _few_left(view: AccelerometerView) -> list[Finding]:
     """Return a finding where readings of stated noise leave too little to test them by."""
-    stated = [part for part in readings_of(view) if math.isinf(part.dof)]
-    freedom = sum(part.freedom for part in stated)
+    stated = [part for part in readings_of(view) if math.isinf(part.noise_dof)]
+    freedom = sum(part.residual_dof for part in stated)
     if any(any(part.readings.position) for part in stated):
         # Errors of setting a position take up residuals, but they are held to their stated size.
         freedom = sum(part.readings.size for part in stated) - _taken_up(view)
@@ -182,7 +182,7 @@ def _noticed_from(freedom: float) -> str:
 def too_few_to_test(name: str, part: FittedReadings) -> Finding:
     """Return the finding that hardly any freedom is left to test residuals by."""
     text = (
-        f"{part.readings.size} {part.words} without a stated uncertainty leave "
+        f"{part.readings.size} {part.label} without a stated uncertainty leave "
         f"{format_number(part.tested_freedom, 2)} degrees of freedom after the estimation: their "
         "residuals cannot be tested. State their uncertainty, or take more of them."
     )
@@ -225,7 +225,7 @@ def group_of(part: FittedReadings, place: int) -> Group:
 
     place: Among the observations of the fit.
     """
-    readings, estimated = part.readings, not part.weighed
+    readings, estimated = part.readings, not part.has_external_noise
     lone = tuple(sorted({place for one in part.outlying() for place in one.places}))
     return Group(
         readings,
@@ -233,8 +233,8 @@ def group_of(part: FittedReadings, place: int) -> Group:
         part.sigma,
         part.linear.noise_share if estimated else np.ones(readings.size),
         # The noise that is estimated is such that they are what is expected.
-        part.dof if estimated else part.squares,
-        part.dof if estimated else part.freedom,
+        part.noise_dof if estimated else part.chi2,
+        part.noise_dof if estimated else part.residual_dof,
         estimated,
         float(readings.scatter.sum()) / part.noise**2 if estimated else 0.0,
         lone if len(lone) <= _most_lone(part) else (),
@@ -247,7 +247,7 @@ def _explained(
     """Return the finding that residuals follow something, the best explanation first."""
     first = followed.alternatives[0]
     size = equivalent_deviations(followed.p)
-    text = f"The residuals of the {part.words} {clause_of(first)} (p = {followed.p:.2g})."
+    text = f"The residuals of the {part.label} {clause_of(first)} (p = {followed.p:.2g})."
     terms = [other.symbol for other in followed.alternatives if other.kind == TERM]
     if first.kind == TERM:
         terms = terms[1:]
@@ -303,7 +303,7 @@ def lone_or_many(name: str, part: FittedReadings) -> list[Finding]:
         return [_outlying(part, name, one) for one in far_off]
     worst = _outlying(part, name, max(far_off, key=lambda one: abs(one.z)))
     text = (
-        f"{_count(far_off)} of {part.readings.size} {part.words} deviate from the model: so many "
+        f"{_count(far_off)} of {part.readings.size} {part.label} deviate from the model: so many "
         f"suggest a fault of the model rather than of single readings. {worst.text}"
     )
     return [worst.model_copy(update={"text": text})]
@@ -311,7 +311,7 @@ def lone_or_many(name: str, part: FittedReadings) -> list[Finding]:
 
 def _with_many(misfit: Finding, part: FittedReadings, worst: Finding) -> Finding:
     """Return a misfit of known shape with the many positions that it puts off the model."""
-    many = f"{_count(part.outlying())} of {part.readings.size} {part.words} deviate from the model."
+    many = f"{_count(part.outlying())} of {part.readings.size} {part.label} deviate from the model."
     said = {
         "text": f"{misfit.text} {many}",
         "size": max(misfit.size or 0.0, worst.size or 0.0),
@@ -345,7 +345,7 @@ def _outlying(part: FittedReadings, name: str, one: Outlying) -> Finding:
         f"{format_number(one.residual * 1e6, 3)} ug, {deviations} standard deviations: "
         f"check this reading{_and_rate(part)}, or look for a missing term.",
         size=abs(one.z),
-        contradicts=abs(one.z) > CONTRADICTION_SIGMAS and math.isinf(part.dof),
+        contradicts=abs(one.z) > CONTRADICTION_SIGMAS and math.isinf(part.noise_dof),
     )
 
 
@@ -357,10 +357,10 @@ def no_more_than_rounded(views: Sequence[AccelerometerView]) -> Iterator[str]:
     """Yield a remark for each motion in which readings show no more noise than their digits."""
     for view in views:
         for part in readings_of(view):
-            if part.readings.u is None and part.weighed:
+            if part.readings.u is None and part.has_external_noise:
                 size = format_number(part.readings.least_noise * 1e6, 2)
                 yield (
-                    f"{view.name}: the {part.words} follow the model to their last digit. Their "
+                    f"{view.name}: the {part.label} follow the model to their last digit. Their "
                     f"noise is assumed to be rounding, {size} ug; if it is larger, "
                     "state it with each reading (±)."
                 )
@@ -372,7 +372,7 @@ def outliers_of_means(name: str, means: Mapping[tuple[str, str], RecordMean]) ->
         finding
         for (owner, reading), mean in means.items()
         if owner == name
-        for finding in many_outliers(f"{name}.{reading}", mean.report.counts())
+        for finding in check_outlier_share(f"{name}.{reading}", mean.report.counts())
     ]
 
 
@@ -395,7 +395,7 @@ def overstated_noise(views: Sequence[AccelerometerView]) -> Iterator[str]:
         shown, said = (f"{format_number(1e6 * size, 2)} ug" for size in (times * u, u))
         name = TRIAD if part.readings.triad else part.readings.accelerometer
         yield (
-            f"{name}: the {part.words} scatter by {shown}, {format_number(times, 2)} times "
+            f"{name}: the {part.label} scatter by {shown}, {format_number(times, 2)} times "
             f"the stated uncertainty of {said}. u is too large. "
             "State the noise of single readings, and errors that all of them share as priors."
         )

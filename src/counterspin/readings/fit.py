@@ -82,7 +82,7 @@ def solve_readings(
             model = model.with_default_priors(lacking)
             break
     found = _solved_or_held(readings, model, records, first)
-    return replace(found, groups=tuple(group.under(found.fit) for group in found.groups))
+    return replace(found, groups=tuple(group.evaluate(found.fit) for group in found.groups))
 
 
 def _solved_or_held(
@@ -239,7 +239,7 @@ def _solved(
         for group, part in zip(readings, followed, strict=True)
     ]
     if together is not None:
-        dof = [group.dof for group in together.groups]
+        dof = [group.noise_dof for group in together.groups]
     told = {
         part.source: Noise(size)
         for group, part, size in zip(readings, parts, noise, strict=True)

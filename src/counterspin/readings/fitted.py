@@ -65,11 +65,11 @@ class FittedReadings:
     readings: Measured  #: What was read.
     linear: LinearReadings  #: The same linearised at the estimate, each with its uncertainty.
     noise: float  #: Of one repeat where it was estimated, g; elsewhere it means nothing.
-    dof: float  #: Degrees of freedom of an estimated noise; infinite where it was stated.
-    freedom: float = math.nan  #: Readings less what the fit follows of them.
+    noise_dof: float  #: Degrees of freedom of an estimated noise; infinite where it was stated.
+    residual_dof: float = math.nan  #: Readings less what the fit follows of them.
     #: Reading less model at the estimate, g, shape (n,).
     residuals: Array = field(default_factory=lambda: np.empty(0))
-    squares: float = math.nan  #: Chi-square of the residuals, by noise and considered terms.
+    chi2: float = math.nan  #: Chi-square of the residuals, by noise and considered terms.
     #: Each reading by itself, and for each position that was read more than once its readings.
     single: tuple[Position, ...] = ()
     positions: tuple[Position, ...] = ()
@@ -102,7 +102,7 @@ class FittedReadings:
         return self.readings.u is not None
 
     @property
-    def weighed(self) -> bool:
+    def has_external_noise(self) -> bool:
         """Whether residuals are held against a noise that they did not tell: stated, or the least.
 
         Those that are no more than rounding say nothing of each other's size.
@@ -115,9 +115,9 @@ class FittedReadings:
 
         A noise that was estimated without some terms has more than the fit with these terms leaves.
         """
-        return min(self.dof, self.freedom)
+        return min(self.noise_dof, self.residual_dof)
 
-    def under(self, fit: JointFit) -> Self:
+    def evaluate(self, fit: JointFit) -> Self:
         """Evaluate the same readings under another fit that includes them."""
         group, solution, model = self.readings, fit.solution, fit.model
         place = self.place_in(fit)
@@ -125,7 +125,7 @@ class FittedReadings:
         part = fit.observations[place]
         assert isinstance(part, LinearReadings)
         told = None
-        if not self.weighed:
+        if not self.has_external_noise:
             # Noise is estimated with what is considered among the unknowns.
             told = _NoiseWithout(part.relaxed(len(model.unknowns)), fit.relaxed, group)
 
@@ -135,15 +135,15 @@ class FittedReadings:
         return replace(
             self,
             linear=part,
-            freedom=part.freedom(solution),
+            residual_dof=part.freedom(solution),
             residuals=part.left(solution, model),
-            squares=part.squares(solution, model),
+            chi2=part.squares(solution, model),
             single=tuple(position((place,)) for place in range(group.size)),
             positions=tuple(position(places) for places in group.read_again),
         )
 
     @property
-    def words(self) -> str:
+    def label(self) -> str:
         """The name of these readings."""
         return READINGS[self.readings.motion]
 
@@ -154,7 +154,7 @@ class FittedReadings:
         compared with the noise of the others (externally studentised), at the level of the other
         tests shared out among them. Noise that is hardly known judges nothing.
         """
-        if self.dof < FEWEST_FREEDOM:
+        if self.noise_dof < FEWEST_FREEDOM:
             return []
         every = [*self.positions, *self.single]
         z = [each.beside_others for each in every]
@@ -189,15 +189,15 @@ class FittedReadings:
             places = list(position.places)
             apart += len(places) - 1.0
             within += float(np.sum((own[places] - own[places].mean()) ** 2))
-        left = self.freedom - apart
-        if self.weighed or again + apart < 1.0 or left < 0.5 or scatter + within <= 0.0:
+        left = self.residual_dof - apart
+        if self.has_external_noise or again + apart < 1.0 or left < 0.5 or scatter + within <= 0.0:
             return None
         from scipy.special import fdtrc
 
         weight = again / share**2 + apart
         expected = ((1.0 - share) + share * scatter / again) * again / share**2 if again else 0.0
         expected = (expected + within) / weight
-        return float(fdtrc(left, weight, max(self.squares - within, 0.0) / left / expected))
+        return float(fdtrc(left, weight, max(self.chi2 - within, 0.0) / left / expected))
 
 
 def position_of(

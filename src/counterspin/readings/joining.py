@@ -9,10 +9,15 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
+from counterspin.calibration.accelerometer_view import (
+    AccelerometerView,
+    Contribution,
+    FittedGroup,
+    ReadingData,
+)
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import SQUARES
 from counterspin.calibration.result_parts import Finding, ReadingResult, TriadResult
-from counterspin.calibration.view import AccelerometerView, Contribution, FittedGroup, ReadingData
 from counterspin.campaign.description import Campaign
 from counterspin.errors import CampaignError, NotIdentifiableError
 from counterspin.frozen import frozen
@@ -63,13 +68,13 @@ class TriadData(Protocol):
 class ReadingsAndPoses(ReadingData):
     """Readings and poses of a campaign in a fit, and the records that they are means of."""
 
-    parts: tuple[FittedReadings, ...] = ()  #: With noise of one kind each.
+    groups: tuple[FittedReadings, ...] = ()  #: With noise of one kind each.
     recorded: MeanRecords = field(default_factory=MeanRecords)
     triad: TriadData | None = None
 
     def fields(self, estimate: Estimate) -> Mapping[str, Any]:
         """Return the triad, and the rates of runs on the arm."""
-        triad = self.triad.result(estimate, self.parts) if self.triad else None
+        triad = self.triad.result(estimate, self.groups) if self.triad else None
         return {"triad": triad, "arm_rates": self.recorded.rates}
 
     def contributions(self, views: Sequence[AccelerometerView]) -> dict[str, Contribution]:
@@ -117,7 +122,7 @@ class ReadingsAndPoses(ReadingData):
             )
         return "records", ""
 
-    def fit_turned(
+    def fit_rotated_mounting(
         self,
         estimate: Estimate,
         parts: Sequence[FittedGroup],
@@ -129,7 +134,7 @@ class ReadingsAndPoses(ReadingData):
         for part in parts:
             assert isinstance(part, FittedReadings)
             group = part.readings
-            if not math.isinf(part.dof):
+            if not math.isinf(part.noise_dof):
                 group = group.with_noise(part.noise)
             groups.append(group.turned_about(name, turn))
         if not groups:
@@ -256,7 +261,7 @@ def _effective_dof(dof: np.ndarray, fit: ReadingsFit) -> np.ndarray:
     Satterthwaite's, or fewer where few readings tell a noise, so that the intervals cover. What the
     records' noise adds keeps the records' own degrees of freedom.
     """
-    own = [group.dof for group in fit.groups]
+    own = [group.noise_dof for group in fit.groups]
     of_records = dof if fit.fit.prepared else np.full(dof.size, math.inf)
     every = zip(np.eye(dof.size), of_records.tolist(), strict=True)
     return np.array([dof_of(weights, fit.fit, own, beside) for weights, beside in every])

@@ -13,7 +13,7 @@ from dataclasses import field, replace
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.observed import fit_rotation, recorded_twice
+from counterspin.calibration.observed_runs import duplicate_record_error, fit_rotation
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.reading import MeasuredRate, Reading
 from counterspin.errors import ConvergenceError, NotIdentifiableError, RecordError
@@ -67,7 +67,7 @@ def average_records(campaign: Campaign) -> tuple[list[Reading], MeanRecords]:
         digest = averaged.mean.digest
         earlier = first_with.setdefault(digest, reading) if digest else reading
         if earlier.name != reading.name:
-            raise recorded_twice(campaign, earlier, reading)
+            raise duplicate_record_error(campaign, earlier, reading)
         readings.append(averaged.reading)
         means[reading.accelerometer, reading.name] = averaged.mean
         if averaged.reading.measured is not None:

@@ -9,16 +9,16 @@ from typing import Final
 
 import numpy as np
 
+from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.findings import (
     CONTRADICTION_SIGMAS,
     RESIDUAL_RATIO_LIMIT,
     equivalent_deviations,
-    level_of_methods,
+    method_test_level,
 )
 from counterspin.calibration.model import SQUARES
 from counterspin.calibration.outcome import residual_of
 from counterspin.calibration.result_parts import Coefficient, Finding, MethodAgreement, Shift
-from counterspin.calibration.view import AccelerometerView
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail, normal_cdf
 from counterspin.inference.identifiability import assess
@@ -59,8 +59,8 @@ def compare_methods(views: Sequence[AccelerometerView]) -> dict[str, MethodCompa
             methods[view.name] = MethodComparison([], [], view)
             continue
         results = [_method(view, motion, count, compared[motion]) for motion, count in own.items()]
-        apart = view.with_parts(
-            [part.under(compared[part.readings.motion].alone) for part in parts_of(view)]
+        apart = view.with_groups(
+            [part.evaluate(compared[part.readings.motion].alone) for part in parts_of(view)]
         )
         findings = _disagreement(view, results, _excess(apart))
         methods[view.name] = MethodComparison(
@@ -100,11 +100,11 @@ def _method(
         count=count,
         coefficients={
             symbol: _coefficient(view, compared.alone.solution, symbol, alone[symbol])
-            for symbol in view.places
+            for symbol in view.indices
         },
         without={
             symbol: _shift(compared, place)
-            for symbol, place in view.places.items()
+            for symbol, place in view.indices.items()
             if without[symbol] and math.isfinite(compared.u_shift[place])
         },
         chi2=compared.chi2,
@@ -118,7 +118,7 @@ def _determined(view: AccelerometerView, solution: Solution) -> dict[str, bool]:
     unknowns = view.fit.model.unknowns
     asked = [unknown.name for unknown in view.fit.model.asked]
     determined = assess(solution, asked).determined
-    return {symbol: determined[unknowns[place].name] for symbol, place in view.places.items()}
+    return {symbol: determined[unknowns[place].name] for symbol, place in view.indices.items()}
 
 
 def _squares_known(view: AccelerometerView) -> bool:
@@ -131,7 +131,7 @@ def _squares_known(view: AccelerometerView) -> bool:
 def _coefficient(
     view: AccelerometerView, alone: Solution, symbol: str, determined: bool
 ) -> Coefficient:
-    place = view.places[symbol]
+    place = view.indices[symbol]
     unknown = view.fit.model.unknowns[place]
     return Coefficient(
         value=float(alone.estimate[place]) + unknown.nominal if determined else None,
@@ -161,7 +161,7 @@ def _disagreement(
         if method.p is not None
     ]
     size = max(sizes, default=0.0)
-    if 2.0 * normal_cdf(-size) >= level_of_methods(methods):
+    if 2.0 * normal_cdf(-size) >= method_test_level(methods):
         return []
     # Without the one of the largest chi-square the others are least at odds among themselves.
     method = max(methods, key=lambda method: method.chi2)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import cast
 
-from counterspin.calibration.view import AccelerometerView
+from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.readings.fitted import FittedReadings
 
 
 def parts_of(view: AccelerometerView) -> tuple[FittedReadings, ...]:
     """Return the groups of readings and poses of an accelerometer, poses last."""
-    return cast("tuple[FittedReadings, ...]", view.parts)
+    return cast("tuple[FittedReadings, ...]", view.groups)
 
 
 def readings_of(view: AccelerometerView) -> tuple[FittedReadings, ...]:

@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.calibration.checks.shifts import most_moved, shown_size
-from counterspin.calibration.view import AccelerometerView
+from counterspin.calibration.accelerometer_view import AccelerometerView
+from counterspin.calibration.checks.shifts import format_size, largest_shift
 from counterspin.campaign.conditions import UNKNOWN_WARMING
 from counterspin.campaign.description import Campaign
 from counterspin.inference.diagnostics import SIGNIFICANCE
@@ -68,12 +68,12 @@ def unseen_faults(views: Sequence[AccelerometerView]) -> dict[str, list[str]]:
             if other.kind == REVERSED and size < typical:
                 continue  # There is no part of it: the tests would notice the whole.
             for view in views:
-                symbol, shift, times = most_moved(view, (), size * moved[:, k])
+                symbol, shift, times = largest_shift(view, (), size * moved[:, k])
                 times *= _shrunk(view, fit, symbol, part, size * float(left[k]))
                 before = found[view.name].get(other.kind, (_WORTH_STATING, ""))
                 if times > before[0]:
                     clause = f"{_words(other, size)} moves {symbol} by "
-                    clause += f"{shown_size(symbol, abs(shift), 3)} ({times:.2g} times its u)"
+                    clause += f"{format_size(symbol, abs(shift), 3)} ({times:.2g} times its u)"
                     found[view.name][other.kind] = times, clause
     return {
         name: [clause for _, clause in sorted(faults.values(), reverse=True)]
@@ -98,7 +98,7 @@ def _noticed_from(part: FittedReadings, tests: int) -> float:
     An estimated noise is compared with what the other residuals tell of it.
     """
     level = 0.5 * SIGNIFICANCE / max(tests, 1)
-    others = part.dof - 1.0
+    others = part.noise_dof - 1.0
     return -student_quantile(others, 0.5 * level) if others >= 1.0 else math.inf
 
 
@@ -109,12 +109,12 @@ def _shrunk(
 
     left: Of the fault in the residuals, in standard deviations.
     """
-    if not symbol or part.weighed or not left:
+    if not symbol or part.has_external_noise or not left:
         return 1.0
-    place = view.places[symbol]
+    place = view.indices[symbol]
     variance = float(view.fit.solution.covariance[place, place])
     by_noise = float(fit.solution.covariance_noise[place, place]) / variance
-    return 1.0 / math.sqrt(1.0 + min(by_noise, 1.0) * left**2 / max(part.dof, 1.0))
+    return 1.0 / math.sqrt(1.0 + min(by_noise, 1.0) * left**2 / max(part.noise_dof, 1.0))
 
 
 def _typical(campaign: Campaign, part: FittedReadings, fault: Alternative) -> float | None:
@@ -139,9 +139,9 @@ def _words(fault: Alternative, size: float) -> str:
     if fault.kind == REVERSED:
         return "a rotation in the other sense than stated"
     if fault.kind == STEP:
-        return f'a bias step of {shown_size("K_F", size, 3)} from "{fault.symbol}" on'
+        return f'a bias step of {format_size("K_F", size, 3)} from "{fault.symbol}" on'
     if fault.kind == RANGE:
         return f"a change of the meter's gain by {1e6 * size:.2g} ppm above {fault.symbol}"
     if fault.kind == TURN:
         return f"a head that gains {2.0 * math.pi * size / ARCSEC:.2g} arcsec a turn"
-    return f"a drift of the bias by {shown_size('K_F', size, 3)} during the series"
+    return f"a drift of the bias by {format_size('K_F', size, 3)} during the series"

@@ -7,12 +7,12 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Final
 
-from counterspin.calibration.joint import joint
+from counterspin.calibration.joint import fit_jointly
 from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.observed import observe
+from counterspin.calibration.observed_runs import observe
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.result_parts import AccelerometerResult
-from counterspin.calibration.two_stage.method import TwoStageOutcome, two_stage
+from counterspin.calibration.two_stage.method import TwoStageOutcome, calibrate_accelerometer
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.errors import CounterspinError
@@ -76,9 +76,11 @@ def demo(folder: Path | str = DEFAULT_FOLDER, *, overwrite: bool = False) -> Dem
     return Demonstration(
         campaign=campaign,
         records=records,
-        joint=joint(problem).accelerometers[accelerometer.name],
-        two_stage=two_stage(problem, accelerometer, TwoStageOptions(), {}, problem.series),
-        as_printed=two_stage(problem, accelerometer, _AS_PRINTED, {}, problem.series),
+        joint=fit_jointly(problem).accelerometers[accelerometer.name],
+        two_stage=calibrate_accelerometer(
+            problem, accelerometer, TwoStageOptions(), {}, problem.series
+        ),
+        as_printed=calibrate_accelerometer(problem, accelerometer, _AS_PRINTED, {}, problem.series),
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.two_stage.method import request_of
+from counterspin.calibration.two_stage.method import make_request
 from counterspin.campaign.description import Campaign
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
@@ -80,7 +80,7 @@ def analyses_of(study: StudyDescription) -> tuple[Analysis, ...]:
                 "angle); without it study the joint fit alone ([study.analyses])"
             )
         for owner, accelerometer in campaign.accelerometers.items():
-            request = request_of(problem, accelerometer, options)
+            request = make_request(problem, accelerometer, options)
             analyses.append(Analysis(name, owner, request, joint))
     return tuple(analyses)
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, Field, create_model
 
-from counterspin.calibration.model import inputs_by_owner, model_of
+from counterspin.calibration.model import inputs_by_owner, make_unknowns
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.campaign.checking import Problems, Section, did_you_mean
 from counterspin.campaign.description import Campaign, resolve_campaign
@@ -276,7 +276,7 @@ def _known(campaign: Campaign, varying: Sequence[VariedQuantity]) -> Iterator[Va
     known |= {("", symbol) for symbol in truth.machine} | truth.inputs.keys()
     known |= {("", symbol) for run in truth.runs.values() for symbol in run.shared}
     stated = inputs_by_owner(campaign)
-    model = model_of(campaign)
+    model = make_unknowns(campaign)
     for parameter in (*model.unknowns, *model.considered):
         owner = parameter.owner if parameter.symbol in {**ACCELEROMETER_TERMS, **INPUTS} else ""
         if parameter.asked or parameter.prior[1] == 0.0 or (owner, parameter.symbol) in known:

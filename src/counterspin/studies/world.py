@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.joint_problem import stated_times
+from counterspin.calibration.joint_problem import stated_timing_noise
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import true_noise
@@ -165,7 +165,7 @@ def world_of(campaign: Campaign) -> World:
             flicker=float(noise.flicker),
             bias_walk=float(noise.bias_walk),
         ),
-        stated_times=stated_times(campaign),
+        stated_times=stated_timing_noise(campaign),
         conditions=tuple(conditions_of(campaign).values()),
         recorders=tuple(campaign.recording_of(run).recorder for run in campaign.runs),
     )

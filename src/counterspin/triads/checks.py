@@ -8,7 +8,7 @@ from typing import Final
 from counterspin.calibration.findings import (
     CONTRADICTION_SIGMAS,
     equivalent_deviations,
-    lack_of_fit,
+    lack_of_fit_finding,
 )
 from counterspin.calibration.outcome import residual_of
 from counterspin.calibration.result_parts import Finding
@@ -37,15 +37,15 @@ def pose_findings(fit: JointFit, posed: Sequence[FittedReadings]) -> list[Findin
     """
     findings = []
     for part, followed in zip(posed, _followed_by_poses(fit, posed), strict=True):
-        if part.dof < FEWEST_FREEDOM:
+        if part.noise_dof < FEWEST_FREEDOM:
             findings.append(too_few_to_test(TRIAD, part))
-        elif part.freedom < FEWEST_FREEDOM:
+        elif part.residual_dof < FEWEST_FREEDOM:
             findings.append(_few_poses_left(part))
         residual = residual_of([part])
         p = residual.lack_of_fit_p
         if p is not None and p < 0.5 * SIGNIFICANCE / len(posed):
-            said = f"The residuals of the {part.words} do not agree with the stated noise"
-            findings.append(lack_of_fit(TRIAD, [f"{said} (p = {p:.2g})."], residual))
+            said = f"The residuals of the {part.label} do not agree with the stated noise"
+            findings.append(lack_of_fit_finding(TRIAD, [f"{said} (p = {p:.2g})."], residual))
         findings += [_explained_poses(part, followed)] if followed else []
         findings += lone_or_many(TRIAD, part)
     return findings
@@ -87,14 +87,14 @@ def _explained_poses(part: FittedReadings, followed: Followed) -> Finding:
     return Finding(
         code="lack-of-fit",
         subject=TRIAD,
-        text=f"The residuals of the {part.words} {clause} (p = {followed.p:.2g}).{cure}",
+        text=f"The residuals of the {part.label} {clause} (p = {followed.p:.2g}).{cure}",
         size=size,
         contradicts=size > CONTRADICTION_SIGMAS,
     )
 
 
 def _few_poses_left(part: FittedReadings) -> Finding:
-    left = format_number(part.freedom, 2) if part.freedom >= 0.05 else "no"
+    left = format_number(part.residual_dof, 2) if part.residual_dof >= 0.05 else "no"
     text = (
         f"{part.readings.size} poses leave {left} degrees of freedom after the estimation: "
         "their residuals cannot be tested. Take more of them."

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.result_parts import Finding, TriadResult
-from counterspin.calibration.view import AccelerometerView
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import Estimate

@@ -273,7 +273,7 @@ def _dof(estimated: Estimate, slopes: Array, read: Sequence[FittedReadings]) -> 
     fit, of_records = estimated.fit, math.inf
     if fit.prepared:
         of_records = float(np.min(estimated.dof[np.abs(slopes) > _NOTHING]))
-    dof = [part.dof for part in read]
+    dof = [part.noise_dof for part in read]
     return dof_of(slopes, fit, dof, of_records)
 
 

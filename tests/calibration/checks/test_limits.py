@@ -10,7 +10,7 @@ from reading_descriptions import ACCELEROMETER, at_rest, place
 
 from counterspin import validation
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.checks.limits import incredible
+from counterspin.calibration.checks.limits import check_credibility
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.campaign.description import read_campaign
 from counterspin.histories.history import history
@@ -127,7 +127,9 @@ def estimate(value, u, *, estimated=True, unit="g/g^2"):
 )
 def test_three_standard_uncertainties_beyond(tmp_path, value, u, estimated, told):
     campaign = read_campaign(write(tmp_path, SMALL))
-    found = incredible(campaign.limit_of, "Qx", {"K_II": estimate(value, u, estimated=estimated)})
+    found = check_credibility(
+        campaign.limit_of, "Qx", {"K_II": estimate(value, u, estimated=estimated)}
+    )
     assert [finding.subject for finding in found] == ["Qx.K_II"] * told
 
 

@@ -12,9 +12,9 @@ from reading_descriptions import ACCELEROMETER, at_rest, place
 from scipy import stats
 
 import triads
+from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.checks.residuals import hidden_walk
-from counterspin.calibration.view import AccelerometerView
+from counterspin.calibration.checks.residuals import undetected_walk_remarks
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.simulation.simulate import simulate
 
@@ -57,14 +57,14 @@ def walking(share: float, name: str = "Qx") -> AccelerometerView:
 
 
 def test_noise_that_is_most_of_k_ii_without_showing_is_remarked_on():
-    (remark,) = hidden_walk([walking(0.8)])
+    (remark,) = undetected_walk_remarks([walking(0.8)])
     assert remark.startswith("Qx: 80% of u^2 of K_II")
     assert "acceleration in [noise]" in remark
 
 
 def test_a_smaller_part_or_another_s_noise_is_not():
-    assert list(hidden_walk([walking(0.3)])) == []
-    assert list(hidden_walk([walking(0.8, name="Qy")])) == []
+    assert list(undetected_walk_remarks([walking(0.3)])) == []
+    assert list(undetected_walk_remarks([walking(0.8, name="Qy")])) == []
 
 
 # Noise that is stated too large

@@ -7,7 +7,7 @@ import pytest
 from campaigns import SMALL, changed, write
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.checks.small_angles import large_drifts
+from counterspin.calibration.checks.small_angles import check_drifts
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.physics.terms import DEGREE_PER_HOUR
@@ -86,7 +86,7 @@ def test_a_drift_is_large_for_the_length_of_the_runs(drift, u, longest, words):
     unknown = Unknown("", "platform.drift.north", (0.0, np.inf), 1e-4)
     value, u = -drift * DEGREE_PER_HOUR, u * DEGREE_PER_HOUR
     fitted = Coefficient(value=value, u=u, unit="rad/s", estimated=True)
-    findings = large_drifts({unknown: fitted}, longest)
+    findings = check_drifts({unknown: fitted}, longest)
     assert len(findings) == bool(words)
     assert all(words in finding.text for finding in findings)
     assert all(finding.subject == "platform.drift.north" for finding in findings)

@@ -10,13 +10,13 @@ from campaigns import changed
 from mistaken_campaigns import NOISE, RUNS, SOUND, Mistake, make_records, mistaken
 from results import accelerometer
 
+from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.checks.residuals import residual_findings
-from counterspin.calibration.diagnosis import search
-from counterspin.calibration.joint_problem import JointProblem, noise_of, series_of
-from counterspin.calibration.model import model_of
-from counterspin.calibration.observed import observe
+from counterspin.calibration.diagnosis import ranking, search
+from counterspin.calibration.joint_problem import JointProblem, make_noise, make_series
+from counterspin.calibration.model import make_unknowns
+from counterspin.calibration.observed_runs import observe
 from counterspin.calibration.outcome import noise_lines, residual
-from counterspin.calibration.view import AccelerometerView
 from counterspin.campaign.description import read_campaign
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint import mistakes
@@ -39,22 +39,22 @@ class Campaigns:
         where = mistaken(folder / "own", Mistake("", ""), records)
         (where / "campaign.toml").write_text(text, encoding="utf-8")
         self.campaign = read_campaign(where / "campaign.toml")
-        self.clean = series_of(self.campaign, list(observe(self.campaign)))
-        self.model, self.walk, self.columns = model_of(self.campaign), walk, {}
+        self.clean = make_series(self.campaign, list(observe(self.campaign)))
+        self.model, self.walk, self.columns = make_unknowns(self.campaign), walk, {}
 
     def drawn(self, rng):
         """Return the causes that are found in one of them."""
         known = [u for u in self.model.unknowns if math.isfinite(u.prior[1])]
         off = {unknown: unknown.prior[1] * rng.standard_normal() for unknown in known}
         series = [self._noisy(i, one, off, rng) for i, one in enumerate(self.clean)]
-        found = estimate(series, self.model, noise_of(self.campaign))
+        found = estimate(series, self.model, make_noise(self.campaign))
         names = [unknown.name for unknown in self.model.asked]
         determined = assess(found.fit.solution, names)
         views = [
             AccelerometerView(JointProblem(self.campaign), found, determined, name)
             for name in self.campaign.accelerometers
         ]
-        return search.causes_of(views, {view.name: result_of(view) for view in views})
+        return search.find_causes(views, {view.name: result_of(view) for view in views})
 
     def _noisy(self, i, one, off, rng):
         error = one.error + WHITE / np.sqrt(one.count) * rng.standard_normal(one.error.size)
@@ -102,7 +102,9 @@ def test_good_campaigns_are_blamed_in_one_of_a_hundred(given, walk, trials, tmp_
 
 def test_where_nothing_is_suspicious_nothing_is_tried(tmp_path, monkeypatch):
     campaigns = Campaigns(tmp_path, SOUND, 0.0)
-    monkeypatch.setattr(search, "_others", lambda *_: pytest.fail("alternatives were tried"))
+    monkeypatch.setattr(
+        search, "_alternative_hypotheses", lambda *_: pytest.fail("alternatives were tried")
+    )
     monkeypatch.setattr(search, "_is_suspicious", lambda *_: False)
     for seed in range(3):
         assert campaigns.drawn(np.random.default_rng(seed)) == ()
@@ -111,7 +113,7 @@ def test_where_nothing_is_suspicious_nothing_is_tried(tmp_path, monkeypatch):
 def test_every_alternative_has_a_credible_limit(tmp_path):
     """What an input would be is possible: no latitude beyond the poles, no gravity but Earth's."""
     given = Campaigns(tmp_path, SOUND, 0.0)
-    found = estimate(given.clean, given.model, noise_of(given.campaign))
+    found = estimate(given.clean, given.model, make_noise(given.campaign))
     now = replace(found, fit=relax(found.fit), core=None)
     names = [unknown.name for unknown in given.model.asked]
     determined = assess(found.fit.solution, names)
@@ -119,8 +121,8 @@ def test_every_alternative_has_a_credible_limit(tmp_path):
         AccelerometerView(JointProblem(given.campaign), found, determined, name)
         for name in given.campaign.accelerometers
     ]
-    others = [*of_priors(now.fit), *search._others(views, now)]
-    every = search._possible(given.campaign, others)
+    others = [*of_priors(now.fit), *search._alternative_hypotheses(views, now)]
+    every = search._with_input_ranges(given.campaign, others)
     assert len(every) > 100
     assert all(math.isfinite(end) for other in every for end in other.between)
     latitude, gravity = (
@@ -149,14 +151,14 @@ def test_what_rounding_alone_tells_apart_stands_in_order(off):
     stated = tuple(Alternative("prior", *name) for name in names)
     u = np.array([1.0, 3.0, 2.0])
     size = 8.0 * np.array([1.0 + off, 1.0, 1.0 - off])
-    found = search._with_rivals(Scores(stated, size * u, u, size, 1e4), int(np.argmax(size)), True)
-    assert found.head.symbol == "centrifuge.radius"
+    found = ranking._rank_rivals(Scores(stated, size * u, u, size, 1e4), int(np.argmax(size)), True)
+    assert found.alternative.symbol == "centrifuge.radius"
     assert [other.symbol for other, _ in found.rivals] == ["K_I", "K_F"]
 
 
 def test_a_tilt_of_all_runs_is_one_alternative(tmp_path):
     given = Campaigns(tmp_path, SOUND, 0.0)
-    found = estimate(given.clean, given.model, noise_of(given.campaign))
+    found = estimate(given.clean, given.model, make_noise(given.campaign))
     terms = {
         Considered(run, "platform.tilt.up", (0.0, 0.0), 1e-2): 5e-5
         for run in ("slow", "middle", "fast")
@@ -190,6 +192,6 @@ def test_a_latitude_far_from_the_stated_one_stands_behind_a_term_that_explains_a
     values = np.array([value, 5e-4])
     size = np.array([8.0, 8.0])
     every = Scores((latitude, large), values, np.abs(values) / size, size, 1e4)
-    found = search._with_rivals(every, 0, True)
-    assert found.head.symbol == first
+    found = ranking._rank_rivals(every, 0, True)
+    assert found.alternative.symbol == first
     assert len(found.rivals) == 1

@@ -14,10 +14,10 @@ from scipy.special import chdtrc, stdtrit
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.checks import residuals
 from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.observed import observe
-from counterspin.calibration.options import TwoStageOptions, command_words
+from counterspin.calibration.observed_runs import observe
+from counterspin.calibration.options import TwoStageOptions, command_arguments
 from counterspin.calibration.result import Result
-from counterspin.calibration.two_stage.method import two_stage, two_stage_view
+from counterspin.calibration.two_stage.method import calibrate_accelerometer, two_stage_view
 from counterspin.campaign.description import read_campaign
 from counterspin.cli import main
 from counterspin.errors import NotIdentifiableError
@@ -156,7 +156,7 @@ def test_tilt_is_held_run_by_run(tmp_path):
     folder = made(tmp_path, tilt)
     campaign = read_campaign(folder)
     problem = JointProblem(campaign, list(observe(campaign)))
-    outcome = two_stage(
+    outcome = calibrate_accelerometer(
         problem, campaign.accelerometers["Qx"], TwoStageOptions(), {}, problem.series
     )
     gain = outcome.second.gain[0]
@@ -292,7 +292,7 @@ def test_noise_that_does_not_show_is_remarked_on(tmp_path, monkeypatch):
     known = qx(result_of(tmp_path / "known")).coefficients["K_II"].u
     share = 1.0 - (known / u) ** 2
     for part, count in ((0.9, 1), (1.1, 0)):
-        monkeypatch.setattr(residuals, "_HIDDEN_SHARE", part * share)
+        monkeypatch.setattr(residuals, "_MAX_UNDETECTED_SHARE", part * share)
         result = calibrate(folder, method="two-stage")
         remarks = [
             remark for remark in result.warnings if "of K_II comes from white noise" in remark
@@ -372,7 +372,9 @@ def test_k_ii_alone_is_that_of_the_whole_result(tmp_path, asked):
     campaign = read_campaign(made(tmp_path, asked))
     problem = JointProblem(campaign, list(observe(campaign)))
     for accelerometer in campaign.accelerometers.values():
-        whole = two_stage(problem, accelerometer, TwoStageOptions(), {}, problem.series)
+        whole = calibrate_accelerometer(
+            problem, accelerometer, TwoStageOptions(), {}, problem.series
+        )
         view, second = two_stage_view(problem, accelerometer, TwoStageOptions(), {}, problem.series)
         expected = whole.result.coefficients["K_II"]
         assert view.assessment.determined[f"{accelerometer.name}.K_II"] == expected.estimated
@@ -566,7 +568,7 @@ def test_whole_trials_scatter_as_they_claim(tmp_path):
         simulate(campaign, folder)
         problem = JointProblem(campaign, list(observe(campaign)))
         for name, truth in K_II.items():
-            found = two_stage(
+            found = calibrate_accelerometer(
                 problem, campaign.accelerometers[name], TwoStageOptions(), {}, problem.series
             )
             c = found.result.coefficients["K_II"]
@@ -598,10 +600,10 @@ def test_options_in_words_are_those_that_the_command_line_takes(key, tmp_path, m
         "counterspin.calibration.calibrate.calibrate",
         lambda _where, *, options, **_: seen.append(options) or 1 / 0,
     )
-    main(["calibrate", str(tmp_path), *command_words("two-stage", options)])
+    main(["calibrate", str(tmp_path), *command_arguments("two-stage", options)])
     assert seen == [options]
-    assert command_words("two-stage", TwoStageOptions()) == ["--method=two-stage"]
-    assert command_words("joint", TwoStageOptions()) == []
+    assert command_arguments("two-stage", TwoStageOptions()) == ["--method=two-stage"]
+    assert command_arguments("joint", TwoStageOptions()) == []
 
 
 # --- the scale factor, which strobes do not see ---------------------------------------------------

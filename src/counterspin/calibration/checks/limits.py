@@ -24,13 +24,13 @@ from counterspin.physics.terms import (
 from counterspin.reports.numbers import field_unit, format_estimate, format_number
 
 #: An estimate may be beyond its largest credible size by so many of its standard uncertainties.
-_ALLOWED: Final = 3.0
+_MAX_SIGMAS: Final = 3.0
 
 #: What is unstated may be so many times its typical size.
-_TYPICAL_SIZES: Final = 4.0
+_MAX_DEFAULT_SDS: Final = 4.0
 
 #: A scale factor is off by a unit that it is this near to, of its size; 9.8 is not 10.
-_ALIKE: Final = 0.01
+_RATIO_TOLERANCE: Final = 0.01
 
 _GRAVITY: Final = 9.80665  #: m/s^2
 
@@ -38,7 +38,7 @@ _GRAVITY: Final = 9.80665  #: m/s^2
 _POWERS: Final = (-9, -6, -4, -3, -2, -1, 1, 2, 3, 4, 6, 9)
 
 #: The first of these that a symbol begins with says what is likely.
-_LIKELY: Final = {
+_LIKELY_CAUSES: Final = {
     "K_F.temperature": "the unit of the temperatures, or their assignment to positions",
     "K_I.temperature": "the unit of the temperatures, or their assignment to positions",
     "K_II.temperature": "the unit of the temperatures, or their assignment to positions",
@@ -57,7 +57,7 @@ _LIKELY: Final = {
 
 
 #: Symbol of a term and its accelerometer, empty of others' -> the largest credible size.
-LimitOf = Callable[[str, str], float]
+LimitFunction = Callable[[str, str], float]
 
 
 def widest_limit(symbol: str, owner: str) -> float:  # noqa: ARG001 -- as campaigns answer
@@ -65,8 +65,8 @@ def widest_limit(symbol: str, owner: str) -> float:  # noqa: ARG001 -- as campai
     return max(term(symbol).sizes(grade).limit for grade in GRADES)
 
 
-def incredible(
-    limit_of: LimitOf, name: str, coefficients: Mapping[str, Coefficient]
+def check_credibility(
+    limit_of: LimitFunction, name: str, coefficients: Mapping[str, Coefficient]
 ) -> Iterator[Finding]:
     """Yield a finding if coefficients of an accelerometer are beyond what is credible.
 
@@ -74,21 +74,22 @@ def incredible(
 
     coefficients: Symbol -> estimate, in g-units.
     """
-    found = {
+    findings = {
         symbol: finding
         for symbol, c in coefficients.items()
         if symbol in ACCELEROMETER_TERMS
-        and (finding := _finding(limit_of, name, symbol, f"{name}.{symbol}", c)) is not None
+        and (finding := _credibility_finding(limit_of, name, symbol, f"{name}.{symbol}", c))
+        is not None
     }
-    scale = found.pop("K_I", None)
+    scale = findings.pop("K_I", None)
     if scale is None:
-        yield from found.values()
+        yield from findings.values()
     else:
-        yield scale.model_copy(update={"explains": list(found.values())})
+        yield scale.model_copy(update={"explains": list(findings.values())})
 
 
-def incredible_shared(
-    limit_of: LimitOf, coefficients: Iterable[tuple[str, str, Coefficient]]
+def check_shared_credibility(
+    limit_of: LimitFunction, coefficients: Iterable[tuple[str, str, Coefficient]]
 ) -> Iterator[Finding]:
     """Yield the findings on what platform, machine and runs have; deviations from nominal, SI.
 
@@ -97,74 +98,75 @@ def incredible_shared(
     """
     for symbol, name, c in coefficients:
         if is_term(symbol):
-            finding = _finding(limit_of, "", symbol, name, c)
+            finding = _credibility_finding(limit_of, "", symbol, name, c)
             if finding is not None:
                 yield finding
 
 
-def beyond_typical(rests_on: Sequence[Knowledge]) -> Iterator[Finding]:
+def check_default_priors(rests_on: Sequence[Knowledge]) -> Iterator[Finding]:
     """Yield a finding for each thing unstated that comes out far from nothing."""
     for row in rests_on:
         if row.kind != "unstated" or row.found is None or row.u_found is None:
             continue
-        times = abs(row.found - row.value) / row.u
-        if times <= _TYPICAL_SIZES:
+        ratio = abs(row.found - row.value) / row.u
+        if ratio <= _MAX_DEFAULT_SDS:
             continue
         unit, factor = field_unit(row.unit)
-        found = format_estimate(row.found * factor, row.u_found * factor, unit)
+        estimate = format_estimate(row.found * factor, row.u_found * factor, unit)
         size = f"{format_number(row.u * factor, 2)} {unit}"
         text = (
-            f"{row.name}, which is not stated, is estimated as {found}: {format_number(times, 2)} "
+            f"{row.name}, which is not stated, is estimated as {estimate}: "
+            f"{format_number(ratio, 2)} "
             f"times the typical size, {size}. State what is known of it in [model.priors], or "
             "look for a mistake that has the same effect."
         )
-        yield Finding(code="beyond-typical", subject=row.name, text=text, size=times)
+        yield Finding(code="beyond-typical", subject=row.name, text=text, size=ratio)
 
 
-def _finding(
-    limit_of: LimitOf, owner: str, symbol: str, subject: str, c: Coefficient
+def _credibility_finding(
+    limit_of: LimitFunction, owner: str, symbol: str, subject: str, c: Coefficient
 ) -> Finding | None:
     """Return the finding on one estimate; None if it is credible or there is none."""
     if not c.estimated or c.value is None or c.u is None:
         return None
     row, limit = term(symbol), limit_of(symbol, owner)
-    beyond = abs(c.value - row.nominal) - limit
-    if beyond <= _ALLOWED * c.u:
+    excess = abs(c.value - row.nominal) - limit
+    if excess <= _MAX_SIGMAS * c.u:
         return None
-    far = f"more than {format_number(limit)} {c.unit}"
-    far += f" from {row.nominal:g}" if row.nominal else ""
-    likely = _of_scale(c.value, limit) if symbol == "K_I" else _likely(symbol)
+    excess_text = f"more than {format_number(limit)} {c.unit}"
+    excess_text += f" from {row.nominal:g}" if row.nominal else ""
+    cause = _scale_factor_cause(c.value, limit) if symbol == "K_I" else _likely_cause(symbol)
     grade = f" state its grade in accelerometers.{owner}, or" if owner else ""
     text = (
-        f"{symbol} = {format_number(c.value, 5)} {c.unit} is not credible: {far}. "
+        f"{symbol} = {format_number(c.value, 5)} {c.unit} is not credible: {excess_text}. "
         f"The records cannot show why. Check "
-        f"{likely}. If the value is real,{grade} raise {symbol} in [model.limits]."
+        f"{cause}. If the value is real,{grade} raise {symbol} in [model.limits]."
     )
     return Finding(
         code="incredible",
         subject=subject,
         text=text,
-        size=beyond / c.u if c.u > 0.0 else None,
+        size=excess / c.u if c.u > 0.0 else None,
         contradicts=True,
     )
 
 
-def _likely(symbol: str) -> str:
-    return next(words for start, words in _LIKELY.items() if symbol.startswith(start))
+def _likely_cause(symbol: str) -> str:
+    return next(cause for prefix, cause in _LIKELY_CAUSES.items() if symbol.startswith(prefix))
 
 
-def _of_scale(value: float, limit: float) -> str:
+def _scale_factor_cause(value: float, limit: float) -> str:
     """Return the likely cause of an incredible scale factor: a sign, a unit, a column."""
     factors = dict.fromkeys((_GRAVITY, 1.0 / _GRAVITY), "a unit, m/s^2 against g")
     factors |= {10.0**power: f"a unit off by a power of ten, 1e{power}" for power in _POWERS}
     # The true one may be as far from 1 as instruments of its grade are.
-    alike = max(_ALIKE, 0.1 * limit)
-    near = [factor for factor in (1.0, *factors) if abs(abs(value) / factor - 1.0) <= alike]
+    tolerance = max(_RATIO_TOLERANCE, 0.1 * limit)
+    matches = [factor for factor in (1.0, *factors) if abs(abs(value) / factor - 1.0) <= tolerance]
     causes = []
-    if value < -limit or (value < 0.0 and near):
+    if value < -limit or (value < 0.0 and matches):
         causes.append("the sign of the output, the sense of the input axis and of the attitudes")
-    if 1.0 not in near and near:
-        causes.append(", or ".join(factors[factor] for factor in near))
-    elif not near and abs(value) <= limit:
+    if 1.0 not in matches and matches:
+        causes.append(", or ".join(factors[factor] for factor in matches))
+    elif not matches and abs(value) <= limit:
         causes.append("whether column or accelerometer are mixed up")
     return ", and ".join(causes) or "the sensitivity and its unit, or the range of the readout"

@@ -6,17 +6,17 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import Final
 
-from counterspin.calibration.findings import equivalent_deviations, lack_of_fit
-from counterspin.calibration.outcome import found_timing, residual
+from counterspin.calibration.accelerometer_view import AccelerometerView
+from counterspin.calibration.findings import equivalent_deviations, lack_of_fit_finding
+from counterspin.calibration.outcome import estimated_timing_noise, residual
 from counterspin.calibration.result_parts import Finding
-from counterspin.calibration.view import AccelerometerView
 from counterspin.inference.diagnostics import FALSE_ALARMS
 from counterspin.inference.joint.agreement import slow_parts
 from counterspin.inference.joint.fit import relax
 from counterspin.reports.numbers import format_number
 
 #: Share of u^2 above which noise that the records do not show is mentioned.
-_HIDDEN_SHARE: Final = 0.5
+_MAX_UNDETECTED_SHARE: Final = 0.5
 
 
 def residual_findings(view: AccelerometerView) -> list[Finding]:
@@ -26,11 +26,11 @@ def residual_findings(view: AccelerometerView) -> list[Finding]:
         return findings
     tests = view.diagnostics
     if tests.findings:
-        findings.insert(0, lack_of_fit(view.name, tests.findings, residual(view)))
-    return [*findings, *_noise_that_differs(view)]
+        findings.insert(0, lack_of_fit_finding(view.name, tests.findings, residual(view)))
+    return [*findings, *_compare_run_noise(view)]
 
 
-def _noise_that_differs(view: AccelerometerView) -> list[Finding]:
+def _compare_run_noise(view: AccelerometerView) -> list[Finding]:
     """Return a finding where one run shows more of the noise that was found than the others."""
     components = view.estimate.components.get(view.name)
     if components is None or "random_walk" not in components.estimated:
@@ -63,34 +63,42 @@ def _noise_that_differs(view: AccelerometerView) -> list[Finding]:
 # Remarks
 
 
-def other_noise(views: Iterable[AccelerometerView]) -> Iterator[str]:
+def noise_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
     """Yield remarks on noise that is not independent, or uneven: rows and weights follow it."""
     for view in views:
-        if thinned := {one.run: one.every for one in view.series if one.every > 1}:
-            which = ", ".join(f"one in {every} of {run}" for run, every in thinned.items())
+        if thinned := {series.run: series.every for series in view.series if series.every > 1}:
+            strides = ", ".join(f"one in {stride} of {run}" for run, stride in thinned.items())
             yield (
                 f"{view.name}: adjacent rows have nearly the same error, as after a filter in the "
-                f"recorder or with a coarse resolution. Only independent rows are used: {which}."
+                f"recorder or with a coarse resolution. Only independent rows are used: {strides}."
             )
-        sizes = {one.run: math.sqrt(one.relative) for one in view.series}
-        quiet, loud = (choose(sizes, key=sizes.__getitem__, default="") for choose in (min, max))
-        if sizes and sizes[loud] > sizes[quiet]:
-            ratio = sizes[loud] / sizes[quiet]
+        sizes = {series.run: math.sqrt(series.relative) for series in view.series}
+        quietest, noisiest = (
+            select(sizes, key=sizes.__getitem__, default="") for select in (min, max)
+        )
+        if sizes and sizes[noisiest] > sizes[quietest]:
+            ratio = sizes[noisiest] / sizes[quietest]
             yield (
-                f"{view.name}: the noise of {loud} is {ratio:.2g} times that of {quiet}. Each run "
+                f"{view.name}: the noise of {noisiest} is {ratio:.2g} times that of {quietest}. "
+                "Each run "
                 "is weighted with its own. Find out why, and whether more than noise differs."
             )
-        if timing := found_timing(view):
-            shown, done = "the noise follows the slope of the signal", "Rows are weighted"
-            if any(one.share > 0.0 for one in view.series):
-                shown, done = "angle and signal err together", "Times are corrected by the angle"
+        if timing := estimated_timing_noise(view):
+            symptom, action = "the noise follows the slope of the signal", "Rows are weighted"
+            if any(series.share > 0.0 for series in view.series):
+                symptom, action = (
+                    "angle and signal err together",
+                    "Times are corrected by the angle",
+                )
             yield (
-                f"{view.name}: {shown}, as if the time stamps scattered by {timing * 1e6:.2g} us. "
-                f"{done} accordingly. If the time stamps do scatter, state it as timing in [noise]."
+                f"{view.name}: {symptom}, as if the time stamps scattered by {timing * 1e6:.2g} "
+                "us. "
+                f"{action} accordingly. If the time stamps do scatter, state it as timing in "
+                "[noise]."
             )
 
 
-def hidden_walk(views: Iterable[AccelerometerView]) -> Iterator[str]:
+def undetected_walk_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
     """Yield a remark where most of u^2 of K_II is noise that the records do not show.
 
     u holds it, so nothing speaks against the result.
@@ -101,7 +109,7 @@ def hidden_walk(views: Iterable[AccelerometerView]) -> Iterator[str]:
             continue
         variance = float(view.fit.unseen[name][1][index, index])
         share = variance / float(view.fit.solution.u[index]) ** 2
-        if share > _HIDDEN_SHARE:
+        if share > _MAX_UNDETECTED_SHARE:
             yield (
                 f"{name}: {share:.0%} of u^2 of K_II comes from white noise of the accelerometer "
                 "that the records neither show nor exclude. If it is known, even as zero, state "

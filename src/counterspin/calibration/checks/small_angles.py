@@ -19,32 +19,32 @@ from counterspin.reports.numbers import field_unit, format_number
 _FIRST_ORDER_LIMIT: Final = 0.2 * 400.0**2
 
 
-def large_drifts(coefficients: Mapping[Unknown, Coefficient], longest: float) -> list[Finding]:
+def check_drifts(coefficients: Mapping[Unknown, Coefficient], longest: float) -> list[Finding]:
     """Return the findings on drifts of the platform; `longest` run in s."""
     findings = []
     for unknown, c in coefficients.items():
         if unknown.symbol in TERMS:
             continue
         if unknown.symbol.startswith("platform.drift") and c.value is not None:
-            findings += _large_drift(unknown.symbol, c, longest)
+            findings += _drift_finding(unknown.symbol, c, longest)
     return findings
 
 
-def _large_drift(symbol: str, drift: Coefficient, longest: float) -> list[Finding]:
+def _drift_finding(symbol: str, drift: Coefficient, longest: float) -> list[Finding]:
     """Return a finding where a drift is, or with its uncertainty may be, too large."""
-    rate, u = (abs(x or 0.0) / DEGREE_PER_HOUR for x in (drift.value, drift.u))
+    rate, u = (abs(rate_value or 0.0) / DEGREE_PER_HOUR for rate_value in (drift.value, drift.u))
     limit = _FIRST_ORDER_LIMIT / longest**2
     if rate + 2.0 * u <= limit:
         return []
-    is_ = f"is {rate:.2g} deg/h" if rate > limit else f"may reach {rate + 2.0 * u:.2g} deg/h"
+    clause = f"is {rate:.2g} deg/h" if rate > limit else f"may reach {rate + 2.0 * u:.2g} deg/h"
     text = (
-        f"{symbol} {is_} (u {u:.1g} deg/h): in runs of {longest:.0f} s the first-order model of "
+        f"{symbol} {clause} (u {u:.1g} deg/h): in runs of {longest:.0f} s the first-order model of "
         f"the platform's attitude holds only up to about {limit:.2g} deg/h."
     )
     return [Finding(code="large-drift", subject=symbol, text=text, size=(rate + 2.0 * u) / limit)]
 
 
-def large_tilts(
+def check_tilts(
     campaign: Campaign,
     runs: Mapping[str, Mapping[str, Coefficient]],
     accelerometers: Mapping[str, AccelerometerResult],
@@ -62,16 +62,16 @@ def large_tilts(
         if not size.any():
             continue
         for name, accelerometer in accelerometers.items():
-            along = campaign.accelerometers[name].mounting.turned(run.attitude).input_axis
+            axis = campaign.accelerometers[name].mounting.turned(run.attitude).input_axis
             k_ii = accelerometer.coefficients.get("K_II")
             square = abs(k_ii.value or 0.0) if k_ii is not None else 0.0
-            for symbol, shift in _second_order(size, np.abs(along), square).items():
+            for symbol, shift in _second_order_shifts(size, np.abs(axis), square).items():
                 c = accelerometer.coefficients.get(symbol)
                 if c is None or not c.estimated or not c.u or shift <= c.u:
                     continue
-                finding = _large_tilt(run.name, size, f"{name}.{symbol}", shift, c)
-                before = worst.get(finding.subject)
-                if before is None or (before.size or 0.0) < (finding.size or 0.0):
+                finding = _tilt_finding(run.name, size, f"{name}.{symbol}", shift, c)
+                previous = worst.get(finding.subject)
+                if previous is None or (previous.size or 0.0) < (finding.size or 0.0):
                     worst[finding.subject] = finding
     return list(worst.values())
 
@@ -91,17 +91,17 @@ def _largest_tilt(campaign: Campaign, estimated: Mapping[str, Coefficient]) -> A
     return size
 
 
-def _second_order(size: Array, along: Array, square: float) -> dict[str, float]:
+def _second_order_shifts(size: Array, axis: Array, square: float) -> dict[str, float]:
     """Return by coefficient what the second order moves it by, for sizes along all axes."""
-    own = float(size @ along)
-    across = float(size[0] * along[1] + size[1] * along[0])  # of (psi x g)/g
+    projection = float(size @ axis)
+    across = float(size[0] * axis[1] + size[1] * axis[0])  # of (psi x g)/g
     return {
-        "K_I": 0.5 * max(float(size @ size) - own**2, 0.0) + 2.0 * square * across,
-        "K_F": 0.5 * own * float(size[2]),
+        "K_I": 0.5 * max(float(size @ size) - projection**2, 0.0) + 2.0 * square * across,
+        "K_F": 0.5 * projection * float(size[2]),
     }
 
 
-def _large_tilt(
+def _tilt_finding(
     run: str, size: Array, subject: str, shift: float, coefficient: Coefficient
 ) -> Finding:
     assert coefficient.u

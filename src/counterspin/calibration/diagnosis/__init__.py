@@ -1,6 +1,7 @@
 """The causes of a misfit. A calibration calls it by name, through `extensions`.
 
-- `search`: the likely causes, each tried on the records; `words`: their explanations
+- `search`: the likely causes, each tried on the records
+- `ranking`: the best explanation and its rivals; `explanations`: the text about each
 - `noise`: noise that is stated wrongly, or differs between runs
-- `statements`: mountings and values that the data contradict, or cannot check
+- `untested_inputs`: mountings and values that the data contradict, or cannot check
 """

@@ -16,29 +16,39 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import median
-from counterspin.calibration.checks.limits import beyond_typical, incredible
-from counterspin.calibration.checks.priors import Wording
+from counterspin.calibration.accelerometer_view import AccelerometerView
+from counterspin.calibration.checks.limits import check_credibility, check_default_priors
+from counterspin.calibration.checks.priors import FindingText
 from counterspin.calibration.checks.residuals import residual_findings
-from counterspin.calibration.diagnosis.noise import with_noise_by_run, wrong_noise
-from counterspin.calibration.diagnosis.statements import (
-    OtherMounting,
-    better,
-    other_mountings,
-    unseen_axes,
-    untested_statements,
-    wrong_mounting,
+from counterspin.calibration.diagnosis.explanations import Explanation
+from counterspin.calibration.diagnosis.noise import check_stated_noise, reweight_runs
+from counterspin.calibration.diagnosis.ranking import (
+    FALSE_ALARMS,
+    STEPS,
+    BestExplanation,
+    find_best,
+    min_equal_gain,
 )
-from counterspin.calibration.diagnosis.words import Explanation
+from counterspin.calibration.diagnosis.untested_inputs import (
+    AlternativeMounting,
+    find_better_mounting,
+    fit_alternative_mountings,
+    mounting_finding,
+    undetermined_axis_remarks,
+    untested_input_remarks,
+)
 from counterspin.calibration.extensions import Diagnosis
-from counterspin.calibration.findings import ACCOUNTABLE, CONTRADICTION_SIGMAS, Cause, from_numbers
-from counterspin.calibration.model import assumed_inputs, assumed_of, inputs_of
-from counterspin.calibration.outcome import coefficient, knowledge, noise_lines, residual
+from counterspin.calibration.findings import (
+    ACCOUNTABLE,
+    CONTRADICTION_SIGMAS,
+    Cause,
+    check_statistics,
+)
+from counterspin.calibration.model import exact_inputs, fixed_terms, stated_inputs
+from counterspin.calibration.outcome import coefficient, noise_lines, prior_information, residual
 from counterspin.calibration.result_parts import AccelerometerResult, Finding
-from counterspin.calibration.view import AccelerometerView
 from counterspin.campaign.description import Campaign
-from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import (
-    SIGNIFICANCE,
     normal_equivalent,
 )
 from counterspin.inference.joint import mistakes
@@ -59,9 +69,6 @@ from counterspin.inference.noise.model import Noise
 from counterspin.physics.motion import gravity_range, latitudes_with
 from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS
 
-#: Share of good campaigns in which a prior, or another alternative, is blamed all the same.
-_FALSE_ALARMS: Final = 0.5 * SIGNIFICANCE
-
 #: Probability by chance below which the alternatives are tried.
 _SUSPICION_P: Final = 0.01
 
@@ -71,12 +78,9 @@ _SUSPICION_SHIFT: Final = 3.0
 #: Causes that are looked for, one after the other.
 _MAX_CAUSES: Final = 3
 
-#: Chi-square by which an explanation must be better than another to exclude it.
-_DECISIVE_CHI2: Final = 6.0
-
 #: Part of the first cause's size below which a further cause may only show that the first is
 #: known to first order.
-_FIRST_ORDER_PART: Final = 0.03
+_MIN_RELATIVE_SIZE: Final = 0.03
 
 #: How often a cause's columns are worked out again for its size.
 _REFINEMENTS: Final = 4
@@ -84,131 +88,139 @@ _REFINEMENTS: Final = 4
 #: How many of the explanations that are as good are named.
 _MAX_RIVALS: Final = 3
 
-#: And the part of it, for what an alternative does is known to first order.
-_DECISIVE_PART: Final = 0.003
-
-#: How many times its largest credible size a term may have where nothing credible explains as much.
-_OUTSIZE: Final = 10.0
-
 #: Anomalies of the ground's gravity are mostly smaller, m/s^2.
 _ANOMALY: Final = 1e-3
 
 #: A latitude is likely as stated, or with the other sign, within so much, rad.
 _LATITUDE: Final = math.radians(1.0)
 
-#: Steps that are tried in each record, and again about the best of them.
-_STEPS: Final = 24
-
-_KINDS_OF_PRIORS: Final = ("prior", "priors")
-
-#: What comes first where the records cannot tell: what is stated is checked at no cost, and the
-#: velocity of the Coriolis acceleration, all or nothing, is seldom as large by chance.
-_FIRST_KINDS: Final = (mistakes.CORIOLIS, *_KINDS_OF_PRIORS)
-_KINDS_WITH_A_TIME: Final = (mistakes.JUMP, mistakes.SLOPE, mistakes.BIAS_STEP)  # in a record
-
 
 def diagnose(
     views: Sequence[AccelerometerView], results: Mapping[str, AccelerometerResult]
 ) -> Diagnosis:
     """Return the causes of the findings on a joint fit, and remarks on claims it cannot check."""
-    mountings = other_mountings(views)
+    mountings = fit_alternative_mountings(views)
     return Diagnosis(
-        causes_of(views, results, mountings),
-        (*unseen_axes(mountings), *untested_statements(views)),
+        find_causes(views, results, mountings),
+        (*undetermined_axis_remarks(mountings), *untested_input_remarks(views)),
     )
 
 
-def causes_of(
+def find_causes(
     views: Sequence[AccelerometerView],
     results: Mapping[str, AccelerometerResult],
-    mountings: Sequence[OtherMounting] = (),
+    mountings: Sequence[AlternativeMounting] = (),
 ) -> tuple[Cause, ...]:
     """Return the causes of what is found against a joint fit, the main one first.
 
     mountings: The other mountings of accelerometers whose stated terms rest on them.
     """
-    estimated = views[0].estimate
-    read = [part for view in views for part in view.parts]
-    given = not estimated.components and all(part.weighed for part in read)
-    now = replace(estimated, fit=relax(estimated.fit), core=None, lost={})
-    priors = of_priors(now.fit)
-    turned = better(mountings)
+    estimate = views[0].estimate
+    groups = [group for view in views for group in view.groups]
+    noise_known = not estimate.components and all(group.has_external_noise for group in groups)
+    relaxed = replace(estimate, fit=relax(estimate.fit), core=None, lost={})
+    priors = of_priors(relaxed.fit)
+    mounting = find_better_mounting(mountings)
     # Beside readings alone, what nothing states is held to them at no cost too.
-    known = priors if now.fit.prepared else (*priors, *of_unstated(now.fit))
+    tested = priors if relaxed.fit.prepared else (*priors, *of_unstated(relaxed.fit))
     if (
         not _is_suspicious(views, results)
-        and turned is None
-        and (not known or _least(scores(now.fit, known, noise_given=given)) > _SUSPICION_P)
+        and mounting is None
+        and (
+            not tested
+            or _smallest_p(scores(relaxed.fit, tested, noise_given=noise_known)) > _SUSPICION_P
+        )
     ):
         return ()
-    others = tuple(_others(views, now)) if now.fit.prepared else of_unstated(now.fit)
-    priors, others = (_possible(views[0].campaign, every) for every in (priors, others))
-    return _causes(views, now, priors, others, given, turned) if priors or others else ()
+    alternatives = (
+        tuple(_alternative_hypotheses(views, relaxed))
+        if relaxed.fit.prepared
+        else of_unstated(relaxed.fit)
+    )
+    priors, alternatives = (
+        _with_input_ranges(views[0].campaign, candidates) for candidates in (priors, alternatives)
+    )
+    return (
+        _search_causes(views, relaxed, priors, alternatives, noise_known, mounting)
+        if priors or alternatives
+        else ()
+    )
 
 
-def _causes(
+def _search_causes(
     views: Sequence[AccelerometerView],
-    now: Estimate,
+    estimate: Estimate,
     priors: Sequence[Alternative],
-    others: Sequence[Alternative],
-    given: bool,
-    turned: OtherMounting | None,
+    alternatives: Sequence[Alternative],
+    noise_known: bool,
+    mounting: AlternativeMounting | None,
 ) -> tuple[Cause, ...]:
     """Return the causes among some alternatives, one beside the other.
 
-    turned: A mounting that fits better than the stated one; it has no parameter that could fit.
+    mounting: A mounting that fits better than the stated one; it has no parameter that could fit.
     """
     campaign = views[0].campaign
-    now, off = with_noise_by_run(views, now)
-    causes = [Cause(one, (one.subject,), _remaining(views, now)) for one in off]
-    first = 0.0
-    if turned is not None:
-        explained = _best(now, priors, others, given)
-        if explained is None or turned.gain >= _least_as_good(explained.size**2):
-            now = replace(now, fit=turned.fit)
-            views = [turned.seen_by(view) for view in views]
-            own = (turned.view.name,)
-            causes.append(Cause(wrong_mounting(turned), own, _remaining(views, now)))
-            first = math.sqrt(turned.gain)
+    estimate, noise_findings = reweight_runs(views, estimate)
+    causes = [
+        Cause(finding, (finding.subject,), _remaining_findings(views, estimate))
+        for finding in noise_findings
+    ]
+    first_size = 0.0
+    if mounting is not None:
+        explanation = find_best(estimate, priors, alternatives, noise_known)
+        if explanation is None or mounting.gain >= min_equal_gain(explanation.size**2):
+            estimate = replace(estimate, fit=mounting.fit)
+            views = [mounting.apply_to(view) for view in views]
+            names = (mounting.view.name,)
+            causes.append(
+                Cause(mounting_finding(mounting), names, _remaining_findings(views, estimate))
+            )
+            first_size = math.sqrt(mounting.gain)
     for _ in range(_MAX_CAUSES):
-        explained = _best(now, priors, others, given)
-        if explained is None or (causes and explained.size < _FIRST_ORDER_PART * first):
+        explanation = find_best(estimate, priors, alternatives, noise_known)
+        if explanation is None or (causes and explanation.size < _MIN_RELATIVE_SIZE * first_size):
             break
-        first = first or explained.size
-        after, explained = _put_right(now, explained, views)
-        if not given:
+        first_size = first_size or explanation.size
+        corrected, explanation = _correct_cause(estimate, explanation, views)
+        if not noise_known:
             # Beside the noise that is left without it, other causes may be wording from it.
-            calmer = replace(now, fit=now.fit.with_noise(after.fit.noise))
-            again = _best(calmer, priors, others, given)
-            if again is not None:
-                after, explained = _put_right(now, again, views)
-            if not _is_clear(now, explained):
+            quieter = replace(estimate, fit=estimate.fit.with_noise(corrected.fit.noise))
+            other_explanation = find_best(quieter, priors, alternatives, noise_known)
+            if other_explanation is not None:
+                corrected, explanation = _correct_cause(estimate, other_explanation, views)
+            if not _is_robust(estimate, explanation):
                 break
-        if not explained.outsized and not explained.head.credible(explained.value):
+        if not explanation.outsized and not explanation.alternative.credible(explanation.value):
             # At its own size, beyond first order, it is not what it seemed to be.
-            others = [other for other in others if other != explained.head]
+            alternatives = [
+                alternative
+                for alternative in alternatives
+                if alternative != explanation.alternative
+            ]
             continue
         wording = Explanation(
-            campaign, now.fit, explained.head, explained.value, explained.u
-        ).wording()
-        causes.append(_cause(wording, explained, views, now, after))
-        now = after
-    if given:
-        seen = (replace(view, estimate=now) for view in views if view.has_records)
-        wrong = (one for view in seen for one in wrong_noise(view))
-        by_size = sorted(wrong, key=lambda one: -(one.size or 0.0))
-        causes += [Cause(one, (one.subject,), {}) for one in by_size]
+            campaign, estimate.fit, explanation.alternative, explanation.value, explanation.u
+        ).describe()
+        causes.append(_make_cause(wording, explanation, views, estimate, corrected))
+        estimate = corrected
+    if noise_known:
+        recorded_views = (replace(view, estimate=estimate) for view in views if view.has_records)
+        wrong_noise_findings = (
+            finding for view in recorded_views for finding in check_stated_noise(view)
+        )
+        by_size = sorted(wrong_noise_findings, key=lambda finding: -(finding.size or 0.0))
+        causes += [Cause(finding, (finding.subject,), {}) for finding in by_size]
     return tuple(causes)
 
 
 # Whether to look for causes at all
 
 
-def _least(held: Scores) -> float:
+def _smallest_p(tests: Scores) -> float:
     """Return the smallest probability of the tests, all of them counted."""
-    if not held.tested:
+    if not tests.tested:
         return 1.0
-    return min(1.0, held.tested * held.p(int(np.argmax(held.size))))
+    return min(1.0, tests.tested * tests.p(int(np.argmax(tests.size))))
 
 
 def _is_suspicious(
@@ -217,27 +229,29 @@ def _is_suspicious(
     records = sum(1 for view in views for _ in view.records())
     for view in views:
         result = results[view.name]
-        codes = {finding.code for finding in (*result.findings, *_numbers(view, result))}
+        codes = {
+            finding.code for finding in (*result.findings, *_check_view_statistics(view, result))
+        }
         if codes & ACCOUNTABLE:
             return True
         shifts = [normal_equivalent(line.z, line.dof) for line in result.jackknife if line.z]
         shifts += [abs(result.two_stage.z)] if result.two_stage else []
         if any(z > _SUSPICION_SHIFT for z in shifts):
             return True
-        if view.has_records and any(p < _SUSPICION_P / records for p in _chances(view)):
+        if view.has_records and any(p < _SUSPICION_P / records for p in _run_p_values(view)):
             return True
     return False
 
 
-def _chances(view: AccelerometerView) -> Iterator[float]:
+def _run_p_values(view: AccelerometerView) -> Iterator[float]:
     """Yield probabilities of what an accelerometer's whitened residuals show of each run."""
     tests = view.diagnostics.runs
     for _, prepared, residuals in view.records():
         test = tests[prepared.run]
         yield 3.0 * mistakes.window_excess(residuals.whitened)
-        off = (test.chi2 - test.dof) / math.sqrt(2.0 * test.dof)
-        yield 3.0 * math.erfc(abs(off) / math.sqrt(2.0))
-        yield 3.0 * _wave(
+        deviation = (test.chi2 - test.dof) / math.sqrt(2.0 * test.dof)
+        yield 3.0 * math.erfc(abs(deviation) / math.sqrt(2.0))
+        yield 3.0 * _harmonic_p(
             test.periodogram,
             test.rows,
             prepared.series.trajectory.spindle.rate,
@@ -246,22 +260,24 @@ def _chances(view: AccelerometerView) -> Iterator[float]:
         )
 
 
-def _wave(power: np.ndarray, rows: int, rate: float, interval: float, scale: float) -> float:
+def _harmonic_p(power: np.ndarray, rows: int, rate: float, interval: float, scale: float) -> float:
     """Return the probability of a wave as strong at the spindle's own frequency."""
-    line = round(abs(rate) * interval * rows / (2.0 * math.pi)) - 1
-    near = power[max(line - 1, 0) : line + 2]
-    if not near.size or not scale > 0.0:
+    index = round(abs(rate) * interval * rows / (2.0 * math.pi)) - 1
+    neighbours = power[max(index - 1, 0) : index + 2]
+    if not neighbours.size or not scale > 0.0:
         return 1.0
-    return min(1.0, near.size * math.exp(-float(near.max()) / scale))
+    return min(1.0, neighbours.size * math.exp(-float(neighbours.max()) / scale))
 
 
 # The alternatives
 
 
-def _possible(campaign: Campaign, alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
+def _with_input_ranges(
+    campaign: Campaign, alternatives: Sequence[Alternative]
+) -> tuple[Alternative, ...]:
     """Return alternatives with what an input may be, which hangs on what is stated of it."""
-    inputs = inputs_of(campaign)
-    between = {
+    inputs = stated_inputs(campaign)
+    ranges = {
         name: row.effect.between
         for name in inputs
         for symbol, row in INPUTS.items()
@@ -269,41 +285,45 @@ def _possible(campaign: Campaign, alternatives: Sequence[Alternative]) -> tuple[
     }
     gravity, latitude = campaign.gravity.value, campaign.latitude.value
     low, high = gravity_range(latitude)
-    here, beyond = (low - _ANOMALY, high + _ANOMALY), (0.0, 0.0)
-    if here[0] <= gravity <= here[1]:  # else either may be the wrong one
-        between["site.gravity"] = here
+    gravity_limits, excluded = (low - _ANOMALY, high + _ANOMALY), (0.0, 0.0)
+    if gravity_limits[0] <= gravity <= gravity_limits[1]:  # else either may be the wrong one
+        ranges["site.gravity"] = gravity_limits
         least, most = latitudes_with(gravity, _ANOMALY)
         # On either side of the equator, for its sign may be wrong.
-        between["site.latitude"] = -most, most
-        beyond = -least - latitude, least - latitude
-    possible = {
+        ranges["site.latitude"] = -most, most
+        excluded = -least - latitude, least - latitude
+    deviation_ranges = {
         name: (least - inputs[name].value, most - inputs[name].value)
-        for name, (least, most) in between.items()
+        for name, (least, most) in ranges.items()
     }
     return tuple(
         replace(
-            other,
-            between=possible[other.name],
-            but_between=beyond if other.name == "site.latitude" else other.but_between,
-            likely=(0.0, -2.0 * latitude) if other.name == "site.latitude" else (),
+            alternative,
+            between=deviation_ranges[alternative.name],
+            but_between=excluded
+            if alternative.name == "site.latitude"
+            else alternative.but_between,
+            likely=(0.0, -2.0 * latitude) if alternative.name == "site.latitude" else (),
             likely_within=_LATITUDE,
-            stated=inputs[other.name].value != 0.0,
+            stated=inputs[alternative.name].value != 0.0,
         )
-        if other.name in possible
-        else other
-        for other in alternatives
+        if alternative.name in deviation_ranges
+        else alternative
+        for alternative in alternatives
     )
 
 
-def _others(views: Sequence[AccelerometerView], now: Estimate) -> Iterator[Alternative]:
-    campaign, fit = views[0].campaign, now.fit
+def _alternative_hypotheses(
+    views: Sequence[AccelerometerView], estimate: Estimate
+) -> Iterator[Alternative]:
+    campaign, fit = views[0].campaign, estimate.fit
     model = views[0].problem.model
     angle = campaign.angle is not None
     yield from of_unstated(fit)
     # Of what acts on readings too, the records alone tell half of it.
     inputs = {
         s: campaign.typical_of(s)
-        for s in assumed_inputs(campaign)
+        for s in exact_inputs(campaign)
         if s == TIMING or not campaign.readings
     }
     yield from mistakes.of_inputs(fit, inputs)
@@ -311,279 +331,167 @@ def _others(views: Sequence[AccelerometerView], now: Estimate) -> Iterator[Alter
     yield from mistakes.of_records(fit, trends, angle_recorded=angle)
     yield from mistakes.of_coriolis(fit, own_velocity=campaign.own_velocity)
     terms = {
-        other: campaign.typical_of(other.symbol, other.owner)
+        unknown: campaign.typical_of(unknown.symbol, unknown.owner)
         for view in views
-        for other in assumed_of(campaign, model, view.name)
-        if not (campaign.readings and other.symbol in ACCELEROMETER_TERMS)
+        for unknown in fixed_terms(campaign, model, view.name)
+        if not (campaign.readings and unknown.symbol in ACCELEROMETER_TERMS)
     }
     yield from mistakes.of_terms(fit, terms)
-    yield from mistakes.jumps(fit, _STEPS)
+    yield from mistakes.jumps(fit, STEPS)
 
 
-@frozen
-class _BestExplanation:
-    """The best explanation, and those that are as good, each with the estimate of its parameter."""
-
-    head: Alternative
-    value: float
-    u: float
-    size: float
-    rivals: tuple[tuple[Alternative, float], ...]
-    tests: int
-    dof: float | None
-    outsized: bool
-
-
-def _best(
-    now: Estimate, priors: Sequence[Alternative], others: Sequence[Alternative], given: bool
-) -> _BestExplanation | None:
-    """Return the best explanation; None if no explanation is significant."""
-    every = (*priors, *others)
-    held = scores(now.fit, every, noise_given=given)
-    place = _largest(held)
-    if held.alternatives[place].kind in _KINDS_WITH_A_TIME:
-        # Now that it is known where about it is, where exactly?
-        about = held.alternatives[place]
-        (i,) = about.columns
-        time = now.fit.prepared[i].series.time
-        cell = float(time[-1] - time[0]) / _STEPS
-        every = (*every, *mistakes.jumps(now.fit, 2 * _STEPS, about, cell))
-        held = scores(now.fit, every, noise_given=given)
-        place = _largest(held)
-    if not _is_significant(held, place):
-        # The priors have fewer tests, and so a lower threshold.
-        place = _largest(held, _KINDS_OF_PRIORS)
-        if not _is_significant(held, place):
-            return None
-    return _with_rivals(held, _outsized(held, place), given)
-
-
-def _outsized(held: Scores, place: int) -> int:
-    """Return the term larger than credible that explains more than the best one, or that one.
-
-    It is asked only where the best credible one is more than chance, so that nothing is blamed in
-    more good campaigns.
-    """
-    sizes = [size if _is_outsized(held, k) else 0.0 for k, size in enumerate(held.size.tolist())]
-    largest = int(np.argmax(sizes))
-    return largest if _least_as_good(sizes[largest] ** 2) > held.size[place] ** 2 else place
-
-
-def _is_outsized(held: Scores, place: int) -> bool:
-    other = held.alternatives[place]
-    size = abs(float(held.value[place]))
-    return other.kind == "term" and other.between[1] < size <= _OUTSIZE * other.between[1]
-
-
-def _least_as_good(best: float) -> float:
-    """Return the least gain in chi-square that is as good as the best one."""
-    return max(best * (1.0 - _DECISIVE_PART) - _DECISIVE_CHI2, 0.0)
-
-
-def _largest(held: Scores, kinds: Sequence[str] = ()) -> int:
-    """Return which credible alternative, of some kinds or of any, explains most."""
-    asked = [
-        size if (not kinds or other.kind in kinds) and _credible(held, k) else -1.0
-        for k, (other, size) in enumerate(zip(held.alternatives, held.size.tolist(), strict=True))
-    ]
-    return int(np.argmax(asked))
-
-
-def _is_significant(held: Scores, place: int) -> bool:
-    return held.p(place) * _tests(held, place) < _FALSE_ALARMS
-
-
-def _tests(held: Scores, place: int) -> int:
-    """Return how many alternatives share the significance of one of them."""
-    of_priors = held.alternatives[place].kind in _KINDS_OF_PRIORS
-    tests = sum(
-        1
-        for other, u in zip(held.alternatives, held.u.tolist(), strict=True)
-        if math.isfinite(u) and (other.kind in _KINDS_OF_PRIORS) == of_priors
-    )
-    return max(tests, 1)
-
-
-def _with_rivals(held: Scores, place: int, given: bool) -> _BestExplanation:
-    every = held.alternatives
-    least = _least_as_good(float(held.size[place]) ** 2)
-    as_good = [
-        k
-        for k in range(len(every))
-        if held.size[k] ** 2 > least and (_credible(held, k) or _is_outsized(held, k))
-    ]
-    # Steps differ by where they are only: the best one stands for those of its record.
-    as_good = [k for k in as_good if k == place or every[k].kind not in _KINDS_WITH_A_TIME] or [
-        place
-    ]
-
-    slack = float(held.size[place]) ** 2 - least
-
-    def plausible(k: int) -> tuple[bool, bool, bool, float, bool, int]:
-        # What is short of the best by all that is allowed is short of it by a decisive chi-square.
-        short = _DECISIVE_CHI2 * (float(held.size[place]) ** 2 - float(held.size[k]) ** 2) / slack
-        evidence = (
-            mistakes.log_evidence(every[k], float(held.value[k]), float(held.u[k])) - 0.5 * short
-        )
-        # Of what rounding alone tells apart, what the whole campaign has comes first.
-        weight, own = round(-evidence, 6), bool(every[k].owner)
-        doubtful = every[k].farfetched(float(held.value[k]))
-        return _is_outsized(held, k), doubtful, every[k].kind not in _FIRST_KINDS, weight, own, k
-
-    first, *rivals = sorted(as_good, key=plausible)
-    return _BestExplanation(
-        every[first],
-        float(held.value[first]),
-        float(held.u[first]),
-        float(held.size[first]),
-        tuple((every[k], float(held.value[k])) for k in rivals),
-        _tests(held, first),
-        None if given else held.dof,
-        _is_outsized(held, first),
-    )
-
-
-def _is_clear(now: Estimate, explained: _BestExplanation) -> bool:
+def _is_robust(estimate: Estimate, explanation: BestExplanation) -> bool:
     """Return whether a cause is more than chance with noise that the records do not show."""
-    variance = explained.u**2
-    if not explained.head.columns:
+    variance = explanation.u**2
+    if not explanation.alternative.columns:
         # Of a column the fit with it has said so already. The shift of priors is the sum of their
         # distances from the estimates, each weighted with the inverse of its own variance.
-        gain = np.zeros(len(now.fit.model.unknowns))
-        for place, moved in explained.head.priors.items():
-            spread = now.fit.model.unknowns[place].prior[1]
-            gain[place] = moved * variance / spread**2 if spread > 0.0 else 0.0
-        variance += float(gain @ unseen_covariance(now.fit, now.components) @ gain)
-    size = abs(explained.value) / math.sqrt(variance)
-    return math.erfc(size / math.sqrt(2.0)) * explained.tests < _FALSE_ALARMS
+        gain = np.zeros(len(estimate.fit.model.unknowns))
+        for index, step in explanation.alternative.priors.items():
+            prior_sd = estimate.fit.model.unknowns[index].prior[1]
+            gain[index] = step * variance / prior_sd**2 if prior_sd > 0.0 else 0.0
+        variance += float(gain @ unseen_covariance(estimate.fit, estimate.components) @ gain)
+    size = abs(explanation.value) / math.sqrt(variance)
+    return math.erfc(size / math.sqrt(2.0)) * explanation.tests < FALSE_ALARMS
 
 
-def _credible(held: Scores, place: int) -> bool:
-    """Return whether an alternative would be no larger than it may credibly be."""
-    return held.alternatives[place].credible(float(held.value[place]))
-
-
-def _put_right(
-    now: Estimate, explained: _BestExplanation, views: Sequence[AccelerometerView]
-) -> tuple[Estimate, _BestExplanation]:
+def _correct_cause(
+    estimate: Estimate, explanation: BestExplanation, views: Sequence[AccelerometerView]
+) -> tuple[Estimate, BestExplanation]:
     """Return the estimate with a cause allowed for, and the cause as it is then."""
     requests = views[0].problem.noise
-    head = explained.head
-    if not head.columns:
-        unknowns = list(now.fit.model.unknowns)
-        for place, moved in head.priors.items():
-            value, u = unknowns[place].prior
-            unknowns[place] = replace(unknowns[place], prior=(value + moved * explained.value, u))
-        model = replace(now.fit.model, unknowns=tuple(unknowns))
-        return _again(now, replace(now.fit, model=model).with_noise({}), requests), explained
-    value, after = explained.value, now
+    alternative = explanation.alternative
+    if not alternative.columns:
+        unknowns = list(estimate.fit.model.unknowns)
+        for index, step in alternative.priors.items():
+            value, u = unknowns[index].prior
+            unknowns[index] = replace(unknowns[index], prior=(value + step * explanation.value, u))
+        model = replace(estimate.fit.model, unknowns=tuple(unknowns))
+        return _reestimate(
+            estimate, replace(estimate.fit, model=model).with_noise({}), requests
+        ), explanation
+    value, corrected = explanation.value, estimate
     for _ in range(_REFINEMENTS):
-        limit = 10.0 * math.hypot(value, explained.u)
-        own = Unknown("", head.name, NO_PRIOR, limit)
-        after = replace(now, fit=extended(now.fit, [own], [head.columns]))
-        value = float(after.fit.solution.estimate[-1])
-        refined = mistakes.at_size(after.fit, head, value)
-        if refined is head:
+        limit = 10.0 * math.hypot(value, explanation.u)
+        added_unknown = Unknown("", alternative.name, NO_PRIOR, limit)
+        corrected = replace(
+            estimate, fit=extended(estimate.fit, [added_unknown], [alternative.columns])
+        )
+        value = float(corrected.fit.solution.estimate[-1])
+        refined = mistakes.at_size(corrected.fit, alternative, value)
+        if refined is alternative:
             break
-        head = refined
-    after = _again(now, after.fit, requests)
-    solution = after.fit.solution
+        alternative = refined
+    corrected = _reestimate(estimate, corrected.fit, requests)
+    solution = corrected.fit.solution
     u = float(solution.u[-1])
-    return after, replace(explained, head=head, value=float(solution.estimate[-1]), u=u)
+    return corrected, replace(
+        explanation, alternative=alternative, value=float(solution.estimate[-1]), u=u
+    )
 
 
-def _again(now: Estimate, fit: JointFit, requests: Mapping[str, Noise]) -> Estimate:
-    if not now.components:
+def _reestimate(estimate: Estimate, fit: JointFit, requests: Mapping[str, Noise]) -> Estimate:
+    if not estimate.components:
         dof = np.full(len(fit.model.unknowns), math.inf)
-        return replace(now, fit=fit, dof=dof, core=None, lost={})
-    return estimate_again(now, fit, requests)
+        return replace(estimate, fit=fit, dof=dof, core=None, lost={})
+    return estimate_again(estimate, fit, requests)
 
 
 # What is said
 
 
-def _cause(
-    wording: Wording,
-    explained: _BestExplanation,
+def _make_cause(
+    wording: FindingText,
+    explanation: BestExplanation,
     views: Sequence[AccelerometerView],
-    before: Estimate,
-    after: Estimate,
+    previous: Estimate,
+    corrected: Estimate,
 ) -> Cause:
     campaign = views[0].campaign
-    concerned = _concerned(explained.head, views, before)
+    affected = _affected_accelerometers(explanation.alternative, views, previous)
     text = wording.text
-    moved = 0.0
+    max_shift = 0.0
     for view in views:
-        for symbol, place in view.places.items():
+        for symbol, place in view.indices.items():
             if not view.assessment.determined[f"{view.name}.{symbol}"]:
                 continue
-            shift = float(after.fit.solution.estimate[place] - before.fit.solution.estimate[place])
-            moved = max(moved, abs(shift) / float(view.fit.solution.u[place]))
+            shift = float(
+                corrected.fit.solution.estimate[place] - previous.fit.solution.estimate[place]
+            )
+            max_shift = max(max_shift, abs(shift) / float(view.fit.solution.u[place]))
     rivals = [
-        Explanation(campaign, before.fit, other, value, 1.0).wording()
-        for other, value in explained.rivals
+        Explanation(campaign, previous.fit, alternative, value, 1.0).describe()
+        for alternative, value in explanation.rivals
     ]
     if rivals:
         names = [rival.name for rival in rivals[:_MAX_RIVALS]]
-        more = len(rivals) - len(names)
-        names += [f"{more} more" if more > 1 else "one more"] if more else []
+        unnamed = len(rivals) - len(names)
+        names += [f"{unnamed} more" if unnamed > 1 else "one more"] if unnamed else []
         text += f" The records would fit equally well with another {' or '.join(names)}."
-    far = normal_equivalent(explained.size, explained.dof) > CONTRADICTION_SIGMAS
-    contradicts = far and (moved > 1.0 or explained.head.kind == "prior")
+    is_decisive = normal_equivalent(explanation.size, explanation.dof) > CONTRADICTION_SIGMAS
+    contradicts = is_decisive and (max_shift > 1.0 or explanation.alternative.kind == "prior")
     return Cause(
         Finding(
             code=wording.code,
             subject=wording.subject,
             text=text,
-            size=explained.size,
+            size=explanation.size,
             contradicts=contradicts,
             as_well=list(dict.fromkeys(rival.subject for rival in rivals)),
         ),
-        concerned,
-        _remaining(views, after),
+        affected,
+        _remaining_findings(views, corrected),
     )
 
 
-def _remaining(
-    views: Sequence[AccelerometerView], after: Estimate
+def _remaining_findings(
+    views: Sequence[AccelerometerView], estimate: Estimate
 ) -> Mapping[tuple[str, str], float]:
     """Return code, subject and size of what the checks still find in another fit."""
-    found = [finding for view in views for finding in _checked(_seen_again(view, after))]
-    found += beyond_typical(knowledge(after, inputs_of(views[0].campaign)))
-    return {(finding.code, finding.subject): finding.size or math.inf for finding in found}
+    findings = [
+        finding for view in views for finding in _check_view(_evaluate_view(view, estimate))
+    ]
+    findings += check_default_priors(prior_information(estimate, stated_inputs(views[0].campaign)))
+    return {(finding.code, finding.subject): finding.size or math.inf for finding in findings}
 
 
-def _concerned(
-    head: Alternative, views: Sequence[AccelerometerView], now: Estimate
+def _affected_accelerometers(
+    alternative: Alternative, views: Sequence[AccelerometerView], estimate: Estimate
 ) -> tuple[str, ...]:
     names = [view.name for view in views]
-    if head.columns:
-        shown = {now.fit.prepared[i].accelerometer for i, c in head.columns.items() if c.any()}
-        return tuple(name for name in names if name in shown)
-    return (head.owner,) if head.owner in names else tuple(names)
+    if alternative.columns:
+        affected = {
+            estimate.fit.prepared[index].accelerometer
+            for index, column in alternative.columns.items()
+            if column.any()
+        }
+        return tuple(name for name in names if name in affected)
+    return (alternative.owner,) if alternative.owner in names else tuple(names)
 
 
-def _seen_again(view: AccelerometerView, after: Estimate) -> AccelerometerView:
+def _evaluate_view(view: AccelerometerView, estimate: Estimate) -> AccelerometerView:
     """Return a view of a relaxed fit, with the readings as they fit that."""
-    parts = [part.under(after.fit) for part in view.parts]
-    return replace(view, estimate=after).with_parts(parts)
+    groups = [group.evaluate(estimate.fit) for group in view.groups]
+    return replace(view, estimate=estimate).with_groups(groups)
 
 
-def _checked(view: AccelerometerView) -> Iterator[Finding]:
+def _check_view(view: AccelerometerView) -> Iterator[Finding]:
     yield from residual_findings(view)
-    yield from _numbers(view, None)
-    own = {
+    yield from _check_view_statistics(view, None)
+    coefficients = {
         symbol: coefficient(view.estimate, view.assessment, place)
-        for symbol, place in view.places.items()
+        for symbol, place in view.indices.items()
         if f"{view.name}.{symbol}" in view.assessment.determined  # not what was considered before
     }
-    for finding in incredible(view.campaign.limit_of, view.name, own):
+    for finding in check_credibility(view.campaign.limit_of, view.name, coefficients):
         yield from (finding, *finding.explains)
 
 
-def _numbers(view: AccelerometerView, result: AccelerometerResult | None) -> Iterator[Finding]:
+def _check_view_statistics(
+    view: AccelerometerView, result: AccelerometerResult | None
+) -> Iterator[Finding]:
     """Yield what follows from the numbers of a fit as one accelerometer sees it."""
-    seen = result or AccelerometerResult(
+    judged = result or AccelerometerResult(
         coefficients={},
         correlation=None,
         residual=residual(view),
@@ -591,4 +499,6 @@ def _numbers(view: AccelerometerView, result: AccelerometerResult | None) -> Ite
         jackknife=view.jackknife(),
     )
     campaign = view.campaign
-    yield from from_numbers(view.name, seen, campaign.gravity.value, len(campaign.accelerometers))
+    yield from check_statistics(
+        view.name, judged, campaign.gravity.value, len(campaign.accelerometers)
+    )

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from counterspin.calibration.findings import methods_agree, supports
+from counterspin.calibration.findings import methods_agree, supporting_evidence
 from counterspin.calibration.pages.accelerometer import in_field_units
 from counterspin.calibration.pages.uncertainty import dominance, largest_part
 from counterspin.calibration.pages.verdict import finding_text
@@ -129,7 +129,7 @@ def _note(accelerometer: AccelerometerResult, symbol: str) -> str:
 
 def _checks(accelerometer: AccelerometerResult) -> Iterator[Check]:
     """Yield whether the residuals fit, no run drives the result and another method agrees."""
-    passed = dict(supports(accelerometer))
+    passed = dict(supporting_evidence(accelerometer))
     p = accelerometer.residual.lack_of_fit_p
     yield _check(
         "Fit",

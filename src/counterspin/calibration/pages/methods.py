@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
-from counterspin.calibration.findings import level_of_methods
-from counterspin.calibration.options import TwoStageOptions, acceptance_words, command_words
+from counterspin.calibration.findings import method_test_level
+from counterspin.calibration.options import TwoStageOptions, acceptance_arguments, command_arguments
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
@@ -172,10 +172,10 @@ def origin_blocks(result: Result) -> Iterator[Block]:
         return
     yield Paragraph(f"{made} To repeat the calibration, run this in the folder of these files:")
     options = list(result.provenance.options)
-    asked = command_words(result.method, TwoStageOptions())
+    asked = command_arguments(result.method, TwoStageOptions())
     # Once the two-stage method was the default, and did not have to be asked for.
     options = [*(word for word in asked if word not in options), *options]
-    options += acceptance_words(result.accepted_misfit)
+    options += acceptance_arguments(result.accepted_misfit)
     description = next(iter(result.provenance.inputs), DESCRIPTION_NAME)
     where = "." if description == DESCRIPTION_NAME else description
     yield Paragraph(join_command(("counterspin", "calibrate", where, *options)), "command")
@@ -321,7 +321,7 @@ def method_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
             if symbol in accelerometer.coefficients
         ),
     )
-    level = level_of_methods(methods)
+    level = method_test_level(methods)
     words = "; ".join(_words(method, level) for method in methods)
     yield Paragraph("Each test method against the others: " + words + ".")
 

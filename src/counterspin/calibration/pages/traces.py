@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from counterspin.arrays import Array, median
-from counterspin.calibration.observed import ObservedRun
+from counterspin.calibration.accelerometer_view import AccelerometerView
+from counterspin.calibration.observed_runs import ObservedRun
 from counterspin.calibration.result_parts import Fold, Quantiles, Spectrum, Trace
-from counterspin.calibration.view import AccelerometerView
 from counterspin.inference.distributions import normal_cdf, normal_quantile
 from counterspin.physics import observation
 from counterspin.physics.spindle import TURN

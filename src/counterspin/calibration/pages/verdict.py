@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from counterspin.calibration.findings import supports
+from counterspin.calibration.findings import supporting_evidence
 from counterspin.calibration.pages.accelerometer import in_field_units
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Finding, State
@@ -53,7 +53,7 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
     """Return in words whether an accelerometer's result is good, and why."""
     assert accelerometer.state is not None
     opening = f"{name} {_opening(accelerometer)}"
-    speaks_for = "; ".join(clause for _, clause in supports(accelerometer))
+    speaks_for = "; ".join(clause for _, clause in supporting_evidence(accelerometer))
     if accelerometer.findings:
         sentences = [f"{opening}: {finding_text(accelerometer.findings[0])}"]
         if more := len(accelerometer.findings) - 1:
@@ -110,7 +110,7 @@ def verdict_tables(result: Result) -> Iterator[Block]:
         if accelerometer.state in _USABLE:
             rows += [
                 (_capital(check), f"{_capital(clause)}.")
-                for check, clause in supports(accelerometer)
+                for check, clause in supporting_evidence(accelerometer)
             ]
         if rows:
             yield Table((Column("Check", wraps=True), Column("Outcome", wraps=True)), tuple(rows))

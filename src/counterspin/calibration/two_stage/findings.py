@@ -8,15 +8,15 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.calibration.checks.priors import contradicted_prior
+from counterspin.calibration.accelerometer_view import AccelerometerView
+from counterspin.calibration.checks.priors import find_prior_conflict
 from counterspin.calibration.findings import (
     CONTRADICTION_SIGMAS,
     equivalent_deviations,
-    not_determined,
+    not_determined_finding,
 )
 from counterspin.calibration.model import is_requested
 from counterspin.calibration.result_parts import Coefficient, Finding, Residual
-from counterspin.calibration.view import AccelerometerView
 from counterspin.campaign.description import Campaign
 from counterspin.inference.diagnostics import (
     CHI_SQUARE_SIGNIFICANCE,
@@ -34,41 +34,43 @@ _SMALLEST_P: Final = 0.001
 _LEAST_SQUARES: Final = 1e-12
 
 
-def nothing_known(campaign: Campaign, name: str, second: SecondStage) -> tuple[str, ...]:
+def unstated_considered(campaign: Campaign, name: str, second: SecondStage) -> tuple[str, ...]:
     """Return the held terms, asked for or assumed to be perfect, of which nothing is stated."""
     stated = {*campaign.accelerometers[name].priors, *campaign.model.priors}
-    held = [
-        c.symbol
-        for c in second.fit.model.considered
-        if c.symbol not in stated
-        and c.symbol not in INPUTS
-        and (c.prior[1] == 0.0 or c.symbol in campaign.model.terms)
+    symbols = [
+        considered.symbol
+        for considered in second.fit.model.considered
+        if considered.symbol not in stated
+        and considered.symbol not in INPUTS
+        and (considered.prior[1] == 0.0 or considered.symbol in campaign.model.terms)
     ]
-    return tuple(dict.fromkeys(held))
+    return tuple(dict.fromkeys(symbols))
 
 
-def sums_of_alike(
+def inseparable_sums(
     view: AccelerometerView, second: SecondStage, coefficients: Mapping[str, Coefficient]
 ) -> list[ConfoundedTerms]:
     """Return what the estimates really are of: sums with terms that act exactly alike."""
     sets = []
     for symbol in second.symbols:
-        alike = second.alike(symbol, nothing_known(view.campaign, view.name, second))
-        if not alike:
+        inseparable = second.alike(symbol, unstated_considered(view.campaign, view.name, second))
+        if not inseparable:
             continue
-        c = coefficients[symbol]
+        coefficient = coefficients[symbol]
         value, u = second.estimate(symbol)
-        if c.estimated and c.value is not None and c.u is not None:
-            value, u = c.value, c.u
-        weights = {symbol: 1.0, **alike}
+        if coefficient.estimated and coefficient.value is not None and coefficient.u is not None:
+            value, u = coefficient.value, coefficient.u
+        weights = {symbol: 1.0, **inseparable}
         model = second.fit.model
-        every = {o.symbol: o for o in (*model.considered, *model.unknowns)}
-        sizes = [every[other].limit + every[other].nominal for other in weights]
+        parameters = {
+            parameter.symbol: parameter for parameter in (*model.considered, *model.unknowns)
+        }
+        sizes = [parameters[name].limit + parameters[name].nominal for name in weights]
         sets.append(
             ConfoundedTerms(
                 terms=list(weights),
                 # Estimates of terms that act the same way work against each other.
-                correlation=-1.0 if next(iter(alike.values())) > 0.0 else 1.0,
+                correlation=-1.0 if next(iter(inseparable.values())) > 0.0 else 1.0,
                 determined=write_combination(
                     list(weights), list(weights.values()), [0.1 * u / size for size in sizes]
                 ),
@@ -80,23 +82,23 @@ def sums_of_alike(
     return sets
 
 
-def findings(
+def check_two_stage(
     view: AccelerometerView,
     second: SecondStage,
     coefficients: Mapping[str, Coefficient],
     model: str,
 ) -> list[Finding]:
     """Return what speaks against the coefficients of one accelerometer by one of the models."""
-    gathered, name = [], view.name
+    all_findings, name = [], view.name
     if model == "as-printed":
         text = (
             "The equations are used as printed: their K_II term is twice the exact "
             "one, so the result is half the true K_II. Use the exact model for a calibration."
         )
-        gathered.append(Finding(code="as-printed", subject=name, text=text))
+        all_findings.append(Finding(code="as-printed", subject=name, text=text))
     else:
-        gathered += [
-            not_determined(
+        all_findings += [
+            not_determined_finding(
                 f"{name}.{symbol}",
                 symbol,
                 "runs",
@@ -108,38 +110,40 @@ def findings(
     for a, b, r in second.near_collinear:
         text = f"The columns of {a} and {b} are nearly collinear at these rates"
         text += f" (correlation {r:.4f})."
-        gathered.append(Finding(code="collinear", subject=f"{name}.{a}", text=text, size=abs(r)))
-    misfit = _misfit(name, second)
+        all_findings.append(
+            Finding(code="collinear", subject=f"{name}.{a}", text=text, size=abs(r))
+        )
+    misfit = _check_run_agreement(name, second)
     if model == "exact":
-        wrong = list(contradicted_prior(view))
+        conflicts = list(find_prior_conflict(view))
         # The misfit is what a wrong prior makes, unless there is more than one mistake.
-        gathered += [finding.model_copy(update={"explains": misfit}) for finding in wrong]
-        misfit = [] if wrong else misfit
-    gathered += misfit
-    lost = sum(parabola.strobes.lost for parabola in second.parabolas)
-    if lost:
-        text = f"{lost} strobes fell into gaps of the record and were left out."
-        gathered.append(Finding(code="strobes-lost", subject=name, text=text))
-    return gathered
+        all_findings += [finding.model_copy(update={"explains": misfit}) for finding in conflicts]
+        misfit = [] if conflicts else misfit
+    all_findings += misfit
+    lost_strobes = sum(parabola.strobes.lost for parabola in second.parabolas)
+    if lost_strobes:
+        text = f"{lost_strobes} strobes fell into gaps of the record and were left out."
+        all_findings.append(Finding(code="strobes-lost", subject=name, text=text))
+    return all_findings
 
 
-def overstated_noise(
+def check_strobe_noise(
     view: AccelerometerView, residual: Residual, sigma: float
 ) -> Iterator[Finding]:
     """Yield the finding that strobes scatter by less than the stated noise of a sample, in m."""
     p, level = residual.lack_of_fit_p, CHI_SQUARE_SIGNIFICANCE / len(view.campaign.accelerometers)
     if p is None or residual.chi2 is None or p <= 1.0 - level:
         return
-    times = math.sqrt(max(residual.chi2, _LEAST_SQUARES) / residual.dof)
+    ratio = math.sqrt(max(residual.chi2, _LEAST_SQUARES) / residual.dof)
     text = (
-        f"The strobes scatter by only {format_number(times, 2)} times the stated noise: by "
-        f"{format_number(times * sigma, 2)} m instead of {format_number(sigma, 2)} m. u is too "
+        f"The strobes scatter by only {format_number(ratio, 2)} times the stated noise: by "
+        f"{format_number(ratio * sigma, 2)} m instead of {format_number(sigma, 2)} m. u is too "
         "large. Check the stated noise, or have it estimated."
     )
-    yield Finding(code="wrong-noise", subject=view.name, text=text, size=1.0 / times)
+    yield Finding(code="wrong-noise", subject=view.name, text=text, size=1.0 / ratio)
 
 
-def _misfit(name: str, second: SecondStage) -> list[Finding]:
+def _check_run_agreement(name: str, second: SecondStage) -> list[Finding]:
     fit = second.fit
     dof = len(fit.blocks) - int(np.sum(np.isinf(fit.solution.prior_sd)))
     # What is held may be off by as much as is stated of it, or is typical.

@@ -9,20 +9,21 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.calibration.checks.limits import incredible
-from counterspin.calibration.checks.residuals import hidden_walk
+from counterspin.calibration.accelerometer_view import AccelerometerView
+from counterspin.calibration.checks.limits import check_credibility
+from counterspin.calibration.checks.residuals import undetected_walk_remarks
 from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.model import assumed_of
+from counterspin.calibration.model import fixed_terms
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.outcome import (
     Outcome,
     coefficient,
     confounded,
     correlation,
-    from_rest,
-    own_description,
+    describe_instrument,
     record_noise,
     run_result,
+    with_static_uncertainty,
 )
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
@@ -32,12 +33,11 @@ from counterspin.calibration.result_parts import (
     Residual,
 )
 from counterspin.calibration.two_stage.findings import (
-    findings,
-    nothing_known,
-    overstated_noise,
-    sums_of_alike,
+    check_strobe_noise,
+    check_two_stage,
+    inseparable_sums,
+    unstated_considered,
 )
-from counterspin.calibration.view import AccelerometerView
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import said_noise
@@ -72,17 +72,19 @@ class TwoStageOutcome:
     view: AccelerometerView
 
 
-def two_stage(
+def calibrate_accelerometer(
     problem: JointProblem,
     accelerometer: Accelerometer,
     options: TwoStageOptions,
-    found: Mapping[str, FoundNoise],
-    corrected: Sequence[Series],
+    noise_components: Mapping[str, FoundNoise],
+    corrected_series: Sequence[Series],
 ) -> TwoStageOutcome:
     """Apply the two-stage method to one accelerometer; arguments as of `two_stage_view`."""
-    view, second = two_stage_view(problem, accelerometer, options, found, corrected)
+    view, second = two_stage_view(
+        problem, accelerometer, options, noise_components, corrected_series
+    )
     campaign, name, model = problem.campaign, accelerometer.name, second.fit.model
-    records = problem.series_of(name)
+    records = problem.accelerometer_series(name)
     unknowns = {
         unknown.symbol: coefficient(view.estimate, view.assessment, index)
         for index, unknown in enumerate(model.unknowns)
@@ -90,7 +92,7 @@ def two_stage(
     if RIPPLE in unknowns and options.ripple == "ratio":
         unknowns[RIPPLE] = unknowns[RIPPLE].model_copy(update={"unit": "1"})
     others = [s for s in campaign.model.terms if s in ACCELEROMETER_TERMS and s not in unknowns]
-    known = {symbol: _known(accelerometer, symbol) for symbol in others}
+    known = {symbol: _prior_coefficient(accelerometer, symbol) for symbol in others}
     coefficients = {**unknowns, **known}
     places = {
         unknown.symbol: index
@@ -98,52 +100,57 @@ def two_stage(
         if coefficients[unknown.symbol].estimated
     }
     budgets = {symbol: budget(second.fit, index, name) for symbol, index in places.items()}
-    left = _residual(second.parabolas, view.estimate.components.get(name))
+    residual_size = _residual(second.parabolas, view.estimate.components.get(name))
     result = AccelerometerResult(
         coefficients={k: v for k, v in coefficients.items() if k not in (DRIFT, RIPPLE)},
         second_unknown={k: v for k, v in coefficients.items() if k in (DRIFT, RIPPLE)},
         correlation=correlation(view),
-        confounded=[*confounded(view), *sums_of_alike(view, second, coefficients)],
-        residual=left,
-        noise=from_rest(
+        confounded=[*confounded(view), *inseparable_sums(view, second, coefficients)],
+        residual=residual_size,
+        noise=with_static_uncertainty(
             _noise_lines(second.parabolas, view), campaign, problem.noise[name], "displacement"
         ),
         budget=budgets,
         what_if=what_if(second.fit, places, budgets, name),
         findings=[
-            *findings(view, second, coefficients, options.model),
-            *overstated_noise(view, left, second.parabolas[0].sigma),
-            *incredible(campaign.limit_of, name, {**coefficients, "K_I": _shown_by_waves(records)}),
+            *check_two_stage(view, second, coefficients, options.model),
+            *check_strobe_noise(view, residual_size, second.parabolas[0].sigma),
+            *check_credibility(
+                campaign.limit_of, name, {**coefficients, "K_I": _harmonic_scale_factor(records)}
+            ),
         ],
-        **own_description(accelerometer, coefficients),
+        **describe_instrument(accelerometer, coefficients),
     )
     parabolas = {
-        part.run: _parabola(parabola)
-        for part, parabola in zip(second.fit.prepared, second.parabolas, strict=True)
+        prepared.run: _parabola(parabola)
+        for prepared, parabola in zip(second.fit.prepared, second.parabolas, strict=True)
     }
     return TwoStageOutcome(result, parabolas, second, view)
 
 
-def in_two_stages(problem: JointProblem, options: TwoStageOptions) -> Outcome:
+def calibrate_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outcome:
     """Apply the two-stage method to each accelerometer of a campaign."""
     campaign, observed = problem.campaign, problem.observed
     campaign.require_records("the two-stage method")
-    noise, series = noise_found(problem)
-    found = {
-        name: two_stage(problem, accelerometer, options, noise, series)
+    noise, series = estimate_noise(problem)
+    outcomes = {
+        name: calibrate_accelerometer(problem, accelerometer, options, noise, series)
         for name, accelerometer in campaign.accelerometers.items()
     }
     return Outcome(
         model=options.model,
-        accelerometers={name: outcome.result for name, outcome in found.items()},
+        accelerometers={name: outcome.result for name, outcome in outcomes.items()},
         runs={
             run.run.name: run_result(
                 run,
-                parabolas={name: one.parabolas[run.run.name] for name, one in found.items()},
+                parabolas={
+                    name: stage_result.parabolas[run.run.name]
+                    for name, stage_result in outcomes.items()
+                },
             )
             for run in observed
         },
-        remarks=tuple(hidden_walk(outcome.view for outcome in found.values())),
+        remarks=tuple(undetected_walk_remarks(outcome.view for outcome in outcomes.values())),
     )
 
 
@@ -151,44 +158,45 @@ def two_stage_view(
     problem: JointProblem,
     accelerometer: Accelerometer,
     options: TwoStageOptions,
-    found: Mapping[str, FoundNoise],
-    corrected: Sequence[Series],
-    known: Mapping[tuple[str, str], tuple[float, float]] | None = None,
+    noise_components: Mapping[str, FoundNoise],
+    corrected_series: Sequence[Series],
+    known_values: Mapping[tuple[str, str], tuple[float, float]] | None = None,
 ) -> tuple[AccelerometerView, SecondStage]:
     """Return what the method estimates, as a joint fit of one accelerometer, and its stages.
 
-    found: Noise that was estimated, by accelerometer.
-    corrected: The records at corrected times, in the order of the problem's.
-    known: Owner and symbol -> value and u, of what is asked for and not stated: as another fit of
-        the records has it. Without, it has its typical size.
+    noise_components: Estimated noise, by accelerometer.
+    corrected_series: The records at corrected times, in the order of the problem's.
+    known_values: Owner and symbol -> value and u, of requested terms without a stated prior,
+        from another fit of the records. Default: their typical sizes.
     """
-    name, components = accelerometer.name, found.get(accelerometer.name)
-    request = request_of(problem, accelerometer, options, components)
+    name, components = accelerometer.name, noise_components.get(accelerometer.name)
+    request = make_request(problem, accelerometer, options, components)
     # Rows that the joint fit leaves out are not correlated a revolution apart.
     records = [
-        record.corrected(other.share).with_timing(other.timing)
-        for record, other in zip(problem.series, corrected, strict=True)
+        record.corrected(corrected.share).with_timing(corrected.timing)
+        for record, corrected in zip(problem.series, corrected_series, strict=True)
         if record.accelerometer == name
     ]
     series, strobes = zip(*map(strobed, records), strict=True)
     parabolas = [
-        request.first_stage(at, record.trajectory, record.timing)
-        for at, record in zip(strobes, series, strict=True)
+        request.first_stage(record_strobes, record.trajectory, record.timing)
+        for record_strobes, record in zip(strobes, series, strict=True)
     ]
-    whole = _known_model(problem.campaign, problem.model, name, known)
+    joint_model = _with_priors(problem.campaign, problem.model, name, known_values)
     # Time stamps that scatter leave the rotation less certain than the strobes' noise tells.
     rotation = encoder.considered([record for record in series if record.share > 0.0])
-    whole = replace(whole, considered=(*whole.considered, *rotation))
-    model = two_stage_model(whole, request, series)
+    joint_model = replace(joint_model, considered=(*joint_model.considered, *rotation))
+    model = two_stage_model(joint_model, request, series)
     second = resolve(series, parabolas, model, request)
     second = with_found_noise(second, problem.noise[name], components)
-    assessment = assess(second.fit.solution, [unknown.name for unknown in model.unknowns])
+    assessment = assess(second.fit.solution, [unstated.name for unstated in model.unknowns])
     # Asked to tell it from a term that acts exactly alike, the records say nothing.
-    unknown = nothing_known(problem.campaign, name, second)
-    asked = [symbol for symbol in problem.campaign.model.terms if symbol in unknown]
+    unstated = unstated_considered(problem.campaign, name, second)
+    requested = [symbol for symbol in problem.campaign.model.terms if symbol in unstated]
     determined = {
-        other.name: assessment.determined[other.name] and not second.alike(other.symbol, asked)
-        for other in model.unknowns
+        parameter.name: assessment.determined[parameter.name]
+        and not second.alike(parameter.symbol, requested)
+        for parameter in model.unknowns
     }
     estimated = Estimate(
         second.fit, {} if components is None else {name: components}, second.dof, series=series
@@ -197,11 +205,11 @@ def two_stage_view(
     return AccelerometerView(problem, estimated, assessment, name), second
 
 
-def _known_model(
+def _with_priors(
     campaign: Campaign,
     model: Unknowns,
     name: str,
-    known: Mapping[tuple[str, str], tuple[float, float]] | None,
+    known_values: Mapping[tuple[str, str], tuple[float, float]] | None,
 ) -> Unknowns:
     """Return the joint model with something known of all that two stages do not estimate.
 
@@ -210,24 +218,31 @@ def _known_model(
     held as exactly that, for what it may be like: beside another fit only what is asked for.
     """
     unknowns = []
-    for other in model.unknowns:
-        if not math.isfinite(other.prior[1]) and other.symbol not in (*_ESTIMATED, *ROTATION):
-            typical = campaign.typical_of(other.symbol, other.owner)
-            prior = (known or {}).get((other.owner, other.symbol), (other.nominal, typical))
-            unknowns.append(replace(other, prior=prior, unstated=True))
+    for parameter in model.unknowns:
+        if not math.isfinite(parameter.prior[1]) and parameter.symbol not in (
+            *_ESTIMATED,
+            *ROTATION,
+        ):
+            typical = campaign.typical_of(parameter.symbol, parameter.owner)
+            prior = (known_values or {}).get(
+                (parameter.owner, parameter.symbol), (parameter.nominal, typical)
+            )
+            unknowns.append(replace(parameter, prior=prior, unstated=True))
         else:
-            unknowns.append(other)
-    there = {(other.owner, other.symbol) for other in (*model.unknowns, *model.considered)}
-    perfect = [
-        other
-        for other in assumed_of(campaign, model, name)
-        if (other.owner, other.symbol) not in there
-        and (known is None or other.symbol in campaign.model.terms)
+            unknowns.append(parameter)
+    present = {
+        (parameter.owner, parameter.symbol) for parameter in (*model.unknowns, *model.considered)
+    }
+    fixed = [
+        parameter
+        for parameter in fixed_terms(campaign, model, name)
+        if (parameter.owner, parameter.symbol) not in present
+        and (known_values is None or parameter.symbol in campaign.model.terms)
     ]
-    return Unknowns(tuple(unknowns), (*model.considered, *perfect))
+    return Unknowns(tuple(unknowns), (*model.considered, *fixed))
 
 
-def _known(accelerometer: Accelerometer, symbol: str) -> Coefficient:
+def _prior_coefficient(accelerometer: Accelerometer, symbol: str) -> Coefficient:
     """Return a coefficient that is not estimated: its prior, or nothing."""
     prior = accelerometer.priors.get(symbol)
     return Coefficient(
@@ -238,7 +253,7 @@ def _known(accelerometer: Accelerometer, symbol: str) -> Coefficient:
     )
 
 
-def _shown_by_waves(records: Iterable[Series]) -> Coefficient:
+def _harmonic_scale_factor(records: Iterable[Series]) -> Coefficient:
     """Return the K_I of the records' waves, which strobes at whole revolutions do not see.
 
     Other terms add some 1e-5 to a wave: it is near enough to tell whether it is credible.
@@ -246,12 +261,12 @@ def _shown_by_waves(records: Iterable[Series]) -> Coefficient:
     columns = []
     for record in records:
         slow = np.vander(record.time / record.time[-1], 4)
-        both = np.column_stack([record.columns(["K_I"], 1.0)[:, 0], record.error])
-        columns.append(both - slow @ np.linalg.lstsq(slow, both, rcond=None)[0])
-    wave, error = np.concatenate(columns).T
-    strength = float(wave @ wave)
-    step = float(wave @ error) / strength
-    u = float(np.std(error - step * wave)) / math.sqrt(strength)
+        pair = np.column_stack([record.columns(["K_I"], 1.0)[:, 0], record.error])
+        columns.append(pair - slow @ np.linalg.lstsq(slow, pair, rcond=None)[0])
+    columns_of_scale, error = np.concatenate(columns).T
+    strength = float(columns_of_scale @ columns_of_scale)
+    step = float(columns_of_scale @ error) / strength
+    u = float(np.std(error - step * columns_of_scale)) / math.sqrt(strength)
     value = TERMS["K_I"].nominal + step
     return Coefficient(value=value, u=u, unit=unit_of("K_I"), estimated=True)
 
@@ -301,7 +316,7 @@ def _parabola(parabola: Parabola) -> ParabolaResult:
 # What a campaign asks of the method
 
 
-def request_of(
+def make_request(
     problem: JointProblem,
     accelerometer: Accelerometer,
     options: TwoStageOptions,
@@ -328,11 +343,11 @@ def request_of(
     for run in campaign.runs:
         strobe_angle(accelerometer.mounting.turned(run.attitude).input_axis)
     priors = {
-        other.symbol: other.prior
-        for other in (*model.unknowns, *model.considered)
-        if math.isfinite(other.prior[1])
-        and other.symbol
-        in (ACCELEROMETER_TERMS if other.owner == accelerometer.name else SHARED_TERMS)
+        parameter.symbol: parameter.prior
+        for parameter in (*model.unknowns, *model.considered)
+        if math.isfinite(parameter.prior[1])
+        and parameter.symbol
+        in (ACCELEROMETER_TERMS if parameter.owner == accelerometer.name else SHARED_TERMS)
     }
     noise = problem.noise[accelerometer.name]
     request = TwoStageRequest(
@@ -345,12 +360,12 @@ def request_of(
         sigma=None if options.from_residuals else _sigma(stated),
         from_residuals=options.from_residuals,
         random_walk=None if "random_walk" in noise.wanted else noise.random_walk,
-        timing=_number(stated, "timing") or 0.0,
+        timing=_stated_size(stated, "timing") or 0.0,
         u_radius=campaign.radius.u / campaign.radius.value,
         u_gravity=campaign.gravity.u / campaign.gravity.value,
         limits={
-            s: campaign.limit_of(s, accelerometer.name)
-            for s in (*ACCELEROMETER_TERMS, *SHARED_TERMS)
+            symbol: campaign.limit_of(symbol, accelerometer.name)
+            for symbol in (*ACCELEROMETER_TERMS, *SHARED_TERMS)
         },
     )
     return request if components is None else request.with_noise(components.noise)
@@ -358,12 +373,12 @@ def request_of(
 
 def _sigma(noise: StatedNoise | None) -> float | None:
     """Return the displacement noise of a sample, m; None where it is not stated."""
-    white = _number(noise, "displacement")
-    step = _number(noise, "quantisation") or 0.0
+    white = _stated_size(noise, "displacement")
+    step = _stated_size(noise, "quantisation") or 0.0
     return None if white is None else math.hypot(white, step / math.sqrt(12.0)) or None
 
 
-def _number(noise: StatedNoise | None, component: str) -> float | None:
+def _stated_size(noise: StatedNoise | None, component: str) -> float | None:
     """Return a component of the stated noise; None where it is not a number."""
     size = getattr(noise, component, None)
     return size if isinstance(size, float) else None
@@ -378,7 +393,7 @@ def walk_is_stated(noises: Mapping[str, Noise]) -> bool:
     return not any("random_walk" in noise.wanted for noise in noises.values())
 
 
-def noise_found(
+def estimate_noise(
     problem: JointProblem,
 ) -> tuple[Mapping[str, FoundNoise], Sequence[Series]]:
     """Return each accelerometer's noise where the random walk is not stated, and all records.
@@ -388,5 +403,5 @@ def noise_found(
     """
     if walk_is_stated(problem.noise):
         return {}, correct_series(problem.series, problem.model, problem.noise)
-    found = estimate(problem.series, problem.model, problem.noise)
-    return found.components, found.series
+    estimated = estimate(problem.series, problem.model, problem.noise)
+    return estimated.components, estimated.series

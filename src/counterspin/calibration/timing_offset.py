@@ -11,42 +11,43 @@ from dataclasses import replace
 from typing import Final
 
 from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.observed import observe_run
+from counterspin.calibration.observed_runs import observe_run
 from counterspin.campaign.quantity import Quantity
 from counterspin.inference.joint.estimation import locate_input
 from counterspin.inference.joint.series import TIMING
 
 #: A first-order model is exact enough for offsets that turn the arm by less, rad.
-_LINEAR: Final = 3e-4
+_MAX_LINEAR_ANGLE: Final = 3e-4
 
-#: An offset is located if its prior allows more than `_LINEAR` within so many standard deviations.
+#: An offset is located if its prior allows more than `_MAX_LINEAR_ANGLE` within so many standard
+#: deviations.
 _PRIOR_DEVIATIONS: Final = 4.0
 
 #: Located: the offset moves by less than this turn of the arm, rad.
-_SETTLED: Final = 1e-5
+_CONVERGED: Final = 1e-5
 
 _ROUNDS: Final = 8
 
 
-def with_located_delay(problem: JointProblem) -> JointProblem:
+def locate_delay(problem: JointProblem) -> JointProblem:
     """Return the problem with the derivatives taken at the timing offset that the records show.
 
     A problem whose offset is not estimated, or is known to a small turn of the arm, is returned as
     it is.
     """
-    priors = [u.prior[1] for u in problem.model.unknowns if u.symbol == TIMING]
+    priors = [unknown.prior[1] for unknown in problem.model.unknowns if unknown.symbol == TIMING]
     fastest = max((abs(run.run.rate) for run in problem.observed), default=0.0)
-    if not priors or _PRIOR_DEVIATIONS * max(priors) * fastest < _LINEAR:
+    if not priors or _PRIOR_DEVIATIONS * max(priors) * fastest < _MAX_LINEAR_ANGLE:
         return problem
     for _ in range(_ROUNDS):
         change = locate_input(problem.series, problem.model, problem.noise, TIMING)
-        if abs(change) * fastest < _SETTLED:
+        if abs(change) * fastest < _CONVERGED:
             break
-        problem = _delayed(problem, problem.delay + change)
+        problem = _with_delay(problem, problem.delay + change)
     return problem
 
 
-def _delayed(problem: JointProblem, delay: float) -> JointProblem:
+def _with_delay(problem: JointProblem, delay: float) -> JointProblem:
     """Return the problem with another deviation of the offset from the stated one, s."""
     campaign = problem.campaign
     stated = campaign.timing_offset or Quantity(0.0, 0.0, "s")

@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 _LINE_CHARACTERS: Final = 100
 
 
-def frame(result: Result, library: str = "polars") -> Any:
+def coefficient_frame(result: Result, library: str = "polars") -> Any:
     """Return the coefficients as a frame, in the units of the field."""
-    return frame_of_rows(result.rows(), library)
+    return rows_frame(result.rows(), library)
 
 
-def frame_of_rows(every: Iterable[tuple[str, str, Coefficient]], library: str) -> Any:
+def rows_frame(rows: Iterable[tuple[str, str, Coefficient]], library: str) -> Any:
     """Return owners, symbols and coefficients as a frame, in the units of the field."""
     columns: dict[str, list[Any]] = {
         name: []
@@ -42,21 +42,34 @@ def frame_of_rows(every: Iterable[tuple[str, str, Coefficient]], library: str) -
             *("low", "high", "u_unstated", "dof", "estimated"),
         )
     }
-    for owner, symbol, c in every:
-        unit, factor = field_unit(c.unit)
-        known = c.estimated and c.value is not None and c.u is not None
-        low, high = c.interval() if known else (None, None)
-        numbers = (c.value, c.u, low, high, c.u_unstated)
+    for owner, symbol, coefficient in rows:
+        unit, factor = field_unit(coefficient.unit)
+        known = (
+            coefficient.estimated and coefficient.value is not None and coefficient.u is not None
+        )
+        low, high = coefficient.interval() if known else (None, None)
+        numbers = (coefficient.value, coefficient.u, low, high, coefficient.u_unstated)
         value, u, low, high, typical = (
             None if number is None else number * factor for number in numbers
         )
-        row = (owner, symbol, value, u, unit, low, high, typical, c.dof, c.estimated)
+        row = (
+            owner,
+            symbol,
+            value,
+            u,
+            unit,
+            low,
+            high,
+            typical,
+            coefficient.dof,
+            coefficient.estimated,
+        )
         for column, cell in zip(columns.values(), row, strict=True):
             column.append(cell)
     return make_frame(columns, ("value", "u", "low", "high", "u_unstated", "dof"), library)
 
 
-def brief(result: Result) -> str:
+def summarize(result: Result) -> str:
     """Return title, state, coefficients and the gravest finding as text of at most 20 lines."""
     head = (
         f"{result.title or 'Calibration'}: {result.method} method, {result.state or 'not judged'}"
@@ -80,7 +93,7 @@ def brief(result: Result) -> str:
     return "\n".join([escape_controls(head), *map(escape_controls, lines), *remarks])
 
 
-def _package(name: str, distribution: str) -> Any:
+def _import_package(name: str, distribution: str) -> Any:
     try:
         return import_module(name)
     except ModuleNotFoundError as error:
@@ -91,7 +104,7 @@ def _package(name: str, distribution: str) -> Any:
 
 def to_uncertainties(result: Result) -> dict[str, Any]:
     """Return the determined coefficients as ``uncertainties`` variables, by name (``Qx.K_II``)."""
-    package = _package("uncertainties", "uncertainties")
+    package = _import_package("uncertainties", "uncertainties")
     covariance = result.stated_covariance()
     values = [result.coefficient(name).value for name in covariance.terms]
     numbers = package.correlated_values(values, covariance.matrix, tags=covariance.terms)
@@ -109,29 +122,38 @@ def to_gtc(result: Result) -> dict[str, Any]:
     than the coefficient has, never more; it knows no fewer than 1. Degrees of freedom of what is
     computed from several coefficients follow from the same parts, and are an approximation.
     """
-    package = _package("GTC", "GTC")
+    package = _import_package("GTC", "GTC")
     covariance = result.stated_covariance()
-    found = [result.coefficient(name) for name in covariance.terms]
+    coefficients = [result.coefficient(name) for name in covariance.terms]
     u = np.sqrt(np.diag(covariance.matrix))
-    dof = np.array([math.inf if c.dof is None else max(1.0, c.dof) for c in found])
-    root = _root(covariance.matrix / np.outer(u, u), dof)
-    finite = _finite_parts(root, dof)
-    few = np.flatnonzero(finite)
-    of_few = package.multiple_ureal([0.0] * few.size, np.sqrt(finite[few]).tolist(), 1.0)
+    dof = np.array(
+        [
+            math.inf if coefficient.dof is None else max(1.0, coefficient.dof)
+            for coefficient in coefficients
+        ]
+    )
+    root = _correlation_root(covariance.matrix / np.outer(u, u), dof)
+    finite = _finite_dof_shares(root, dof)
+    finite_indices = np.flatnonzero(finite)
+    finite_parts = package.multiple_ureal(
+        [0.0] * finite_indices.size, np.sqrt(finite[finite_indices]).tolist(), 1.0
+    )
     numbers = {}
-    for name, c, row in zip(covariance.terms, found, u[:, None] * root, strict=True):
-        number = package.constant(c.value)
-        for place, part in zip(few, of_few, strict=True):
-            number += float(row[place]) * part
+    for name, coefficient, row in zip(
+        covariance.terms, coefficients, u[:, None] * root, strict=True
+    ):
+        number = package.constant(coefficient.value)
+        for index, part in zip(finite_indices, finite_parts, strict=True):
+            number += float(row[index]) * part
         numbers[name] = number
-    for place in np.flatnonzero(finite < 1.0):
-        part = package.ureal(0.0, math.sqrt(1.0 - finite[place]))
-        for name, size in zip(covariance.terms, u * root[:, place], strict=True):
+    for index in np.flatnonzero(finite < 1.0):
+        part = package.ureal(0.0, math.sqrt(1.0 - finite[index]))
+        for name, size in zip(covariance.terms, u * root[:, index], strict=True):
             numbers[name] += float(size) * part
     return {name: package.result(number, label=name) for name, number in numbers.items()}
 
 
-def _root(correlation: Array, dof: Array) -> Array:
+def _correlation_root(correlation: Array, dof: Array) -> Array:
     """Return independent parts, a row of L for each coefficient: L L^T is the correlation.
 
     Each part belongs to one coefficient, and those with fewer degrees of freedom have it too: these
@@ -148,7 +170,7 @@ def _root(correlation: Array, dof: Array) -> Array:
     return rows
 
 
-def _finite_parts(root: Array, dof: Array) -> Array:
+def _finite_dof_shares(root: Array, dof: Array) -> Array:
     """Return which share of each part's variance has one degree of freedom, from 0 to 1.
 
     A coefficient of which the share s has one degree of freedom, and the rest infinitely many, has
@@ -156,9 +178,9 @@ def _finite_parts(root: Array, dof: Array) -> Array:
     """
     from scipy.optimize import linprog
 
-    wanted = 1.0 / np.sqrt(dof)
-    of_parts = root**2
-    weight = 1.0 / np.maximum(wanted, 1e-6)
-    solved = linprog(weight @ of_parts, A_ub=-of_parts, b_ub=-wanted, bounds=(0.0, 1.0))
-    shares: Array = np.where(solved.x > 1e-12, np.minimum(solved.x, 1.0), 0.0)
+    required = 1.0 / np.sqrt(dof)
+    squares = root**2
+    weight = 1.0 / np.maximum(required, 1e-6)
+    solution = linprog(weight @ squares, A_ub=-squares, b_ub=-required, bounds=(0.0, 1.0))
+    shares: Array = np.where(solution.x > 1e-12, np.minimum(solution.x, 1.0), 0.0)
     return shares

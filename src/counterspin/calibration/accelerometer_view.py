@@ -41,15 +41,15 @@ class FittedGroup(Protocol):
         """Residuals, g, shape (n,)."""
 
     @property
-    def squares(self) -> float:
+    def chi2(self) -> float:
         """Chi-square of the residuals."""
 
     @property
-    def freedom(self) -> float:
+    def residual_dof(self) -> float:
         """Degrees of freedom of the residuals."""
 
     @property
-    def dof(self) -> float:
+    def noise_dof(self) -> float:
         """Degrees of freedom of an estimated noise; infinite for a stated one."""
 
     @property
@@ -57,7 +57,7 @@ class FittedGroup(Protocol):
         """Kind of test, as of `Observation`."""
 
     @property
-    def words(self) -> str:
+    def label(self) -> str:
         """Name in messages, plural."""
 
     @property
@@ -69,17 +69,17 @@ class FittedGroup(Protocol):
         """Standard uncertainty of each, g, shape (n,)."""
 
     @property
-    def weighed(self) -> bool:
+    def has_external_noise(self) -> bool:
         """True if the residuals are compared with a noise from another source."""
 
-    def under(self, fit: JointFit) -> Self:
+    def evaluate(self, fit: JointFit) -> Self:
         """Return the group under another fit of the same observations."""
 
 
 class ReadingData:
     """Readings and poses of a campaign in a joint fit; this class: none."""
 
-    parts: tuple[FittedGroup, ...] = ()  #: Groups with noise of one kind.
+    groups: tuple[FittedGroup, ...] = ()  #: Groups with noise of one kind.
 
     def fields(self, estimate: Estimate) -> Mapping[str, Any]:  # noqa: ARG002
         """Return fields of `Outcome` that these data determine."""
@@ -101,17 +101,17 @@ class ReadingData:
         """Return the kind of data that leaves a term undetermined, and advice; empty: none."""
         return "records", ""
 
-    def fit_turned(
+    def fit_rotated_mounting(
         self,
         estimate: Estimate,
-        parts: Sequence[FittedGroup],  # noqa: ARG002
+        groups: Sequence[FittedGroup],  # noqa: ARG002
         name: str,  # noqa: ARG002
-        turn: Callable[[Mounting], Mounting],  # noqa: ARG002
+        rotate: Callable[[Mounting], Mounting],  # noqa: ARG002
     ) -> tuple[JointFit, tuple[FittedGroup, ...]]:
         """Return the fit of groups with an accelerometer mounted otherwise, beside records.
 
         estimate: Of the records with the accelerometer mounted otherwise.
-        parts: The groups as they are stated.
+        groups: The groups as they are stated.
         """
         return estimate.fit, ()
 
@@ -126,7 +126,7 @@ class AccelerometerView:
     name: str  #: The accelerometer's.
     #: Of all accelerometers together.
     data: ReadingData = field(default_factory=ReadingData)
-    parts: tuple[FittedGroup, ...] = ()  #: Its groups of readings or poses.
+    groups: tuple[FittedGroup, ...] = ()  #: Its groups of readings or poses.
 
     @property
     def campaign(self) -> Campaign:
@@ -144,7 +144,7 @@ class AccelerometerView:
         return self.campaign.accelerometers[self.name]
 
     @cached_property
-    def places(self) -> dict[str, int]:
+    def indices(self) -> dict[str, int]:
         """Parameters of interest: symbol -> index among the unknowns of the fit."""
         return {
             unknown.symbol: index
@@ -155,16 +155,16 @@ class AccelerometerView:
     @property
     def k_ii(self) -> int | None:
         """Place of its K_II; None where the model has none."""
-        return self.places.get("K_II")
+        return self.indices.get("K_II")
 
     def jackknife(self) -> list[Jackknife]:
         """Return the jackknife of its K_II: the shift without each run."""
         return [] if self.k_ii is None else leave_out(self.estimate, self.k_ii)
 
-    def with_parts(self, parts: Sequence[FittedGroup]) -> AccelerometerView:
+    def with_groups(self, groups: Sequence[FittedGroup]) -> AccelerometerView:
         """Return the view with those of some groups that are the accelerometer's."""
-        own = [part for part in parts if self.name in part.accelerometers]
-        return replace(self, parts=tuple(own))
+        selected = [group for group in groups if self.name in group.accelerometers]
+        return replace(self, groups=tuple(selected))
 
     @property
     def has_records(self) -> bool:
@@ -185,18 +185,18 @@ class AccelerometerView:
     @cached_property
     def diagnostics(self) -> Diagnostics:
         """Tests of its whitened residuals, run by run."""
-        rows, times, freedom = {}, {}, {}
+        rows, times, dofs = {}, {}, {}
         for index, prepared, residuals in self.records():
             whitened = residuals.whitened
             rows[prepared.run] = whitened
             # Differences belong to the later of the rows they are made from.
             times[prepared.run] = prepared.series.time[-whitened.size :]
-            freedom[prepared.run] = max(self.fit.degrees_of_freedom[index], _FEWEST_DOF)
+            dofs[prepared.run] = max(self.fit.degrees_of_freedom[index], _FEWEST_DOF)
         noise_given = self.name not in self.estimate.components
         fits = len(self.campaign.accelerometers)
         return diagnose(
             rows,
-            freedom,
+            dofs,
             noise_given=noise_given,
             noise_dof=level_dof(self.fit, self.name) if noise_given else math.inf,
             times=times,

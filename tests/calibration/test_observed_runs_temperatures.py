@@ -8,7 +8,7 @@ import pytest
 from campaigns import campaign_of
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.observed import with_recorded_temperatures
+from counterspin.calibration.observed_runs import with_recorded_temperatures
 from counterspin.campaign.memory import make_campaign
 from counterspin.errors import CampaignError, RecordError
 from counterspin.physics.motion import EARTH_RATE

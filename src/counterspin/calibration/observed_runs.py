@@ -35,16 +35,16 @@ from counterspin.records.temperature_course import read_course
 from counterspin.units import ZERO_CELSIUS
 
 #: Horizontal part of an input axis from which its signal is held to the motion's wave.
-_HORIZONTAL_PART: Final = 0.05
+_MIN_HORIZONTAL: Final = 0.05
 
 #: How many of 1, t and t^2 a line is.
-_LINE: Final = 2
+_STRAIGHT_LINE: Final = 2
 
 #: A stated temperature may be off the recorded ones by so much, K: chamber and instrument differ.
-_APART: Final = 5.0
+_MAX_DEVIATION: Final = 5.0
 
 #: Record and the part of it -> its course.
-_Known = dict[tuple[Path, tuple[float, float]], tuple[float, ...]]
+_Profiles = dict[tuple[Path, tuple[float, float]], tuple[float, ...]]
 
 #: rad, over which a change with the latitude is taken.
 _LATITUDE_STEP: Final = 1e-5
@@ -60,7 +60,7 @@ class Signal:
     error: Array
     #: Change of what is put back with the latitude, m/rad and so on, shape (n,); None of a computer
     #: that is given the platform's velocity.
-    by_latitude: Array | None = None
+    latitude_derivative: Array | None = None
 
 
 @frozen
@@ -78,56 +78,59 @@ class ObservedRun:
 
 def observe(campaign: Campaign) -> Iterator[ObservedRun]:
     """Read the campaign's runs one after the other."""
-    _refuse_missing(campaign)
-    first_with: dict[bytes, Run] = {}
+    _check_files_exist(campaign)
+    first_runs: dict[bytes, Run] = {}
     lengths: dict[str, float] = {}
-    parts: dict[str, dict[str, Array]] = {}
+    moments_by_run: dict[str, dict[str, Array]] = {}
     for run in campaign.runs:
         record = read_run(campaign, run)
-        parts[run.name] = dict(record.polynomials)
+        moments_by_run[run.name] = dict(record.polynomials)
         samples = _samples_digest(record)
-        earlier = first_with.setdefault(samples, run)
+        earlier = first_runs.setdefault(samples, run)
         if earlier is not run:
-            raise recorded_twice(campaign, earlier, run)
+            raise duplicate_record_error(campaign, earlier, run)
         # When a run was made may depend on how long those before it lasted.
         lengths[run.name] = float(record.time[-1])
         yield observe_run(campaign, run, record, conditions_of(campaign, lengths)[run.name])
     for name in campaign.accelerometers:
-        _refuse_removed(campaign, name, {run: own[name] for run, own in parts.items()})
+        _reject_detrended(
+            campaign, name, {run: moments[name] for run, moments in moments_by_run.items()}
+        )
 
 
-def removed_of(parts: Mapping[str, Array]) -> tuple[int, list[str]]:
+def detect_detrending(moments_by_run: Mapping[str, Array]) -> tuple[int, list[str]]:
     """Return how many of 1, t and t^2 a recorder removed from a signal, and in which runs.
 
-    parts: Run -> parts of the signal's column, as of `Record.polynomials`.
+    moments_by_run: Run -> parts of the signal's column, as of `Record.polynomials`.
     """
-    if not parts:
+    if not moments_by_run:
         return 0, []
-    together = removed(list(parts.values()))
-    alone = {run: removed([own]) for run, own in parts.items()}
-    count = max(together, *alone.values())
-    return count, [run for run, own in alone.items() if count in (together, own)]
+    common_count = removed(list(moments_by_run.values()))
+    counts = {run: removed([moments]) for run, moments in moments_by_run.items()}
+    count = max(common_count, *counts.values())
+    return count, [run for run, moments in counts.items() if count in (common_count, moments)]
 
 
-def _refuse_removed(campaign: Campaign, name: str, parts: Mapping[str, Array]) -> None:
+def _reject_detrended(campaign: Campaign, name: str, moments_by_run: Mapping[str, Array]) -> None:
     """Refuse a signal from which more was removed than start offset and velocity take up."""
     observable = campaign.accelerometers[name].observable
-    count, runs = removed_of(parts)
+    count, runs = detect_detrending(moments_by_run)
     if count <= observation.ORDERS[observable]:
         return
     column = campaign.accelerometers[name].channel.name
     powers = ", ".join(("1", "t", "t^2")[:count])
-    ends = ", or zero at both ends in every run" if count == _LINE else ""
+    end_condition = ", or zero at both ends in every run" if count == _STRAIGHT_LINE else ""
     raise RecordError(
         f"{', '.join(runs)}: a {REMOVED[count]} was removed from column '{column}' ({name}) before "
-        f"it was written: to the last digit its rows are orthogonal to {powers}{ends}, as no "
+        f"it was written: to the last digit its rows are orthogonal to {powers}{end_condition}, "
+        "as no "
         "original record is. This also removed the effect of K_F and K_II on "
         f"{observable.replace('_', ' ')}. Switch this off in the recorder or in the export "
         "(detrend, remove offset, zero mean), and record or export again."
     )
 
 
-def _refuse_missing(campaign: Campaign) -> None:
+def _check_files_exist(campaign: Campaign) -> None:
     """Name all files that are not there at once, before hours go into those that are."""
     on_disk = (
         file
@@ -145,18 +148,20 @@ def _refuse_missing(campaign: Campaign) -> None:
 
 def read_run(campaign: Campaign, run: Run) -> Record:
     """Return the record of one run; RecordError if it cannot be used, with file and line."""
-    swings = {
-        name: swing
+    harmonics = {
+        name: harmonic
         for name, accelerometer in campaign.accelerometers.items()
-        if (swing := _swing(campaign, run, accelerometer)) is not None
+        if (harmonic := _expected_harmonic(campaign, run, accelerometer)) is not None
     }
-    columns, motion = record_columns(campaign, run), StatedMotion(run.rate, swings)
+    columns, motion = record_columns(campaign, run), StatedMotion(run.rate, harmonics)
     return read_record(campaign.record_at(run.record), columns, motion)
 
 
-def recorded_twice(campaign: Campaign, earlier: Run | Reading, run: Run | Reading) -> RecordError:
+def duplicate_record_error(
+    campaign: Campaign, earlier: Run | Reading, run: Run | Reading
+) -> RecordError:
     """Return the error that a run's record has the same samples as that of an earlier one."""
-    first, second = (one.record and campaign.record_at(one.record) for one in (earlier, run))
+    first, second = (item.record and campaign.record_at(item.record) for item in (earlier, run))
     return RecordError(
         f"{second}: holds the same samples as {first} (runs {earlier.name} and {run.name}). A "
         "record is used once only: remove one of the runs, or give it its own record."
@@ -172,18 +177,18 @@ def _samples_digest(record: Record) -> bytes:
     return digest.digest()
 
 
-def _swing(campaign: Campaign, run: Run, accelerometer: Accelerometer) -> Swing | None:
+def _expected_harmonic(campaign: Campaign, run: Run, accelerometer: Accelerometer) -> Swing | None:
     """Return the wave that the motion makes along an input axis; None where it is nearly upright.
 
     The position is R (cos th, sin th); each time derivative multiplies it with the rate and turns
     it forward by a right angle.
     """
     east, north, _ = accelerometer.mounting.turned(run.attitude).input_axis
-    if math.hypot(east, north) < _HORIZONTAL_PART:
+    if math.hypot(east, north) < _MIN_HORIZONTAL:
         return None
     derivatives = 2 - observation.ORDERS[accelerometer.observable]
-    wave = campaign.radius.value * complex(east, north) * (-1j * run.rate) ** derivatives
-    return Swing(wave, OBSERVABLES[accelerometer.observable])
+    amplitude = campaign.radius.value * complex(east, north) * (-1j * run.rate) ** derivatives
+    return Swing(amplitude, OBSERVABLES[accelerometer.observable])
 
 
 def record_columns(campaign: Campaign, run: Run) -> RecordColumns:
@@ -192,7 +197,7 @@ def record_columns(campaign: Campaign, run: Run) -> RecordColumns:
     return RecordColumns(
         recording.time,
         recording.angle,
-        {name: a.channel for name, a in campaign.accelerometers.items()},
+        {name: accelerometer.channel for name, accelerometer in campaign.accelerometers.items()},
         recording.dialect,
         run.part,
         tuple(run.continued_in),
@@ -210,8 +215,8 @@ def fit_rotation(
     count, spread: Of each block, the samples and the standard deviation of their times, s.
     """
     # The angle of a row was sampled `timing_offset` after its output.
-    late = campaign.timing_offset.value if campaign.timing_offset else 0.0
-    return fit_spindle(time + late, angle, rate, weights=count, spread=spread)
+    delay = campaign.timing_offset.value if campaign.timing_offset else 0.0
+    return fit_spindle(time + delay, angle, rate, weights=count, spread=spread)
 
 
 def observe_run(
@@ -239,11 +244,11 @@ def observe_run(
         )
         signals[name] = Signal(accelerometer, record.signals[name] - reference)
     if campaign.own_velocity:
-        signals = _of_platform_velocity(campaign, run, record.time, signals)
+        signals = _with_platform_velocity(campaign, run, record.time, signals)
     return ObservedRun(run, record, rotation, trajectory, signals)
 
 
-def _of_platform_velocity(
+def _with_platform_velocity(
     campaign: Campaign, run: Run, time: Array, signals: Mapping[str, Signal]
 ) -> dict[str, Signal]:
     """Return the signals that a computer which is given the platform's velocity would have made."""
@@ -252,14 +257,22 @@ def _of_platform_velocity(
         accelerometer = signal.accelerometer
         axis = accelerometer.mounting.turned(run.attitude).input_axis
         # The reference has what is left of gravity in it; the velocity is off by that too.
-        left = observation.residual_gravity(campaign.site, axis, time, accelerometer.observable)
-        errors.append(AxisError(axis, accelerometer.observable, time, signal.error + left))
+        residual_gravity = observation.residual_gravity(
+            campaign.site, axis, time, accelerometer.observable
+        )
+        errors.append(
+            AxisError(axis, accelerometer.observable, time, signal.error + residual_gravity)
+        )
     site = campaign.site
     north = replace(site, latitude=site.latitude + _LATITUDE_STEP)
-    back, there = taken(site, errors), taken(north, errors)
+    corrections, shifted_corrections = taken(site, errors), taken(north, errors)
     return {
-        name: Signal(signal.accelerometer, signal.error + part, (moved - part) / _LATITUDE_STEP)
-        for (name, signal), part, moved in zip(signals.items(), back, there, strict=True)
+        name: Signal(
+            signal.accelerometer, signal.error + correction, (shifted - correction) / _LATITUDE_STEP
+        )
+        for (name, signal), correction, shifted in zip(
+            signals.items(), corrections, shifted_corrections, strict=True
+        )
     }
 
 
@@ -271,66 +284,69 @@ def with_recorded_temperatures(campaign: Campaign) -> Campaign:
 
     RecordError where a column cannot be used, or contradicts what a run states.
     """
-    known: _Known = {}
+    profiles: _Profiles = {}
     runs = tuple(
-        run.model_copy(update={"temperature": temperatures_of(campaign, run, known)})
+        run.model_copy(update={"temperature": recorded_temperatures(campaign, run, profiles)})
         for run in campaign.runs
     )
     readings = tuple(
-        replace(one, temperature=temperatures_of(campaign, one, known)) for one in campaign.readings
+        replace(item, temperature=recorded_temperatures(campaign, item, profiles))
+        for item in campaign.readings
     )
     triad = campaign.triad
     if triad is not None:
         records = tuple(
-            replace(one, temperature=temperatures_of(campaign, one, known)) for one in triad.records
+            replace(item, temperature=recorded_temperatures(campaign, item, profiles))
+            for item in triad.records
         )
         triad = replace(triad, records=records)
-    if not known:
+    if not profiles:
         return campaign
     changed = replace(campaign, runs=runs, readings=readings, triad=triad)
     return changed if campaign.source is None else keep(changed, campaign.source)
 
 
-def temperatures_of(
-    campaign: Campaign, one: Run | Reading | PoseRecord, known: _Known
+def recorded_temperatures(
+    campaign: Campaign, item: Run | Reading | PoseRecord, profiles: _Profiles
 ) -> tuple[float, ...] | None:
     """Return the temperatures of a run, reading or record of poses, K: what its own record says.
 
-    known: Courses that were read, to which its own is added.
+    profiles: Profiles read before, to which that of the item is added.
     """
-    columns = columns_of_temperature(campaign, one)
-    if columns is None or one.record is None:
-        return one.temperature
-    source, key = campaign.record_at(one.record), (one.record, columns.part)
+    columns = temperature_columns(campaign, item)
+    if columns is None or item.record is None:
+        return item.temperature
+    source, key = campaign.record_at(item.record), (item.record, columns.part)
     if isinstance(source, Path) and not source.exists():
-        return one.temperature  # whoever reads the rest of it says so
-    if key not in known:
-        known[key] = read_course(source, columns)
-    course = known[key]
-    apart = max(
-        (max(min(course) - stated, stated - max(course)) for stated in one.temperature or ()),
+        return item.temperature  # whoever reads the rest of it says so
+    if key not in profiles:
+        profiles[key] = read_course(source, columns)
+    profile = profiles[key]
+    deviation = max(
+        (max(min(profile) - stated, stated - max(profile)) for stated in item.temperature or ()),
         default=0.0,
     )
-    if apart > _APART:
-        low, high = (f"{value - ZERO_CELSIUS:.4g}" for value in (min(course), max(course)))
+    if deviation > _MAX_DEVIATION:
+        low, high = (f"{value - ZERO_CELSIUS:.4g}" for value in (min(profile), max(profile)))
         (column,) = columns.signals.values()
         raise RecordError(
             f"{source}: column '{column.name}' has temperatures from {low} to {high} degC; the run "
-            f'"{one.name}" states one that is {apart:.3g} K off. Correct the unit of the column or '
+            f'"{item.name}" states one that is {deviation:.3g} K off. Correct the unit of the '
+            "column or "
             "the temperature of the run, or leave that out."
         )
-    return course
+    return profile
 
 
-def columns_of_temperature(
-    campaign: Campaign, one: Run | Reading | PoseRecord
+def temperature_columns(
+    campaign: Campaign, item: Run | Reading | PoseRecord
 ) -> RecordColumns | None:
     """Return the columns of time and temperature of a record; None where it has no temperature."""
     recording = Recording(campaign.time, None, campaign.dialect, campaign.temperature)
     columns = RecordColumns(campaign.time, None, {})
-    if isinstance(one, Run):
-        recording = campaign.recording_of(one)
-        columns = replace(columns, part=one.part, more=tuple(one.continued_in))
+    if isinstance(item, Run):
+        recording = campaign.recording_of(item)
+        columns = replace(columns, part=item.part, more=tuple(item.continued_in))
     if recording.temperature is None:
         return None
     signals = {"temperature": recording.temperature}

@@ -9,7 +9,7 @@ import pytest
 from campaigns import PLACE, SMALL, campaign_of, changed, runs
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.observed import observe
+from counterspin.calibration.observed_runs import observe
 from counterspin.errors import RecordError
 from counterspin.simulation.simulate import simulate
 

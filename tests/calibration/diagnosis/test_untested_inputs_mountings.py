@@ -11,7 +11,11 @@ from campaigns import PLACE, campaign_of, changed, runs, write
 from reading_descriptions import at_rest
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.diagnosis.statements import OtherMounting, better, unseen_axes
+from counterspin.calibration.diagnosis.untested_inputs import (
+    AlternativeMounting,
+    find_better_mounting,
+    undetermined_axis_remarks,
+)
 from counterspin.simulation.simulate import simulate
 
 UNITS = {"displacement": ("m", "0.01 m"), "specific_force": ("m/s^2", "1e-4 m/s^2")}
@@ -172,7 +176,7 @@ K_IP = "1e-4 ± 1e-6 g/g^2"
 
 def other(gain, dof):
     """Return a mounting that is better by a gain, with a noise of so many degrees of freedom."""
-    return OtherMounting(view=None, quarters=2, fit=None, gain=gain, dof=dof)
+    return AlternativeMounting(view=None, quarter_turns=2, fit=None, gain=gain, dof=dof)
 
 
 @pytest.mark.parametrize(
@@ -189,11 +193,11 @@ def other(gain, dof):
 )
 def test_a_better_mounting_is_one_beyond_chance(gain, dof, blamed):
     others = [other(gain, dof), other(-40.0, dof), other(-50.0, dof)]
-    assert (better(others) is others[0]) == blamed
+    assert (find_better_mounting(others) is others[0]) == blamed
 
 
 def test_without_other_mountings_none_is_better():
-    assert better([]) is None
+    assert find_better_mounting([]) is None
 
 
 def test_rounding_does_not_choose_between_turns_that_do_the_same():
@@ -208,9 +212,13 @@ def test_rounding_does_not_choose_between_turns_that_do_the_same():
         )
         moved = "K_II", 1e-6, size
         return SimpleNamespace(
-            view=view, gain=0.0, pendulous=("down", found), moved=lambda: moved, quarters=quarters
+            view=view,
+            gain=0.0,
+            pendulous_directions=("down", found),
+            largest_shift=lambda: moved,
+            quarter_turns=quarters,
         )
 
     for more, less in ((1.3, 1.3 - 1e-13), (1.3 - 1e-13, 1.3)):
-        (text,) = unseen_axes([after(1, "north", more), after(3, "south", less)])
+        (text,) = undetermined_axis_remarks([after(1, "north", more), after(3, "south", less)])
         assert "With north for down" in text

@@ -1,0 +1,196 @@
+"""Text about the cause of a misfit."""
+
+from __future__ import annotations
+
+import math
+
+from counterspin.calibration.checks.priors import FindingText, PriorExplanation
+from counterspin.campaign.settings import OBSERVABLES
+from counterspin.frozen import frozen
+from counterspin.inference.joint import mistakes
+from counterspin.inference.joint.unknowns import unit_of
+from counterspin.physics.terms import term
+from counterspin.reports.numbers import field_unit, format_estimate, format_number
+
+
+@frozen
+class Explanation(PriorExplanation):
+    """An alternative that explains the records."""
+
+    def describe(self) -> FindingText:
+        """Return it in words."""
+        describe_kind = {
+            "term": self._describe_term,
+            mistakes.SCALE: self._describe_scale,
+            mistakes.RUN_SCALE: self._describe_scale,
+            mistakes.RESPONSE: self._describe_response,
+            mistakes.ANGLE: self._describe_angle,
+            mistakes.CORIOLIS: self._describe_coriolis,
+            mistakes.BIAS: self._describe_bias,
+            mistakes.BIAS_DRIFT: self._describe_drift,
+            mistakes.JUMP: self._describe_step,
+            mistakes.SLOPE: self._describe_step,
+            mistakes.BIAS_STEP: self._describe_bias_step,
+        }.get(self.alternative.kind, super().describe)
+        return describe_kind()
+
+    def _describe_term(self) -> FindingText:
+        name, limit = self.alternative.name, self.alternative.between[1]
+        if not self.alternative.owner and term(self.alternative.symbol).per_run:
+            name += " in all runs"
+        text = (
+            f"{name} of {self._format_estimate(unit_of(self.alternative.symbol))} would explain "
+            "the records; "
+            "the model leaves it out. "
+        )
+        label = f"{name}, which is left out"
+        if abs(self.value) > limit:
+            shown, factor = field_unit(unit_of(self.alternative.symbol))
+            largest = f"{format_number(limit * factor, 3)} {shown}"
+            text += (
+                f"That exceeds the largest credible size, {largest}, but nothing credible explains "
+                f"as much. If it can be so large, add it to the terms and state its limit; "
+                "otherwise look for a mistake that has the same effect."
+            )
+            label += " and would be larger than is credible"
+        else:
+            text += "Add it to the terms, or state what is known of it."
+        return FindingText(
+            code="term-missing", subject=self.alternative.name, text=text, name=label
+        )
+
+    @property
+    def _record_names(self) -> str:
+        """Records to which the alternative applies."""
+        parts = [self.fit.prepared[i] for i in self.alternative.columns]
+        if len(parts) == 1:
+            return f"{parts[0].accelerometer} in {parts[0].run}"
+        return self.alternative.owner
+
+    def _describe_scale(self) -> FindingText:
+        text = (
+            f"The record of {self._record_names} would fit if it were "
+            f"{format_number(1 - self.value, 6)} "
+            f"times as large (u {format_number(self.u, 2)}): check its scale, its "
+            "unit and the stated scale factor."
+        )
+        name = f"scale of the record of {self._record_names}"
+        return FindingText(code="wrong-scale", subject=self.alternative.owner, text=text, name=name)
+
+    def _describe_response(self) -> FindingText:
+        rates = (
+            abs(self.fit.prepared[index].series.trajectory.spindle.rate)
+            for index in self.alternative.columns
+        )
+        fastest = max(rates)
+        change, u = (0.5e6 * size * fastest**2 for size in (abs(self.value), self.u))
+        direction, cause = (
+            ("fell", "a filter in the recorder, or means over a sample")
+            if self.value > 0.0
+            else ("rose", "a resonance of the sensor")
+        )
+        text = (
+            f"The records of {self.alternative.owner} would fit if the gain {direction} with "
+            "the square of the "
+            f"frequency, by {format_estimate(change, u, 'ppm')} at {fastest / (2.0 * math.pi):.3g} "
+            f"Hz, as with {cause}. Check the frequency response of accelerometer and recorder."
+        )
+        return FindingText(
+            code="frequency-response",
+            subject=self.alternative.owner,
+            text=text,
+            name=f"frequency response of {self.alternative.owner}",
+        )
+
+    def _describe_angle(self) -> FindingText:
+        run = self.alternative.owner
+        of_run = f" of {run}" if run else ""
+        size = f"{math.degrees(abs(self.value)):.4g} deg (u {math.degrees(self.u):.1g} deg)"
+        direction = "larger" if self.value > 0.0 else "smaller"
+        text = (
+            f"The records would fit if the angle{of_run} were {size} {direction}: check its "
+            "zero, and "
+            "the time at which it is sampled."
+        )
+        return FindingText(
+            code="wrong-angle",
+            subject=run or self.alternative.symbol,
+            text=text,
+            name=f"zero of the angle{of_run}",
+        )
+
+    def _describe_coriolis(self) -> FindingText:
+        uses_platform = self.campaign.own_velocity
+        owner, stated = (
+            ("the platform's", "platform") if uses_platform else ("its own", "own velocity")
+        )
+        text = (
+            f"The records look like those of a computer that uses {owner} velocity for the "
+            f"Coriolis acceleration: {format_number(self.value, 4)} times that effect "
+            f"is in them (u {format_number(self.u, 2)}). If it does, state reference = "
+            f'"{stated}" in [records].'
+        )
+        name = f"velocity in the Coriolis acceleration, {owner}"
+        return FindingText(
+            code="own-velocity", subject=self.alternative.symbol, text=text, name=name
+        )
+
+    def _describe_bias(self) -> FindingText:
+        text = (
+            f"{self._record_names} would fit with a bias of its own, "
+            f"{self._format_estimate('g')} more than in "
+            "the other runs: the bias has changed, or the record has a slow error. "
+            "Inspect the record."
+        )
+        return FindingText(
+            code="run-differs",
+            subject=self.alternative.owner,
+            text=text,
+            name=f"bias of {self._record_names}",
+        )
+
+    def _describe_drift(self) -> FindingText:
+        alone = len(self.alternative.columns) == 1
+        when = "" if alone else " from the start of every run"
+        text = (
+            f"{self._record_names} would fit with a bias that drifts by "
+            f"{self._format_estimate('g/s')}{when}: "
+            "warm-up, creep or another slow error. Inspect the records."
+        )
+        return FindingText(
+            code="bias-drifts",
+            subject=self.alternative.owner,
+            text=text,
+            name=f"drift of the bias of {self._record_names}",
+        )
+
+    def _describe_bias_step(self) -> FindingText:
+        text = (
+            f"{self._record_names} would fit with a bias that changes by "
+            f"{self._format_estimate('g')} at about "
+            f"{self.alternative.at:.4g} s: switching on, warm-up or another slow "
+            "error. Leave out the part before that time, or the whole run."
+        )
+        return FindingText(
+            code="bias-drifts",
+            subject=self.alternative.owner,
+            text=text,
+            name=f"change of the bias of {self._record_names}",
+        )
+
+    def _describe_step(self) -> FindingText:
+        (i,) = self.alternative.columns
+        unit = OBSERVABLES[self.fit.prepared[i].series.observable]
+        at = f"about {self.alternative.at:.4g} s"
+        if self.alternative.kind == mistakes.JUMP:
+            quantity, change_text = "level", f"jumps by {self._format_estimate(unit)} at {at}"
+        else:
+            change = format_estimate(self.value, self.u, f"{unit} a second")
+            quantity, change_text = "slope", f"drifts from {at} on: its slope changes by {change}"
+        return FindingText(
+            code="jump",
+            subject=self.alternative.owner,
+            text=f"The record of {self._record_names} {change_text}. Leave the run out, or record "
+            "it again.",
+            name=f"{quantity} of {self._record_names}",
+        )
