@@ -54,6 +54,8 @@ LABORATORY = {
     "item.serial_number": "1017",
     "persons[0].name": "A. Person",
     "persons[0].role": "Head of calibration",
+    "conditions.temperature": "20.0 ± 0.3 degC",
+    "evidence.all": "Type test 4714.",
 }
 
 #: What a person knows that no file says: how a question begins -> the answer.

@@ -30,7 +30,7 @@ def test_a_certificate_is_issued_once_and_can_be_taken_away(with_lab, folder):
     made = with_lab.post("/api/certificate", json=SAID).json()
     assert made["accelerometers"] == ["Qx", "Qy"]
     assert made["files"] == ["three/certificate.xml"]
-    assert any("example" in note for note in made["notes"])
+    assert any("values of the template" in note for note in made["notes"])
     certified = check_certificate(folder / "three" / "certificate.xml").certified
     assert certified.identifier == made["identifier"]
     again = with_lab.post("/api/certificate", json=SAID)
@@ -132,11 +132,12 @@ def test_an_example_is_not_signed_and_no_key_is_read(with_lab, folder):
     told = with_lab.post("/api/certificate", json=SAID | {"signing": signing})
     assert told.status_code == 422
     assert "laboratory.name" in told.json()["error"]
-    assert "still example text" in told.json()["error"]
+    assert "values of the template" in told.json()["error"]
     assert not (folder / "three" / "certificate.xml").exists()
     # The page knows before it asks.
     lab = with_lab.get("/api/lab", params={"file": "LAB.toml", "result": SAID["result"]}).json()
-    assert "laboratory.name" in lab["example"]
+    missing = {entry["key"] for entry in lab["missing"]}
+    assert {"laboratory.name", "item.model", "conditions.temperature"} < missing
     assert lab["signer"] == ""
 
 

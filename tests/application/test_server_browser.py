@@ -113,16 +113,16 @@ def test_a_certificate_is_signed_by_mouse(opened, folder, tmp_path, kind):
     tab = opened("/certificate/three%2Fresult.json")
     # What is left of the example is seen before anything is signed.
     tab.get_by_text(
-        "Still example text: customer (name). A certificate issued now is a draft"
+        "Missing, or a value of the template: customer (name). A certificate issued now is a draft"
     ).wait_for()
     assert tab.get_by_label("Password of the key").is_hidden()
     tab.get_by_label("Signature").select_option("With a key in a file")
-    tab.get_by_text("Replace that below before you sign.").wait_for()
+    tab.get_by_text("Complete this before you sign.").wait_for()
     button = tab.get_by_role("button", name="Sign and issue")
     assert button.is_disabled()
     tab.locator('[id="f-customer.name"]').fill("Own customer")
     tab.get_by_label("File of the certificate").click()
-    tab.get_by_text("Still example text").wait_for(state="hidden")
+    tab.get_by_text("Missing, or a value of the template").wait_for(state="hidden")
     assert button.is_enabled()
     tab.get_by_label("Key, PEM or PKCS #12").set_input_files(key)
     if kind == "pem":

@@ -60,10 +60,11 @@ def test_the_same_result_gives_the_same_bytes(desk, capsys):
     assert find((desk / "a.xml").read_bytes(), "//dcc:issueDate")[0].text == "2027-01-15"
 
 
-def test_a_certificate_without_the_conditions_says_so(desk, capsys):
+def test_a_certificate_without_the_conditions_is_a_draft(desk, capsys):
     write_lab(desk, LAB.partition("[conditions]")[0])
     _, out, _ = command(capsys, "r.json", "LAB.toml", "-o", "a.xml")
-    assert "No temperature is stated (conditions.temperature)" in out
+    assert "certificate DRAFT-CS-" in out
+    assert "conditions.temperature: is missing" in out
 
 
 def test_the_pdf_holds_the_xml_byte_for_byte(desk, capsys):
@@ -228,21 +229,26 @@ def test_the_example_gives_a_draft_that_nobody_signs(desk, capsys):
     assert command(capsys, "--init", "mine.toml")[0] == 0
     status, out, _ = command(capsys, "r.json", "mine.toml", "-o", "c.pdf")
     assert status == 0
-    assert "It is a draft. Still example text: certificate.traceability, laboratory.name" in out
+    assert "This is a draft" in out
+    assert "certificate.begin, certificate.end, certificate.traceability, laboratory.name" in out
+    assert "item.model, item.serial_number, persons[0].name" in out
     pages = [page.extract_text() for page in pypdf.PdfReader(desk / "c.pdf").pages]
-    assert all(page.startswith("DRAFT, not a calibration certificate DRAFT-CS-") for page in pages)
+    assert all("DRAFT, not a calibration certificate DRAFT-CS-" in page for page in pages)
     made = certificate(desk / "r.json", desk / "mine.toml").xml
     assert find(made, "//dcc:uniqueIdentifier")[0].text.startswith("DRAFT-CS-")
     draft = find(made, "//dcc:statement[dcc:name/dcc:content='Draft']/dcc:declaration/dcc:content")
     assert draft[0].text.startswith("DRAFT. ")
+    assert [
+        e.text for e in find(made, "//dcc:statement[dcc:name/dcc:content='Draft']/dcc:valid")
+    ] == ["false"]
     key, cert = map(str, write_pair(desk / "k", ec.generate_private_key(ec.SECP256R1())))
     signing = ("--key", key, "--cert", cert)
     status, _, err = command(capsys, "r.json", "mine.toml", "-o", "d.xml", *signing)
     assert status == 2
     assert "certificate.traceability, laboratory.name" in err
-    assert "still example text; replace it before signing" in err
+    assert "values of the template; replace them before signing" in err
     # Before anything is signed: nobody is asked for a key.
-    with pytest.raises(CampaignError, match="still example text"):
+    with pytest.raises(CampaignError, match="values of the template"):
         certificate(desk / "r.json", desk / "mine.toml", signer=lambda: pytest.fail("asked"))
 
 

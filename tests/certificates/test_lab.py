@@ -4,7 +4,7 @@ import pytest
 from results import result
 
 from certificates import LAB, lab_of, write_lab
-from counterspin.certificates.lab import example_keys, read_lab, write_example
+from counterspin.certificates.lab import read_lab, template_keys, write_example
 from counterspin.errors import CampaignError, CounterspinError
 
 
@@ -81,14 +81,39 @@ def test_the_example_serves_as_it_is_and_says_that_it_is_one(tmp_path):
     path = write_example(tmp_path / "LAB.toml")
     lab, specifications = read_lab(path, result())
     assert specifications is None
-    keys = example_keys(lab)
-    assert {"laboratory.name", "certificate.traceability", "persons[0].name"} <= set(keys)
-    assert "certificate.language" not in keys
+    keys = template_keys(lab)
+    # Every key of the template that has a value, except its format.
+    assert len(keys) == 18
+    assert {"certificate.begin", "laboratory.post_code", "item.model", "item.serial_number"} < {
+        *keys
+    }
+    assert {"laboratory.name", "certificate.traceability", "persons[0].name"} < {*keys}
     text = path.read_text("utf-8").replace("Example Customer", "Somebody")
-    assert "customer.name" not in example_keys(lab_of(tmp_path, result(), text))
-    assert example_keys(lab_of(tmp_path, result())) == []
+    assert "customer.name" not in template_keys(lab_of(tmp_path, result(), text))
+    assert template_keys(lab_of(tmp_path, result())) == []
     with pytest.raises(CounterspinError, match="exists"):
         write_example(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ("2026-01-12", "2000-01-01", "certificate.begin"),
+        ('"D-K-1"', '"Example D-K-00000-00-00"', "laboratory.code"),
+        ('"Weg"', '"Example Street"', "customer.street"),
+        ('"12345"', '"00000"', "customer.post_code"),
+        ('"P-1"', '"EX-1"', "item.model"),
+        ('"0815"', '"000000"', "item.serial_number"),
+        ('"B. Zweite"', '"E. Xample"', "persons[1].name"),
+        (
+            "[conditions]",
+            '[accelerometers.Qx]\nmodel = "Example 1"\n[conditions]',
+            "accelerometers.Qx.model",
+        ),
+    ],
+)
+def test_each_value_of_the_template_is_found_in_any_table(tmp_path, old, new, key):
+    assert template_keys(lab_of(tmp_path, result(), LAB.replace(old, new, 1))) == [key]
 
 
 def test_a_specification_is_read_with_the_site_s_gravity(tmp_path):

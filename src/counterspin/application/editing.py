@@ -28,7 +28,8 @@ from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, parse_document
 from counterspin.campaign.questions import questions
-from counterspin.certificates.lab import example_keys, example_text, read_lab
+from counterspin.certificates.completeness import MissingEntry, missing_data
+from counterspin.certificates.lab import example_text, read_lab
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.planning.plan_file import is_plan
@@ -51,8 +52,7 @@ class EditedText:
     #: Mistakes, each as key (empty: of the whole) and words.
     problems: tuple[tuple[str, str], ...] = ()
     questions: tuple[str, ...] = ()  #: What may well be a slip.
-    #: Keys of the laboratory's data that still have the example's text.
-    example: tuple[str, ...] = ()
+    missing: tuple[MissingEntry, ...] = ()  #: What a certificate lacks, by key.
 
     def shown(self) -> dict[str, Any]:
         """Return the state for the page."""
@@ -61,7 +61,7 @@ class EditedText:
             "document": json.loads(json.dumps(self.document, default=str)),
             "problems": [{"key": key, "words": words} for key, words in self.problems],
             "questions": list(self.questions),
-            "example": list(self.example),
+            "missing": [{"key": entry.key, "words": entry.words} for entry in self.missing],
             "run_kinds": run_kinds(self.document),
         }
 
@@ -94,7 +94,7 @@ def checked_lab(text: str, result: Result) -> EditedText:
         lab, _ = read_lab(document, result)
     except CampaignError as error:
         return EditedText(text, document, _split(error.problems))
-    return EditedText(text, document, example=tuple(example_keys(lab)))
+    return EditedText(text, document, missing=tuple(missing_data(lab, result)))
 
 
 def checked_plan(desk: Desk, file: Path, text: str) -> EditedText:

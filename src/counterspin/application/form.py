@@ -28,6 +28,7 @@ from counterspin.campaign.kinds import (
 from counterspin.campaign.runs import READINGS, RECORDS, is_reading
 from counterspin.campaign.terms import BARE_NAMES
 from counterspin.campaign.truth import TRUE_TABLES, AccelerometerTruthSettings
+from counterspin.certificates.evidence import ALL
 from counterspin.certificates.lab import Lab
 from counterspin.physics.terms import ACCELEROMETER_TERMS, READING_TERMS, SHARED_TERMS, TERMS
 from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
@@ -96,6 +97,19 @@ def lab_form() -> tuple[Field, ...]:
         model = model_inside(field.annotation)
         if model is not None:
             sections.append(_section(field.alias or name, model, "certificate"))
+    evidence = Lab.model_fields["evidence"]
+    sections.append(
+        {
+            "key": "evidence",
+            "words": unlinked(evidence.description or ""),
+            "explained": "certificate#what-is-assumed",
+            "repeat": None,
+            "fields": [
+                _text_field(ALL, "a report") | {"help": "for every term"},
+                *(_text_field(symbol, "a report or a data sheet") for symbol in TERMS),
+            ],
+        }
+    )
     return tuple(sections)
 
 
@@ -122,18 +136,20 @@ def run_kinds(document: Mapping[str, Any]) -> list[str]:
 
 def _limits() -> list[Field]:
     """Return the fields of tolerance limits, one for each term of an accelerometer."""
-    return [
-        {
-            "key": symbol,
-            "label": _label(symbol),
-            "help": "",
-            "links": [],
-            "required": False,
-            "kind": "text",
-            "example": f"abs <= … {row.unit}",
-        }
-        for symbol, row in TERMS.items()
-    ]
+    return [_text_field(symbol, f"abs <= … {row.unit}") for symbol, row in TERMS.items()]
+
+
+def _text_field(key: str, example: str) -> Field:
+    """Return an optional field of text without help."""
+    return {
+        "key": key,
+        "label": _label(key),
+        "help": "",
+        "links": [],
+        "required": False,
+        "kind": "text",
+        "example": example,
+    }
 
 
 def _section(key: str, model: type[BaseModel], page: str) -> Field:

@@ -73,9 +73,9 @@ _RULES: Final = {
     "fail if it does not conform with at least that probability, else undecided",
 }
 
-#: Statement of a certificate with the example's laboratory data.
+#: Statement of a certificate that lacks data of the laboratory.
 DRAFT: Final = (
-    "DRAFT. The laboratory's data are those of the example: this is no certificate, and certifies "
+    "DRAFT. The laboratory's data are not complete: this is not a certificate, and it certifies "
     "nothing."
 )
 
@@ -99,6 +99,7 @@ CAPABILITY: Final = "Calibration and measurement capability"
 BASIS: Final = "Basis of the result"
 PRIOR_KNOWLEDGE: Final = "Prior knowledge"
 ASSUMED: Final = "Assumed perfect, and the evidence"
+DEFAULTS: Final = "Evidence for default uncertainties"
 SUPPLIED: Final = "Data supplied by the customer"
 CONFORMITY: Final = "Conformity"
 REMARKS: Final = "Remarks"

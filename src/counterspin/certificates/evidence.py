@@ -19,7 +19,7 @@ ALL: Final = "all"
 
 
 def terms_without_evidence(assumed: Sequence[str], evidence: Mapping[str, str]) -> list[str]:
-    """Return the assumed terms without a text."""
+    """Return the terms without a text in [evidence]."""
     return [name for name in assumed if not any(_covers(key, name) for key in evidence)]
 
 

@@ -29,9 +29,10 @@ from counterspin.certificates.certificate_reader import (
     read_document,
     verify_pages,
 )
+from counterspin.certificates.completeness import MissingEntry, missing_data, missing_lines
 from counterspin.certificates.conversion import apply_cmc_floor, output_table, to_si_with_exact_g
 from counterspin.certificates.evidence import require_evidence
-from counterspin.certificates.lab import Lab, example_keys, read_lab
+from counterspin.certificates.lab import Lab, read_lab
 from counterspin.certificates.ledger import IssueDetails, checksum_of, record_certificate
 from counterspin.certificates.pdf_pages import TITLE, page_blocks, page_title, results_table
 from counterspin.certificates.schema import check_schema
@@ -257,8 +258,8 @@ def certificate(
     Raises
     ------
     CampaignError
-        If the laboratory's data have missing keys or mistakes, or those of the example are to be
-        signed.
+        If the laboratory's data have missing keys or mistakes, or if a draft is to be signed: one
+        with a value of the template, or without data that a certificate needs.
     RecordError
         If the result cannot be read or must not be certified.
     CounterspinError
@@ -291,10 +292,11 @@ def certificate(
     require_evidence(original.assumed, data.evidence, source)
     amended, old = (None, b"") if amends is None else read_amended(amends)
     accepted = tuple(reason for reason in (accept_misfit, accept_unsealed) if reason is not None)
-    issue = _make_issue(data, original, amended, accepted, signed=signer is not None)
-    issue = replace(issue, accepted_unsealed=accept_unsealed)
+    missing = missing_data(data, original)
+    issue = _make_issue(data, original, amended, accepted, draft=bool(missing))
+    issue = replace(issue, accepted_unsealed=accept_unsealed, signed=signer is not None)
     if issue.draft and signer is not None:
-        raise CampaignError(source, [_example_text_error(example_keys(data))])
+        raise CampaignError(source, missing_lines(missing))
     if callable(signer):
         signer = signer()
     certified = apply_cmc_floor(judged, data)
@@ -312,7 +314,7 @@ def certificate(
     return Certificate(
         identifier=issue.identifier,
         accelerometers=names,
-        notes=[*_notes(data, judged, issue), *_signer_notes(signer, issue)],
+        notes=[*_notes(data, judged, issue, missing), *_signer_notes(signer, issue)],
         xml=xml,
         ledger=_ledger(data, lab),
         entry={"identifier": issue.identifier, "sha256": checksum_of(xml)}
@@ -327,10 +329,6 @@ def certificate(
         draft=issue.draft,
         pages=lambda: _signed_pages(_pages(data, judged, issue, verdicts, attach=xml), signer),
     )
-
-
-def _example_text_error(keys: list[str]) -> str:
-    return f"{', '.join(keys)}: still example text; replace it before signing"
 
 
 def _signed_pages(pages: bytes, signer: Signer | None) -> bytes:
@@ -367,19 +365,17 @@ def _unsealed_error(result: Result, accept_unsealed: str | None) -> str | None:
     return None
 
 
-def _notes(lab: Lab, result: Result, issue: Issue) -> Iterator[str]:
+def _notes(
+    lab: Lab, result: Result, issue: Issue, missing: Sequence[MissingEntry]
+) -> Iterator[str]:
     names = lab.certified(result)
     if left_out := [name for name in result.accelerometers if name not in names]:
         yield f"Not certified, according to certificate.accelerometers: {', '.join(left_out)}."
     if (day := issue.date.date()) < lab.certificate.end:
         yield f"The day of issue, {day}, is before certificate.end, {lab.certificate.end}."
-    if lab.conditions.temperature is None:
-        yield (
-            "No temperature is stated (conditions.temperature): a certificate states the "
-            "conditions that influence its results (ISO/IEC 17025 7.8.4.1 b)."
-        )
-    if keys := example_keys(lab):
-        yield f"It is a draft. Still example text: {', '.join(keys)}."
+    if missing:
+        yield "This is a draft, which cannot be signed and is not entered in a ledger. It lacks:"
+        yield from missing_lines(missing)
 
 
 def _signer_notes(signer: Signer | None, issue: Issue) -> Iterator[str]:
@@ -407,9 +403,8 @@ def _make_issue(
     amended: AmendedCertificate | None,
     accepted: Sequence[str],
     *,
-    signed: bool,
+    draft: bool,
 ) -> Issue:
-    draft = bool(example_keys(lab))
     unnamed = _identifier(lab, result, accepted) if amended is None else amended.next_identifier()
     identifier = lab.certificate.identifier or unnamed
     if amended is not None:
@@ -418,7 +413,6 @@ def _make_issue(
         identifier=f"DRAFT-{identifier}" if draft else identifier,
         # The date has no time of day, so that XML and PDF made one after the other are identical.
         date=datetime.combine(lab.certificate.issued or issue_date().date(), time(), UTC),
-        signed=signed,
         draft=draft,
         amended=amended,
     )
@@ -447,6 +441,7 @@ def _pages(
         identifier=issue.identifier,
         date=issue.date,
         attachments=attachments,
+        watermark="DRAFT" if issue.draft else "",
     )
     return data
 

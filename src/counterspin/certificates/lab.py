@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Iterator, Mapping
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -289,7 +290,8 @@ class Lab(SettingsSection):
         absent="no limit",
     )
     evidence: Annotated[dict[str, Text], BeforeValidator(_flatten)] = described(
-        "what bounds each term that the result [assumes](#what-is-assumed) to be perfect, by term",
+        "what bounds each term that the result [assumes](#what-is-assumed) to be perfect, or whose "
+        "default uncertainty is a tenth of a variance or more, by term",
         {"K_OO": "type test TR-12"},
         {},
         absent="none",
@@ -406,14 +408,35 @@ def write_example(path: Path | str) -> Path:
     return path
 
 
-def example_keys(lab: Lab) -> list[str]:
-    """Return the keys that still have the example's text."""
-    example = lab.model_dump(exclude={"conditions"})
-    return [
-        key_path(path)
-        for path, words in _leaves(parse_toml(example_text()), ())
-        if "xample" in words.lower() and _value_at(example, path) == words
-    ]
+def template_keys(lab: Lab) -> list[str]:
+    """Return the keys that still have a value of the template."""
+    values = _template_values()
+    data = lab.model_dump(exclude={"conditions", "specification"})
+    return [key_path(path) for path, value in _leaves(data, ()) if _entry(path, value) in values]
+
+
+@cache
+def _template_values() -> frozenset[tuple[str, str]]:
+    """Return the placeholders of the template, each with the last name in its key.
+
+    They are the dates, the text, and of the lines that are commented out the text with "example".
+    """
+    text = example_text()
+    used = _leaves(parse_toml(text), ())
+    commented = _leaves(parse_toml(_COMMENTED_OUT.sub("", text)), ())
+    return frozenset(
+        [_entry(path, value) for path, value in used]
+        + [_entry(*leaf) for leaf in commented if re.search("(?i)example|^2000-", leaf[1])]
+    )
+
+
+#: Start of a line of the template that holds a key or a heading within a comment.
+_COMMENTED_OUT: Final = re.compile(r"^# (?=\[[\w.]+\]|[\w.\"*]+ = )", re.MULTILINE)
+
+
+def _entry(path: KeyPath, value: str) -> tuple[str, str]:
+    """Return the last name in a key path, and the value."""
+    return next(str(part) for part in reversed(path) if isinstance(part, str)), value
 
 
 def example_text() -> str:
@@ -422,18 +445,12 @@ def example_text() -> str:
 
 
 def _leaves(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
-    """Yield all text in a document with its key path."""
-    if isinstance(value, str):
-        yield path, " ".join(value.split())
+    """Yield all text and dates in a document, as text, with the key path."""
+    if isinstance(value, str | datetime.date):
+        yield path, " ".join(str(value).split())
     elif isinstance(value, dict):
         for key, inner in value.items():
             yield from _leaves(inner, (*path, key))
     elif isinstance(value, list):
         for place, inner in enumerate(value):
             yield from _leaves(inner, (*path, place))
-
-
-def _value_at(value: Any, path: KeyPath) -> Any:
-    for part in path:
-        value = value[part]
-    return value

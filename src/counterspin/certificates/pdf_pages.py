@@ -15,6 +15,7 @@ from counterspin.calibration.si_estimates import SiEstimate
 from counterspin.certificates import certificate_text
 from counterspin.certificates.amendment import amendment_lines
 from counterspin.certificates.certificate_text import coverage_factor
+from counterspin.certificates.completeness import default_evidence
 from counterspin.certificates.conversion import (
     apply_cmc_floor,
     certified_triad,
@@ -147,6 +148,7 @@ def _result_blocks(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
     )
     yield from _section(certificate_text.PRIOR_KNOWLEDGE, *map(typeset, known))
     yield from _section(certificate_text.ASSUMED, *evidence_lines(result.assumed, lab.evidence))
+    yield from _section(certificate_text.DEFAULTS, *default_evidence(lab, result))
     yield from _section(certificate_text.SUPPLIED, *certificate_text.customer_lines(settings))
 
 

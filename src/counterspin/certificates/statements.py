@@ -10,6 +10,7 @@ from typing import Final
 from counterspin.calibration.result import Result
 from counterspin.certificates import certificate_text
 from counterspin.certificates.amendment import AmendedCertificate, amendment_lines
+from counterspin.certificates.completeness import default_evidence
 from counterspin.certificates.conversion import (
     certified_triad,
     cmc_lines,
@@ -35,7 +36,7 @@ class Issue:
     identifier: str  #: Unique identifier.
     date: datetime.datetime  #: Date of issue, UTC.
     signed: bool = False  #: Whether an electronic signature follows.
-    #: Whether the laboratory's data are still the example's, so that nothing is certified.
+    #: Whether data are missing, so that nothing is certified.
     draft: bool = False
     amended: AmendedCertificate | None = None  #: The certificate that this one replaces.
     #: Reason for certifying a result whose file has no seal; None if it has one.
@@ -59,6 +60,7 @@ class Statement:
     traceable: bool = False
     non_si: str | None = None  #: Definition of the unit g.
     conformity: str | None = None  #: DCC keyword, such as ``pass`` or ``fail``.
+    valid: bool = True  #: False: what the statement concerns is not valid.
 
 
 def item_id(lab: Lab, result: Result, name: str) -> str:
@@ -87,7 +89,7 @@ def statements(
 
 def _certificate_statements(lab: Lab, stated: Result, issue: Issue) -> Iterator[Statement]:
     settings = lab.certificate
-    yield Statement("Draft", [certificate_text.DRAFT] if issue.draft else [])
+    yield Statement("Draft", [certificate_text.DRAFT] if issue.draft else [], valid=False)
     yield Statement("Amendment", amendment_lines(issue.amended), _QUALITY)
     misfit = certificate_text.misfit_lines(stated, lab.certified(stated))
     yield Statement("Misfit of the result", misfit)
@@ -116,6 +118,8 @@ def _value_statements(lab: Lab, result: Result, stated: Result) -> Iterator[Stat
     yield Statement(certificate_text.PRIOR_KNOWLEDGE, known)
     evidence = [*evidence_lines(stated.assumed, lab.evidence)]
     yield Statement(certificate_text.ASSUMED, evidence, language=settings.language)
+    bounds = default_evidence(lab, stated)
+    yield Statement(certificate_text.DEFAULTS, bounds, language=settings.language)
     supplied = certificate_text.customer_lines(settings)
     yield Statement(certificate_text.SUPPLIED, supplied, _QUALITY, settings.language)
     for name in names:

@@ -60,6 +60,7 @@ def pdf(
     date: datetime,
     kind: str = "a page",
     attachments: Sequence[Attachment] = (),
+    watermark: str = "",
 ) -> bytes:
     """Set blocks as a PDF/A-3a (ISO 19005-3) and PDF/UA-1 (ISO 14289-1).
 
@@ -68,6 +69,7 @@ def pdf(
     Cyrillic and Hebrew) is taken from the machine's fonts; a square replaces it if these lack it.
 
     title: Title on every page; also the heading, if the blocks have none of level 1.
+    watermark: Printed across every page.
     """
     names = [attachment.name for attachment in attachments]
     if len(set(names)) < len(names):
@@ -81,6 +83,7 @@ def pdf(
     data = {
         "title": title,
         "identifier": identifier,
+        "watermark": watermark,
         "mark": mark(kind),
         "moment": moment.timetuple()[:6],
         "day": f"{moment:%Y-%m-%d %H:%M} UTC",

@@ -23,25 +23,25 @@ export async function certificateView(result) {
   const button = make("button", { class: "main" }, "Issue");
   const place = make("div", { "aria-live": "polite" });
   const draft = make("p", { id: "draft" });
-  /** @type {string[]} */
-  let example = told.example;
-  // Before anything is signed: what still is an example's gets no signature.
+  /** @type {{key: string, words: string}[]} */
+  let missing = told.missing;
+  // A draft, which lacks data, cannot be signed.
   const judge = () => {
-    const refused = signing.wanted && example.length > 0;
+    const refused = signing.wanted && missing.length > 0;
     button.disabled = refused;
     button.textContent = signing.wanted ? "Sign and issue" : "Issue";
     if (refused) button.setAttribute("aria-describedby", draft.id);
     else button.removeAttribute("aria-describedby");
     draft.className = refused ? "warning" : "quiet";
-    draft.hidden = example.length === 0;
-    draft.textContent = `Still example text: ${inSections(example)}. ${
-      refused ? "Replace that below before you sign." : "A certificate issued now is a draft, and every page says so."}`;
+    draft.hidden = missing.length === 0;
+    draft.textContent = `Missing, or a value of the template: ${inSections(missing.map(({ key }) => key))}. ${
+      refused ? "Complete this before you sign." : "A certificate issued now is a draft, and every page says so."}`;
   };
   const signing = new Signing(told.signer, () => judge());
   const editor = editorOf(told, {
     result,
     shown: (now) => {
-      example = now.example;
+      missing = now.missing;
       judge();
     },
   });

@@ -14,7 +14,7 @@ import { linked, manualLink } from "./manual.js";
  * @typedef {{key: string, words: string, explained: string, repeat: string | null, fields: Field[],
  *   of_readings?: Field[], of_names?: Field[], of_tables?: Record<string, Field[]>}} Section
  * @typedef {{text: string, document: any, problems: {key: string, words: string}[],
- *   questions: string[], run_kinds: string[], example: string[]}} Edited
+ *   questions: string[], run_kinds: string[], missing: {key: string, words: string}[]}} Edited
  */
 
 /**

@@ -1,0 +1,107 @@
+"""Data that a certificate lacks before it can be issued.
+
+A certificate that lacks something is a draft: every page says so, and nobody can sign it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from counterspin.calibration.result import Result
+from counterspin.certificates.certificate_text import is_determined
+from counterspin.certificates.evidence import ALL, terms_without_evidence
+from counterspin.certificates.lab import Lab, template_keys
+from counterspin.frozen import frozen
+from counterspin.reports.numbers import format_share
+
+#: Share of the variance from which a default uncertainty needs evidence: without it, u would be
+#: smaller by more than 5 %.
+EVIDENCE_SHARE: Final = 0.1
+
+_TEMPLATE: Final = "has a value of the template; replace it"
+
+
+@frozen
+class MissingEntry:
+    """A key of the laboratory's data that has to be filled in."""
+
+    key: str  #: Of ``LAB.toml``, such as ``item.model``.
+    words: str  #: What is missing, and what to write.
+
+
+def missing_data(lab: Lab, result: Result) -> list[MissingEntry]:
+    """Return the data that the certificate of a result lacks: values, conditions, evidence."""
+    return [
+        *(MissingEntry(key, _TEMPLATE) for key in template_keys(lab)),
+        *_missing_conditions(lab),
+        *_missing_evidence(lab, result),
+    ]
+
+
+def missing_lines(entries: Sequence[MissingEntry]) -> list[str]:
+    """Return a line for each entry; one line for all keys with values of the template."""
+    keys = [entry.key for entry in entries if entry.words == _TEMPLATE]
+    lines = (
+        [f"{', '.join(keys)}: values of the template; replace them before signing"] if keys else []
+    )
+    return lines + [f"{e.key}: {e.words}" for e in entries if e.words != _TEMPLATE]
+
+
+def _missing_conditions(lab: Lab) -> Iterator[MissingEntry]:
+    if lab.conditions.temperature is None:
+        yield MissingEntry(
+            "conditions.temperature",
+            "is missing; a certificate states the conditions that influence its results (ISO/IEC "
+            '17025, 7.8.4.1 b), such as temperature = "20.0 ± 0.3 degC"',
+        )
+
+
+def _missing_evidence(lab: Lab, result: Result) -> Iterator[MissingEntry]:
+    for term in terms_without_evidence(result.assumed, lab.evidence):
+        yield MissingEntry(
+            f"evidence.{term}",
+            "is missing; the result assumes this term to be perfect: state what bounds it",
+        )
+    lacking = dict[str, tuple[float, str]]()
+    for name, source, share, symbol in _default_shares(lab, result):
+        if not any(_supports(key, name, source) for key in lab.evidence):
+            lacking[source] = max(lacking.get(source, (0.0, "")), (share, f"{symbol} of {name}"))
+    for source, (share, coefficient) in lacking.items():
+        yield MissingEntry(
+            f"evidence.{source}",
+            f"is missing; the default uncertainty of {source} makes {format_share(share)} of "
+            f"the variance of {coefficient}: state what bounds it, such as a data sheet, or "
+            "state its prior in the campaign",
+        )
+
+
+def _default_shares(lab: Lab, result: Result) -> Iterator[tuple[str, str, float, str]]:
+    """Yield accelerometer, source, share and coefficient of default uncertainties that carry u.
+
+    Only certified coefficients count, and shares of at least `EVIDENCE_SHARE`.
+    """
+    for name in lab.certified(result):
+        accelerometer = result.accelerometers[name]
+        for symbol, lines in accelerometer.budget.items():
+            if not is_determined(accelerometer.coefficients[symbol]):
+                continue
+            for line in lines:
+                if line.kind == "unstated" and line.share >= EVIDENCE_SHARE:
+                    yield name, line.source, line.share, symbol
+
+
+def _supports(key: str, name: str, source: str) -> bool:
+    """Return whether a key of [evidence] covers a source of an accelerometer's uncertainty."""
+    return any(not terms_without_evidence([s], {key: ""}) for s in (source, f"{name}.{source}"))
+
+
+def default_evidence(lab: Lab, result: Result) -> list[str]:
+    """Return the laboratory's texts for default uncertainties, each with its term."""
+    lines = (
+        f"{source if key == ALL else key}: {text}"
+        for name, source, *_ in _default_shares(lab, result)
+        for key, text in lab.evidence.items()
+        if _supports(key, name, source)
+    )
+    return list(dict.fromkeys(lines))

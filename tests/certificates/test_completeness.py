@@ -1,0 +1,48 @@
+"""Missing data of a certificate is listed by key, and makes it a draft."""
+
+import pytest
+from results import result
+
+from certificates import LAB, lab_of
+from counterspin.certificates.completeness import default_evidence, missing_data, missing_lines
+from counterspin.inference.joint.summary import BudgetLine
+
+
+def with_default(share):
+    """Return a result in which the default of K_OO has a share of the variance of K_II."""
+    made = result()
+    part = made.accelerometers["Qx"]
+    line = BudgetLine(
+        source="K_OO",
+        kind="unstated",
+        u=2e-6,
+        unit="g/g^2",
+        sensitivity=1.0,
+        contribution=2e-6,
+        share=share,
+    )
+    changed = part.model_copy(update={"budget": {"K_II": [line]}})
+    return made.model_copy(update={"accelerometers": {"Qx": changed}})
+
+
+def test_a_complete_file_lacks_nothing(tmp_path):
+    assert missing_data(lab_of(tmp_path, result()), result()) == []
+
+
+@pytest.mark.parametrize(("share", "needed"), [(0.93, True), (0.09, False)])
+def test_a_default_that_carries_u_needs_evidence(tmp_path, share, needed):
+    made = with_default(share)
+    missing = missing_data(lab_of(tmp_path, made), made)
+    assert [entry.key for entry in missing] == (["evidence.K_OO"] if needed else [])
+    assert all("93 % of the variance of K_II of Qx" in entry.words for entry in missing)
+    for key in ("K_OO", '"Qx.K_OO"', "all"):
+        lab = lab_of(tmp_path, made, LAB + f'\n[evidence]\n{key} = "type test"\n')
+        assert missing_data(lab, made) == []
+        assert len(default_evidence(lab, made)) == needed
+
+
+def test_keys_with_values_of_the_template_share_a_line(tmp_path):
+    text = LAB.replace('"P-1"', '"EX-1"').replace('"0815"', '"000000"').partition("[conditions]")[0]
+    first, second = missing_lines(missing_data(lab_of(tmp_path, result(), text), result()))
+    assert first.startswith("item.model, item.serial_number: values of the template")
+    assert second.startswith("conditions.temperature: is missing")
