@@ -124,7 +124,9 @@ def test_choices_are_offered_where_other_things_may_stand_too():
     assert field(form, "accelerometers", "input_axis")["suggestions"] == list(DIRECTIONS)
     assert field(form, "records", "angle", "zero")["suggestions"] == list(COMPASS)
     assert field(form, "noise", "acceleration")["suggestions"] == ["estimate"]
-    assert field(lab_form(), "laboratory", "country")["kind"] == "country"
+    country = field(lab_form(), "laboratory", "country")
+    assert (country["kind"], country["names"]["DE"]) == ("country", "Germany")
+    assert "DD" not in country["names"]
     assert field(lab_form(), "certificate", "language")["kind"] == "language"
 
 

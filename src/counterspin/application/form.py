@@ -28,6 +28,7 @@ from counterspin.campaign.kinds import (
 from counterspin.campaign.runs import READINGS, RECORDS, is_reading
 from counterspin.campaign.terms import BARE_NAMES
 from counterspin.campaign.truth import TRUE_TABLES, AccelerometerTruthSettings
+from counterspin.certificates.codes import codes_in_force
 from counterspin.certificates.evidence import ALL
 from counterspin.certificates.lab import Lab
 from counterspin.physics.terms import ACCELEROMETER_TERMS, READING_TERMS, SHARED_TERMS, TERMS
@@ -193,8 +194,10 @@ def _field(key: str, field: FieldInfo, page: str) -> Field:
         **_kind(base, metadata, page),
     }
     words = extra.get("x-kind", "")
-    if words.startswith("date") or words in ("country", "language"):
-        asked["kind"] = words.partition(" ")[0]
+    if words.startswith("date"):
+        asked["kind"] = "date"
+    elif words in ("country", "language"):
+        asked |= {"kind": words, "names": dict(codes_in_force(words))}
     elif words.startswith("list of terms"):
         asked |= {"kind": "terms", "rows": _term_rows()}
     (example,) = field.examples or [None]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Iterator, Mapping
-from functools import cache
+from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -34,6 +34,7 @@ from counterspin.campaign.specification import (
     Specifications,
     resolve_specifications,
 )
+from counterspin.certificates.codes import check_code
 from counterspin.certificates.evidence import ALL, names_terms
 from counterspin.certificates.schema import clean_text
 from counterspin.errors import CounterspinError
@@ -54,15 +55,6 @@ def _check_text(value: str) -> str:
     if clean_text(stripped) != stripped:
         raise ValueError("contains a control character, which is not allowed in a certificate")
     return stripped
-
-
-def _matches(pattern: str, what: str) -> AfterValidator:
-    def check(value: str) -> str:
-        if not re.fullmatch(pattern, value):
-            raise ValueError(f"{value!r} is not {what}")
-        return value
-
-    return AfterValidator(check)
 
 
 def _parse_temperature(text: object) -> Quantity:
@@ -88,7 +80,8 @@ ITEM_STATES: Final[Mapping[ItemState, str]] = {
     "before repair": "beforeRepair",
     "after repair": "afterRepair",
 }
-Country = Annotated[str, _matches(r"[A-Z]{2}", "a country's two letters (ISO 3166-1), such as DE")]
+Country = Annotated[str, AfterValidator(partial(check_code, kind="country"))]
+Language = Annotated[str, AfterValidator(partial(check_code, kind="language"))]
 
 
 class CertificateSettings(SettingsSection):
@@ -100,13 +93,11 @@ class CertificateSettings(SettingsSection):
         None,
         absent="`CS-` and 12 digits of the SHA-256 of the result's file and of what LAB.toml says",
     )
-    language: Annotated[str, _matches(r"[a-z]{2}", "a language's two letters (ISO 639-1)")] = (
-        described(
-            "of the words in this file; those of counterspin are English, and they are what binds",
-            "de",
-            "en",
-            kind="language",
-        )
+    language: Language = described(
+        "of the words in this file; those of counterspin are English, and they are what binds",
+        "de",
+        "en",
+        kind="language",
     )
     begin: datetime.date = described("first day of the calibration", datetime.date(2026, 3, 2))
     end: datetime.date = described("last day of the calibration", datetime.date(2026, 3, 4))

@@ -9,7 +9,7 @@ import { linked, manualLink } from "./manual.js";
 /**
  * @typedef {string | number} Part
  * @typedef {{key: string, label: string, help: string, links: [string, string][], kind: string, required: boolean, unit?: string,
- *   units?: string[], example?: string, choices?: any[], suggestions?: string[],
+ *   units?: string[], example?: string, choices?: any[], suggestions?: string[], names?: Record<string, string>,
  *   rows?: {key: string, words: string}[], fields?: Field[]}} Field
  * @typedef {{key: string, words: string, explained: string, repeat: string | null, fields: Field[],
  *   of_readings?: Field[], of_names?: Field[], of_tables?: Record<string, Field[]>}} Section
@@ -33,17 +33,7 @@ const BEGINNING = String.raw`^\s*(${NUMBER}(?:\s*(?:±|\+/-|\+-)\s*${NUMBER})?)\
 const STATED = new RegExp(`${BEGINNING}$`, "u");
 const QUANTITY = new RegExp(String.raw`${BEGINNING}([^\d\s.±+-].*)$`, "u");
 
-/**
- * The codes of two letters that have a name, with it; these are all that the browser knows.
- * @param {"region" | "language"} type
- */
-function named(type) {
-  const names = new Intl.DisplayNames(["en"], { type, fallback: "none" });
-  const letters = [..."abcdefghijklmnopqrstuvwxyz"];
-  const codes = letters.flatMap((one) => letters.map((other) => one + other));
-  return codes.map((code) => (type === "region" ? code.toUpperCase() : code))
-    .filter((code) => names.of(code) && !["EU", "EZ", "UN", "QO", "XA", "XB", "ZZ"].includes(code))
-    .map((code) => ({ code, name: /** @type {string} */ (names.of(code)) }))
+/** @type {string} */ (names.of(code)) }))
     .sort((one, other) => one.name.localeCompare(other.name));
 }
 
@@ -452,7 +442,8 @@ export class Editor {
       return select;
     }
     if (kind === "country" || kind === "language") {
-      const some = named(kind === "country" ? "region" : "language");
+      const some = Object.entries(field.names ?? {}).map(([code, name]) => ({ code, name }))
+        .sort((one, other) => one.name.localeCompare(other.name));
       return make("select", {
         id, onchange: (/** @type {any} */ e) => this.change(path, e.target.value || null),
       }, make("option", { value: "" }, ""),

@@ -1,0 +1,68 @@
+"""Codes of countries and languages are those in force."""
+
+import json
+from pathlib import Path
+
+import pytest
+from results import result
+
+from certificates import LAB, lab_of
+from counterspin.certificates.codes import check_code, codes_in_force
+from counterspin.errors import CampaignError
+
+#: Lists of Debian's package iso-codes, where it is installed.
+DEBIAN = Path("/usr/share/iso-codes/json")
+
+
+def test_the_lists_have_the_sizes_that_the_standards_state():
+    # ISO 3166-1: 249 entries. ISO 639-1: 183 codes, without the withdrawn "bh".
+    assert [len(codes_in_force(kind)) for kind in ("country", "language")] == [249, 183]
+    assert all(code.isascii() and code.isupper() for code in codes_in_force("country"))
+    assert all(code.isascii() and code.islower() for code in codes_in_force("language"))
+
+
+@pytest.mark.skipif(not DEBIAN.is_dir(), reason="iso-codes is not installed")
+def test_the_lists_are_those_of_debian():
+    def read(name, key):
+        (entries,) = json.loads((DEBIAN / name).read_text("utf-8")).values()
+        return {entry[key] for entry in entries if key in entry}
+
+    assert set(codes_in_force("country")) == read("iso_3166-1.json", "alpha_2")
+    assert set(codes_in_force("language")) == read("iso_639-2.json", "alpha_2") - {"bh"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "wrong", "near"),
+    [
+        ("country", "DD", '"DE" (Germany)'),
+        ("country", "SU", '"RU" (Russian Federation)'),
+        ("country", "YU", '"RS" (Serbia)'),
+        ("country", "UK", '"GB" (United Kingdom)'),
+        ("country", "VD", '"VN" (Vietnam)'),
+        ("country", "fr", '"FR" (France)'),
+        ("country", "Swizerland", '"CH" (Switzerland)'),
+        ("language", "iw", '"he" (Hebrew)'),
+        ("language", "ji", '"yi" (Yiddish)'),
+        ("language", "sh", '"sr" (Serbian)'),
+        ("language", "french", '"fr" (French)'),
+    ],
+)
+def test_a_code_that_is_not_in_force_is_refused_with_close_ones(kind, wrong, near):
+    with pytest.raises(ValueError, match="is not a current") as caught:
+        check_code(wrong, kind)
+    assert near in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ('country = "DE"', 'country = "DD"', "laboratory.country"),
+        ('language = "de"', 'language = "iw"', "certificate.language"),
+    ],
+)
+def test_the_message_names_the_key(tmp_path, old, new, key):
+    with pytest.raises(CampaignError) as caught:
+        lab_of(tmp_path, result(), LAB.replace(old, new))
+    (problem,) = caught.value.problems
+    assert problem.startswith(f"{key}: ")
+    assert "did you mean" in problem
