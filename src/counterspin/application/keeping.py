@@ -33,7 +33,7 @@ from counterspin.ingest.overview import (
 from counterspin.ingest.starter import Test
 from counterspin.ingest.tumble import TumbleDraft
 from counterspin.output import finish, make_folder
-from counterspin.records.formats import wrong_ending
+from counterspin.records.endings import wrong_ending
 from counterspin.temporary_folders import remove_abandoned_folders, temporary_folder
 
 _CONTENTS: Final = FileCache(2)

@@ -40,7 +40,7 @@ from counterspin.physics.grades import DEFAULT_GRADE, Size
 from counterspin.physics.motion import Site
 from counterspin.physics.terms import same_for_all, term
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
-from counterspin.records.formats import RECORD_FORMATS
+from counterspin.records.endings import RECORD_FORMATS
 from counterspin.records.memory import MemoryTable
 from counterspin.records.record import ColumnSpec
 

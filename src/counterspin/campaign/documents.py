@@ -143,7 +143,7 @@ def _is_other(file: Path, content: bytes) -> str:
     seen = looks_like(content)
     if seen or file.suffix.lower() == ".toml":
         return seen
-    from counterspin.records.formats import RECORD_FORMATS
+    from counterspin.records.endings import RECORD_FORMATS
 
     return "a record" if file.suffix.lower() in RECORD_FORMATS else ""
 

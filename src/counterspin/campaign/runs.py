@@ -35,7 +35,7 @@ from counterspin.campaign.quantity import UNKNOWN, Quantity, of_platform, read_a
 from counterspin.loading import load_name
 from counterspin.physics.station import MotionKind
 from counterspin.records.dialect import Dialect
-from counterspin.records.formats import RECORD_FORMATS
+from counterspin.records.endings import RECORD_FORMATS
 
 #: Of which runs a key is that not all have.
 RECORDS: Final = "records"

@@ -33,16 +33,17 @@ from counterspin.input import FileIdentity, open_file
 from counterspin.monitoring.result import RunState
 from counterspin.physics.effects import RunConditions
 from counterspin.records.column_file import Columns
-from counterspin.records.csv_file import CsvFile
-from counterspin.records.dialect import HEAD_LINES, TO_BE_FOUND, Dialect
-from counterspin.records.formats import RECORD_FORMATS, open_columns
+from counterspin.records.dialect import TO_BE_FOUND, Dialect
+from counterspin.records.endings import RECORD_FORMATS
+from counterspin.records.formats import open_columns
+from counterspin.records.layout import HEAD_LINES
 from counterspin.records.memory import MemoryTable
 from counterspin.records.record import Record, RecordColumns
 from counterspin.temporary_folders import temporary_folder
 from counterspin.triads.found_poses import FoundPose, columns_of_poses, found_in
 
 #: Suffixes of files to which rows are appended.
-GROWING_SUFFIXES: Final = tuple(e for e, opens in RECORD_FORMATS.items() if opens is CsvFile)
+GROWING_SUFFIXES: Final = tuple(e for e, form in RECORD_FORMATS.items() if form.can_grow)
 
 #: Number of first rows that show the format; they precede new rows when these are parsed.
 _FIRST_ROWS: Final = 20

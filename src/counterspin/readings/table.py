@@ -36,6 +36,7 @@ from counterspin.frozen import frozen
 from counterspin.physics.station import MotionKind
 from counterspin.readings.entries import MOST_READINGS
 from counterspin.records.dialect import Dialect
+from counterspin.records.endings import RECORD_FORMATS
 from counterspin.records.frames import columns_of
 from counterspin.units import same_unit, unit_factor
 
@@ -49,7 +50,7 @@ _Repeats = str | list[str]
 _IN_MEMORY: Final = "readings in memory"
 
 #: Endings of the files of such a table.
-_TABLE_ENDINGS: Final = (".csv", ".txt", ".tsv", ".parquet", ".xlsx", ".mat", ".h5", ".hdf5")
+_TABLE_ENDINGS: Final = tuple(e for e, form in RECORD_FORMATS.items() if form.holds_readings)
 
 #: No cell has more characters.
 _MAX_CHARACTERS: Final = 1000

@@ -3,11 +3,11 @@
 - `reading`: `read_record`, from a run's file to samples or block means, checked and cleaned
 - `record`: the columns asked for, the stated motion, the record that comes out, and what was found
   on the way
-- `formats`: a file in any format, as columns or as a table
+- `endings`: the table of formats; `formats`: a file in any format, as columns or as a table
 - `column_file`, `csv_file`, `array_files`, `table_files`: what all formats have in common, and each
   format's own
-- `dialect`, `heads`, `unit_words`: how files of text are written, what the lines above their names
-  state, and units as files write them
+- `dialect`: what a person states on how a file is written; `layout`, `heads`, `unit_words`: what
+  the lines of a table show, what the lines above the names state, and units as files write them
 - `sampling`, `several_sensors`: the samples of a sensor in the rows of its log, and rows of several
   sensors
 - `run_file`: the files of one run as one, with the time and the angle that no file has

@@ -22,6 +22,7 @@ import numpy as np
 from counterspin.errors import RecordError, installing
 from counterspin.frozen import frozen
 from counterspin.records.column_file import ColumnFile, Columns, joined, quoted
+from counterspin.records.csv_file import CsvFile
 from counterspin.records.dialect import Dialect
 from counterspin.records.unit_words import file_unit
 
@@ -41,6 +42,8 @@ _MATLAB_COMPRESSED = 15
 _MATLAB_NUMBERS = {"double", "single", "logical"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
+#: Bytes that show whether a .mat file is text.
+_SHOWN_BYTES = 4096
 
 
 class ArrayFile(ColumnFile):
@@ -352,6 +355,19 @@ class MatlabFile(ArrayFile):
             self._stream.seek(0)
             self._loaded |= loadmat(self._stream, variable_names=missing)
         yield {name: self._loaded[self._full[name]] for name in wanted}
+
+
+def open_matlab(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:
+    """Open a .mat file: HDF5 from version 7.3 on, MATLAB's own format before, or ``-ascii``."""
+    import h5py
+
+    if h5py.is_hdf5(path):
+        return Hdf5File(path, stream, dialect)
+    head = stream.read(_SHOWN_BYTES)
+    stream.seek(0)
+    # MATLAB's own begins with words too; numbers follow in bytes that no text has.
+    is_text = not head.startswith(b"MATLAB") and b"\0" not in head
+    return (CsvFile if is_text else MatlabFile)(path, stream, dialect)
 
 
 def _inflated_bytes(stream: BinaryIO) -> int:

@@ -21,12 +21,12 @@ from counterspin.records.column_file import (
     plain_path,
     record_errors,
 )
-from counterspin.records.dialect import (
+from counterspin.records.dialect import TO_BE_FOUND, Dialect
+from counterspin.records.heads import stated_head
+from counterspin.records.layout import (
     BLANKS,
     EMPTY_WORDS,
     HEAD_LINES,
-    TO_BE_FOUND,
-    Dialect,
     Line,
     described_lines,
     find_layout,
@@ -37,7 +37,6 @@ from counterspin.records.dialect import (
     split,
     ungrouped,
 )
-from counterspin.records.heads import stated_head
 
 if TYPE_CHECKING:
     import polars as pl
@@ -457,6 +456,19 @@ class CsvFile(ColumnFile):
         # A comment takes a line and is no row; only a pass over the file tells where they are.
         body = islice(self._lines(), self._before_rows, None)
         return (number for number, line in body if not line.startswith(b"#"))
+
+
+def open_text_named_excel(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:
+    """Open text that is named .xls, as LabVIEW and others name what Excel is to open."""
+    head = stream.read(_SHOWN_BYTES)
+    stream.seek(0)
+    if head.startswith((b"\xd0\xcf\x11\xe0", b"PK")):
+        raise RecordError(f"{path}: this is a workbook; save it as .xlsx, without a password.")
+    if head.lstrip().startswith(b"<"):
+        raise RecordError(
+            f"{path}: this is a page or XML for Excel; open it there, save it as .xlsx."
+        )
+    return CsvFile(path, stream, dialect)
 
 
 def _open_line_ends(chunk: bytes, before: int) -> int:

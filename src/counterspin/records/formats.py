@@ -12,7 +12,7 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Final, cast
+from typing import TYPE_CHECKING, BinaryIO, cast
 
 import numpy as np
 
@@ -28,8 +28,8 @@ from counterspin.records.column_file import (
     column_rows,
     record_errors,
 )
-from counterspin.records.csv_file import CsvFile
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
+from counterspin.records.endings import RECORD_FORMATS, wrong_ending
 from counterspin.records.isolation import in_reader_process
 from counterspin.records.memory import MemoryFile, MemoryTable
 from counterspin.records.record import ColumnSpec
@@ -38,110 +38,15 @@ if TYPE_CHECKING:
     import polars as pl
 
 
-#: Bytes that show whether a file is text.
-_SHOWN_BYTES: Final = 4096
-
-
-def _matlab(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:
-    """Open a .mat file: HDF5 from version 7.3 on, MATLAB's own format before, or ``-ascii``."""
-    import h5py
-
-    if h5py.is_hdf5(path):
-        return _loaded(_HDF5)(path, stream, dialect)
-    head = stream.read(_SHOWN_BYTES)
-    stream.seek(0)
-    # MATLAB's own begins with words too; numbers follow in bytes that no text has.
-    is_text = not head.startswith(b"MATLAB") and b"\0" not in head
-    return (CsvFile if is_text else _loaded(_MATLAB))(path, stream, dialect)
-
-
-def _named_excel(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:
-    """Open text that is named .xls, as LabVIEW and others name what Excel is to open."""
-    head = stream.read(_SHOWN_BYTES)
-    stream.seek(0)
-    if head.startswith((b"\xd0\xcf\x11\xe0", b"PK")):
-        raise RecordError(f"{path}: this is a workbook; save it as .xlsx, without a password.")
-    if head.lstrip().startswith(b"<"):
-        raise RecordError(
-            f"{path}: this is a page or XML for Excel; open it there, save it as .xlsx."
-        )
-    return CsvFile(path, stream, dialect)
-
-
 #: Opens a record file.
 Opener = Callable[[Path, BinaryIO, Dialect], ColumnFile]
-
-_HDF5: Final = "counterspin.records.array_files:Hdf5File"
-_MATLAB: Final = "counterspin.records.array_files:MatlabFile"
-_TABLES: Final = "counterspin.records.table_files"
-
-#: Ending of a record file, in lower case -> its opener, or the name by which that is loaded.
-RECORD_FORMATS: Final[Mapping[str, Opener | str]] = {
-    ".csv": CsvFile,
-    ".txt": CsvFile,
-    ".tsv": CsvFile,
-    ".lvm": CsvFile,
-    ".log": CsvFile,
-    ".dat": CsvFile,
-    ".asc": CsvFile,
-    ".xls": _named_excel,
-    ".parquet": f"{_TABLES}:ParquetFile",
-    ".h5": _HDF5,
-    ".hdf5": _HDF5,
-    ".mat": _matlab,
-    ".xlsx": f"{_TABLES}:ExcelFile",
-    ".tdms": "counterspin.records.array_files:TdmsFile",
-}
-
-
-#: Endings of files that hold other files, made small.
-_PACKED: Final = (".gz", ".zip", ".bz2", ".xz", ".zst", ".7z", ".rar", ".tar", ".tgz")
-
-
-#: Ending of a file that is no record, though it may hold one -> what to do with it.
-_INSTEAD: Final[Mapping[str, str]] = {
-    ".npy": "NumPy's own format is not read; write it as text: "
-    'savetxt("NAME.csv", load("NAME.npy"), delimiter=",").',
-    ".npz": "NumPy's own format is not read; write an array as text: "
-    'savetxt("NAME.csv", load("NAME.npz")["ARRAY"], delimiter=",").',
-    **dict.fromkeys(
-        (".json", ".jsonl", ".xml", ".yaml", ".yml", ".toml", ".db", ".sqlite"),
-        "this is no table; write its rows to a .csv file, a line for each time.",
-    ),
-    **dict.fromkeys(
-        (".ods", ".numbers", ".doc", ".docx", ".rtf", ".pdf"),
-        "this format is not read; save its table as .xlsx or .csv in the program that wrote it.",
-    ),
-    **dict.fromkeys(
-        (".bin", ".raw", ".pkl", ".pickle"),
-        "how its bytes are arranged is not stated; export text, such as .csv, from the program "
-        "that wrote it.",
-    ),
-}
-
-
-def wrong_ending(path: Path) -> str:
-    """Return why a file is no record by its ending, and what to do; empty if it may be one."""
-    ending = path.suffix.lower()
-    if ending in RECORD_FORMATS:
-        return ""
-    if ending in _PACKED:
-        return "the file is packed; unpack it, and give the file inside."
-    if ending in _INSTEAD and not path.is_dir():
-        return _INSTEAD[ending]
-    kind = "this is a folder" if path.is_dir() else "this one does not"
-    return f"a record file ends in one of {', '.join(RECORD_FORMATS)}; {kind}."
-
-
-def _loaded(opener: Opener | str) -> Opener:
-    return cast("Opener", load_name(opener)) if isinstance(opener, str) else opener
 
 
 def opener_of(path: Path) -> Opener:
     """Return the opener of a file; RecordError for an unknown ending or a folder."""
     if wrong := wrong_ending(path):
         raise RecordError(f"{path}: {wrong}")
-    return _loaded(RECORD_FORMATS[path.suffix.lower()])
+    return cast("Opener", load_name(RECORD_FORMATS[path.suffix.lower()].opener))
 
 
 def open_columns(path: Path | MemoryTable, dialect: Dialect = TO_BE_FOUND) -> ColumnFile:
@@ -241,7 +146,7 @@ def _small_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], s
     except NoRowsError:  # of words, such as attitudes: names stand in the first row then
         with record_errors(path):
             content = read_file(path)
-        frame = load_name(f"{_TABLES}:excel_table")(path, dialect, content)
+        frame = load_name("counterspin.records.table_files:excel_table")(path, dialect, content)
         plain = FiledTable(frame, {}, ColumnFile.delimiter, ColumnFile.decimal, "")
         return plain, _sheet_places(frame.height), _checksum(content)
 

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from counterspin.records.dialect import NUMBERED
+from counterspin.records.layout import NUMBERED
 from counterspin.records.unit_words import file_unit
 from counterspin.units import unit_factor
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from counterspin.loading import load_name
+from counterspin.records.endings import RECORD_FORMATS
 
 if TYPE_CHECKING:
     from counterspin.records.memory import MemoryTable
@@ -25,12 +26,7 @@ ASK: Final = "counterspin.records.reader_process:ask"
 
 #: Endings of the formats that are read by native code -> the libraries.
 NATIVE: Final = {
-    ".parquet": ("polars",),
-    ".xlsx": ("fastexcel", "polars"),
-    ".h5": ("h5py",),
-    ".hdf5": ("h5py",),
-    ".mat": ("h5py", "scipy.io"),
-    ".tdms": ("nptdms", "polars"),  # may be absent
+    **{ending: form.libraries for ending, form in RECORD_FORMATS.items() if form.libraries},
     ".pdf": ("pypdf",),
 }
 #: Text of so many bytes takes longer to read than the reader's process takes to start.

@@ -20,14 +20,8 @@ from counterspin.records.column_file import (
     quoted,
     record_errors,
 )
-from counterspin.records.dialect import (
-    EMPTY_WORDS,
-    HEAD_LINES,
-    TO_BE_FOUND,
-    Dialect,
-    Layout,
-    find_rows,
-)
+from counterspin.records.dialect import TO_BE_FOUND, Dialect
+from counterspin.records.layout import EMPTY_WORDS, HEAD_LINES, Layout, find_rows
 
 if TYPE_CHECKING:
     import polars as pl

@@ -19,12 +19,10 @@ from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates.issuing import certificate
 from counterspin.errors import CounterspinError, RecordError
 from counterspin.physics.terms import ACCELEROMETER_TERMS
+from counterspin.records.endings import RECORD_FORMATS
 from counterspin.records.record import ColumnSpec, RecordColumns, StatedMotion
 from counterspin.records.signals import Swing
 from counterspin.validation.cases import DATA, document
-
-#: Suffix -> the optional package that reads it.
-_REQUIRED_PACKAGES: Final = {".xlsx": "fastexcel", ".tdms": "nptdms"}
 
 _RATE, _RADIUS = math.pi, 2.5  #: rate and radius of the cases' records, rad/s and m
 
@@ -44,9 +42,11 @@ class NotAvailableError(CounterspinError):
 def read_record(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return rows of a record's time, angle and signal."""
     path = DATA / given["file"]
-    package = _REQUIRED_PACKAGES.get(path.suffix)
-    if package is not None and find_spec(package) is None:
-        raise NotAvailableError(f"{package} is not installed; it is needed to read {path.suffix}")
+    for package in RECORD_FORMATS[path.suffix].libraries:
+        if find_spec(package) is None:
+            raise NotAvailableError(
+                f"{package} is not installed; it is needed to read {path.suffix}"
+            )
     columns = RecordColumns(
         time=ColumnSpec("time_s"),
         angle=ColumnSpec("angle_rad"),

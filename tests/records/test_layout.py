@@ -2,8 +2,8 @@
 
 import pytest
 
-from counterspin.records.dialect import (
-    Dialect,
+from counterspin.records.dialect import Dialect
+from counterspin.records.layout import (
     described_lines,
     find_layout,
     footer_lines,

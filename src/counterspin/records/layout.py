@@ -1,0 +1,566 @@
+"""Layout of a table of text: what its first lines show of how it is written.
+
+LabVIEW and other recorders write lines about the measurement before the names, a row of units
+below them, semicolons or tabs between cells, and a decimal comma where that is the custom. The
+rows show what they are: of all ways to part them, the right one makes the most numbers.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from itertools import pairwise, zip_longest
+from typing import Final
+
+from counterspin.frozen import frozen
+from counterspin.records.dialect import Dialect
+from counterspin.records.unit_words import bracketed_unit, file_unit
+
+#: Marks that may part the cells, the usual first.
+MARKS: Final = (",", ";", "\t")
+#: Blanks, any number of them, as one delimiter.
+BLANKS: Final = " "
+#: What may part the cells, the usual first.
+DELIMITERS: Final = (*MARKS, BLANKS)
+#: Lines in which the rows must begin.
+HEAD_LINES: Final = 400
+#: Rows that show whether a file is plain, and how many are wanted to tell a layout.
+_PLAIN_ROWS, _FEWEST_ROWS = 20, 3
+#: What counts as an empty cell, in lower case and without surrounding blanks: no number, or one
+#: that the instrument could not measure.
+EMPTY_WORDS: Final = (
+    *("", "nan", "n/a", "#n/a", "na", "null", "-", "--", "---"),
+    *("ovld", "ovl", "overload", "overflow", "over"),
+)
+#: Time of day, perhaps with a date before it and a zone behind: in ISO 8601, or as spreadsheets
+#: and recorders write it, with names of months too; minutes and seconds; or a duration of MATLAB.
+STAMP: Final = re.compile(
+    r"(?:\d{4}[-/]\d\d?[-/]\d\d?[T ]|\d\d?[./]\d\d?[./]\d{4} "
+    r"|\d\d?[- ][A-Z][a-z]{2}[a-z]*[- ]\d{4} )?"
+    r"\d\d?:\d\d:\d\d(?:[.,:]\d+)?(?: ?[AaPp][Mm]|Z|[+-]\d\d:?\d\d)?"
+    r"|\d{1,3}:\d\d[.,]\d+|\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)? ?(?:s|secs?|min|hr)"
+)
+#: Lines of a head, by their first cell: the names of columns, and their units.
+_NAME_KEYS: Final = ("tracename", "trace name", "channel name", "tag")
+_UNIT_KEYS: Final = ("vunit", "unit")
+#: What a row of units has above columns that have none.
+_NO_UNITS: Final = (
+    "",
+    "-",
+    "(-)",
+    "[-]",
+    "(na)",
+    "[na]",
+    "na",
+    "n/a",
+    "(n/a)",
+    "()",
+    "[]",
+    "no.",
+    "no",
+    "nr",
+    "nr.",
+    "number",
+    "time",
+    "date",
+    "date&time",
+)
+#: Most lines between the units and the rows.
+_LINES_BELOW_UNITS: Final = 4
+_NUMBERS: Final = {
+    mark: re.compile(
+        rf"[+-]?(?:\d+(?:{re.escape(mark)}\d*)?|{re.escape(mark)}\d+)(?:[eE][+-]?\d+)?"
+    )
+    for mark in (".", ",")
+}
+#: What may part the groups of three digits of a number, and what its decimals then: thin, narrow
+#: and other blanks that are not broken, an apostrophe, or the mark that does not part decimals.
+_GROUPED: Final = {
+    **dict.fromkeys(("\u202f", "\u2009", "\xa0", "'", "’"), r"[.,]"),
+    ".": ",",
+    ",": r"\.",
+}
+#: A cell between blanks, perhaps in quotation marks; a unit in brackets may stand one blank behind
+#: its name.
+_BETWEEN_BLANKS: Final = re.compile(
+    r'"[^"]*"|[\[(][^\[\]()\s]+[\])](?=\s|$)|\S+(?: ?[\[(][^\[\]()\s]+[\])])?'
+)
+#: Blanks that part names which have blanks within them.
+_WIDE_BLANKS: Final = re.compile(r"\s{2,}|\t")
+#: A mark of a comment at the beginning of a line, and the blanks behind it.
+_COMMENT: Final = re.compile(r"\s*(?:#+|%+|//+|!+)\s*")
+#: Lines of comments above the rows in which names may stand.
+_COMMENT_LINES: Final = 4
+#: Words that label a row of results below a table.
+_RESULT_LABEL: Final = re.compile(
+    r"(?i)(mean|average|avg|mittel(wert)?|std|sd|stdev|sigma|sum|summe|min|max|median|rms|total|"
+    r"result|checked|approved|signed|operator|end|eof|geprüft)\b.*"
+)
+#: Part of the cells of a column of numbers that are numbers; lines below the rows have others.
+_NUMERIC_PART: Final = 0.6
+#: Most lines below the rows that are no rows.
+_MOST_FOOTER_LINES: Final = 40
+#: Delimiter -> how it is called.
+_DELIMITER_WORDS: Final = {
+    ";": "semicolon-separated",
+    "\t": "tab-separated",
+    BLANKS: "separated by blanks",
+}
+#: Between a name that several columns have, and which of them one is.
+NUMBERED: Final = " #"
+
+
+@frozen
+class Layout:
+    """Where things stand in a table of text; lines count from 1."""
+
+    header: int  #: Line of the names; 0 where there is none, and columns are numbered.
+    before_rows: int  #: Lines before the first row of numbers.
+    names: tuple[str, ...]  #: Of the columns, without blanks around them.
+    units: tuple[str, ...]  #: Of the columns, in plain signs; empty text where there is none.
+    units_row: bool  #: Whether they stand in a row of their own.
+    #: Between cells, and in numbers.
+    delimiter: str
+    decimal: str
+    mismatch: str = ""  #: Why a line of names is not used, in words.
+
+    def words(self, encoding: str) -> str:
+        """Say what is not plain; empty text of a plain file."""
+        said = []
+        if not self.header:
+            said.append("columns without names")
+        if self.mismatch:
+            said.append(self.mismatch)
+        if self.header > 1:
+            said.append(f"names in line {self.header}")
+        if self.units_row:
+            said.append("a row of units")
+        if self.delimiter in _DELIMITER_WORDS:
+            said.append(_DELIMITER_WORDS[self.delimiter])
+        if self.decimal == ",":
+            said.append("decimal commas")
+        if encoding != "utf-8":
+            said.append(encoding)
+        return ", ".join(said)
+
+
+#: A line's number, from 1, and its text without the end of line.
+Line = tuple[int, str]
+
+
+def find_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
+    """Return the layout of a file whose rows stand out; None if nothing looks like rows."""
+    best: tuple[int, Layout] | None = None
+    for delimiter in [dialect.delimiter] if dialect.delimiter else DELIMITERS:
+        parted = [(number, _split_marked(line, delimiter)) for number, line in lines]
+        if delimiter == BLANKS:
+            parted = _wide_names(parted, lines)
+        for decimal in [dialect.decimal] if dialect.decimal else (".", ","):
+            found = find_rows(parted, dialect, decimal, delimiter)
+            if found is not None and (best is None or found[0] > best[0]):
+                best = found
+    return best and best[1]
+
+
+def _split_marked(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line, the first with '#' before it if the line is a comment."""
+    mark = _COMMENT.match(line)
+    if mark is None:
+        return split(line, delimiter)
+    first, *cells = split(line[mark.end() :], delimiter) or [""]
+    return [f"#{first}", *cells]
+
+
+def _marked_line(line: str) -> str:
+    """Return a line with its mark of a comment, if it has one, as '#' without a blank behind it."""
+    return _COMMENT.sub("#", line, count=1) if _COMMENT.match(line) else line
+
+
+def _wide_names(
+    parted: Sequence[tuple[int, list[str]]], lines: Sequence[Line]
+) -> list[tuple[int, list[str]]]:
+    """Return lines parted by blanks, of which those above the rows may be parted by wide ones.
+
+    Names such as `Acc X` have a blank within them, and two or more between them.
+    """
+    widths = [len(cells) for _, cells in parted[-_PLAIN_ROWS:] if _has_numbers(cells, ".")]
+    width = max(set(widths), key=widths.count, default=0)
+    result = []
+    for (number, cells), (_, line) in zip(parted, lines, strict=True):
+        wide = [cell for cell in _WIDE_BLANKS.split(_marked_line(line).strip()) if cell]
+        text = cells and not _has_numbers(cells, ".")
+        result.append((number, wide if text and len(wide) == width != len(cells) else cells))
+    return result
+
+
+def is_plain(lines: Sequence[Line]) -> bool:
+    """Return whether names stand in the first line and numbers with points below it."""
+    written = [line for _, line in lines if line.strip() and not line.startswith("#")]
+    if len(written) < 2:
+        return False
+    delimiter = max(MARKS, key=written[0].count)
+    names = split(written[0], delimiter)
+    width = len(names)
+    named = sum(bool(name) and name.lower() != "comment" for name in names)
+    rows = [split(line, delimiter) for line in written[1 : 1 + _PLAIN_ROWS]]
+    if _is_row(names, ".") or max(map(len, rows)) < named:
+        return False
+    return all(len(row) <= width and _is_row(row, ".") for row in rows)
+
+
+def plain_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
+    """Return the layout if names stand in the first line that is there; None if there is none."""
+    written = [
+        (number, line)
+        for number, line in lines
+        if line.strip() and not line.startswith("#") and number > (dialect.skip_lines or 0)
+    ]
+    if not written:
+        return None
+    number, line = written[0]
+    # The delimiter is the one that the header uses most; a lone column has none.
+    delimiter = dialect.delimiter or max(MARKS, key=line.count)
+    names = split(_COMMENT.sub("", line, count=1), delimiter)
+    # Among the rows a blank line is a row of empty cells; here it stops the parser.
+    body = iter([place for place, below in lines if place > number and below.strip()])
+    cells: list[str] = []
+    if dialect.units_row:
+        units_line = next(body, number + 1)
+        cells = next((split(below, delimiter) for place, below in lines if place == units_line), [])
+    units = [file_unit(cell) or "" for cell in [*cells, *[""] * len(names)][: len(names)]]
+    units = [unit or bracketed_unit(name) for unit, name in zip(units, names, strict=True)]
+    before = next(body, lines[-1][0] + 1) - 1
+    mark = dialect.decimal or "."
+    return Layout(
+        number, before, _distinct(names), tuple(units), bool(dialect.units_row), delimiter, mark
+    )
+
+
+def _distinct(names: Sequence[str]) -> tuple[str, ...]:
+    """Return names of columns, those that occur more than once with their number behind."""
+    seen: dict[str, int] = {}
+    numbered = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        several = name and names.count(name) > 1
+        numbered.append(f"{name}{NUMBERED}{seen[name]}" if several else name)
+    return tuple(numbered)
+
+
+def find_rows(
+    parted: Sequence[tuple[int, list[str]]], dialect: Dialect, decimal: str, delimiter: str = ""
+) -> tuple[int, Layout] | None:
+    """Return how many numbers more than texts the longest stretch of rows has, and its layout."""
+    skipped = dialect.skip_lines
+    table = [(number, cells) for number, cells in parted if any(cells)]
+    begin, end = _longest(table, decimal, after=skipped or 0)
+    if end - begin < min(_FEWEST_ROWS, max(1, len(table) - 2)):
+        return None
+    while begin < end - 1 and table[begin][1][0].startswith("#"):
+        begin += 1
+    width = len(table[begin][1])
+    above = [
+        (number, cells)
+        for number, cells in table[:begin]
+        if not cells[0].startswith("#") and number > (skipped or 0)
+    ]
+    if skipped is not None:
+        above = above[:2]
+    if any(len(cells) == width and _is_row(cells, decimal) for _, cells in above):
+        return None  # a row like any other stands above: what parts the two is no row of names
+    rows = [cells for _, cells in table[begin:end]]
+    head, mismatch = _marked(table[:begin], width, decimal), ""
+    head = head or _head(above, dialect, width, decimal)
+    if head is not None:
+        (header, names), below = head
+        if len(names) == width - 1 and _are_row_names(rows, decimal, delimiter):
+            names = ["column 1", *names]  # as R writes it: nothing above the names of the rows
+            below = ["", *below] if below else below
+    unnamed = head is not None and _more_columns_than(names, rows, decimal)
+    nearest = above or [(number, cells) for number, cells in table[:begin][-1:]]
+    if unnamed or (head is None and _miscounted(nearest, width, decimal)):
+        number, cells = (header, names) if unnamed else nearest[-1]
+        if not _need_no_names(rows, decimal, delimiter):
+            return None
+        mismatch = f"line {number} has {_count(cells, 'name')} for {width} columns, so the columns "
+        mismatch += "are numbered"
+        header, names, below = 0, [], []
+    elif head is not None:
+        pass
+    elif all(2 * len(cells) <= width for _, cells in above[-1:]) and _need_no_names(
+        rows, decimal, delimiter
+    ):
+        header, names, below = 0, [], []
+    else:
+        return None
+    if delimiter == "," and any(
+        _is_number(cell, decimal) for row in rows for cell in row[len(names) :] if names
+    ):
+        return None  # a number that no name stands above is the rest of one: 1,25 has no two cells
+    # A delimiter at the end of every row makes an empty cell that has no name.
+    names += [
+        f"column {place + 1}"
+        if any(_is_number(row[place], decimal) or STAMP.fullmatch(row[place]) for row in rows)
+        else ""
+        for place in range(len(names), width)
+    ]
+    units = [file_unit(cell) or "" for cell in [*below, *[""] * (len(names) - len(below))]]
+    units = [unit or bracketed_unit(name) for unit, name in zip(units, names, strict=True)]
+    written = [cell for row in rows for cell in row if cell]
+    numbers = sum(_is_number(cell, decimal) for cell in written)
+    texts = sum(not STAMP.fullmatch(cell) for cell in written) - numbers
+    before = table[begin][0] - 1
+    layout = Layout(
+        header, before, _distinct(names), tuple(units), bool(below), delimiter, decimal, mismatch
+    )
+    return numbers - texts, layout
+
+
+def _are_row_names(rows: Sequence[Sequence[str]], decimal: str, delimiter: str) -> bool:
+    """Return whether the first cells are names of rows: words, or whole numbers that rise."""
+    first = [row[0] for row in rows]
+    if not all(_is_number(row[-1], decimal) for row in rows):
+        return False
+    if all(cell.isdigit() for cell in first):
+        return all(int(after) - int(cell) == 1 for cell, after in pairwise(first))
+    if delimiter not in (BLANKS, "\t") or len(rows) < _FEWEST_ROWS:
+        return False
+    return not any(_is_number(cell, decimal) or STAMP.fullmatch(cell) for cell in first)
+
+
+def _more_columns_than(names: Sequence[str], rows: Sequence[Sequence[str]], decimal: str) -> bool:
+    """Return whether rows have numbers in columns behind the last name."""
+    return bool(names) and any(
+        _is_number(cell, decimal) for row in rows for cell in row[len(names) :]
+    )
+
+
+def _miscounted(above: Sequence[tuple[int, list[str]]], width: int, decimal: str) -> bool:
+    """Return whether the line above the rows seems to have names, but not one for each column."""
+    cells = above[-1][1] if above else []
+    if len(cells) < 2 or any(_is_number(cell, decimal) for cell in cells):
+        return False
+    # A comment may say anything.
+    most = 1 if cells[0].startswith("#") else width
+    return 0 < abs(len(cells) - width) <= most
+
+
+def _count(cells: Sequence[str], noun: str) -> str:
+    count = sum(map(bool, cells))
+    return f"{count} {noun}" + "s" * (count != 1)
+
+
+def _need_no_names(rows: Sequence[Sequence[str]], decimal: str, delimiter: str) -> bool:
+    """Return whether rows of numbers alone are plain without names above them.
+
+    Where commas part cells, points must part decimals: 0,5,1,25 may be four numbers or two.
+    """
+    if not all(_is_row(row, decimal) for row in rows):
+        return False
+    return delimiter != "," or any("." in cell for row in rows for cell in row)
+
+
+def _head(
+    above: Sequence[tuple[int, list[str]]], dialect: Dialect, width: int, decimal: str
+) -> tuple[tuple[int, list[str]], list[str]] | None:
+    """Return the line of names above the rows, and the cells of units; None if it is none."""
+    units_row = dialect.units_row
+    if dialect.skip_lines is None:
+        said = {cells[0].lower(): (number, cells) for number, cells in reversed(above)}
+        for key in _NAME_KEYS:
+            if key in said and len(said[key][1]) >= width - 1:
+                number, names = said[key]
+                units = next((said[one][1] for one in _UNIT_KEYS if one in said), [])
+                # Columns before the channels have their names in the last line.
+                before = above[-1][1] if not names[1] else []
+                named = [name or old for name, old in zip_longest(["", *names[1:width]], before)]
+                return (number, [name or "" for name in named[:width]]), ["", *units[1:width]]
+        # Names stand right above the rows, or above the units, below which more may be told.
+        paired = None if units_row is not None else _named_and_united(above, width)
+        above = paired or above[-2:]
+    if not above:
+        return None
+    if units_row is None:
+        units_row = len(above) > 1 and _are_units(above[1][1], above[0][1], width)
+    if len(above) < 1 + units_row:
+        return None
+    stated = dialect.skip_lines is not None or units_row
+    number, names = above[0] if stated else above[-1]
+    values = [cell for cell in names if _is_number(cell, decimal)]
+    damaged = 2 * len(values) >= len(names) or any(decimal in cell for cell in values)
+    # Names of columns that the rows do not have; LabVIEW's rows may end before an empty remark.
+    too_many = any(name.lower() not in ("", "comment") for name in names[width:])
+    if damaged or too_many or 2 * sum(map(bool, names)) < max(2, width):
+        return None
+    return (number, names[:width]), above[1][1] if units_row else []
+
+
+def _marked(
+    above: Sequence[tuple[int, list[str]]], width: int, decimal: str
+) -> tuple[tuple[int, list[str]], list[str]] | None:
+    """Return the names in comments right above the rows, and the units below them, as of `_head`.
+
+    The line that is nearest to the rows and has a name for each column is that of the names.
+    """
+    units: list[str] = []
+    for number, cells in reversed(above[-_COMMENT_LINES:]):
+        if not cells[0].startswith("#"):
+            break
+        names = [cells[0].removeprefix("#").strip(), *cells[1:]]
+        written = [name for name in names if name]
+        if len(names) != width or len(written) != width or width < 2:
+            continue
+        if any(_is_number(name, decimal) for name in written):
+            continue
+        if not units and all(file_unit(name) or name.lower() in _NO_UNITS for name in written):
+            units = names
+            continue
+        return (number, names), [file_unit(unit) or "" for unit in units]
+    return None
+
+
+def _named_and_united(
+    above: Sequence[tuple[int, list[str]]], width: int
+) -> Sequence[tuple[int, list[str]]] | None:
+    """Return the line of names and that of units below it; None if there are none near the rows."""
+    for place in range(len(above) - 1, max(0, len(above) - 2 - _LINES_BELOW_UNITS), -1):
+        if _are_units(above[place][1], above[place - 1][1], width):
+            return above[place - 1 : place + 1]
+        if len(above[place][1]) != width:
+            return None  # a line about the measurement
+    return None
+
+
+def _longest(table: Sequence[tuple[int, list[str]]], decimal: str, after: int) -> tuple[int, int]:
+    """Return from where to where the longest stretch of rows of one width goes."""
+    best, begin = (0, 0), 0
+    for place in range(len(table) + 1):
+        number, cells = table[place] if place < len(table) else (0, [])
+        comment = bool(cells) and cells[0].startswith("#")
+        fits = number > after and (comment or _has_numbers(cells, decimal))
+        same = place > begin and len(cells) == len(table[begin][1])
+        if fits and (comment or place == begin or same):
+            continue
+        if place - begin > best[1] - best[0]:
+            best = (begin, place)
+        begin = place if fits and not comment else place + 1
+    return best
+
+
+def footer_lines(lines: Sequence[str], delimiter: str, decimal: str) -> int:
+    """Return the number of lines at the end of a table that are not rows, such as a mean.
+
+    lines: The rows of the table and what stands below them.
+    """
+    parted = [split(line, delimiter) for line in lines]
+    body = [cells for cells in parted[:_PLAIN_ROWS] if any(cells)]
+    if len(body) < _FEWEST_ROWS:
+        return 0
+    width = max(set(map(len, body)), key=list(map(len, body)).count)
+    full = [cells for cells in body if len(cells) == width]
+    numeric = [n for n in range(width) if any(_is_number(cells[n], decimal) for cells in full)]
+    most = [sum(_is_row_cell(cells[n], decimal) for cells in full) for n in range(width)]
+    numeric = [n for n in numeric if most[n] >= _NUMERIC_PART * len(full)]
+    if not numeric:
+        return 0
+    count = 0
+    for place, cells in enumerate(reversed(parted[-_MOST_FOOTER_LINES:]), 1):
+        if not any(cells) or cells[0].startswith("#"):
+            count += place == count + 1 and count > 0
+            continue
+        fits = all(_is_row_cell(cells[n], decimal) for n in numeric if n < len(cells))
+        fits = fits and any(n < len(cells) and _is_number(cells[n], decimal) for n in numeric)
+        # A row may have a word where most have a number, such as `up` among `+1` and `-1`.
+        beside = [n for n in numeric if n > 0]
+        fits = fits or bool(
+            beside and len(cells) == width and all(_is_number(cells[n], decimal) for n in beside)
+        )
+        if fits and not _RESULT_LABEL.fullmatch(cells[0]):
+            break
+        count = place
+    return count if count < len(parted) - _FEWEST_ROWS else 0
+
+
+def _is_row_cell(cell: str, decimal: str) -> bool:
+    """Return whether a cell is a number, a time or empty."""
+    empty = cell.lower() in EMPTY_WORDS
+    return empty or _is_number(cell, decimal) or bool(STAMP.fullmatch(cell))
+
+
+def grouping(lines: Iterable[str]) -> str | None:
+    """Return the thousands separator of cells that have decimals too; None without one."""
+    text = "\n".join(lines)
+    for mark, decimal in _GROUPED.items():
+        edge = '"' if mark == "," else r'["\t;\n]'
+        cell = rf"{edge}[-+]?\d{{1,3}}(?:{re.escape(mark)}\d{{3}})+{decimal}\d+(?={edge})"
+        if re.search(cell, f"\n{text}\n"):
+            return mark
+    return None
+
+
+def ungrouped(text: str, mark: str) -> str:
+    """Return a text without the marks that part groups of three digits."""
+    edge = '"' if mark == "," else r'["\t;\r\n]'
+    cell = rf"(?<={edge})[-+]?\d{{1,3}}(?:{re.escape(mark)}\d{{3}})+(?=[.,]?\d*{edge})"
+    return re.sub(cell, lambda found: found[0].replace(mark, ""), f"\n{text}\n")[1:-1]
+
+
+def split(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line, without blanks around them."""
+    if delimiter == BLANKS:
+        return [cell.strip('"') for cell in _BETWEEN_BLANKS.findall(line)]
+    cells = line.split(delimiter)
+    if '"' in line:
+        with suppress(csv.Error):  # a line that is no text
+            cells = next(csv.reader([line], delimiter=delimiter))
+    return [cell.strip() for cell in cells]
+
+
+def described_lines(lines: Sequence[Line], shown: int = 6) -> str:
+    """Say what the first lines look like, where no table was found among them."""
+    said = []
+    for number, line in [one for one in lines if one[1].strip()][:shown]:
+        mark = max(MARKS, key=line.count)
+        cells = split(line, mark if mark in line else BLANKS)
+        numbers = sum(any(_is_number(cell, each) for each in _NUMBERS) for cell in cells)
+        count = f"{len(cells)} cell" + "s" * (len(cells) > 1)
+        said.append(f"  line {number}: {count}, {numbers or 'none'} a number: {line.strip()[:60]}")
+    return "\n".join(said)
+
+
+def _are_units(cells: Sequence[str], names: Sequence[str], width: int) -> bool:
+    """Return whether cells are units, and those above them names."""
+    units = [file_unit(cell) is not None for cell in cells if cell.lower() not in _NO_UNITS]
+    named = [name for name in names if name]
+    return (
+        len(cells) <= width
+        and any(units)
+        and all(units)
+        and len(named) >= max(1, width - 1)
+        and len(names) <= width
+        and not all(file_unit(name) for name in named)
+    )
+
+
+def _is_row(cells: Iterable[str], decimal: str) -> bool:
+    """Return whether cells are numbers, times or empty, and at least one is a number."""
+    some = False
+    for cell in cells:
+        if _is_number(cell, decimal):
+            some = True
+        elif cell.lower() not in EMPTY_WORDS and not STAMP.fullmatch(cell):
+            return False
+    return some
+
+
+def _has_numbers(cells: Sequence[str], decimal: str) -> bool:
+    """Return whether at least half of what is not empty are numbers: there may be remarks."""
+    written = [cell for cell in cells if cell]
+    numbers = sum(_is_number(cell, decimal) or bool(STAMP.fullmatch(cell)) for cell in written)
+    return 2 * numbers >= len(written) and any(_is_number(cell, decimal) for cell in written)
+
+
+def _is_number(cell: str, decimal: str) -> bool:
+    return _NUMBERS[decimal].fullmatch(cell) is not None
