@@ -2,6 +2,7 @@
 
 import json
 import math
+import pickle
 from importlib import import_module
 from pkgutil import walk_packages
 from typing import ClassVar
@@ -10,7 +11,13 @@ import pytest
 
 import counterspin
 from counterspin.errors import CounterspinError, RecordError
-from counterspin.results import ReportableResult, ResultFile, ResultPart
+from counterspin.results import (
+    NamedParts,
+    ReportableResult,
+    ResultFile,
+    ResultPart,
+    UnknownNameError,
+)
 
 
 class Temperature(ResultPart):
@@ -180,3 +187,27 @@ def test_what_was_read_knows_the_bytes_of_its_file(tmp_path):
         read.model_copy(update={"series": []}).content
         == Log(rooms=LOG.rooms, series=[]).to_json().encode()
     )
+
+
+def test_dir_lists_no_names_of_pydantic():
+    names = dir(LOG)
+    assert {"rooms", "series", "to_json", "write", "read", "content"} <= set(names)
+    assert [name for name in names if "model" in name or name == "copy"] == []
+    assert "value" in dir(LOG.rooms["cellar"])
+
+
+def test_an_unknown_name_suggests_the_closest_one():
+    parts = NamedParts(K_II=1, K_III=2)
+    assert (parts["K_II"], parts.get("k"), "k" in parts) == (1, None, False)
+    with pytest.raises(KeyError) as caught:
+        parts["k_ii"]
+    assert str(caught.value) == "'k_ii' is not in this result; did you mean \"K_II\"?"
+    with pytest.raises(UnknownNameError, match="known: K_II, K_III"):
+        parts["nothing"]
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+
+
+@pytest.mark.parametrize("call", [counterspin.calibrate, counterspin.read_campaign, Log.read])
+def test_an_argument_of_a_wrong_type_gets_a_sentence(call):
+    with pytest.raises(TypeError, match=r"give the .*, as text or a path, not 123 \(int\)"):
+        call(123)

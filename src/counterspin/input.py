@@ -19,6 +19,14 @@ DOCUMENT_BYTES: Final = 200_000_000
 #: Most digits of an integer in JSON; the largest floating-point number has 309.
 _MOST_DIGITS: Final = 400
 
+
+def path_of(value: object, wanted: str) -> Path:
+    """Return an argument as a path; TypeError with what is wanted for any other type."""
+    if not isinstance(value, str | os.PathLike):
+        raise TypeError(f"give {wanted}, as text or a path, not {value!r} ({type(value).__name__})")
+    return Path(value)
+
+
 #: What is no file -> what it is.
 _KINDS: Final = (
     (stat.S_ISDIR, "a folder"),

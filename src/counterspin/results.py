@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError,
 from pydantic_core import PydanticSerializationError
 
 from counterspin.errors import RecordError
-from counterspin.input import looks_like, parse_json, read_file
+from counterspin.input import looks_like, parse_json, path_of, read_file
 from counterspin.loading import load_name
 
 if TYPE_CHECKING:
@@ -49,6 +49,27 @@ _SMALLEST_UNCERTAINTY: Final = 1e-50
 _UNCERTAINTY: Final = re.compile(r"u(_\w+)?")
 
 
+class UnknownNameError(KeyError):
+    """A name that a result does not have."""
+
+    def __str__(self) -> str:
+        """Return the name with the closest known name, or with all known names."""
+        from difflib import get_close_matches  # needed only for this error
+
+        name, known = self.args
+        folded = {key.lower(): key for key in known}
+        near = get_close_matches(str(name).lower(), folded, n=1)
+        hint = f'did you mean "{folded[near[0]]}"?' if near else f"known: {', '.join(known)}"
+        return f"{name!r} is not in this result; {hint}"
+
+
+class NamedParts(dict[str, Any]):
+    """Parts of a result by name; the error for an unknown name suggests the closest one."""
+
+    def __missing__(self, name: object) -> Any:
+        raise UnknownNameError(name, list(self))
+
+
 class ResultPart(BaseModel):  # noqa: PLW1641 -- pydantic adds the hash of what is frozen
     """A part of a result; unknown keys are refused so that a slip is seen at once."""
 
@@ -59,6 +80,11 @@ class ResultPart(BaseModel):  # noqa: PLW1641 -- pydantic adds the hash of what 
     def __eq__(self, other: object) -> bool:
         """Return whether the two state the same, whatever either remembers beside it."""
         return type(other) is type(self) and vars(self) == vars(other)
+
+    def __dir__(self) -> list[str]:
+        """Return the names of fields, methods and properties, without those of pydantic."""
+        hidden = set(dir(BaseModel))
+        return [name for name in super().__dir__() if name not in hidden and name[0] != "_"]
 
 
 class ResultFile(ResultPart):
@@ -158,7 +184,7 @@ class ResultFile(ResultPart):
     @classmethod
     def read(cls, path: Path | str) -> Self:
         """Read a file that `write` has written, now or in an earlier version."""
-        path = Path(path)
+        path = path_of(path, f"the file of a {cls.KIND}")
         wanted = f"give the JSON file of a {cls.KIND}"
         content = b""
         try:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
+from pydantic import AfterValidator, Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
 
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
@@ -34,7 +34,7 @@ from counterspin.errors import CounterspinError
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.loading import load_name
 from counterspin.physics.terms import TERMS
-from counterspin.results import ReportableResult, draw_pictures
+from counterspin.results import NamedParts, ReportableResult, draw_pictures
 
 if TYPE_CHECKING:
     import polars as pl
@@ -82,7 +82,8 @@ class Result(ReportableResult):
     #: The reason for which a contradicted result is used all the same.
     accepted_misfit: str | None = None
     title: str = ""  #: Of the campaign.
-    accelerometers: dict[str, AccelerometerResult]  #: One for each accelerometer.
+    #: One for each accelerometer.
+    accelerometers: Annotated[dict[str, AccelerometerResult], AfterValidator(NamedParts)]
     platform: dict[str, Coefficient] = {}  #: Coefficients of the platform, common to all runs.
     #: Three accelerometers as one sensor; null where the campaign has no ``[triad]``.
     triad: TriadResult | None = None
@@ -90,7 +91,7 @@ class Result(ReportableResult):
     #: Of everything determined, accelerometers and platform together, by whole names such as
     #: ``Qx.K_II`` and ``run1.platform.tilt.north``; null for the two-stage method.
     correlation: Correlation | None = None
-    runs: dict[str, RunResult]  #: One for each run.
+    runs: Annotated[dict[str, RunResult], AfterValidator(NamedParts)]  #: One for each run.
     inputs: Inputs  #: Gravity, latitude, radius.
     #: What else is known, stated or not, of terms and inputs that nobody asked for.
     rests_on: list[Knowledge] = []

@@ -7,10 +7,10 @@ beside it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import PrivateAttr
+from pydantic import AfterValidator, PrivateAttr
 
 from counterspin.arrays import Array
 from counterspin.calibration.si_estimates import SiEstimate, StatedGravity, si_estimate
@@ -23,7 +23,7 @@ from counterspin.inference.joint.summary import BudgetLine, Jackknife, Kind, Wha
 from counterspin.inference.verdicts import Conformity
 from counterspin.loading import load_name
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
-from counterspin.results import ResultPart
+from counterspin.results import NamedParts, ResultPart
 from counterspin.units import unit_factor
 
 if TYPE_CHECKING:
@@ -419,7 +419,8 @@ class AccelerometerResult(ResultPart):
     #: much each would move a coefficient; the worst first.
     unseen_faults: list[str] = []
     serial_number: str | None = None  #: As the campaign states it.
-    coefficients: dict[str, Coefficient]  #: The terms that the campaign asked for.
+    #: The terms that the campaign asked for.
+    coefficients: Annotated[dict[str, Coefficient], AfterValidator(NamedParts)]
     #: Further terms of which something is known beforehand, as the campaign states it; the fit has
     #: taken their values away.
     known: dict[str, Coefficient] = {}
