@@ -36,10 +36,6 @@ TSC := $(VENV)/typescript/node_modules/typescript/bin/tsc
 # a cache that was made with other options.
 PLATFORMS := linux darwin win32
 mypy = $(BIN)/python -m mypy --cache-dir .mypy_cache/$(1)
-define newline
-
-
-endef
 # Scripts whose peers may be absent and carry no types.
 BENCH_TYPES := --allow-untyped-defs --allow-incomplete-defs --allow-untyped-calls --no-warn-return-any \
   --disable-error-code import-untyped --disable-error-code import-not-found
@@ -67,10 +63,15 @@ slow: $(READY) ## Time all tests, one by one, and list in tests/slow.txt what qu
 lint: $(READY) $(TYPESCRIPT) ## Lint, format, types and import rules only
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
-	$(foreach platform,$(PLATFORMS),$(call mypy,$(platform)) --platform $(platform)$(newline)	)
-	$(call mypy,benchmarks) $(BENCH_TYPES) $(wildcard benchmarks/*.py)
+	$(MAKE) --no-print-directory -j 2 $(PLATFORMS:%=types-%) types-benchmarks
 	$(BIN)/lint-imports --no-logo
 	@if [ -e $(TYPESCRIPT) ]; then node $(TSC) -p jsconfig.json; fi
+
+types-benchmarks: $(READY)
+	$(call mypy,benchmarks) $(BENCH_TYPES) $(wildcard benchmarks/*.py)
+
+types-%: $(READY)
+	$(call mypy,$*) --platform $*
 
 format: $(READY) ## Format the code and mend what the linter can
 	$(BIN)/python -m ruff check --fix .
