@@ -33,10 +33,6 @@ const BEGINNING = String.raw`^\s*(${NUMBER}(?:\s*(?:±|\+/-|\+-)\s*${NUMBER})?)\
 const STATED = new RegExp(`${BEGINNING}$`, "u");
 const QUANTITY = new RegExp(String.raw`${BEGINNING}([^\d\s.±+-].*)$`, "u");
 
-/** @type {string} */ (names.of(code)) }))
-    .sort((one, other) => one.name.localeCompare(other.name));
-}
-
 /**
  * A table's values by keys with dots, as priors are named.
  * @param {any} table
