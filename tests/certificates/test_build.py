@@ -251,7 +251,9 @@ def test_what_the_result_rests_on_is_stated(tmp_path):
     # ± precedes U alone.
     assert apart.endswith("determined: K_II + K_OO = 27.0000, u = 0.0010 ug/g^2.")
     assert unknown == (
-        "Not stated, so included in U with a typical standard uncertainty: K_OO, 2.0 ug/g^2."
+        "Default prior: K_OO (second-order output-axis coefficient), standard uncertainty "
+        "2.0 ug/g^2 (the paper's Table 1 for K_IP (6e-6 g/g²), a third of it; the others "
+        "likewise), 36 % of the variance at most."
     )
 
 
@@ -403,7 +405,8 @@ def test_what_the_procedure_is_and_what_the_customer_supplied(tmp_path):
         for name in ("Prior knowledge", "Data supplied by the customer")
     )
     assert known[0].text == (
-        "Prior for Qx: K_I, standard uncertainty 5.0e-6 g/g, supplied by the customer."
+        "Prior for Qx: K_I (scale factor), standard uncertainty 5.0e-6 g/g, supplied by the "
+        "customer."
     )
     assert "the laboratory is not responsible for them" in supplied[0].text
 

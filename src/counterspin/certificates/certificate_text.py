@@ -14,13 +14,15 @@ from counterspin.calibration.pages.methods import (
     poses_of,
     readings_of,
 )
+from counterspin.calibration.pages.uncertainty import dominance
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.certificates.lab import CertificateSettings
 from counterspin.certificates.schema import format_decimal
 from counterspin.inference.distributions import COVERAGE, expanded_uncertainty
 from counterspin.inference.verdicts import Conformity
-from counterspin.physics.terms import TERMS
+from counterspin.physics.grades import GRADES
+from counterspin.physics.terms import TABLE, TERMS, symbol_of, words_of
 from counterspin.reports.blocks import Paragraph
 from counterspin.reports.numbers import (
     field_unit,
@@ -217,28 +219,46 @@ def prior_lines(name: str, result: Result, settings: CertificateSettings) -> lis
         if line.u:
             size = f", standard uncertainty {format_uncertainty(line.u * scale)} {unit}"
         supplier = ", supplied by the customer" if symbol.rpartition(" ")[2] in supplied else ""
-        sentences.append(f"Prior for {name}: {symbol}{size}{supplier}.")
+        sentences.append(f"Prior for {name}: {_named(symbol)}{size}{supplier}.")
     return sentences
 
 
 def assumption_lines(name: str, result: Result) -> list[str]:
     """Return the unmeasured assumptions behind u of an accelerometer's coefficients.
 
-    They are confounded terms, and unstated terms that contribute with their typical size.
+    They are confounded terms, and terms with a default uncertainty, each with its source. Advice
+    on a smaller uncertainty is left to the report.
     """
     accelerometer = result.accelerometers[name]
-    sentences = [replace_plus_minus(line) for line in rests_on(accelerometer)]
+    advice = dominance(accelerometer)
+    lines = (line for line in rests_on(accelerometer) if line != advice)
+    sentences = [replace_plus_minus(line) for line in lines]
     sizes = dict[str, str]()
-    for line in (line for lines in accelerometer.budget.values() for line in lines):
+    budget = [line for lines in accelerometer.budget.values() for line in lines]
+    for line in sorted(budget, key=lambda line: line.share):
         if line.kind == "unstated" and line.u and line.share >= _MIN_SHARE:
+            sizes.pop(line.source, None)
             unit, scale = field_unit(line.unit)
-            sizes[line.source] = f"{line.source}, {format_uncertainty(line.u * scale)} {unit}"
-    if sizes:
-        sentences.append(
-            "Not stated, so included in U with a typical standard uncertainty: "
-            f"{'; '.join(sizes.values())}."
-        )
-    return sentences
+            size = f"{format_uncertainty(line.u * scale)} {unit}"
+            sizes[line.source] = (
+                f"Default prior: {_named(line.source)}, standard uncertainty {size}"
+                f"{_source_of_default(line.source, line.u)}, {format_share(line.share)} of the "
+                "variance at most."
+            )
+    return [*sentences, *reversed(sizes.values())]
+
+
+def _named(source: str) -> str:
+    """Return a source of uncertainty by its symbol and, in parentheses, its description."""
+    words = words_of(source)
+    return f"{source} ({words})" if words else source
+
+
+def _source_of_default(source: str, u: float) -> str:
+    """Return the document behind a default uncertainty; empty for one that a campaign states."""
+    row = TABLE.get(symbol_of(source))
+    sizes = [] if row is None else [row.sizes(grade) for grade in GRADES]
+    return next((f" ({s.source})" for s in sizes if math.isclose(s.typical, u)), "")
 
 
 def seal_lines(result: Result, accepted: str | None) -> list[str]:

@@ -54,7 +54,7 @@ def budget_bars(name: str, accelerometer: AccelerometerResult, symbol: str = "K_
         colours.append(_COLOUR_OF_REST)
         parts.append((math.hypot(*(r.contribution for r in rest)), sum(r.share for r in rest)))
     return Bars(
-        title=f"Contributions to u^2 of {symbol} of {name}, in {unit}",
+        title=f"Contributions to u of {symbol} of {name}, in {unit} (share of u^2 in %)",
         labels=tuple(labels),
         values=tuple(100.0 * share for _, share in parts),
         texts=tuple(
