@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
+from counterspin.inference.combined_distribution import dof_beside, tail_beside
 from counterspin.inference.distributions import (
     chi_square_tail,
     countable,
-    dof_beside,
     log_binomial,
     normal_cdf,
     normal_quantile,
     student_cdf,
     student_quantile,
-    tail_beside,
 )
 
 SMALL = np.logspace(-12, -0.31, 30).tolist()

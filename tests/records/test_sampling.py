@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from counterspin.records.sampling import Holding, Samples
+from counterspin.inference.noise.samples import Samples
+from counterspin.records.sampling import Holding
 
 STEP = 0.01
 

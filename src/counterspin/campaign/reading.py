@@ -13,7 +13,7 @@ from typing import Any, Final
 from counterspin.campaign.documents import KeyPath
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.station import MotionKind
+from counterspin.physics.terms import MotionKind
 
 #: How many poses a record is taken to have before it is read.
 MANY: Final = 1000

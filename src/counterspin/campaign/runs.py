@@ -33,7 +33,7 @@ from counterspin.campaign.kinds import (
 )
 from counterspin.campaign.quantity import UNKNOWN, Quantity, of_platform, read_attitude
 from counterspin.loading import load_name
-from counterspin.physics.station import MotionKind
+from counterspin.physics.terms import MotionKind
 from counterspin.records.dialect import Dialect
 from counterspin.records.endings import RECORD_FORMATS
 

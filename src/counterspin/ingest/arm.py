@@ -18,7 +18,6 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array
-from counterspin.campaign.columns import SENSE_WORDS, mounting_of
 from counterspin.campaign.model import TERMS_ON_A_MACHINE
 from counterspin.campaign.quantity import parse
 from counterspin.errors import CampaignError
@@ -45,6 +44,7 @@ from counterspin.ingest.readings import (
     several_question,
     usual_role,
 )
+from counterspin.readings.cells import SENSE_WORDS, mounting_of
 from counterspin.records.unit_words import unit_in_name
 from counterspin.units import STANDARD_GRAVITY, converts, unit_factor
 

@@ -18,7 +18,6 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.campaign.columns import SENSE_WORDS
 from counterspin.campaign.kinds import COMPASS
 from counterspin.campaign.quantity import BARE, latitude_text, parse
 from counterspin.campaign.settings import OBSERVABLES
@@ -26,6 +25,7 @@ from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.ingest.column_roles import NONE, UNUSED, FileGuess, SignalGuess
 from counterspin.ingest.contents import ALL_SHEETS, FileContents
+from counterspin.readings.cells import SENSE_WORDS
 from counterspin.records.unit_words import file_unit
 from counterspin.units import STANDARD_GRAVITY, unit_factor
 

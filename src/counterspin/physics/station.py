@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 
@@ -31,9 +31,7 @@ from counterspin.physics.effects import (
     TrajectoryError,
 )
 from counterspin.physics.motion import Site
-from counterspin.physics.terms import TERMS, term
-
-MotionKind = Literal["counter-rotating", "arm", "static"]
+from counterspin.physics.terms import TERMS, MotionKind, term
 
 _ON_THE_ARM: Final[Mapping[str, tuple[float, float, float]]] = {
     "outward": (1.0, 0.0, 0.0),

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Final, Generic, Literal, TypeVar
 
 from counterspin.frozen import frozen
 from counterspin.physics.effects import (
@@ -28,6 +28,9 @@ from counterspin.physics.grades import DEFAULT_GRADE, SIZES, Size
 
 DEGREE_PER_HOUR: Final = math.radians(1.0) / 3600.0  #: rad/s
 ARCSEC: Final = math.pi / 648000.0  #: rad
+
+#: Motion of the instrument during a reading.
+MotionKind = Literal["counter-rotating", "arm", "static"]
 
 #: What the symbols of those errors of a dividing head begin with that vary with its angle.
 HEAD_WAVES: Final = "head.harmonic."

@@ -16,7 +16,6 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.columns import BLANK
 from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.documents import KeyPath, list_of, mistakes, table_of
 from counterspin.campaign.reading import Reading
@@ -37,6 +36,7 @@ from counterspin.planning.plan_sections import (
 )
 from counterspin.planning.recorded import with_pose_noise
 from counterspin.planning.result import GoalResult
+from counterspin.readings.cells import BLANK
 from counterspin.triads.groups import one_group
 from counterspin.triads.poses import TriadPoses, indications_along
 from counterspin.triads.section import TriadSettings

@@ -16,7 +16,6 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.columns import BLANK
 from counterspin.campaign.documents import KeyPath
 from counterspin.campaign.kinds import Contradiction
 from counterspin.campaign.quantity import Quantity, last_digit, parse
@@ -26,6 +25,7 @@ from counterspin.campaign.settings import Output
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import FRAMES
+from counterspin.readings.cells import BLANK
 
 #: Most readings of a campaign, and most records, one for each run and accelerometer, of which a
 #: forecast or a study is made.

@@ -11,8 +11,8 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
+from counterspin.inference.combined_distribution import tail_beside
 from counterspin.inference.diagnostics import SIGNIFICANCE
-from counterspin.inference.distributions import tail_beside
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution

@@ -21,7 +21,7 @@ from counterspin.calibration.result_parts import Finding, ReadingResult, TriadRe
 from counterspin.campaign.description import Campaign
 from counterspin.errors import CampaignError, NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.inference.distributions import dof_beside
+from counterspin.inference.combined_distribution import dof_beside
 from counterspin.inference.joint.estimation import Estimate, estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknowns

@@ -12,20 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from pydantic import AfterValidator
 
 from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.columns import (
-    BLANK,
-    SENSE_WORDS,
-    WITH_COMMA,
-    RateColumn,
-    Sense,
-    TableDialect,
-    as_number,
-    is_empty,
-    mounting_of,
-    seconds_of,
-    with_points,
-    words_of,
-)
+from counterspin.campaign.columns import Sense, TableDialect
 from counterspin.campaign.documents import KeyPath, list_of, plain, table_of
 from counterspin.campaign.kinds import SettingsSection, Text, described, exact, file_name
 from counterspin.campaign.quantity import HeadTurn, Quantity
@@ -33,7 +20,19 @@ from counterspin.campaign.runs import ReadingAxes
 from counterspin.campaign.settings import Output
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
-from counterspin.physics.station import MotionKind
+from counterspin.physics.terms import MotionKind
+from counterspin.readings.cells import (
+    BLANK,
+    SENSE_WORDS,
+    WITH_COMMA,
+    RateColumn,
+    as_number,
+    is_empty,
+    mounting_of,
+    seconds_of,
+    with_points,
+    words_of,
+)
 from counterspin.readings.entries import MOST_READINGS
 from counterspin.records.dialect import Dialect
 from counterspin.records.endings import RECORD_FORMATS

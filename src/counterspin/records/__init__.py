@@ -8,7 +8,7 @@
   format's own
 - `dialect`: what a person states on how a file is written; `layout`, `heads`, `unit_words`: what
   the lines of a table show, what the lines above the names state, and units as files write them
-- `sampling`, `several_sensors`: the samples of a sensor in the rows of its log, and rows of several
+- `sampling`, `several_sensors`: the values in a log that repeat a sample, and rows of several
   sensors
 - `run_file`: the files of one run as one, with the time and the angle that no file has
 - `clock`, `outliers`, `reduction`: the steps of reading a chunk, in their order

@@ -15,7 +15,6 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.checking import Problems
-from counterspin.campaign.columns import BLANK, is_empty
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.documents import load_document
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
@@ -29,6 +28,7 @@ from counterspin.physics.motion import encoder_error
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.station import Station, mean_products
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
+from counterspin.readings.cells import BLANK, is_empty
 from counterspin.readings.groups import groups_of, numbered_groups
 from counterspin.readings.known_attitudes import Readings
 from counterspin.readings.table import ReadingsSettings, ReadingsTable, load_table

@@ -7,6 +7,7 @@
   `even`: of an even record at rest, by its cosine transform
 - `search`: the noise's size, estimated from the records
 - `rest`: a record at rest, cleaned; its noise, each component with an interval
+- `samples`: the samples of a sensor in a record at rest, where its log repeats values or stamps
 - `spectrum`: its spectrum, the lines in it, and its Allan deviation
 - `unseen_noise`: what noise that the records do not show may add to the uncertainty
 """

@@ -23,11 +23,11 @@ from counterspin.frozen import frozen
 from counterspin.inference.noise.even import EvenData, EvenRecord, SampleKind
 from counterspin.inference.noise.likelihood import RestrictedLikelihood
 from counterspin.inference.noise.model import COMPONENTS, SPECIFIC_FORCE, WANTED, Noise
+from counterspin.inference.noise.samples import Samples
 from counterspin.inference.noise.search import KEEPING_GAIN, Choice, Maximum
 from counterspin.inference.noise.spectrum import SpectralLine, find_lines
 from counterspin.inference.noise.wander import Variances
 from counterspin.records.outliers import detect_outliers
-from counterspin.records.sampling import Samples
 
 #: Most samples missing in a row within a part; more are a gap. Where many samples are lost, more in
 #: a row are, up to a number that a record of so many exceeds with a small probability.
