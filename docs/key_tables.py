@@ -16,9 +16,9 @@ from pydantic.fields import FieldInfo
 
 from counterspin import schemas
 from counterspin.calibration.result import Result
-from counterspin.campaign.checking import Section
-from counterspin.campaign.kinds import SettingsSection, extra_of, known
+from counterspin.campaign.field_types import SettingsSection, extra_of, uncertain_quantity
 from counterspin.campaign.truth import AccelerometerTruthSettings
+from counterspin.campaign.validation import Section
 from counterspin.certificates.lab import Lab
 from counterspin.comparisons.result import RepeatedCalibration, ResultComparison
 from counterspin.histories.result import History
@@ -180,7 +180,7 @@ def model_of(name: str) -> type[BaseModel]:
         model = waiting.pop()
         found[model.__name__] = model
         for field in model.model_fields.values():
-            apart = [said.written for said in field.metadata if isinstance(said, Section)]
+            apart = [said.model for said in field.metadata if isinstance(said, Section)]
             waiting += [m for one in (field.annotation, *apart) for m in _models(one)]
         waiting += [base for base in model.__bases__ if issubclass(base, SettingsSection)]
     return found[name]
@@ -223,7 +223,7 @@ def _kind(annotation: Any, metadata: list[Any]) -> str:
     readers = [one.func for one in said if isinstance(one, PlainValidator)]
     for reader in readers:
         if isinstance(reader, partial):
-            spread = " ±" if reader.func is known("m").func.func else ""
+            spread = " ±" if reader.func is uncertain_quantity("m").func.func else ""
             return f"quantity{spread}, {reader.args[0]}"
     origin = typing.get_origin(annotation)
     if origin is Literal:

@@ -8,7 +8,7 @@ import pytest
 
 from counterspin.campaign import settings, simulated_truth, specification, truth
 from counterspin.campaign.accelerometers import TRUTH_TABLES
-from counterspin.campaign.kinds import SettingsSection
+from counterspin.campaign.field_types import SettingsSection
 from counterspin.physics.terms import MOTION_TERMS
 from counterspin.records.endings import RECORD_FORMATS
 from counterspin.units import UNITS

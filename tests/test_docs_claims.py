@@ -153,7 +153,7 @@ NUMBERS = [
         [200.0 * normal_cdf(-diagnostics.AGREEMENT)],
     ),
     ("diagnosis", "causes: {} % for priors, {} % for all else", [CAUSES, CAUSES]),
-    ("diagnosis", "effective ones, rounded: from {} on", [fitted.FEWEST_FREEDOM]),
+    ("diagnosis", "effective ones, rounded: from {} on", [fitted.MIN_DOF]),
     ("diagnosis", "sine of 1 to {} times the head's angle", [patterns._HARMONICS]),
     ("diagnosis", "constant of {} and of {} of the series", [*patterns._WARM_UPS]),
     (
@@ -191,7 +191,7 @@ NUMBERS = [
         [column_file._CHUNK_ROWS, outliers.WINDOW_SAMPLES],
     ),
     ("benchmarks", "a polynomial of degree {}", [strobed_effects.DEGREE]),
-    ("physics", "to have risen evenly by {} K from", [conditions.UNKNOWN_WARMING]),
+    ("physics", "to have risen evenly by {} K from", [conditions.DEFAULT_WARMING]),
     ("physics", "{} arcmin are ${}$ of K_I", [3, 0.5 * (3 * 60 * ARCSEC) ** 2]),
     (
         "physics",

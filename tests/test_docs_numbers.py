@@ -20,7 +20,7 @@ from counterspin import errors, workers
 from counterspin.application import guard
 from counterspin.calibration import assembly, outcome
 from counterspin.calibration.pages import pictures
-from counterspin.campaign.kinds import exact
+from counterspin.campaign.field_types import exact
 from counterspin.certificates import certificate_text, signers
 from counterspin.comparisons import rerun
 from counterspin.histories import consistency, page

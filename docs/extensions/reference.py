@@ -14,7 +14,7 @@ from sphinx.environment import BuildEnvironment
 from sphinx.ext.intersphinx import resolve_reference_any_inventory
 from sphinx.util.inspect import TypeAliasForwardRef
 
-from counterspin.campaign.kinds import SettingsSection
+from counterspin.campaign.field_types import SettingsSection
 from counterspin.schemas import unlinked
 
 #: What NumPy's ArrayLike is made of: it stands in its place where None is allowed too.

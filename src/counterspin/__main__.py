@@ -69,9 +69,9 @@ def _head_start() -> AbstractContextManager[None]:
     command, where, *others = [*sys.argv[1:], "", ""]
     if command != "calibrate" or where[:1] in ("", "-") or others[0][:1] not in ("", "-"):
         return nullcontext()
-    from counterspin.campaign.checksums import head_start
+    from counterspin.campaign.checksums import prefetch_campaign
 
-    return head_start(where)
+    return prefetch_campaign(where)
 
 
 if __name__ == "__main__":

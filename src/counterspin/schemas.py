@@ -18,7 +18,7 @@ from typing import Any, Final, Literal, get_args, get_type_hints
 from pydantic import BaseModel
 
 from counterspin.calibration.result import Result
-from counterspin.campaign.checking import model_inside, sections_of
+from counterspin.campaign.validation import model_inside, nested_models
 from counterspin.certificates.lab import Lab
 from counterspin.monitoring.result import NoiseResult
 from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
@@ -44,7 +44,7 @@ RESULTS: Final[Mapping[str, type[ResultFile]]] = {"result": Result, "noise": Noi
 #: Section of ``campaign.toml`` -> the class of its table, or the first of each of its tables.
 SECTIONS: Final[Mapping[str, type[BaseModel]]] = {
     key: table
-    for key, written in sections_of(StudiedDocument).items()
+    for key, written in nested_models(StudiedDocument).items()
     if (table := model_inside(written)) is not None
 }
 

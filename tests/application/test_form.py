@@ -6,7 +6,7 @@ from prose import sentences
 
 from counterspin.application.form import SECTIONS, campaign_form, lab_form, run_kinds
 from counterspin.campaign.accelerometers import TRUTH_TABLES
-from counterspin.campaign.kinds import COMPASS
+from counterspin.campaign.field_types import COMPASS
 from counterspin.campaign.resolution import CampaignDocument
 from counterspin.campaign.terms import BARE_NAMES
 from counterspin.certificates.lab import Lab

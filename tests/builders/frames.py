@@ -6,8 +6,8 @@ from functools import cache
 import campaigns
 import numpy as np
 
-from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.validation import Problems
 from counterspin.simulation.simulate import simulate_run
 
 

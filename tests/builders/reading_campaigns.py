@@ -79,7 +79,7 @@ def simulated(test, rng, sigma, machine=(), u_head=0.0, truth=TRUTH, temperature
     count = len(test[0])
     blank = readings(test, np.zeros(count), 1.0, temperature=temperature)
     errors = rng.normal(0.0, u_head, count) if u_head else np.zeros(count)
-    actual = blank.turned(blank.stations_with(dict(machine)), errors)
+    actual = blank.rotate_head(blank.stations_with(dict(machine)), errors)
     coefficients = []
     for index in range(count):
         lever = RunConditions(float(blank.time[index]), float(blank.temperature[index]))

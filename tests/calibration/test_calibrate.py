@@ -59,8 +59,8 @@ def test_a_record_that_changes_beside_its_checksum_is_refused(folder, monkeypatc
 
     monkeypatch.setattr(observed_runs, "read_record", reading)
     # Checksums are taken on a thread; here at once, or at the end.
-    expect = (lambda self, _: self.of([record]) and []) if early else (lambda *_: [])
-    monkeypatch.setattr(Checksums, "expect", expect)
+    expect = (lambda self, _: self.checksums([record]) and []) if early else (lambda *_: [])
+    monkeypatch.setattr(Checksums, "prefetch", expect)
     with pytest.raises(RecordError, match=r"fast\.csv: the file was changed"):
         calibrate(folder)
 

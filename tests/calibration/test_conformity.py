@@ -10,8 +10,8 @@ from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.pages.document import sections
 from counterspin.calibration.pages.verdict import conformity_blocks
 from counterspin.calibration.result import Result
-from counterspin.campaign.checking import Problems
 from counterspin.campaign.specification import resolve_specifications
+from counterspin.campaign.validation import Problems
 from counterspin.inference.conformity import DecisionRule, Specification, decide
 from counterspin.simulation.simulate import simulate
 

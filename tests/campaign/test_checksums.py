@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from counterspin.__main__ import _head_start
-from counterspin.campaign.checksums import _BEGUN, Checksums, checksums_of, head_start
+from counterspin.campaign.checksums import _STARTED, Checksums, checksums_of, prefetch_campaign
 from counterspin.input import open_file
 
 #: Longest wait for anything, s; only a failure takes so long.
@@ -32,7 +32,7 @@ def test_files_of_any_size(tmp_path, size):
     data = os.urandom(min(size, 1000)).ljust(size, b"x")
     (tmp_path / "a.csv").write_bytes(data)
     with Checksums() as checksums:
-        assert checksums.of([tmp_path / "a.csv"]) == [of(data)]
+        assert checksums.checksums([tmp_path / "a.csv"]) == [of(data)]
 
 
 @pytest.mark.parametrize("given", [Path, str])
@@ -41,13 +41,16 @@ def test_expected_files_are_taken_before_they_are_asked_for(tmp_path, monkeypatc
     (tmp_path / "a.csv").write_bytes(b"before")
     monkeypatch.chdir(tmp_path.parent)
     with Checksums() as checksums:
-        checksums.expect(given(tmp_path.name))
+        checksums.prefetch(given(tmp_path.name))
         limit = time.monotonic() + BOUND
         while not all(taken.done() for taken in checksums._taken.values()):
             assert time.monotonic() < limit
             time.sleep(0.001)
         (tmp_path / "a.csv").write_bytes(b"after")
-        assert checksums.of([file, tmp_path / "a.csv"]) == [of(file.read_bytes()), of(b"before")]
+        assert checksums.checksums([file, tmp_path / "a.csv"]) == [
+            of(file.read_bytes()),
+            of(b"before"),
+        ]
 
 
 @pytest.mark.parametrize(
@@ -67,9 +70,9 @@ def test_expected_files_are_taken_before_they_are_asked_for(tmp_path, monkeypatc
 def test_what_is_wrong_with_a_description_is_for_others_to_say(tmp_path, text):
     file = described(tmp_path, text)
     with Checksums() as checksums:
-        checksums.expect(tmp_path)
-        checksums.expect(tmp_path / "nowhere")
-        assert checksums.of([file]) == [of(text.encode())]
+        checksums.prefetch(tmp_path)
+        checksums.prefetch(tmp_path / "nowhere")
+        assert checksums.checksums([file]) == [of(text.encode())]
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes among the files here")
@@ -77,7 +80,7 @@ def test_what_is_no_file_has_no_checksum(tmp_path):
     os.mkfifo(tmp_path / "pipe.csv")
     with Checksums() as checksums:
         files = [tmp_path, tmp_path / "missing.csv", tmp_path / "pipe.csv"]
-        assert checksums.of(files) == ["unreadable"] * 3
+        assert checksums.checksums(files) == ["unreadable"] * 3
 
 
 def test_nobody_waits_for_a_checksum_that_is_not_asked_for(tmp_path):
@@ -88,7 +91,7 @@ def test_nobody_waits_for_a_checksum_that_is_not_asked_for(tmp_path):
     described(tmp_path)
     begun = time.monotonic()
     with Checksums() as checksums:
-        checksums.expect(tmp_path)
+        checksums.prefetch(tmp_path)
         while not checksums._taken[file].running():
             assert time.monotonic() - begun < BOUND
             time.sleep(0.001)
@@ -112,10 +115,10 @@ def test_one_file_at_a_time_until_there_is_hurry(tmp_path, monkeypatch):
         until(lambda: len(begun) == 1)
         time.sleep(0.02)
         assert begun == files[:1]
-        checksums.hurry()
+        checksums.run_parallel()
         until(lambda: len(begun) == 3)
         may_go_on.set()
-        assert checksums.of(files) == [of(b"1")] * 3
+        assert checksums.checksums(files) == [of(b"1")] * 3
 
 
 def until(condition):
@@ -133,11 +136,11 @@ def folder(tmp_path):
 
 
 def test_what_was_begun_early_is_handed_over_once(folder):
-    with head_start(f"{folder}/"):
+    with prefetch_campaign(f"{folder}/"):
         with checksums_of(folder) as first:
             assert set(first._taken) == {folder / "a.csv", folder / "campaign.toml"}
             (folder / "b.csv").write_bytes(b"2")
-            assert first.of([folder / "b.csv"]) == [of(b"2")]
+            assert first.checksums([folder / "b.csv"]) == [of(b"2")]
         with checksums_of(folder) as second:
             assert second is not first
     assert first._given_up.is_set()
@@ -145,14 +148,14 @@ def test_what_was_begun_early_is_handed_over_once(folder):
 
 @pytest.mark.parametrize("named", ["nowhere", "\0", "x" * 5000])
 def test_what_is_no_campaign_is_for_others_to_say(named):
-    with head_start(named), checksums_of(named) as checksums:
+    with prefetch_campaign(named), checksums_of(named) as checksums:
         assert not checksums._given_up.is_set()
 
 
 def test_what_was_begun_early_is_given_up_with_the_process(folder):
     with (
         pytest.raises(KeyboardInterrupt),
-        head_start(str(folder)),
+        prefetch_campaign(str(folder)),
         checksums_of(folder) as checksums,
     ):
         raise KeyboardInterrupt
@@ -177,7 +180,7 @@ def test_the_words_that_begin_early(folder, monkeypatch, words, begins):
     words = [str(folder) if word == "FOLDER" else word for word in words]
     monkeypatch.setattr(sys, "argv", ["counterspin", *words])
     with _head_start():
-        begun = dict(_BEGUN)
+        begun = dict(_STARTED)
         with checksums_of(folder) as checksums, checksums_of([]) as others:
             assert begun == ({folder: checksums} if begins else {})
             assert checksums._taken

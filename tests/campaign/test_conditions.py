@@ -7,7 +7,7 @@ import pytest
 from campaigns import SMALL, campaign_of, changed, without
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.campaign.conditions import conditions_of, directions_of, origin_of
+from counterspin.campaign.conditions import reference_point, run_conditions, temperature_directions
 from counterspin.campaign.memory import make_campaign
 from counterspin.errors import CampaignError
 from counterspin.physics.effects import RunConditions
@@ -45,7 +45,7 @@ def problems(folder, text):
 
 def test_conditions_count_from_the_first_run_and_the_reference(tmp_path):
     campaign = campaign_of(tmp_path, with_conditions(SMALL))
-    found = conditions_of(campaign)
+    found = run_conditions(campaign)
     assert found["slow"].start == 120.0
     assert found["middle"].start == 720.0
     assert found["fast"].start == 0.0
@@ -56,26 +56,26 @@ def test_conditions_count_from_the_first_run_and_the_reference(tmp_path):
         ('radius = "2.5 m"', 'radius = "2.5 m"\nreference_temperature = "20 degC"'),
     )
     campaign = campaign_of(tmp_path, text)
-    assert origin_of(campaign).temperature == pytest.approx(293.15)
-    assert conditions_of(campaign)["slow"].temperature_offset == pytest.approx(1.0)
+    assert reference_point(campaign).temperature == pytest.approx(293.15)
+    assert run_conditions(campaign)["slow"].temperature_offset == pytest.approx(1.0)
 
 
 def test_runs_without_a_time_follow_each_other(tmp_path):
     campaign = campaign_of(tmp_path, SMALL)
     lengths = {"slow": 81.0, "middle": 41.0}
-    starts = [c.start for c in conditions_of(campaign, lengths).values()]
+    starts = [c.start for c in run_conditions(campaign, lengths).values()]
     assert starts == [0.0, 81.0, 122.0]
     # Twenty revolutions at a quarter and at half a revolution a second.
-    assert [c.start for c in conditions_of(campaign).values()] == pytest.approx([0.0, 80.0, 120.0])
+    assert [c.start for c in run_conditions(campaign).values()] == pytest.approx([0.0, 80.0, 120.0])
 
 
 def test_where_nobody_took_a_temperature_it_rises_by_a_kelvin_from_run_to_run(tmp_path):
-    warmths = [c.temperature_offset for c in conditions_of(campaign_of(tmp_path, SMALL)).values()]
+    warmths = [c.temperature_offset for c in run_conditions(campaign_of(tmp_path, SMALL)).values()]
     assert warmths == [-0.5, 0.0, 0.5]
     before, _, after = SMALL.partition("[[runs]]")
     one = f"{before}[[runs]]{after.partition('[[runs]]')[0]}{after[after.index('[simulation]') :]}"
     alone = campaign_of(tmp_path / "one", one)
-    assert list(conditions_of(alone).values()) == [RunConditions(0.0, 0.0)]
+    assert list(run_conditions(alone).values()) == [RunConditions(0.0, 0.0)]
 
 
 def test_slopes_need_the_conditions_of_every_run(tmp_path):
@@ -163,7 +163,7 @@ def with_courses(*courses):
 def test_several_temperatures_are_spread_over_their_run(tmp_path):
     campaign = campaign_of(tmp_path, with_courses([20, 24, 22], [23], [26, 27]))
     lengths = {"slow": 80.0, "middle": 40.0, "fast": 20.0}
-    slow, middle, fast = conditions_of(campaign, lengths).values()
+    slow, middle, fast = run_conditions(campaign, lengths).values()
     # The ends count half: (20/2 + 24 + 22/2)/2; the reference is the mean of the three runs'.
     mean = (22.5 + 23.0 + 26.5) / 3.0
     assert [
@@ -183,7 +183,7 @@ def test_a_run_may_turn_back_within(tmp_path):
     text = with_courses([20, 22, 24, 23, 22, 21], [21, 19, 18], [19, 25])
     campaign = campaign_of(tmp_path, text)
     lengths = {"slow": 50.0, "middle": 40.0, "fast": 20.0}
-    slow, middle, fast = conditions_of(campaign, lengths).values()
+    slow, middle, fast = run_conditions(campaign, lengths).values()
     assert [slow.direction, middle.direction, fast.direction] == [0.5, -0.5, 0.5]
     # The lines 20 + 2 x and 24 - (x - 2) meet at 2.
     assert slow.reversal_times == pytest.approx([20.0])
@@ -195,7 +195,7 @@ def test_a_turn_between_two_temperatures_is_where_their_lines_meet(tmp_path):
     """Four kelvin a step until 2.5 steps, three back from there: none of them is the highest."""
     course = [20, 24, 28, 28.5, 25.5, 22.5]
     campaign = campaign_of(tmp_path, with_courses(course, [21], [20]))
-    slow = conditions_of(campaign, {"slow": 50.0})["slow"]
+    slow = run_conditions(campaign, {"slow": 50.0})["slow"]
     assert slow.reversal_times == pytest.approx([25.0])
 
 
@@ -230,16 +230,16 @@ def test_the_way_of_the_temperature_is_told_by_its_turning_points(temperatures, 
             for place, temperature in enumerate(temperatures)
         ],
     }
-    found = directions_of(make_campaign(described))
+    found = temperature_directions(make_campaign(described))
     assert [2 * found.get(str(place), (0,))[0] for place in range(len(ways))] == ways
     # In the order of their times, where all state them.
     for place, run in enumerate(described["runs"]):
         run["time"] = f"{-place} min"
-    back = directions_of(make_campaign(described))
+    back = temperature_directions(make_campaign(described))
     mirrored = _mirrored(temperatures)
     assert [2 * back.get(str(place), (0,))[0] for place in range(len(ways))] == mirrored
     del described["runs"][0]["time"]
-    assert directions_of(make_campaign(described)) == found
+    assert temperature_directions(make_campaign(described)) == found
 
 
 def _mirrored(temperatures):

@@ -16,18 +16,18 @@ import results
 from campaigns import SMALL as BASE
 from campaigns import write
 
-from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.documents import (
     differences,
+    key_lines,
     key_path,
-    lines_of,
-    lines_of_messages,
-    patched,
-    plain,
+    merge_patch,
+    message_lines,
+    to_toml_value,
 )
 from counterspin.campaign.memory import make_campaign
 from counterspin.campaign.quantity import Quantity, parse
+from counterspin.campaign.validation import Problems
 from counterspin.certificates.lab import read_lab, write_example
 from counterspin.errors import CampaignError
 from counterspin.planning.plan_file import read_plan
@@ -61,7 +61,7 @@ harmonic = 2
 
 def test_keys_are_found_in_tables_lists_of_tables_and_with_dots():
     assert tomllib.loads(TEXT)["runs"][1]["truth"]["ripple"][1] == {"harmonic": 2}
-    assert lines_of(TEXT) == {
+    assert key_lines(TEXT) == {
         "schema": 1,
         "site": 3,
         "site.gravity": 3,
@@ -98,7 +98,7 @@ def test_each_line_holds_the_value_of_its_key(name):
     text = (files("counterspin.ingest") / name).read_text("utf-8")
     values, lines = _values(tomllib.loads(text)), text.splitlines()
     checked = 0
-    for key, number in lines_of(text).items():
+    for key, number in key_lines(text).items():
         value = values[key]
         if not isinstance(value, dict) and not lines[number - 1].startswith("["):
             (own,) = tomllib.loads(lines[number - 1]).values()
@@ -121,8 +121,8 @@ def test_a_message_has_the_line_of_its_key_or_of_its_table(tmp_path):
         "limits: is missing": None,
         "no key at all": None,
     }
-    assert lines_of_messages(list(told), file) == list(told.values())
-    assert lines_of_messages(list(told), tmp_path / "none.toml") == [None] * len(told)
+    assert message_lines(list(told), file) == list(told.values())
+    assert message_lines(list(told), tmp_path / "none.toml") == [None] * len(told)
 
 
 def test_each_mistake_of_a_file_is_told_with_its_line(tmp_path):
@@ -153,7 +153,7 @@ def test_plans_and_laboratories_tell_theirs_too(tmp_path):
     plan.write_text('schema = 1\n[goal]\nminimise = ["K_II"]\ntarget = 3\n', encoding="utf-8")
     with pytest.raises(CampaignError, match=r"line 4: goal.target: must be a table"):
         read_plan(plan)
-    assert lines_of(write_example(tmp_path / "LAB.toml").read_text("utf-8"))["laboratory.name"] > 1
+    assert key_lines(write_example(tmp_path / "LAB.toml").read_text("utf-8"))["laboratory.name"] > 1
 
 
 @pytest.mark.parametrize("name", ["campaign.toml", "PLAN.toml", "LAB.toml", "study.toml"])
@@ -174,7 +174,7 @@ def test_keys_of_many_parts_are_refused_with_file_and_line(tmp_path, name):
 def test_what_python_has_becomes_what_toml_has():
     problems = Problems({})
     day = datetime.date(2026, 3, 1)
-    written = plain(
+    written = to_toml_value(
         {
             "a": (1, np.float64(0.5), np.int64(3)),
             "b": {"axis": np.array([1.0, 0.0])},
@@ -192,13 +192,13 @@ def test_what_python_has_becomes_what_toml_has():
 
 def test_a_quantity_is_read_back_to_the_last_bit():
     for quantity in (Quantity(1 / 3, 1e-7 / 3, "m"), Quantity(-1e-22, 0.0, "g/g^2")):
-        text = plain(quantity, (), Problems({}).add)
+        text = to_toml_value(quantity, (), Problems({}).add)
         assert parse(text, quantity.unit) == quantity
 
 
 def test_what_cannot_stand_in_a_description_is_noted_with_its_key():
     problems = Problems({})
-    plain({"site": {"gravity": 1j}, 7: 1}, (), problems.add)
+    to_toml_value({"site": {"gravity": 1j}, 7: 1}, (), problems.add)
     assert problems.lines == [
         ": the key 7 must be text",
         "site.gravity: a complex cannot stand here; write text or a number",
@@ -219,7 +219,7 @@ def test_patches_are_merge_patches():
         ({"e": None}, {"a": 1}, {"e": None, "a": 1}),
         ({}, {"a": {"bb": {"ccc": None}}}, {"a": {"bb": {}}}),
     ]:
-        assert patched(before, patch) == after
+        assert merge_patch(before, patch) == after
 
 
 def test_differences_are_named_by_their_keys():

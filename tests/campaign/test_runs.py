@@ -5,7 +5,7 @@ import math
 import pytest
 from campaigns import SMALL, changed, write
 
-from counterspin.campaign import checks
+from counterspin.campaign import consistency_checks
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError
 from counterspin.records.dialect import Dialect
@@ -169,8 +169,10 @@ def test_each_recorder_has_one_clock(tmp_path):
 def test_a_run_is_compared_with_the_runs_of_its_record_alone(monkeypatch):
     """With all others, a description of 10,000 runs took minutes."""
     compared = []
-    monkeypatch.setattr(checks, "_are_two_tables", lambda *tables: compared.append(tables))
+    monkeypatch.setattr(
+        consistency_checks, "_are_different_tables", lambda *tables: compared.append(tables)
+    )
     listed = [(n, {"name": f"r{n}", "record": f"{n // 2}.csv"}) for n in range(200)]
-    mistakes = list(checks._names_and_files_once({}, listed))
+    mistakes = list(consistency_checks._repeated_names_and_files({}, listed))
     assert [path for path, _ in mistakes] == [("runs", n, "record") for n in range(1, 200, 2)]
     assert len(compared) == 200

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.specification import parse_specification, resolve_specifications
+from counterspin.campaign.validation import Problems
 from counterspin.errors import CampaignError
 from counterspin.inference.conformity import DecisionRule, Specification
 from counterspin.physics.terms import TERMS

@@ -3,11 +3,11 @@ import pytest
 from campaigns import campaign_of
 from reading_descriptions import ACCELEROMETER, at_rest, place
 
-from counterspin.campaign.checking import Problems
-from counterspin.campaign.model import Apparatus, resolve_model
+from counterspin.campaign.model import MeasurementSetup, resolve_model
 from counterspin.campaign.quantity import Quantity, attitude_rows
 from counterspin.campaign.settings import ModelSettings
 from counterspin.campaign.terms import BARE_NAMES, acts, rows_of
+from counterspin.campaign.validation import Problems
 from counterspin.physics.accelerometer import QX, QY, QZ, Mounting
 from counterspin.physics.motion import Site
 from counterspin.physics.observation import parabola
@@ -21,7 +21,7 @@ ARCSEC = np.pi / 648000
 def resolve(mountings, attitudes=(LEVEL,), given=None, **settings):
     problems = Problems({})
     given = {name: {} for name in mountings} | (given or {})
-    on = Apparatus(mountings, {}, attitudes, (), 0, None, None)
+    on = MeasurementSetup(mountings, {}, attitudes, (), 0, None, None)
     model, priors = resolve_model(ModelSettings(**settings), given, on, problems, 9.8)
     return model, priors, problems.lines
 

@@ -9,7 +9,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.unknowns import Considered, Observation, Unknown, Unknowns
 from counterspin.inference.least_squares import reduce_block
-from counterspin.readings.agreement import agreements
+from counterspin.readings.agreement import compare_motions
 
 FREE = (0.0, math.inf)
 MEAN = Unknown("A", "K_F", FREE, 0.1)
@@ -47,7 +47,7 @@ def test_two_means_differ_by_their_difference():
     whole = solve_joint(kinds, model, {})
     u = math.hypot(1e-3 / math.sqrt(2.0), 2e-3)
     for kind, other in (("first", 5e-3), ("second", 2e-3)):
-        found = agreements(whole)[kind]
+        found = compare_motions(whole)[kind]
         assert found.without.estimate[0] == pytest.approx(other)
         assert abs(found.shift[0] / found.u_shift[0]) == pytest.approx(3e-3 / u)
         # Its own scatter, 1e-3 to 3e-3, is no part of it.
@@ -63,7 +63,7 @@ def test_what_both_share_is_counted_once():
     ]
     model = Unknowns((MEAN,), (both,))
     whole = solve_joint(kinds, model, {})
-    found = agreements(whole)["first"]
+    found = compare_motions(whole)["first"]
     z = 3e-3 / math.hypot(1e-3, 2e-3)
     assert abs(found.shift[0] / found.u_shift[0]) == pytest.approx(z)
     assert found.chi2 == pytest.approx(z**2, rel=1e-6)
@@ -77,7 +77,7 @@ def test_one_that_only_one_kind_feels_explains_a_difference():
     ]
     model = Unknowns((MEAN,), (own,))
     whole = solve_joint(kinds, model, {})
-    found = agreements(whole)["second"]
+    found = compare_motions(whole)["second"]
     z = 3e-3 / math.hypot(1e-3, 2e-3, 3e-3)
     assert abs(found.shift[0] / found.u_shift[0]) == pytest.approx(z)
     assert found.chi2 == pytest.approx(z**2, rel=1e-6)
@@ -92,7 +92,7 @@ def test_what_the_others_know_nothing_of_is_no_test():
     ]
     model = Unknowns((MEAN, other))
     whole = solve_joint(kinds, model, {})
-    found = agreements(whole)
+    found = compare_motions(whole)
     assert [found[kind].dof for kind in ("first", "second")] == [1, 1]
     design = np.array([[1, 0], [0, 1], [1, 1]])
     estimate = np.linalg.lstsq(design, np.array([1e-3, 2e-3, 2.5e-3]), rcond=None)[0]

@@ -399,7 +399,7 @@ def test_repeats_at_one_setting_do_not_show_the_head_s_error(tmp_path, u_head):
     blank = readings(test, np.zeros(24), 1.0)
     blamed = 0
     for _ in range(trials):
-        turned = blank.turned(blank.stations, rng.normal(0.0, u_head, 24))
+        turned = blank.rotate_head(blank.stations, rng.normal(0.0, u_head, 24))
         exact = simulated((turned, *test[1:]), rng, 0.0, truth=LEVEL)
         values = exact[:, None] + rng.normal(0.0, 1e-6, (24, 3))
         head = f" ± {math.degrees(u_head)!r}"
@@ -423,7 +423,7 @@ def test_few_repeats_beside_a_large_error_of_the_head_are_no_noise_to_explain_aw
     blank = readings(test, np.zeros(8), 1.0)
     head, blamed = f" ± {math.degrees(u_head)!r}", 0
     for _ in range(trials):
-        turned = blank.turned(blank.stations, rng.normal(0.0, u_head, 8))
+        turned = blank.rotate_head(blank.stations, rng.normal(0.0, u_head, 8))
         exact = simulated((turned, *test[1:]), rng, 0.0, truth=LEVEL)
         values = exact[:, None] + rng.normal(0.0, SIGMA, (8, 2))
         blamed += bool(misfits(calibrated(tmp_path, even(8), values, head=head)))

@@ -120,7 +120,7 @@ def test_an_unseen_mistake_in_one_position_stands_out():
     values = simulated(tumble(), rng, SIGMA)
     values[5] += 160e-6
     fit = solve_readings([readings(tumble(), values, SIGMA)], model(("K_F", "K_I", "delta_O")))
-    sizes = [abs(each.standardised) for each in fit.groups[0].single]
+    sizes = [abs(each.standardized) for each in fit.groups[0].single]
     assert np.argmax(sizes) == 5
     assert sizes[5] > 50.0
 
@@ -186,16 +186,16 @@ def test_readings_of_one_position_are_judged_together():
     values = simulated(every, rng, SIGMA)
     asked = model(("K_F", "K_I", "delta_O"))
     fit = solve_readings([readings(every, values, SIGMA)], asked)
-    assert [p.places for p in fit.groups[0].positions] == [(i, i + 12) for i in range(12)]
+    assert [p.indices for p in fit.groups[0].positions] == [(i, i + 12) for i in range(12)]
     x = np.array([[1.0, np.cos(a), np.sin(a)] for a in np.arange(24) * np.pi / 6])
     left_over = np.eye(24) - x @ np.linalg.solve(x.T @ x, x.T)
     for p in fit.groups[0].positions:
         v = np.zeros(24)
-        v[list(p.places)] = 1.0
+        v[list(p.indices)] = 1.0
         z = v @ fit.groups[0].residuals / (SIGMA * np.sqrt(v @ left_over @ v))
-        assert p.standardised == pytest.approx(z, rel=1e-6)
+        assert p.standardized == pytest.approx(z, rel=1e-6)
         assert p.residual == pytest.approx(
-            fit.groups[0].residuals[list(p.places)].mean(), abs=1e-18
+            fit.groups[0].residuals[list(p.indices)].mean(), abs=1e-18
         )
 
 
@@ -210,7 +210,7 @@ def test_a_reading_beside_the_others_is_as_a_fit_without_it_predicts():
         found, (squares,), *_ = np.linalg.lstsq(others, np.delete(values, k), rcond=None)
         variance = squares / 8.0 * (1.0 + x[k] @ np.linalg.solve(others.T @ others, x[k]))
         t = (values[k] - x[k] @ found) / math.sqrt(variance)
-        assert one.beside_others == pytest.approx(t, rel=1e-4)
+        assert one.studentized == pytest.approx(t, rel=1e-4)
         assert one.p == pytest.approx(2.0 * stats.t.sf(abs(t), 8.0), rel=1e-3)
 
 

@@ -14,7 +14,7 @@ from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import Station
 from counterspin.readings.fit import solve_readings
-from counterspin.readings.known_attitudes import Readings, linearise
+from counterspin.readings.known_attitudes import Readings, linearize
 
 SIGMA, SETTING = 1e-5, math.radians(0.3)
 #: Where the body's axes x, y, z point, of each of its six faces.
@@ -133,7 +133,7 @@ def test_an_upright_axis_falls_by_the_square_whichever_way_it_is_off(repeats):
     """1 - (e^2 + n^2)/2 has a mean of 1 - s^2 and a variance of s^4, common to all repeats."""
     zeros = {name: np.zeros(6 * repeats) for name in AXES}
     (group, _), asked = faces(zeros, SIGMA, repeats), model(SETTING)
-    part = linearise(group, asked, np.zeros(len(asked.unknowns)))
+    part = linearize(group, asked, np.zeros(len(asked.unknowns)))
     upright, level = slice(0, 2 * repeats), slice(2 * repeats, None)
     np.testing.assert_allclose(
         np.abs(part.target[upright]), 1.0 - SETTING**2, rtol=0, atol=1e-5 * SETTING**2
@@ -215,7 +215,7 @@ def test_squares_that_noise_alone_leaves_have_the_moments_of_the_whole_matrix():
     rows = part.design / part.sigma[:, None]
     left = np.eye(12) - rows @ solution.least_covariance @ rows.T
     squares = np.linalg.eigvalsh(left) ** 2
-    scale, dof = part.moments_of_noise(solution)
+    scale, dof = part.noise_moments(solution)
     assert scale * dof == pytest.approx(squares.sum(), rel=1e-9)
     assert 2.0 * scale**2 * dof == pytest.approx(2.0 * np.sum(squares**2), rel=1e-9)
     drawn = np.sum((left @ rng.standard_normal((12, 20_000))) ** 2, axis=0)

@@ -20,11 +20,11 @@ from counterspin.readings.patterns import (
     STEP,
     TERM,
     WAVE,
-    Group,
-    _tail,
-    candidates,
+    ResidualGroup,
+    _tail_probability,
+    best_patterns,
+    candidate_columns,
     head_angle,
-    most_followed,
 )
 
 LEVEL = ("K_F", "K_I", "delta_O")
@@ -37,7 +37,7 @@ def held(test, values, u, terms=LEVEL):
     fit = solve_readings([own], problem)
     (told,) = fit.groups
     estimated = u is None
-    group = Group(
+    group = ResidualGroup(
         own,
         0,
         told.sigma,
@@ -47,7 +47,7 @@ def held(test, values, u, terms=LEVEL):
         estimated,
         0.0,
     )
-    columns = tuple(candidates(group.readings, group.place, terms, ()))
+    columns = tuple(candidate_columns(group.readings, group.index, terms, ()))
     return fit.fit, group, columns
 
 
@@ -65,14 +65,16 @@ def test_the_other_sense_of_rotation_changes_the_coriolis_force():
     test = arm()
     one = readings(test, np.zeros(len(test[0])), 1e-6)
     (column,) = (
-        other.columns[0] for other in candidates(one, 0, {"K_I"}, set()) if other.kind == REVERSED
+        other.columns[0]
+        for other in candidate_columns(one, 0, {"K_I"}, set())
+        if other.kind == REVERSED
     )
     rates = np.array([station.rate for station in one.stations])
     side = np.array([1.0 if name == "inward" else -1.0 for name in one.mountings])
     expected = -4.0 * side * rates * 7.292115e-5 * math.sin(0.8) / 9.80665
     np.testing.assert_allclose(column, expected, rtol=1e-9)
     shown = replace(one, stated_sense=0.0)
-    assert not any(other.kind == REVERSED for other in candidates(shown, 0, {"K_I"}, set()))
+    assert not any(other.kind == REVERSED for other in candidate_columns(shown, 0, {"K_I"}, set()))
 
 
 def test_positions_about_another_axis_have_no_wave():
@@ -100,9 +102,13 @@ def test_what_a_head_makes_that_errs_is_a_column_where_it_was_mounted_on_in_two_
     angle = np.arange(24) * math.pi / 12
     shown = angle - np.where(np.arange(24) < 12, 0.0, 0.5 * math.pi)
     own = readings(tumble(24), np.zeros(24), 1e-6)
-    group = Group(replace(own, head_angle=shown), 0, np.ones(24), np.ones(24), 0.0, 1.0, False, 0.0)
+    group = ResidualGroup(
+        replace(own, head_angle=shown), 0, np.ones(24), np.ones(24), 0.0, 1.0, False, 0.0
+    )
     columns = {
-        c.symbol: c.columns[0] for c in candidates(group.readings, 0, (), ()) if c.kind == HEAD
+        c.symbol: c.columns[0]
+        for c in candidate_columns(group.readings, 0, (), ())
+        if c.kind == HEAD
     }
     assert len(columns) == 8
     turns = {"once": 1, "twice": 2, "three times": 3, "four times": 4}
@@ -112,19 +118,21 @@ def test_what_a_head_makes_that_errs_is_a_column_where_it_was_mounted_on_in_two_
             np.testing.assert_allclose(columns[f"{name} {times}"], expected, atol=1e-8)
     there = {
         c.symbol
-        for c in candidates(group.readings, 0, ("head.harmonic.2.sin",), ())
+        for c in candidate_columns(group.readings, 0, ("head.harmonic.2.sin",), ())
         if c.kind == HEAD
     }
     assert there == columns.keys() - {"sin twice"}
     alone = replace(group, readings=replace(own, head_angle=angle - 1.0))
-    assert not [column for column in candidates(alone.readings, 0, (), ()) if column.kind == HEAD]
+    assert not [
+        column for column in candidate_columns(alone.readings, 0, (), ()) if column.kind == HEAD
+    ]
 
 
 def test_the_force_falls_on_one_half_of_a_turn_and_rises_on_the_other():
     own = readings(tumble(12), np.zeros(12), 1e-6)
-    group = Group(own, 0, np.ones(12), np.ones(12), 0.0, 1.0, False, 0.0)
+    group = ResidualGroup(own, 0, np.ones(12), np.ones(12), 0.0, 1.0, False, 0.0)
     first, other = (
-        c.columns[0] for c in candidates(group.readings, 0, (), ()) if c.symbol == FORCE
+        c.columns[0] for c in candidate_columns(group.readings, 0, (), ()) if c.symbol == FORCE
     )
     # From up at 0 to down at 180 deg it falls; how the first position was come to nobody knows.
     np.testing.assert_array_equal(first, [-1.0] * 7 + [1.0] * 5)
@@ -135,9 +143,11 @@ def test_the_force_falls_on_one_half_of_a_turn_and_rises_on_the_other():
 def test_steps_leave_two_readings_on_each_side(count, tried):
     own = readings(tumble(count), np.zeros(count), 1e-6)
     ones = np.ones(count)
-    group = Group(own, 0, ones, ones, 0.0, 1.0, False, 0.0)
+    group = ResidualGroup(own, 0, ones, ones, 0.0, 1.0, False, 0.0)
     steps = [
-        column.columns[0] for column in candidates(group.readings, 0, (), ()) if column.kind == STEP
+        column.columns[0]
+        for column in candidate_columns(group.readings, 0, (), ())
+        if column.kind == STEP
     ]
     assert len(steps) == tried
     for step in steps:
@@ -150,14 +160,14 @@ def test_the_gain_is_that_of_a_fit_with_the_column():
     test, truth = tumble(24), {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5, "K_II": 15e-6}
     values = simulated(test, np.random.default_rng(2), 2e-6, truth=truth)
     joint, group, columns = held(test, values, 2e-6)
-    (found,) = most_followed(joint, [group], [columns])
+    (found,) = best_patterns(joint, [group], [columns])
     assert found.alternatives[0].symbol == "cos 2 phi"
     assert {"K_II", "K_PP"} <= {other.symbol for other in found.alternatives}
     with_term = solve_readings([readings(test, values, 2e-6)], model((*LEVEL, "K_II")))
     gain = group.squares - with_term.groups[0].chi2
     assert found.p == pytest.approx(2.0 * stats.norm.sf(math.sqrt(gain)), rel=1e-3)
     estimated, own, columns = held(test, values, None)
-    (found,) = most_followed(estimated, [own], [columns])
+    (found,) = best_patterns(estimated, [own], [columns])
     f = gain / (with_term.groups[0].chi2 / (24 - 4))
     assert found.p == pytest.approx(stats.f.sf(f, 1, 24 - 4), rel=1e-3)
 
@@ -175,7 +185,7 @@ def test_of_good_readings_as_few_are_blamed_as_the_significance_says(u):
     blamed = 0
     for _ in range(trials):
         joint, group, columns = held(tumble(), simulated(tumble(), rng, 2e-6, truth=truth), u)
-        (found,) = most_followed(joint, [group], [columns])
+        (found,) = best_patterns(joint, [group], [columns])
         assert 8 <= found.tests <= len(columns)
         blamed += found.p * found.tests < 0.05
     assert blamed <= most
@@ -187,17 +197,19 @@ def test_a_reading_that_stands_out_is_left_out_and_leads_to_no_column():
     values = simulated(test, rng, 2e-6, truth=truth)
     values[0] += 2e-4
     joint, group, columns = held(test, values, 2e-6)
-    (without,) = most_followed(joint, [replace(group, left_out=(0,))], [columns])
+    (without,) = best_patterns(joint, [replace(group, left_out=(0,))], [columns])
     assert without.p * without.tests > 0.01
 
 
 @pytest.mark.parametrize("columns", [1, 2, 4])
 def test_the_tail_of_a_gain_is_that_of_f(columns):
     for dof in (3.0, 7.5, 60.0):
-        assert _tail(columns, dof, 9.0) == pytest.approx(
+        assert _tail_probability(columns, dof, 9.0) == pytest.approx(
             stats.f.sf(9.0 / columns, columns, dof), rel=1e-9
         )
-    assert _tail(columns, math.inf, 9.0) == pytest.approx(stats.chi2.sf(9.0, columns), rel=1e-9)
+    assert _tail_probability(columns, math.inf, 9.0) == pytest.approx(
+        stats.chi2.sf(9.0, columns), rel=1e-9
+    )
 
 
 def test_a_wave_at_any_phase_is_found_by_both_its_parts():
@@ -210,6 +222,6 @@ def test_a_wave_at_any_phase_is_found_by_both_its_parts():
         (1e-5 * (np.cos(2.0 * angle + 0.7) + np.cos(3.0 * angle - 0.4)), "2 phi and 3 phi"),
     ):
         joint, group, columns = held(tumble(), exact + wave, None)
-        (found,) = most_followed(joint, [group], [columns])
+        (found,) = best_patterns(joint, [group], [columns])
         assert [other.symbol for other in found.alternatives] == [f"waves of {turns}"]
         assert found.p * found.tests < 1e-3

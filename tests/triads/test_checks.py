@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import triads
-from counterspin.readings.joining import with_groups
+from counterspin.readings.joint_data import estimate_with_groups
 from counterspin.triads.checks import pose_findings
 
 NOISE = 1e-4  # g
@@ -19,7 +19,7 @@ def found(seed, count=30, drift=0.0, squares=(0.0, 0.0, 0.0), minutes=5.0):
     values += NOISE * generator.standard_normal((count, 3))
     values += np.outer(np.linspace(0.0, drift, count), [0.0, 1.0, 0.0])
     poses = replace(triads.group(values), time=np.linspace(0.0, 60.0 * minutes, count))
-    estimated, parts = with_groups(None, triads.unknowns(), [poses])
+    estimated, parts = estimate_with_groups(None, triads.unknowns(), [poses])
     return pose_findings(estimated.fit, parts)
 
 

@@ -12,7 +12,7 @@ from counterspin.triads.patterns import pose_candidates
 
 def residuals(poses, fit):
     """Return what is left of the one row of each pose, its angles found anew, g."""
-    rows = poses.linearised(fit.model, fit.solution.estimate)
+    rows = poses.linearize(fit.model, fit.solution.estimate)
     return rows.target - rows.design @ fit.solution.estimate
 
 

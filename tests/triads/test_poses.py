@@ -13,7 +13,7 @@ import triads
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.readings.fit import solve_readings
-from counterspin.readings.joining import with_groups
+from counterspin.readings.joint_data import estimate_with_groups
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 #: g.
@@ -125,10 +125,10 @@ def _few(model, generator):
     values = triads.indications(triads.directions(13, generator))
     true = np.append(triads.truth() - _nominal(), np.zeros(18))
     probe = triads.group(values)
-    columns = probe.linearised(model, true).design[:, 9:]
+    columns = probe.linearize(model, true).design[:, 9:]
     drawn = np.array([one.prior[1] for one in model.unknowns[9:]]) * generator.standard_normal(18)
     off = columns @ drawn + NOISE * generator.standard_normal(13)
-    return triads.group(values + probe.at(model, true).along * off[:, None])
+    return triads.group(values + probe.at(model, true).projection * off[:, None])
 
 
 def test_few_poses_beside_terms_that_nobody_states_cover(beside_unstated_terms):
@@ -138,7 +138,7 @@ def test_few_poses_beside_terms_that_nobody_states_cover(beside_unstated_terms):
     z, dof = np.empty((trials, 9)), np.empty((trials, 9))
     for trial in range(trials):
         poses = _few(beside_unstated_terms, generator)
-        estimated, _ = with_groups(None, beside_unstated_terms, [poses])
+        estimated, _ = estimate_with_groups(None, beside_unstated_terms, [poses])
         solution, dof[trial] = estimated.fit.solution, estimated.dof[:9]
         z[trial] = (solution.estimate[:9] + _nominal() - triads.truth()) / solution.u[:9]
 
@@ -156,9 +156,9 @@ def test_few_poses_beside_terms_that_nobody_states_cover(beside_unstated_terms):
 def test_few_poses_are_weighed_as_a_dense_least_squares_weighs_them(beside_unstated_terms):
     model = beside_unstated_terms
     poses = _few(model, np.random.default_rng(7))
-    estimated, (part,) = with_groups(None, model, [poses])
+    estimated, (part,) = estimate_with_groups(None, model, [poses])
     solution = estimated.fit.solution
-    design = poses.linearised(model, solution.estimate).design
+    design = poses.linearize(model, solution.estimate).design
     shared = design[:, 9:] * [one.prior[1] for one in model.unknowns[9:]]
     total = part.noise**2 * np.eye(13) + shared @ shared.T
     covariance = np.linalg.inv(design[:, :9].T @ np.linalg.solve(total, design[:, :9]))
@@ -219,7 +219,7 @@ def test_few_poses_cover_with_and_without_a_stated_noise(count, stated):
         values = triads.indications(triads.directions(count, generator))
         values += NOISE * generator.standard_normal(values.shape)
         group = triads.group(values, NOISE if stated else None)
-        estimated, _ = with_groups(None, triads.unknowns(), [group])
+        estimated, _ = estimate_with_groups(None, triads.unknowns(), [group])
         solution = estimated.fit.solution
         z = (solution.estimate + _nominal() - triads.truth()) / solution.u
         if not stated:

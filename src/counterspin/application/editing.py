@@ -24,10 +24,10 @@ from counterspin.application.desk import Desk
 from counterspin.application.folder import TEXT_BYTES, OutsideError
 from counterspin.application.form import campaign_form, lab_form, plan_form, run_kinds
 from counterspin.calibration.result import Result
-from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, parse_document
 from counterspin.campaign.questions import questions
+from counterspin.campaign.validation import Problems
 from counterspin.certificates.completeness import MissingEntry, missing_data
 from counterspin.certificates.lab import example_text, read_lab
 from counterspin.errors import CampaignError, CounterspinError

@@ -14,20 +14,20 @@ from pydantic import AfterValidator, BaseModel, PlainValidator
 from pydantic.fields import FieldInfo
 
 from counterspin.application.pages import address, page_explaining
-from counterspin.campaign.checking import model_inside, sections_of
-from counterspin.campaign.kinds import (
+from counterspin.campaign.field_types import (
     OUTPUTS,
     STAMPS,
-    a_temperature,
     angle_unit,
     extra_of,
     force_or_output,
-    temperatures,
+    parse_temperature,
+    parse_temperatures,
     time_unit,
 )
 from counterspin.campaign.runs import READINGS, RECORDS, is_reading
 from counterspin.campaign.terms import BARE_NAMES
 from counterspin.campaign.truth import TRUE_TABLES, AccelerometerTruthSettings
+from counterspin.campaign.validation import model_inside, nested_models
 from counterspin.certificates.codes import codes_in_force
 from counterspin.certificates.evidence import ALL
 from counterspin.certificates.lab import Lab
@@ -120,7 +120,7 @@ def plan_form(of_readings: bool) -> tuple[Field, ...]:
     known = {section["key"]: section for section in campaign_form()}
     document = ReadingPlanDocument if of_readings else PlanDocument
     sections = []
-    for key, written in sections_of(document).items():
+    for key, written in nested_models(document).items():
         model = model_inside(written)
         if model is not None:
             sections.append(known.get(key) or _section(key, model, "plan"))
@@ -271,7 +271,7 @@ def _kind(base: Any, metadata: Sequence[Any], page: str) -> Field:
         if isinstance(read, partial):
             units = advice(read.args[0])[1].split(", ")
             asked = {"kind": "quantity", "unit": read.args[0], "units": units}
-        elif read in (a_temperature, temperatures):
+        elif read in (parse_temperature, parse_temperatures):
             asked = {"kind": "quantity", "unit": "K", "units": ["degC", "K"]}
         named = [choice for part in _parts(written) for choice in _choices(part)]
         return asked | ({"suggestions": named} if named else {})

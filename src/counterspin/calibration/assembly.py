@@ -18,7 +18,7 @@ from counterspin.calibration.outcome import check_outlier_share
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Finding, Inputs, Provenance
 from counterspin.calibration.timing_offset import locate_delay
-from counterspin.campaign.conditions import origin_of, temperatures_of
+from counterspin.campaign.conditions import reference_point, temperatures_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
 from counterspin.records.signals import WORDS as REMOVED
@@ -80,7 +80,7 @@ def assemble_result(
             u_latitude=campaign.latitude.u,
             radius=campaign.radius.value,
             u_radius=campaign.radius.u,
-            reference_temperature=origin_of(campaign).temperature
+            reference_temperature=reference_point(campaign).temperature
             if temperatures
             else reference_temperature,
             temperatures=[min(temperatures), max(temperatures)] if temperatures else [],

@@ -86,7 +86,7 @@ def calibrate(
         with one_blas_thread():
             campaign = with_recorded_temperatures(campaign)
             observed = _observe_runs(campaign, progress)
-            checksums.hurry()
+            checksums.run_parallel()
             from counterspin.calibration.assembly import assemble_result
 
             result = assemble_result(
@@ -106,10 +106,10 @@ def calibrate(
 
 def _exclude_runs(campaign: Campaign, without: Sequence[str]) -> Campaign:
     """Return a campaign without runs; what it came from is still its file."""
-    from counterspin.campaign.documents import keep, source_of
+    from counterspin.campaign.documents import require_source, with_source
 
     _check_excluded(campaign, without)
-    entries = source_of(campaign).document.get("runs", ())
+    entries = require_source(campaign).document.get("runs", ())
     runs = [{**run, "skip": True} if run.get("name") in without else run for run in entries]
     try:
         changed = campaign.change({"runs": runs})
@@ -120,7 +120,7 @@ def _exclude_runs(campaign: Campaign, without: Sequence[str]) -> Campaign:
             str(campaign.path), [prefix + problem for problem in error.problems]
         ) from error
     assert campaign.source is not None
-    return keep(replace(changed, path=campaign.path, title=campaign.title), campaign.source)
+    return with_source(replace(changed, path=campaign.path, title=campaign.title), campaign.source)
 
 
 def _check_excluded(campaign: Campaign, without: Sequence[str]) -> None:
@@ -237,7 +237,7 @@ def _collect_inputs(
             inputs[_file_label(campaign, file)] = record.checksum
             in_memory[_file_label(campaign, file)] = "arrays"
     names = (_file_label(campaign, file) for file in files)
-    inputs |= dict(zip(names, checksums.of(files), strict=True))
+    inputs |= dict(zip(names, checksums.checksums(files), strict=True))
     # What was read with the description is known as it was then.
     inputs |= {
         _file_label(campaign, file): table_checksum

@@ -23,7 +23,7 @@ from counterspin.loading import load_name
 from counterspin.physics import observation
 
 #: The function that reads the noise of a campaign from a record at rest.
-STATIC_NOISE: Final = "counterspin.campaign.noise_at_rest:said_noise"
+STATIC_NOISE: Final = "counterspin.campaign.static_noise:resolve_noise"
 
 
 @frozen(eq=False)

@@ -15,16 +15,16 @@ from typing import Final
 import numpy as np
 
 from counterspin.campaign.conditions import (
-    clock_of,
-    conditions_of,
-    dated_of,
-    directions_of,
     has_assumed_warming,
-    origin_of,
+    rate_clock_input,
+    reference_point,
+    run_conditions,
+    temperature_directions,
     temperatures_of,
+    timed_items,
 )
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.model import EVERYTHING
+from counterspin.campaign.model import ALL_TERMS
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.terms import acts, shows, symbols_shown
 from counterspin.inference.joint.series import CLOCK, RATE_CLOCK, TIMING
@@ -185,7 +185,7 @@ def inputs_by_owner(campaign: Campaign) -> dict[tuple[str, str], Quantity]:
     rotating = [reading for reading in campaign.readings if reading.rate]
     if campaign.runs or rotating:
         inputs["", "centrifuge.radius"] = campaign.radius
-    for owner, symbol in dict.fromkeys(clock_of(campaign, reading) for reading in rotating):
+    for owner, symbol in dict.fromkeys(rate_clock_input(campaign, reading) for reading in rotating):
         stated = campaign.rate_clock if symbol == RATE_CLOCK else campaign.clock
         inputs[owner, symbol] = stated or Quantity(0.0, 0.0, "1")
     for recording in map(campaign.recording_of, campaign.runs):
@@ -231,16 +231,18 @@ def _is_active(campaign: Campaign, row: Term[SpecificForceProduct | Slope]) -> b
         )
     if row.effect.condition == "force":
         return bool(campaign.runs) or any(reading.rate for reading in campaign.readings)
-    origin = origin_of(campaign)
+    origin = reference_point(campaign)
     if row.effect.condition == "time":
         recorded = bool(campaign.runs) or bool(campaign.triad and campaign.triad.records)
-        return recorded or any(item.time not in (None, origin.time) for item in dated_of(campaign))
+        return recorded or any(
+            item.time not in (None, origin.time) for item in timed_items(campaign)
+        )
     if row.effect.condition == "direction":
-        return bool(directions_of(campaign))
+        return bool(temperature_directions(campaign))
     temperatures = set(temperatures_of(campaign))
     if any(run.temperature for run in campaign.runs):
         temperatures |= {
-            origin.temperature + run.temperature_offset for run in conditions_of(campaign).values()
+            origin.temperature + run.temperature_offset for run in run_conditions(campaign).values()
         }
     # An assumed change of temperature is small: only the first power acts.
     assumed = row.effect.power == 1 and has_assumed_warming(campaign)
@@ -305,7 +307,7 @@ def _inseparable_squares(campaign: Campaign, nuisance: Sequence[Unknown]) -> Ite
     motions |= {"static"} if campaign.posed else set()
     if motions != {"static"} or campaign.runs or "K_II" not in campaign.model.terms:
         return
-    if EVERYTHING not in campaign.model.assume:
+    if ALL_TERMS not in campaign.model.assume:
         return
     known = {*campaign.model.terms, *campaign.model.considered}
     present = {(parameter.owner, parameter.symbol) for parameter in nuisance}

@@ -14,9 +14,9 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.columns import Recording
-from counterspin.campaign.conditions import conditions_of
+from counterspin.campaign.conditions import run_conditions
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.documents import keep
+from counterspin.campaign.documents import with_source
 from counterspin.campaign.reading import PoseRecord, Reading
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import OBSERVABLES
@@ -91,7 +91,7 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
             raise duplicate_record_error(campaign, earlier, run)
         # When a run was made may depend on how long those before it lasted.
         lengths[run.name] = float(record.time[-1])
-        yield observe_run(campaign, run, record, conditions_of(campaign, lengths)[run.name])
+        yield observe_run(campaign, run, record, run_conditions(campaign, lengths)[run.name])
     for name in campaign.accelerometers:
         _reject_detrended(
             campaign, name, {run: moments[name] for run, moments in moments_by_run.items()}
@@ -303,7 +303,7 @@ def with_recorded_temperatures(campaign: Campaign) -> Campaign:
     if not profiles:
         return campaign
     changed = replace(campaign, runs=runs, readings=readings, triad=triad)
-    return changed if campaign.source is None else keep(changed, campaign.source)
+    return changed if campaign.source is None else with_source(changed, campaign.source)
 
 
 def recorded_temperatures(

@@ -11,22 +11,21 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import ConfigDict, PlainValidator, PrivateAttr, ValidationInfo, create_model
 
-from counterspin.campaign.checking import Problems
 from counterspin.campaign.columns import (
     DisplacementChannel,
     ForceChannel,
     VelocityChannel,
     spec_of,
 )
-from counterspin.campaign.kinds import (
+from counterspin.campaign.field_types import (
     Contradiction,
     Direction,
     SettingsSection,
     Text,
-    described,
-    known,
+    key_field,
+    uncertain_quantity,
 )
-from counterspin.campaign.model import about_nominal
+from counterspin.campaign.model import check_near_nominal
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.runs import is_reading
 from counterspin.campaign.settings import (
@@ -34,6 +33,7 @@ from counterspin.campaign.settings import (
     Output,
     term_keys,
 )
+from counterspin.campaign.validation import Problems
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.terms import COMMON_NAMES, TERMS
 from counterspin.records.record import ColumnSpec
@@ -56,7 +56,7 @@ TRUTH_TABLES: Final = (
 )
 
 
-def _of_output(value: object, info: ValidationInfo) -> Quantity:
+def _sensitivity_as_prior(value: object, info: ValidationInfo) -> Quantity:
     """Read what is known of a sensitivity as the prior of K_I."""
     output = info.data.get("output")
     if output is None:
@@ -73,60 +73,62 @@ class Accelerometer(SettingsSection):
     # What is required, the axes, a triad may go without.
     model_config = ConfigDict(json_schema_extra=lambda made: made.pop("required", None))
 
-    input_axis: Direction = described(
+    input_axis: Direction = key_field(
         "the sensitive axis, on the level platform; [a triad](triads.md) may state no axes at all",
         "east",
         kind="direction",
     )
-    pendulous_axis: Direction = described("at right angles to it", [0, 0, -1], kind="direction")
-    output_axis: Direction | None = described(
+    pendulous_axis: Direction = key_field("at right angles to it", [0, 0, -1], kind="direction")
+    output_axis: Direction | None = key_field(
         "only as a check", "north", None, absent="input × pendulous", kind="direction"
     )
-    serial_number: Text | None = described("of the accelerometer", "Q-104", None)
-    grade: Literal["navigation", "tactical", "consumer"] = described(
+    serial_number: Text | None = key_field("of the accelerometer", "Q-104", None)
+    grade: Literal["navigation", "tactical", "consumer"] = key_field(
         "how large its terms may be, and are where nothing is stated of them: [sizes "
         "by grade](physics.md#where-the-typical-sizes-come-from)",
         "tactical",
         "navigation",
         kind='`"navigation"`, `"tactical"` or `"consumer"`',
     )
-    output: Output | None = described(
+    output: Output | None = key_field(
         "what its [readings](readings.md) are in, and the nominal sensitivity",
         {"unit": "mA", "sensitivity": "1.25 mA/g"},
         None,
         absent="g",
     )
-    sensitivity_prior: Annotated[Quantity, PlainValidator(_of_output, Text)] | None = described(
-        "K_I known beforehand, in that unit",
-        "1.25 ± 0.01 mA/g",
-        None,
-        absent="unknown",
-        kind="text",
+    sensitivity_prior: Annotated[Quantity, PlainValidator(_sensitivity_as_prior, Text)] | None = (
+        key_field(
+            "K_I known beforehand, in that unit",
+            "1.25 ± 0.01 mA/g",
+            None,
+            absent="unknown",
+            kind="text",
+        )
     )
-    bias: Annotated[Quantity, known("g")] | None = described(
+    bias: Annotated[Quantity, uncertain_quantity("g")] | None = key_field(
         "K_F known beforehand", "0.00503 ± 2e-6 g", None, absent="unknown"
     )
-    scale_factor: Annotated[Quantity, known("g/g")] | None = described(
+    scale_factor: Annotated[Quantity, uncertain_quantity("g/g")] | None = key_field(
         "K_I known beforehand; about 1, so that 1000 ppm too much is `1.001 g/g`",
         "1.00197 ± 5e-6 g/g",
         None,
         absent="unknown",
     )
-    displacement: DisplacementChannel | None = described(
+    displacement: DisplacementChannel | None = key_field(
         "recorded displacement along the input axis",
         {"column": "east_m", "unit": "m"},
         None,
         absent="one of three",
         kind="column, m",
     )
-    velocity: VelocityChannel | None = described(
+    velocity: VelocityChannel | None = key_field(
         "recorded velocity",
         {"column": "v", "unit": "m/s"},
         None,
         absent="one of three",
         kind="column, m/s",
     )
-    specific_force: ForceChannel | None = described(
+    specific_force: ForceChannel | None = key_field(
         "indicated specific force",
         {"column": "f", "unit": "g"},
         None,
@@ -176,10 +178,14 @@ class Accelerometer(SettingsSection):
     @property
     def own_priors(self) -> dict[str, Quantity]:
         """Term symbol -> what its own table says of it beforehand, in g-units."""
-        said = {symbol: getattr(self, symbol) for symbol in TERMS}
-        said["K_I"] = self.sensitivity_prior or said["K_I"]
-        said |= {s: own for key, s in COMMON_NAMES.items() if (own := getattr(self, key))}
-        return {symbol: prior for symbol, prior in said.items() if prior is not None}
+        values = {symbol: getattr(self, symbol) for symbol in TERMS}
+        values["K_I"] = self.sensitivity_prior or values["K_I"]
+        values |= {
+            symbol_of_name: prior_of_name
+            for key, symbol_of_name in COMMON_NAMES.items()
+            if (prior_of_name := getattr(self, key))
+        }
+        return {symbol: prior for symbol, prior in values.items() if prior is not None}
 
     def contradictions(self) -> Iterator[Contradiction]:
         """Yield what is wrong with its axes, and priors that are not credible or given twice."""
@@ -190,14 +196,14 @@ class Accelerometer(SettingsSection):
         for key, symbol in ({symbol: symbol for symbol in TERMS} | COMMON_NAMES).items():
             if (prior := getattr(self, key)) is not None:
                 try:
-                    about_nominal(symbol, prior, self.grade)
+                    check_near_nominal(symbol, prior, self.grade)
                 except ValueError as error:
                     yield (key,), str(error), "grade"
         for key, symbol in COMMON_NAMES.items():
-            other = getattr(self, symbol)
+            alternative = getattr(self, symbol)
             if symbol == "K_I":
-                other = self.sensitivity_prior or other
-            if None not in (getattr(self, key), other):
+                alternative = self.sensitivity_prior or alternative
+            if None not in (getattr(self, key), alternative):
                 yield (key,), f"is the prior of {symbol}, given too; keep one"
 
 
@@ -205,7 +211,7 @@ AccelerometerKeys = create_model(
     "AccelerometerKeys",
     __base__=Accelerometer,
     __doc__="[accelerometers.NAME]: its axes, its column and, by term, what is known of it.",
-    **term_keys(TERMS, known),
+    **term_keys(TERMS, uncertain_quantity),
 )
 
 
@@ -222,38 +228,42 @@ class AccelerometersReader:
     ) -> None:
         self.raw, self.runs = raw, runs
         self.problems, self.gravity = problems, gravity
-        kinds = [is_reading(run) for run in runs]
+        are_readings = [is_reading(run) for run in runs]
         #: Whether there are records of a double turntable, and others.
-        self.turned = not all(kinds)
+        self.turned = not all(are_readings)
         self.carried = any(
-            reading and "record" in run for run, reading in zip(runs, kinds, strict=True)
+            has_reading and "record" in run
+            for run, has_reading in zip(runs, are_readings, strict=True)
         )
         #: Accelerometer -> its table, and the keys that are wrong in it.
         self._read: dict[str, tuple[Any, set[str]]] = {
-            name: problems.partly(
+            name: problems.validate_partial(
                 AccelerometerKeys, table, ("accelerometers", name), gravity=gravity
             )
             for name, table in raw.items()
         }
         #: Accelerometer -> its axes, where they are in order.
         self.mountings: dict[str, Mounting] = {}
-        for name, (table, wrong) in self._read.items():
-            if table is not None and not wrong & set(_AXES):
+        for name, (table, invalid_keys) in self._read.items():
+            if table is not None and not invalid_keys & set(_AXES):
                 with suppress(ValueError):
                     self.mountings[name] = table.mounting
         #: Accelerometer -> what its readings are in (None: g), where it says that rightly.
         self.outputs: dict[str, Output | None] = {
             name: table.output
-            for name, (table, wrong) in self._read.items()
-            if table is not None and "output" not in wrong
+            for name, (table, invalid_keys) in self._read.items()
+            if table is not None and "output" not in invalid_keys
         }
         #: Accelerometer -> grade, of those whose tables are in order.
         self.grades: dict[str, str] = {
-            name: table.grade for name, (table, wrong) in self._read.items() if table and not wrong
+            name: table.grade
+            for name, (table, invalid_keys) in self._read.items()
+            if table and not invalid_keys
         }
         #: Accelerometer -> its table, None where it has mistakes.
         self.tables: dict[str, Any] = {
-            name: None if wrong else table for name, (table, wrong) in self._read.items()
+            name: None if invalid_keys else table
+            for name, (table, invalid_keys) in self._read.items()
         }
 
     def accelerometers(
@@ -261,7 +271,7 @@ class AccelerometersReader:
     ) -> dict[str, Accelerometer]:
         """Return the accelerometers whose tables are in order; their columns are checked."""
         return {
-            name: table.completed(
+            name: table.with_private(
                 name=name,
                 observable=observables[name],
                 channel=self._recorded(name, table, observables[name]),
@@ -275,7 +285,7 @@ class AccelerometersReader:
     @property
     def own_priors(self) -> dict[str, dict[str, Quantity]]:
         """Accelerometer -> the priors of its own table, by symbol."""
-        return {n: table.own_priors if table else {} for n, table in self.tables.items()}
+        return {name: table.own_priors if table else {} for name, table in self.tables.items()}
 
     def observables(self) -> dict[str, str]:
         """Return the recorded quantity of each accelerometer."""
@@ -283,17 +293,17 @@ class AccelerometersReader:
         for name, table in self.raw.items():
             if not isinstance(table, dict):
                 continue
-            given = [key for key in OBSERVABLES if key in table]
-            if not self.turned and (not given or self.carried):
+            stated = [key for key in OBSERVABLES if key in table]
+            if not self.turned and (not stated or self.carried):
                 observables[name] = "specific_force"  # readings are all there is of it
-            elif self.turned and self.carried and given[1:] == ["specific_force"]:
-                observables[name] = given[0]  # the other one is of records on an arm or at rest
-            elif len(given) == 1:
-                observables[name] = given[0]
+            elif self.turned and self.carried and stated[1:] == ["specific_force"]:
+                observables[name] = stated[0]  # the other one is of records on an arm or at rest
+            elif len(stated) == 1:
+                observables[name] = stated[0]
             else:
-                has = f"has {' and '.join(given)}" if given else "has no observable"
+                description = f"has {' and '.join(stated)}" if stated else "has no observable"
                 self.problems.add(
-                    ("accelerometers", name), f"{has}; give one of {', '.join(OBSERVABLES)}"
+                    ("accelerometers", name), f"{description}; give one of {', '.join(OBSERVABLES)}"
                 )
         return observables
 
@@ -311,7 +321,7 @@ class AccelerometersReader:
             if output is None:
                 self.problems.add(path, f"{error}; or say output = {{ unit, sensitivity }}")
                 return ColumnSpec("")
-            factor = self.problems.attempt(path, unit_factor, column.unit, output.unit) or 1.0
+            factor = self.problems.collect(path, unit_factor, column.unit, output.unit) or 1.0
             factor *= self.gravity / output.sensitivity
             spec = ColumnSpec(column.column, factor, 0.0, column.unit, "", self.gravity)
         if output is not None and output.zero != 0.0:

@@ -33,7 +33,7 @@ class Checksums:
     """SHA-256 of files, each computed once; on exit, unrequested computations are cancelled."""
 
     def __init__(self) -> None:
-        self._workers = ThreadPoolExecutor(_THREADS, initializer=_step_back)
+        self._workers = ThreadPoolExecutor(_THREADS, initializer=_lower_priority)
         self._turns = threading.Semaphore(1)
         self._hurried = False
         self._taken: dict[Path, Future[tuple[str, FileIdentity | None]]] = {}
@@ -51,7 +51,7 @@ class Checksums:
         self._given_up.set()
         self._workers.shutdown(cancel_futures=True)
 
-    def expect(self, where: Path | str) -> list[Path]:
+    def prefetch(self, where: Path | str) -> list[Path]:
         """Begin with the files that a campaign seems to have, before its description is checked.
 
         where: The campaign's folder or its description; what is wrong with it is for others to say.
@@ -64,31 +64,31 @@ class Checksums:
             return records
         return []
 
-    def hurry(self) -> None:
+    def run_parallel(self) -> None:
         """Compute several checksums at a time from now on: nothing else needs all cores."""
         if not self._hurried:
             self._hurried = True
             self._turns.release(_THREADS - 1)
 
-    def of(self, files: Iterable[Path]) -> list[str]:
+    def checksums(self, files: Iterable[Path]) -> list[str]:
         """Return the checksums of files, such as ``sha256:9f86...``, or ``unreadable``."""
-        asked = list(files)
-        self._begin(asked)
-        self.hurry()
-        return [self._taken[file].result()[0] for file in asked]
+        requested = list(files)
+        self._begin(requested)
+        self.run_parallel()
+        return [self._taken[file].result()[0] for file in requested]
 
     def identity(self, file: Path) -> FileIdentity | None:
         """Return the identity of a file's content; None if it is unreadable or was changed."""
         self._begin([file])
-        self.hurry()
+        self.run_parallel()
         return self._taken[file].result()[1]
 
     def _begin(self, files: Iterable[Path]) -> None:
         for file in files:
             if file not in self._taken:
-                self._taken[file] = self._workers.submit(self._take, file)
+                self._taken[file] = self._workers.submit(self._compute, file)
 
-    def _take(self, path: Path) -> tuple[str, FileIdentity | None]:
+    def _compute(self, path: Path) -> tuple[str, FileIdentity | None]:
         digest = hashlib.sha256()
         try:
             with self._turns, open_file(path) as file:
@@ -103,26 +103,26 @@ class Checksums:
         return f"sha256:{digest.hexdigest()}", before if before == after else None
 
 
-def _step_back() -> None:
+def _lower_priority() -> None:
     if sys.platform == "linux":
-        own = os.getpriority(os.PRIO_PROCESS, 0)
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), min(own + _NICENESS, 19))
+        niceness = os.getpriority(os.PRIO_PROCESS, 0)
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), min(niceness + _NICENESS, 19))
 
 
 #: The campaign that was begun with and is not asked for yet, as it was named.
-_BEGUN: dict[Path, Checksums] = {}
+_STARTED: dict[Path, Checksums] = {}
 
 
 @contextmanager
-def head_start(where: str) -> Iterator[None]:
+def prefetch_campaign(where: str) -> Iterator[None]:
     """Start on a campaign that is about to be requested; on exit, cancel the remaining work."""
     with Checksums() as checksums:
         _begin(checksums, where)
-        _BEGUN[Path(where)] = checksums
+        _STARTED[Path(where)] = checksums
         try:
             yield
         finally:
-            _BEGUN.clear()
+            _STARTED.clear()
 
 
 @contextmanager
@@ -131,16 +131,16 @@ def checksums_of(where: object) -> Iterator[Checksums]:
 
     where: The campaign's folder or its description; nothing is started for a campaign that is read.
     """
-    named = Path(where) if isinstance(where, Path | str) else None
-    if named is not None and named in _BEGUN:
-        yield _BEGUN.pop(named)
+    path = Path(where) if isinstance(where, Path | str) else None
+    if path is not None and path in _STARTED:
+        yield _STARTED.pop(path)
         return
     with Checksums() as checksums:
-        if named is not None:
-            _begin(checksums, named)
+        if path is not None:
+            _begin(checksums, path)
         yield checksums
 
 
 def _begin(checksums: Checksums, where: Path | str) -> None:
-    for record in checksums.expect(where):
+    for record in checksums.prefetch(where):
         prepare(record)

@@ -8,24 +8,24 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from counterspin.campaign.kinds import (
+from counterspin.campaign.field_types import (
     STAMPS,
-    Part,
+    Fraction,
     PositiveRatio,
     SettingsSection,
     Text,
     ZeroDirection,
-    a_clock,
-    an_encoding,
     angle_unit,
-    described,
+    check_clock_error,
+    check_encoding,
     force_or_output,
     is_unit,
-    known,
+    key_field,
     positive,
     read_exactly,
     temperature_scale,
     time_unit,
+    uncertain_quantity,
     unit_of,
 )
 from counterspin.campaign.quantity import Quantity
@@ -48,7 +48,7 @@ class Recording:
 
 
 class _Channel(SettingsSection):
-    column: Text = described("name of the column in the file", "channel 1")
+    column: Text = key_field("name of the column in the file", "channel 1")
 
 
 def spec_of(column: Any, wanted: str, gravity: float | None = None) -> ColumnSpec:
@@ -63,10 +63,10 @@ def spec_of(column: Any, wanted: str, gravity: float | None = None) -> ColumnSpe
 class TimeChannel(SettingsSection):
     """``time``: the column that holds it, or how many rows there are a second."""
 
-    column: Text | None = described(
+    column: Text | None = key_field(
         "name of the column in the file", "time_s", None, absent="counted"
     )
-    unit: Annotated[str, AfterValidator(time_unit)] | None = described(
+    unit: Annotated[str, AfterValidator(time_unit)] | None = key_field(
         "of its numbers; `iso`: time stamps, counted from the first",
         "ms",
         None,
@@ -74,7 +74,7 @@ class TimeChannel(SettingsSection):
         kind="unit of time, `iso`",
     )
     sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = (
-        described("in place of a column: rows a second", "50 Hz", None)
+        key_field("in place of a column: rows a second", "50 Hz", None)
     )
 
     @model_validator(mode="after")
@@ -103,23 +103,23 @@ Sense = Literal["counterclockwise", "clockwise"]
 class AngleChannel(_Channel):
     """``angle``: the column that holds the spindle's angle, or the times of its pulses."""
 
-    pulses: bool = described(
+    pulses: bool = key_field(
         "whether the column has the times, in `unit`, at which the arm passed `zero`", False, False
     )
-    unit: Annotated[str, AfterValidator(angle_unit)] | None = described(
+    unit: Annotated[str, AfterValidator(angle_unit)] | None = key_field(
         "of its numbers", "count", None, absent="the file's", kind="unit of angle, `count`"
     )
-    sense: Sense = described(
+    sense: Sense = key_field(
         "in which the encoder counts up, seen from above", "clockwise", "counterclockwise"
     )
-    zero: ZeroDirection = described(
+    zero: ZeroDirection = key_field(
         "where the arm points when the encoder shows zero",
         "north",
         0.0,
         absent="0 (east)",
         kind="compass direction, or angle from east towards north",
     )
-    per_revolution: PositiveRatio | None = described(
+    per_revolution: PositiveRatio | None = key_field(
         "counts (or pulses) of one revolution", 65536, None
     )
 
@@ -150,7 +150,7 @@ class AngleChannel(_Channel):
 class TemperatureChannel(_Channel):
     """The column that holds the temperature of the accelerometers."""
 
-    unit: Annotated[str, AfterValidator(temperature_scale)] | None = described(
+    unit: Annotated[str, AfterValidator(temperature_scale)] | None = key_field(
         "of its numbers", "degC", None, absent="the file's", kind="`degC`, `K`"
     )
 
@@ -163,45 +163,45 @@ class TemperatureChannel(_Channel):
 class RowSelection(SettingsSection):
     """Rows of a file that are read: those in which a column has a value."""
 
-    column: Text = described("that tells the sensors apart", "device")
-    value: Text = described("of the sensor", "A")
+    column: Text = key_field("that tells the sensors apart", "device")
+    value: Text = key_field("of the sensor", "A")
 
 
 class TableDialect(SettingsSection):
     """How a table is written, as far as a person says it: of records and of readings alike."""
 
-    skip_lines: Annotated[int, Field(ge=0)] | None = described(
+    skip_lines: Annotated[int, Field(ge=0)] | None = key_field(
         "lines (of a sheet: rows) before the names of the columns", 5, None, absent="found"
     )
-    delimiter: Literal[",", ";", "\t"] | None = described(
+    delimiter: Literal[",", ";", "\t"] | None = key_field(
         "between the cells of a file of text", ";", None, absent="found", kind="`,` `;` or tab"
     )
-    decimal: Literal[".", ","] | None = described(
+    decimal: Literal[".", ","] | None = key_field(
         "in its numbers; of a table of readings a comma must be said",
         ",",
         None,
         absent="found",
         kind="`.` or `,`",
     )
-    encoding: Annotated[str, AfterValidator(an_encoding)] | None = described(
+    encoding: Annotated[str, AfterValidator(check_encoding)] | None = key_field(
         "of its text", "latin-1", None, absent="found"
     )
-    units_row: bool | None = described(
+    units_row: bool | None = key_field(
         "whether a row of units stands below the names", True, None, absent="found"
     )
-    skip_footer: Annotated[int, Field(ge=0)] | None = described(
+    skip_footer: Annotated[int, Field(ge=0)] | None = key_field(
         "lines of a text at its end that are not rows, such as a mean or a signature",
         2,
         None,
         absent="none",
     )
-    select: RowSelection | None = described(
+    select: RowSelection | None = key_field(
         "of a file with rows of several sensors, those of one: a column and its value",
         {"column": "device", "value": "A"},
         None,
         absent="all",
     )
-    sheet: Text | None = described("of an Excel file", "Run 1", None, absent="the only one")
+    sheet: Text | None = key_field("of an Excel file", "Run 1", None, absent="the only one")
 
     @property
     def dialect(self) -> Dialect:
@@ -214,14 +214,14 @@ class TableDialect(SettingsSection):
 
 
 class _TimeAndAngle(SettingsSection):
-    time: TimeChannel = described("time of each row", {"column": "time_s", "unit": "s"})
-    angle: AngleChannel | None = described(
+    time: TimeChannel = key_field("time of each row", {"column": "time_s", "unit": "s"})
+    angle: AngleChannel | None = key_field(
         "spindle angle, wrapped or not",
         {"column": "angle_rad", "unit": "rad"},
         None,
         absent="nominal rate",
     )
-    temperature: TemperatureChannel | None = described(
+    temperature: TemperatureChannel | None = key_field(
         "temperature of the accelerometers, for slopes with it; rows may lack it, for a quarter of "
         "a record at most",
         {"column": "T", "unit": "degC"},
@@ -234,28 +234,28 @@ class _TimeAndAngle(SettingsSection):
 class RecordsSettings(TableDialect, _TimeAndAngle):
     """[records]: how to read every run's file."""
 
-    group: Text | None = described(
+    group: Text | None = key_field(
         "of an HDF5 or TDMS file, or the structure of a MATLAB file; columns are named within it",
         "run1/data",
         None,
         absent="the only one",
     )
-    timing_offset: Annotated[Quantity, known("s")] | None = described(
+    timing_offset: Annotated[Quantity, uncertain_quantity("s")] | None = key_field(
         "how much later than its displacement an angle is sampled", "0 ± 1e-5 s", None
     )
-    clock: Annotated[Part, AfterValidator(a_clock)] | None = described(
+    clock: Annotated[Fraction, AfterValidator(check_clock_error)] | None = key_field(
         "by how much of itself the recorder's clock runs fast, also in `ppm`; see below",
         "0 ± 1e-7",
         None,
         kind="part ±",
     )
-    recorder: Text | None = described(
+    recorder: Text | None = key_field(
         "which one it was, where runs have several: each has a clock of its own",
         "B",
         None,
         absent="one for all",
     )
-    reference: Literal["platform", "own velocity"] = described(
+    reference: Literal["platform", "own velocity"] = key_field(
         "whose velocity the navigation computer takes for the Coriolis acceleration "
         "that it removes; see below",
         "own velocity",
@@ -277,7 +277,7 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
 class DisplacementChannel(_Channel):
     """``displacement``: the column that holds that along the input axis."""
 
-    unit: Annotated[str, unit_of("m")] | None = described(
+    unit: Annotated[str, unit_of("m")] | None = key_field(
         "of its numbers", "mm", None, absent="the file's", kind="unit"
     )
 
@@ -285,7 +285,7 @@ class DisplacementChannel(_Channel):
 class VelocityChannel(_Channel):
     """``velocity``: the column that holds that along the input axis."""
 
-    unit: Annotated[str, unit_of("m/s")] | None = described(
+    unit: Annotated[str, unit_of("m/s")] | None = key_field(
         "of its numbers", "mm/s", None, absent="the file's", kind="unit"
     )
 
@@ -293,6 +293,6 @@ class VelocityChannel(_Channel):
 class ForceChannel(_Channel):
     """``specific_force``: the column that holds it, or an output such as a current."""
 
-    unit: Annotated[str, AfterValidator(force_or_output)] = described(
+    unit: Annotated[str, AfterValidator(force_or_output)] = key_field(
         "of its numbers", "mg", kind="unit"
     )

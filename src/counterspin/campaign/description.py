@@ -8,18 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from counterspin.campaign.accelerometers import Accelerometer
-from counterspin.campaign.checking import Problems
 from counterspin.campaign.columns import Recording
 from counterspin.campaign.documents import (
     CAMPAIGN_ADVICE,
     DESCRIPTION_NAME,
     Source,
+    campaign_error,
     description_file,
-    keep,
     load_with_checksum,
-    mistakes,
-    source_of,
+    require_source,
     table_of,
+    with_source,
 )
 from counterspin.campaign.model import (
     ErrorModel,
@@ -33,6 +32,7 @@ from counterspin.campaign.runs import (
 from counterspin.campaign.settings import (
     NoiseSettings,
 )
+from counterspin.campaign.validation import Problems
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.input import path_of
@@ -188,7 +188,7 @@ class Campaign:
             title=campaign.title if titled else "",
             frames={path: table for path, table in (frames or {}).items() if path in named},
         )
-        return keep(made, source)
+        return with_source(made, source)
 
     def limit_of(self, symbol: str, owner: str = "") -> float:
         """Return the largest credible size of a term: as stated, or by the owner's grade.
@@ -247,7 +247,7 @@ class Campaign:
             With every mistake, as of a file.
         """
         document, frames = load_name(CHANGE)(self, patch, records or {})
-        source = replace(source_of(self), document=document)
+        source = replace(require_source(self), document=document)
         return Campaign.of(source, self.folder, {**self.frames, **frames})
 
     def write(self, folder: Path | str, *, overwrite: bool = False) -> Path:
@@ -277,8 +277,8 @@ class Campaign:
     def files(self) -> tuple[Path, ...]:
         """All record files, of runs and of readings."""
         read = (reading.record for reading in self.readings if reading.record is not None)
-        posed = (one.record for one in self.triad.records) if self.triad else ()
-        return (*(file for run in self.runs for file in run.files), *read, *posed)
+        pose_files = (record.record for record in self.triad.records) if self.triad else ()
+        return (*(file for run in self.runs for file in run.files), *read, *pose_files)
 
     @property
     def rest(self) -> Path | None:
@@ -330,8 +330,8 @@ def read_campaign(path: Path | str) -> Campaign:
     problems = Problems(raw)
     campaign = resolve_campaign(raw, file, problems)
     if campaign is None:
-        raise mistakes(file, problems.lines)
-    return keep(campaign, Source(raw, campaign.path, checksum, raw))
+        raise campaign_error(file, problems.lines)
+    return with_source(campaign, Source(raw, campaign.path, checksum, raw))
 
 
 def resolve_campaign(raw: Mapping[str, Any], file: Path, problems: Problems) -> Campaign | None:

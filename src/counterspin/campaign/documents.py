@@ -48,7 +48,7 @@ _HEADER: Final = re.compile(rf"\s*\[(\[?)\s*({_PART}(?:\s*\.\s*{_PART})*)\s*\]\]
 #: Texts and a comment, in which brackets are no brackets.
 _TEXTS: Final = re.compile(r"""\"(?:[^"\\]|\\.)*\"|'[^']*'|#.*""")
 #: The key with which a message begins, and the last part of a key.
-_OF_MESSAGE: Final = re.compile(rf"({_PART}(?:\.{_PART}|\[\d+\])*): ")
+_MESSAGE_KEY: Final = re.compile(rf"({_PART}(?:\.{_PART}|\[\d+\])*): ")
 _LAST: Final = re.compile(r"(?:\.[\w-]+|\[\d+\])$")
 
 DESCRIPTION_NAME: Final = "campaign.toml"  #: the description's file in a campaign folder
@@ -76,12 +76,12 @@ def description_file(where: Path | str) -> Path:
     return given / DESCRIPTION_NAME if os.path.isdir(given) else given  # noqa: PTH112 -- any name
 
 
-def flat_keys(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flatten_keys(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Undo TOML's nesting of keys with dots that are not quoted, ``platform.tilt = ...``."""
     flat: dict[str, Any] = {}
     for key, value in table.items():
         if isinstance(value, Mapping):
-            flat |= flat_keys(value, f"{prefix}{key}.")
+            flat |= flatten_keys(value, f"{prefix}{key}.")
         else:
             flat[prefix + key] = value
     return flat
@@ -115,13 +115,13 @@ def load_with_checksum(
     kind: The required kind; None: any. Another kind is refused here, because its reader would only
         report unknown keys and missing ones.
     """
-    wanted = advice
+    full_advice = advice
     if kind == "campaign":
-        wanted = f"give the folder that holds {DESCRIPTION_NAME}; {advice}"
+        full_advice = f"give the folder that holds {DESCRIPTION_NAME}; {advice}"
     try:
         content = read_file(file, _TEXT_BYTES)
-        if kind is not None and (seen := _is_other(file, content)):
-            raise CampaignError(str(file), [f"{seen}, not {_KINDS[kind]}; {wanted}"])
+        if kind is not None and (file_type := _describe_other_file(file, content)):
+            raise CampaignError(str(file), [f"{file_type}, not {_KINDS[kind]}; {full_advice}"])
     except FileNotFoundError:
         problem = f"file not found; {advice}"
     except OSError as error:
@@ -131,18 +131,18 @@ def load_with_checksum(
         problem = f"cannot be read: {error}".partition(";")[0]  # a name with NUL
     else:
         document = parse_document(content, str(file))
-        own = _kind_of(document)
-        if kind in (None, own) or own is None:
+        document_kind = _kind_of(document)
+        if kind in (None, document_kind) or document_kind is None:
             return document, f"sha256:{hashlib.sha256(content).hexdigest()}"
-        problem = f"{_KINDS[own]}, not {_KINDS[kind]}; {wanted}"
+        problem = f"{_KINDS[document_kind]}, not {_KINDS[kind]}; {full_advice}"
     raise CampaignError(str(file), [problem])
 
 
-def _is_other(file: Path, content: bytes) -> str:
+def _describe_other_file(file: Path, content: bytes) -> str:
     """Return the type of a file that is not TOML; empty text if it may be TOML."""
-    seen = looks_like(content)
-    if seen or file.suffix.lower() == ".toml":
-        return seen
+    file_type = looks_like(content)
+    if file_type or file.suffix.lower() == ".toml":
+        return file_type
     from counterspin.records.endings import RECORD_FORMATS
 
     return "a record" if file.suffix.lower() in RECORD_FORMATS else ""
@@ -150,21 +150,23 @@ def _is_other(file: Path, content: bytes) -> str:
 
 def _kind_of(document: Mapping[str, Any]) -> Kind | None:
     """Return the kind of a document by sections that only this kind has; None if there are none."""
-    said: set[Kind] = set()
+    kinds: set[Kind] = set()
     if "goal" in document:
-        said.add("plan")
+        kinds.add("plan")
     if "runs" in document or "readings" in document:
-        said.add("campaign")
+        kinds.add("campaign")
     if "laboratory" in document and "customer" in document:
-        said.add("laboratory")
-    return said.pop() if len(said) == 1 else None
+        kinds.add("laboratory")
+    return kinds.pop() if len(kinds) == 1 else None
 
 
-def mistakes(file: Path, problems: Sequence[str]) -> CampaignError:
+def campaign_error(file: Path, problems: Sequence[str]) -> CampaignError:
     """Return the error that says what is wrong in a file, in the order of its lines."""
-    lines = lines_of_messages(problems, file)
-    told = sorted(zip(problems, lines, strict=True), key=lambda one: (one[1] is None, one[1] or 0))
-    return CampaignError(str(file), [words for words, _ in told], [line for _, line in told])
+    lines = message_lines(problems, file)
+    ordered = sorted(
+        zip(problems, lines, strict=True), key=lambda pair: (pair[1] is None, pair[1] or 0)
+    )
+    return CampaignError(str(file), [words for words, _ in ordered], [line for _, line in ordered])
 
 
 def parse_document(content: bytes, source: str) -> dict[str, Any]:
@@ -172,7 +174,7 @@ def parse_document(content: bytes, source: str) -> dict[str, Any]:
     try:
         # Editors on Windows put a byte-order mark before the text; TOML knows none.
         document = parse_toml(content.decode("utf-8-sig"))
-        faults = list(unusable(document, ""))
+        faults = list(find_invalid_values(document, ""))
         if not faults:
             return document
         raise CampaignError(source, faults)
@@ -181,32 +183,32 @@ def parse_document(content: bytes, source: str) -> dict[str, Any]:
     except NestingError as error:
         problem = str(error) if error.line is None else f"line {error.line}: {error}"
     except tomllib.TOMLDecodeError as error:
-        place = re.fullmatch(r"(.*) \(at (.*)\)", str(error), flags=re.DOTALL)
-        what, where = (place[1], place[2]) if place else (str(error), "TOML")
-        what = what[:1].lower() + what[1:]
+        match = re.fullmatch(r"(.*) \(at (.*)\)", str(error), flags=re.DOTALL)
+        message, location = (match[1], match[2]) if match else (str(error), "TOML")
+        message = message[:1].lower() + message[1:]
         advice = "write text, such as a quantity, in quotation marks"
-        if "\\" in what or "hex value" in what:
+        if "\\" in message or "hex value" in message:
             advice = (
                 "in double quotation marks a backslash begins an escape such as \\n; "
                 + BACKSLASH_ADVICE
             )
-        problem = f"{where}: {what}; {advice}"
+        problem = f"{location}: {message}; {advice}"
     except ValueError as error:
         # A number of thousands of digits, which Python reads no further.
         problem = f"cannot be read: {error}".partition(";")[0]
     raise CampaignError(source, [problem])
 
 
-def unusable(value: Any, path: str) -> Iterator[str]:
+def find_invalid_values(value: Any, path: str) -> Iterator[str]:
     """Yield what is TOML, or almost, and no value of any key: long integers and keys, NUL."""
     if len(path) > _MAX_PATH_CHARACTERS:
         yield f"{path}: the path of a key has at most {_MAX_PATH_CHARACTERS} characters"
     elif isinstance(value, dict):
         for key, item in value.items():
-            yield from unusable(item, f"{path}.{key}" if path else key)
+            yield from find_invalid_values(item, f"{path}.{key}" if path else key)
     elif isinstance(value, list):
         for index, item in enumerate(value):
-            yield from unusable(item, f"{path}[{index}]")
+            yield from find_invalid_values(item, f"{path}[{index}]")
     elif isinstance(value, int) and not -(2**63) <= value < 2**63:
         yield f"{path}: an integer has at most 64 bits"
     if isinstance(value, str) and "\0" in value:
@@ -218,32 +220,32 @@ def unusable(value: Any, path: str) -> Iterator[str]:
 # The lines in which keys stand, for messages
 
 
-def lines_of_messages(messages: Sequence[str], file: Path) -> list[int | None]:
+def message_lines(messages: Sequence[str], file: Path) -> list[int | None]:
     """Return the line of a document's file to which each message refers, from 1.
 
     Of a key that is missing it is that of its table; None where a message names no key that is
     there, or the file cannot be read.
     """
     try:
-        found = lines_of(file.read_text("utf-8-sig"))
+        lines_by_key = key_lines(file.read_text("utf-8-sig"))
     except (OSError, ValueError):
-        found = {}
-    return [_line_of(message, found) for message in messages]
+        lines_by_key = {}
+    return [_message_line(message, lines_by_key) for message in messages]
 
 
-def _line_of(message: str, found: dict[str, int]) -> int | None:
-    named = _OF_MESSAGE.match(message)
-    key = named[1] if named else ""
-    while key and key.replace('"', "") not in found:
+def _message_line(message: str, lines_by_key: dict[str, int]) -> int | None:
+    match = _MESSAGE_KEY.match(message)
+    key = match[1] if match else ""
+    while key and key.replace('"', "") not in lines_by_key:
         # What stands in quotation marks may be the row of another file.
         shorter = _LAST.sub("", key)
         key = shorter if shorter != key else ""
-    return found.get(key.replace('"', ""))
+    return lines_by_key.get(key.replace('"', ""))
 
 
-def lines_of(text: str) -> dict[str, int]:
+def key_lines(text: str) -> dict[str, int]:
     """Return key -> line, of a document in TOML; keys as messages write them, unquoted."""
-    found: dict[str, int] = {}
+    lines_by_key: dict[str, int] = {}
     counts: dict[KeyPath, int] = {}
     table: KeyPath = ()
     depth, quotes = 0, ""
@@ -253,27 +255,27 @@ def lines_of(text: str) -> dict[str, int]:
             continue
         header = _HEADER.fullmatch(line) if depth == 0 else None
         if header is not None:
-            table = _opened(header, counts)
-            found.setdefault(_plain(table), number)
+            table = _open_table(header, counts)
+            lines_by_key.setdefault(_unquoted_path(table), number)
             continue
         key = _KEY.match(line) if depth == 0 else None
         if key is not None:
             path = table
-            for part in _parts(key[1]):
+            for part in _split_key(key[1]):
                 path = (*path, part)
-                found.setdefault(_plain(path), number)
+                lines_by_key.setdefault(_unquoted_path(path), number)
         quotes = next((q for q in ('"""', "'''") if line.count(q) % 2), "")
         brackets = _TEXTS.sub("", line[key.end() :] if key else line)
         depth += sum(map(brackets.count, "[{")) - sum(map(brackets.count, "]}"))
-    return found
+    return lines_by_key
 
 
-def _opened(
+def _open_table(
     header: re.Match[str], counts: dict[tuple[str | int, ...], int]
 ) -> tuple[str | int, ...]:
     """Return the table that a header opens, counting those of each list of tables."""
     path: tuple[str | int, ...] = ()
-    *outer, last = _parts(header[2])
+    *outer, last = _split_key(header[2])
     for part in outer:
         path = (*path, part)
         path = (*path, counts[path]) if path in counts else path
@@ -283,18 +285,18 @@ def _opened(
     return (*path, counts[path]) if path in counts else path
 
 
-def _parts(key: str) -> list[str]:
+def _split_key(key: str) -> list[str]:
     return [part.strip("\"'") for part in re.findall(_PART, key)]
 
 
-def _plain(path: tuple[str | int, ...]) -> str:
+def _unquoted_path(path: tuple[str | int, ...]) -> str:
     return key_path(path).replace('"', "")
 
 
 # Documents as mappings, in Python
 
 
-def plain(value: Any, path: KeyPath, note: Callable[[KeyPath, str], None]) -> Any:
+def to_toml_value(value: Any, path: KeyPath, note: Callable[[KeyPath, str], None]) -> Any:
     """Return a copy of what stands at a key as TOML would be read.
 
     value: Text, a number, a date, a `Quantity` or `HeadTurn`, or a mapping or sequence of these.
@@ -306,16 +308,16 @@ def plain(value: Any, path: KeyPath, note: Callable[[KeyPath, str], None]) -> An
             if not isinstance(key, str):
                 note(path, f"the key {key!r} must be text")
         return {
-            key: plain(inner, (*path, key), note)
+            key: to_toml_value(inner, (*path, key), note)
             for key, inner in value.items()
             if isinstance(key, str) and inner is not None
         }
     if isinstance(value, list | tuple):
-        return [plain(inner, (*path, place), note) for place, inner in enumerate(value)]
+        return [to_toml_value(inner, (*path, place), note) for place, inner in enumerate(value)]
     if hasattr(value, "written"):  # a quantity, or a turn
         return value.written
     if hasattr(value, "tolist"):  # a number of NumPy, or an array
-        return plain(value.tolist(), path, note)
+        return to_toml_value(value.tolist(), path, note)
     if isinstance(value, PurePath):
         return str(value)
     if not isinstance(value, str | bool | int | float | datetime.date | datetime.time):
@@ -323,21 +325,21 @@ def plain(value: Any, path: KeyPath, note: Callable[[KeyPath, str], None]) -> An
     return value
 
 
-def patched(document: Mapping[str, Any], patch: Mapping[str, Any]) -> dict[str, Any]:
+def merge_patch(document: Mapping[str, Any], patch: Mapping[str, Any]) -> dict[str, Any]:
     """Return a document with keys changed, as a JSON Merge Patch does it (RFC 7396).
 
     Tables are patched key by key, None takes a key away, all else is replaced.
     """
-    whole = dict(document)
+    merged = dict(document)
     for key, value in patch.items():
-        inside = whole.get(key)
+        existing = merged.get(key)
         if value is None:
-            whole.pop(key, None)
+            merged.pop(key, None)
         elif isinstance(value, Mapping):
-            whole[key] = patched(inside if isinstance(inside, Mapping) else {}, value)
+            merged[key] = merge_patch(existing if isinstance(existing, Mapping) else {}, value)
         else:
-            whole[key] = value
-    return whole
+            merged[key] = value
+    return merged
 
 
 def differences(before: Any, after: Any, path: KeyPath = ()) -> Iterator[str]:
@@ -346,8 +348,8 @@ def differences(before: Any, after: Any, path: KeyPath = ()) -> Iterator[str]:
         for key in dict.fromkeys([*before, *after]):
             yield from differences(before.get(key), after.get(key), (*path, key))
     elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
-        for place, (one, other) in enumerate(zip(before, after, strict=True)):
-            yield from differences(one, other, (*path, place))
+        for index, (item_before, item_after) in enumerate(zip(before, after, strict=True)):
+            yield from differences(item_before, item_after, (*path, index))
     elif type(before) is not type(after) or before != after:
         yield key_path(path)
 
@@ -392,7 +394,7 @@ class Source:
         return f"sha256:{hashlib.sha256(self.text.encode()).hexdigest()}"
 
 
-class Described(Protocol):
+class HasSource(Protocol):
     """A campaign, as far as its description is concerned."""
 
     @property
@@ -404,10 +406,10 @@ class Described(Protocol):
         """The document that the campaign was resolved from."""
 
 
-C = TypeVar("C", bound=Described)
+C = TypeVar("C", bound=HasSource)
 
 
-def source_of(campaign: Described) -> Source:
+def require_source(campaign: HasSource) -> Source:
     """Return the source of a campaign; CounterspinError if it is unknown."""
     if campaign.source is None:
         raise CounterspinError(
@@ -417,7 +419,7 @@ def source_of(campaign: Described) -> Source:
     return campaign.source
 
 
-def keep(campaign: C, source: Source) -> C:
+def with_source(campaign: C, source: Source) -> C:
     """Set the source of a campaign that has just been resolved, and return it.
 
     The source is not an argument of the class: a copy that `dataclasses.replace` changes has none.

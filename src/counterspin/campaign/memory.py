@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.documents import (
     CAMPAIGN_ADVICE,
@@ -18,13 +17,14 @@ from counterspin.campaign.documents import (
     KeyPath,
     Source,
     description_file,
+    find_invalid_values,
     list_of,
     load_with_checksum,
-    patched,
-    plain,
-    source_of,
-    unusable,
+    merge_patch,
+    require_source,
+    to_toml_value,
 )
+from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.loading import load_name
 from counterspin.output import make_folder, write_open, write_text, write_whole
@@ -36,10 +36,10 @@ if TYPE_CHECKING:
     import polars as pl
 
 #: Name of the record at rest among the records of runs: its key in the description.
-AT_REST: Final = "noise.from"
+STATIC_RECORD: Final = "noise.from"
 
 #: The function that takes a table of readings from a frame.
-_TAKE_READINGS: Final = "counterspin.readings.table:take_readings"
+_INSERT_READINGS: Final = "counterspin.readings.table:insert_readings"
 
 #: How the record of each ending is written.
 WRITERS: Final[Mapping[str, Callable[[pl.DataFrame, Path], object]]] = {
@@ -89,12 +89,12 @@ def make_campaign(
     document = dict(source.document)
     problems = Problems(document)
     if readings is not None:
-        load_name(_TAKE_READINGS)(document, readings, problems)
+        load_name(_INSERT_READINGS)(document, readings, problems)
         if problems.lines:
             raise CampaignError(source.label, problems.lines)
     if records is None:
-        name_records(document)
-    tables = give_records(document, records or {}, where, problems)
+        assign_filenames(document)
+    tables = attach_records(document, records or {}, where, problems)
     return Campaign.of(replace(source, document=document), where, tables, problems)
 
 
@@ -105,8 +105,8 @@ def _source(
     if isinstance(description, Mapping):
         where = Path(folder if folder is not None else ".").absolute()
         problems = Problems(description)
-        document = {"schema": 1} | plain(description, (), problems.add)
-        problems.lines += unusable(document, "")
+        document = {"schema": 1} | to_toml_value(description, (), problems.add)
+        problems.lines += find_invalid_values(document, "")
         source = Source(document)
         if problems.lines:
             raise CampaignError(source.label, problems.lines)
@@ -121,11 +121,11 @@ def change_campaign(
     campaign: Campaign, patch: Mapping[str, Any], records: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[Path, MemoryTable]]:
     """Return a campaign's document with a merge patch, and the records in memory by file."""
-    source = source_of(campaign)
+    source = require_source(campaign)
     label = source.label if source.file is None else f"{source.file}, changed in memory"
     problems = Problems(source.document)
-    document = patched(source.document, _plain_patch(patch, (), problems))
-    tables = give_records(document, records, campaign.folder, problems)
+    document = merge_patch(source.document, _plain_patch(patch, (), problems))
+    tables = attach_records(document, records, campaign.folder, problems)
     if problems.lines:
         raise CampaignError(label, problems.lines)
     return document, tables
@@ -134,14 +134,14 @@ def change_campaign(
 def _plain_patch(value: Any, path: KeyPath, problems: Problems) -> Any:
     """Return a value as TOML would be read; None stays in tables, where it removes keys."""
     if not isinstance(value, Mapping):
-        return plain(value, path, problems.add)
+        return to_toml_value(value, path, problems.add)
     return {
         key: None if inner is None else _plain_patch(inner, (*path, key), problems)
         for key, inner in value.items()
     }
 
 
-def write_as_it_is(record: Path | MemoryTable, target: Path, *, overwrite: bool) -> None:
+def copy_record(record: Path | MemoryTable, target: Path, *, overwrite: bool) -> None:
     """Write a record that is there, in memory or as a file, to another place."""
     if isinstance(record, MemoryTable):
         write = partial(WRITERS[target.suffix.lower()], record.frame())
@@ -150,7 +150,7 @@ def write_as_it_is(record: Path | MemoryTable, target: Path, *, overwrite: bool)
     write_whole(target, write, overwrite=overwrite)
 
 
-def name_records(document: dict[str, Any]) -> None:
+def assign_filenames(document: dict[str, Any]) -> None:
     """Name a record for each run that states none, for what needs none or makes it."""
     runs = document.get("runs")
     if not isinstance(runs, list):
@@ -167,7 +167,7 @@ def name_records(document: dict[str, Any]) -> None:
     document["runs"] = named
 
 
-def give_records(
+def attach_records(
     document: dict[str, Any], records: Mapping[str, Any], folder: Path, problems: Problems
 ) -> dict[Path, MemoryTable]:
     """Put records into a document's runs; return those in memory by the file that each replaces.
@@ -179,12 +179,12 @@ def give_records(
     names = {run.get("name"): place for place, run in enumerate(given) if isinstance(run, Mapping)}
     tables: dict[Path, MemoryTable] = {}
     for name, record in records.items():
-        if name == AT_REST:
-            tables |= _give_rest(document, record, folder)
+        if name == STATIC_RECORD:
+            tables |= _attach_static_record(document, record, folder)
             continue
         if name not in names:
             known = [known for known in names if isinstance(known, str)]
-            problems.add(("records",), f'there is no run "{name}"' + did_you_mean(name, known))
+            problems.add(("records",), f'there is no run "{name}"' + suggest_name(name, known))
             continue
         run = dict(given[names[name]])
         if isinstance(record, Path | str):
@@ -201,7 +201,9 @@ def give_records(
     return tables
 
 
-def _give_rest(document: dict[str, Any], record: Any, folder: Path) -> dict[Path, MemoryTable]:
+def _attach_static_record(
+    document: dict[str, Any], record: Any, folder: Path
+) -> dict[Path, MemoryTable]:
     """Put a record at rest into a document's noise; return it by its file where it is in memory."""
     noise = document.get("noise", {})
     if not isinstance(noise, Mapping):
@@ -237,11 +239,11 @@ def _file_name(file: Path, folder: Path) -> str:
 
 def write_campaign(campaign: Campaign, folder: Path | str, *, overwrite: bool = False) -> Path:
     """Write a campaign; see `Campaign.write`."""
-    source = source_of(campaign)
+    source = require_source(campaign)
     folder = Path(folder)
     document = dict(source.document)
     files = _Files(campaign, folder)
-    document["runs"] = [files.run_placed(run) for run in document.get("runs", ())]
+    document["runs"] = [files.relocate_run(run) for run in document.get("runs", ())]
     if not document["runs"]:
         del document["runs"]
     for table in campaign.tables:
@@ -249,13 +251,13 @@ def write_campaign(campaign: Campaign, folder: Path | str, *, overwrite: bool = 
             files.targets.setdefault(folder / table.relative_to(campaign.folder), table)
     if campaign.rest is not None:
         noise = document["noise"]
-        document["noise"] = {**noise, "from": files.placed(noise["from"], "rest")}
+        document["noise"] = {**noise, "from": files.target_name(noise["from"], "rest")}
     description = folder / DESCRIPTION_NAME
     _refuse_overwriting([description, *files.targets], campaign, overwrite=overwrite)
     for target, record in files.targets.items():
         make_folder(target.parent)
         if isinstance(record, MemoryTable) or not (target.exists() and target.samefile(record)):
-            write_as_it_is(record, target, overwrite=overwrite)
+            copy_record(record, target, overwrite=overwrite)
     make_folder(folder)
     unchanged = not source.in_memory and document == source.document
     if unchanged and source.file is not None:
@@ -273,35 +275,37 @@ class _Files:
         self.campaign, self.folder = campaign, folder
         self.targets: dict[Path, Path | MemoryTable] = {}
 
-    def placed(self, name: str, owner: str) -> str:
+    def target_name(self, name: str, owner: str) -> str:
         """Note where a file goes, and return its name there: the owner's where its own is taken."""
         source, folder = self.campaign.folder, self.folder
         file = source / name
         record = self.campaign.record_at(file)
-        inside = file.is_relative_to(source) and ".." not in file.parts
-        there = name if inside else file.name
-        if inside and Path(name).is_absolute():
-            there = file.relative_to(source).as_posix()
-        if record is file and self.targets.get(folder / there) == file:
-            return there  # of another part of the same record
+        is_inside = file.is_relative_to(source) and ".." not in file.parts
+        relative_name = name if is_inside else file.name
+        if is_inside and Path(name).is_absolute():
+            relative_name = file.relative_to(source).as_posix()
+        if record is file and self.targets.get(folder / relative_name) == file:
+            return relative_name  # of another part of the same record
         taken = [target.relative_to(folder).as_posix() for target in self.targets]
-        if there.lower() in map(str.lower, taken):
-            there = record_name(owner, file.suffix, taken)
-        self.targets[folder / there] = record
-        return there
+        if relative_name.lower() in map(str.lower, taken):
+            relative_name = record_name(owner, file.suffix, taken)
+        self.targets[folder / relative_name] = record
+        return relative_name
 
-    def run_placed(self, run: Any) -> Any:
+    def relocate_run(self, run: Any) -> Any:
         """Note where a run's files go, and return the run as it names them there."""
         if "record" not in run:
             return run
         # A run that is left out need not have a name.
-        name, now = str(run.get("name", "run")), dict(run)
-        now["record"] = self.placed(run["record"], name)
+        name, relocated = str(run.get("name", "run")), dict(run)
+        relocated["record"] = self.target_name(run["record"], name)
         if "continued_in" in run:
-            now["continued_in"] = [self.placed(file, name) for file in run["continued_in"]]
+            relocated["continued_in"] = [
+                self.target_name(file, name) for file in run["continued_in"]
+            ]
         if "pulses" in run:
-            now["pulses"] = self.placed(run["pulses"], name)
-        return now
+            relocated["pulses"] = self.target_name(run["pulses"], name)
+        return relocated
 
 
 def _refuse_overwriting(targets: list[Path], campaign: Campaign, *, overwrite: bool) -> None:

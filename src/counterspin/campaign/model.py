@@ -7,9 +7,8 @@ from functools import cached_property
 from typing import Any, Final
 
 from counterspin.arrays import Array
-from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.documents import KeyPath, flat_keys
-from counterspin.campaign.kinds import exact
+from counterspin.campaign.documents import KeyPath, flatten_keys
+from counterspin.campaign.field_types import exact
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.settings import CentrifugeSettings, ModelSettings
@@ -21,6 +20,7 @@ from counterspin.campaign.terms import (
     rows_of,
     symbols_shown,
 )
+from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.grades import DEFAULT_GRADE, GRADES
@@ -44,7 +44,7 @@ _TERMS_AT_REST: Final = ("K_F", "K_I")
 TERMS_ON_A_MACHINE: Final = (*_TERMS_AT_REST, "K_II")
 
 #: In ``assume``: whatever is not stated.
-EVERYTHING: Final = "all"
+ALL_TERMS: Final = "all"
 
 #: Fewest poses by which angles between axes are asked for: they are three of nine unknowns.
 _POSES_FOR_ANGLES: Final = 9
@@ -83,12 +83,12 @@ class ErrorModel:
         names = (name.removesuffix("*").removesuffix(".") for name in self.assume)
         symbols = (symbol, same_for_all(symbol))
         return any(
-            name in ("", EVERYTHING, *symbols) or symbol.startswith(f"{name}.") for name in names
+            name in ("", ALL_TERMS, *symbols) or symbol.startswith(f"{name}.") for name in names
         )
 
 
 @frozen(eq=False)
-class Apparatus:
+class MeasurementSetup:
     """The recorded or read apparatus of a campaign, on which its terms act."""
 
     mountings: Mapping[str, Mounting]  #: Accelerometer -> its axes while the platform is level.
@@ -99,73 +99,85 @@ class Apparatus:
     #: The machine, if there is one; its stretch, droop and tilt are priors.
     centrifuge: CentrifugeSettings | None
     setting: Quantity | None  #: Error of setting a position, where one is stated.
-    whole: bool = True  #: Whether there are no other readings, with mistakes in them.
+    is_complete: bool = True  #: Whether there are no other readings, with mistakes in them.
 
     @property
-    def read(self) -> bool:
+    def has_readings(self) -> bool:
         """True if there are readings, at known attitudes or unknown ones."""
-        return bool(self.readings or self.poses or not self.whole)
+        return bool(self.readings or self.poses or not self.is_complete)
 
     @cached_property
-    def shown(self) -> tuple[str, ...]:
+    def observable_terms(self) -> tuple[str, ...]:
         """Terms of the machine and slopes that the readings show; none without readings."""
-        shown = symbols_shown(self.readings, recorded=bool(self.attitudes)) if self.read else ()
+        terms = (
+            symbols_shown(self.readings, recorded=bool(self.attitudes)) if self.has_readings else ()
+        )
         if not self.poses:
-            return shown
+            return terms
         # Of a pose only what its accelerometers themselves do is seen.
-        slopes = (s for s, row in CONDITION_TERMS.items() if row.effect.condition != "force")
-        return tuple(dict.fromkeys([*shown, *slopes]))
+        slopes = (
+            symbol for symbol, row in CONDITION_TERMS.items() if row.effect.condition != "force"
+        )
+        return tuple(dict.fromkeys([*terms, *slopes]))
 
     @property
     def usual_terms(self) -> tuple[str, ...]:
         """The requested terms if [model] names none."""
         motions = {reading.motion for reading in self.readings}
-        if not self.read or self.attitudes or "counter-rotating" in motions:
+        if not self.has_readings or self.attitudes or "counter-rotating" in motions:
             return DEFAULT_TERMS
         terms = _TERMS_AT_REST if motions <= {"static"} else TERMS_ON_A_MACHINE
         if self.poses >= _POSES_FOR_ANGLES:
             return (*terms, "delta_O", "delta_P")
         return (*terms, *self._misalignments(len(terms)))
 
-    def _misalignments(self, beside: int) -> list[str]:
+    def _misalignments(self, term_count: int) -> list[str]:
         """Return the misalignments that positions at rest show, if there are readings for them.
 
         An instrument is never on its fixture without any: left out they would be a lack of fit.
         """
-        shown: list[str] = []
+        symbols: list[str] = []
         for symbol, axis in (("delta_O", 1), ("delta_P", 2)):
             at_rest = (r for r in self.readings if r.motion == "static")
-            along = {round(reading.axes.matrix[axis][2], 6) for reading in at_rest}
-            if len(along) > 1 and len(self.readings) > beside + len(shown) + 1:
-                shown.append(symbol)
-        return shown
+            axis_components = {round(reading.axes.matrix[axis][2], 6) for reading in at_rest}
+            if len(axis_components) > 1 and len(self.readings) > term_count + len(symbols) + 1:
+                symbols.append(symbol)
+        return symbols
 
-    def stated(self, asked: Iterable[str]) -> dict[str, Quantity]:
+    def setup_priors(self, requested: Iterable[str]) -> dict[str, Quantity]:
         """Return the terms that [fixture] and [centrifuge] state, as deviations, SI.
 
         asked: Symbols that are requested or held: the prior of a mounting's own radius includes the
             centrifuge's.
         """
-        known = dict.fromkeys(expand(POSITION, self.shown), self.setting) if self.setting else {}
+        priors = (
+            dict.fromkeys(expand(POSITION, self.observable_terms), self.setting)
+            if self.setting
+            else {}
+        )
         machine = self.centrifuge
         if machine is None:
-            return known
-        known |= {} if machine.stretch is None else {"centrifuge.stretch": machine.stretch}
+            return priors
+        priors |= {} if machine.stretch is None else {"centrifuge.stretch": machine.stretch}
         if machine.axis_tilt is not None:
             axes = ("centrifuge.axis_tilt.east", "centrifuge.axis_tilt.north")
-            known |= dict.fromkeys(axes, machine.axis_tilt)
-        if machine.droop is not None and self.read:
-            known["centrifuge.droop"] = machine.droop
-        if u := machine.radius.u:
-            own = [s for s in self.shown if s.startswith("centrifuge.radius.") and s in set(asked)]
-            known |= dict.fromkeys(own, Quantity(0.0, u, "m"))
-        return known
+            priors |= dict.fromkeys(axes, machine.axis_tilt)
+        if machine.droop is not None and self.has_readings:
+            priors["centrifuge.droop"] = machine.droop
+        if u_radius := machine.radius.u:
+            radius_symbols = [
+                symbol
+                for symbol in self.observable_terms
+                if symbol.startswith("centrifuge.radius.") and symbol in set(requested)
+            ]
+            priors |= dict.fromkeys(radius_symbols, Quantity(0.0, u_radius, "m"))
+        return priors
 
 
 def resolve_model(
     settings: ModelSettings,
-    given: Mapping[str, Mapping[str, Quantity]],
-    on: Apparatus,
+    stated_priors: Mapping[str, Mapping[str, Quantity]],
+    setup: MeasurementSetup,
     problems: Problems,
     gravity: float | None,
 ) -> tuple[ErrorModel, dict[str, dict[str, Quantity]]]:
@@ -174,63 +186,69 @@ def resolve_model(
     given: Accelerometer -> term symbol -> prior from the accelerometer's own table.
     gravity: The site's gravity, m/s^2.
     """
-    asked = on.usual_terms if settings.terms is None else settings.terms
-    terms = _listed(asked, "terms", on, problems)
+    names_of_terms = setup.usual_terms if settings.terms is None else settings.terms
+    terms = _resolve_names(names_of_terms, "terms", setup, problems)
     key, names = settings.held
     if settings.hold and settings.considered:
         problems.add(("model", "considered"), "is the old name of hold; keep hold alone")
-    held = _listed(names, key, on, problems)
-    for symbol in held:
+    considered = _resolve_names(names, key, setup, problems)
+    for symbol in considered:
         if symbol in terms:
             problems.add(("model", key), f'"{symbol}" is in model.terms too; keep one')
     if not any(symbol in TERMS for symbol in terms):
         problems.add(("model", "terms"), "contains no accelerometer term to estimate")
-    shared, own = _resolve_priors(settings.priors, given, on, problems, gravity)
-    of_machine = on.stated((*terms, *held))
-    for symbol in shared.keys() & of_machine.keys() if not on.read else ():
+    shared, accelerometer_priors = _resolve_priors(
+        settings.priors, stated_priors, setup, problems, gravity
+    )
+    setup_priors = setup.setup_priors((*terms, *considered))
+    for symbol in shared.keys() & setup_priors.keys() if not setup.has_readings else ():
         problems.add(("model", "priors", symbol), "is given in [centrifuge] too; keep one")
-    shared = of_machine | shared
-    for symbol, lacking in _without_prior(held, shared, own):
+    shared = setup_priors | shared
+    for symbol, missing in _missing_priors(considered, shared, accelerometer_priors):
         problems.add(
             ("model", key),
-            f'"{symbol}" is held, but there is no prior for {lacking}; '
+            f'"{symbol}" is held, but there is no prior for {missing}; '
             f'add "{symbol}" = "VALUE ± U {term(symbol).unit}" to [model.priors]',
         )
-    for symbol in (*terms, *held, *shared):
-        if accelerometer_of(symbol) and same_for_all(symbol) in {*terms, *held, *shared}:
-            said = f'"{same_for_all(symbol)}" is for all accelerometers; "{symbol}" is given too'
-            problems.add(("model",), f"{said}; keep one")
+    for symbol in (*terms, *considered, *shared):
+        if accelerometer_of(symbol) and same_for_all(symbol) in {*terms, *considered, *shared}:
+            message = f'"{same_for_all(symbol)}" is for all accelerometers; "{symbol}" is given too'
+            problems.add(("model",), f"{message}; keep one")
             break
     limits = _resolve_sizes("limits", settings.limits, problems, gravity)
     typical = _resolve_sizes("typical", settings.typical, problems, gravity)
-    assume = _assumed(settings.assume, problems)
+    assume = _resolve_assumed(settings.assume, problems)
     for place, name in enumerate(assume):
-        if name in (*names, *held):
+        if name in (*names, *considered):
             problems.add(("model", "assume", place), f'"{name}" is in model.{key} too; keep one')
     named = settings.terms is not None
-    return ErrorModel(terms, held, shared, limits, typical, assume, on.setting, named), own
+    return ErrorModel(
+        terms, considered, shared, limits, typical, assume, setup.setting, named
+    ), accelerometer_priors
 
 
-def _assumed(names: Sequence[str], problems: Problems) -> tuple[str, ...]:
+def _resolve_assumed(names: Sequence[str], problems: Problems) -> tuple[str, ...]:
     """Return the terms taken as perfect; each name is a term or a family of terms."""
-    parts = (s.split(".")[:n] for s in TABLE for n in range(1, s.count(".") + 2))
-    families = dict.fromkeys(".".join(part) for part in parts)
+    prefixes = (symbol.split(".")[:n] for symbol in TABLE for n in range(1, symbol.count(".") + 2))
+    families = dict.fromkeys(".".join(prefix) for prefix in prefixes)
     for place, name in enumerate(names):
         bare = name.removesuffix("*").removesuffix(".")
-        if bare not in ("", EVERYTHING) and bare not in families and not is_term(bare):
-            known = [EVERYTHING, *TABLE, *families]
-            message = f'unknown term "{name}"' + did_you_mean(bare, known)
+        if bare not in ("", ALL_TERMS) and bare not in families and not is_term(bare):
+            known = [ALL_TERMS, *TABLE, *families]
+            message = f'unknown term "{name}"' + suggest_name(bare, known)
             problems.add(("model", "assume", place), message)
     return tuple(names)
 
 
-def _listed(names: Iterable[str], key: str, on: Apparatus, problems: Problems) -> tuple[str, ...]:
+def _resolve_names(
+    names: Iterable[str], key: str, setup: MeasurementSetup, problems: Problems
+) -> tuple[str, ...]:
     """Return the symbols of a list of names."""
     symbols: dict[str, None] = {}
     for index, name in enumerate(names):
         path = ("model", key, index)
-        found = _symbols(name, path, on, problems)
-        if found and set(found) <= set(symbols):
+        resolved = _resolve_symbols(name, path, setup, problems)
+        if resolved and set(resolved) <= set(symbols):
             problems.add(path, f'"{name}" is listed twice')
         row = CONDITION_TERMS.get(name)
         if key == "terms" and row is not None and row.effect.condition == "force":
@@ -239,14 +257,16 @@ def _listed(names: Iterable[str], key: str, on: Apparatus, problems: Problems) -
                 f'"{name}" cannot be separated from K_II; state what is known of it in '
                 f"[model.priors]",
             )
-        symbols |= dict.fromkeys(found)
+        symbols |= dict.fromkeys(resolved)
     return tuple(symbols)
 
 
-def _symbols(name: str, path: KeyPath, on: Apparatus, problems: Problems) -> tuple[str, ...]:
+def _resolve_symbols(
+    name: str, path: KeyPath, setup: MeasurementSetup, problems: Problems
+) -> tuple[str, ...]:
     """Return the symbols of a name in a list."""
-    if on.read and of_readings(name):
-        return _read(name, path, on, problems)
+    if setup.has_readings and of_readings(name):
+        return _observable_symbols(name, path, setup, problems)
     if (
         name in ACCELEROMETER_TERMS
         or name in SHARED_TERMS
@@ -254,10 +274,10 @@ def _symbols(name: str, path: KeyPath, on: Apparatus, problems: Problems) -> tup
     ):
         return (name,)
     if name not in BARE_NAMES:
-        _unknown(name, path, problems)
+        _report_unknown(name, path, problems)
         return ()
-    symbols = tuple(row.symbol for row in rows_of(name, on.mountings.values(), on.attitudes))
-    if not symbols and on.mountings and on.attitudes:
+    symbols = tuple(row.symbol for row in rows_of(name, setup.mountings.values(), setup.attitudes))
+    if not symbols and setup.mountings and setup.attitudes:
         problems.add(
             path,
             f'no component of "{name}" acts on these accelerometers to first order; '
@@ -266,27 +286,31 @@ def _symbols(name: str, path: KeyPath, on: Apparatus, problems: Problems) -> tup
     return symbols
 
 
-def _read(name: str, path: KeyPath, on: Apparatus, problems: Problems) -> tuple[str, ...]:
+def _observable_symbols(
+    name: str, path: KeyPath, setup: MeasurementSetup, problems: Problems
+) -> tuple[str, ...]:
     """Expand a name of the machine, or of a slope, to the terms that readings show."""
-    found = expand(name, on.shown)
-    if not found and on.whole:
-        problems.add(path, f'no reading depends on "{name}"' + did_you_mean(name, on.shown))
-    return found if name in found else _without_doubles(found)
+    expanded = expand(name, setup.observable_terms)
+    if not expanded and setup.is_complete:
+        problems.add(
+            path, f'no reading depends on "{name}"' + suggest_name(name, setup.observable_terms)
+        )
+    return expanded if name in expanded else _remove_duplicates(expanded)
 
 
-def _without_doubles(symbols: Sequence[str]) -> tuple[str, ...]:
+def _remove_duplicates(symbols: Sequence[str]) -> tuple[str, ...]:
     """Return the terms of a family with one radius for each mounting and accelerometer.
 
     With several accelerometers each has a radius; with one, the mounting has it.
     """
-    several = len({owner for symbol in symbols if (owner := accelerometer_of(symbol))}) > 1
-    doubled = {same_for_all(symbol) for symbol in symbols if accelerometer_of(symbol)}
-    return tuple(s for s in symbols if not (s in doubled if several else accelerometer_of(s)))
+    has_several = len({owner for symbol in symbols if (owner := accelerometer_of(symbol))}) > 1
+    common = {same_for_all(symbol) for symbol in symbols if accelerometer_of(symbol)}
+    return tuple(s for s in symbols if not (s in common if has_several else accelerometer_of(s)))
 
 
-def _unknown(name: str, path: KeyPath, problems: Problems) -> None:
+def _report_unknown(name: str, path: KeyPath, problems: Problems) -> None:
     known = [*ACCELEROMETER_TERMS, *BARE_NAMES, *SHARED_TERMS]
-    hint = did_you_mean(name, known)
+    hint = suggest_name(name, known)
     if "known:" in hint:
         hint = f"; known: {', '.join([*ACCELEROMETER_TERMS, *BARE_NAMES])}"
     problems.add(path, f'unknown term "{name}"' + hint)
@@ -299,51 +323,55 @@ def _widest_first(names: Iterable[str]) -> list[str]:
 
 def _resolve_priors(
     raw: Mapping[str, Any],
-    given: Mapping[str, Mapping[str, Quantity]],
-    on: Apparatus,
+    stated_priors: Mapping[str, Mapping[str, Quantity]],
+    setup: MeasurementSetup,
     problems: Problems,
     gravity: float | None,
 ) -> tuple[dict[str, Quantity], dict[str, dict[str, Quantity]]]:
     """Return priors that all share, and each accelerometer's; a narrower name overrides a wider."""
     shared: dict[str, Quantity] = {}
-    merged = {name: dict(priors) for name, priors in given.items()}
-    flat = flat_keys(raw)
+    merged = {name: dict(priors) for name, priors in stated_priors.items()}
+    flat = flatten_keys(raw)
     for key in _widest_first(flat):
         path = ("model", "priors", key)
-        owner, _, last = key.partition(".")
+        owner, _, symbol_part = key.partition(".")
         owners: Sequence[str] = ()
         symbols: Sequence[str] = (key,)
-        if read := on.read and of_readings(key):
-            symbols = _read(key, path, on, problems)
-        elif owner in given and last in ACCELEROMETER_TERMS:
-            symbols, owners = (last,), (owner,)
+        if read := setup.has_readings and of_readings(key):
+            symbols = _observable_symbols(key, path, setup, problems)
+        elif owner in stated_priors and symbol_part in ACCELEROMETER_TERMS:
+            symbols, owners = (symbol_part,), (owner,)
         elif key in ACCELEROMETER_TERMS:
-            last, owners = key, [name for name in given if f"{name}.{key}" not in flat]
+            symbol_part, owners = (
+                key,
+                [name for name in stated_priors if f"{name}.{key}" not in flat],
+            )
         elif key in BARE_NAMES:
             symbols = [row.symbol for row in BARE_NAMES[key]]
         elif key not in SHARED_TERMS:
-            _unknown(key, path, problems)
+            _report_unknown(key, path, problems)
             continue
         if not symbols:
             continue
-        prior = problems.attempt(path, parse, flat[key], term(symbols[0]).unit, gravity=gravity)
+        prior = problems.collect(path, parse, flat[key], term(symbols[0]).unit, gravity=gravity)
         if prior is None:
             continue
-        of_owners = (on.grades.get(name, DEFAULT_GRADE) for name in owners)
-        worst = max(of_owners, key=GRADES.index, default=DEFAULT_GRADE)
-        problems.attempt(path, about_nominal, symbols[0], prior, worst)
+        grades = (setup.grades.get(name, DEFAULT_GRADE) for name in owners)
+        widest_grade = max(grades, key=GRADES.index, default=DEFAULT_GRADE)
+        problems.collect(path, check_near_nominal, symbols[0], prior, widest_grade)
         if read or symbols[0] not in ACCELEROMETER_TERMS:
-            shared |= {symbol: less_nominal(symbol, prior, on.centrifuge) for symbol in symbols}
+            shared |= {symbol: as_deviation(symbol, prior, setup.centrifuge) for symbol in symbols}
         for name in owners:
-            if last in given[name]:
+            if symbol_part in stated_priors[name]:
                 problems.add(
-                    path, f"a prior of {last} is given in accelerometers.{name} too; keep one"
+                    path,
+                    f"a prior of {symbol_part} is given in accelerometers.{name} too; keep one",
                 )
-            merged[name][last] = prior
+            merged[name][symbol_part] = prior
     return shared, merged
 
 
-def less_nominal(symbol: str, prior: Quantity, centrifuge: CentrifugeSettings | None) -> Quantity:
+def as_deviation(symbol: str, prior: Quantity, centrifuge: CentrifugeSettings | None) -> Quantity:
     """Return a prior as a deviation: a radius may be given as such, or as its deviation."""
     if not symbol.startswith("centrifuge.radius.") or centrifuge is None:
         return prior
@@ -352,7 +380,7 @@ def less_nominal(symbol: str, prior: Quantity, centrifuge: CentrifugeSettings | 
     return Quantity(value, prior.u, prior.unit)
 
 
-def about_nominal(symbol: str, prior: Quantity, grade: str = DEFAULT_GRADE) -> Quantity:
+def check_near_nominal(symbol: str, prior: Quantity, grade: str = DEFAULT_GRADE) -> Quantity:
     """Return a prior that is credible: a scale factor is given as its value, about 1."""
     row = term(symbol)
     if row.nominal and abs(prior.value - row.nominal) > row.sizes(grade).limit:
@@ -363,18 +391,18 @@ def about_nominal(symbol: str, prior: Quantity, grade: str = DEFAULT_GRADE) -> Q
     return prior
 
 
-def _without_prior(
-    held: Iterable[str],
+def _missing_priors(
+    considered: Iterable[str],
     shared: Mapping[str, Quantity],
-    own: Mapping[str, Mapping[str, Quantity]],
+    accelerometer_priors: Mapping[str, Mapping[str, Quantity]],
 ) -> Iterator[tuple[str, str]]:
     """Yield symbols of which nothing is known, and of whom."""
-    for symbol in held:
+    for symbol in considered:
         if symbol in INPUTS or symbol in shared:
             continue
-        lacking = [name for name, priors in own.items() if symbol not in priors]
-        if symbol not in ACCELEROMETER_TERMS or lacking:
-            yield symbol, ", ".join(lacking) if symbol in ACCELEROMETER_TERMS else "the machine"
+        missing = [name for name, priors in accelerometer_priors.items() if symbol not in priors]
+        if symbol not in ACCELEROMETER_TERMS or missing:
+            yield symbol, ", ".join(missing) if symbol in ACCELEROMETER_TERMS else "the machine"
 
 
 def _resolve_sizes(
@@ -382,14 +410,14 @@ def _resolve_sizes(
 ) -> dict[str, float]:
     """Return the largest credible sizes (``limits``) or ``typical`` ones that are stated."""
     sizes: dict[str, float] = {}
-    flat = flat_keys(raw)
+    flat = flatten_keys(raw)
     for key in _widest_first(flat):
         path = ("model", kind, key)
         symbols = [row.symbol for row in BARE_NAMES.get(key, ())] or [key]
         if not is_term(symbols[0]):
-            _unknown(key, path, problems)
+            _report_unknown(key, path, problems)
             continue
-        size = problems.attempt(path, exact, flat[key], term(symbols[0]).unit, gravity)
+        size = problems.collect(path, exact, flat[key], term(symbols[0]).unit, gravity)
         if size is not None and size <= 0.0:
             problems.add(path, "must be greater than zero")
         elif size is not None:

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.campaign.checking import did_you_mean
+from counterspin.campaign.validation import suggest_name
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import DIRECTIONS, direction
 from counterspin.units import advice, unit_factor
@@ -208,7 +208,7 @@ def read_direction(value: object) -> tuple[float, float, float]:
     """Return the unit vector in east-north-up."""
     if isinstance(value, str):
         if value not in DIRECTIONS:
-            raise ValueError(f'unknown direction "{value}"' + did_you_mean(value, DIRECTIONS))
+            raise ValueError(f'unknown direction "{value}"' + suggest_name(value, DIRECTIONS))
         return DIRECTIONS[value]
     numbers = isinstance(value, list) and all(
         isinstance(c, int | float) and not isinstance(c, bool) for c in value

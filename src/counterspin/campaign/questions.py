@@ -104,9 +104,9 @@ def _own_velocity(campaign: Campaign) -> Iterator[Question]:
             for name, a in campaign.accelerometers.items()
         }
         away = unseen(list(axes.values()))
-        for name, one in axes.items():
-            if one.observable in NAVIGATED:
-                coupled = float(np.linalg.norm(one.input_axis @ turn @ away))
+        for name, axis_component in axes.items():
+            if axis_component.observable in NAVIGATED:
+                coupled = float(np.linalg.norm(axis_component.input_axis @ turn @ away))
                 lacking[name] = max(coupled, lacking.get(name, 0.0))
     if not lacking:
         yield Question(

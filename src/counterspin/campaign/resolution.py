@@ -12,17 +12,16 @@ from counterspin.campaign.accelerometers import (
     AccelerometerKeys,
     AccelerometersReader,
 )
-from counterspin.campaign.checking import Problems, Section
-from counterspin.campaign.checks import note_mistakes
 from counterspin.campaign.columns import Recording, RecordsSettings
+from counterspin.campaign.consistency_checks import run_checks
 from counterspin.campaign.documents import (
     KeyPath,
     list_of,
     table_of,
 )
-from counterspin.campaign.kinds import Schema, SettingsSection, described
+from counterspin.campaign.field_types import Schema, SettingsSection, key_field
 from counterspin.campaign.model import (
-    Apparatus,
+    MeasurementSetup,
     resolve_model,
 )
 from counterspin.campaign.quantity import Quantity
@@ -43,6 +42,7 @@ from counterspin.campaign.settings import (
     NoiseSettings,
     SiteSettings,
 )
+from counterspin.campaign.validation import Problems, Section
 from counterspin.loading import is_installed, load_name
 from counterspin.physics.motion import Site
 from counterspin.records.record import ColumnSpec
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 
 #: Of a campaign without records.
-NOT_RECORDED: Final = Recording(ColumnSpec("", unit="s"), None)
+NO_RECORDS: Final = Recording(ColumnSpec("", unit="s"), None)
 
 #: Tables of accelerometers, by name.
 Accelerometers = Annotated[
@@ -77,55 +77,55 @@ _TRUTH: Final = "counterspin.campaign.truth:TruthSettings"
 class CampaignDocument(SettingsSection):
     """All tables; a key that is not here is a mistake."""
 
-    schema_version: Schema = described("version of this format", 1, kind="number", alias="schema")
-    campaign: Annotated[dict[str, Any], Section(CampaignSettings)] = described(
+    schema_version: Schema = key_field("version of this format", 1, kind="number", alias="schema")
+    campaign: Annotated[dict[str, Any], Section(CampaignSettings)] = key_field(
         "[what a report says](#campaign)", {}, {}
     )
-    site: Annotated[dict[str, Any], Section(SiteSettings)] = described("[where](#site)", {})
-    centrifuge: Annotated[dict[str, Any] | None, Section(CentrifugeSettings)] = described(
+    site: Annotated[dict[str, Any], Section(SiteSettings)] = key_field("[where](#site)", {})
+    centrifuge: Annotated[dict[str, Any] | None, Section(CentrifugeSettings)] = key_field(
         "[its size](#centrifuge); required unless all is [read or recorded at rest](readings.md)",
         {},
         None,
     )
-    fixture: Annotated[dict[str, Any] | None, Section(FixtureSettings)] = described(
+    fixture: Annotated[dict[str, Any] | None, Section(FixtureSettings)] = key_field(
         "[how well positions are set](#fixture)", {}, None
     )
-    triad: Annotated[dict[str, Any] | None, Section(_TRIAD)] = described(
+    triad: Annotated[dict[str, Any] | None, Section(_TRIAD)] = key_field(
         "[three accelerometers of one sensor](triads.md)", {}, None
     )
-    records: Annotated[dict[str, Any] | None, Section(RecordsSettings)] = described(
+    records: Annotated[dict[str, Any] | None, Section(RecordsSettings)] = key_field(
         "[how to read the files](#records); required where a run has a record", {}, None
     )
-    accelerometers: Accelerometers = described(
+    accelerometers: Accelerometers = key_field(
         "[one for each accelerometer](#accelerometersname)",
         {"Qx": {"input_axis": "east", "pendulous_axis": "down"}},
         kind="tables",
     )
-    noise: Annotated[dict[str, Any] | None, Section(NoiseSettings)] = described(
+    noise: Annotated[dict[str, Any] | None, Section(NoiseSettings)] = key_field(
         "[noise of the records](#noise)", {}, None, absent="estimated"
     )
-    model: Annotated[dict[str, Any] | None, Section(ModelSettings)] = described(
+    model: Annotated[dict[str, Any] | None, Section(ModelSettings)] = key_field(
         "[what is asked for, and what is known](#model)", {}, None, absent="the paper's terms"
     )
-    readings: Annotated[dict[str, Any] | None, Section(_READINGS)] = described(
+    readings: Annotated[dict[str, Any] | None, Section(_READINGS)] = key_field(
         "[a table of single values](readings.md)", {}, None
     )
-    runs: Runs = described(
+    runs: Runs = key_field(
         "[one for each run](#runs), or [reading](readings.md)",
         [{"name": "run1", "rate": "0.25 rev/s", "record": "run1.csv"}],
         [],
         kind="list of tables",
     )
-    specification: Annotated[dict[str, Any] | None, Section(_SPECIFICATION)] = described(
+    specification: Annotated[dict[str, Any] | None, Section(_SPECIFICATION)] = key_field(
         "[limits that coefficients shall meet](#specification)", {}, None
     )
-    simulation: Annotated[dict[str, Any] | None, Section(_SIMULATION)] = described(
+    simulation: Annotated[dict[str, Any] | None, Section(_SIMULATION)] = key_field(
         "[sampling, for `simulate`](#simulation)", {}, None
     )
-    truth: Annotated[dict[str, Any] | None, Section(_TRUTH)] = described(
+    truth: Annotated[dict[str, Any] | None, Section(_TRUTH)] = key_field(
         "[true values, for `simulate`](#truth)", {}, None
     )
-    study: dict[str, Any] | None = described(
+    study: dict[str, Any] | None = key_field(
         "[what varies and what competes, for `study`](study.md)", {}, None
     )
 
@@ -183,13 +183,13 @@ class DescriptionReader:
         placed = parts["runs"] = resolve_runs(
             listed, folder, table_of(raw, "records"), turns, problems
         )
-        common = records.recording if records else NOT_RECORDED
+        common = records.recording if records else NO_RECORDS
         given = self.accelerometers.own_priors
         read = self._read_readings(turns, has_records=bool(placed))
         readings = parts["right_readings"] = read.readings
         priors = given
         if settings is not None:
-            apparatus = Apparatus(
+            apparatus = MeasurementSetup(
                 self.accelerometers.mountings,
                 self.accelerometers.grades,
                 [run.attitude for run in placed.values()],
@@ -207,7 +207,7 @@ class DescriptionReader:
         specifications = self._specifications()
         accelerometers = self.accelerometers.accelerometers(observables, priors)
         parts["accelerometers"] = accelerometers
-        note_mistakes(parts, problems)
+        run_checks(parts, problems)
         if problems.lines:
             return None
         # No problem noted: every section is there.

@@ -11,27 +11,27 @@ from typing import Annotated, Any, Final
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr
 
 from counterspin.arrays import Array
-from counterspin.campaign.checking import Problems, Section
 from counterspin.campaign.columns import Recording, RecordsSettings
-from counterspin.campaign.documents import KeyPath, patched
-from counterspin.campaign.kinds import (
+from counterspin.campaign.documents import KeyPath, merge_patch
+from counterspin.campaign.field_types import (
+    AttitudeField,
     Contradiction,
+    ParsedQuantity,
     PositiveRatio,
-    ReadAlready,
     RecordFile,
     Seconds,
     SettingsSection,
-    Stand,
     Temperatures,
     Text,
-    described,
     extra_of,
-    known,
+    key_field,
     positive,
     read_exactly,
-    with_units,
+    require_units,
+    uncertain_quantity,
 )
 from counterspin.campaign.quantity import UNKNOWN, Quantity, of_platform, read_attitude
+from counterspin.campaign.validation import Problems, Section
 from counterspin.loading import load_name
 from counterspin.physics.terms import MotionKind
 from counterspin.records.dialect import Dialect
@@ -63,20 +63,20 @@ def sample_count(duration: float, sampling_rate: float) -> int:
 
 
 #: What was read, as it is written; a number of a table has its unit already.
-_Read = Text | ReadAlready
+_Read = Text | ParsedQuantity
 #: A reading, or repeats of one at the same setting.
 Written = _Read | Annotated[list[_Read], Field(min_length=1)]
 #: That of the one accelerometer there is, or of several by name.
-OfEach = Annotated[Written | dict[str, Written], BeforeValidator(with_units)]
+OfEach = Annotated[Written | dict[str, Written], BeforeValidator(require_units)]
 
 
 class ReadingAxes(SettingsSection):
     """``axes`` of a reading: where input and pendulous axis point in the frame of its motion."""
 
-    input: Text | list[float] = described(
+    input: Text | list[float] = key_field(
         "in which the input axis points in the frame of the motion", "inward", kind="direction"
     )
-    pendulous: Text | list[float] = described(
+    pendulous: Text | list[float] = key_field(
         "in which the pendulous axis points", "up", kind="direction"
     )
 
@@ -84,11 +84,11 @@ class ReadingAxes(SettingsSection):
 class PosesSettings(SettingsSection):
     """``poses`` of a record at rest: how they are found in it."""
 
-    rest: Seconds = described("shortest rest that is a pose", "1.5 s", 1.5, absent="1.5 s")
-    threshold: Annotated[float, read_exactly("m/s^2"), AfterValidator(positive)] | None = described(
+    rest: Seconds = key_field("shortest rest that is a pose", "1.5 s", 1.5, absent="1.5 s")
+    threshold: Annotated[float, read_exactly("m/s^2"), AfterValidator(positive)] | None = key_field(
         "scatter below which the sensor rests", "0.05 m/s^2", None, absent="found in the record"
     )
-    u: Annotated[float, read_exactly("m/s^2"), AfterValidator(positive)] | None = described(
+    u: Annotated[float, read_exactly("m/s^2"), AfterValidator(positive)] | None = key_field(
         "standard uncertainty of each axis in a pose, what its rest does not show included; "
         "needed for nine poses or fewer",
         "0.01 m/s^2",
@@ -104,12 +104,12 @@ _OF_READING: Final = "counterspin.readings.entries:contradictions"
 class Run(SettingsSection):
     """[[runs]]: one run at constant nominal rate, or at rest: its record, or what was read."""
 
-    name: Text = described("unique", "run1")
-    skip: bool = described("leaves the run out, and the result says so", True, False)
-    motion: MotionKind = described(
-        "how the instrument moves", "static", "counter-rotating", of=READINGS
+    name: Text = key_field("unique", "run1")
+    skip: bool = key_field("leaves the run out, and the result says so", True, False)
+    motion: MotionKind = key_field(
+        "how the instrument moves", "static", "counter-rotating", applies_to=READINGS
     )
-    stated_rate: Annotated[Quantity, known("rad/s")] = described(
+    stated_rate: Annotated[Quantity, uncertain_quantity("rad/s")] = key_field(
         "nominal rate; negative is the other sense; none at rest; `±` of a reading, or of an arm "
         "run without a recorded angle: its random standard uncertainty",
         "0.25 rev/s",
@@ -117,7 +117,7 @@ class Run(SettingsSection):
         absent="none",
         alias="rate",
     )
-    file: RecordFile | None = described(
+    file: RecordFile | None = key_field(
         f"file, from the campaign's folder: {', '.join(RECORD_FORMATS)}; of a run at rest or on an "
         "arm its mean over whole revolutions is the reading, its noise the uncertainty",
         "run1.csv",
@@ -125,16 +125,16 @@ class Run(SettingsSection):
         absent="`reading`",
         alias="record",
     )
-    reading: OfEach | None = described(
+    reading: OfEach | None = key_field(
         "in place of a `record`: value with its unit; `±` where its standard uncertainty is known; "
         "a list of them: repeats at one setting, whose mean counts and whose scatter tells the "
         "noise",
         "1.082532 ± 2e-6 mA",
         None,
         absent="`record`",
-        of=READINGS,
+        applies_to=READINGS,
     )
-    stand: Stand = described(
+    stand: AttitudeField = key_field(
         "of the platform in this run; of a reading with `±` for the head, or `unknown` for a pose "
         "of a triad; at rest there must be this or `axes`",
         "90 deg about east",
@@ -143,40 +143,40 @@ class Run(SettingsSection):
         alias="attitude",
         default_factory=lambda: read_attitude("level"),
     )
-    head: Annotated[float, read_exactly("rad")] | None = described(
+    head: Annotated[float, read_exactly("rad")] | None = key_field(
         "what the dividing head shows, where that is not the angle of the attitude: the instrument "
         "is mounted on it otherwise",
         "120 deg",
         None,
         absent="the angle of the attitude",
-        of=READINGS,
+        applies_to=READINGS,
     )
-    axes: ReadingAxes | None = described(
+    axes: ReadingAxes | None = key_field(
         "`input` and `pendulous` in the frame of the motion, in place of an attitude",
         {"input": "inward", "pendulous": "up"},
         None,
         absent="`attitude`",
-        of=READINGS,
+        applies_to=READINGS,
     )
-    poses: PosesSettings | None = described(
+    poses: PosesSettings | None = key_field(
         "of a `record` whose attitude is `unknown`: how [poses](triads.md) are found in it",
         {"rest": "1.5 s"},
         None,
         absent="rests of 1.5 s",
-        of=READINGS,
+        applies_to=READINGS,
     )
-    mounting: str = described("name of the position on the fixture", "in", "", of=READINGS)
-    duration: Seconds | None = described(
+    mounting: str = key_field("name of the position on the fixture", "in", "", applies_to=READINGS)
+    duration: Seconds | None = key_field(
         "of the record, for [simulate](readings.md#simulating-readings); a finding asks about a "
         "record shorter than nine tenths of that",
         "400 s",
         None,
         absent="by revolutions",
     )
-    revolutions: PositiveRatio | None = described(
+    revolutions: PositiveRatio | None = key_field(
         "for `simulate`, in place of a duration", 100, None, absent="those of `[simulation]`"
     )
-    temperature: Temperatures | None = described(
+    temperature: Temperatures | None = key_field(
         "in this run, for slopes with temperature; or in K. Of a record several count as taken at "
         "even times from its start to its end",
         "23.4 degC",
@@ -184,45 +184,45 @@ class Run(SettingsSection):
         absent="that of its record",
         kind="text, list of text",
     )
-    time: Annotated[float, read_exactly("s")] | None = described(
+    time: Annotated[float, read_exactly("s")] | None = key_field(
         "when the run began, or was read, by any clock, for `K_F.trend`",
         "12 min",
         None,
         absent="after the run before",
     )
-    continued_in: list[RecordFile] = described(
+    continued_in: list[RecordFile] = key_field(
         "further files in which the record goes on, of the same kind",
         ["run1-2.csv", "run1-3.csv"],
         [],
         absent="none",
-        of=RECORDS,
+        applies_to=RECORDS,
     )
-    pulses: RecordFile | None = described(
+    pulses: RecordFile | None = key_field(
         "file with the column of the times of pulses",
         "run1-index.csv",
         None,
         absent="in the record",
-        of=RECORDS,
+        applies_to=RECORDS,
     )
-    records: dict[str, Any] | None = described(
+    records: dict[str, Any] | None = key_field(
         "keys of `[records]` that differ in this run: `time`, `angle`, `temperature`, `recorder`, "
         "`clock` and how the file is written",
         {"decimal": "."},
         None,
         absent="as `[records]`",
-        of=RECORDS,
+        applies_to=RECORDS,
     )
-    start: Annotated[float, read_exactly("s")] | None = described(
+    start: Annotated[float, read_exactly("s")] | None = key_field(
         "from when the record is used, in its own time",
         "12 s",
         None,
         absent="its first row",
-        of=RECORDS,
+        applies_to=RECORDS,
     )
-    stop: Annotated[float, read_exactly("s")] | None = described(
-        "until when", "390 s", None, absent="its last row", of=RECORDS
+    stop: Annotated[float, read_exactly("s")] | None = key_field(
+        "until when", "390 s", None, absent="its last row", applies_to=RECORDS
     )
-    truth: Annotated[dict[str, Any] | None, Section(_TRUTH)] = described(
+    truth: Annotated[dict[str, Any] | None, Section(_TRUTH)] = key_field(
         "for `simulate`: [what differs in this run](campaign.md#truth)",
         {"drift": "2e-6 1/s"},
         None,
@@ -282,17 +282,17 @@ class Run(SettingsSection):
     def contradictions(self) -> Iterator[Contradiction]:
         """Yield what is missing, too much, or contradicts itself."""
         read = self.motion != "counter-rotating" or self.reading is not None
-        foreign = RECORDS if read else READINGS
+        invalid = RECORDS if read else READINGS
         for name, field in type(self).model_fields.items():
-            if name in self.model_fields_set and extra_of(field).get("x-of") == foreign:
-                other = "a record of a double turntable" if read else "a reading"
-                said = f"belongs to a run with {other}; leave it out"
+            if name in self.model_fields_set and extra_of(field).get("x-of") == invalid:
+                other_kind = "a record of a double turntable" if read else "a reading"
+                message = f"belongs to a run with {other_kind}; leave it out"
                 if name == "records" and self.record is not None:
-                    said += (
+                    message += (
                         ". [records] says how all records on the arm and at rest are read: write "
                         "them with the same columns and units"
                     )
-                yield (field.alias or name,), said, "motion", "reading"
+                yield (field.alias or name,), message, "motion", "reading"
         if self.duration is not None and self.revolutions is not None:
             yield ("duration",), "revolutions is given too; keep one"
         yield from load_name(_OF_READING)(self) if read else self._of_record()
@@ -302,8 +302,8 @@ class Run(SettingsSection):
             yield ("record",), "is missing", "motion", "reading"
         if self.rate == 0.0:
             stated = "stated_rate" in self.model_fields_set
-            said = "the centrifuge must turn; the rate is zero" if stated else "is missing"
-            yield ("rate",), said, "motion", "reading"
+            message = "the centrifuge must turn; the rate is zero" if stated else "is missing"
+            yield ("rate",), message, "motion", "reading"
         try:
             of_platform(self.stand)
         except ValueError as error:
@@ -373,29 +373,29 @@ def _completed(
     if run.duration is None and turns is not None and run.rate:
         run = run.model_copy(update={"duration": turns * 2.0 * math.pi / abs(run.rate)})
     if run.records is not None:
-        own = _own_recording(run.records, records, (*path, "records"), problems)
-        run = run.completed(recording=own)
+        recording = _own_recording(run.records, records, (*path, "records"), problems)
+        run = run.with_private(recording=recording)
     return run
 
 
 def _own_recording(
-    own: Mapping[str, Any], common: Mapping[str, Any], path: KeyPath, problems: Problems
+    run_section: Mapping[str, Any], section: Mapping[str, Any], path: KeyPath, problems: Problems
 ) -> Recording | None:
     """Return the recording of a run's record, if it differs from the others.
 
     own, common: The run's `records`, and the section.
     """
-    for key in own:
+    for key in run_section:
         if key not in _OWN:
             problems.add((*path, key), f"cannot be set for one run; known: {', '.join(_OWN)}")
-    if "angle" in own and "angle" not in common:
+    if "angle" in run_section and "angle" not in section:
         problems.add((*path, "angle"), "state an angle in [records], for all runs")
-    settings = problems.check(RecordsSettings, patched(common, own), path)
+    settings = problems.check(RecordsSettings, merge_patch(section, run_section), path)
     if settings is None:
         return None
     recording = settings.recording
-    if recording.recorder == (common.get("recorder") or ""):
-        if "clock" in own:
+    if recording.recorder == (section.get("recorder") or ""):
+        if "clock" in run_section:
             problems.add(
                 (*path, "clock"), 'name the recorder to which it belongs, as in recorder = "B"'
             )
@@ -408,5 +408,5 @@ def recorders_of(records: Mapping[str, Any], runs: Sequence[Run]) -> dict[str, s
 
     records: The section [records], as it stands.
     """
-    own = {run.recording.recorder for run in runs if run.recording} - {""}
-    return {str(records.get("recorder", "")): "", **{name: name for name in sorted(own)}}
+    recorders = {run.recording.recorder for run in runs if run.recording} - {""}
+    return {str(records.get("recorder", "")): "", **{name: name for name in sorted(recorders)}}

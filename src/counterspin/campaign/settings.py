@@ -20,24 +20,24 @@ from pydantic import (
     ValidationInfo,
 )
 
-from counterspin.campaign.kinds import (
+from counterspin.campaign.field_types import (
     DateOrText,
-    Part,
+    Fraction,
     SettingsSection,
-    Several,
     Temperature,
     Text,
-    a_clock,
-    a_latitude,
-    an_error,
-    described,
+    TextList,
+    check_clock_error,
+    check_gravity,
+    check_latitude,
+    check_zero_mean,
     exact,
-    known,
+    key_field,
     noise_size,
-    of_earth,
     positive,
     read_exactly,
     record_file,
+    uncertain_quantity,
 )
 from counterspin.campaign.quantity import Quantity, latitude_text
 from counterspin.physics.terms import Term
@@ -50,79 +50,82 @@ OBSERVABLES: Final = {"displacement": "m", "velocity": "m/s", "specific_force": 
 class CampaignSettings(SettingsSection):
     """[campaign]: what a report says about the campaign; all free text, all optional."""
 
-    title: Text | None = described(
+    title: Text | None = key_field(
         "heading of the report", "Spring campaign", None, absent="the folder's name"
     )
-    serial_number: Text | None = described("of the platform", "A-17", None)
-    date: DateOrText | None = described(
+    serial_number: Text | None = key_field("of the platform", "A-17", None)
+    date: DateOrText | None = key_field(
         "of the campaign", datetime.date(2026, 3, 1), None, kind="date or text"
     )
-    laboratory: Text | None = described("where", "Hall 3", None)
-    mounting: Text | None = described(
+    laboratory: Text | None = key_field("where", "Hall 3", None)
+    mounting: Text | None = key_field(
         "a name for the mounting: another one once the accelerometers were taken off",
         "2026-03 B",
         None,
     )
-    turn_on: Text | None = described(
+    turn_on: Text | None = key_field(
         "a name for the turn-on: another one once they were switched off", "2026-03-01 a", None
     )
-    operator: Text | None = described("who", "N. N.", None)
-    comment: Text | None = described("anything else", "after repair", None)
+    operator: Text | None = key_field("who", "N. N.", None)
+    comment: Text | None = key_field("anything else", "after repair", None)
 
 
 class SiteSettings(SettingsSection):
     """[site]: where the centrifuge stands."""
 
-    gravity: Annotated[Quantity, known("m/s^2"), AfterValidator(of_earth)] = described(
-        "plumb-line gravity; the g of all g-units", "9.8066 ± 1e-5 m/s^2"
+    gravity: Annotated[Quantity, uncertain_quantity("m/s^2"), AfterValidator(check_gravity)] = (
+        key_field("plumb-line gravity; the g of all g-units", "9.8066 ± 1e-5 m/s^2")
     )
     latitude: Annotated[
-        Quantity, known("rad", "deg"), BeforeValidator(latitude_text), AfterValidator(a_latitude)
-    ] = described("for the Earth's rate", "45.75 ± 0.001 deg")
-    removed_gravity: Annotated[float, read_exactly("m/s^2"), AfterValidator(of_earth)] | None = (
-        described(
-            "what the navigation computer takes away of gravity, a fixed number; see below",
-            "9.80665 m/s^2",
-            None,
-            absent="that of the site",
-        )
+        Quantity,
+        uncertain_quantity("rad", "deg"),
+        BeforeValidator(latitude_text),
+        AfterValidator(check_latitude),
+    ] = key_field("for the Earth's rate", "45.75 ± 0.001 deg")
+    removed_gravity: (
+        Annotated[float, read_exactly("m/s^2"), AfterValidator(check_gravity)] | None
+    ) = key_field(
+        "what the navigation computer takes away of gravity, a fixed number; see below",
+        "9.80665 m/s^2",
+        None,
+        absent="that of the site",
     )
 
 
 class CentrifugeSettings(SettingsSection):
     """[centrifuge]: its size."""
 
-    radius: Annotated[Quantity, known("m"), AfterValidator(positive)] = described(
+    radius: Annotated[Quantity, uncertain_quantity("m"), AfterValidator(positive)] = key_field(
         "from the spindle axis to the platform's centre", "2.5 ± 1e-5 m"
     )
-    stretch: Annotated[Quantity, known("s^2/m")] | None = described(
+    stretch: Annotated[Quantity, uncertain_quantity("s^2/m")] | None = key_field(
         "relative growth of the radius per m/s^2 of centripetal acceleration; without"
         " it its typical size",
         "0 ± 5e-9 s^2/m",
         None,
     )
-    droop: Annotated[Quantity, known("rad s^2")] | None = described(
+    droop: Annotated[Quantity, uncertain_quantity("rad s^2")] | None = key_field(
         "likewise: turn about forward per squared rate, positive where the outer end goes down",
         "0 ± 1e-8 rad s^2",
         None,
     )
-    axis_tilt: Annotated[Quantity, known("rad", "arcsec")] | None = described(
+    axis_tilt: Annotated[Quantity, uncertain_quantity("rad", "arcsec")] | None = key_field(
         "likewise: tilt of the spindle's axis about east and about north", "0 ± 5 arcsec", None
     )
-    clock: Annotated[Part, AfterValidator(a_clock)] | None = described(
+    clock: Annotated[Fraction, AfterValidator(check_clock_error)] | None = key_field(
         "by how much of itself the clock that measures the rates of readings runs fast, also in "
         "`ppm`; without it that of `[records]`, else its typical size",
         "0 ± 2 ppm",
         None,
         kind="part ±",
     )
-    strapped: bool = described(
+    strapped: bool = key_field(
         "whether the accelerometers of records are strapped to the counter-rotating table, whose"
         " errors then turn them; otherwise a platform keeps their attitude",
         True,
         False,
     )
-    reference_temperature: Temperature | None = described(
+    reference_temperature: Temperature | None = key_field(
         "from which slopes with temperature count; by default the mean of all temperatures",
         "23 degC",
         None,
@@ -133,7 +136,9 @@ class CentrifugeSettings(SettingsSection):
 class FixtureSettings(SettingsSection):
     """[fixture]: how well positions at rest are set."""
 
-    position: Annotated[Quantity, known("rad"), AfterValidator(an_error)] | None = described(
+    position: (
+        Annotated[Quantity, uncertain_quantity("rad"), AfterValidator(check_zero_mean)] | None
+    ) = key_field(
         "error of setting a [position at rest](readings.md#positions-that-are-set-by-hand), about"
         " east and about north each; one for all readings of it",
         "0 ± 0.5 deg",
@@ -166,9 +171,9 @@ def _in_output(value: object, info: ValidationInfo) -> float:
 class Output(SettingsSection):
     """``output``: what an accelerometer's readings are in, its nominal sensitivity and zero."""
 
-    unit: Annotated[Text, AfterValidator(check_unit)] = described("of the readings", "mA")
+    unit: Annotated[Text, AfterValidator(check_unit)] = key_field("of the readings", "mA")
     # A number in that unit per g.
-    sensitivity: Annotated[float, PlainValidator(_per_g, Text)] = described(
+    sensitivity: Annotated[float, PlainValidator(_per_g, Text)] = key_field(
         "nominal: K_I is the true one over it; any other unit needs it",
         "1.25 mA/g",
         None,
@@ -176,7 +181,7 @@ class Output(SettingsSection):
         kind="text",
         validate_default=True,
     )
-    zero: Annotated[float, PlainValidator(_in_output, Text)] = described(
+    zero: Annotated[float, PlainValidator(_in_output, Text)] = key_field(
         "nominal: what is read where no force is felt; K_F is what the true one has beside it",
         "4 mA",
         0.0,
@@ -203,14 +208,14 @@ def term_keys(
         for unit in dict.fromkeys(row.unit for row in rows.values())
     }
     return {
-        name: (kinds[row.unit], described(row.words, _example(row, reader), None))
+        name: (kinds[row.unit], key_field(row.words, _example(row, reader), None))
         for name, row in rows.items()
     }
 
 
 def _example(row: Term[Any], reader: Callable[[str], PlainValidator]) -> str:
     """Return the written form of a term: its prior, or its true value."""
-    if reader is known:
+    if reader is uncertain_quantity:
         return f"{row.nominal:g} ± {row.typical:g} {row.unit}".replace("e-0", "e-")
     return f"{row.nominal + row.typical:.9g} {row.unit}".replace("e-0", "e-")
 
@@ -218,43 +223,43 @@ def _example(row: Term[Any], reader: Callable[[str], PlainValidator]) -> str:
 class StatedNoise(SettingsSection):
     """[noise] and [truth.noise]: standard deviations a sample, SI."""
 
-    displacement: Annotated[float | str, noise_size("m")] = described(
+    displacement: Annotated[float | str, noise_size("m")] = key_field(
         "white, a sample", "0.01 m", 0.0, kind="quantity, m"
     )
-    velocity: Annotated[float | str, noise_size("m/s")] = described(
+    velocity: Annotated[float | str, noise_size("m/s")] = key_field(
         "likewise of a recorded velocity", "1e-4 m/s", 0.0, kind="quantity, m/s"
     )
-    specific_force: Annotated[float | str, noise_size("m/s^2")] = described(
+    specific_force: Annotated[float | str, noise_size("m/s^2")] = key_field(
         "likewise of a recorded specific force", "10 ug", 0.0, kind="quantity, m/s^2 or g"
     )
-    acceleration: Annotated[float | str, noise_size("m/s^2/Hz^0.5")] = described(
+    acceleration: Annotated[float | str, noise_size("m/s^2/Hz^0.5")] = key_field(
         "white noise of the accelerometer; random-walk coefficient N, velocity variance N^2 t",
         "estimate",
         0.0,
         kind="quantity, m/s^2/Hz^0.5 or g/Hz^0.5",
     )
-    flicker: Annotated[float | str, noise_size("m/s^2")] = described(
+    flicker: Annotated[float | str, noise_size("m/s^2")] = key_field(
         "bias instability B: the floor of the Allan deviation is 0.664 B",
         "2 ug",
         0.0,
         kind="quantity, m/s^2 or g",
     )
-    bias_walk: Annotated[float | str, noise_size("m/s^2/s^0.5")] = described(
+    bias_walk: Annotated[float | str, noise_size("m/s^2/s^0.5")] = key_field(
         "random walk K of the bias: its variance grows by K^2 a second",
         "0.5 ug/h^0.5",
         0.0,
         kind="quantity, m/s^2/s^0.5 or g/s^0.5",
     )
-    quantisation: Annotated[float | str, noise_size("m")] = described(
+    quantisation: Annotated[float | str, noise_size("m")] = key_field(
         "step of the recorded displacement", "1 mm", 0.0, kind="quantity, m"
     )
-    angle: Annotated[float | str, noise_size("rad")] = described(
+    angle: Annotated[float | str, noise_size("rad")] = key_field(
         "encoder noise; a calibration estimates it, unless time stamps scatter",
         "1e-6 rad",
         0.0,
         kind="quantity, rad",
     )
-    timing: Annotated[float | str, noise_size("s")] = described(
+    timing: Annotated[float | str, noise_size("s")] = key_field(
         "noise of the time stamps", "1 us", 0.0, kind="quantity, s"
     )
 
@@ -267,7 +272,7 @@ class StatedNoise(SettingsSection):
 class NoiseSettings(StatedNoise):
     """[noise]: sizes, or a record at rest that says those which are not stated."""
 
-    rest: Annotated[Text, AfterValidator(record_file)] | None = described(
+    rest: Annotated[Text, AfterValidator(record_file)] | None = key_field(
         "a record at rest, which says what is not stated beside it",
         "rest.csv",
         None,
@@ -278,43 +283,43 @@ class NoiseSettings(StatedNoise):
 class ModelSettings(SettingsSection):
     """[model]: what is asked for, and what is known of terms."""
 
-    terms: list[Text] | None = described(
+    terms: list[Text] | None = key_field(
         "what is asked for: the rows of the result",
         ["K_F", "K_II", "platform.tilt"],
         None,
         absent="K_F, K_I, K_II, K_III",
         kind="list of terms",
     )
-    assume: Several = described(
+    assume: TextList = key_field(
         "taken as perfect where nothing is stated: no part of u",
         ["K_OO", "platform.*"],
         [],
         absent="none",
         kind='list of terms and inputs, or `"all"`',
     )
-    hold: list[Text] = described(
+    hold: list[Text] = key_field(
         "counts in u as it is stated, but the records do not adjust it (Schmidt)",
         ["K_PP"],
         [],
         absent="none",
         kind="list of terms and inputs",
     )
-    considered: list[Text] = described(
+    considered: list[Text] = key_field(
         "the old name of `hold`", ["K_PP"], [], absent="none", kind="list of terms"
     )
-    priors: dict[str, Any] = described(
+    priors: dict[str, Any] = key_field(
         "what is known beforehand, by term: of any term, asked for or not",
         {"platform.tilt": "0 ± 0.5 arcsec", "Qx.K_PP": "0 ± 2e-6 g/g^2"},
         {},
         absent="none",
     )
-    limits: dict[str, Any] = described(
+    limits: dict[str, Any] = key_field(
         "largest credible size, by term",
         {"K_II": "1e-3 g/g^2"},
         {},
         absent="by [grade](physics.md#where-the-typical-sizes-come-from)",
     )
-    typical: dict[str, Any] = described(
+    typical: dict[str, Any] = key_field(
         "standard uncertainty of a term of which nothing is stated, by term",
         {"platform.tilt": "0.2 arcsec"},
         {},

@@ -12,17 +12,16 @@ from typing import Annotated, Any, Final
 from pydantic import AfterValidator, Field, PrivateAttr
 
 from counterspin.campaign.accelerometers import TRUTH_TABLES
-from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.documents import KeyPath, flat_keys, table_of
-from counterspin.campaign.kinds import (
+from counterspin.campaign.documents import KeyPath, flatten_keys, table_of
+from counterspin.campaign.field_types import (
     PositiveRatio,
     SettingsSection,
-    described,
     exact,
+    key_field,
     positive,
     read_exactly,
 )
-from counterspin.campaign.model import less_nominal
+from counterspin.campaign.model import as_deviation
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run
@@ -35,6 +34,7 @@ from counterspin.campaign.truth import (
     RippleSettings,
     RunTruthSettings,
 )
+from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import CLOCK
 from counterspin.physics.spindle import Ripple, Spindle
@@ -86,14 +86,14 @@ class SimulatedTruth:
 class Simulation(SettingsSection):
     """[simulation]: how `counterspin simulate` samples."""
 
-    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = described(
+    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = key_field(
         "rows a second", "100 Hz", 50.0, absent="50 Hz"
     )
-    seed: Annotated[int, Field(ge=0)] = described(
+    seed: Annotated[int, Field(ge=0)] = key_field(
         "of the random numbers; each run has a stream of its own", 7, 1
     )
-    revolutions: PositiveRatio = described("of each run", 40, 100.0)
-    poses: Annotated[int, Field(ge=1, le=10_000)] = described(
+    revolutions: PositiveRatio = key_field("of each run", 40, 100.0)
+    poses: Annotated[int, Field(ge=1, le=10_000)] = key_field(
         "in a record of [poses](triads.md#poses-in-a-record)", 12, 24
     )
 
@@ -146,7 +146,7 @@ class TruthReader:
         """Return the truth of the machine's terms that readings show."""
         if not isinstance(self.raw.get(_MACHINE, {}), Mapping):
             self.problems.add(("truth", _MACHINE), "must be a table")
-        return flat_keys(table_of(self.raw, _MACHINE))
+        return flatten_keys(table_of(self.raw, _MACHINE))
 
     def _take_stretch(self) -> None:
         """Count the stretch among what readings show as that of the centrifuge: records show it."""
@@ -156,7 +156,7 @@ class TruthReader:
         if centrifuge.stretch is not None:
             self.problems.add(path, "is in [truth.centrifuge] too; keep one")
             return
-        stretch = self.problems.attempt(path, exact, text, term(_STRETCH).unit)
+        stretch = self.problems.collect(path, exact, text, term(_STRETCH).unit)
         self.tables["centrifuge"] = centrifuge.model_copy(update={"stretch": stretch})
 
     def _of_run(
@@ -167,18 +167,20 @@ class TruthReader:
         rate: The stated rate, rad/s.
         truth, path: Its `truth`, and where that is.
         """
-        common = self.tables["spindle"]
-        own: Any = self.problems.check(RunTruthSettings, truth or {}, path)
+        common_settings = self.tables["spindle"]
+        run_settings: Any = self.problems.check(RunTruthSettings, truth or {}, path)
         shared = {family: self.tables[family] for family in _SHARED}
-        if common is None or None in shared.values() or own is None:
+        if common_settings is None or None in shared.values() or run_settings is None:
             return None
 
         def first(key: str, default: Any) -> Any:
-            values = (getattr(own, key), getattr(common, key), default)
+            values = (getattr(run_settings, key), getattr(common_settings, key), default)
             return next(value for value in values if value is not None)
 
         true_rate = rate * (1.0 + first("rate_error", 0.0))
-        ripple_path: KeyPath = (*path, "ripple") if own.ripple is not None else ("truth", "spindle")
+        ripple_path: KeyPath = (
+            (*path, "ripple") if run_settings.ripple is not None else ("truth", "spindle")
+        )
         ripples = tuple(
             _ripple(entry, true_rate, ripple_path, self.problems) for entry in first("ripple", ())
         )
@@ -187,7 +189,7 @@ class TruthReader:
         for symbol, row in SHARED_TERMS.items():
             family, *keys = symbol.split(".")
             # A run's own `drift` is the spindle's; of the shared errors it has the tilt only.
-            own_value = _stated(own, keys) if row.per_run else None
+            own_value = _stated(run_settings, keys) if row.per_run else None
             value = _stated(shared[family], keys) if own_value is None else own_value
             if value is not None:
                 values[symbol] = value
@@ -211,21 +213,25 @@ class TruthReader:
         """
         known = [*self.names, *TRUTH_TABLES]
         for name in [name for name in self.raw if self.names and name not in known]:
-            said = "is neither an accelerometer nor a known table" + did_you_mean(name, known)
-            self.problems.add(("truth", name), said)
-        own = {name: self._accelerometer(name, output) for name, output in outputs.items()}
-        tables = {name: table for name, (table, _) in own.items() if table is not None}
+            message = "is neither an accelerometer nor a known table" + suggest_name(name, known)
+            self.problems.add(("truth", name), message)
+        accelerometer_truths = {
+            name: self._accelerometer(name, output) for name, output in outputs.items()
+        }
+        tables = {
+            name: table for name, (table, _) in accelerometer_truths.items() if table is not None
+        }
         turned = {
             run.name: self._of_run(run.rate, run.truth, ("runs", place, "truth"))
             for place, run in described.runs.items()
         }
         read = {
-            (one.name, one.rate): self._of_run(one.rate, *described.truth_of(one))
-            for one in described.readings or ()
-            if one.rate
+            (reading.name, reading.rate): self._of_run(reading.rate, *described.truth_of(reading))
+            for reading in described.readings or ()
+            if reading.rate
         }
         truth = SimulatedTruth(
-            coefficients={name: own[name][1] for name in tables},
+            coefficients={name: accelerometer_truths[name][1] for name in tables},
             start_offset={name: table.start_offset for name, table in tables.items()},
             start_velocity={name: table.start_velocity for name, table in tables.items()},
             noise=self._of_records(noise),
@@ -235,7 +241,7 @@ class TruthReader:
             machine=self._of_machine(described.readings, centrifuge),
             reading_noise=self._of_readings(outputs),
         )
-        return sampled.completed(truth=truth)
+        return sampled.with_private(truth=truth)
 
     def _accelerometer(self, name: str, output: Output | None) -> tuple[Any, dict[str, float]]:
         """Return the table of an accelerometer, and its coefficients by symbol."""
@@ -264,15 +270,15 @@ class TruthReader:
             path = ("truth", _MACHINE, key)
             symbols = expand(key, known)
             if key in ACCELEROMETER_TERMS:
-                said = "belongs to an accelerometer; write it in [truth.NAME]"
-                self.problems.add(path, said)
+                message = "belongs to an accelerometer; write it in [truth.NAME]"
+                self.problems.add(path, message)
             elif not symbols:
-                self.problems.add(path, f'no reading depends on "{key}"' + did_you_mean(key, known))
+                self.problems.add(path, f'no reading depends on "{key}"' + suggest_name(key, known))
             for symbol in symbols:
                 unit = term(symbol).unit
-                value = self.problems.attempt(path, exact, text, unit)
+                value = self.problems.collect(path, exact, text, unit)
                 if value is not None:
-                    given = less_nominal(symbol, Quantity(value, 0.0, unit), centrifuge)
+                    given = as_deviation(symbol, Quantity(value, 0.0, unit), centrifuge)
                     machine[symbol] = given.value
         for symbol in known:
             family, *keys = symbol.split(".")
@@ -283,8 +289,8 @@ class TruthReader:
 
     def _of_records(self, stated: StatedNoise | None) -> StatedNoise:
         """Return the true noise of records: that of [noise] where nothing else is said."""
-        own = self.tables["noise"]
-        noise = stated if "noise" not in self.raw else own and own.of_records
+        noise_table = self.tables["noise"]
+        noise = stated if "noise" not in self.raw else noise_table and noise_table.of_records
         return noise or StatedNoise()
 
     def _of_readings(self, outputs: Mapping[str, Output | None]) -> dict[str, float]:
@@ -299,13 +305,13 @@ class TruthReader:
         ).items():
             if name not in outputs:
                 if name not in self.names:
-                    said = f'there is no accelerometer "{name}"' + did_you_mean(name, self.names)
-                    self.problems.add(path, said)
+                    message = f'there is no accelerometer "{name}"' + suggest_name(name, self.names)
+                    self.problems.add(path, message)
                 continue
             output = outputs[name]
             unit, size = ("g", 1.0) if output is None else (output.unit, output.sensitivity)
             gravity = self.gravity if output is None else None
-            value = self.problems.attempt(path, exact, text, unit, gravity)
+            value = self.problems.collect(path, exact, text, unit, gravity)
             if value is not None and value < 0.0:
                 self.problems.add(path, "a standard deviation is not negative")
             elif value is not None:

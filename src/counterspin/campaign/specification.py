@@ -12,10 +12,10 @@ from typing import Annotated, Any, Final, get_args
 
 from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, PrivateAttr
 
-from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.documents import KeyPath
-from counterspin.campaign.kinds import Contradiction, SettingsSection, described, exact
+from counterspin.campaign.field_types import Contradiction, SettingsSection, exact, key_field
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
+from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.inference.conformity import DecisionRule, Specification
 from counterspin.inference.verdicts import RuleName
 from counterspin.physics.terms import TERMS
@@ -66,10 +66,10 @@ class Specifications(SettingsSection):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, str | dict[str, str]] = Field(init=False)
 
-    decision_rule: Annotated[RuleName, PlainValidator(_rule_name)] = described(
+    decision_rule: Annotated[RuleName, PlainValidator(_rule_name)] = key_field(
         "by which a coefficient passes or fails", "simple", "guarded"
     )
-    guard_factor: Annotated[float, PlainValidator(_number), AfterValidator(_factor)] = described(
+    guard_factor: Annotated[float, PlainValidator(_number), AfterValidator(_factor)] = key_field(
         "width of the guard band over the expanded uncertainty U; with `guarded` only",
         0.5,
         1.0,
@@ -77,7 +77,7 @@ class Specifications(SettingsSection):
     )
     conformance_probability: Annotated[
         float, PlainValidator(_number), AfterValidator(_probability)
-    ] = described("that must be reached; with `probability` only", 0.99, 0.95, kind="number")
+    ] = key_field("that must be reached; with `probability` only", 0.99, 0.95, kind="number")
 
     _terms: Mapping[str, Mapping[str, Specification]] = PrivateAttr()
 
@@ -95,8 +95,8 @@ class Specifications(SettingsSection):
         """Yield keys that belong to another rule."""
         for key, rule in _RULE_OF_KEY.items():
             if key in self.model_fields_set and self.decision_rule != rule:
-                said = f"is for the decision rule {rule!r}, not for {self.decision_rule!r}"
-                yield (key,), said, "decision_rule"
+                message = f"is for the decision rule {rule!r}, not for {self.decision_rule!r}"
+                yield (key,), message, "decision_rule"
 
 
 #: Key of the table -> the rule that it belongs to.
@@ -156,7 +156,7 @@ def resolve_specifications(
     tables = {key: value for key, value in raw.items() if isinstance(value, Mapping)}
     common = {key: raw[key] for key in raw if key not in keys and key not in tables}
     shared = _terms(common, path, [*keys, *TERMS, *accelerometers], problems, gravity)
-    own = {}
+    by_accelerometer = {}
     for name in [key for key in tables if key not in keys]:
         if name == "platform" and name not in accelerometers:
             problems.add((*path, name), _PLATFORM_TERM_REFUSAL)
@@ -165,12 +165,14 @@ def resolve_specifications(
             problems.add(
                 (*path, name), f'there is no accelerometer "{name}"' + _hint(name, accelerometers)
             )
-        own[name] = _terms(tables[name], (*path, name), list(TERMS), problems, gravity)
-    if not shared and not any(own.values()) and len(problems.lines) == before:
+        by_accelerometer[name] = _terms(tables[name], (*path, name), list(TERMS), problems, gravity)
+    if not shared and not any(by_accelerometer.values()) and len(problems.lines) == before:
         problems.add(path, f"contains no term; write for example K_II = {_FORMS.split(',')[0]}")
     if rule is None or len(problems.lines) > before:
         return None
-    return rule.completed(terms={n: {**shared, **own.get(n, {})} for n in accelerometers})
+    return rule.with_private(
+        terms={n: {**shared, **by_accelerometer.get(n, {})} for n in accelerometers}
+    )
 
 
 def _terms(
@@ -186,10 +188,10 @@ def _terms(
             if symbol.split(".")[0] in ("platform", "centrifuge", "encoder"):
                 message = _PLATFORM_TERM_REFUSAL
             else:
-                message = f'unknown term "{symbol}"' + did_you_mean(symbol, known)
+                message = f'unknown term "{symbol}"' + suggest_name(symbol, known)
             problems.add((*path, symbol), message)
             continue
-        specification = problems.attempt(
+        specification = problems.collect(
             (*path, symbol), parse_specification, text, TERMS[symbol].unit, gravity=gravity
         )
         if specification is not None:
@@ -198,4 +200,4 @@ def _terms(
 
 
 def _hint(name: str, accelerometers: Collection[str]) -> str:
-    return did_you_mean(name, accelerometers) if accelerometers else ""
+    return suggest_name(name, accelerometers) if accelerometers else ""

@@ -10,20 +10,20 @@ from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, create_model
 
-from counterspin.campaign.checking import Section, sections_of
-from counterspin.campaign.kinds import (
+from counterspin.campaign.field_types import (
     Ratio,
     SettingsSection,
-    a_latitude,
-    a_ratio,
+    check_gravity,
+    check_latitude,
     coefficient,
-    described,
-    of_earth,
+    key_field,
+    parse_ratio,
     positive,
     read_exactly,
     small_rate_error,
 )
 from counterspin.campaign.settings import StatedNoise, term_keys
+from counterspin.campaign.validation import Section, nested_models
 from counterspin.physics.terms import ACCELEROMETER_TERMS, SHARED_TERMS
 
 #: Of all recorders, and the largest error of a clock.
@@ -36,7 +36,7 @@ _STATED: Final = "as stated"
 def _clocks(value: object) -> dict[str, float]:
     """Return the relative rate error of each recorder's clock; that of all of them under ``*``."""
     named = value if isinstance(value, Mapping) else {ALL_RECORDERS: value}
-    clocks = {str(name): a_ratio(part) for name, part in named.items()}
+    clocks = {str(name): parse_ratio(part) for name, part in named.items()}
     if any(abs(part) > _MOST_OF_A_CLOCK for part in clocks.values()):
         raise ValueError("a clock error above 1 % is not plausible")
     return clocks
@@ -45,21 +45,21 @@ def _clocks(value: object) -> dict[str, float]:
 class SiteTruthSettings(SettingsSection):
     """[truth.site]: where the centrifuge really stands."""
 
-    gravity: Annotated[float, read_exactly("m/s^2"), AfterValidator(of_earth)] | None = described(
-        "plumb-line gravity", "9.80663 m/s^2", None, absent=_STATED
+    gravity: Annotated[float, read_exactly("m/s^2"), AfterValidator(check_gravity)] | None = (
+        key_field("plumb-line gravity", "9.80663 m/s^2", None, absent=_STATED)
     )
-    latitude: Annotated[float, read_exactly("rad", "deg"), AfterValidator(a_latitude)] | None = (
-        described("for the Earth's rate", "45.7502 deg", None, absent=_STATED)
-    )
+    latitude: (
+        Annotated[float, read_exactly("rad", "deg"), AfterValidator(check_latitude)] | None
+    ) = key_field("for the Earth's rate", "45.7502 deg", None, absent=_STATED)
 
 
 class TrueRadius(SettingsSection):
     """[truth.centrifuge]: its true size."""
 
-    radius: Annotated[float, read_exactly("m"), AfterValidator(positive)] | None = described(
+    radius: Annotated[float, read_exactly("m"), AfterValidator(positive)] | None = key_field(
         "from the spindle axis to the platform's centre", "2.50001 m", None, absent=_STATED
     )
-    clock: Ratio | None = described(
+    clock: Ratio | None = key_field(
         "by how much of itself the clock that measures the rates of readings runs fast",
         "20 ppm",
         None,
@@ -71,13 +71,13 @@ class TrueRadius(SettingsSection):
 class RecordsTruthSettings(SettingsSection):
     """[truth.records]: when the rows were really taken."""
 
-    timing_offset: Annotated[float, read_exactly("s")] | None = described(
+    timing_offset: Annotated[float, read_exactly("s")] | None = key_field(
         "how much later than its displacement an angle is sampled", "2e-5 s", None, absent=_STATED
     )
     clock: (
         Annotated[dict[str, float], PlainValidator(_clocks, float | str | dict[str, float | str])]
         | None
-    ) = described(
+    ) = key_field(
         "by how much of itself the clock of every recorder runs fast; or a table of the recorders",
         {"A": "20 ppm", "B": "-5 ppm"},
         None,
@@ -89,28 +89,28 @@ class RecordsTruthSettings(SettingsSection):
 class RippleSettings(SettingsSection):
     """``ripple``: a periodic fluctuation of the rate, by ratio w_n/w0 or by amplitude."""
 
-    harmonic: Annotated[int, AfterValidator(positive)] = described("times a revolution", 2, 1)
-    ratio: Ratio | None = described("w_n/w0", "0.5 ppm", None, kind="number, or in ppm")
-    amplitude: Annotated[float, read_exactly("rad/s")] | None = described("w_n", "1e-6 rad/s", None)
-    phase: Annotated[float, read_exactly("rad", "deg")] = described("at time zero", "30 deg", 0.0)
+    harmonic: Annotated[int, AfterValidator(positive)] = key_field("times a revolution", 2, 1)
+    ratio: Ratio | None = key_field("w_n/w0", "0.5 ppm", None, kind="number, or in ppm")
+    amplitude: Annotated[float, read_exactly("rad/s")] | None = key_field("w_n", "1e-6 rad/s", None)
+    phase: Annotated[float, read_exactly("rad", "deg")] = key_field("at time zero", "30 deg", 0.0)
 
 
 class SpindleTruthSettings(SettingsSection):
     """[truth.spindle]: how the spindle really turns."""
 
-    drift: Annotated[float, read_exactly("1/s")] | None = described(
+    drift: Annotated[float, read_exactly("1/s")] | None = key_field(
         "relative drift C of the rate", "1e-6 1/s", None
     )
-    ripple: list[RippleSettings] | None = described(
+    ripple: list[RippleSettings] | None = key_field(
         "fluctuations of the rate within a revolution",
         [{"ratio": "0.5 ppm"}],
         None,
         kind="list of tables",
     )
-    start_angle: Annotated[float, read_exactly("rad", "deg")] | None = described(
+    start_angle: Annotated[float, read_exactly("rad", "deg")] | None = key_field(
         "at time zero", "30 deg", None, absent="0"
     )
-    rate_error: Annotated[Ratio, AfterValidator(small_rate_error)] | None = described(
+    rate_error: Annotated[Ratio, AfterValidator(small_rate_error)] | None = key_field(
         "of the true rate, relative to the nominal one",
         "5 ppm",
         None,
@@ -165,7 +165,7 @@ def _truth_table(
     for inner in dict.fromkeys(key.partition(".")[0] for key in within if "." in key):
         words, example = _FAMILIES.get(f"{family}.{inner}", ("of this number", {}))
         table = _truth_table(f"{name}_{inner}", f"{family}.{inner}")
-        fields[inner] = (table | None, described(words, example, None))
+        fields[inner] = (table | None, key_field(words, example, None))
     words = f"[truth.{family}]: what is true of it."
     return create_model(name, __base__=base, __doc__=words, **fields)
 
@@ -185,19 +185,19 @@ RunTruthSettings = create_model(
     "RunTruthSettings",
     __base__=SpindleTruthSettings,
     __doc__="``truth``: what differs from [truth.spindle] in one run, and its own tilt.",
-    tilt=(_TILT, described(*_FAMILIES["platform.tilt"], None, absent="`[truth.platform]`")),
+    tilt=(_TILT, key_field(*_FAMILIES["platform.tilt"], None, absent="`[truth.platform]`")),
 )
 
 
 class _AccelerometerTruthKeys(SettingsSection):
-    start_offset: Annotated[float, read_exactly("m")] = described(
+    start_offset: Annotated[float, read_exactly("m")] = key_field(
         "error of the displacement at the start of each run", "0.02 m", 0.0
     )
-    start_velocity: Annotated[float, read_exactly("m/s")] = described(
+    start_velocity: Annotated[float, read_exactly("m/s")] = key_field(
         "error of the velocity there", "-1e-4 m/s", 0.0
     )
-    bias: Annotated[float, coefficient("g")] | None = described("the same as K_F", "5 mg", None)
-    scale_factor: Annotated[float, coefficient("g/g")] | None = described(
+    bias: Annotated[float, coefficient("g")] | None = key_field("the same as K_F", "5 mg", None)
+    scale_factor: Annotated[float, coefficient("g/g")] | None = key_field(
         "the same as K_I", "1.002 g/g", None
     )
 
@@ -213,7 +213,7 @@ AccelerometerTruthSettings = create_model(
 class TrueNoise(StatedNoise):
     """[truth.noise]: of records, and of readings."""
 
-    reading: Any = described(
+    reading: Any = key_field(
         "of readings, in g or in the unit of their `output`; or a table of the accelerometers",
         "2e-6 mA",
         None,
@@ -233,36 +233,36 @@ class TruthSettings(SettingsSection):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, AccelerometerTruthSettings] = Field(init=False)  # type: ignore[valid-type]
 
-    spindle: Annotated[dict[str, Any], Section(SpindleTruthSettings)] = described(
+    spindle: Annotated[dict[str, Any], Section(SpindleTruthSettings)] = key_field(
         "how the spindle really turns", {"drift": "1e-6 1/s"}, {}
     )
-    platform: Annotated[dict[str, Any], Section(PlatformTruthSettings)] = described(
+    platform: Annotated[dict[str, Any], Section(PlatformTruthSettings)] = key_field(
         "errors of the platform", {"tilt": {"north": "0.2 arcsec"}}, {}
     )
-    centrifuge: Annotated[dict[str, Any], Section(CentrifugeTruthSettings)] = described(
+    centrifuge: Annotated[dict[str, Any], Section(CentrifugeTruthSettings)] = key_field(
         "its true size, and errors of the path", {"radius": "2.50001 m"}, {}
     )
-    encoder: Annotated[dict[str, Any], Section(EncoderTruthSettings)] = described(
+    encoder: Annotated[dict[str, Any], Section(EncoderTruthSettings)] = key_field(
         "errors of the recorded angle", {"harmonic": {"1": {"sin": "1 arcsec"}}}, {}
     )
-    table: Annotated[dict[str, Any], Section(TableTruthSettings)] = described(
+    table: Annotated[dict[str, Any], Section(TableTruthSettings)] = key_field(
         "errors of the counter-rotating table to which instruments are strapped",
         {"harmonic": {"1": {"sin": "1 arcsec"}}},
         {},
     )
-    noise: Annotated[dict[str, Any], Section(TrueNoise)] = described(
+    noise: Annotated[dict[str, Any], Section(TrueNoise)] = key_field(
         "of records and of readings", {"displacement": "0.01 m"}, {}, absent="that of `[noise]`"
     )
-    machine: dict[str, Any] = described(
+    machine: dict[str, Any] = key_field(
         "terms of the machine that readings show", {"centrifuge.radius.in": "1.00001 m"}, {}
     )
-    site: Annotated[dict[str, Any], Section(SiteTruthSettings)] = described(
+    site: Annotated[dict[str, Any], Section(SiteTruthSettings)] = key_field(
         "where the centrifuge really stands", {"latitude": "45.7502 deg"}, {}, absent=_STATED
     )
-    records: Annotated[dict[str, Any], Section(RecordsTruthSettings)] = described(
+    records: Annotated[dict[str, Any], Section(RecordsTruthSettings)] = key_field(
         "when the rows were really taken", {"timing_offset": "2e-5 s"}, {}, absent=_STATED
     )
 
 
 #: Tables of [truth] that have keys of their own -> their classes.
-TRUE_TABLES: Final[Mapping[str, type[SettingsSection]]] = sections_of(TruthSettings)
+TRUE_TABLES: Final[Mapping[str, type[SettingsSection]]] = nested_models(TruthSettings)

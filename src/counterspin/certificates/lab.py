@@ -17,23 +17,23 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, BeforeValidator, PlainValidator
 
 from counterspin.calibration.result import Result
-from counterspin.campaign.checking import Problems, Section, did_you_mean
 from counterspin.campaign.documents import (
     KeyPath,
-    flat_keys,
+    campaign_error,
+    flatten_keys,
     key_path,
     list_of,
     load_document,
-    mistakes,
-    plain,
     table_of,
+    to_toml_value,
 )
-from counterspin.campaign.kinds import Contradiction, SettingsSection, described
+from counterspin.campaign.field_types import Contradiction, SettingsSection, key_field
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.specification import (
     Specifications,
     resolve_specifications,
 )
+from counterspin.campaign.validation import Problems, Section, suggest_name
 from counterspin.certificates.codes import check_code
 from counterspin.certificates.evidence import ALL, names_terms
 from counterspin.certificates.schema import clean_text
@@ -66,7 +66,7 @@ def _parse_temperature(text: object) -> Quantity:
 
 
 def _flatten(table: object) -> object:
-    return flat_keys(table) if isinstance(table, Mapping) else table
+    return flatten_keys(table) if isinstance(table, Mapping) else table
 
 
 Text = Annotated[str, AfterValidator(_check_text)]
@@ -87,64 +87,64 @@ Language = Annotated[str, AfterValidator(partial(check_code, kind="language"))]
 class CertificateSettings(SettingsSection):
     """[certificate]: identifier, dates and place of the calibration."""
 
-    identifier: Text | None = described(
+    identifier: Text | None = key_field(
         "unique",
         "2026-014",
         None,
         absent="`CS-` and 12 digits of the SHA-256 of the result's file and of what LAB.toml says",
     )
-    language: Language = described(
+    language: Language = key_field(
         "of the words in this file; those of counterspin are English, and they are what binds",
         "de",
         "en",
         kind="language",
     )
-    begin: datetime.date = described("first day of the calibration", datetime.date(2026, 3, 2))
-    end: datetime.date = described("last day of the calibration", datetime.date(2026, 3, 4))
-    place: Place = described(
+    begin: datetime.date = key_field("first day of the calibration", datetime.date(2026, 3, 2))
+    end: datetime.date = key_field("last day of the calibration", datetime.date(2026, 3, 4))
+    place: Place = key_field(
         "where the calibration took place",
         "customer",
         "laboratory",
     )
-    received: datetime.date | None = described(
+    received: datetime.date | None = key_field(
         "when the item came", datetime.date(2026, 2, 27), None, absent="not said"
     )
-    issued: datetime.date | None = described(
+    issued: datetime.date | None = key_field(
         "day of issue",
         datetime.date(2026, 3, 9),
         None,
         absent="`SOURCE_DATE_EPOCH` of the environment, or today (UTC)",
     )
-    traceability: Text = described(
+    traceability: Text = key_field(
         "how the measurements are traceable to the SI: only the laboratory can say it",
         "Length, time and gravity are traceable to national standards.",
     )
-    ledger: Text | None = described(
+    ledger: Text | None = key_field(
         "file in which each certificate is [entered](#keep-a-ledger), beside LAB.toml",
         "ledger.jsonl",
         None,
     )
-    procedure: Text | None = described(
+    procedure: Text | None = key_field(
         "the laboratory's own procedure, by its identifier",
         "QP-17, issue 3",
         None,
         absent="not said",
     )
-    deviations: list[Text] = described(
+    deviations: list[Text] = key_field(
         "from the procedure: additions, exclusions, a list of sentences",
         ["shorter warm-up"],
         [],
         absent="none",
     )
-    customer_data: list[Text] = described(
+    customer_data: list[Text] = key_field(
         'what the customer supplied, such as `"K_OO, from the maker\'s data sheet"`; '
         "it is marked as such, with the disclaimer of ISO/IEC 17025, 7.8.2.2",
         ["mass of the item"],
         [],
         absent="none",
     )
-    remarks: list[Text] = described("list of sentences", ["first calibration"], [], absent="none")
-    accelerometers: list[Text] | None = described(
+    remarks: list[Text] = key_field("list of sentences", ["first calibration"], [], absent="none")
+    accelerometers: list[Text] | None = key_field(
         "which of the result's are certified, a list of names", ["Qx"], None, absent="all"
     )
 
@@ -164,32 +164,32 @@ class CertificateSettings(SettingsSection):
 class Contact(SettingsSection):
     """[customer]: a name and an address."""
 
-    name: Text = described("of the organisation", "Example Calibration Ltd")
-    street: Text | None = described("of the address", "Main Street", None)
-    number: Text | None = described("of the house", "12", None)
-    post_code: Text | None = described("of the city", "12345", None)
-    city: Text = described("of the address", "Exampletown")
-    country: Country | None = described("two letters by ISO 3166-1", "DE", None, kind="country")
-    email: Text | None = described("at which it is reached", "lab@example.org", None)
-    phone: Text | None = described("at which it is reached", "+49 30 123456", None)
+    name: Text = key_field("of the organisation", "Example Calibration Ltd")
+    street: Text | None = key_field("of the address", "Main Street", None)
+    number: Text | None = key_field("of the house", "12", None)
+    post_code: Text | None = key_field("of the city", "12345", None)
+    city: Text = key_field("of the address", "Exampletown")
+    country: Country | None = key_field("two letters by ISO 3166-1", "DE", None, kind="country")
+    email: Text | None = key_field("at which it is reached", "lab@example.org", None)
+    phone: Text | None = key_field("at which it is reached", "+49 30 123456", None)
 
 
 class Laboratory(Contact):
     """[laboratory]: the calibration laboratory; `code` is that of the accreditation."""
 
-    country: Country = described("two letters by ISO 3166-1", "DE", kind="country")
-    code: Text | None = described("of the accreditation", "D-K-00000-01-00", None)
+    country: Country = key_field("two letters by ISO 3166-1", "DE", kind="country")
+    code: Text | None = key_field("of the accreditation", "D-K-00000-01-00", None)
 
 
 class Item(SettingsSection):
     """[item]: the calibrated item."""
 
-    name: Text = described("what it is", "Inertial platform")
-    manufacturer: Text = described("who made it", "Example Instruments")
-    model: Text = described("its type", "IP-3")
-    serial_number: Text = described("its own", "0042")
-    inventory_number: Text | None = described("the customer's", "INV-7", None)
-    state: ItemState | None = described(
+    name: Text = key_field("what it is", "Inertial platform")
+    manufacturer: Text = key_field("who made it", "Example Instruments")
+    model: Text = key_field("its type", "IP-3")
+    serial_number: Text = key_field("its own", "0042")
+    inventory_number: Text | None = key_field("the customer's", "INV-7", None)
+    state: ItemState | None = key_field(
         "in which it was calibrated",
         "as received",
         None,
@@ -199,9 +199,9 @@ class Item(SettingsSection):
 class LabAccelerometer(SettingsSection):
     """[accelerometers.NAME]: an accelerometer that has its own identity within the item."""
 
-    manufacturer: Text | None = described("who made it", "Example Instruments", None)
-    model: Text | None = described("its type", "QA-2000", None)
-    serial_number: Text | None = described(
+    manufacturer: Text | None = key_field("who made it", "Example Instruments", None)
+    model: Text | None = key_field("its type", "QA-2000", None)
+    serial_number: Text | None = key_field(
         "its own; it may not contradict that of the campaign",
         "Q-104",
         None,
@@ -212,15 +212,15 @@ class LabAccelerometer(SettingsSection):
 class Person(SettingsSection):
     """[[persons]]: the persons responsible for the results."""
 
-    name: Text = described("who", "N. N.")
-    role: Text = described("for what the person is responsible", "Head of the laboratory")
-    email: Text | None = described("at which the person is reached", "n.n@example.org", None)
+    name: Text = key_field("who", "N. N.")
+    role: Text = key_field("for what the person is responsible", "Head of the laboratory")
+    email: Text | None = key_field("at which the person is reached", "n.n@example.org", None)
 
 
 class Conditions(SettingsSection):
     """[conditions]: conditions in the laboratory during the calibration."""
 
-    temperature: Annotated[Quantity, PlainValidator(_parse_temperature)] | None = described(
+    temperature: Annotated[Quantity, PlainValidator(_parse_temperature)] | None = key_field(
         "of the laboratory, with its standard uncertainty",
         "20.0 ± 0.3 degC",
         None,
@@ -231,8 +231,8 @@ class Conditions(SettingsSection):
 class Lab(SettingsSection):
     """The laboratory's file."""
 
-    schema_version: Literal[1] = described("version of this format", 1, alias="schema")
-    certificate: CertificateSettings = described(
+    schema_version: Literal[1] = key_field("version of this format", 1, alias="schema")
+    certificate: CertificateSettings = key_field(
         "identifier, dates and place of the calibration",
         {
             "begin": datetime.date(2026, 3, 2),
@@ -240,14 +240,14 @@ class Lab(SettingsSection):
             "traceability": "Length and time are traceable to national standards.",
         },
     )
-    laboratory: Laboratory = described(
+    laboratory: Laboratory = key_field(
         "the calibration laboratory",
         {"name": "Example Calibration Ltd", "city": "Exampletown", "country": "DE"},
     )
-    customer: Contact = described(
+    customer: Contact = key_field(
         "for whom it was done", {"name": "Example Instruments", "city": "Exampletown"}
     )
-    item: Item = described(
+    item: Item = key_field(
         "what was calibrated",
         {
             "name": "Inertial platform",
@@ -256,38 +256,38 @@ class Lab(SettingsSection):
             "serial_number": "0042",
         },
     )
-    accelerometers: dict[str, LabAccelerometer] = described(
+    accelerometers: dict[str, LabAccelerometer] = key_field(
         "those that have an identity of their own within the item, by name",
         {"Qx": {"serial_number": "Q-104"}},
         {},
         absent="none",
         kind="tables",
     )
-    persons: list[Person] = described(
+    persons: list[Person] = key_field(
         "who is responsible for the results; the first signs",
         [{"name": "N. N.", "role": "Head of the laboratory"}],
         min_length=1,
     )
-    conditions: Conditions = described(
+    conditions: Conditions = key_field(
         "of the laboratory during the calibration",
         {"temperature": "20.0 ± 0.3 degC"},
         Conditions(),
         absent="none",
     )
-    cmc: dict[str, str] = described(
+    cmc: dict[str, str] = key_field(
         "the least expanded uncertainty (95 %) that the laboratory may state, by term",
         {"K_II": "1e-7 g/g^2"},
         {},
         absent="no limit",
     )
-    evidence: Annotated[dict[str, Text], BeforeValidator(_flatten)] = described(
+    evidence: Annotated[dict[str, Text], BeforeValidator(_flatten)] = key_field(
         "what bounds each term that the result [assumes](#what-is-assumed) to be perfect, or whose "
         "default uncertainty is a tenth of a variance or more, by term",
         {"K_OO": "type test TR-12"},
         {},
         absent="none",
     )
-    specification: Annotated[dict[str, Any] | None, Section(Specifications)] = described(
+    specification: Annotated[dict[str, Any] | None, Section(Specifications)] = key_field(
         "limits that coefficients shall meet, as in [a campaign](campaign.md#specification): "
         "[conformity](conformity.md)",
         {"K_II": "abs <= 5e-5 g/g^2"},
@@ -308,7 +308,7 @@ class Lab(SettingsSection):
         if symbol not in self.cmc:
             return None
         if symbol not in TERMS:
-            raise ValueError(f'unknown term "{symbol}"{did_you_mean(symbol, TERMS)}')
+            raise ValueError(f'unknown term "{symbol}"{suggest_name(symbol, TERMS)}')
         stated = parse(self.cmc[symbol], TERMS[symbol].unit, gravity=gravity)
         if stated.value <= 0.0 or stated.u:
             raise ValueError("must be one positive number, the expanded uncertainty for 95 %")
@@ -329,7 +329,7 @@ def read_lab(
     """
     if isinstance(path, Mapping):
         source, problems = "the laboratory's data", Problems(path)
-        raw = plain(path, (), problems.add)
+        raw = to_toml_value(path, (), problems.add)
     else:
         source = str(path)
         advice = "`certificates.lab.write_example` makes one"
@@ -341,10 +341,10 @@ def read_lab(
     lab = problems.check(Lab, empty | raw, ())
     if lab is not None:
         for symbol in lab.cmc:
-            problems.attempt(("cmc", symbol), lab.capability, symbol, result.inputs.gravity)
+            problems.collect(("cmc", symbol), lab.capability, symbol, result.inputs.gravity)
         for key in lab.evidence:
             if not names_terms(key, result.accelerometers):
-                hint = did_you_mean(key, [ALL, *TABLE])
+                hint = suggest_name(key, [ALL, *TABLE])
                 problems.add(("evidence", key), f'unknown term "{key}"{hint}')
     _check_accelerometers(raw, result, problems)
     specifications = None
@@ -356,7 +356,7 @@ def read_lab(
             gravity=result.inputs.gravity,
         )
     if lab is None or problems.lines:
-        raise mistakes(Path(source), problems.lines)
+        raise campaign_error(Path(source), problems.lines)
     return lab, specifications
 
 
@@ -376,7 +376,7 @@ def _check_accelerometers(raw: Mapping[str, Any], result: Result, problems: Prob
     ]
     for place, name in places:
         if isinstance(name, str) and name not in known:
-            problems.add(place, f'the result has no "{name}"' + did_you_mean(name, known))
+            problems.add(place, f'the result has no "{name}"' + suggest_name(name, known))
     for name, part in parts.items():
         stated = known[name].serial_number if name in known else None
         given = part.get("serial_number") if isinstance(part, dict) else None

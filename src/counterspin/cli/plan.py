@@ -75,7 +75,7 @@ def plan(
     output
         Folder for the campaign.toml of the planned campaign; it must not contain one yet.
     """
-    from counterspin.campaign.kinds import exact
+    from counterspin.campaign.field_types import exact
     from counterspin.planning.plan import check as forecast
     from counterspin.planning.plan import plan as search
     from counterspin.planning.plan import refuse_other_campaign, write_campaign, write_example

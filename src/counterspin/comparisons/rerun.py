@@ -16,8 +16,8 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.campaign.checksums import Checksums
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.documents import keep, source_of
-from counterspin.campaign.model import EVERYTHING
+from counterspin.campaign.documents import require_source, with_source
+from counterspin.campaign.model import ALL_TERMS
 from counterspin.comparisons.result import Change, RepeatedCalibration, RepeatedCoefficient
 from counterspin.errors import RecordError
 from counterspin.physics.terms import symbol_of
@@ -195,8 +195,8 @@ def _calibration_input(before: Result, path: Path) -> Path | Campaign:
     if not before.assumes_all:
         return path
     campaign = read_campaign(path)
-    model = replace(campaign.model, assume=(EVERYTHING,))
-    return keep(replace(campaign, model=model), source_of(campaign))
+    model = replace(campaign.model, assume=(ALL_TERMS,))
+    return with_source(replace(campaign, model=model), require_source(campaign))
 
 
 def _locate_inputs(
@@ -206,7 +206,7 @@ def _locate_inputs(
     paths, moved = dict[str, Path](), dict[str, str]()
     with Checksums() as checksums:
         named_paths = {name: folder / name for name in inputs}
-        actual = dict(zip(named_paths, checksums.of(named_paths.values()), strict=True))
+        actual = dict(zip(named_paths, checksums.checksums(named_paths.values()), strict=True))
         changed = {name for name in inputs if actual[name] != inputs[name]}
         by_checksum = _files_by_checksum(folder, {Path(name).suffix for name in changed}, checksums)
     for name, checksum in inputs.items():
@@ -231,7 +231,7 @@ def _files_by_checksum(folder: Path, suffixes: set[str], checksums: Checksums) -
     if not suffixes:
         return {}
     files = sorted(f for f in folder.rglob("*") if f.suffix in suffixes and f.is_file())
-    return dict(zip(checksums.of(files), files, strict=True))
+    return dict(zip(checksums.checksums(files), files, strict=True))
 
 
 def _is_inside_folder(name: str) -> bool:

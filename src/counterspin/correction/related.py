@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.calibration.result import Result
-from counterspin.campaign.kinds import temperature_known
+from counterspin.campaign.field_types import parse_uncertain_temperature
 from counterspin.errors import CampaignError
 from counterspin.physics.correction import CalibratedAccelerometer, Warmth
 from counterspin.units import ZERO_CELSIUS
@@ -68,7 +68,7 @@ def _parse_temperature(
     """Return a temperature and its u, K."""
     if isinstance(temperature, str):
         try:
-            known = temperature_known(temperature)
+            known = parse_uncertain_temperature(temperature)
         except ValueError as error:
             raise CampaignError("apply", [f"`temperature`: {error}"]) from error
         return known.value, known.u

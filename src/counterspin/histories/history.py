@@ -13,7 +13,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.result import Result
-from counterspin.campaign.checking import did_you_mean
+from counterspin.campaign.validation import suggest_name
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.histories.consistency import (
     MAX_YEARS,
@@ -105,7 +105,7 @@ def history(
             "`serial`",
             [
                 f"no result has the serial number "
-                f'"{serial}"{did_you_mean(str(serial), sorted(known))}'
+                f'"{serial}"{suggest_name(str(serial), sorted(known))}'
             ],
         )
     return History(
@@ -133,7 +133,7 @@ def _unknown_term_message(term: str) -> str:
     kind, _, owner = term.partition(".")
     if owner and kind in TRIAD_QUANTITIES:
         return f'"{term}" is one of a triad; "{kind}" follows those of all accelerometers'
-    return f'unknown term "{term}"{did_you_mean(term, [*TERMS, *TRIAD_QUANTITIES])}'
+    return f'unknown term "{term}"{suggest_name(term, [*TERMS, *TRIAD_QUANTITIES])}'
 
 
 def _remove_duplicates(collected: ResultSet) -> None:

@@ -9,12 +9,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME
-from counterspin.campaign.kinds import COMPASS
+from counterspin.campaign.field_types import COMPASS
 from counterspin.campaign.memory import record_name
 from counterspin.campaign.settings import OBSERVABLES
+from counterspin.campaign.validation import Problems
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.ingest.arm import ArmDraft, arm_draft

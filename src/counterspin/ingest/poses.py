@@ -36,7 +36,7 @@ from counterspin.ingest.triads import (
 )
 from counterspin.physics.grades import GRADES
 from counterspin.records.column_file import quoted
-from counterspin.triads.rests import CLEAR_RATIO, SHORTEST_REST
+from counterspin.triads.static_intervals import MIN_CONTRAST, MIN_DURATION
 from counterspin.units import converts
 
 #: Poses that do not tell their noise beside biases and scale factors.
@@ -171,7 +171,7 @@ def shows_poses(all_contents: Sequence[FileContents]) -> bool:
     if found is None or found.unit is not None:
         return found is not None
     # Whatever its unit may be, what rests on a sphere and moves clearly between is a sensor's.
-    return found.poses is not None and any(found.zero) and found.poses.contrast > CLEAR_RATIO
+    return found.poses is not None and any(found.zero) and found.poses.contrast > MIN_CONTRAST
 
 
 def _model(found: TriadColumns | None) -> dict[str, Any]:
@@ -220,7 +220,7 @@ def _questions(
         yield FileQuestion("u", text, example, quantity=said)
     if not in_table:
         text = "How long must a rest last at least to count as a pose?"
-        usual = f"{found.rest if found else SHORTEST_REST:g} s"
+        usual = f"{found.rest if found else MIN_DURATION:g} s"
         yield FileQuestion("rest", text, usual, guess=usual, quantity="s")
     text = "Of which grade is the sensor? It sets the typical size of all that is not stated."
     grade = grade_of(found, guess) if found else None
@@ -257,8 +257,8 @@ def _statements(
         f"{answers.get('rest', f'{found.rest:g} s')} in which the axes together scatter by less "
         f"than {level}; their attitudes are unknown"
     )
-    yield from poses.doubts
-    yield from poses.left_out
+    yield from poses.warnings
+    yield from poses.rejected
     for other in found.others:
         named = ", ".join(f"{axis}={name}" for axis, name in zip(AXES, other, strict=True))
         yield (

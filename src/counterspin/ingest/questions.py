@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.campaign.kinds import COMPASS
+from counterspin.campaign.field_types import COMPASS
 from counterspin.campaign.quantity import BARE, latitude_text, parse
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError

@@ -23,8 +23,13 @@ from counterspin.frozen import frozen
 from counterspin.ingest.column_roles import FileGuess, guess_file, is_even
 from counterspin.ingest.contents import FileColumn, FileContents
 from counterspin.physics.grades import GRADES
-from counterspin.triads.rests import CLEAR_RATIO, SHORTEST_REST, Poses, find_poses
 from counterspin.triads.section import USUAL_AXES
+from counterspin.triads.static_intervals import (
+    MIN_CONTRAST,
+    MIN_DURATION,
+    StaticIntervals,
+    find_poses,
+)
 from counterspin.units import STANDARD_GRAVITY, converts, unit_factor
 
 #: The triad's accelerometers, and their axes in its frame.
@@ -35,7 +40,7 @@ UNITS: Final = ("m/s^2", "g", "mg", "count", "V", "mV", "mA")
 _BETWEEN_FILES: Final = 100.0
 #: Rests that are looked for where nobody says how long they are, s, and how many times as many of
 #: the shorter ones there have to be for them to be meant.
-_RESTS: Final = (SHORTEST_REST, 0.5)
+_RESTS: Final = (MIN_DURATION, 0.5)
 _MANY_MORE: Final = 1.25
 #: Rows a second that are taken to look for rests where nobody has said how many there are.
 USUAL_RATE: Final = 100.0
@@ -79,12 +84,14 @@ class TriadColumns:
 
     columns: tuple[str, str, str]
     unit: str | None  #: None: unknown.
-    poses: Poses | None  #: Rests of records; None: none were found, or each row of a table is one.
+    poses: (
+        StaticIntervals | None
+    )  #: Rests of records; None: none were found, or each row of a table is one.
     means: Array | None = None  #: Of each pose, in the columns' unit, (n, 3); None: there is none.
     #: What the columns read where nothing is felt, shape (3,): zero, or the middle of the sphere on
     #: which the poses lie.
     zero: Array = field(default_factory=lambda: np.zeros(3))
-    rest: float = SHORTEST_REST  #: The shortest rest that counted, s.
+    rest: float = MIN_DURATION  #: The shortest rest that counted, s.
     #: Further columns of three axes that rest alike, as of a second sensor.
     others: tuple[tuple[str, ...], ...] = ()
 
@@ -156,7 +163,7 @@ def _tells_more(shorter: TriadColumns | None, longer: TriadColumns | None) -> bo
         return True
     many = len(shorter.means) >= _MANY_MORE * len(longer.means)
     felt = shorter.means - shorter.zero
-    clear = shorter.poses is not None and shorter.poses.contrast > CLEAR_RATIO
+    clear = shorter.poses is not None and shorter.poses.contrast > MIN_CONTRAST
     return many and clear and shorter.columns == longer.columns and _turns(felt)
 
 
@@ -211,7 +218,7 @@ def without_gravity(guess: FileGuess) -> tuple[str, ...]:
         except RecordError:
             continue
         one_g = STANDARD_GRAVITY / unit_factor(three[0].unit, "m/s^2", gravity=STANDARD_GRAVITY)
-        still = len(poses.start) > 1 and poses.contrast > CLEAR_RATIO
+        still = len(poses.start) > 1 and poses.contrast > MIN_CONTRAST
         if still and _norms(poses.mean).max() < _NOTHING_PART * one_g:
             return tuple(one.name for one in three)
     return ()

@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from counterspin.calibration.observed_runs import ObservedRun
-from counterspin.campaign.checking import did_you_mean
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.runs import Run
+from counterspin.campaign.validation import suggest_name
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
 from counterspin.monitoring.mean_run import MeanRun, check_mean, mean_runs
@@ -136,7 +136,7 @@ def _select_run(campaign: Campaign, file: Path | None, name: str | None) -> Reco
     if name is not None:
         if name not in by_name:
             raise CampaignError(
-                "`run`", [f'there is no run "{name}"{did_you_mean(name, list(by_name))}']
+                "`run`", [f'there is no run "{name}"{suggest_name(name, list(by_name))}']
             )
         return by_name[name]
     if file is not None:

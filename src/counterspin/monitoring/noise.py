@@ -13,9 +13,9 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.checksums import Checksums
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.kinds import exact
-from counterspin.campaign.noise_at_rest import SI_UNITS, rest_signals
+from counterspin.campaign.field_types import exact
 from counterspin.campaign.settings import OBSERVABLES
+from counterspin.campaign.static_noise import SI_UNITS, static_signals
 from counterspin.errors import CampaignError, RecordError
 from counterspin.inference.noise.model import COMPONENTS
 from counterspin.inference.noise.rest import Band, RestRecord, RestSignal, at_rest
@@ -120,7 +120,7 @@ def noise(
             if select is not None:
                 raise CampaignError("noise", ["`select`: the campaign states it, in [records]"])
             g = full_campaign.gravity.value
-            signals = _select_signals(rest_signals(full_campaign, source), columns)
+            signals = _select_signals(static_signals(full_campaign, source), columns)
         else:
             signals, unused = _guess_signals(source, columns, unit, sampling_rate, g, select)
         rest_records = [at_rest(source, signal) for signal in signals]
@@ -128,7 +128,7 @@ def noise(
     checksum = None
     if file is not None:
         with Checksums() as checksums:
-            (checksum,) = checksums.of([file])
+            (checksum,) = checksums.checksums([file])
     return NoiseResult(
         record=str(record) if file is not None else str(source),
         checksum=checksum,

@@ -24,7 +24,7 @@ from counterspin.calibration.observed_runs import (
     recorded_temperatures,
     temperature_columns,
 )
-from counterspin.campaign.conditions import conditions_of
+from counterspin.campaign.conditions import run_conditions
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.runs import Run
@@ -40,7 +40,7 @@ from counterspin.records.layout import HEAD_LINES
 from counterspin.records.memory import MemoryTable
 from counterspin.records.record import Record, RecordColumns
 from counterspin.temporary_folders import temporary_folder
-from counterspin.triads.found_poses import FoundPose, columns_of_poses, found_in
+from counterspin.triads.record_poses import LocatedPose, extract_poses, pose_columns
 
 #: Suffixes of files to which rows are appended.
 GROWING_SUFFIXES: Final = tuple(e for e, form in RECORD_FORMATS.items() if form.can_grow)
@@ -204,7 +204,7 @@ class _WatchedRun:
     identity: tuple[FileIdentity, ...] | None = None
     record: Record | None = None
     observed: ObservedRun | None = None
-    found: tuple[FoundPose, ...] = ()
+    found: tuple[LocatedPose, ...] = ()
     temperature: tuple[float, ...] | None = None
     conditions: RunConditions | None = None
     stale: bool = True
@@ -232,9 +232,7 @@ class Observer:
         self._watched = []
         for run in recordings(campaign):
             columns = (
-                record_columns(campaign, run)
-                if isinstance(run, Run)
-                else columns_of_poses(campaign)
+                record_columns(campaign, run) if isinstance(run, Run) else pose_columns(campaign)
             )
             warm = temperature_columns(campaign, run)
             table = _growing_table(run, columns, warm) if grow else None
@@ -276,7 +274,7 @@ class Observer:
                 if self.poses_of(record.name)
             )
             part = replace(part, triad=replace(part.triad, records=usable))
-        conditions = conditions_of(part, lengths) if runs else {}
+        conditions = run_conditions(part, lengths) if runs else {}
         observed = []
         for watched in self._watched:
             if watched.record is None or not isinstance(watched.run, Run):
@@ -288,7 +286,7 @@ class Observer:
             observed.append(watched.observed)
         return part, observed
 
-    def poses_of(self, name: str) -> tuple[FoundPose, ...]:
+    def poses_of(self, name: str) -> tuple[LocatedPose, ...]:
         """Return the poses of a record; none if it is unusable."""
         return next(w for w in self._watched if w.run.name == name).found
 
@@ -339,7 +337,7 @@ class Observer:
             if isinstance(run, Run):
                 watched.record = read_run(source, run)
             else:
-                watched.found = tuple(found_in(source, run))
+                watched.found = tuple(extract_poses(source, run))
         except RecordError as error:
             watched.trouble = str(error)
 

@@ -19,11 +19,11 @@ from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import make_unknowns
 from counterspin.calibration.observed_runs import ObservedRun
 from counterspin.calibration.outcome import OUTLIER_SHARE, coefficient
-from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.noise_at_rest import said_noise
 from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.settings import OBSERVABLES
+from counterspin.campaign.static_noise import resolve_noise
+from counterspin.campaign.validation import Problems
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE
@@ -45,9 +45,9 @@ from counterspin.planning.stations import every_up, pointing_up, words_of_up
 from counterspin.readings.fitted import FittedReadings
 from counterspin.records.record import RecordReport
 from counterspin.triads.checks import pose_findings
-from counterspin.triads.found_poses import FoundPose
-from counterspin.triads.groups import one_group
+from counterspin.triads.groups import make_group
 from counterspin.triads.poses import TriadPoses
+from counterspin.triads.record_poses import LocatedPose
 
 
 def run_state(
@@ -116,7 +116,7 @@ def _residuals(campaign: Campaign, view: AccelerometerView, run: str) -> Residua
             squares += float((residuals.plain**2 * prepared.series.count).sum())
             rows += residuals.plain.size
     observable = view.accelerometer.observable
-    stated = getattr(said_noise(campaign)[view.name].sizes, observable, None)
+    stated = getattr(resolve_noise(campaign)[view.name].sizes, observable, None)
     return ResidualState(
         rms=math.sqrt(squares / rows),
         stated=stated if isinstance(stated, float) and stated > 0.0 else None,
@@ -286,7 +286,10 @@ _MAX_DIRECTIONS: Final = 12
 
 
 def poses_state(
-    campaign: Campaign, record: PoseRecord, found_poses: Sequence[FoundPose], fit: CurrentFit | None
+    campaign: Campaign,
+    record: PoseRecord,
+    found_poses: Sequence[LocatedPose],
+    fit: CurrentFit | None,
 ) -> RunState:
     """Return the state of a record of poses.
 
@@ -313,7 +316,7 @@ def poses_state(
             outlying=[
                 far_off.name
                 for part in (fit.posed if fit else ())
-                for far_off in part.outlying()
+                for far_off in part.outliers()
                 if far_off.name in names
             ],
             missing=missing_directions(campaign, found_poses, fit),
@@ -322,19 +325,23 @@ def poses_state(
 
 
 def pose_remarks(
-    found_poses: Sequence[FoundPose], fit: CurrentFit | None
+    found_poses: Sequence[LocatedPose], fit: CurrentFit | None
 ) -> tuple[list[str], bool]:
     """Return remarks on a record of poses, in sentences, and True if it may be kept."""
     pose_record = found_poses[0].record
     assert pose_record is not None
     findings = pose_findings(fit.estimate.fit, fit.posed) if fit else []
-    unusual = [*pose_record.poses.doubts, *pose_record.poses.left_out, *pose_record.report.notes()]
+    unusual = [
+        *pose_record.poses.warnings,
+        *pose_record.poses.rejected,
+        *pose_record.report.notes(),
+    ]
     may_be_kept = not any(finding.contradicts for finding in findings)
     return [*(finding.text for finding in findings), *unusual], may_be_kept
 
 
 def missing_directions(
-    campaign: Campaign, found_poses: Sequence[FoundPose], fit: CurrentFit | None
+    campaign: Campaign, found_poses: Sequence[LocatedPose], fit: CurrentFit | None
 ) -> list[str]:
     """Return the directions in which one pose would be more informative than all existing poses.
 
@@ -344,7 +351,7 @@ def missing_directions(
     """
     model = fit.estimate.fit.model if fit else make_unknowns(campaign)
     point = fit.estimate.fit.solution.estimate if fit else np.zeros(len(model.unknowns))
-    group = one_group(campaign, [found_pose.pose for found_pose in found_poses])
+    group = make_group(campaign, [found_pose.pose for found_pose in found_poses])
     ups = every_up(group.accelerometers)
     known = [
         {
@@ -354,10 +361,10 @@ def missing_directions(
         }
         for name in group.accelerometers
     ]
-    further = pointing_up(one_group(campaign, [found_poses[0].pose] * len(ups)), ups, known)
+    further = pointing_up(make_group(campaign, [found_poses[0].pose] * len(ups)), ups, known)
     requested = [place for place, u in enumerate(model.asked) if u.owner in group.accelerometers]
-    rows = group.linearised(model, point).design[:, requested]
-    possible = further.linearised(model, point).design[:, requested]
+    rows = group.linearize(model, point).design[:, requested]
+    possible = further.linearize(model, point).design[:, requested]
     information = rows.T @ rows + _NEGLIGIBLE_PRIOR * np.eye(len(requested))
     missing: list[str] = []
     while len(missing) < _MAX_DIRECTIONS:
@@ -377,5 +384,5 @@ def _pose_residuals(fit: CurrentFit) -> Iterator[tuple[str, float]]:
     for part in fit.posed:
         poses = part.readings
         assert isinstance(poses, TriadPoses)
-        growth = poses.at(model, point).growth
+        growth = poses.at(model, point).gain
         yield from zip(poses.names, (part.residuals / growth).tolist(), strict=True)

@@ -149,7 +149,7 @@ def _omit_terms(prediction: Forecast, model: Unknowns, expected: Array) -> tuple
     ]
     return (
         *prepared_for(fit.prepared, fit.model, model, factors, {}),
-        *(group.linearised(model, expected) for group in readings),
+        *(group.linearize(model, expected) for group in readings),
     )
 
 

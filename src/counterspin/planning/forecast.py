@@ -16,10 +16,10 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.model import make_unknowns
-from counterspin.campaign.conditions import conditions_of
+from counterspin.campaign.conditions import run_conditions
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.noise_at_rest import said_noise, true_noise
 from counterspin.campaign.runs import Run, sample_count
+from counterspin.campaign.static_noise import resolve_noise, simulated_noise
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.identifiability import Assessment
@@ -124,7 +124,7 @@ def forecast(
         expected = expected_values(campaign, model.unknowns)
     groups = all_groups(campaign)
     if not campaign.runs:
-        read = [group.linearised(model, expected) for group in groups]
+        read = [group.linearize(model, expected) for group in groups]
         return Forecast(campaign, solve_joint(read, model, {}))
     assert sampling_rate is not None
     rates = (
@@ -142,7 +142,7 @@ def forecast(
     full_model = with_encoder(model, series, noise)
     expected = np.pad(expected, (0, len(full_model.unknowns) - len(model.unknowns)))
     prepared = prepare_columns(series, full_model, scale_factors(campaign), expected)
-    read = [group.linearised(full_model, expected) for group in groups]
+    read = [group.linearize(full_model, expected) for group in groups]
     return Forecast(campaign, solve_joint([*prepared, *read], full_model, noise))
 
 
@@ -183,8 +183,8 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
 
 def _noise(campaign: Campaign, name: str) -> Mapping[str, float | str]:
     """Return the stated noise; noise to be estimated is taken from a simulation's truth."""
-    stated = dict(said_noise(campaign, 0.0)[name].sizes or ())
-    truth = vars(true_noise(campaign)) if campaign.simulation else {}
+    stated = dict(resolve_noise(campaign, 0.0)[name].sizes or ())
+    truth = vars(simulated_noise(campaign)) if campaign.simulation else {}
     return {key: stated.get(key, size) for key, size in {**truth, **stated}.items()} | {
         key: size for key, size in truth.items() if not isinstance(stated.get(key), float)
     }
@@ -231,7 +231,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
             Spindle(run.rate),
             campaign.radius.value,
             campaign.site,
-            conditions=conditions_of(campaign)[run.name],
+            conditions=run_conditions(campaign)[run.name],
         ),
         mounting=accelerometer.mounting,
         observable=accelerometer.observable,

@@ -13,21 +13,21 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from counterspin.calibration.model import make_unknowns
-from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.documents import (
     KeyPath,
+    campaign_error,
     list_of,
     load_document,
-    mistakes,
-    patched,
-    plain,
+    merge_patch,
     table_of,
+    to_toml_value,
 )
-from counterspin.campaign.kinds import ESTIMATE
-from counterspin.campaign.noise_at_rest import SI_UNITS, with_sizes_found
+from counterspin.campaign.field_types import ESTIMATE
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.settings import OBSERVABLES, NoiseSettings
+from counterspin.campaign.static_noise import SI_UNITS, with_static_sizes
+from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import Unknown, unit_of
@@ -86,7 +86,7 @@ def load_plan(path: Mapping[str, Any] | Path | str) -> dict[str, Any]:
     """Return a plan's document; CampaignError if it cannot be read."""
     if isinstance(path, Mapping):
         problems = Problems(path)
-        document: dict[str, Any] = {"schema": 1} | plain(path, (), problems.add)
+        document: dict[str, Any] = {"schema": 1} | to_toml_value(path, (), problems.add)
         if problems.lines:
             raise CampaignError(str(plan_name(path)), problems.lines)
         return document
@@ -107,11 +107,11 @@ def change_plan(document: Mapping[str, Any], changes: Mapping[str, Any]) -> dict
         patch = value
         for part in reversed(path):
             patch = {part: patch}
-        made = patched(made, patch)
+        made = merge_patch(made, patch)
         # A plan either reaches a target or makes u least in the time there is.
         excluded = {"target": "minimise", "minimise": "target"}.get(str(path[-1]))
         if path[0] == "goal" and excluded is not None and value is not None:
-            made = patched(made, {"goal": {excluded: None}})
+            made = merge_patch(made, {"goal": {excluded: None}})
     return made
 
 
@@ -142,7 +142,7 @@ def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) ->
     document = _campaign_document(raw, settings)
     document["noise"] = _sizes(table_of(document, "noise"), problems)
     if _refuse_dated(document, problems):
-        raise mistakes(file, problems.lines)
+        raise campaign_error(file, problems.lines)
     stand_ins = [
         {"name": name, "rate": "1 rad/s", "record": f"run{i}.csv", "attitude": attitude}
         for i, (name, attitude) in enumerate(attitudes.items())
@@ -167,7 +167,7 @@ def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) ->
                 sought,
             )
     if problems.lines or plan is None:
-        raise mistakes(file, problems.lines)
+        raise campaign_error(file, problems.lines)
     return plan
 
 
@@ -246,7 +246,7 @@ def _sizes(noise: Mapping[str, Any], problems: Problems) -> dict[str, Any]:
 def _found_sizes(campaign: Campaign, stated: NoiseSettings, problems: Problems) -> dict[str, str]:
     """Return [noise] as it is written with the sizes that a record at rest says."""
     units = {**OBSERVABLES, **SI_UNITS, "quantisation": "m", "angle": "rad", "timing": "s"}
-    sizes = {key: size for key, size in with_sizes_found(campaign, stated) if size}
+    sizes = {key: size for key, size in with_static_sizes(campaign, stated) if size}
     for key in {"flicker", "bias_walk"} & sizes.keys() - stated.model_fields_set:
         problems.add(
             ("noise", "from"),
@@ -422,7 +422,7 @@ def resolve_goal(
         chosen = [u for u in shared if name in (u.name, u.symbol)]
         if not chosen:
             known = dict.fromkeys(n for u in shared for n in (u.symbol, u.name))
-            problems.add(path, f'"{name}" is not estimated' + did_you_mean(name, known))
+            problems.add(path, f'"{name}" is not estimated' + suggest_name(name, known))
             continue
         size: float | None = 1.0
         if isinstance(wanted, Mapping):
@@ -444,7 +444,7 @@ def _size(
     text: Any, unknown: Unknown, campaign: Campaign, path: tuple[str | int, ...], problems: Problems
 ) -> float | None:
     unit = unit_of(unknown.symbol)
-    quantity = problems.attempt(path, parse, text, unit, gravity=campaign.site.gravity)
+    quantity = problems.collect(path, parse, text, unit, gravity=campaign.site.gravity)
     if quantity is None:
         return None
     if quantity.value <= 0.0 or quantity.u != 0.0:

@@ -9,18 +9,17 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator
 
-from counterspin.campaign.checking import Section
 from counterspin.campaign.columns import RecordsSettings
-from counterspin.campaign.kinds import (
+from counterspin.campaign.field_types import (
     PositiveRatio,
     Schema,
     Seconds,
     SettingsSection,
     Text,
-    described,
+    key_field,
     positive,
     read_exactly,
-    with_units,
+    require_units,
 )
 from counterspin.campaign.quantity import attitude_rows
 from counterspin.campaign.resolution import Accelerometers, Runs
@@ -33,6 +32,7 @@ from counterspin.campaign.settings import (
     SiteSettings,
 )
 from counterspin.campaign.truth import TruthSettings
+from counterspin.campaign.validation import Section
 from counterspin.readings.entries import MOST_READINGS, MOST_RECORDS
 from counterspin.readings.table import ReadingsSettings
 from counterspin.triads.section import TriadSettings
@@ -68,53 +68,53 @@ def _attitude(value: object) -> object:
 class LimitsSettings(SettingsSection):
     """[limits]: what the machine and the laboratory allow."""
 
-    total_time: Seconds = described(
+    total_time: Seconds = key_field(
         "records, spin-up, settling and changes of attitude together", "700 s"
     )
-    highest_rate: Rate | None = described(
+    highest_rate: Rate | None = key_field(
         "largest size of the rate", "2 rad/s", None, absent="by `specific_force` or `rates`"
     )
-    lowest_rate: Rate | None = described(
+    lowest_rate: Rate | None = key_field(
         "smallest size of the rate", "0.5 rad/s", None, absent="highest / 8"
     )
-    rates: Annotated[list[Rate], Field(min_length=1, max_length=MOST_RECORDS)] | None = described(
+    rates: Annotated[list[Rate], Field(min_length=1, max_length=MOST_RECORDS)] | None = key_field(
         "the settings available, a list",
         ["0.25 rev/s", "0.5 rev/s"],
         None,
         absent="any rate between",
     )
-    specific_force: Force | None = described(
+    specific_force: Force | None = key_field(
         "largest centripetal force, in g", "1 g", None, absent="as the rates"
     )
-    senses: Literal["one", "both"] = described("in which it turns", "both", "one")
-    settling: Duration = described("time before each record", "10 s", 0.0, absent="0 s")
-    spin_up: SpinUp | None = described(
+    senses: Literal["one", "both"] = key_field("in which it turns", "both", "one")
+    settling: Duration = key_field("time before each record", "10 s", 0.0, absent="0 s")
+    spin_up: SpinUp | None = key_field(
         "angular acceleration; rate / acceleration is added to each run",
         "0.1 rad/s^2",
         None,
         absent="no time",
     )
-    spin_down: SpinUp | None = described(
+    spin_down: SpinUp | None = key_field(
         "angular deceleration; rate / acceleration is added to each run",
         "0.1 rad/s^2",
         None,
         absent="no time",
     )
-    fewest_revolutions: Annotated[PositiveRatio, AfterValidator(_one_or_more)] = described(
+    fewest_revolutions: Annotated[PositiveRatio, AfterValidator(_one_or_more)] = key_field(
         "of a run, at least 1", 10, 5.0
     )
-    longest_run: Seconds | None = described("of a record", "400 s", None, absent="the total time")
-    runs: Annotated[int, Field(le=MOST_RECORDS), AfterValidator(positive)] = described(
+    longest_run: Seconds | None = key_field("of a record", "400 s", None, absent="the total time")
+    runs: Annotated[int, Field(le=MOST_RECORDS), AfterValidator(positive)] = key_field(
         "largest number, at most 60", 14, 8
     )
-    fewest_rates: Annotated[int, AfterValidator(positive)] | None = described(
+    fewest_rates: Annotated[int, AfterValidator(positive)] | None = key_field(
         "how many different rates there must be, each at least 1.25 times the next; "
         "of `rates`, any that differ",
         3,
         None,
         absent="2, or 1 where the other limits leave no room for two",
     )
-    attitudes: list[Annotated[Any, PlainValidator(_attitude)]] = described(
+    attitudes: list[Annotated[Any, PlainValidator(_attitude)]] = key_field(
         "list, written as in `campaign.toml`",
         ["level", "90 deg about east"],
         absent="level only",
@@ -122,8 +122,8 @@ class LimitsSettings(SettingsSection):
         min_length=1,
         max_length=MOST_ATTITUDES,
     )
-    attitude_change: Duration = described("time for each", "5 min", 0.0, absent="0 s")
-    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = described(
+    attitude_change: Duration = key_field("time for each", "5 min", 0.0, absent="0 s")
+    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = key_field(
         "of the records", "100 Hz", 50.0, absent="50 Hz"
     )
 
@@ -131,91 +131,91 @@ class LimitsSettings(SettingsSection):
 class StationsSettings(SettingsSection):
     """[[stations]]: readings that may be taken, one for each position or rate."""
 
-    name: str = described("before the name of each reading", "tumble", "")
-    motion: Literal["counter-rotating", "arm", "static"] = described(
+    name: str = key_field("before the name of each reading", "tumble", "")
+    motion: Literal["counter-rotating", "arm", "static"] = key_field(
         "how the instrument moves", "arm", "static"
     )
-    positions: Annotated[int, Field(le=3600), AfterValidator(positive)] | None = described(
+    positions: Annotated[int, Field(le=3600), AfterValidator(positive)] | None = key_field(
         "number of equally spaced angles at rest", 24, None
     )
-    attitudes: Annotated[list[Any], Field(min_length=1)] | None = described(
+    attitudes: Annotated[list[Any], Field(min_length=1)] | None = key_field(
         "in place of `positions`: a list, as in [campaigns](readings.md#keys)",
         ["level", "90 deg about east"],
         None,
     )
-    attitude: Literal["unknown"] | None = described(
+    attitude: Literal["unknown"] | None = key_field(
         "[poses](poses.md#which-poses-next) of a triad, set by hand", "unknown", None
     )
-    up: Annotated[list[Text], Field(min_length=1)] | None = described(
+    up: Annotated[list[Text], Field(min_length=1)] | None = key_field(
         "of poses: the axes that point up, those with a minus down; where there are several, all "
         "of them equally",
         ["X", "-X", "Y - Z"],
         None,
         absent="each axis, every two and every three of them: 26",
     )
-    about: Text = described("the axis about which they turn", "east", "north")
-    u_angle: Annotated[float, read_exactly("rad"), AfterValidator(_not_negative)] = described(
+    about: Text = key_field("the axis about which they turn", "east", "north")
+    u_angle: Annotated[float, read_exactly("rad"), AfterValidator(_not_negative)] = key_field(
         "random error of the dividing head at each position", "2 arcsec", 0.0, absent="0 rad"
     )
-    rates: Annotated[list[Rate], Field(min_length=1)] | None = described(
+    rates: Annotated[list[Rate], Field(min_length=1)] | None = key_field(
         "of stations that turn: a list of rates", ["5 rad/s", "9.9 rad/s"], None
     )
-    specific_forces: Annotated[list[Force], Field(min_length=1)] | None = described(
+    specific_forces: Annotated[list[Force], Field(min_length=1)] | None = key_field(
         "in place of `rates`: a list of centripetal forces", ["2 g", "10 g"], None
     )
-    senses: Literal["one", "both"] = described("in which it turns", "both", "one")
-    axes: dict[str, Any] | None = described(
+    senses: Literal["one", "both"] = key_field("in which it turns", "both", "one")
+    axes: dict[str, Any] | None = key_field(
         "as of a run with a reading", {"input": "inward", "pendulous": "up"}, None
     )
-    mounting: str = described("as of a run with a reading", "in", "")
-    u: Annotated[Text | dict[str, Text], BeforeValidator(with_units)] = described(
+    mounting: str = key_field("as of a run with a reading", "in", "")
+    u: Annotated[Text | dict[str, Text], BeforeValidator(require_units)] = key_field(
         "standard uncertainty of one reading, in g or the unit of `output`; with "
         "several accelerometers a table by name, or one for all",
         "2e-6 mA",
     )
-    time: Duration = described("that one reading takes", "60 s", 0.0, absent="0 s")
+    time: Duration = key_field("that one reading takes", "60 s", 0.0, absent="0 s")
 
 
 class ReadingLimitsSettings(SettingsSection):
     """[limits]: how many readings there may be, and in which order."""
 
-    readings: Annotated[int, Field(le=MOST_READINGS), AfterValidator(positive)] | None = described(
+    readings: Annotated[int, Field(le=MOST_READINGS), AfterValidator(positive)] | None = key_field(
         "most of them", 60, None, absent="as the time"
     )
-    total_time: Seconds | None = described(
+    total_time: Seconds | None = key_field(
         "of all readings; with it a target is reached in the least time, else with "
         "the fewest readings",
         "2 h",
         None,
         absent="as the number",
     )
-    order: Literal["mirrored", "random", "listed"] = described(
+    order: Literal["mirrored", "random", "listed"] = key_field(
         '`"mirrored"`: there and back, so that a linear drift cancels; `"random"`; `"listed"`',
         "random",
         "mirrored",
     )
     sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = (
-        described("of the records in `[[runs]]`, if there are any", "50 Hz", None)
+        key_field("of the records in `[[runs]]`, if there are any", "50 Hz", None)
     )
 
 
 class GoalSettings(SettingsSection):
     """[goal]: what the plan is for."""
 
-    minimise: list[Text] | dict[str, Any] | None = described(
+    minimise: list[Text] | dict[str, Any] | None = key_field(
         'coefficients, as `["K_II"]`; of several in different units the sizes of u '
         'that count alike, as `{ K_II = "1e-8 g/g^2", K_I = "1e-6 g/g" }`',
         ["K_II"],
         None,
         absent="`target`",
     )
-    target: dict[str, Any] | None = described(
+    target: dict[str, Any] | None = key_field(
         "sizes of u to reach in the least time, in place of `minimise`",
         {"K_II": "2e-8 g/g^2"},
         None,
         absent="`minimise`",
     )
-    criterion: Literal["sum", "determinant"] = described(
+    criterion: Literal["sum", "determinant"] = key_field(
         '`"sum"`: the mean of (u/size)² (c- or A-optimality); `"determinant"`: the '
         "volume of the ellipsoid (D-optimality)",
         "determinant",
@@ -226,27 +226,27 @@ class GoalSettings(SettingsSection):
 class _Sections(SettingsSection):
     """The goal of a plan, and the limits of the machine."""
 
-    schema_version: Schema = described("version of this format", 1, alias="schema")
-    campaign: Annotated[dict[str, Any], Section(CampaignSettings)] = described(
+    schema_version: Schema = key_field("version of this format", 1, alias="schema")
+    campaign: Annotated[dict[str, Any], Section(CampaignSettings)] = key_field(
         "what a report says, as in a campaign",
         {"title": "A day at the centrifuge"},
         absent="empty",
         default_factory=dict,
     )
-    site: Annotated[dict[str, Any], Section(SiteSettings)] = described(
+    site: Annotated[dict[str, Any], Section(SiteSettings)] = key_field(
         "where, as in a campaign", {}
     )
-    accelerometers: Accelerometers = described(
+    accelerometers: Accelerometers = key_field(
         "one table for each, as in a campaign",
         {"Qx": {"input_axis": "east", "pendulous_axis": "down"}},
     )
-    model: Annotated[dict[str, Any] | None, Section(ModelSettings)] = described(
+    model: Annotated[dict[str, Any] | None, Section(ModelSettings)] = key_field(
         "what is asked for, and what is known, as in a campaign", {}, None, absent="the usual terms"
     )
-    records: Annotated[dict[str, Any] | None, Section(RecordsSettings)] = described(
+    records: Annotated[dict[str, Any] | None, Section(RecordsSettings)] = key_field(
         "how files will be read, as in a campaign", {}, None
     )
-    goal: Annotated[dict[str, Any], Section(GoalSettings)] = described(
+    goal: Annotated[dict[str, Any], Section(GoalSettings)] = key_field(
         "what the plan is for", {"minimise": ["K_II"]}
     )
 
@@ -254,16 +254,16 @@ class _Sections(SettingsSection):
 class PlanDocument(_Sections):
     """A plan of records."""
 
-    limits: Annotated[dict[str, Any], Section(LimitsSettings)] = described(
+    limits: Annotated[dict[str, Any], Section(LimitsSettings)] = key_field(
         "what the machine and the laboratory allow", {}
     )
-    centrifuge: Annotated[dict[str, Any], Section(CentrifugeSettings)] = described(
+    centrifuge: Annotated[dict[str, Any], Section(CentrifugeSettings)] = key_field(
         "its size, as in a campaign", {}
     )
-    noise: Annotated[dict[str, Any], Section(NoiseSettings)] = described(
+    noise: Annotated[dict[str, Any], Section(NoiseSettings)] = key_field(
         "of the records, as in a campaign; every size a number", {"displacement": "0.01 m"}
     )
-    truth: Annotated[dict[str, Any] | None, Section(TruthSettings)] = described(
+    truth: Annotated[dict[str, Any] | None, Section(TruthSettings)] = key_field(
         "true values, for a simulation of the plan", {}, None
     )
 
@@ -271,30 +271,30 @@ class PlanDocument(_Sections):
 class ReadingPlanDocument(_Sections):
     """A plan of readings."""
 
-    limits: Annotated[dict[str, Any], Section(ReadingLimitsSettings)] = described(
+    limits: Annotated[dict[str, Any], Section(ReadingLimitsSettings)] = key_field(
         "how many readings there may be, and in which order", {}
     )
-    centrifuge: Annotated[dict[str, Any] | None, Section(CentrifugeSettings)] = described(
+    centrifuge: Annotated[dict[str, Any] | None, Section(CentrifugeSettings)] = key_field(
         "its size, as in a campaign; needed where a station turns", {}, None
     )
-    fixture: Annotated[dict[str, Any] | None, Section(FixtureSettings)] = described(
+    fixture: Annotated[dict[str, Any] | None, Section(FixtureSettings)] = key_field(
         "how well positions are set, as in a campaign", {}, None
     )
-    noise: Annotated[dict[str, Any] | None, Section(NoiseSettings)] = described(
+    noise: Annotated[dict[str, Any] | None, Section(NoiseSettings)] = key_field(
         "of the records of `runs`, as in a campaign", {}, None
     )
-    triad: Annotated[dict[str, Any] | None, Section(TriadSettings)] = described(
+    triad: Annotated[dict[str, Any] | None, Section(TriadSettings)] = key_field(
         "three accelerometers of one sensor, as in a campaign", {}, None
     )
-    runs: Runs = described(
+    runs: Runs = key_field(
         "records and readings that are taken in any case, as in a campaign",
         [],
         absent="none",
         default_factory=list,
     )
-    readings: Annotated[dict[str, Any] | None, Section(ReadingsSettings)] = described(
+    readings: Annotated[dict[str, Any] | None, Section(ReadingsSettings)] = key_field(
         "a table of readings that are taken in any case, as in a campaign", {}, None
     )
     stations: Annotated[list[Any], Field(min_length=1), Section(list[StationsSettings])] = (
-        described("readings that may be taken", [{"positions": 24, "u": "2e-6 g"}])
+        key_field("readings that may be taken", [{"positions": 24, "u": "2e-6 g"}])
     )

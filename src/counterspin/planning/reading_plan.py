@@ -35,10 +35,10 @@ from counterspin.planning.result import (
 from counterspin.planning.search import not_determined, words_of_missed_target
 from counterspin.planning.stations import PossibleReading, ReadingPlan
 from counterspin.readings.entries import MOST_READINGS
-from counterspin.readings.groups import groups_of
+from counterspin.readings.groups import group_readings
 from counterspin.readings.known_attitudes import Readings
 from counterspin.readings.linear import rows_at
-from counterspin.triads.groups import poses_together
+from counterspin.triads.groups import group_poses
 from counterspin.triads.poses import TriadPoses
 
 Counts = npt.NDArray[np.int64]
@@ -313,8 +313,8 @@ def _possibilities(plan: ReadingPlan, model: Unknowns) -> Possibilities:
     poses = campaign.triad.poses if campaign.triad else ()
     poses = tuple(pose for pose in poses if pose[0].name in names)
     groups: list[Readings | TriadPoses] = [
-        *groups_of(campaign, readings),
-        *poses_together(campaign, poses),
+        *group_readings(campaign, readings),
+        *group_poses(campaign, poses),
     ]
     p, q = len(model.unknowns), len(model.considered)
     design = np.zeros((len(names), len(accelerometers), p))

@@ -15,12 +15,12 @@ from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import make_unknowns
 from counterspin.calibration.observed_runs import ObservedRun, observe, with_recorded_temperatures
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.documents import source_of
-from counterspin.campaign.noise_at_rest import said_noise
+from counterspin.campaign.documents import require_source
 from counterspin.campaign.quantity import attitude_rows
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import NoiseSettings, StatedNoise
+from counterspin.campaign.static_noise import resolve_noise
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.fit import JointFit
@@ -28,8 +28,8 @@ from counterspin.inference.noise.model import Noise
 from counterspin.planning.forecast import forecast
 from counterspin.readings.fit import solve_readings
 from counterspin.threads import one_blas_thread
-from counterspin.triads.found_poses import campaign_poses, noise_within
-from counterspin.triads.groups import poses_together
+from counterspin.triads.groups import group_poses
+from counterspin.triads.record_poses import campaign_poses, pooled_noise
 
 
 def with_pose_noise(campaign: Campaign) -> Campaign:
@@ -44,7 +44,7 @@ def with_pose_noise(campaign: Campaign) -> Campaign:
     blank = any(math.isnan(reading.value) for pose in poses for reading in pose)
     if blank or all(reading.u is not None for pose in poses for reading in pose):
         return campaign
-    *_, group = poses_together(campaign, poses, noise_within(fitted_poses, campaign.gravity.value))
+    *_, group = group_poses(campaign, poses, pooled_noise(fitted_poses, campaign.gravity.value))
     noise = solve_readings([group], make_unknowns(campaign)).groups[0].noise
     noisy = tuple(_with_noise(pose, noise) for pose in poses)
     return replace(campaign, triad=replace(campaign.triad, poses=noisy, records=()))
@@ -131,7 +131,7 @@ def as_recorded(
 
 def _missing_noise(campaign: Campaign) -> set[str]:
     """Return the components of noise that are left to the records."""
-    stated = [stated_noise.sizes for stated_noise in said_noise(campaign).values()]
+    stated = [stated_noise.sizes for stated_noise in resolve_noise(campaign).values()]
     return {
         key
         for key in StatedNoise.model_fields
@@ -177,7 +177,7 @@ def further_runs(
     rates = rates_of(observed)
 
     def u_of(runs: Sequence[dict[str, Any]]) -> float:
-        described = list(source_of(campaign).document["runs"])
+        described = list(require_source(campaign).document["runs"])
         changed = campaign.change({"runs": [*described, *runs]}) if runs else campaign
         fastest = max(rates.values())
         sampled = {run.name: rates.get(run.name, fastest) for run in changed.runs}

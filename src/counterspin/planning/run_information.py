@@ -27,7 +27,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array, triangle_of
-from counterspin.campaign.conditions import UNKNOWN_WARMING
+from counterspin.campaign.conditions import DEFAULT_WARMING
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import CONDITION_TERMS
@@ -310,7 +310,7 @@ def _conditions(types: Sequence[RunType], duration: Array) -> tuple[Array, Array
     start, warmth = np.empty_like(duration), np.zeros(len(order))
     start[..., order] = np.cumsum(duration[..., order], axis=-1) - duration[..., order]
     if len(order) > 1:
-        warmth[order] = UNKNOWN_WARMING * np.linspace(-0.5, 0.5, len(order))
+        warmth[order] = DEFAULT_WARMING * np.linspace(-0.5, 0.5, len(order))
     return start, warmth
 
 

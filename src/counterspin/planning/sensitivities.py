@@ -87,7 +87,7 @@ def columns_of(fit: JointFit, terms: Sequence[Considered], expected: Array) -> C
 
     def shown(one: Observation) -> Array:
         if isinstance(one, LinearReadings):
-            return one.group.linearised(whole, expected).fixed[:, len(model.considered) :]
+            return one.group.linearize(whole, expected).fixed[:, len(model.considered) :]
         assert isinstance(one, Prepared)
         factors = {one.accelerometer: one.scale_factor}
         (made,) = prepare_columns([one.series], on, factors, expected[acting])

@@ -15,10 +15,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import Campaign, resolve_campaign
-from counterspin.campaign.documents import KeyPath, list_of, mistakes, table_of
+from counterspin.campaign.documents import KeyPath, campaign_error, list_of, table_of
 from counterspin.campaign.reading import Reading
+from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.frozen import frozen
 from counterspin.planning.plan_file import (
     Plan,
@@ -37,8 +37,8 @@ from counterspin.planning.plan_sections import (
 from counterspin.planning.recorded import with_pose_noise
 from counterspin.planning.result import GoalResult
 from counterspin.readings.cells import BLANK
-from counterspin.triads.groups import one_group
-from counterspin.triads.poses import TriadPoses, indications_along
+from counterspin.triads.groups import make_group
+from counterspin.triads.poses import TriadPoses, predict_indications
 from counterspin.triads.section import TriadSettings
 
 #: Most possible readings: the gain of an exchange is computed for all pairs.
@@ -125,7 +125,7 @@ def _simulate_poses(
     ups = [planned[pose[0].name].up or {} for pose in poses]
     priors_of = [campaign.accelerometers[reading.accelerometer].priors for reading in poses[0]]
     known = [{symbol: prior.value for symbol, prior in priors.items()} for priors in priors_of]
-    values = pointing_up(one_group(campaign, poses), ups, known).value.tolist()
+    values = pointing_up(make_group(campaign, poses), ups, known).value.tolist()
     return tuple(
         tuple(replace(reading, value=value) for reading, value in zip(pose, row, strict=True))
         for pose, row in zip(poses, values, strict=True)
@@ -144,7 +144,7 @@ def pointing_up(
     )
     along = up @ poses.axes[:, 0]
     unit = along / np.linalg.norm(along, axis=1)[:, None]
-    return replace(poses, value=indications_along(poses, known, unit))
+    return replace(poses, value=predict_indications(poses, known, unit))
 
 
 def every_up(names: Sequence[str]) -> list[dict[str, float]]:
@@ -241,7 +241,7 @@ def read_reading_plan(
     if limits is not None and campaign is not None and campaign.runs and not limits.sampling_rate:
         problems.add(("limits", "sampling_rate"), "is missing: that of the records in [[runs]]")
     if problems.lines or campaign is None or sought is None or limits is None:
-        raise mistakes(file, problems.lines or ["stations: there are none"])
+        raise campaign_error(file, problems.lines or ["stations: there are none"])
     return ReadingPlan(
         file.absolute(),
         document,
@@ -339,7 +339,7 @@ def _poses(
     ups = every_up(names)
     if settings.up is not None:
         read = [
-            problems.attempt((*path, "up", place), _up, words, names)
+            problems.collect((*path, "up", place), _up, words, names)
             for place, words in enumerate(settings.up)
         ]
         ups = [up for up in read if up is not None]
@@ -359,7 +359,7 @@ def _up(text: str, names: Sequence[str]) -> dict[str, float]:
         elif part in up:
             raise ValueError(f'"{part}" is listed twice')
         elif part not in names:
-            suggestion = did_you_mean(part, names)
+            suggestion = suggest_name(part, names)
             raise ValueError(f'"{part}" is not an accelerometer of the triad{suggestion}')
         else:
             up[part], sign = sign, 1.0

@@ -10,8 +10,8 @@ A calibration loads this room by name for a campaign with readings or with a tri
 - `fit`, `fitted`: the fit of readings and poses beside records, and the residuals of each group
 - `patterns`: patterns of the residuals, such as a drift or a term that the model lacks
 - `means`, `mean_records`: means of records, and readings from them with the rotation of the arm
-- `joining`: readings and poses as data of a calibration
-- `parts`: groups of readings and poses of one accelerometer
-- `checks`, `unseen_faults`: tests of the residuals, and single faults that they would not show
+- `joint_data`: readings and poses as data of a calibration
+- `reading_groups`: groups of readings and poses of one accelerometer
+- `checks`, `undetected_faults`: tests of the residuals, and single faults that they would not show
 - `agreement`, `methods`: each test method compared with the others
 """

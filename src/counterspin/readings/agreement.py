@@ -20,15 +20,15 @@ from counterspin.inference.least_squares import Block, Solution
 
 #: A direction in which a credible change moves data by less than this part of their noise tells
 #: nothing; one that the others predict this many times worse than the data see it tests nothing.
-_BLIND_PART: Final = 1e-2
-_PREDICTION_RATIO: Final = 1e3
+_MIN_SINGULAR_VALUE: Final = 1e-2
+_MAX_PREDICTION_SD: Final = 1e3
 
 #: Variances that differ by less than this part are the same but for rounding.
 _ROUNDING: Final = 1e-9
 
 
 @frozen
-class OneMethod:
+class MethodFit:
     """One kind of data against the others."""
 
     #: What it says by itself, and what the others say, each with all that is known beforehand.
@@ -44,52 +44,71 @@ class OneMethod:
     dof: int
 
 
-def agreements(fit: JointFit) -> dict[str, OneMethod]:
+def compare_motions(fit: JointFit) -> dict[str, MethodFit]:
     """Compare the data of each motion with all the others; empty where all are of one."""
-    kinds = list(dict.fromkeys(one.motion for one in fit.observations))
-    return {kind: _agreement(fit, kind) for kind in kinds} if len(kinds) > 1 else {}
+    motions = list(dict.fromkeys(observation.motion for observation in fit.observations))
+    return {motion: _compare_motion(fit, motion) for motion in motions} if len(motions) > 1 else {}
 
 
-def _agreement(fit: JointFit, kind: str) -> OneMethod:
-    model, whole = fit.model, fit.solution
-    alone = fit.only([one.motion == kind for one in fit.observations])
-    others = [
-        block for block, one in zip(fit.blocks, fit.observations, strict=True) if one.motion != kind
+def _compare_motion(fit: JointFit, motion: str) -> MethodFit:
+    model, solution = fit.model, fit.solution
+    alone = fit.only([observation.motion == motion for observation in fit.observations])
+    other_blocks = [
+        block
+        for block, observation in zip(fit.blocks, fit.observations, strict=True)
+        if observation.motion != motion
     ]
-    without = solve_blocks(others, model)
+    without = solve_blocks(other_blocks, model)
     # The whole is the better estimate of the two, so that variances subtract (Hausman); what is
     # considered moves both, and the shift by the difference.
-    before, after = np.diag(without.least_covariance), np.diag(whole.least_covariance)
-    moved = (without.sensitivity_considered - whole.sensitivity_considered) * whole.considered_sd
-    spread = np.maximum(before - after, 0.0) + np.sum(moved**2, axis=1)
-    if whole.covariance_unseen is not None:
-        spread = spread + np.diag(whole.covariance_unseen)
-    chi2, dof = _surprise(alone.blocks, others, model)
-    return OneMethod(
+    variance_without, variance = (
+        np.diag(without.least_covariance),
+        np.diag(solution.least_covariance),
+    )
+    considered_shift = (
+        without.sensitivity_considered - solution.sensitivity_considered
+    ) * solution.considered_sd
+    shift_variance = np.maximum(variance_without - variance, 0.0) + np.sum(
+        considered_shift**2, axis=1
+    )
+    if solution.covariance_unseen is not None:
+        shift_variance = shift_variance + np.diag(solution.covariance_unseen)
+    chi2, dof = _prediction_chi2(alone.blocks, other_blocks, model)
+    return MethodFit(
         alone=alone,
         without=without,
-        shift=without.estimate - whole.estimate,
-        u_shift=np.sqrt(np.where(spread > _ROUNDING * before, spread, np.nan)),
+        shift=without.estimate - solution.estimate,
+        u_shift=np.sqrt(
+            np.where(shift_variance > _ROUNDING * variance_without, shift_variance, np.nan)
+        ),
         chi2=chi2,
         dof=dof,
     )
 
 
-def _surprise(own: Sequence[Block], others: Sequence[Block], model: Unknowns) -> tuple[float, int]:
+def _prediction_chi2(
+    method_blocks: Sequence[Block], other_blocks: Sequence[Block], model: Unknowns
+) -> tuple[float, int]:
     """Return chi-square of what a kind says against the others' prediction, and its freedom."""
-    predicted = solve_relaxed(others, model)
-    blocks = [relaxed_block(block) for block in own]
+    predicted = solve_relaxed(other_blocks, model)
+    blocks = [relaxed_block(block) for block in method_blocks]
     rows = np.vstack([block.factor for block in blocks])
     target = np.concatenate([block.target for block in blocks])
     terms = (*model.unknowns, *model.considered)
-    credible = np.array([term.spread for term in terms])
+    prior_sds = np.array([term.spread for term in terms])
     limits = np.array([term.limit for term in terms])
-    seen, sizes, _ = np.linalg.svd(rows * np.minimum(credible, limits), full_matrices=False)
-    seen = seen[:, sizes > _BLIND_PART]
+    directions_seen, sizes, _ = np.linalg.svd(
+        rows * np.minimum(prior_sds, limits), full_matrices=False
+    )
+    directions_seen = directions_seen[:, sizes > _MIN_SINGULAR_VALUE]
     # Only what the kind says of the unknowns; its own scatter has tests of its own.
-    innovation = seen.T @ (target - rows @ predicted.estimate)
-    directions, spread, _ = np.linalg.svd(predicted.root_of(seen.T @ rows), full_matrices=True)
-    spread = np.append(spread, np.zeros(innovation.size - spread.size))
-    known = spread < _PREDICTION_RATIO
-    pulls = (directions.T @ innovation)[known] / np.sqrt(1.0 + spread[known] ** 2)
-    return float(pulls @ pulls), int(known.sum())
+    innovation = directions_seen.T @ (target - rows @ predicted.estimate)
+    directions, prediction_sd, _ = np.linalg.svd(
+        predicted.root_of(directions_seen.T @ rows), full_matrices=True
+    )
+    prediction_sd = np.append(prediction_sd, np.zeros(innovation.size - prediction_sd.size))
+    predicted_directions = prediction_sd < _MAX_PREDICTION_SD
+    pulls = (directions.T @ innovation)[predicted_directions] / np.sqrt(
+        1.0 + prediction_sd[predicted_directions] ** 2
+    )
+    return float(pulls @ pulls), int(predicted_directions.sum())

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any, Final, Protocol
 
 from counterspin.campaign.columns import Sense
-from counterspin.campaign.kinds import exact
+from counterspin.campaign.field_types import exact
 from counterspin.campaign.quantity import parse
 from counterspin.frozen import frozen
 from counterspin.units import unit_factor

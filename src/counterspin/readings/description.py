@@ -13,7 +13,7 @@ from counterspin.campaign.resolution import DescriptionReader
 from counterspin.campaign.runs import is_pose, is_reading
 from counterspin.campaign.settings import FixtureSettings
 from counterspin.loading import is_installed, load_name
-from counterspin.readings.entries import positioned, resolve_readings, with_recorded_angles
+from counterspin.readings.entries import number_positions, resolve_readings, with_recorded_angles
 from counterspin.readings.table import read_table
 
 #: Reader of [triad] and of poses; signature of `counterspin.triads.section.resolve_triad`.
@@ -33,10 +33,10 @@ def read_readings(
     """
     problems, accelerometers = reader.problems, reader.accelerometers
     mountings = {name: accelerometers.mountings.get(name) for name in accelerometers.tables}
-    folder, before = reader.file.parent, len(problems.lines)
+    folder, error_count = reader.file.parent, len(problems.lines)
     checksums: dict[Path, str] = {}
-    numbered = _numbered(reader, checksums)
-    read = partial(
+    entries = _reading_entries(reader, checksums)
+    resolve = partial(
         resolve_readings,
         mountings=mountings,
         outputs=accelerometers.outputs,
@@ -46,59 +46,71 @@ def read_readings(
         turns=turns,
     )
     fixture = reader.parts.get("fixture") or FixtureSettings()
-    known = [entry for entry in numbered if not is_pose(entry[0])]
-    readings = positioned(read(known), fixture.position)
+    attitude_entries = [entry for entry in entries if not is_pose(entry[0])]
+    readings = number_positions(resolve(attitude_entries), fixture.position)
     records = reader.parts.get("records")
     if records and records.recording.angle is not None:
         readings = with_recorded_angles(readings)
-    whole = len(problems.lines) == before
-    posed = [entry for entry in numbered if is_pose(entry[0])]
-    given = None if readings or has_records else accelerometers.own_priors
-    triad = _triad(reader, posed, mountings, read, given)
+    is_valid = len(problems.lines) == error_count
+    pose_entries = [entry for entry in entries if is_pose(entry[0])]
+    default_priors = None if readings or has_records else accelerometers.own_priors
+    triad = _resolve_triad(reader, pose_entries, mountings, resolve, default_priors)
     truths = {
         str(raw["name"]): (raw["truth"], (*path, "truth"))
-        for raw, path in numbered
+        for raw, path in entries
         if isinstance(raw, Mapping) and "name" in raw and isinstance(raw.get("truth"), Mapping)
     }
-    return DescribedReadings(readings, triad, whole, truths, _files(reader), checksums)
+    return DescribedReadings(readings, triad, is_valid, truths, _reading_files(reader), checksums)
 
 
-def _numbered(reader: DescriptionReader, checksums: dict[Path, str]) -> list[tuple[Any, KeyPath]]:
+def _reading_entries(
+    reader: DescriptionReader, checksums: dict[Path, str]
+) -> list[tuple[Any, KeyPath]]:
     """Return the runs that are readings, including rows of the table, with their places."""
     runs: list[tuple[Any, KeyPath]] = [
         (raw, ("runs", index)) for index, raw in reader.parts["listed"] if is_reading(raw)
     ]
     if "readings" in reader.raw:
         outputs = reader.accelerometers.outputs
-        every = {name: outputs.get(name) for name in reader.accelerometers.raw}
-        runs += read_table(reader.raw, reader.file.parent, every, reader.problems, checksums)
+        outputs_by_name = {name: outputs.get(name) for name in reader.accelerometers.raw}
+        runs += read_table(
+            reader.raw, reader.file.parent, outputs_by_name, reader.problems, checksums
+        )
     return runs
 
 
-def _triad(
+def _resolve_triad(
     reader: DescriptionReader,
-    posed: _Entries,
+    pose_entries: _Entries,
     mountings: Mapping[str, Any],
-    read: Callable[[_Entries], tuple[Reading, ...]],
-    given: Mapping[str, Any] | None,
+    resolve_entries: Callable[[_Entries], tuple[Reading, ...]],
+    default_priors: Mapping[str, Any] | None,
 ) -> Triad | None:
     """Return the triad with its poses; None without them."""
     section = reader.raw.get("triad")
-    if section is None and not posed:
+    if section is None and not pose_entries:
         return None
     if not is_installed(TRIAD):
         reader.problems.add(("triad",), "this installation has no triads")
         return None
     folder, problems = reader.file.parent, reader.problems
     resolve = load_name(TRIAD)
-    triad = resolve(section, mountings, posed, folder, read, given=given, problems=problems)
+    triad = resolve(
+        section,
+        mountings,
+        pose_entries,
+        folder,
+        resolve_entries,
+        given=default_priors,
+        problems=problems,
+    )
     return cast("Triad | None", triad)
 
 
-def _files(reader: DescriptionReader) -> tuple[Path, ...]:
+def _reading_files(reader: DescriptionReader) -> tuple[Path, ...]:
     """Return the files of readings."""
-    listed = (run for _, run in reader.parts["listed"] if is_reading(run))
-    named = [run["record"] for run in listed if "record" in run]
+    runs = (run for _, run in reader.parts["listed"] if is_reading(run))
+    names = [run["record"] for run in runs if "record" in run]
     if "readings" in reader.raw:
-        named.append(table_of(reader.raw, "readings").get("file"))
-    return tuple(sorted({reader.file.parent / name for name in named if isinstance(name, str)}))
+        names.append(table_of(reader.raw, "readings").get("file"))
+    return tuple(sorted({reader.file.parent / name for name in names if isinstance(name, str)}))

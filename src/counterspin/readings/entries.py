@@ -15,13 +15,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.documents import KeyPath
-from counterspin.campaign.kinds import Contradiction
+from counterspin.campaign.field_types import Contradiction
 from counterspin.campaign.quantity import Quantity, last_digit, parse
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import Output
+from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import FRAMES
@@ -35,9 +35,9 @@ MOST_RECORDS: Final = 60
 
 def contradictions(run: Run) -> Iterator[Contradiction]:
     """Yield what is missing, too much, or contradicts itself in a run that is a reading."""
-    posed, static, turns = run.stand.unknown, run.motion == "static", run.rate != 0.0
-    stated, no_axes = "stand" in run.model_fields_set, run.axes is None
-    one_temperature = len(run.temperature or ()) < 2
+    is_pose, static, rotates = run.stand.unknown, run.motion == "static", run.rate != 0.0
+    has_attitude, no_axes = "stand" in run.model_fields_set, run.axes is None
+    single_temperature = len(run.temperature or ()) < 2
     no_meaning = "has no meaning at an unknown attitude"
     arm = 'on an arm there is no attitude; write axes = { input = "inward", pendulous = "up" }'
     # Whether it is wrong, its key, and further ones on which that hangs.
@@ -48,15 +48,15 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
             " reading record",
         ),
         (
-            posed and not static,
+            is_pose and not static,
             'an attitude can be unknown only at rest; write "static"',
             "motion attitude",
         ),
-        (posed and not no_axes, no_meaning, "axes attitude"),
-        (posed and run.mounting, no_meaning, "mounting attitude"),
+        (is_pose and not no_axes, no_meaning, "axes attitude"),
+        (is_pose and run.mounting, no_meaning, "mounting attitude"),
         # Terms of the machine have it between dots: centrifuge.radius.MOUNTING.
         ("." in run.mounting, f'"{run.mounting}" has a dot; leave it out', "mounting"),
-        (static and turns, "a static run does not turn; leave the rate out", "rate motion"),
+        (static and rotates, "a static run does not turn; leave the rate out", "rate motion"),
         (
             static and run.truth,
             "a static run does not turn, and its truth is that of the spindle; leave it out",
@@ -68,18 +68,18 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
             "truth motion reading",
         ),
         (
-            not static and not turns,
+            not static and not rotates,
             f"is missing: a run with motion {run.motion} turns",
             "rate motion",
         ),
         (
-            static and no_axes and not stated,
+            static and no_axes and not has_attitude,
             "is missing: a reading at rest needs its position",
             "attitude axes motion",
         ),
-        (no_axes and not posed and run.motion == "arm", arm, " axes motion"),
+        (no_axes and not is_pose and run.motion == "arm", arm, " axes motion"),
         (
-            not no_axes and stated and not posed,
+            not no_axes and has_attitude and not is_pose,
             "has axes and an attitude; keep one",
             " axes attitude",
         ),
@@ -89,30 +89,30 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
             "head attitude motion",
         ),
         (
-            run.revolutions is not None and run.duration is None and not turns,
+            run.revolutions is not None and run.duration is None and not rotates,
             "a run that does not turn has a duration",
             "revolutions duration rate",
         ),
         (
-            run.file is None and not one_temperature,
+            run.file is None and not single_temperature,
             "a reading has one temperature; several belong to a record",
             "temperature record",
         ),
         (
-            run.poses and not posed,
+            run.poses and not is_pose,
             'are searched for only with attitude = "unknown"',
             "poses attitude",
         ),
         (
-            run.poses and posed and run.file is None,
+            run.poses and is_pose and run.file is None,
             "are found in a record, but this is a reading",
             "poses record",
         ),
     )
-    for wrong, words, keys in rows:
-        if wrong:
-            key, *others = keys.split(" ")
-            yield ((key,) if key else ()), words, *others
+    for is_wrong, message, keys in rows:
+        if is_wrong:
+            key, *related = keys.split(" ")
+            yield ((key,) if key else ()), message, *related
 
 
 def resolve_readings(
@@ -135,75 +135,77 @@ def resolve_readings(
         which case every reading has its value.
     """
     readings: list[Reading] = []
-    blank: list[KeyPath] = []
+    empty: list[KeyPath] = []
     units = {name: output.unit if output else "g" for name, output in outputs.items()}
     for raw, path in runs:
-        before = len(problems.lines)
-        run, wrong = problems.partly(Run, raw, path, folder=folder, units=units)
-        if run is None or wrong & {"reading", "record", "motion"}:
+        error_count = len(problems.lines)
+        run, invalid_keys = problems.validate_partial(Run, raw, path, folder=folder, units=units)
+        if run is None or invalid_keys & {"reading", "record", "motion"}:
             continue
-        own: list[Reading] = []
-        for name, texts, where in _read(run, path, mountings, problems):
-            value: _Value | None = _Value(0.0, None)
+        run_readings: list[Reading] = []
+        for name, texts, value_path in _accelerometer_readings(run, path, mountings, problems):
+            value: _ParsedValue | None = _ParsedValue(0.0, None)
             if texts and name in outputs:
-                value = problems.attempt(where, _value, texts, outputs[name], gravity)
-            axes = problems.attempt(path, _axes, run, mountings[name])
+                value = problems.collect(value_path, _parse_value, texts, outputs[name], gravity)
+            axes = problems.collect(path, _resolve_axes, run, mountings[name])
             if value is not None and axes is not None:
-                own.append(_reading(run, name, value, axes))
-        if len(problems.lines) > before:
+                run_readings.append(_make_reading(run, name, value, axes))
+        if len(problems.lines) > error_count:
             continue
-        if any(math.isnan(reading.value) for reading in own):
-            blank.append((*path, "reading"))
-        readings += [_with_length(reading, turns) for reading in own]
-    if blank and turns is None:
-        others = f", nor have {len(blank) - 1} others" if len(blank) > 1 else ""
+        if any(math.isnan(reading.value) for reading in run_readings):
+            empty.append((*path, "reading"))
+        readings += [_with_duration(reading, turns) for reading in run_readings]
+    if empty and turns is None:
+        others_text = f", nor have {len(empty) - 1} others" if len(empty) > 1 else ""
         problems.add(
-            blank[0],
-            f"has no value yet{others}; enter the reading, or [truth] to simulate it",
+            empty[0],
+            f"has no value yet{others_text}; enter the reading, or [truth] to simulate it",
         )
     return tuple(readings)
 
 
-def _with_length(reading: Reading, turns: float | None) -> Reading:
+def _with_duration(reading: Reading, turns: float | None) -> Reading:
     """Return a reading with the length of its record, if it is simulated on a machine."""
     if reading.duration is not None or not reading.rate or turns is None:
         return reading
     return replace(reading, duration=turns * 2.0 * math.pi / abs(reading.rate))
 
 
-def _read(
+def _accelerometer_readings(
     run: Run, path: KeyPath, names: Collection[str], problems: Problems
 ) -> Iterator[tuple[str, Sequence[str | Quantity], KeyPath]]:
     """Yield each accelerometer that was read, what was (nothing of a record), and its place."""
-    where, written = (*path, "reading"), run.reading
+    path_of_reading, values = (*path, "reading"), run.reading
     if run.file is not None:
-        written = {name: [] for name in names}
-    elif not isinstance(written, dict):
+        values = {name: [] for name in names}
+    elif not isinstance(values, dict):
         if len(names) > 1:
-            problems.add(where, "there are several accelerometers; write reading = { NAME = ... }")
+            problems.add(
+                path_of_reading, "there are several accelerometers; write reading = { NAME = ... }"
+            )
             return
-        written = dict.fromkeys(names, written or [])
-    for name, texts in written.items():
-        own = (*where, name) if isinstance(run.reading, dict) else where
+        values = dict.fromkeys(names, values or [])
+    for name, texts in values.items():
+        value_path = (*path_of_reading, name) if isinstance(run.reading, dict) else path_of_reading
         if name in names:
-            yield name, texts if isinstance(texts, list) else [texts], own
+            yield name, texts if isinstance(texts, list) else [texts], value_path
         elif names:
-            said = did_you_mean(name, names)
-            problems.add(own, f'there is no accelerometer "{name}"{said}')
+            hint = suggest_name(name, names)
+            problems.add(value_path, f'there is no accelerometer "{name}"{hint}')
 
 
-def _reading(run: Run, name: str, read: _Value, axes: Mounting) -> Reading:
+def _make_reading(run: Run, name: str, parsed: _ParsedValue, axes: Mounting) -> Reading:
     """Return the reading of one accelerometer."""
     return Reading(
         name=run.name,
         accelerometer=name,
         motion=run.motion,
-        mounting=run.mounting or (_direction_names(axes) if run.motion == "arm" else ""),
+        mounting=run.mounting or (_mounting_name(axes) if run.motion == "arm" else ""),
         axes=axes,
         rate=run.rate,
         u_rate=run.u_rate,
-        value=read.mean,
-        u=read.u,
+        value=parsed.mean,
+        u=parsed.u,
         head=run.stand.head,
         u_head=run.stand.u,
         head_angle=run.stand.angle if run.head is None else run.head,
@@ -211,29 +213,33 @@ def _reading(run: Run, name: str, read: _Value, axes: Mounting) -> Reading:
         time=run.time,
         record=run.file,
         duration=run.length,
-        repeats=read.repeats,
-        scatter=read.scatter,
-        resolution=read.resolution,
-        in_si=read.in_si,
-        position=_position(run),
+        repeats=parsed.repeats,
+        scatter=parsed.scatter,
+        resolution=parsed.resolution,
+        in_si=parsed.in_si,
+        position=_position_key(run),
     )
 
 
-def _direction_names(axes: Mounting) -> str:
+def _mounting_name(axes: Mounting) -> str:
     """Return the name of a mounting on the arm that the description does not name."""
     names = FRAMES["arm"]
-    along = np.array(list(names.values())) @ axes.matrix[:2].T
-    return "-".join(list(names)[place] for place in np.argmax(along, axis=0))
+    projections = np.array(list(names.values())) @ axes.matrix[:2].T
+    return "-".join(list(names)[index] for index in np.argmax(projections, axis=0))
 
 
-def positioned(readings: Sequence[Reading], setting: Quantity | None) -> tuple[Reading, ...]:
+def number_positions(readings: Sequence[Reading], setting: Quantity | None) -> tuple[Reading, ...]:
     """Return readings with their positions at rest numbered, where an error of setting is stated.
 
     setting: That error.
     """
-    keys = dict.fromkeys(r.position for r in readings if setting and r.motion == "static")
+    keys = dict.fromkeys(
+        reading.position for reading in readings if setting and reading.motion == "static"
+    )
     numbers = {key: str(number) for number, key in enumerate(keys, start=1)}
-    return tuple(replace(r, position=numbers.get(r.position, "")) for r in readings)
+    return tuple(
+        replace(reading, position=numbers.get(reading.position, "")) for reading in readings
+    )
 
 
 def with_recorded_angles(readings: Sequence[Reading]) -> tuple[Reading, ...]:
@@ -244,7 +250,7 @@ def with_recorded_angles(readings: Sequence[Reading]) -> tuple[Reading, ...]:
     )
 
 
-def _position(run: Run) -> str:
+def _position_key(run: Run) -> str:
     """Return the key that two readings at one position of the fixture share."""
     if run.motion != "static":
         return ""
@@ -255,7 +261,7 @@ def _position(run: Run) -> str:
 
 
 @frozen
-class _Value:
+class _ParsedValue:
     """Mean of repeats in g by the nominal sensitivity, its u where all state theirs."""
 
     mean: float
@@ -266,48 +272,53 @@ class _Value:
     resolution: float = 0.0
 
 
-def _value(repeats: Sequence[str | Quantity], output: Output | None, gravity: float) -> _Value:
+def _parse_value(
+    repeats: Sequence[str | Quantity], output: Output | None, gravity: float
+) -> _ParsedValue:
     """Return the value of one reading from its repeats."""
-    unit, size, zero = "g", 1.0, 0.0
+    unit, sensitivity, zero = "g", 1.0, 0.0
     if output is not None:
-        unit, size, zero = output.unit, output.sensitivity, output.zero
+        unit, sensitivity, zero = output.unit, output.sensitivity, output.zero
     conversion = gravity if output is None else None
-    written = [
-        f"0 {one.removeprefix(BLANK) or unit}"
-        if isinstance(one, str) and one.startswith(BLANK)
-        else one
-        for one in repeats
+    texts = [
+        f"0 {written_value.removeprefix(BLANK) or unit}"
+        if isinstance(written_value, str) and written_value.startswith(BLANK)
+        else written_value
+        for written_value in repeats
     ]
-    quantities = [parse(text, unit, gravity=conversion) for text in written]
-    values = (np.array([quantity.value for quantity in quantities]) - zero) / size
-    u = np.array([quantity.u for quantity in quantities]) / abs(size)
-    mean = float(values.mean()) if written == list(repeats) else math.nan
+    quantities = [parse(text, unit, gravity=conversion) for text in texts]
+    values = (np.array([quantity.value for quantity in quantities]) - zero) / sensitivity
+    u = np.array([quantity.u for quantity in quantities]) / abs(sensitivity)
+    mean = float(values.mean()) if texts == list(repeats) else math.nan
     in_si = False
     if conversion is not None:
-        unlike = parse(written[0], unit, gravity=2.0 * conversion)
-        in_si = unlike != quantities[0]
+        rescaled = parse(texts[0], unit, gravity=2.0 * conversion)
+        in_si = rescaled != quantities[0]
     if (u > 0.0).all():
-        return _Value(mean, float(np.linalg.norm(u)) / len(u), len(u), in_si=in_si)
+        return _ParsedValue(mean, float(np.linalg.norm(u)) / len(u), len(u), in_si=in_si)
     scatter = float(np.sum((values - mean) ** 2))
-    last = 0.0
+    last_digit_size = 0.0
     if not math.isnan(mean):
-        last = min(parse(last_digit(one), unit, gravity=conversion).value for one in written)
-    return _Value(mean, None, len(u), scatter, in_si, last / abs(size))
+        last_digit_size = min(
+            parse(last_digit(written_value), unit, gravity=conversion).value
+            for written_value in texts
+        )
+    return _ParsedValue(mean, None, len(u), scatter, in_si, last_digit_size / abs(sensitivity))
 
 
-def _axes(run: Run, mounting: Mounting | None) -> Mounting | None:
+def _resolve_axes(run: Run, mounting: Mounting | None) -> Mounting | None:
     """Return the accelerometer's axes in the frame of the motion; None where they are a mistake."""
     if run.axes is None:
         return None if mounting is None else mounting.turned(run.attitude)
     names = FRAMES[run.motion]
     return Mounting.from_axes(
-        *(_direction(value, names) for value in (run.axes.input, run.axes.pendulous))
+        *(_resolve_direction(value, names) for value in (run.axes.input, run.axes.pendulous))
     )
 
 
-def _direction(value: str | list[float], names: Mapping[str, Any]) -> list[float]:
+def _resolve_direction(value: str | list[float], names: Mapping[str, Any]) -> list[float]:
     if isinstance(value, str):
         if value not in names:
-            raise ValueError(f'unknown direction "{value}" here' + did_you_mean(value, names))
+            raise ValueError(f'unknown direction "{value}" here' + suggest_name(value, names))
         return list(names[value])
     return value

@@ -22,8 +22,8 @@ from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import HEAD_WAVES
-from counterspin.readings.fitted import FEWEST_FREEDOM, FittedReadings, position_of
-from counterspin.readings.linear import LinearReadings, Measured
+from counterspin.readings.fitted import MIN_DOF, FittedReadings, make_position
+from counterspin.readings.linear import LinearReadings, ReadingGroup
 
 U = TypeVar("U", bound=Unknown)
 
@@ -35,19 +35,19 @@ _NOISE_ROUNDS: Final = 200
 
 #: Estimated noise is no smaller than this part of what the head's angle adds (rms), or the few
 #: positions where the head adds nothing would be taken for exact. Enough repeats tell it.
-_LEAST_BESIDE_HEAD: Final = 0.3
+_MIN_NOISE_TO_HEAD: Final = 0.3
 
 #: Part of a standard uncertainty that is as good as none.
-_HELD: Final = 1e-6
+_CONSTRAINT_FACTOR: Final = 1e-6
 
 #: Rounds in which an unknown goes all the way to where it is found.
-_WHOLE_STEPS: Final = 15
+_UNDAMPED_ROUNDS: Final = 15
 
 #: How many times its largest credible size an unknown may have where derivatives are taken.
-_FARTHEST: Final = 10.0
+_MAX_LIMITS: Final = 10.0
 
 #: Settled: nothing moves by more than this part of its uncertainty, no noise by this part.
-_LARGEST_MOVE: Final = 1e-5
+_MAX_STEP: Final = 1e-5
 _TOLERANCE: Final = 1e-6
 
 
@@ -65,7 +65,7 @@ class ReadingsFit:
 
 
 def solve_readings(
-    readings: Sequence[Measured], model: Unknowns, records: JointFit | None = None
+    readings: Sequence[ReadingGroup], model: Unknowns, records: JointFit | None = None
 ) -> ReadingsFit:
     """Estimate a model from readings, together with what records say.
 
@@ -77,16 +77,16 @@ def solve_readings(
     first = None
     for group in readings:
         if candidates := group.default_candidates(model):
-            first = _solved_or_held(readings, model.with_default_priors(candidates), records)
-            lacking = group.undetermined(first.fit, model, candidates)
-            model = model.with_default_priors(lacking)
+            first = _solve_or_constrain(readings, model.with_default_priors(candidates), records)
+            undetermined = group.undetermined(first.fit, model, candidates)
+            model = model.with_default_priors(undetermined)
             break
-    found = _solved_or_held(readings, model, records, first)
-    return replace(found, groups=tuple(group.evaluate(found.fit) for group in found.groups))
+    solved = _solve_or_constrain(readings, model, records, first)
+    return replace(solved, groups=tuple(group.evaluate(solved.fit) for group in solved.groups))
 
 
-def _solved_or_held(
-    readings: Sequence[Measured],
+def _solve_or_constrain(
+    readings: Sequence[ReadingGroup],
     model: Unknowns,
     records: JointFit | None,
     start: ReadingsFit | None = None,
@@ -96,31 +96,35 @@ def _solved_or_held(
     start: A fit to begin with; None: the prior means, or the ellipsoid of the poses.
     """
     try:
-        return _solved(readings, model, records, start)
+        return _solve(readings, model, records, start)
     except NotIdentifiableError as error:
         set_by_hand = any(group.u is None and any(group.position) for group in readings)
-        models = [m for m in _with_less(readings, model) if set_by_hand or m != model]
+        models = [
+            candidate
+            for candidate in _constrained_models(readings, model)
+            if set_by_hand or candidate != model
+        ]
         not_determined = error
     # Errors of positions that are hardly read twice hide the noise, and so do nuisance terms in few
     # readings or poses. The residuals show both together, which is an upper limit of the noise.
-    unset = [group.with_positions_set() for group in readings]
-    for bare in models:
+    without_settings = [group.without_setting_errors() for group in readings]
+    for constrained in models:
         try:
-            together = _solved(unset, bare, records, start)
+            joint_noise = _solve(without_settings, constrained, records, start)
         except NotIdentifiableError as error:
             not_determined = error
         else:
-            return _solved(readings, model, records, start, together)
+            return _solve(readings, model, records, start, joint_noise)
     raise not_determined
 
 
-def _place(
+def _linearization_point(
     estimate: Array,
-    found: Solution,
-    known: Array,
+    solution: Solution,
+    prior_means: Array,
     limits: Array,
-    farthest: Array,
-    turned: Sequence[int],
+    max_deviation: Array,
+    pose_indices: Sequence[int],
 ) -> Array:
     """Return where to take derivatives: what is not determined may be anything, and is no place.
 
@@ -133,101 +137,118 @@ def _place(
     farthest: From what is known.
     turned: Places of a triad's unknowns.
     """
-    u = found.u[: known.size]
-    place: Array = known + np.clip(np.where(u < limits, estimate - known, 0.0), -farthest, farthest)
-    own = [at for at in turned if np.isfinite(u[at])]
-    if (u < limits)[own].all():
-        return place
-    size = limits[own]
-    spread = np.eye(len(own)) + found.covariance[np.ix_(own, own)] / np.outer(size, size)
-    place[own] = known[own] + size * np.linalg.solve(spread, (estimate - known)[own] / size)
-    return place
+    u = solution.u[: prior_means.size]
+    point: Array = prior_means + np.clip(
+        np.where(u < limits, estimate - prior_means, 0.0), -max_deviation, max_deviation
+    )
+    finite = [index for index in pose_indices if np.isfinite(u[index])]
+    if (u < limits)[finite].all():
+        return point
+    scale = limits[finite]
+    normalized = np.eye(len(finite)) + solution.covariance[np.ix_(finite, finite)] / np.outer(
+        scale, scale
+    )
+    point[finite] = prior_means[finite] + scale * np.linalg.solve(
+        normalized, (estimate - prior_means)[finite] / scale
+    )
+    return point
 
 
-def _with_less(readings: Sequence[Measured], model: Unknowns) -> Iterator[Unknowns]:
+def _constrained_models(readings: Sequence[ReadingGroup], model: Unknowns) -> Iterator[Unknowns]:
     """Yield models that hold ever more terms that hide the noise of readings or poses without u.
 
     Of poses all nuisance terms are held. Of readings the waves of the dividing head that have
     default priors are held first, and then the accelerometer's terms that have default priors too.
     """
     without_u = [group for group in readings if group.u is None]
-    posed = {name for group in without_u for name in group.triad}
-    read = {group.accelerometer for group in without_u if not group.triad}
-    for owners in (set(), read) if read else (set(),):
+    pose_accelerometers = {name for group in without_u for name in group.triad}
+    reading_accelerometers = {group.accelerometer for group in without_u if not group.triad}
+    for owners in (set(), reading_accelerometers) if reading_accelerometers else (set(),):
 
         def held(other: U, owners: Collection[str] = owners) -> U:
-            hides = other.owner in posed
-            if other.unstated and read:
+            hides = other.owner in pose_accelerometers
+            if other.unstated and reading_accelerometers:
                 hides |= other.owner in owners or other.symbol.startswith(HEAD_WAVES)
             if not hides or other.asked or math.isinf(other.prior[1]):
                 return other
-            return replace(other, prior=(other.prior[0], _HELD * other.prior[1]))
+            return replace(other, prior=(other.prior[0], _CONSTRAINT_FACTOR * other.prior[1]))
 
         yield Unknowns(tuple(map(held, model.unknowns)), tuple(map(held, model.considered)))
 
 
-def _solved(
-    readings: Sequence[Measured],
+def _solve(
+    readings: Sequence[ReadingGroup],
     model: Unknowns,
     records: JointFit | None,
     start: ReadingsFit | None = None,
-    together: ReadingsFit | None = None,
+    joint_noise: ReadingsFit | None = None,
 ) -> ReadingsFit:
     """Return the solved problem, its groups not yet judged under the fit.
 
     start: As of `_solved_or_held`.
     together: A fit whose noise is taken; None: the noise is estimated.
     """
-    everything = [*model.unknowns, *model.considered]
-    known = np.array([unknown.prior_mean for unknown in everything])
-    point = known if start is None else start.fit.relaxed.estimate[: known.size]
+    unknowns = [*model.unknowns, *model.considered]
+    prior_means = np.array([unknown.prior_mean for unknown in unknowns])
+    point = prior_means if start is None else start.fit.relaxed.estimate[: prior_means.size]
     for group in readings if start is None else ():
-        point = group.start(everything, point)
-    limits = np.array([unknown.limit for unknown in everything])
+        point = group.start(unknowns, point)
+    limits = np.array([unknown.limit for unknown in unknowns])
     # One reading with the wrong sign drives what is known beforehand so far that nothing is linear.
-    stated = np.array([math.isfinite(unknown.prior[1]) for unknown in everything])
-    farthest = np.where(stated, _FARTHEST * limits, np.inf)
-    noise = [_first_noise(group) for group in readings]
-    if (known_noise := together or start) is not None:
+    stated = np.array([math.isfinite(unknown.prior[1]) for unknown in unknowns])
+    max_deviation = np.where(stated, _MAX_LIMITS * limits, np.inf)
+    noise = [_initial_noise(group) for group in readings]
+    if (known_noise := joint_noise or start) is not None:
         noise = [group.noise for group in known_noise.groups]
     # What is considered is in the residuals too. Noise and the point of the derivatives are found
     # beside it, as if it were estimated with its prior: else it would be taken for noise, and what
     # looks like it would leave its prior so far that derivatives there are not the machine's.
     variance = None
-    alone = records is None and len(readings) == 1
-    free = sum(math.isinf(unknown.prior[1]) for unknown in everything) if alone else 0
-    posed = {name for group in readings for name in group.triad}
-    turned = [place for place, u in enumerate(model.unknowns) if u.owner in posed]
+    is_single_group = records is None and len(readings) == 1
+    free_count = sum(math.isinf(unknown.prior[1]) for unknown in unknowns) if is_single_group else 0
+    pose_accelerometers = {name for group in readings for name in group.triad}
+    pose_indices = [
+        index for index, sd in enumerate(model.unknowns) if sd.owner in pose_accelerometers
+    ]
     for count in range(_ROUNDS):
-        parts = [group.linearised(model, point, variance) for group in readings]
+        parts = [group.linearize(model, point, variance) for group in readings]
         # The columns hold while only the noise is another.
         for _ in range(_NOISE_ROUNDS):
             weighted = [part.with_noise(size) for part, size in zip(parts, noise, strict=True)]
-            fit, before = _beside(records, weighted, model), noise
-            followed = [part.relaxed(len(model.unknowns)) for part in weighted]
-            if together is not None:
+            fit, previous = _joint_fit(records, weighted, model), noise
+            relaxed_parts = [part.relaxed(len(model.unknowns)) for part in weighted]
+            if joint_noise is not None:
                 break
             noise = [
-                _noise_again(group, part, fit.relaxed, Unknowns(model.unknowns), own, free)
-                for group, part, own in zip(readings, followed, before, strict=True)
+                _update_noise(
+                    group, part, fit.relaxed, Unknowns(model.unknowns), previous_noise, free_count
+                )
+                for group, part, previous_noise in zip(
+                    readings, relaxed_parts, previous, strict=True
+                )
             ]
-            changes = (abs(new / old - 1.0) for new, old in zip(noise, before, strict=True))
+            changes = (
+                abs(updated / last_noise - 1.0)
+                for updated, last_noise in zip(noise, previous, strict=True)
+            )
             if max(changes) < _TOLERANCE:
                 break
-        found = fit.relaxed
-        estimate, u = found.estimate[: known.size], found.u[: known.size]
-        place = _place(estimate, found, known, limits, farthest, turned)
-        variance = u**2
-        moves = np.abs(place - point) / np.where(u > 0, u, 1.0)
+        solution = fit.relaxed
+        estimate, sd = solution.estimate[: prior_means.size], solution.u[: prior_means.size]
+        index = _linearization_point(
+            estimate, solution, prior_means, limits, max_deviation, pose_indices
+        )
+        variance = sd**2
+        moves = np.abs(index - point) / np.where(sd > 0, sd, 1.0)
         # Positions that were set by hand may turn to and fro: then half of the way is taken.
-        point = place if count < _WHOLE_STEPS else 0.5 * (point + place)
-        if moves.max(initial=0.0) < _LARGEST_MOVE:
+        point = index if count < _UNDAMPED_ROUNDS else 0.5 * (point + index)
+        if moves.max(initial=0.0) < _MAX_STEP:
             break
     else:
         for group in readings:
-            if why := group.divergence(_ROUNDS):
-                raise ConvergenceError(why)
-        name = _furthest_off(readings, records, model)
+            if reason := group.divergence(_ROUNDS):
+                raise ConvergenceError(reason)
+        name = _largest_residual(readings, records, model)
         raise ConvergenceError(
             f"the fit of the readings did not converge in {_ROUNDS} rounds; check "
             f'"{name}", which is furthest off the others: its sign, digits and unit, and whether '
@@ -235,65 +256,78 @@ def _solved(
             "standard uncertainties of the readings"
         )
     dof = [
-        part.freedom_of_noise(found) + group.freedom_of_repeats if group.u is None else math.inf
-        for group, part in zip(readings, followed, strict=True)
+        part.noise_dof(solution) + group.repeat_dof if group.u is None else math.inf
+        for group, part in zip(readings, relaxed_parts, strict=True)
     ]
-    if together is not None:
-        dof = [group.noise_dof for group in together.groups]
-    told = {
+    if joint_noise is not None:
+        dof = [group.noise_dof for group in joint_noise.groups]
+    estimated_noise = {
         part.source: Noise(size)
         for group, part, size in zip(readings, parts, noise, strict=True)
         if group.u is None
     }
-    fit = replace(fit, noise=told)
+    fit = replace(fit, noise=estimated_noise)
     if records is not None:
-        hidden = replace(fit.solution, covariance_unseen=records.solution.covariance_unseen)
-        noises = {**records.noise, **told}
-        fit = replace(fit, solution=hidden, noise=noises, unseen=records.unseen)
+        solution_with_walk = replace(
+            fit.solution, covariance_unseen=records.solution.covariance_unseen
+        )
+        noises = {**records.noise, **estimated_noise}
+        fit = replace(fit, solution=solution_with_walk, noise=noises, unseen=records.unseen)
     groups = (
-        FittedReadings(group, part, size, freedom)
-        for group, part, size, freedom in zip(readings, parts, noise, dof, strict=True)
+        FittedReadings(group, part, size, noise_dof)
+        for group, part, size, noise_dof in zip(readings, parts, noise, dof, strict=True)
     )
     return ReadingsFit(fit, tuple(groups))
 
 
-def _beside(
+def _joint_fit(
     records: JointFit | None, weighted: Sequence[LinearReadings], model: Unknowns
 ) -> JointFit:
     """Return the fit of readings, with the noise that they have, beside the records of another."""
-    own, others = tuple(part.weighed() for part in weighted), tuple(weighted)
+    reading_blocks, observations = (
+        tuple(part.whitened_block() for part in weighted),
+        tuple(weighted),
+    )
     if records is None:
-        return JointFit(model, solve_blocks(own, model), others, own, {})
-    blocks = (*records.blocks[: len(records.prepared)], *own)
-    return JointFit(model, solve_blocks(blocks, model), (*records.prepared, *others), blocks, {})
+        return JointFit(
+            model, solve_blocks(reading_blocks, model), observations, reading_blocks, {}
+        )
+    blocks = (*records.blocks[: len(records.prepared)], *reading_blocks)
+    return JointFit(
+        model, solve_blocks(blocks, model), (*records.prepared, *observations), blocks, {}
+    )
 
 
-def _furthest_off(readings: Sequence[Measured], records: JointFit | None, model: Unknowns) -> str:
+def _largest_residual(
+    readings: Sequence[ReadingGroup], records: JointFit | None, model: Unknowns
+) -> str:
     """Return the name of the reading that is furthest off a fit with all that is known as it is."""
-    known = np.array([other.prior_mean for other in (*model.unknowns, *model.considered)])
-    parts = [group.linearised(model, known, None).with_noise(1.0) for group in readings]
-    solution = _beside(records, parts, model).solution
-    worst, furthest = "", 0.0
+    prior_means = np.array(
+        [parameter.prior_mean for parameter in (*model.unknowns, *model.considered)]
+    )
+    parts = [group.linearize(model, prior_means, None).with_noise(1.0) for group in readings]
+    solution = _joint_fit(records, parts, model).solution
+    name_of_largest, largest = "", 0.0
     for group, part in zip(readings, parts, strict=True):
-        for place, name in enumerate(group.names):
-            off = abs(position_of(part, (place,), solution, model, None).standardised)
-            if off > furthest:
-                worst, furthest = name, off
-    return worst
+        for index, name in enumerate(group.names):
+            deviation = abs(make_position(part, (index,), solution, model, None).standardized)
+            if deviation > largest:
+                name_of_largest, largest = name, deviation
+    return name_of_largest
 
 
-def _first_noise(group: Measured) -> float:
+def _initial_noise(group: ReadingGroup) -> float:
     """Return a noise to begin with: a millionth of the largest indication."""
     return 1e-6 * float(np.max(np.abs(group.value), initial=1e-3))
 
 
-def _noise_again(
-    group: Measured,
+def _update_noise(
+    group: ReadingGroup,
     part: LinearReadings,
     solution: Solution,
     model: Unknowns,
-    own: float,
-    free: int,
+    previous: float,
+    free_count: int,
 ) -> float:
     """Return the noise that the residuals show; its fixed point is the REML estimate.
 
@@ -301,16 +335,18 @@ def _noise_again(
     """
     if group.u is not None:
         return 1.0
-    left_over = 1.0 - part.leverages(solution)
-    again = group.freedom_of_repeats
-    if why := group.lack_of_noise(float(left_over.sum()) + again, free, solution, model):
-        raise NotIdentifiableError(why)
+    complements = 1.0 - part.leverages(solution)
+    repeat_dof = group.repeat_dof
+    if reason := group.lack_of_noise(
+        float(complements.sum()) + repeat_dof, free_count, solution, model
+    ):
+        raise NotIdentifiableError(reason)
     # Where the head's part is known, the score of the rest: each reading by the share that it has.
     share = part.noise_share
-    left = part.left(solution, model) / part.sigma
-    squares = float(share @ left**2) + float(group.scatter.sum()) / own**2
-    size = own * math.sqrt(squares / (float(share @ left_over) + again))
-    if again < FEWEST_FREEDOM:
-        size = max(size, _LEAST_BESIDE_HEAD * float(np.sqrt(np.mean(part.head**2))))
+    residuals = part.residuals(solution, model) / part.sigma
+    sum_of_squares = float(share @ residuals**2) + float(group.scatter.sum()) / previous**2
+    size = previous * math.sqrt(sum_of_squares / (float(share @ complements) + repeat_dof))
+    if repeat_dof < MIN_DOF:
+        size = max(size, _MIN_NOISE_TO_HEAD * float(np.sqrt(np.mean(part.head**2))))
     # Beside unstated terms a fit may follow every digit of readings without any noise.
-    return max(size, group.least_noise)
+    return max(size, group.noise_floor)

@@ -17,19 +17,19 @@ from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.physics.station import READINGS
-from counterspin.readings.linear import LinearReadings, Measured
+from counterspin.readings.linear import LinearReadings, ReadingGroup
 
 #: Least degrees of freedom from which residuals are judged, and repeats tell the noise alone: five,
 #: effective ones rounded, as twelve positions on a well-known head have. Of twenty columns that are
 #: tried, one is then told from chance every other time if it is 15 of its standard deviations; with
 #: four left it must be 26, with three 89, with two 5100 (Student's t).
-FEWEST_FREEDOM: Final = 4.5
+MIN_DOF: Final = 4.5
 
 #: Readings without any noise, but for one that is off, leave this chi-square of the others.
-_LEAST_REST: Final = 1e-6
+_MIN_REMAINDER: Final = 1e-6
 
 #: In so many of good campaigns a position, or a reading, is called off.
-_OF_SINGLE: Final = 0.5 * SIGNIFICANCE
+_SINGLE_LEVEL: Final = 0.5 * SIGNIFICANCE
 
 
 @frozen
@@ -37,22 +37,22 @@ class Position:
     """Readings of one position, or one reading, beside the others."""
 
     #: Of the readings; their mean residual, g.
-    places: tuple[int, ...]
+    indices: tuple[int, ...]
     residual: float
     #: The mean residual over its own standard deviation, with leverages and considered terms
     #: counted; NaN where the fit follows these readings wholly.
-    standardised: float
+    standardized: float
     #: The same with an estimated noise as the others tell it (externally studentised), and the
     #: probability of as much by chance, to either side.
-    beside_others: float
+    studentized: float
     p: float
 
 
 @frozen
-class Outlying:
+class OutlyingReadings:
     """A reading, or the readings of one position together, that the noise does not explain."""
 
-    places: tuple[int, ...]  #: Among the readings.
+    indices: tuple[int, ...]  #: Among the readings.
     name: str  #: Of the reading, or of each of them.
     residual: float  #: g.
     z: float  #: Residual over its standard deviation, by the noise of the others.
@@ -62,7 +62,7 @@ class Outlying:
 class FittedReadings:
     """A group of readings or poses, and how it fits a solution that has followed it."""
 
-    readings: Measured  #: What was read.
+    readings: ReadingGroup  #: What was read.
     linear: LinearReadings  #: The same linearised at the estimate, each with its uncertainty.
     noise: float  #: Of one repeat where it was estimated, g; elsewhere it means nothing.
     noise_dof: float  #: Degrees of freedom of an estimated noise; infinite where it was stated.
@@ -74,11 +74,11 @@ class FittedReadings:
     single: tuple[Position, ...] = ()
     positions: tuple[Position, ...] = ()
 
-    def place_in(self, fit: JointFit) -> int | None:
+    def index_in(self, fit: JointFit) -> int | None:
         """Return which of a fit's observations they are; None if it is without them."""
-        for place, one in enumerate(fit.observations):
-            if isinstance(one, LinearReadings) and one.group is self.readings:
-                return place
+        for index, observation in enumerate(fit.observations):
+            if isinstance(observation, LinearReadings) and observation.group is self.readings:
+                return index
         return None
 
     @property
@@ -107,10 +107,10 @@ class FittedReadings:
 
         Those that are no more than rounding say nothing of each other's size.
         """
-        return self.stated or self.noise <= self.readings.least_noise
+        return self.stated or self.noise <= self.readings.noise_floor
 
     @property
-    def tested_freedom(self) -> float:
+    def tested_dof(self) -> float:
         """The degrees of freedom by which residuals are tested.
 
         A noise that was estimated without some terms has more than the fit with these terms leaves.
@@ -120,26 +120,26 @@ class FittedReadings:
     def evaluate(self, fit: JointFit) -> Self:
         """Evaluate the same readings under another fit that includes them."""
         group, solution, model = self.readings, fit.solution, fit.model
-        place = self.place_in(fit)
-        assert place is not None
-        part = fit.observations[place]
-        assert isinstance(part, LinearReadings)
-        told = None
+        index = self.index_in(fit)
+        assert index is not None
+        linear = fit.observations[index]
+        assert isinstance(linear, LinearReadings)
+        deleted_noise = None
         if not self.has_external_noise:
             # Noise is estimated with what is considered among the unknowns.
-            told = _NoiseWithout(part.relaxed(len(model.unknowns)), fit.relaxed, group)
+            deleted_noise = _DeletedNoise(linear.relaxed(len(model.unknowns)), fit.relaxed, group)
 
-        def position(places: Sequence[int]) -> Position:
-            return position_of(part, places, solution, model, told)
+        def position(indices: Sequence[int]) -> Position:
+            return make_position(linear, indices, solution, model, deleted_noise)
 
         return replace(
             self,
-            linear=part,
-            residual_dof=part.freedom(solution),
-            residuals=part.left(solution, model),
-            chi2=part.squares(solution, model),
-            single=tuple(position((place,)) for place in range(group.size)),
-            positions=tuple(position(places) for places in group.read_again),
+            linear=linear,
+            residual_dof=linear.residual_dof(solution),
+            residuals=linear.residuals(solution, model),
+            chi2=linear.chi2(solution, model),
+            single=tuple(position((index,)) for index in range(group.size)),
+            positions=tuple(position(indices) for indices in group.replicates),
         )
 
     @property
@@ -147,112 +147,129 @@ class FittedReadings:
         """The name of these readings."""
         return READINGS[self.readings.motion]
 
-    def outlying(self) -> list[Outlying]:
+    def outliers(self) -> list[OutlyingReadings]:
         """Return the outliers among readings and positions.
 
         Each reading, and the readings of each position that was read more than once together, are
         compared with the noise of the others (externally studentised), at the level of the other
         tests shared out among them. Noise that is hardly known judges nothing.
         """
-        if self.noise_dof < FEWEST_FREEDOM:
+        if self.noise_dof < MIN_DOF:
             return []
-        every = [*self.positions, *self.single]
-        z = [each.beside_others for each in every]
-        p = [each.p for each in every]
-        far_off: list[Outlying] = []
-        said: dict[int, float] = {}
-        for i in np.flatnonzero(np.array(p) < _OF_SINGLE / len(every)):
-            places, size = every[i].places, abs(z[i])
+        tested = [*self.positions, *self.single]
+        z = [item.studentized for item in tested]
+        p = [item.p for item in tested]
+        outliers: list[OutlyingReadings] = []
+        reported: dict[int, float] = {}
+        for i in np.flatnonzero(np.array(p) < _SINGLE_LEVEL / len(tested)):
+            indices, size = tested[i].indices, abs(z[i])
             # A reading is named beside its position only where it alone is the worse.
-            if any(size <= said.get(place, 0.0) for place in places):
+            if any(size <= reported.get(index, 0.0) for index in indices):
                 continue
-            said |= dict.fromkeys(places, size)
-            names = ", ".join(dict.fromkeys(self.readings.names[place] for place in places))
-            far_off.append(Outlying(tuple(places), names, every[i].residual, z[i]))
-        return far_off
+            reported |= dict.fromkeys(indices, size)
+            names = ", ".join(dict.fromkeys(self.readings.names[index] for index in indices))
+            outliers.append(OutlyingReadings(tuple(indices), names, tested[i].residual, z[i]))
+        return outliers
 
     @property
-    def misfit_of_positions(self) -> float | None:
+    def position_misfit_p(self) -> float | None:
         """Probability of residuals beside the repeats' scatter as large as these; None without.
 
         The F test of lack of fit against pure error: Draper and Smith, Applied Regression
         Analysis, 3rd ed., section 2.1.
         """
-        own = self.residuals / self.sigma
+        normalized = self.residuals / self.sigma
         # Each repeat at one setting has the noise alone, each reading the head's part as well,
         # which is known: of what the residuals should be, only the noise's share is to be found.
-        again = float(np.sum(self.readings.repeats - 1.0))
+        repeat_dof = float(np.sum(self.readings.repeats - 1.0))
         scatter = float(np.sum(self.readings.scatter)) / self.noise**2
         share = float(np.mean(self.linear.noise_share))
-        apart = within = 0.0
+        position_dof = position_squares = 0.0
         for position in self.positions:
-            places = list(position.places)
-            apart += len(places) - 1.0
-            within += float(np.sum((own[places] - own[places].mean()) ** 2))
-        left = self.residual_dof - apart
-        if self.has_external_noise or again + apart < 1.0 or left < 0.5 or scatter + within <= 0.0:
+            indices = list(position.indices)
+            position_dof += len(indices) - 1.0
+            position_squares += float(
+                np.sum((normalized[indices] - normalized[indices].mean()) ** 2)
+            )
+        remaining_dof = self.residual_dof - position_dof
+        if (
+            self.has_external_noise
+            or repeat_dof + position_dof < 1.0
+            or remaining_dof < 0.5
+            or scatter + position_squares <= 0.0
+        ):
             return None
         from scipy.special import fdtrc
 
-        weight = again / share**2 + apart
-        expected = ((1.0 - share) + share * scatter / again) * again / share**2 if again else 0.0
-        expected = (expected + within) / weight
-        return float(fdtrc(left, weight, max(self.chi2 - within, 0.0) / left / expected))
+        weight = repeat_dof / share**2 + position_dof
+        expected = (
+            ((1.0 - share) + share * scatter / repeat_dof) * repeat_dof / share**2
+            if repeat_dof
+            else 0.0
+        )
+        expected = (expected + position_squares) / weight
+        return float(
+            fdtrc(
+                remaining_dof,
+                weight,
+                max(self.chi2 - position_squares, 0.0) / remaining_dof / expected,
+            )
+        )
 
 
-def position_of(
+def make_position(
     part: LinearReadings,
-    places: Sequence[int],
+    indices: Sequence[int],
     solution: Solution,
     model: Unknowns,
-    noise: _NoiseWithout | None,
+    noise: _DeletedNoise | None,
 ) -> Position:
     """Return the weighted mean of some residuals, and it over its own standard deviation."""
     weights = np.zeros(part.target.size)
-    weights[list(places)] = 1.0 / part.sigma[list(places)] ** 2
+    weights[list(indices)] = 1.0 / part.sigma[list(indices)] ** 2
     weights /= weights.sum()
-    own = weights * part.sigma
-    column = part.left_of(own, solution)
-    left = max(float(own @ column), 0.0)
-    shifted = weights @ part.moved_by(solution) * model.considered_sizes
-    variance = left + float(shifted @ shifted)
-    residual = float(weights @ part.left(solution, model))
-    if variance <= 1e-9 * float(own @ own):
-        return Position(tuple(places), residual, math.nan, math.nan, math.nan)
+    scaled_weights = weights * part.sigma
+    column = part.project_out(scaled_weights, solution)
+    residual_variance = max(float(scaled_weights @ column), 0.0)
+    considered_shift = weights @ part.considered_sensitivity(solution) * model.considered_sizes
+    variance = residual_variance + float(considered_shift @ considered_shift)
+    residual = float(weights @ part.residuals(solution, model))
+    if variance <= 1e-9 * float(scaled_weights @ scaled_weights):
+        return Position(tuple(indices), residual, math.nan, math.nan, math.nan)
     z, share, dof = residual / math.sqrt(variance), 0.0, math.inf
-    beside_others = z
+    studentized = z
     if noise is not None:
         # The head, priors and what is considered have their parts of the variance too.
-        by_noise = min(float(part.noise_share @ column**2) / variance, 1.0)
-        scale, dof = noise.beside(own)
-        shrunk = 1.0 - by_noise + by_noise * scale
-        beside_others, share = z / math.sqrt(shrunk), by_noise * scale / shrunk
-    p = 2.0 * tail_beside(share, dof, abs(beside_others))
-    return Position(tuple(places), residual, z, beside_others, p)
+        noise_fraction = min(float(part.noise_share @ column**2) / variance, 1.0)
+        scale, dof = noise.evaluate(scaled_weights)
+        variance_ratio = 1.0 - noise_fraction + noise_fraction * scale
+        studentized, share = z / math.sqrt(variance_ratio), noise_fraction * scale / variance_ratio
+    p = 2.0 * tail_beside(share, dof, abs(studentized))
+    return Position(tuple(indices), residual, z, studentized, p)
 
 
-class _NoiseWithout:
+class _DeletedNoise:
     """An estimated noise without some of the readings, all else being equal."""
 
-    def __init__(self, part: LinearReadings, solution: Solution, group: Measured) -> None:
+    def __init__(self, part: LinearReadings, solution: Solution, group: ReadingGroup) -> None:
         self._part, self._solution = part, solution
         self._share = part.noise_share
-        self._residual = part.left_at(solution.estimate) / part.sigma
-        again = group.freedom_of_repeats
-        self._dof = part.freedom_of_noise(solution) + again
+        self._residual = part.residuals_at(solution.estimate) / part.sigma
+        repeat_dof = group.repeat_dof
+        self._dof = part.noise_dof(solution) + repeat_dof
         # The noise is such that the squares of residuals and repeats are what is expected.
-        self._squares = float(self._share @ (1.0 - part.leverages(solution))) + again
+        self._squares = float(self._share @ (1.0 - part.leverages(solution))) + repeat_dof
 
-    def beside(self, own: Array) -> tuple[float, float]:
+    def evaluate(self, combination: Array) -> tuple[float, float]:
         """Return the variance without a combination of the readings, over it, and its dof."""
-        share, column = self._share, self._part.left_of(own, self._solution)
-        left = float(own @ column)
-        if left <= 1e-9 * float(own @ own):
+        share, column = self._share, self._part.project_out(combination, self._solution)
+        remainder = float(combination @ column)
+        if remainder <= 1e-9 * float(combination @ combination):
             return 1.0, self._dof
-        removed = column * float(own @ self._residual) / left
+        removed = column * float(combination @ self._residual) / remainder
         squares = self._squares - float(share @ (removed * (2.0 * self._residual - removed)))
-        weighed = share * column
-        crossed = float(weighed @ self._part.left_of(weighed, self._solution)) / left
-        gone = float(weighed @ column) / left
-        scale = max(squares, _LEAST_REST) / max(self._squares - gone, _LEAST_REST)
-        return scale, max(self._dof - 2.0 * crossed + gone**2, 1.0)
+        weighted = share * column
+        cross_term = float(weighted @ self._part.project_out(weighted, self._solution)) / remainder
+        removed_dof = float(weighted @ column) / remainder
+        scale = max(squares, _MIN_REMAINDER) / max(self._squares - removed_dof, _MIN_REMAINDER)
+        return scale, max(self._dof - 2.0 * cross_term + removed_dof**2, 1.0)

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from counterspin.campaign.conditions import (
-    assumed_of_readings,
-    clock_of,
-    directions_of,
-    mean_of,
-    origin_of,
+    assumed_reading_temperatures,
+    profile_mean,
+    rate_clock_input,
+    reference_point,
+    temperature_directions,
 )
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.reading import Reading
@@ -20,7 +20,7 @@ from counterspin.physics.station import Station
 from counterspin.readings.known_attitudes import Readings
 
 
-def groups_of(campaign: Campaign, readings: Sequence[Reading]) -> list[Readings]:
+def group_readings(campaign: Campaign, readings: Sequence[Reading]) -> list[Readings]:
     """Return the readings by accelerometer, motion and whether their noise was stated."""
     return [group for group, _ in numbered_groups(campaign, readings)]
 
@@ -29,28 +29,34 @@ def numbered_groups(
     campaign: Campaign, readings: Sequence[Reading]
 ) -> list[tuple[Readings, list[int]]]:
     """Return the groups of `groups_of`, each with the places of its members."""
-    assumed = dict(assumed_of_readings(campaign, readings))
-    places: dict[tuple[str, str, bool], list[int]] = {}
-    for place, r in enumerate(readings):
-        places.setdefault((r.accelerometer, r.motion, r.u is None), []).append(place)
+    assumed = dict(assumed_reading_temperatures(campaign, readings))
+    indices_by_group: dict[tuple[str, str, bool], list[int]] = {}
+    for index, reading in enumerate(readings):
+        indices_by_group.setdefault(
+            (reading.accelerometer, reading.motion, reading.u is None), []
+        ).append(index)
     return [
         (
-            _group(campaign, [readings[k] for k in group], [assumed.get(k, 0.0) for k in group]),
-            group,
+            _make_group(
+                campaign,
+                [readings[member] for member in indices],
+                [assumed.get(member, 0.0) for member in indices],
+            ),
+            indices,
         )
-        for group in places.values()
+        for indices in indices_by_group.values()
     ]
 
 
-def _group(
-    campaign: Campaign, readings: Sequence[Reading], assumed_warmths: Sequence[float]
+def _make_group(
+    campaign: Campaign, readings: Sequence[Reading], assumed_temperatures: Sequence[float]
 ) -> Readings:
-    first = readings[0]
-    origin, ways = origin_of(campaign), directions_of(campaign)
+    first_reading = readings[0]
+    origin, directions = reference_point(campaign), temperature_directions(campaign)
     reference, start = origin.temperature, origin.time
     return Readings(
-        accelerometer=first.accelerometer,
-        motion=first.motion,
+        accelerometer=first_reading.accelerometer,
+        motion=first_reading.motion,
         names=tuple(r.name for r in readings),
         site=campaign.site,
         stations=tuple(
@@ -67,15 +73,15 @@ def _group(
         u_head=np.array([r.u_head for r in readings]),
         head_angle=np.array([r.head_angle for r in readings]),
         value=np.array([r.value for r in readings]),
-        u=None if first.u is None else np.array([r.u for r in readings], dtype=float),
+        u=None if first_reading.u is None else np.array([r.u for r in readings], dtype=float),
         temperature=np.array(
             [
-                mean_of(r.temperature) - reference if r.temperature else assumed
-                for r, assumed in zip(readings, assumed_warmths, strict=True)
+                profile_mean(r.temperature) - reference if r.temperature else assumed_temperature
+                for r, assumed_temperature in zip(readings, assumed_temperatures, strict=True)
             ]
         ),
         time=np.array([(start if r.time is None else r.time) - start for r in readings]),
-        direction=np.array([ways.get(r.name, (0.0,))[0] for r in readings]),
+        direction=np.array([directions.get(r.name, (0.0,))[0] for r in readings]),
         repeats=np.array([float(r.repeats) for r in readings]),
         scatter=np.array([r.scatter for r in readings]),
         resolution=min(r.resolution for r in readings),
@@ -85,7 +91,7 @@ def _group(
         stated_rates=tuple(r.rate for r in readings),
         u_rate=np.array([_relative_u_rate(campaign, r) for r in readings]),
         default_rate=np.array([float(not r.measured and r.u_rate is None) for r in readings]),
-        clocks=tuple(name_of_clock(campaign, r) for r in readings),
+        clocks=tuple(clock_name(campaign, r) for r in readings),
     )
 
 
@@ -95,9 +101,9 @@ def _rate_factor(campaign: Campaign, reading: Reading) -> float:
     return 1.0 if clock is None or reading.by_clock else 1.0 + clock.value
 
 
-def name_of_clock(campaign: Campaign, reading: Reading) -> str:
+def clock_name(campaign: Campaign, reading: Reading) -> str:
     """Return the name of that input; empty where nothing turns."""
-    return ".".join(filter(None, clock_of(campaign, reading))) if reading.rate else ""
+    return ".".join(filter(None, rate_clock_input(campaign, reading))) if reading.rate else ""
 
 
 def _relative_u_rate(campaign: Campaign, reading: Reading) -> float:

@@ -32,7 +32,7 @@ from counterspin.physics.terms import (
     symbol_of,
     term,
 )
-from counterspin.readings.linear import FINEST, LinearReadings
+from counterspin.readings.linear import MIN_RELATIVE_NOISE, LinearReadings
 
 #: Step of a machine term's derivative, of its largest credible size: large, for little rounding.
 _STEP: Final = 1e-2
@@ -108,19 +108,21 @@ class Readings:
         stations = list(self.stations)
         for symbol, size in machine.items():
             if size != 0.0:
-                stations = self.moved(stations, symbol, size)
+                stations = self.perturb(stations, symbol, size)
         return stations
 
-    def moved(self, stations: Sequence[Station], symbol: str, size: float) -> list[Station]:
+    def perturb(self, stations: Sequence[Station], symbol: str, size: float) -> list[Station]:
         """Return the readings' stations, moved already, with one more of the machine's terms."""
         return [
-            self.moved_one(station, k, symbol, size) if acting else station
-            for k, (station, acting) in enumerate(zip(stations, self.acting(symbol), strict=True))
+            self.perturb_one(station, index, symbol, size) if acts else station
+            for index, (station, acts) in enumerate(
+                zip(stations, self.acts_mask(symbol), strict=True)
+            )
         ]
 
-    def moved_one(self, station: Station, place: int, symbol: str, size: float) -> Station:
+    def perturb_one(self, station: Station, index: int, symbol: str, size: float) -> Station:
         """Return the station of one of the readings, with one more of the machine's terms."""
-        return moved(station, symbol, size, self.head[place], self._head_angles[place])
+        return moved(station, symbol, size, self.head[index], self._head_angles[index])
 
     @cached_property
     def _head_angles(self) -> list[float]:
@@ -128,46 +130,51 @@ class Readings:
         angles: list[float] = np.broadcast_to(self.head_angle, self.size).tolist()
         return angles
 
-    def turned(self, stations: Sequence[Station], by: Array) -> list[Station]:
+    def rotate_head(self, stations: Sequence[Station], angles: Array) -> list[Station]:
         """Return stations with the head's angle off by so much at each, rad, shape (n,)."""
-        every = enumerate(zip(stations, by.tolist(), strict=True))
-        return [self.moved_one(station, k, "head.zero", size) for k, (station, size) in every]
+        indexed = enumerate(zip(stations, angles.tolist(), strict=True))
+        return [
+            self.perturb_one(station, index, "head.zero", size)
+            for index, (station, size) in indexed
+        ]
 
     def with_rate_errors(self, errors: Array) -> Readings:
         """Return readings at rates that are larger by relative errors, shape (n,)."""
-        every = enumerate(zip(self.stations, errors.tolist(), strict=True))
-        stations = (self.moved_one(station, k, RATE, size) for k, (station, size) in every)
+        indexed = enumerate(zip(self.stations, errors.tolist(), strict=True))
+        stations = (
+            self.perturb_one(station, index, RATE, size) for index, (station, size) in indexed
+        )
         return replace(self, stations=tuple(stations))
 
     @property
-    def least_noise(self) -> float:
+    def noise_floor(self) -> float:
         """The least noise that one repeat can be said to have, g: rounding to the last digit.
 
         Its standard deviation: GUM F.2.2.1. Where more digits were written than any readout has,
         `FINEST` of the largest one. Repeats whose scatter is below the digit are rounded alike.
         """
         largest = float(np.max(np.abs(self.value), initial=1e-3))
-        least = max(self.resolution / math.sqrt(12.0), FINEST * largest)
-        again = float(np.sum(self.repeats - 1.0))
-        alike = float(self.scatter.sum()) < again * (self.resolution / 2.0) ** 2
-        return least * math.sqrt(float(self.repeats.max())) if alike else least
+        floor = max(self.resolution / math.sqrt(12.0), MIN_RELATIVE_NOISE * largest)
+        repeat_dof = float(np.sum(self.repeats - 1.0))
+        is_below_resolution = float(self.scatter.sum()) < repeat_dof * (self.resolution / 2.0) ** 2
+        return floor * math.sqrt(float(self.repeats.max())) if is_below_resolution else floor
 
     @property
-    def read_again(self) -> tuple[tuple[int, ...], ...]:
+    def replicates(self) -> tuple[tuple[int, ...], ...]:
         """Places of the readings of each position that was read more than once."""
-        same: dict[tuple[object, ...], list[int]] = {}
-        shown = np.array(self._head_angles)
-        waves = np.round(np.stack([np.cos(shown), np.sin(shown)], axis=-1), 9) + 0.0
-        for place, (station, mounting) in enumerate(
+        groups: dict[tuple[object, ...], list[int]] = {}
+        angles = np.array(self._head_angles)
+        angle_keys = np.round(np.stack([np.cos(angles), np.sin(angles)], axis=-1), 9) + 0.0
+        for index, (station, mounting) in enumerate(
             zip(self.stations, self.mountings, strict=True)
         ):
             # Where an axis points is known to rounding only.
             axes = tuple(np.round(station.mounting.matrix, 9).ravel().tolist())
             # A repeat is set to the same rate and turns at nearly the same.
-            rate = self.stated_rates[place] if self.stated_rates else station.rate
-            key = (axes, rate, mounting, *waves[place].tolist())
-            same.setdefault(key, []).append(place)
-        return tuple(tuple(places) for places in same.values() if len(places) > 1)
+            rate = self.stated_rates[index] if self.stated_rates else station.rate
+            key = (axes, rate, mounting, *angle_keys[index].tolist())
+            groups.setdefault(key, []).append(index)
+        return tuple(tuple(indices) for indices in groups.values() if len(indices) > 1)
 
     @property
     def accelerometers(self) -> tuple[str, ...]:
@@ -180,15 +187,15 @@ class Readings:
         return len(self.stations)
 
     @property
-    def freedom_of_repeats(self) -> float:
+    def repeat_dof(self) -> float:
         """Degrees of freedom that repeats at one setting have among themselves."""
         return float(np.sum(self.repeats - 1.0))
 
-    def linearised(
+    def linearize(
         self, model: Unknowns, estimate: Array, variance: Array | None = None
     ) -> LinearReadings:
         """Return their rows at an estimate; parameters as of `linearise`."""
-        return linearise(self, model, estimate, variance)
+        return linearize(self, model, estimate, variance)
 
     @property
     def triad(self) -> tuple[str, ...]:
@@ -199,7 +206,7 @@ class Readings:
         """Return the point that is given: readings need no other."""
         return point
 
-    def with_positions_set(self) -> Readings:
+    def without_setting_errors(self) -> Readings:
         """Return the readings without errors of setting their positions."""
         return replace(self, position=())
 
@@ -207,11 +214,13 @@ class Readings:
         """Return the readings with a stated noise of one repeat, g."""
         return replace(self, u=noise / np.sqrt(self.repeats))
 
-    def turned_about(self, name: str, turn: Callable[[Mounting], Mounting]) -> Readings:
+    def with_rotated_mounting(self, name: str, rotate: Callable[[Mounting], Mounting]) -> Readings:
         """Return the readings with an accelerometer mounted otherwise."""
         if self.accelerometer != name:
             return self
-        stations = (replace(one, mounting=turn(one.mounting)) for one in self.stations)
+        stations = (
+            replace(station, mounting=rotate(station.mounting)) for station in self.stations
+        )
         return replace(self, stations=tuple(stations))
 
     def default_candidates(self, model: Unknowns) -> Sequence[Unknown]:  # noqa: ARG002
@@ -251,7 +260,7 @@ class Readings:
         """Return no cause: the fit names the reading that is furthest off."""
         return ""
 
-    def acting(self, symbol: str) -> Array:
+    def acts_mask(self, symbol: str) -> Array:
         """Return 1 for each reading on which a term of the machine acts, else 0, shape (n,)."""
         if not is_term(symbol) or self.motion not in term(symbol).motions:
             return np.zeros(self.size)
@@ -261,105 +270,117 @@ class Readings:
         if accelerometer_of(symbol) not in ("", self.accelerometer):
             return np.zeros(self.size)
         names = self.mountings if term(symbol).per_mounting else self.position
-        return np.array([float(own == name) for own in names or ("",) * self.size])
+        return np.array(
+            [float(reading_name == name) for reading_name in names or ("",) * self.size]
+        )
 
-    def lever(self, symbol: str) -> Array:
+    def design_factor(self, symbol: str) -> Array:
         """Return the regressor of the slope of a coefficient, shape (n,)."""
-        forces = np.array([one.radius * one.rate**2 for one in self.stations]) / self.site.gravity
+        forces = (
+            np.array([station.radius * station.rate**2 for station in self.stations])
+            / self.site.gravity
+        )
         return CONDITION_TERMS[symbol].effect.design_factors(
             self.time, self.temperature, np.broadcast_to(self.direction, self.size), forces
         )
 
 
-def linearise(
+def linearize(
     group: Readings, model: Unknowns, estimate: Array, variance: Array | None = None
 ) -> LinearReadings:
     """Return the columns at an estimate; considered terms that it lacks are as assumed.
 
     variance: What is left open of each unknown, as far as it is known; else its prior's.
     """
-    everything = [*model.unknowns, *model.considered]
-    left_open = np.array([term.prior[1] ** 2 for term in everything])
+    unknowns = [*model.unknowns, *model.considered]
+    variances = np.array([term.prior[1] ** 2 for term in unknowns])
     if variance is not None:
-        left_open[: variance.size] = variance
-    at = np.append(estimate, [term.prior_mean for term in everything[len(estimate) :]])
-    own = {
+        variances[: variance.size] = variance
+    at = np.append(estimate, [term.prior_mean for term in unknowns[len(estimate) :]])
+    symbols = {
         index: unknown.symbol
-        for index, unknown in enumerate(everything)
+        for index, unknown in enumerate(unknowns)
         if unknown.owner in ("", group.accelerometer)
     }
     machine = {
         symbol: float(at[index])
-        for index, symbol in own.items()
-        if not everything[index].owner and group.acting(symbol).any()
+        for index, symbol in symbols.items()
+        if not unknowns[index].owner and group.acts_mask(symbol).any()
     }
-    levers = dict(_levers(group, own))
-    here = _Here.at(group, group.stations_with(machine), at, levers)
-    columns = np.zeros((group.size, len(everything)))
-    for index, (place, lever) in levers.items():
-        columns[:, index] = here.products[:, place] * lever
+    factors = dict(_design_factors(group, symbols))
+    point = _OperatingPoint.at(group, group.stations_with(machine), at, factors)
+    columns = np.zeros((group.size, len(unknowns)))
+    for index, (term_index, factor) in factors.items():
+        columns[:, index] = point.products[:, term_index] * factor
     rows: dict[str, list[int]] = {}
-    for index, symbol in own.items():
+    for index, symbol in symbols.items():
         if symbol in machine:
             rows.setdefault(term(symbol).symbol, []).append(index)
-    of_rate = here.u_of_rate()
-    shift, unseen = np.zeros(group.size), here.variance_of_head() + of_rate**2
+    rate_u = point.rate_uncertainty()
+    shift, unseen = np.zeros(group.size), point.head_variance() + rate_u**2
     for row, indices in rows.items():
         # Each of the mountings, or positions, of a row has readings of its own.
-        whose = np.full(group.size, -1)
+        owner_index = np.full(group.size, -1)
         for index in indices:
-            whose[group.acting(own[index]) > 0.0] = index
-        there = np.flatnonzero(whose >= 0)
-        whose, step = whose[there], _STEP * everything[indices[0]].limit
-        more, less = here.both_ways(there, own[indices[0]], step)
-        columns[there, whose] = here.slope(more, less, step, there)
+            owner_index[group.acts_mask(symbols[index]) > 0.0] = index
+        affected = np.flatnonzero(owner_index >= 0)
+        owner_index, step = owner_index[affected], _STEP * unknowns[indices[0]].limit
+        ahead_products, behind_products = point.perturb_both(affected, symbols[indices[0]], step)
+        columns[affected, owner_index] = point.slope(
+            ahead_products, behind_products, step, affected
+        )
         if TABLE[row].scope == "position":
             # A cosine falls whichever way a position is off: a square has a mean and a
             # variance. It is common to all readings there, whose mean is to have it whole.
-            bend = here.curve(more, less, step, there) * left_open[whose]
-            shift[there] += bend
-            unseen[there] += np.bincount(whose)[whose] * 2.0 * bend**2
-    indicated = np.sum(here.products * here.effective, axis=1)
-    perfect = indicated - columns @ at
+            curvature_term = (
+                point.half_curvature(ahead_products, behind_products, step, affected)
+                * variances[owner_index]
+            )
+            shift[affected] += curvature_term
+            unseen[affected] += np.bincount(owner_index)[owner_index] * 2.0 * curvature_term**2
+    indicated = np.sum(point.products * point.effective, axis=1)
+    offset = indicated - columns @ at
     # Derivatives by inputs are taken at what is stated of them, and not at the estimate.
-    replaced = [s for i, s in own.items() if s in machine and not everything[i].unstated]
+    replaced = [s for i, s in symbols.items() if s in machine and not unknowns[i].unstated]
     steps = {**INPUT_STEPS, **dict.fromkeys(group.clocks, _RATE_STEP)}
-    for index, name in enumerate(unknown.name for unknown in everything):
+    for index, name in enumerate(unknown.name for unknown in unknowns):
         if name in steps:
             step = steps[name]
             ahead, behind = (with_input(group, name, s, replaced) for s in (step, -step))
             both = ahead.products(machine), behind.products(machine)
-            columns[:, index] = here.slope(*both, step)
+            columns[:, index] = point.slope(*both, step)
         if name == "site.gravity":
             columns[:, index] += group.in_si * indicated / group.site.gravity
-    linear = LinearReadings.whole(
+    linear = LinearReadings.from_columns(
         group,
         model,
         columns,
-        group.value - perfect - shift,
+        group.value - offset - shift,
         group.u,
         group.repeats,
         np.sqrt(unseen),
     )
-    return replace(linear, rate=of_rate, u_rate=group.u_rate, default_rate=group.default_rate)
+    return replace(linear, rate=rate_u, u_rate=group.u_rate, default_rate=group.default_rate)
 
 
 #: Of an unknown of the accelerometer: the place of its product, and what that is times, (n,).
-_Levers = dict[int, tuple[int, Array]]
+_DesignFactors = dict[int, tuple[int, Array]]
 
 
-def _levers(group: Readings, own: Mapping[int, str]) -> Iterator[tuple[int, tuple[int, Array]]]:
+def _design_factors(
+    group: Readings, symbols: Mapping[int, str]
+) -> Iterator[tuple[int, tuple[int, Array]]]:
     """Yield for each coefficient, or slope of one, its index and as of `_Levers`."""
-    for index, symbol in own.items():
+    for index, symbol in symbols.items():
         if symbol in TERMS:
             yield index, (_SYMBOLS.index(symbol), np.ones(group.size))
         elif symbol in CONDITION_TERMS:
-            changing = CONDITION_TERMS[symbol].effect.coefficient
-            yield index, (_SYMBOLS.index(changing), group.lever(symbol))
+            coefficient = CONDITION_TERMS[symbol].effect.coefficient
+            yield index, (_SYMBOLS.index(coefficient), group.design_factor(symbol))
 
 
 @frozen
-class _Here:
+class _OperatingPoint:
     """A group of readings at the point where derivatives are taken."""
 
     group: Readings
@@ -368,75 +389,84 @@ class _Here:
     effective: Array  #: The coefficients under each reading's conditions, of the same shape.
 
     @classmethod
-    def at(cls, group: Readings, stations: Sequence[Station], at: Array, levers: _Levers) -> _Here:
+    def at(
+        cls, group: Readings, stations: Sequence[Station], values: Array, levers: _DesignFactors
+    ) -> _OperatingPoint:
         effective = np.tile([row.nominal for row in TERMS.values()], (group.size, 1))
-        for index, (place, lever) in levers.items():
-            effective[:, place] += at[index] * lever
+        for index, (term_index, factor) in levers.items():
+            effective[:, term_index] += values[index] * factor
         return cls(group, stations, mean_products(stations, group.site), effective)
 
-    def both_ways(self, there: Any, symbol: str, step: float) -> tuple[Array, Array]:
+    def perturb_both(self, rows: Any, symbol: str, step: float) -> tuple[Array, Array]:
         """Return the products where some readings are moved by a step of a term, and back."""
         group = self.group
-        more, less = (
+        ahead, behind = (
             mean_products(
-                [group.moved_one(self.stations[k], k, symbol, size) for k in there], group.site
+                [group.perturb_one(self.stations[row], row, symbol, size) for row in rows],
+                group.site,
             )
             for size in (step, -step)
         )
-        return more, less
+        return ahead, behind
 
-    def slope(self, more: Array, less: Array, step: float, there: Any = slice(None)) -> Array:
+    def slope(self, ahead: Array, behind: Array, step: float, rows: Any = slice(None)) -> Array:
         """Return the derivative of the indications, of products a step ahead and behind."""
-        found: Array = np.sum((more - less) * self.effective[there], axis=1) / (2.0 * step)
-        return found
+        derivative: Array = np.sum((ahead - behind) * self.effective[rows], axis=1) / (2.0 * step)
+        return derivative
 
-    def curve(self, more: Array, less: Array, step: float, there: Any) -> Array:
+    def half_curvature(self, ahead: Array, behind: Array, step: float, rows: Any) -> Array:
         """Return half the second derivative of the indications."""
-        return self.slope(more + less, 2.0 * self.products[there], step, there) / step
+        return self.slope(ahead + behind, 2.0 * self.products[rows], step, rows) / step
 
-    def u_of_rate(self) -> Array:
+    def rate_uncertainty(self) -> Array:
         """Return the standard uncertainty from random errors of the rates, g, shape (n,)."""
         group = self.group
-        uncertain = np.broadcast_to(group.u_rate, group.size)
-        there = np.flatnonzero(uncertain)
-        added = np.zeros(group.size)
-        if there.size:
-            more, less = self.both_ways(there, RATE, _RATE_STEP)
-            added[there] = np.abs(self.slope(more, less, _RATE_STEP, there)) * uncertain[there]
-        return added
+        relative_u = np.broadcast_to(group.u_rate, group.size)
+        rows = np.flatnonzero(relative_u)
+        uncertainty = np.zeros(group.size)
+        if rows.size:
+            ahead, behind = self.perturb_both(rows, RATE, _RATE_STEP)
+            uncertainty[rows] = (
+                np.abs(self.slope(ahead, behind, _RATE_STEP, rows)) * relative_u[rows]
+            )
+        return uncertainty
 
-    def variance_of_head(self) -> Array:
+    def head_variance(self) -> Array:
         """Return the variance from the random error of the head's angle, g^2, shape (n,)."""
         group = self.group
         if not group.u_head.any():
             return np.zeros(group.size)
         turn = np.full(group.size, _HEAD_STEP)
-        both = (group.turned(self.stations, by) for by in (turn, -turn))
-        more, less = (mean_products(each, group.site) for each in both)
-        return np.square(self.slope(more, less, _HEAD_STEP) * group.u_head)
+        station_sets = (group.rotate_head(self.stations, angle) for angle in (turn, -turn))
+        ahead, behind = (mean_products(stations, group.site) for stations in station_sets)
+        return np.square(self.slope(ahead, behind, _HEAD_STEP) * group.u_head)
 
 
-def with_input(group: Readings, name: str, by: float, replaced: Collection[str]) -> Readings:
+def with_input(group: Readings, name: str, change: float, replaced: Collection[str]) -> Readings:
     """Return readings with an input changed.
 
     name: Of the input; of a clock with its recorder.
     replaced: Radii of mountings that are known in place of the centrifuge's.
     """
     if name == "site.gravity":
-        return replace(group, site=replace(group.site, gravity=group.site.gravity + by))
+        return replace(group, site=replace(group.site, gravity=group.site.gravity + change))
     if name == "site.latitude":
-        return replace(group, site=replace(group.site, latitude=group.site.latitude + by))
+        return replace(group, site=replace(group.site, latitude=group.site.latitude + change))
     if name in group.clocks:
         symbol, timed = symbol_of(name), enumerate(zip(group.stations, group.clocks, strict=True))
-        stations = (group.moved_one(s, k, symbol, by) if c == name else s for k, (s, c) in timed)
+        stations = (
+            group.perturb_one(s, k, symbol, change) if c == name else s for k, (s, c) in timed
+        )
         return replace(group, stations=tuple(stations))
     if name != "centrifuge.radius":
         return group
-    kept = np.zeros(group.size)
+    radius_owned = np.zeros(group.size)
     for symbol in replaced:
-        kept += group.acting(symbol) if symbol.startswith(f"{name}.") else 0.0
-    placed = zip(group.stations, kept.tolist(), strict=True)
+        radius_owned += group.acts_mask(symbol) if symbol.startswith(f"{name}.") else 0.0
+    pairs = zip(group.stations, radius_owned.tolist(), strict=True)
     return replace(
         group,
-        stations=tuple(s if own else replace(s, radius=s.radius + by) for s, own in placed),
+        stations=tuple(
+            s if keeps_radius else replace(s, radius=s.radius + change) for s, keeps_radius in pairs
+        ),
     )

@@ -19,10 +19,10 @@ from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import READINGS
 
 #: No readout resolves more of its range: one of 8.5 digits has ten times as much.
-FINEST: Final = 1e-9 / math.sqrt(12.0)
+MIN_RELATIVE_NOISE: Final = 1e-9 / math.sqrt(12.0)
 
 
-class Measured(Protocol):
+class ReadingGroup(Protocol):
     """A group of n readings, or of poses of a triad, with noise of one kind."""
 
     @property
@@ -74,18 +74,18 @@ class Measured(Protocol):
         """Names of the positions whose setting error is an unknown."""
 
     @property
-    def least_noise(self) -> float:
+    def noise_floor(self) -> float:
         """The least credible noise of one repeat, g."""
 
     @property
-    def read_again(self) -> tuple[tuple[int, ...], ...]:
+    def replicates(self) -> tuple[tuple[int, ...], ...]:
         """Places of the readings of each position that was read more than once."""
 
     @property
-    def freedom_of_repeats(self) -> float:
+    def repeat_dof(self) -> float:
         """Degrees of freedom of repeats at one setting among themselves."""
 
-    def linearised(
+    def linearize(
         self, model: Unknowns, estimate: Array, variance: Array | None = None
     ) -> LinearReadings:
         """Return the rows at an estimate; parameters as of `linearise`."""
@@ -93,13 +93,15 @@ class Measured(Protocol):
     def start(self, unknowns: Sequence[Unknown], point: Array) -> Array:
         """Return the point at which to begin, shape (p,)."""
 
-    def with_positions_set(self) -> Measured:
+    def without_setting_errors(self) -> ReadingGroup:
         """Return the group without errors of setting its positions."""
 
-    def with_noise(self, noise: float) -> Measured:
+    def with_noise(self, noise: float) -> ReadingGroup:
         """Return the group with a stated noise of one repeat, g."""
 
-    def turned_about(self, name: str, turn: Callable[[Mounting], Mounting]) -> Measured:
+    def with_rotated_mounting(
+        self, name: str, turn: Callable[[Mounting], Mounting]
+    ) -> ReadingGroup:
         """Return the group with an accelerometer mounted otherwise."""
 
     def default_candidates(self, model: Unknowns) -> Sequence[Unknown]:
@@ -131,7 +133,7 @@ class Measured(Protocol):
         """Return the error that the fit did not converge in so many rounds; empty: no cause."""
 
 
-def source_of(group: Measured) -> str:
+def noise_source(group: ReadingGroup) -> str:
     """Return the name of a group in a budget: accelerometer, motion and kind of noise."""
     estimated = "" if group.u is not None else " (noise estimated)"
     return f"{group.accelerometer}: {READINGS[group.motion]}{estimated}"
@@ -141,7 +143,7 @@ def source_of(group: Measured) -> str:
 class LinearReadings(Observation):
     """Readings linearised at an estimate: target = design @ unknowns + fixed @ considered."""
 
-    group: Measured
+    group: ReadingGroup
     target: Array  # (n,), g, less what a perfect system indicates
     stated: Array | None  # (n,), g, without the head's part
     repeats: Array  # (n,)
@@ -154,7 +156,7 @@ class LinearReadings(Observation):
     @property
     def source(self) -> str:
         """The name of the readings."""
-        return source_of(self.group)
+        return noise_source(self.group)
 
     run = source
 
@@ -164,9 +166,9 @@ class LinearReadings(Observation):
         return self.group.motion
 
     @classmethod
-    def whole(
+    def from_columns(
         cls,
-        group: Measured,
+        group: ReadingGroup,
         model: Unknowns,
         columns: Array,
         target: Array,
@@ -177,20 +179,22 @@ class LinearReadings(Observation):
         """Return rows with columns of all that is estimated and considered, (n, p + q)."""
         p, q = len(model.unknowns), len(model.considered)
         sigma = head if stated is None else np.hypot(stated, head)
-        places = tuple(range(p)), columns[:, :p], tuple(range(q)), columns[:, p:]
-        return cls(*places, group, target, stated, repeats, head, sigma)
+        split = tuple(range(p)), columns[:, :p], tuple(range(q)), columns[:, p:]
+        return cls(*split, group, target, stated, repeats, head, sigma)
 
     def with_noise(self, noise: float) -> LinearReadings:
         """Return the same with a noise, of one repeat, for readings that state none."""
-        own = noise / np.sqrt(self.repeats) if self.stated is None else self.stated
-        return replace(self, sigma=np.hypot(own, self.head))
+        noise_sd = noise / np.sqrt(self.repeats) if self.stated is None else self.stated
+        return replace(self, sigma=np.hypot(noise_sd, self.head))
 
     def block(self, noise: Mapping[str, Noise]) -> Block:
         """Return their square-root information; a noise counts where none is stated."""
-        own = noise.get(self.source)
-        return (self if own is None else self.with_noise(own.white)).weighed()
+        noise_model = noise.get(self.source)
+        return (
+            self if noise_model is None else self.with_noise(noise_model.white)
+        ).whitened_block()
 
-    def weighed(self) -> Block:
+    def whitened_block(self) -> Block:
         """Return their square-root information by the noise that they have."""
         weight = 1.0 / self.sigma[:, None]
         return reduce_block(
@@ -199,73 +203,77 @@ class LinearReadings(Observation):
 
     def gains(self, solution: Solution, weights: Array) -> Array:
         """Return the change of a combination of the unknowns per 1 g in a reading, shape (n,)."""
-        moved = weights @ solution.least_covariance[:, list(self.unknowns)]
-        gains: Array = (self.design @ moved) / self.sigma**2
+        sensitivity = weights @ solution.least_covariance[:, list(self.unknowns)]
+        gains: Array = (self.design @ sensitivity) / self.sigma**2
         return gains
 
-    def variances_by_rates(self, solution: Solution, weights: Array) -> tuple[float, float]:
+    def rate_variances(self, solution: Solution, weights: Array) -> tuple[float, float]:
         """Return the variances of a combination by random errors of rates: stated, and default."""
         squares = (self.gains(solution, weights) * self.rate) ** 2
         default = float(np.sum(squares * self.default_rate))
         return float(np.sum(squares)) - default, default
 
     @property
-    def u_of_rates(self) -> tuple[Array, Array]:
+    def rate_uncertainties(self) -> tuple[Array, Array]:
         """Relative standard uncertainties of its rates: stated, and default; else 0, shape (n,)."""
         default = np.broadcast_to(self.default_rate, self.target.shape)
         return self.u_rate * (default == 0.0), self.u_rate * default
 
-    def left(self, solution: Solution, model: Unknowns) -> Array:
+    def residuals(self, solution: Solution, model: Unknowns) -> Array:
         """Return the residuals, the considered terms at their assumed values."""
         means = np.array([term.prior_mean for term in model.considered])
-        left: Array = self.left_at(solution.estimate) - self.fixed @ means[list(self.considered)]
-        return left
+        residuals: Array = (
+            self.residuals_at(solution.estimate) - self.fixed @ means[list(self.considered)]
+        )
+        return residuals
 
-    def left_at(self, estimate: Array) -> Array:
+    def residuals_at(self, estimate: Array) -> Array:
         """Return the residuals beside held terms of nothing, at an estimate."""
-        left: Array = self.target - self.design @ estimate[list(self.unknowns)]
-        return left
+        residuals: Array = self.target - self.design @ estimate[list(self.unknowns)]
+        return residuals
 
-    def squares(self, solution: Solution, model: Unknowns) -> float:
+    def chi2(self, solution: Solution, model: Unknowns) -> float:
         """Return chi-square of the residuals, whose covariance the considered terms are part of.
 
         A considered term that is not what was assumed is no misfit as long as its u allows it: the
         least sum of squares of what is left and of the considered terms over their u (Searle,
         Matrix Algebra Useful for Statistics, 1982, section 10.7, has the identity).
         """
-        left = self.left(solution, model) / self.sigma
-        moved = self.moved_by(solution) / self.sigma[:, None] * model.considered_sizes
-        found = np.linalg.lstsq(
-            np.vstack([moved, np.eye(moved.shape[1])]),
-            np.append(left, np.zeros(moved.shape[1])),
+        residuals = self.residuals(solution, model) / self.sigma
+        considered_columns = (
+            self.considered_sensitivity(solution) / self.sigma[:, None] * model.considered_sizes
+        )
+        coefficients = np.linalg.lstsq(
+            np.vstack([considered_columns, np.eye(considered_columns.shape[1])]),
+            np.append(residuals, np.zeros(considered_columns.shape[1])),
             rcond=None,
         )[0]
-        rest = left - moved @ found
-        return float(rest @ rest + found @ found)
+        remainder = residuals - considered_columns @ coefficients
+        return float(remainder @ remainder + coefficients @ coefficients)
 
-    def moved_by(self, solution: Solution) -> Array:
+    def considered_sensitivity(self, solution: Solution) -> Array:
         """Return the residual columns of the considered terms, shape (n, q)."""
-        moved: Array = self.design @ solution.sensitivity_considered[list(self.unknowns)]
-        moved[:, list(self.considered)] += self.fixed
-        return moved
+        columns: Array = self.design @ solution.sensitivity_considered[list(self.unknowns)]
+        columns[:, list(self.considered)] += self.fixed
+        return columns
 
     def _covariance(self, solution: Solution) -> Array:
         """Return the covariance that the weights minimise, of the own unknowns."""
-        found: Array = solution.least_covariance[np.ix_(self.unknowns, self.unknowns)]
-        return found
+        covariance: Array = solution.least_covariance[np.ix_(self.unknowns, self.unknowns)]
+        return covariance
 
     def leverages(self, solution: Solution) -> Array:
         """Return the leverage of each reading, from 0 to 1."""
         rows = self.design / self.sigma[:, None]
-        followed: Array = np.sum((rows @ self._covariance(solution)) * rows, axis=1)
-        clipped: Array = np.clip(followed, 0.0, 1.0)
+        raw: Array = np.sum((rows @ self._covariance(solution)) * rows, axis=1)
+        clipped: Array = np.clip(raw, 0.0, 1.0)
         return clipped
 
-    def freedom(self, solution: Solution) -> float:
+    def residual_dof(self, solution: Solution) -> float:
         """Return the readings less what the fit follows of them."""
         return float(np.sum(1.0 - self.leverages(solution)))
 
-    def moments_of_noise(self, solution: Solution) -> tuple[float, float]:
+    def noise_moments(self, solution: Solution) -> tuple[float, float]:
         """Return scale and degrees of freedom of the squares that noise alone leaves.
 
         The residuals are R e, of noise e with unit variance and R = 1 - rows C rows'. Their sum of
@@ -273,18 +281,18 @@ class LinearReadings(Observation):
         (1946) 110): tr R^4 / tr R^2 and (tr R^2)^2 / tr R^4. Errors of the machine only add to it.
         """
         rows = self.design / self.sigma[:, None]
-        followed = self._covariance(solution) @ (rows.T @ rows)
-        square = followed @ followed
+        hat = self._covariance(solution) @ (rows.T @ rows)
+        square = hat @ hat
         # tr H^k of H = rows C rows' is that of the smaller matrix C rows' rows.
-        first, second = float(np.trace(followed)), float(np.trace(square))
-        third, fourth = float(np.sum(square * followed.T)), float(np.sum(square * square.T))
-        of_squares = len(rows) - 2.0 * first + second
-        of_fourths = len(rows) - 4.0 * first + 6.0 * second - 4.0 * third + fourth
-        if not (of_squares > 1e-9 and of_fourths > 1e-9):
+        first, second = float(np.trace(hat)), float(np.trace(square))
+        third, fourth = float(np.sum(square * hat.T)), float(np.sum(square * square.T))
+        second_moment = len(rows) - 2.0 * first + second
+        fourth_moment = len(rows) - 4.0 * first + 6.0 * second - 4.0 * third + fourth
+        if not (second_moment > 1e-9 and fourth_moment > 1e-9):
             return 1.0, 0.0
-        return of_fourths / of_squares, of_squares**2 / of_fourths
+        return fourth_moment / second_moment, second_moment**2 / fourth_moment
 
-    def freedom_of_noise(self, solution: Solution) -> float:
+    def noise_dof(self, solution: Solution) -> float:
         """Return the degrees of freedom of an estimated noise that the residuals give it.
 
         Twice Fisher's information of the logarithm of its variance in the restricted likelihood
@@ -292,9 +300,9 @@ class LinearReadings(Observation):
         the unknowns where nothing is known beforehand and the head adds nothing.
         """
         rows, share = self.design / self.sigma[:, None], self.noise_share
-        weighed = self._covariance(solution) @ (rows.T @ (share[:, None] * rows))
-        once = float(share**2 @ (1.0 - 2.0 * self.leverages(solution)))
-        return once + float(np.sum(weighed * weighed.T))
+        weighted = self._covariance(solution) @ (rows.T @ (share[:, None] * rows))
+        linear_part = float(share**2 @ (1.0 - 2.0 * self.leverages(solution)))
+        return linear_part + float(np.sum(weighted * weighted.T))
 
     @property
     def noise_share(self) -> Array:
@@ -302,24 +310,24 @@ class LinearReadings(Observation):
         share: Array = 1.0 - (self.head / self.sigma) ** 2
         return share
 
-    def left_of(self, column: Array, solution: Solution) -> Array:
+    def project_out(self, column: Array, solution: Solution) -> Array:
         """Return the residual of a column in standard uncertainties, shape (n,)."""
         rows = self.design / self.sigma[:, None]
-        left: Array = column - rows @ (self._covariance(solution) @ (rows.T @ column))
-        return left
+        remainder: Array = column - rows @ (self._covariance(solution) @ (rows.T @ column))
+        return remainder
 
 
-def blocks_at(readings: Sequence[Measured], model: Unknowns, estimate: Array) -> list[Block]:
+def blocks_at(readings: Sequence[ReadingGroup], model: Unknowns, estimate: Array) -> list[Block]:
     """Return the square-root information of readings whose noise is stated.
 
     estimate: Where the derivatives are taken: the unknowns less nominal, shape (p,).
     """
-    return [group.linearised(model, estimate).weighed() for group in readings]
+    return [group.linearize(model, estimate).whitened_block() for group in readings]
 
 
 def rows_at(
-    readings: Sequence[Measured], model: Unknowns, estimate: Array
+    readings: Sequence[ReadingGroup], model: Unknowns, estimate: Array
 ) -> list[tuple[Array, Array]]:
     """Return the rows of `blocks_at`, reading by reading, with unit variance."""
-    parts = [group.linearised(model, estimate) for group in readings]
+    parts = [group.linearize(model, estimate) for group in readings]
     return [(part.design / part.sigma[:, None], part.fixed / part.sigma[:, None]) for part in parts]

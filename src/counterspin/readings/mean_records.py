@@ -57,15 +57,15 @@ def average_records(campaign: Campaign) -> tuple[list[Reading], MeanRecords]:
     readings: list[Reading] = []
     means: dict[tuple[str, str], RecordMean] = {}
     rates: dict[str, tuple[float, float]] = {}
-    without: list[str] = []
-    first_with: dict[bytes, Reading] = {}
+    without_angle: list[str] = []
+    first_readings: dict[bytes, Reading] = {}
     for reading in campaign.readings:
         if reading.record is None:
             readings.append(reading)
             continue
         averaged = average_record(campaign, reading)
         digest = averaged.mean.digest
-        earlier = first_with.setdefault(digest, reading) if digest else reading
+        earlier = first_readings.setdefault(digest, reading) if digest else reading
         if earlier.name != reading.name:
             raise duplicate_record_error(campaign, earlier, reading)
         readings.append(averaged.reading)
@@ -73,8 +73,8 @@ def average_records(campaign: Campaign) -> tuple[list[Reading], MeanRecords]:
         if averaged.reading.measured is not None:
             rates[reading.name] = averaged.reading.measured.value, reading.rate
         elif reading.rate:
-            without.append(reading.name)
-    return readings, MeanRecords(means, rates, tuple(dict.fromkeys(without)))
+            without_angle.append(reading.name)
+    return readings, MeanRecords(means, rates, tuple(dict.fromkeys(without_angle)))
 
 
 def average_record(campaign: Campaign, reading: Reading) -> AveragedRecord:

@@ -33,19 +33,19 @@ from counterspin.records.reading import read_record
 from counterspin.records.record import Record, RecordColumns, RecordReport, StatedMotion
 
 #: Most stretches of a record whose means tell its noise; fewest samples of one.
-_STRETCHES: Final = 64
-_SHORTEST_STRETCH: Final = 3
+_MAX_SEGMENTS: Final = 64
+_MIN_SEGMENT_ROWS: Final = 3
 
 #: Waves that a revolution may make in the output beside its mean, such as the Earth's rate does.
 _HARMONICS: Final = 2
 
 #: Samples of a burst or of a dead stretch, whose mean stands off where no single one does.
-_BURST: Final = 64
+_BURST_ROWS: Final = 64
 
 #: Weight of white noise alone before the record is looked at; the rest is shared out evenly among
 #: the logarithms of the proportions. With it u of white noise is 1.4 times too large in the
 #: median, and covers a walk that a record hardly shows in four of five records.
-_WHITE_ALONE: Final = 0.5
+_WHITE_PRIOR: Final = 0.5
 
 #: Variance of the mean by the wander over that by white noise.
 _PROPORTIONS: Final = np.geomspace(0.1, 1e5, 13)
@@ -122,25 +122,25 @@ def mean_of_record(
     rows = np.flatnonzero(np.isfinite(signal))
     t, y = record.time[rows], signal[rows]
     # Of all rows: the rate decides how many of them count.
-    differs = y.size and np.ptp(y) > 0.0
-    digest = sha256(t.tobytes() + y.tobytes()).digest() if differs else None
+    varies = y.size and np.ptp(y) > 0.0
+    digest = sha256(t.tobytes() + y.tobytes()).digest() if varies else None
     turns = 0
     if y.size and rotation.turns:
-        turned = np.abs(rotation.angle[rows] - rotation.angle[rows[0]])
-        turns = math.floor(turned[-1] / (2.0 * math.pi) + 1e-9)
-        rows = rows[turned < turns * 2.0 * math.pi * (1.0 + 1e-12)]
+        angles = np.abs(rotation.angle[rows] - rotation.angle[rows[0]])
+        turns = math.floor(angles[-1] / (2.0 * math.pi) + 1e-9)
+        rows = rows[angles < turns * 2.0 * math.pi * (1.0 + 1e-12)]
     if rows.size < FEWEST_SAMPLES:
         raise RecordError(
             f"{record.report.path}: {rows.size} samples are too few for a mean and its uncertainty."
         )
-    burst = _bursts(record.time[rows], signal[rows], rotation[rows])
+    burst = _burst_mask(record.time[rows], signal[rows], rotation[rows])
     rows = rows[~burst]
-    value, left = _level(signal[rows], rotation[rows])
-    parts = np.array_split(left, stretches(rows.size))
+    value, residuals = _fit_offset(signal[rows], rotation[rows])
+    segments = np.array_split(residuals, segment_count(rows.size))
     outliers = record.report.outliers[column] + int(burst.sum())
     mean = RecordMean(
         value=value,
-        u=u_of_mean(np.array([part.mean() for part in parts])),
+        u=u_of_mean(np.array([segment.mean() for segment in segments])),
         samples=int(rows.size),
         revolutions=turns,
         report=replace(record.report, outliers={**record.report.outliers, column: outliers}),
@@ -149,12 +149,12 @@ def mean_of_record(
     return mean, rows
 
 
-def stretches(samples: int) -> int:
+def segment_count(samples: int) -> int:
     """Return into how many stretches a record is divided."""
-    return min(_STRETCHES, samples // _SHORTEST_STRETCH)
+    return min(_MAX_SEGMENTS, samples // _MIN_SEGMENT_ROWS)
 
 
-def _level(y: Array, rotation: RowRotation) -> tuple[float, Array]:
+def _fit_offset(y: Array, rotation: RowRotation) -> tuple[float, Array]:
     """Return the mean of a signal without the waves of a revolution, and the residuals, (n,)."""
     y = y - (rotation.centripetal - rotation.centripetal.mean())
     angle = rotation.angle - rotation.angle[0]
@@ -167,23 +167,23 @@ def _level(y: Array, rotation: RowRotation) -> tuple[float, Array]:
     return float(fitted[0]), y - design @ fitted
 
 
-def _bursts(t: Array, y: Array, rotation: RowRotation) -> np.ndarray:
+def _burst_mask(t: Array, y: Array, rotation: RowRotation) -> np.ndarray:
     """Return a mask of the samples in stretches whose mean is an outlier, shape (n,)."""
-    count = y.size // _BURST
-    found = np.zeros(y.size, dtype=bool)
+    count = y.size // _BURST_ROWS
+    mask = np.zeros(y.size, dtype=bool)
     if count < FEWEST_SAMPLES:
-        return found
+        return mask
     edges = np.linspace(0, y.size, count + 1).astype(int)
     sizes = np.diff(edges)
     # Medians: a burst of a third of the record must not make waves.
-    left = _level(y, rotation)[1] if rotation.turns else y - median(y)
-    means, times = (np.add.reduceat(each, edges[:-1]) / sizes for each in (left, t))
+    residuals = _fit_offset(y, rotation)[1] if rotation.turns else y - median(y)
+    means, times = (np.add.reduceat(column, edges[:-1]) / sizes for column in (residuals, t))
     steps = np.diff(times)
     step = median(steps)
     uneven = float(np.abs(steps / step - 1.0).max())
-    for place in detect_outliers(times, means, 0.0, step, uneven):
-        found[edges[place] : edges[place + 1]] = True
-    return found
+    for index in detect_outliers(times, means, 0.0, step, uneven):
+        mask[edges[index] : edges[index + 1]] = True
+    return mask
 
 
 def u_of_mean(means: Array) -> float:
@@ -192,28 +192,28 @@ def u_of_mean(means: Array) -> float:
     means: Of its stretches, equally long, one after the other, shape (n,), n >= 3.
     """
     count = means.size
-    freedom = count - 1
+    dof = count - 1
     if not np.ptp(means) > 0.0:
         return 0.0
     scaled = means / means.std()
     weight, variance = [], []
     proportions = np.append(0.0, _PROPORTIONS)
-    prior = np.append(_WHITE_ALONE, np.full(_PROPORTIONS.size, 0.5 * (1.0 - _WHITE_ALONE)))
+    prior = np.append(_WHITE_PRIOR, np.full(_PROPORTIONS.size, 0.5 * (1.0 - _WHITE_PRIOR)))
     prior[1:] /= _PROPORTIONS.size
-    for sizes, contrasts in _wanders(count):
+    for sizes, contrasts in _colored_noise_contrasts(count):
         spread = 1.0 + proportions[:, None] * sizes
         squares = np.sum((scaled @ contrasts) ** 2 / spread, axis=1)
-        log = -0.5 * np.log(spread).sum(axis=1) - 0.5 * freedom * np.log(squares)
+        log = -0.5 * np.log(spread).sum(axis=1) - 0.5 * dof * np.log(squares)
         # White noise alone stands once in each of the two kinds.
         weight.append(log + np.log(np.append(0.5 * prior[0], prior[1:])))
-        variance.append(squares / freedom * (1.0 + proportions) / count)
-    likely = np.exp(np.concatenate(weight) - np.max(weight))
-    found = float(likely @ np.concatenate(variance)) / float(likely.sum())
-    return math.sqrt(found) * float(means.std())
+        variance.append(squares / dof * (1.0 + proportions) / count)
+    posterior = np.exp(np.concatenate(weight) - np.max(weight))
+    variance_of_mean = float(posterior @ np.concatenate(variance)) / float(posterior.sum())
+    return math.sqrt(variance_of_mean) * float(means.std())
 
 
 @lru_cache(maxsize=8)
-def _wanders(count: int) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+def _colored_noise_contrasts(count: int) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Return flicker and walk of n means: n-1 variances of uncorrelated contrasts, and these.
 
     Their scale is that at which the mean of all has the variance that white noise of unit
@@ -224,13 +224,15 @@ def _wanders(count: int) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     lag = np.subtract.outer(np.arange(2 * count), np.arange(2 * count))
     flicker = np.where(lag >= 0, response[np.abs(lag)], 0.0)
     walk = np.tril(np.ones((2 * count, 2 * count)))
-    next_less_this = np.repeat([-1.0 / count, 1.0 / count], count)
+    difference = np.repeat([-1.0 / count, 1.0 / count], count)
     # Whatever has no mean: the last rows of an orthogonal matrix whose first is even.
-    flat = np.linalg.svd(np.ones((1, count)))[2][1:].T
-    found = []
+    contrasts = np.linalg.svd(np.ones((1, count)))[2][1:].T
+    results = []
     for shape in (flicker, walk):
         covariance = shape @ shape.T
-        unit = 0.5 * float(next_less_this @ covariance @ next_less_this) * count
-        sizes, turn = np.linalg.eigh(flat.T @ covariance[:count, :count] @ flat / unit)
-        found.append((np.maximum(sizes, 0.0), flat @ turn))
-    return found[0], found[1]
+        unit = 0.5 * float(difference @ covariance @ difference) * count
+        sizes, rotation = np.linalg.eigh(
+            contrasts.T @ covariance[:count, :count] @ contrasts / unit
+        )
+        results.append((np.maximum(sizes, 0.0), contrasts @ rotation))
+    return results[0], results[1]

@@ -24,8 +24,8 @@ from counterspin.inference.distributions import chi_square_tail, normal_cdf
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.inference.least_squares import Solution
-from counterspin.readings.agreement import OneMethod, agreements
-from counterspin.readings.parts import parts_of
+from counterspin.readings.agreement import MethodFit, compare_motions
+from counterspin.readings.reading_groups import groups_of_view
 from counterspin.reports.numbers import field_unit, format_number
 
 #: What the methods are called, by motion.
@@ -51,25 +51,33 @@ class MethodComparison:
 
 def compare_methods(views: Sequence[AccelerometerView]) -> dict[str, MethodComparison]:
     """Return by accelerometer what each test method says."""
-    compared = agreements(views[0].fit)
+    compared = compare_motions(views[0].fit)
     methods = {}
     for view in views:
-        own = _counts(view)
-        if len(own) < 2:
+        counts = _count_by_motion(view)
+        if len(counts) < 2:
             methods[view.name] = MethodComparison([], [], view)
             continue
-        results = [_method(view, motion, count, compared[motion]) for motion, count in own.items()]
-        apart = view.with_groups(
-            [part.evaluate(compared[part.readings.motion].alone) for part in parts_of(view)]
+        results = [
+            _method_agreement(view, motion, count, compared[motion])
+            for motion, count in counts.items()
+        ]
+        separate = view.with_groups(
+            [
+                group.evaluate(compared[group.readings.motion].alone)
+                for group in groups_of_view(view)
+            ]
         )
-        findings = _disagreement(view, results, _excess(apart))
+        findings = _disagreement_findings(view, results, _residual_ratio(separate))
         methods[view.name] = MethodComparison(
-            results, findings, _apart(apart, compared) if findings else view
+            results, findings, _with_record_fit(separate, compared) if findings else view
         )
     return methods
 
 
-def _apart(view: AccelerometerView, compared: Mapping[str, OneMethod]) -> AccelerometerView:
+def _with_record_fit(
+    view: AccelerometerView, compared: Mapping[str, MethodFit]
+) -> AccelerometerView:
     """Return a view, whose readings are fitted apart, in which records are too."""
     if not view.fit.prepared:
         return view
@@ -77,22 +85,24 @@ def _apart(view: AccelerometerView, compared: Mapping[str, OneMethod]) -> Accele
     return replace(view, estimate=replace(view.estimate, fit=recorded))
 
 
-def _counts(view: AccelerometerView) -> dict[str, int]:
+def _count_by_motion(view: AccelerometerView) -> dict[str, int]:
     """Return by motion how many records and readings an accelerometer has."""
     counts: dict[str, int] = {}
     if view.has_records:
         counts["counter-rotating"] = sum(1 for _ in view.records())
-    for part in parts_of(view):
+    for part in groups_of_view(view):
         motion = part.readings.motion
         counts[motion] = counts.get(motion, 0) + part.readings.size
     return counts
 
 
-def _method(
-    view: AccelerometerView, motion: str, count: int, compared: OneMethod
+def _method_agreement(
+    view: AccelerometerView, motion: str, count: int, compared: MethodFit
 ) -> MethodAgreement:
-    alone, without = (_determined(view, s) for s in (compared.alone.solution, compared.without))
-    if motion == "static" and not _squares_known(view):
+    alone, without = (
+        _determined(view, solution) for solution in (compared.alone.solution, compared.without)
+    )
+    if motion == "static" and not _has_square_terms(view):
         # At rest the squares' sum is that of gravity: what K_II seems to be is K_PP and K_OO too.
         alone["K_II"] = False
     return MethodAgreement(
@@ -103,9 +113,9 @@ def _method(
             for symbol in view.indices
         },
         without={
-            symbol: _shift(compared, place)
-            for symbol, place in view.indices.items()
-            if without[symbol] and math.isfinite(compared.u_shift[place])
+            symbol: _method_shift(compared, index)
+            for symbol, index in view.indices.items()
+            if without[symbol] and math.isfinite(compared.u_shift[index])
         },
         chi2=compared.chi2,
         dof=compared.dof,
@@ -116,37 +126,41 @@ def _method(
 def _determined(view: AccelerometerView, solution: Solution) -> dict[str, bool]:
     """Return which of an accelerometer's own terms a solution determines."""
     unknowns = view.fit.model.unknowns
-    asked = [unknown.name for unknown in view.fit.model.asked]
-    determined = assess(solution, asked).determined
-    return {symbol: determined[unknowns[place].name] for symbol, place in view.indices.items()}
+    names = [unknown.name for unknown in view.fit.model.asked]
+    determined = assess(solution, names).determined
+    return {symbol: determined[unknowns[index].name] for symbol, index in view.indices.items()}
 
 
-def _squares_known(view: AccelerometerView) -> bool:
+def _has_square_terms(view: AccelerometerView) -> bool:
     """Return whether the model says something of the squares that 1 g cannot tell from K_II."""
     model = view.fit.model
-    terms = {t.symbol for t in (*model.unknowns, *model.considered) if t.owner == view.name}
+    terms = {
+        parameter.symbol
+        for parameter in (*model.unknowns, *model.considered)
+        if parameter.owner == view.name
+    }
     return terms >= {*SQUARES}
 
 
 def _coefficient(
     view: AccelerometerView, alone: Solution, symbol: str, determined: bool
 ) -> Coefficient:
-    place = view.indices[symbol]
-    unknown = view.fit.model.unknowns[place]
+    index = view.indices[symbol]
+    unknown = view.fit.model.unknowns[index]
     return Coefficient(
-        value=float(alone.estimate[place]) + unknown.nominal if determined else None,
-        u=float(alone.u[place]) if determined else None,
+        value=float(alone.estimate[index]) + unknown.nominal if determined else None,
+        u=float(alone.u[index]) if determined else None,
         unit=unit_of(symbol),
         estimated=determined,
     )
 
 
-def _shift(compared: OneMethod, place: int) -> Shift:
-    shift, u = float(compared.shift[place]), float(compared.u_shift[place])
+def _method_shift(compared: MethodFit, index: int) -> Shift:
+    shift, u = float(compared.shift[index]), float(compared.u_shift[index])
     return Shift(shift=shift, u=u, z=shift / u)
 
 
-def _disagreement(
+def _disagreement_findings(
     view: AccelerometerView, methods: Sequence[MethodAgreement], excess: float
 ) -> list[Finding]:
     """Return a finding where the test methods do not agree; it names the one that is odd.
@@ -165,20 +179,23 @@ def _disagreement(
         return []
     # Without the one of the largest chi-square the others are least at odds among themselves.
     method = max(methods, key=lambda method: method.chi2)
-    moved = max(method.without, key=lambda symbol: abs(method.without[symbol].z), default="")
-    others = " and ".join(other.kind for other in methods if other is not method)
+    symbol_of_shift = max(
+        method.without, key=lambda symbol: abs(method.without[symbol].z), default=""
+    )
+    others = " and ".join(alternative.kind for alternative in methods if alternative is not method)
     text = f"The test methods do not agree: {method.kind} against {others}"
-    if moved:
-        unit, factor = field_unit(unit_of(moved))
-        shift = method.without[moved]
+    if symbol_of_shift:
+        unit, factor = field_unit(unit_of(symbol_of_shift))
+        shift = method.without[symbol_of_shift]
         text += (
-            f". Without {method.kind}, {moved} moves by {format_number(shift.shift * factor, 2)} "
+            f". Without {method.kind}, {symbol_of_shift} moves by "
+            f"{format_number(shift.shift * factor, 2)} "
             f"{unit}, {format_number(abs(shift.z), 2)} times the standard uncertainty of the shift"
         )
     return [
         Finding(
             code="kinds-disagree",
-            subject=f"{view.name}.{moved}" if moved else view.name,
+            subject=f"{view.name}.{symbol_of_shift}" if symbol_of_shift else view.name,
             text=f"{text}. Look for an effect in one test method that the model lacks.",
             size=size,
             contradicts=size > CONTRADICTION_SIGMAS,
@@ -186,14 +203,14 @@ def _disagreement(
     ]
 
 
-def _excess(view: AccelerometerView) -> float:
+def _residual_ratio(view: AccelerometerView) -> float:
     """Return how many times as large as the stated noise the residuals are, where that is much."""
     ratios = [1.0]
-    for part in parts_of(view):
-        residual = residual_of([part])
+    for group in groups_of_view(view):
+        residual = residual_of([group])
         if residual.chi2 is not None and residual.dof > 0.0:
             ratios.append(math.sqrt(residual.chi2 / residual.dof))
     if view.has_records and view.diagnostics.noise_given:
         ratios.append(math.sqrt(view.diagnostics.chi2 / view.diagnostics.dof))
-    worst = float(np.max(ratios))
-    return worst if worst > RESIDUAL_RATIO_LIMIT else 1.0
+    largest = float(np.max(ratios))
+    return largest if largest > RESIDUAL_RATIO_LIMIT else 1.0

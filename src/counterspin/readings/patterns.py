@@ -28,7 +28,7 @@ from counterspin.inference.joint.alternatives import Alternative, beside_fit
 from counterspin.inference.joint.fit import JointFit
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 from counterspin.readings.known_attitudes import Readings
-from counterspin.readings.linear import Measured
+from counterspin.readings.linear import ReadingGroup
 
 #: Kinds of columns, the likelier first, for where the residuals cannot tell.
 (
@@ -76,11 +76,11 @@ _HARMONICS: Final = 4
 _TIMES: Final = {1: "once", 2: "twice", 3: "three times", 4: "four times"}
 
 #: rad, by which the head's angle is changed to see what that does.
-_TURN: Final = 1e-4
+_ANGLE_STEP: Final = 1e-4
 
 #: At most so many steps are tried, evenly spread; readings on each side of one, at least.
 _STEPS: Final = 24
-_FEWEST_BESIDE: Final = 2
+_MIN_READINGS_PER_SIDE: Final = 2
 
 #: Digits after the point, of g, to which two sizes of the force are one.
 _DIGITS: Final = 3
@@ -89,40 +89,42 @@ _DIGITS: Final = 3
 _WARM_UPS: Final = (0.1, 0.3)
 
 #: Swings over the whole series that are tried, and how many readings each takes at least.
-_SWINGS: Final = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
-_FEWEST_A_SWING: Final = 4
+_OSCILLATION_PERIODS: Final = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
+_MIN_READINGS_PER_PERIOD: Final = 4
 
 #: What is another where the force along the input axis is negative (IEEE Std 1293, K0' and K1').
 BIAS: Final = "bias"
 SCALE_FACTOR: Final = "scale factor"
 
 #: Columns are alike where what the fit leaves of them has a correlation above this.
-_ALIKE: Final = 0.999
+_COLLINEAR: Final = 0.999
 
 #: Chi-square by which one column must be better than another to exclude it.
 _DECISIVE_CHI2: Final = 6.0
 
 
 @frozen
-class Group:
+class ResidualGroup:
     """Readings as they are tested."""
 
-    readings: Measured  #: What was read.
-    place: int  #: Among the observations of the fit.
+    readings: ReadingGroup  #: What was read.
+    index: int  #: Among the observations of the fit.
     #: Standard uncertainty of each reading (g), and the part that noise has in its square, (n,).
     sigma: Array
-    of_noise: Array
-    squares: float  #: Sum of the squares of their residuals over the uncertainties.
-    freedom: float  #: Of the residuals; where the noise was estimated, of that, repeats counted.
+    noise_fraction: Array
+    chi2: float  #: Sum of the squares of their residuals over the uncertainties.
+    residual_dof: (
+        float  #: Of the residuals; where the noise was estimated, of that, repeats counted.
+    )
     estimated: bool  #: Whether the noise was estimated.
     #: Of the squares, those of repeats at one setting about their mean, which follow no column.
-    of_repeats: float
+    repeat_squares: float
     #: Places of readings that stand out by themselves, which the tests must not follow.
     left_out: tuple[int, ...] = ()
 
 
 @frozen
-class Followed:
+class Pattern:
     """One column that the residuals of a group follow, with those that do as well."""
 
     group: int  #: Place of the group.
@@ -139,29 +141,34 @@ def head_angle(group: Readings) -> tuple[Array, npt.NDArray[np.bool_]]:
         input axis along the head's, it is that of the pendulous axis.
     """
     n = group.size
-    angle, there = np.zeros(n), np.zeros(n, dtype=bool)
-    turned = np.linalg.norm(group.head, axis=1) > 0.0
-    if not turned.any():
-        return angle, there
-    axes = np.round(group.head[turned], 9)
-    kinds, counts = np.unique(axes, axis=0, return_counts=True)
-    axis = kinds[np.argmax(counts)]
-    there[turned] = (axes == axis).all(axis=1)
+    angle, on_axis = np.zeros(n), np.zeros(n, dtype=bool)
+    has_head = np.linalg.norm(group.head, axis=1) > 0.0
+    if not has_head.any():
+        return angle, on_axis
+    axes = np.round(group.head[has_head], 9)
+    distinct_axes, counts = np.unique(axes, axis=0, return_counts=True)
+    axis = distinct_axes[np.argmax(counts)]
+    on_axis[has_head] = (axes == axis).all(axis=1)
     axis = axis / np.linalg.norm(axis)
     up = np.array([0.0, 0.0, 1.0])
-    start = up if abs(axis @ up) < 0.9 else np.array([0.0, 1.0, 0.0])
-    start = start - (start @ axis) * axis
-    start /= np.linalg.norm(start)
-    aside = np.cross(axis, start)
+    zero_direction = up if abs(axis @ up) < 0.9 else np.array([0.0, 1.0, 0.0])
+    zero_direction = zero_direction - (zero_direction @ axis) * axis
+    zero_direction /= np.linalg.norm(zero_direction)
+    quarter_direction = np.cross(axis, zero_direction)
     frames = np.array([station.mounting.matrix for station in group.stations])
-    along = np.abs(frames[there] @ axis)
-    pointer = frames[:, 0] if along[:, 0].max() < 0.9 else frames[:, 1]
-    angle[there] = np.arctan2(pointer[there] @ aside, pointer[there] @ start)
-    return angle, there
+    projections = np.abs(frames[on_axis] @ axis)
+    pointer = frames[:, 0] if projections[:, 0].max() < 0.9 else frames[:, 1]
+    angle[on_axis] = np.arctan2(
+        pointer[on_axis] @ quarter_direction, pointer[on_axis] @ zero_direction
+    )
+    return angle, on_axis
 
 
-def candidates(
-    readings: Readings, place: int, unknown: Collection[str], followed: Collection[str]
+def candidate_columns(
+    readings: Readings,
+    index: int,
+    estimated_symbols: Collection[str],
+    tested_symbols: Collection[str],
 ) -> Iterator[Alternative]:
     """Yield the columns that the residuals of readings may follow.
 
@@ -170,113 +177,124 @@ def candidates(
     """
     forces = readings.products({})[:, [*TERMS].index("K_I")]
     for kind, symbol, column in (
-        *_waves(readings),
-        *_errors_of_the_head(readings, unknown),
-        *_terms(readings, unknown, followed),
-        *in_order(readings, forces),
-        *_of_the_turning(readings),
-        *_of_asymmetry(forces),
-        *_of_ranges(forces),
-        *_of_approach(readings),
-        *_of_sense(readings),
+        *_head_harmonics(readings),
+        *_head_errors(readings, estimated_symbols),
+        *_missing_terms(readings, estimated_symbols, tested_symbols),
+        *time_patterns(readings, forces),
+        *_tilt_drifts(readings),
+        *_asymmetries(forces),
+        *_gain_steps(forces),
+        *_hysteresis(readings),
+        *_rotation_senses(readings),
         *_reversed_rotation(readings, forces),
     ):
-        yield Alternative(kind, readings.accelerometer, symbol, {place: column})
+        yield Alternative(kind, readings.accelerometer, symbol, {index: column})
 
 
 _Column = tuple[str, str, Array]
 
 
-def _waves(readings: Readings) -> Iterator[_Column]:
-    angle, there = head_angle(readings)
-    for n in range(1, _HARMONICS + 1) if there.any() else ():
-        turns = f"{n} phi" if n > 1 else "phi"
-        yield WAVE, f"cos {turns}", there.astype(float) * np.cos(n * angle)
-        yield WAVE, f"sin {turns}", there.astype(float) * np.sin(n * angle)
+def _head_harmonics(readings: Readings) -> Iterator[_Column]:
+    angle, on_axis = head_angle(readings)
+    for order in range(1, _HARMONICS + 1) if on_axis.any() else ():
+        multiple = f"{order} phi" if order > 1 else "phi"
+        yield WAVE, f"cos {multiple}", on_axis.astype(float) * np.cos(order * angle)
+        yield WAVE, f"sin {multiple}", on_axis.astype(float) * np.sin(order * angle)
 
 
-def _errors_of_the_head(readings: Readings, unknown: Collection[str]) -> Iterator[_Column]:
+def _head_errors(readings: Readings, estimated_symbols: Collection[str]) -> Iterator[_Column]:
     """Yield what waves of the head make where it shows another angle than that of the axes.
 
     In one mounting they are waves of the angle, and cannot be told from the accelerometer's terms.
     """
-    angle, there = head_angle(readings)
-    shown = np.broadcast_to(readings.head_angle, readings.size)
-    apart = np.exp(1j * (angle - shown))[there]
-    if not apart.size or np.abs(apart - apart[0]).max() < _TURN:
+    angle, on_axis = head_angle(readings)
+    indicated = np.broadcast_to(readings.head_angle, readings.size)
+    offsets = np.exp(1j * (angle - indicated))[on_axis]
+    if not offsets.size or np.abs(offsets - offsets[0]).max() < _ANGLE_STEP:
         return
-    slope = _slope(readings, there)
-    for n, times in _TIMES.items():
-        for name, wave in (("cos", np.cos(n * shown)), ("sin", np.sin(n * shown))):
-            if f"head.harmonic.{n}.{name}" not in unknown:
-                yield HEAD, f"{name} {times}", slope * wave
+    slope = _head_derivative(readings, on_axis)
+    for order, multiple in _TIMES.items():
+        for name, harmonic in (
+            ("cos", np.cos(order * indicated)),
+            ("sin", np.sin(order * indicated)),
+        ):
+            if f"head.harmonic.{order}.{name}" not in estimated_symbols:
+                yield HEAD, f"{name} {multiple}", slope * harmonic
 
 
-def _slope(readings: Readings, there: npt.NDArray[np.bool_]) -> Array:
+def _head_derivative(readings: Readings, on_axis: npt.NDArray[np.bool_]) -> Array:
     """Return the derivative of the force along the input axis with respect to head angle, (n,)."""
-    place = [*TERMS].index("K_I")
-    more, less = (readings.products({"head.zero": by})[:, place] for by in (_TURN, -_TURN))
-    slope: Array = there * (more - less) / (2.0 * _TURN)
+    index = [*TERMS].index("K_I")
+    ahead, behind = (
+        readings.products({"head.zero": step})[:, index] for step in (_ANGLE_STEP, -_ANGLE_STEP)
+    )
+    slope: Array = on_axis * (ahead - behind) / (2.0 * _ANGLE_STEP)
     return slope
 
 
-def _terms(
-    readings: Readings, unknown: Collection[str], followed: Collection[str]
+def _missing_terms(
+    readings: Readings, estimated_symbols: Collection[str], tested_symbols: Collection[str]
 ) -> Iterator[_Column]:
     products = dict(zip(TERMS, readings.products({}).T, strict=True))
     for symbol, product in products.items():
-        if symbol not in unknown or symbol in followed:
+        if symbol not in estimated_symbols or symbol in tested_symbols:
             yield TERM, symbol, product
     for symbol, row in CONDITION_TERMS.items():
-        lever = readings.lever(symbol)
+        factor = readings.design_factor(symbol)
         # A slope with time that nobody has stated is the drift.
-        if symbol not in unknown and np.ptp(lever) > 0.0 and row.effect.condition != "time":
-            yield TERM, symbol, products[row.effect.coefficient] * lever
+        if (
+            symbol not in estimated_symbols
+            and np.ptp(factor) > 0.0
+            and row.effect.condition != "time"
+        ):
+            yield TERM, symbol, products[row.effect.coefficient] * factor
 
 
-def in_order(readings: Measured, forces: Array) -> Iterator[_Column]:
+def time_patterns(readings: ReadingGroup, forces: Array) -> Iterator[_Column]:
     """Yield what changes with the time of reading, or with the order where no times are stated.
 
     forces: Along the input axis, g, shape (n,).
     """
-    x, when = _course(readings)
-    yield DRIFT, when, x - 0.5
-    for part in _WARM_UPS:
-        yield WARM_UP, when, np.exp(-x / part)
+    progress, basis = _series_progress(readings)
+    yield DRIFT, basis, progress - 0.5
+    for time_constant in _WARM_UPS:
+        yield WARM_UP, basis, np.exp(-progress / time_constant)
     # A mirrored order cancels a line, and no parabola.
-    yield BEND, when, (x - 0.5) ** 2
-    yield SCALE, when, (x - 0.5) * forces
-    for times in _SWINGS:
-        if readings.size >= _FEWEST_A_SWING * times:
-            yield SWING, f"cos {times:g} {when}", np.cos(2.0 * math.pi * times * x)
-            yield SWING, f"sin {times:g} {when}", np.sin(2.0 * math.pi * times * x)
-    order = np.argsort(x, kind="stable")
-    last = readings.size - _FEWEST_BESIDE
-    places = np.linspace(_FEWEST_BESIDE, last, min(max(last - 1, 0), _STEPS)).round().astype(int)
-    for k in np.unique(places).tolist():
-        later = x >= x[order[k]]
-        if np.sum(~later) >= _FEWEST_BESIDE:
-            yield STEP, readings.names[order[k]], later.astype(float)
+    yield BEND, basis, (progress - 0.5) ** 2
+    yield SCALE, basis, (progress - 0.5) * forces
+    for periods in _OSCILLATION_PERIODS:
+        if readings.size >= _MIN_READINGS_PER_PERIOD * periods:
+            yield SWING, f"cos {periods:g} {basis}", np.cos(2.0 * math.pi * periods * progress)
+            yield SWING, f"sin {periods:g} {basis}", np.sin(2.0 * math.pi * periods * progress)
+    order = np.argsort(progress, kind="stable")
+    last = readings.size - _MIN_READINGS_PER_SIDE
+    step_positions = (
+        np.linspace(_MIN_READINGS_PER_SIDE, last, min(max(last - 1, 0), _STEPS)).round().astype(int)
+    )
+    for position in np.unique(step_positions).tolist():
+        later = progress >= progress[order[position]]
+        if np.sum(~later) >= _MIN_READINGS_PER_SIDE:
+            yield STEP, readings.names[order[position]], later.astype(float)
 
 
-def _course(readings: Measured) -> tuple[Array, str]:
+def _series_progress(readings: ReadingGroup) -> tuple[Array, str]:
     """Return the progress of the series, from 0 to 1, shape (n,), and its basis: time or order."""
-    by_time = np.ptp(readings.time) > 0.0
-    x = readings.time if by_time else np.arange(float(readings.size))
-    return (x - x.min()) / np.ptp(x), "time" if by_time else "order"
+    has_times = np.ptp(readings.time) > 0.0
+    values = readings.time if has_times else np.arange(float(readings.size))
+    return (values - values.min()) / np.ptp(values), "time" if has_times else "order"
 
 
-def _of_the_turning(readings: Readings) -> Iterator[_Column]:
+def _tilt_drifts(readings: Readings) -> Iterator[_Column]:
     """Yield that the positions themselves drift: a floor that tilts, a scale of the head."""
-    angle, there = head_angle(readings)
-    if there.any():
-        x, when = _course(readings)
-        slope = _slope(readings, there)
-        yield TURN, when, (x - 0.5) * slope
-        yield TURN, "angle", np.mod(angle - angle[there][0], 2.0 * math.pi) * slope
+    angle, on_axis = head_angle(readings)
+    if on_axis.any():
+        progress, basis = _series_progress(readings)
+        slope = _head_derivative(readings, on_axis)
+        yield TURN, basis, (progress - 0.5) * slope
+        yield TURN, "angle", np.mod(angle - angle[on_axis][0], 2.0 * math.pi) * slope
 
 
-def _of_asymmetry(forces: Array) -> Iterator[_Column]:
+def _asymmetries(forces: Array) -> Iterator[_Column]:
     """Yield that bias or scale factor is another where the force is negative; forces in g, (n,)."""
     sense = np.where(np.abs(forces) > 1e-9, np.sign(forces), 0.0)
     if (sense > 0.0).any() and (sense < 0.0).any():
@@ -284,50 +302,50 @@ def _of_asymmetry(forces: Array) -> Iterator[_Column]:
         yield ASYMMETRY, SCALE_FACTOR, np.abs(forces)
 
 
-def _of_ranges(forces: Array) -> Iterator[_Column]:
+def _gain_steps(forces: Array) -> Iterator[_Column]:
     """Yield that the gain changes above a size of the force, as between two ranges of a meter.
 
     forces: g, shape (n,).
     """
     sizes = np.unique(np.round(np.abs(forces), _DIGITS))
-    between = 0.5 * (sizes[1:] + sizes[:-1])
-    for level in between[:: max(math.ceil(between.size / _STEPS), 1)].tolist():
+    midpoints = 0.5 * (sizes[1:] + sizes[:-1])
+    for level in midpoints[:: max(math.ceil(midpoints.size / _STEPS), 1)].tolist():
         yield RANGE, f"{level:.2g} g", forces * (np.abs(forces) > level)
 
 
-def _of_approach(readings: Readings) -> Iterator[_Column]:
+def _hysteresis(readings: Readings) -> Iterator[_Column]:
     """Yield from which side each position was come to: that of the head, or of the rate's size.
 
     And at rest whether the force along the input axis had risen or fallen, which one turn shows.
     """
-    angle, there = head_angle(readings)
-    if there.all():
+    angle, on_axis = head_angle(readings)
+    if on_axis.all():
         # Half a turn may be made either way.
         steps = np.angle(np.exp(1j * np.diff(angle)))
         steps[np.abs(steps) > math.pi * (1.0 - 1e-6)] = 0.0
-        force = _senses(np.diff(readings.products({})[:, [*TERMS].index("K_I")]))
+        force_signs = _step_signs(np.diff(readings.products({})[:, [*TERMS].index("K_I")]))
         # The first position may have been come to from either side.
-        other = np.append(-force[:1], force[1:])
-        senses = [(APPROACH, _senses(steps)), (FORCE, force), (FORCE, other)]
+        reversed_start = np.append(-force_signs[:1], force_signs[1:])
+        columns = [(APPROACH, _step_signs(steps)), (FORCE, force_signs), (FORCE, reversed_start)]
     else:
         rates = np.diff([abs(station.rate) for station in readings.stations])
-        senses = [(APPROACH, _senses(rates))]
-    for symbol, sense in senses:
-        if (sense[1:] > 0.0).any() and (sense[1:] < 0.0).any():
-            yield HYSTERESIS, symbol, sense
+        columns = [(APPROACH, _step_signs(rates))]
+    for symbol, signs in columns:
+        if (signs[1:] > 0.0).any() and (signs[1:] < 0.0).any():
+            yield HYSTERESIS, symbol, signs
 
 
-def _senses(steps: Array) -> Array:
+def _step_signs(steps: Array) -> Array:
     """Return the sign of the step that led to each reading, that of the last one that was none."""
-    sense, last = np.zeros(len(steps) + 1), 0.0
-    for k, step in enumerate(steps.tolist(), start=1):
-        last = math.copysign(1.0, step) if abs(step) > 1e-9 else last
-        sense[k] = last
-    sense[0] = sense[1]
-    return sense
+    signs, sign = np.zeros(len(steps) + 1), 0.0
+    for index, step in enumerate(steps.tolist(), start=1):
+        sign = math.copysign(1.0, step) if abs(step) > 1e-9 else sign
+        signs[index] = sign
+    signs[0] = signs[1]
+    return signs
 
 
-def _of_sense(readings: Readings) -> Iterator[_Column]:
+def _rotation_senses(readings: Readings) -> Iterator[_Column]:
     """Yield which way the machine turned, where it turned both ways."""
     sense = np.sign([station.rate for station in readings.stations])
     if (sense > 0.0).any() and (sense < 0.0).any():
@@ -339,11 +357,11 @@ def _reversed_rotation(readings: Readings, forces: Array) -> Iterator[_Column]:
 
     forces: Along the input axis, g, shape (n,).
     """
-    signs = np.broadcast_to(1.0 - 2.0 * np.asarray(readings.stated_sense), readings.size)
-    every = zip(readings.stations, signs.tolist(), strict=True)
-    stations = tuple(replace(one, rate=sign * one.rate) for one, sign in every)
-    other = replace(readings, stations=stations)
-    change = other.products({})[:, [*TERMS].index("K_I")] - forces
+    factors = np.broadcast_to(1.0 - 2.0 * np.asarray(readings.stated_sense), readings.size)
+    pairs = zip(readings.stations, factors.tolist(), strict=True)
+    stations = tuple(replace(station, rate=sign * station.rate) for station, sign in pairs)
+    reversed_readings = replace(readings, stations=stations)
+    change = reversed_readings.products({})[:, [*TERMS].index("K_I")] - forces
     if np.ptp(change) > 0.0:
         yield REVERSED, "other sense of rotation", change
 
@@ -351,146 +369,189 @@ def _reversed_rotation(readings: Readings, forces: Array) -> Iterator[_Column]:
 # Which of them is followed ---------------------------------------------------------------------
 
 
-def most_followed(
-    fit: JointFit, groups: Sequence[Group], alternatives: Sequence[Sequence[Alternative]]
-) -> list[Followed]:
+def best_patterns(
+    fit: JointFit, groups: Sequence[ResidualGroup], alternatives: Sequence[Sequence[Alternative]]
+) -> list[Pattern]:
     """Return of each group the column that its residuals follow most, with those like it."""
-    marks = [
-        Alternative("left out", "", str(k), {group.place: np.eye(group.readings.size)[k]})
+    outlier_columns = [
+        Alternative("left out", "", str(member), {group.index: np.eye(group.readings.size)[member]})
         for group in groups
-        for k in group.left_out
+        for member in group.left_out
     ]
-    every = [*marks, *(other for own in alternatives for other in own)]
-    if len(every) == len(marks):
+    all_columns = [
+        *outlier_columns,
+        *(column for group_columns in alternatives for column in group_columns),
+    ]
+    if len(all_columns) == len(outlier_columns):
         return []
-    held = beside_fit(fit, every)
-    columns, residual = held.columns, held.residual
-    there = np.sum(columns**2, axis=0) > LEAST_PART_LEFT * held.before
-    found, tests = [], 0
-    start = len(marks)
-    for place, (group, own) in enumerate(zip(groups, alternatives, strict=True)):
-        out = [k for k, mark in enumerate(marks) if group.place in mark.columns]
-        own_columns, usable = columns[:, start : start + len(own)], there[start : start + len(own)]
-        start += len(own)
-        basis = np.linalg.qr(columns[:, out])[0]
-        apart = basis.T @ residual
-        if out and usable.any():
+    projected = beside_fit(fit, all_columns)
+    columns, residual = projected.columns, projected.residual
+    is_usable = np.sum(columns**2, axis=0) > LEAST_PART_LEFT * projected.before
+    patterns, tests = [], 0
+    start = len(outlier_columns)
+    for index, (group, group_columns) in enumerate(zip(groups, alternatives, strict=True)):
+        outlier_indices = [
+            member
+            for member, outlier_column in enumerate(outlier_columns)
+            if group.index in outlier_column.columns
+        ]
+        block, usable = (
+            columns[:, start : start + len(group_columns)],
+            is_usable[start : start + len(group_columns)],
+        )
+        start += len(group_columns)
+        basis = np.linalg.qr(columns[:, outlier_indices])[0]
+        outlier_projection = basis.T @ residual
+        if outlier_indices and usable.any():
             # Readings that a column explains better than each by itself stand out for its sake.
-            norms = np.linalg.norm(own_columns[:, usable], axis=0)
-            if np.max(np.abs(own_columns[:, usable].T @ residual) / norms) ** 2 > float(
-                apart @ apart
+            norms = np.linalg.norm(block[:, usable], axis=0)
+            if np.max(np.abs(block[:, usable].T @ residual) / norms) ** 2 > float(
+                outlier_projection @ outlier_projection
             ):
-                out, basis, apart = [], basis[:, :0], apart[:0]
-        left = own_columns - basis @ (basis.T @ own_columns)
-        alone = residual - basis @ apart
-        norms = np.linalg.norm(left, axis=0)
+                outlier_indices, basis, outlier_projection = (
+                    [],
+                    basis[:, :0],
+                    outlier_projection[:0],
+                )
+        remainder = block - basis @ (basis.T @ block)
+        residual_without_outliers = residual - basis @ outlier_projection
+        norms = np.linalg.norm(remainder, axis=0)
         usable &= norms**2 > LEAST_PART_LEFT
         if not usable.any():
             continue
-        kept = [other for other, use in zip(own, usable.tolist(), strict=True) if use]
-        unit = left[:, usable] / norms[usable]
-        alike = np.abs(unit.T @ unit) > _ALIKE
-        tried = [*((k,) for k in range(len(kept))), *_waves_at_any_phase(kept)]
-        tests += int(np.sum(~np.any(np.triu(alike, 1), axis=0))) + len(tried) - len(kept)
-        squares = group.squares - float(apart @ apart)
-        freedom = group.freedom - len(out)
-        gains, chances, rows = [], [], held.places[group.place]
-        for places in tried:
-            gains.append(_own_gain(np.linalg.qr(unit[:, places])[0], alone, rows))
-            share = max(_share(group, kept[k], unit[rows, k]) for k in places)
-            left_over = replace(group, squares=squares, freedom=freedom)
-            chances.append(_chance(left_over, gains[-1], len(places), share))
-        best = min(range(len(tried)), key=lambda k: chances[k][0])
-        p, scale = chances[best]
-        as_good = [
-            other
-            for k, other in enumerate(kept)
-            if alike[k, tried[best]].all() or gains[k] > gains[best] - _DECISIVE_CHI2 * scale
+        usable_columns = [
+            column for column, flag in zip(group_columns, usable.tolist(), strict=True) if flag
+        ]
+        unit = remainder[:, usable] / norms[usable]
+        collinear = np.abs(unit.T @ unit) > _COLLINEAR
+        combinations = [
+            *((member,) for member in range(len(usable_columns))),
+            *_harmonic_pairs(usable_columns),
+        ]
+        tests += (
+            int(np.sum(~np.any(np.triu(collinear, 1), axis=0)))
+            + len(combinations)
+            - len(usable_columns)
+        )
+        chi2 = group.chi2 - float(outlier_projection @ outlier_projection)
+        residual_dof = group.residual_dof - len(outlier_indices)
+        reductions, p_values, rows = [], [], projected.places[group.index]
+        for members in combinations:
+            reductions.append(
+                _chi2_reduction(np.linalg.qr(unit[:, members])[0], residual_without_outliers, rows)
+            )
+            noise_share = max(
+                _noise_fraction(group, usable_columns[member], unit[rows, member])
+                for member in members
+            )
+            reduced_group = replace(group, chi2=chi2, residual_dof=residual_dof)
+            p_values.append(_p_value(reduced_group, reductions[-1], len(members), noise_share))
+        best = min(range(len(combinations)), key=lambda member: p_values[member][0])
+        p, scale = p_values[best]
+        equivalent = [
+            column
+            for member, column in enumerate(usable_columns)
+            if collinear[member, combinations[best]].all()
+            or reductions[member] > reductions[best] - _DECISIVE_CHI2 * scale
         ]
         # Steps differ by where they are only, and so do ranges: the best one stands for all.
         for kind in (STEP, RANGE):
-            alike_of = [k for k, other in enumerate(kept) if other.kind == kind]
-            first = max(alike_of, key=lambda k: gains[k], default=None)
-            as_good = [
-                o for o in as_good if o.kind != kind or (first is not None and o is kept[first])
+            same_kind = [
+                member for member, column in enumerate(usable_columns) if column.kind == kind
             ]
-        as_good.sort(key=lambda other: KINDS.index(other.kind))
-        found.append(Followed(place, tuple(as_good) or (_wave(kept, tried[best]),), p, 0))
-    return [Followed(each.group, each.alternatives, each.p, tests) for each in found]
+            best_of_kind = max(same_kind, key=lambda member: reductions[member], default=None)
+            equivalent = [
+                candidate
+                for candidate in equivalent
+                if candidate.kind != kind
+                or (best_of_kind is not None and candidate is usable_columns[best_of_kind])
+            ]
+        equivalent.sort(key=lambda column: KINDS.index(column.kind))
+        patterns.append(
+            Pattern(
+                index,
+                tuple(equivalent) or (_join_harmonics(usable_columns, combinations[best]),),
+                p,
+                0,
+            )
+        )
+    return [Pattern(pattern.group, pattern.alternatives, pattern.p, tests) for pattern in patterns]
 
 
-def _waves_at_any_phase(columns: Sequence[Alternative]) -> Iterator[tuple[int, ...]]:
+def _harmonic_pairs(columns: Sequence[Alternative]) -> Iterator[tuple[int, ...]]:
     """Yield the places of cosine and sine of one wave, where both are there.
 
     Those of the first two together as well: a head that errs once and twice a turn makes both.
     """
     for kind in (WAVE, HEAD, SWING):
-        waves: dict[str, tuple[int, ...]] = {}
-        for k, column in enumerate(columns):
+        members_by_name: dict[str, tuple[int, ...]] = {}
+        for index, column in enumerate(columns):
             if column.kind == kind:
-                turns = _turns(column)
-                waves[turns] = (*waves.get(turns, ()), k)
-        whole = [places for places in waves.values() if len(places) > 1]
-        yield from whole
-        if len(whole) > 1 and kind != SWING:
-            yield whole[0] + whole[1]
+                name = _harmonic_name(column)
+                members_by_name[name] = (*members_by_name.get(name, ()), index)
+        pairs = [members for members in members_by_name.values() if len(members) > 1]
+        yield from pairs
+        if len(pairs) > 1 and kind != SWING:
+            yield pairs[0] + pairs[1]
 
 
-def _turns(wave: Alternative) -> str:
+def _harmonic_name(wave: Alternative) -> str:
     return wave.symbol.partition(" ")[2]
 
 
-def _wave(columns: Sequence[Alternative], places: tuple[int, ...]) -> Alternative:
+def _join_harmonics(columns: Sequence[Alternative], members: tuple[int, ...]) -> Alternative:
     """Return the alternative that joins the cosine and sine of one wave, or of two."""
-    first = columns[places[0]]
-    turns = " and ".join(dict.fromkeys(_turns(columns[k]) for k in places))
-    words = {WAVE: "waves of", HEAD: "error", SWING: "wave"}[first.kind]
-    return replace(first, symbol=f"{words} {turns}")
+    column = columns[members[0]]
+    names = " and ".join(dict.fromkeys(_harmonic_name(columns[member]) for member in members))
+    label = {WAVE: "waves of", HEAD: "error", SWING: "wave"}[column.kind]
+    return replace(column, symbol=f"{label} {names}")
 
 
-def _own_gain(basis: Array, residual: Array, rows: slice) -> float:
+def _chi2_reduction(basis: Array, residual: Array, rows: slice) -> float:
     """Return by how much columns, in a basis of theirs, lessen the squares of readings themselves.
 
     What lessens those of priors is a conflict with a prior, and no pattern of the readings.
     """
-    before = residual[rows]
-    after = before - basis[rows] @ (basis.T @ residual)
-    return max(float(before @ before) - float(after @ after), 0.0)
+    own_residual = residual[rows]
+    remainder = own_residual - basis[rows] @ (basis.T @ residual)
+    return max(float(own_residual @ own_residual) - float(remainder @ remainder), 0.0)
 
 
-def _share(group: Group, other: Alternative, own: Array) -> float:
+def _noise_fraction(group: ResidualGroup, alternative: Alternative, combination: Array) -> float:
     """Return the part that noise has in the variance of what a column is weighed against.
 
     The head has another part, and priors have what is not in the readings' `own` rows.
     """
-    column = (other.columns[group.place] / group.sigma) ** 2
-    by_noise = float(column @ group.of_noise) / float(column.sum())
-    return min(by_noise * float(own @ own), 1.0)
+    column = (alternative.columns[group.index] / group.sigma) ** 2
+    noise_part = float(column @ group.noise_fraction) / float(column.sum())
+    return min(noise_part * float(combination @ combination), 1.0)
 
 
-def _chance(group: Group, gain: float, columns: int, share: float) -> tuple[float, float]:
+def _p_value(
+    group: ResidualGroup, gain: float, columns: int, noise_share: float
+) -> tuple[float, float]:
     """Return the probability of a gain in chi-square, and the scale of the residuals without it.
 
     columns: How many of them gain it, as of `_tail`.
     share: As of `_share`.
     """
-    others = max(group.freedom - columns, 0.5)
-    by_noise = _tail(columns, math.inf, gain)
+    other_dof = max(group.residual_dof - columns, 0.5)
+    p_without_scale = _tail_probability(columns, math.inf, gain)
     if not group.estimated:
-        rest = max(group.squares - gain, 0.0)
-        scale = max(rest / others, 1e-12)
+        remaining_chi2 = max(group.chi2 - gain, 0.0)
+        scale = max(remaining_chi2 / other_dof, 1e-12)
         # Where more is wrong than these columns, they must be more than the others.
-        if chi_square_tail(others, rest) > SIGNIFICANCE:
-            return by_noise, 1.0
-        return max(by_noise, _tail(columns, others, gain / scale)), scale
+        if chi_square_tail(other_dof, remaining_chi2) > SIGNIFICANCE:
+            return p_without_scale, 1.0
+        return max(p_without_scale, _tail_probability(columns, other_dof, gain / scale)), scale
     # The head's part of the variance is known, so that only the noise's has a scale to find. What
     # the head made has not gone into it, nor do the repeats at one setting follow a column.
-    rest = max(group.squares - share * gain, group.of_repeats)
-    scale = (1.0 - share) + share * max(rest / others, 1e-12)
-    return _tail(columns, others / max(share, 1e-6) ** 2, gain / scale), scale
+    remaining_chi2 = max(group.chi2 - noise_share * gain, group.repeat_squares)
+    scale = (1.0 - noise_share) + noise_share * max(remaining_chi2 / other_dof, 1e-12)
+    return _tail_probability(columns, other_dof / max(noise_share, 1e-6) ** 2, gain / scale), scale
 
 
-def _tail(columns: int, dof: float, gain: float) -> float:
+def _tail_probability(columns: int, dof: float, gain: float) -> float:
     """Return the probability of a larger gain: that of `columns` times Fisher's F.
 
     columns: 1, 2 or 4, for which it has a closed form (NIST DLMF 8.17.2).
@@ -498,10 +559,10 @@ def _tail(columns: int, dof: float, gain: float) -> float:
     if columns == 1:
         return 2.0 * student_cdf(dof, -math.sqrt(gain))
     half = 0.5 * gain
-    log, more = (-half, half) if math.isinf(dof) else _of_beta(0.5 * dof, half)
+    log, more = (-half, half) if math.isinf(dof) else _beta_terms(0.5 * dof, half)
     return math.exp(log) * (1.0 if columns == 2 else 1.0 + more)
 
 
-def _of_beta(a: float, half: float) -> tuple[float, float]:
+def _beta_terms(a: float, half: float) -> tuple[float, float]:
     """Return the logarithm of x^a and a (1 - x), x being a / (a + half)."""
     return -a * math.log1p(half / a), a * half / (a + half)

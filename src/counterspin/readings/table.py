@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator
 
-from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.columns import Sense, TableDialect
-from counterspin.campaign.documents import KeyPath, list_of, plain, table_of
-from counterspin.campaign.kinds import SettingsSection, Text, described, exact, file_name
+from counterspin.campaign.documents import KeyPath, list_of, table_of, to_toml_value
+from counterspin.campaign.field_types import SettingsSection, Text, exact, file_name, key_field
 from counterspin.campaign.quantity import HeadTurn, Quantity
 from counterspin.campaign.runs import ReadingAxes
 from counterspin.campaign.settings import Output
+from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.physics.terms import MotionKind
@@ -75,7 +75,7 @@ _STATIONS: Final = {"rate", "attitude", "head", "input"}
 
 
 class _TableFile(SettingsSection):
-    file: Annotated[Text, AfterValidator(file_name)] = described(
+    file: Annotated[Text, AfterValidator(file_name)] = key_field(
         ".csv, .txt or .tsv (commas, semicolons or tabs), .parquet, .mat, .h5, or .xlsx "
         "([extra](quickstart.md#extras) `excel`)",
         "readings.csv",
@@ -86,75 +86,75 @@ class _TableFile(SettingsSection):
 class MountingSettings(ReadingAxes):
     """[readings.mountings.NAME]: how the axes point there, and where its readings are."""
 
-    reading: Text | None = described(
+    reading: Text | None = key_field(
         "column of its readings, where mountings stand side by side", "inward_mA", None
     )
-    u: Text | None = described("column of their uncertainties", "u_inward_mA", None)
+    u: Text | None = key_field("column of their uncertainties", "u_inward_mA", None)
 
 
 class ReadingsSettings(TableDialect, _TableFile):
     """[readings]: a table in place of many [[runs]]."""
 
-    columns: dict[str, _Repeats | dict[str, _Repeats]] = described(
+    columns: dict[str, _Repeats | dict[str, _Repeats]] = key_field(
         "`name`, `motion`, `rate`, `u_rate`, `attitude`, `head`, `input`, `pendulous`, `reading`, "
         "`u`, `temperature`, `time`, `mounting`, `sense` -> column",
         {"attitude": "angle_deg", "reading": "mA"},
         min_length=1,
     )
-    u: Text | None = described(
+    u: Text | None = key_field(
         "standard uncertainty of the readings that have none in the column `u`",
         "2 uA",
         None,
         absent="estimated",
     )
-    motion: MotionKind = described("of every row, where there is no such column", "arm", "static")
-    about: Text = described("the axis of angles in the column `attitude`", "east", "north")
-    attitude_unit: Text = described("of these angles, and of the column `head`", "arcmin", "deg")
-    u_attitude: Text | None = described(
+    motion: MotionKind = key_field("of every row, where there is no such column", "arm", "static")
+    about: Text = key_field("the axis of angles in the column `attitude`", "east", "north")
+    attitude_unit: Text = key_field("of these angles, and of the column `head`", "arcmin", "deg")
+    u_attitude: Text | None = key_field(
         'random standard uncertainty of these angles, such as `"2 arcsec"`',
         "2 arcsec",
         None,
         absent="0",
     )
-    rate_unit: Text = described(
+    rate_unit: Text = key_field(
         "of the column `rate`, `1/min` and `Hz` being revolutions; of the time of a revolution "
         "(`s`), or of the acceleration (`g`, `m/s^2`) at the radius of `[centrifuge]`",
         "rpm",
         "rad/s",
     )
-    u_rate: Text | None = described(
+    u_rate: Text | None = key_field(
         "random standard uncertainty of the rates that have none in the column `u_rate`, which is "
         "in `rate_unit`",
         "1e-5 rad/s",
         None,
         absent="the default",
     )
-    sense: Sense = described(
+    sense: Sense = key_field(
         "in which the machine turns at a positive rate, seen from above, where there is no such "
         "column, or nothing in it",
         "clockwise",
         "counterclockwise",
     )
-    axes: ReadingAxes | None = described(
+    axes: ReadingAxes | None = key_field(
         "of every row that turns", {"input": "inward", "pendulous": "up"}, None, absent="`attitude`"
     )
-    axes_at_rest: ReadingAxes | None = described(
+    axes_at_rest: ReadingAxes | None = key_field(
         "of rows at rest", {"input": "up", "pendulous": "outward"}, None, absent="`axes`"
     )
-    mounting: str = described("of every row", "in", "")
-    merged: bool = described(
+    mounting: str = key_field("of every row", "in", "")
+    merged: bool = key_field(
         "whether an empty cell of the column `mounting` has what stands above it, as merged cells "
         "of a spreadsheet do",
         True,
         False,
     )
-    mountings: dict[str, MountingSettings] = described(
+    mountings: dict[str, MountingSettings] = key_field(
         "the axes of each mounting, in place of `axes`; and its column `reading`, where each has a "
         "column of its own",
         {"in": {"input": "inward", "pendulous": "up"}},
         {},
     )
-    attitude: Literal["unknown"] | None = described(
+    attitude: Literal["unknown"] | None = key_field(
         "`unknown`: every row is a pose of a [triad](triads.md)", "unknown", None, absent="known"
     )
 
@@ -173,7 +173,7 @@ def read_table(
     settings = problems.check(ReadingsSettings, document["readings"], ("readings",))
     if settings is None:
         return
-    loaded = problems.attempt(
+    loaded = problems.collect(
         ("readings", "file"), load_table, folder / settings.file, settings.dialect
     )
     if loaded is None:
@@ -219,14 +219,14 @@ def load_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], str
     return table, places, checksum
 
 
-def take_readings(document: dict[str, Any], frame: Any, problems: Problems) -> None:
+def insert_readings(document: dict[str, Any], frame: Any, problems: Problems) -> None:
     """Put the rows of a frame among a document's runs, by what its section of readings says."""
     raw = document.pop("readings", None)
     if not isinstance(raw, Mapping) or "file" in raw:
-        said = "names a file; leave it out" if isinstance(raw, Mapping) else "is missing"
+        reason = "names a file; leave it out" if isinstance(raw, Mapping) else "is missing"
         problems.add(
             ("readings",),
-            f"{said}: the table is given as a frame, and `columns` say which column is what",
+            f"{reason}: the table is given as a frame, and `columns` say which column is what",
         )
         return
     settings = problems.check(ReadingsSettings, {**raw, "file": _IN_MEMORY}, ("readings",))
@@ -241,13 +241,16 @@ def take_readings(document: dict[str, Any], frame: Any, problems: Problems) -> N
         return
     tables = table_of(document, "accelerometers")
     rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
-    outputs = {name: _output(table) for name, table in tables.items()}
+    outputs = {name: _stated_output(table) for name, table in tables.items()}
     table = ReadingsTable(settings, outputs, problems, document)
-    made = [run for run, _ in table.runs(list(columns), rows)]
-    document["runs"] = [*list_of(document, "runs"), *plain(made, ("readings",), problems.add)]
+    new_runs = [run for run, _ in table.runs(list(columns), rows)]
+    document["runs"] = [
+        *list_of(document, "runs"),
+        *to_toml_value(new_runs, ("readings",), problems.add),
+    ]
 
 
-def _output(table: Any) -> Output | None:
+def _stated_output(table: Any) -> Output | None:
     """Return the unit of an accelerometer's readings, if it is known."""
     output = table.get("output") if isinstance(table, Mapping) else None
     unit = output.get("unit") if isinstance(output, Mapping) else None
@@ -267,7 +270,7 @@ class ReadingsTable:
         self,
         names: Sequence[str],
         rows: Iterable[Mapping[str, Any]],
-        places: Sequence[str] | None = None,
+        locations: Sequence[str] | None = None,
     ) -> Iterator[tuple[dict[str, Any], KeyPath]]:
         """Yield the rows of a table as runs, with their places.
 
@@ -275,181 +278,195 @@ class ReadingsTable:
         places: Of the rows; None: they are counted.
         """
         problems = self.problems
-        before = len(problems.lines)
-        if any(own.reading for own in self.settings.mountings.values()):
-            self._check_beside(names)
+        error_count, mountings = len(problems.lines), self.settings.mountings.values()
+        if any(entry.reading for entry in mountings):
+            self._check_mounting_columns(names)
         else:
-            self.check(names)
-        if len(problems.lines) > before:
+            self.check_columns(names)
+        if len(problems.lines) > error_count:
             return
-        mounting = self.columns.get("mounting") if self.settings.merged else None
-        above = None
+        mounting, last_mounting = self.columns.get("mounting"), None
+        mounting = mounting if self.settings.merged else None
         for index, row in enumerate(rows):
-            if not self.has(row):
+            if not self.is_reading_row(row):
                 continue
-            place = f"row {index + 1}" if places is None else places[index]
-            path: KeyPath = ("readings", f"{self.settings.file} {place}")
-            before = len(problems.lines)
+            location = f"row {index + 1}" if locations is None else locations[index]
+            path: KeyPath = ("readings", f"{self.settings.file} {location}")
+            error_count = len(problems.lines)
             if any(isinstance(cell, str) and len(cell) > _MAX_CHARACTERS for cell in row.values()):
                 problems.add(path, f"a cell has more than {_MAX_CHARACTERS} characters")
                 continue
             if mounting is not None and not is_empty(row[mounting]):
-                above = row[mounting]
-            cells = row if mounting is None else {**row, mounting: above}
-            made = []
-            for view in self.views(row):
-                made.append(view.run(cells, index, path))
+                last_mounting = row[mounting]
+            cells = row if mounting is None else {**row, mounting: last_mounting}
+            new_runs = []
+            for view in self.mounting_views(row):
+                new_runs.append(view.make_run(cells, index, path))
                 if view is not self:
-                    made[-1]["name"] += f", {view.settings.mounting}"
-            if len(problems.lines) == before:
-                yield from ((run, path) for run in made)
+                    new_runs[-1]["name"] += f", {view.settings.mounting}"
+            if len(problems.lines) == error_count:
+                yield from ((run, path) for run in new_runs)
 
-    def has(self, row: Mapping[str, Any]) -> bool:
+    def is_reading_row(self, row: Mapping[str, Any]) -> bool:
         """Return whether a row has a reading, or requests one.
 
         Many tables end with empty rows or remarks.
         """
         stations = {self.columns[key] for key in _STATIONS & self.columns.keys()}
-        readings = {
-            c for view in self.views(row) for own in view.of("reading").values() for c in own
-        }
-        wanted = stations | readings if stations else row.keys()
-        return not all(is_empty(row[column]) for column in wanted)
+        views = self.mounting_views(row)
+        names = (name for view in views for name in view.value_columns("reading").values())
+        readings = {column for columns in names for column in columns}
+        required = stations | readings if stations else row.keys()
+        return not all(is_empty(row[column]) for column in required)
 
-    def views(self, row: Mapping[str, Any]) -> list[ReadingsTable]:
+    def mounting_views(self, row: Mapping[str, Any]) -> list[ReadingsTable]:
         """Return the table as each mounting reads a row, where each has a column of its own."""
         settings = self.settings
-        beside = {word: own for word, own in settings.mountings.items() if own.reading}
+        entries = {name: entry for name, entry in settings.mountings.items() if entry.reading}
         # Not all mountings need have been read at each rate; those to come are all blank.
-        read = [word for word, own in beside.items() if not is_empty(row.get(own.reading or ""))]
+        read = [
+            name for name, entry in entries.items() if not is_empty(row.get(entry.reading or ""))
+        ]
         return [
             replace(
                 self,
                 settings=settings.model_copy(
                     update={
-                        "columns": {**settings.columns, **_columns_of(own)},
-                        "mounting": word,
-                        "mountings": {word: own.model_copy(update={"reading": None})},
+                        "columns": {**settings.columns, **_mounting_columns(entry)},
+                        "mounting": name,
+                        "mountings": {name: entry.model_copy(update={"reading": None})},
                     }
                 ),
             )
-            for word, own in beside.items()
-            if word in read or not read
+            for name, entry in entries.items()
+            if name in read or not read
         ] or [self]
 
     @property
     def columns(self) -> dict[str, str]:
-        """Key -> column, of what a row says once."""
-        given = self.settings.columns
-        return {k: v for k, v in given.items() if isinstance(v, str) and k in _COLUMNS}
+        """Key -> name, of what a row says once."""
+        columns = self.settings.columns
+        return {
+            key: name for key, name in columns.items() if isinstance(name, str) and key in _COLUMNS
+        }
 
-    def of(self, key: str) -> dict[str, list[str]]:
+    def value_columns(self, key: str) -> dict[str, list[str]]:
         """Return accelerometer -> columns, of ``reading`` or of ``u``."""
-        given = self.settings.columns.get(key)
-        if given is None:
+        columns = self.settings.columns.get(key)
+        if columns is None:
             return {}
-        if not isinstance(given, dict):
+        if not isinstance(columns, dict):
             # Where no accelerometer is described, that is the mistake.
-            owners = islice(self.accelerometers, 1) if key == "reading" else self.of("reading")
-            given = dict.fromkeys(owners, given)
-        return {name: [c] if isinstance(c, str) else c for name, c in given.items()}
+            owners = (
+                islice(self.accelerometers, 1)
+                if key == "reading"
+                else self.value_columns("reading")
+            )
+            columns = dict.fromkeys(owners, columns)
+        return {
+            name: [value] if isinstance(value, str) else value for name, value in columns.items()
+        }
 
-    def check(self, names: Sequence[str]) -> None:
+    def check_columns(self, names: Sequence[str]) -> None:
         """Note errors of the columns that are requested."""
         path: KeyPath = ("readings", "columns")
-        given, problems = self.settings.columns, self.problems
-        for key, value in given.items():
+        stated_columns, problems = self.settings.columns, self.problems
+        for key, value in stated_columns.items():
             if key not in (*_COLUMNS, "reading", "u"):
                 known = (*_COLUMNS, "reading", "u")
-                problems.add((*path, key), "unknown key" + did_you_mean(key, known))
+                problems.add((*path, key), "unknown key" + suggest_name(key, known))
             elif key in _COLUMNS and not isinstance(value, str):
                 problems.add((*path, key), "must be the name of one column")
-        if not given.get("reading"):
+        if not stated_columns.get("reading"):
             problems.add(path, "reading is missing: the column that holds the values")
             return
         self._check_quantities()
-        if self.settings.mountings and not (self.settings.mounting or "mounting" in given):
+        if self.settings.mountings and not (self.settings.mounting or "mounting" in stated_columns):
             problems.add(path, "mounting is missing: the column with the mounting of each reading")
-        static = self.settings.motion == "static" and "motion" not in given
-        turns = self.settings.motion != "static" and "motion" not in given
-        if turns and "rate" not in given:
+        is_static = self.settings.motion == "static" and "motion" not in stated_columns
+        rotates = self.settings.motion != "static" and "motion" not in stated_columns
+        if rotates and "rate" not in stated_columns:
             problems.add(path, "rate is missing: the column with the rate of each reading")
         stated = self.settings.axes is not None or self.settings.attitude is not None
-        if static and not {"attitude", "input"} & set(given) and not stated:
+        if is_static and not {"attitude", "input"} & set(stated_columns) and not stated:
             problems.add(path, "attitude is missing: the column with the position of each reading")
-        wanted = [*self.columns.values()]
+        required = [*self.columns.values()]
         for key in ("reading", "u"):
-            for owner, columns in self.of(key).items():
-                wanted += columns
+            for owner, columns in self.value_columns(key).items():
+                required += columns
                 if owner not in self.accelerometers:
-                    said = did_you_mean(owner, self.accelerometers)
-                    problems.add((*path, key), f'there is no accelerometer "{owner}"' + said)
-        self._check_there(wanted, names)
+                    hint = suggest_name(owner, self.accelerometers)
+                    problems.add((*path, key), f'there is no accelerometer "{owner}"' + hint)
+        self._check_existence(required, names)
 
-    def _check_beside(self, names: Sequence[str]) -> None:
+    def _check_mounting_columns(self, names: Sequence[str]) -> None:
         """Note errors of tables with a column for each mounting."""
-        columns = [own.reading for own in self.settings.mountings.values()]
+        columns = [entry.reading for entry in self.settings.mountings.values()]
         if len(self.accelerometers) != 1 or not all(columns) or "reading" in self.settings.columns:
-            said = (
+            message = (
                 "`reading` is a column of each mounting, of one accelerometer, or of none; "
                 "readings.columns names no reading then"
             )
-            self.problems.add(("readings", "mountings"), said)
+            self.problems.add(("readings", "mountings"), message)
             return
-        before = len(self.problems.lines)
-        self.views({})[0].check(names)
-        if len(self.problems.lines) > before:
+        error_count = len(self.problems.lines)
+        self.mounting_views({})[0].check_columns(names)
+        if len(self.problems.lines) > error_count:
             return
-        self._check_there(
-            [c for own in self.settings.mountings.values() for c in _columns_of(own).values()],
+        self._check_existence(
+            [
+                column
+                for entry in self.settings.mountings.values()
+                for column in _mounting_columns(entry).values()
+            ],
             names,
         )
 
-    def _check_there(self, wanted: Iterable[str], names: Sequence[str]) -> None:
+    def _check_existence(self, required: Iterable[str], names: Sequence[str]) -> None:
         """Note columns that the table does not have."""
-        for column in dict.fromkeys(wanted):
+        for column in dict.fromkeys(required):
             if column not in names:
-                said = f'{self.settings.file} has no column "{column}"'
-                self.problems.add(("readings", "columns"), said + did_you_mean(column, names))
+                message = f'{self.settings.file} has no column "{column}"'
+                self.problems.add(("readings", "columns"), message + suggest_name(column, names))
 
     def _check_quantities(self) -> None:
         """Note what is wrong with quantities and units of the section."""
         settings, problems = self.settings, self.problems
         if settings.u_attitude is not None:
-            problems.attempt(("readings", "u_attitude"), exact, settings.u_attitude, "rad")
-        problems.attempt(("readings", "attitude_unit"), unit_factor, settings.attitude_unit, "rad")
+            problems.collect(("readings", "u_attitude"), exact, settings.u_attitude, "rad")
+        problems.collect(("readings", "attitude_unit"), unit_factor, settings.attitude_unit, "rad")
         if settings.u is not None:
             for output in self.accelerometers.values():
                 unit = output.unit if output else "g"
-                problems.attempt(("readings", "u"), exact, settings.u, unit)
+                problems.collect(("readings", "u"), exact, settings.u, unit)
         if "rate" in settings.columns:
-            problems.attempt(("readings", "rate_unit"), self._rate, 1.0, settings.sense)
+            problems.collect(("readings", "rate_unit"), self._parse_rate, 1.0, settings.sense)
         if settings.u_rate is not None:
-            problems.attempt(("readings", "u_rate"), exact, settings.u_rate, "rad/s")
+            problems.collect(("readings", "u_rate"), exact, settings.u_rate, "rad/s")
 
     def check_units(self, units: Mapping[str, str]) -> None:
         """Note columns that are in other units by the table's row of units."""
-        stated = {
+        described_units = {
             self.columns.get("attitude"): self.settings.attitude_unit,
             self.columns.get("head"): self.settings.attitude_unit,
             self.columns.get("rate"): self.settings.rate_unit,
             self.columns.get("u_rate"): self.settings.rate_unit,
         }
         for key in ("reading", "u"):
-            for view in self.views({}):
-                for name, columns in view.of(key).items():
+            for view in self.mounting_views({}):
+                for name, columns in view.value_columns(key).items():
                     output = self.accelerometers.get(name)
-                    stated |= dict.fromkeys(columns, output.unit if output else "g")
-        for column, unit in stated.items():
-            own = units.get(column or "")
-            if own and not same_unit(own, unit):
+                    described_units |= dict.fromkeys(columns, output.unit if output else "g")
+        for column, unit in described_units.items():
+            unit_in_table = units.get(column or "")
+            if unit_in_table and not same_unit(unit_in_table, unit):
                 self.problems.add(
                     ("readings", "columns"),
-                    f'{self.settings.file}: column "{column}" is in {own} by the row of units, but '
-                    f"in {unit} by the description",
+                    f'{self.settings.file}: column "{column}" is in {unit_in_table} by the row '
+                    f"of units, but in {unit} by the description",
                 )
 
-    def run(self, row: Mapping[str, Any], index: int, path: KeyPath) -> dict[str, Any]:
+    def make_run(self, row: Mapping[str, Any], index: int, path: KeyPath) -> dict[str, Any]:
         """Return a row in the form of a run; note its mistakes."""
         settings, columns = self.settings, self.columns
 
@@ -458,28 +475,28 @@ class ReadingsTable:
             return None if is_empty(value) else value
 
         run: dict[str, Any] = {"name": words_of(cell("name")) or f"reading {index + 1}"}
-        motion, rate = self._moved(cell, (*path, "rate"))
+        motion, rate = self._motion_and_rate(cell, (*path, "rate"))
         run["motion"] = motion
         if rate is not None:
             run["rate"] = rate
-        shown = self._number(cell("head"), (*path, "head"))
-        if shown is not None:
-            run["head"] = Quantity(shown, 0.0, settings.attitude_unit)
+        head_reading = self._parse_number(cell("head"), (*path, "head"))
+        if head_reading is not None:
+            run["head"] = Quantity(head_reading, 0.0, settings.attitude_unit)
         mounting = run["mounting"] = mounting_of(cell("mounting")) or settings.mounting
         axes = {key: words_of(cell(key)) for key in ("input", "pendulous") if cell(key)}
-        stated = self._axes(motion, mounting)
+        stated = self._stated_axes(motion, mounting)
         if axes:
             run["axes"] = axes
         elif stated is not None and (motion != "static" or "attitude" not in columns):
             run["axes"] = stated.model_dump(include={"input", "pendulous"})
         elif settings.mountings and motion != "static":
-            hint = did_you_mean(mounting, settings.mountings)
+            hint = suggest_name(mounting, settings.mountings)
             self.problems.add(path, f'readings.mountings has no "{mounting}"{hint}')
         attitude = settings.attitude if cell("attitude") is None else cell("attitude")
         if "axes" in run or attitude is None:
             pass
         elif (angle := as_number(attitude)) is not None:
-            run["attitude"] = self._turn(angle)
+            run["attitude"] = self._head_turn(angle)
         else:
             run["attitude"] = words_of(attitude)
         for key, unit in (("temperature", "degC"), ("time", "s")):
@@ -488,40 +505,44 @@ class ReadingsTable:
                     value = seconds_of(value)
                 number = as_number(value)
                 run[key] = words_of(value) if number is None else Quantity(number, 0.0, unit)
-        readings = self.of("reading")
+        readings = self.value_columns("reading")
         run["reading"] = {name: self._reading(row, name, path) for name in readings}
         return run
 
-    def _moved(self, cell: Callable[[str], Any], path: KeyPath) -> tuple[str, Quantity | None]:
+    def _motion_and_rate(
+        self, cell: Callable[[str], Any], path: KeyPath
+    ) -> tuple[str, Quantity | None]:
         """Return the motion of a row, and its rate; None for a row at rest."""
         stated, motion = cell("rate"), words_of(cell("motion")) or self.settings.motion
-        if rate := self._number(stated, path):
+        if rate := self._parse_number(stated, path):
             sense = words_of(cell("sense")).lower() or self.settings.sense
             if sense not in SENSE_WORDS:
-                said = f"'{sense}' is none of {', '.join(SENSE_WORDS)}"
-                self.problems.add((*path[:-1], "sense"), said)
+                message = f"'{sense}' is none of {', '.join(SENSE_WORDS)}"
+                self.problems.add((*path[:-1], "sense"), message)
                 return motion, None
-            u = self._number(cell("u_rate"), (*path[:-1], "u_rate"))
-            return motion, self.problems.attempt(path, self._rate, rate, SENSE_WORDS[sense], u)
+            u = self._parse_number(cell("u_rate"), (*path[:-1], "u_rate"))
+            return motion, self.problems.collect(
+                path, self._parse_rate, rate, SENSE_WORDS[sense], u
+            )
         if motion != "arm" or "motion" in self.columns:
             return motion, None
         if stated is None:
-            said = "is missing: a run with motion arm turns; write 0 where the arm rests"
-            self.problems.add(path, said)
+            message = "is missing: a run with motion arm turns; write 0 where the arm rests"
+            self.problems.add(path, message)
         return "static", None
 
-    def _axes(self, motion: str, mounting: str) -> ReadingAxes | None:
+    def _stated_axes(self, motion: str, mounting: str) -> ReadingAxes | None:
         """Return the axes that the section states of a row."""
         settings = self.settings
         at_rest = settings.axes_at_rest if motion == "static" else None
         return settings.mountings.get(mounting) or at_rest or settings.axes
 
-    def _rate(self, number: float, sense: Sense, u: float | None = None) -> Quantity:
+    def _parse_rate(self, number: float, sense: Sense, u: float | None = None) -> Quantity:
         """Return a rate from its cell and that of its uncertainty; ValueError if it is not one."""
-        size, spread, unit = RateColumn(self.settings, self.document).read(number, u)
-        return Quantity(-size if sense == "clockwise" else size, spread, unit)
+        size, u_rate, unit = RateColumn(self.settings, self.document).read(number, u)
+        return Quantity(-size if sense == "clockwise" else size, u_rate, unit)
 
-    def _turn(self, angle: float) -> HeadTurn:
+    def _head_turn(self, angle: float) -> HeadTurn:
         """Return the turn that an angle of the head is."""
         unit, stated = self.settings.attitude_unit, self.settings.u_attitude
         u = 0.0 if stated is None else exact(stated, "rad") / unit_factor(unit, "rad")
@@ -529,7 +550,7 @@ class ReadingsTable:
 
     def _reading(self, row: Mapping[str, Any], name: str, path: KeyPath) -> Any:
         """Return the readings of an accelerometer: quantities, and text where there is text."""
-        columns = self.of("reading")[name]
+        columns = self.value_columns("reading")[name]
         unit = output.unit if (output := self.accelerometers[name]) else "g"
         u = self.u(row, name, path)
         written: list[Quantity | str] = []
@@ -540,7 +561,7 @@ class ReadingsTable:
                 continue
             number = as_number(value)
             if number is None:
-                self._refuse_comma(value, (*path, column))
+                self._check_decimal_comma(value, (*path, column))
             read = words_of(value) if number is None else Quantity(number, u or 0.0, unit)
             written.append(read)
         spread = f" ± {u!r}" if u is not None else ""
@@ -549,28 +570,28 @@ class ReadingsTable:
 
     def u(self, row: Mapping[str, Any], name: str, path: KeyPath) -> float | None:
         """Return the stated uncertainty of an accelerometer's reading, in its output's unit."""
-        beside = self.of("u").get(name, [])
-        if beside and not is_empty(row[beside[0]]):
-            return self._number(row[beside[0]], (*path, beside[0]))
+        u_columns = self.value_columns("u").get(name, [])
+        if u_columns and not is_empty(row[u_columns[0]]):
+            return self._parse_number(row[u_columns[0]], (*path, u_columns[0]))
         output = self.accelerometers[name]
         return exact(self.settings.u, output.unit if output else "g") if self.settings.u else None
 
-    def _number(self, value: Any, path: KeyPath) -> float | None:
+    def _parse_number(self, value: Any, path: KeyPath) -> float | None:
         number = None if value is None else as_number(value)
-        if value is not None and number is None and not self._refuse_comma(value, path):
+        if value is not None and number is None and not self._check_decimal_comma(value, path):
             self.problems.add(path, f"{value!r} is not a number")
         return number
 
-    def _refuse_comma(self, value: Any, path: KeyPath) -> bool:
+    def _check_decimal_comma(self, value: Any, path: KeyPath) -> bool:
         """Note a number with a decimal comma that is not stated."""
-        comma = isinstance(value, str) and re.match(WITH_COMMA, value) is not None
-        if comma:
-            said = 'has a decimal comma; write decimal = "," in [readings]'
-            self.problems.add(path, f"{value!r} {said}")
-        return comma
+        has_comma = isinstance(value, str) and re.match(WITH_COMMA, value) is not None
+        if has_comma:
+            message = 'has a decimal comma; write decimal = "," in [readings]'
+            self.problems.add(path, f"{value!r} {message}")
+        return has_comma
 
 
-def _columns_of(mounting: MountingSettings) -> dict[str, str]:
+def _mounting_columns(mounting: MountingSettings) -> dict[str, str]:
     """Return the columns of a mounting by what they hold."""
-    own = {"reading": mounting.reading, "u": mounting.u}
-    return {key: column for key, column in own.items() if column}
+    columns = {"reading": mounting.reading, "u": mounting.u}
+    return {key: column for key, column in columns.items() if column}

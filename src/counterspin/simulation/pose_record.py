@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.campaign.conditions import origin_of
+from counterspin.campaign.conditions import reference_point
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.runs import sample_count
-from counterspin.triads.poses import TriadPoses, indications_along
+from counterspin.triads.poses import TriadPoses, predict_indications
 
 #: How long a hand takes from one pose to the next, s.
 _MOTION: Final = 1.5
@@ -96,7 +96,7 @@ def indicated_forces(
     names, truth = campaign.triad.accelerometers, campaign.simulation.truth.coefficients
     coefficients = [truth.get(name, {}) for name in names]
     axes = np.array([campaign.accelerometers[name].mounting.matrix for name in names])
-    origin = origin_of(campaign)
+    origin = reference_point(campaign)
     course = np.array(record.temperature or (origin.temperature,)) - origin.temperature
     knots = np.linspace(time[0], time[-1], len(course))
     begun = 0.0 if record.time is None else record.time - origin.time
@@ -117,6 +117,6 @@ def indicated_forces(
             scatter=np.zeros(n),
             in_si=np.zeros((n, 3)),
         )
-        values.append(indications_along(rows, coefficients, force[first : first + n]))
+        values.append(predict_indications(rows, coefficients, force[first : first + n]))
     whole = campaign.site.gravity * np.concatenate(values)
     return dict(zip(names, whole.T, strict=True))

@@ -14,13 +14,13 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.documents import load_document
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import is_pose, is_reading, sample_count
 from counterspin.campaign.terms import POSITION
+from counterspin.campaign.validation import Problems
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.input import read_file
@@ -29,13 +29,13 @@ from counterspin.physics.spindle import Spindle
 from counterspin.physics.station import Station, mean_products
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 from counterspin.readings.cells import BLANK, is_empty
-from counterspin.readings.groups import groups_of, numbered_groups
+from counterspin.readings.groups import group_readings, numbered_groups
 from counterspin.readings.known_attitudes import Readings
 from counterspin.readings.table import ReadingsSettings, ReadingsTable, load_table
 from counterspin.simulation.simulable import at_true_inputs, with_true_inputs
 from counterspin.toml_text import parse_toml, write_document
-from counterspin.triads.groups import one_group
-from counterspin.triads.poses import indications_along
+from counterspin.triads.groups import make_group
+from counterspin.triads.poses import predict_indications
 from counterspin.units import unit_factor
 
 #: Simulated readings are written with so many digits beyond their standard uncertainty.
@@ -58,7 +58,7 @@ def indications(
         nominal.
     head_error: Error of the dividing head's angle at each reading, rad, shape (n,).
     """
-    stations = group.turned(group.stations_with(machine), head_error)
+    stations = group.rotate_head(group.stations_with(machine), head_error)
     products = mean_products(stations, group.site)
     indicated: Array = np.sum(products * _effective(group, coefficients), axis=1)
     return indicated
@@ -70,7 +70,7 @@ def _effective(group: Readings, coefficients: Mapping[str, float]) -> Array:
     effective = np.tile(nominal, (group.size, 1))
     for symbol in CONDITION_TERMS.keys() & coefficients.keys():
         place = list(TERMS).index(CONDITION_TERMS[symbol].effect.coefficient)
-        effective[:, place] += coefficients[symbol] * group.lever(symbol)
+        effective[:, place] += coefficients[symbol] * group.design_factor(symbol)
     return effective
 
 
@@ -179,9 +179,11 @@ def true_poses(campaign: Campaign) -> tuple[tuple[Reading, ...], ...]:
     if campaign.triad is None or not campaign.triad.poses:
         return ()
     poses, truth = campaign.triad.poses, campaign.simulation.truth.coefficients
-    group = one_group(campaign, poses)
+    group = make_group(campaign, poses)
     along = true_directions(campaign)
-    values = indications_along(group, [truth.get(name, {}) for name in group.accelerometers], along)
+    values = predict_indications(
+        group, [truth.get(name, {}) for name in group.accelerometers], along
+    )
     return tuple(
         tuple(
             replace(reading, value=value) for reading, value in zip(pose, pose_values, strict=True)
@@ -226,10 +228,11 @@ def simulate_mean_record(
         raise ValueError(f'the run "{reading.name}" states no duration')
     time = np.arange(sample_count(reading.duration, rate)) / rate
     (group,) = (
-        at_true_inputs(campaign, reading_group) for reading_group in groups_of(campaign, [reading])
+        at_true_inputs(campaign, reading_group)
+        for reading_group in group_readings(campaign, [reading])
     )
     stations = group.stations_with(true_machine(campaign))
-    (station,) = group.turned(stations, np.array([head_error]))
+    (station,) = group.rotate_head(stations, np.array([head_error]))
     (effective,) = _effective(group, truth.coefficients.get(reading.accelerometer, {}))
     if not reading.rate:
         still = np.zeros_like(time)
@@ -406,25 +409,31 @@ def filled_table(
     frame = load_table(path, settings.dialect)[0].frame
     outputs = {name: a.output for name, a in campaign.accelerometers.items()}
     table = ReadingsTable(settings, outputs, Problems(raw), raw)
-    rows = [(place, row) for place, row in enumerate(frame.iter_rows(named=True)) if table.has(row)]
+    rows = [
+        (place, row)
+        for place, row in enumerate(frame.iter_rows(named=True))
+        if table.is_reading_row(row)
+    ]
     values = {
         column: [None if is_empty(cell) else cell for cell in frame[column].to_list()]
-        for view in table.views({})
-        for own in view.of("reading").values()
+        for view in table.mounting_views({})
+        for own in view.value_columns("reading").values()
         for column in own
     }
-    unknown = [is_pose(table.run(row, place, ())) for place, row in rows]
+    unknown = [is_pose(table.make_run(row, place, ())) for place, row in rows]
     # The rows of the table come last.
     start = len(exact.readings) - sum(
-        len(view.of("reading"))
+        len(view.value_columns("reading"))
         for (_, row), is_posed in zip(rows, unknown, strict=True)
-        for view in ([] if is_posed else table.views(row))
+        for view in ([] if is_posed else table.mounting_views(row))
     )
     ready, posed = iter(exact.readings[start:]), iter(exact.poses[-sum(unknown) or None :])
     for (place, row), is_posed in zip(rows, unknown, strict=True):
-        taken = _of_pose(next(posed), table.of("reading")) if is_posed else ready
-        views = table.views(row)
-        for view, name, own in [(v, n, c) for v in views for n, c in v.of("reading").items()]:
+        taken = _of_pose(next(posed), table.value_columns("reading")) if is_posed else ready
+        views = table.mounting_views(row)
+        for view, name, own in [
+            (v, n, c) for v in views for n, c in v.value_columns("reading").items()
+        ]:
             reading = next(taken)
             output = outputs[name]
             stated = view.u(row, name, ()) or 0.0

@@ -8,9 +8,9 @@ from dataclasses import replace
 from typing import Final, Literal
 
 from counterspin.campaign.columns import Recording
-from counterspin.campaign.conditions import clock_of
+from counterspin.campaign.conditions import rate_clock_input
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.kinds import ESTIMATE
+from counterspin.campaign.field_types import ESTIMATE
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.runs import MOST_ROWS, MOST_SIMULATED_ROWS
 from counterspin.campaign.settings import NoiseSettings, StatedNoise
@@ -300,7 +300,7 @@ def at_true_inputs(campaign: Campaign, group: Readings) -> Readings:
     }.items():
         group = with_input(group, symbol, was.value - stated.value, symbols)
     inputs = campaign.simulation.truth.inputs
-    for owner, symbol in dict.fromkeys(clock_of(campaign, r) for r in campaign.readings):
+    for owner, symbol in dict.fromkeys(rate_clock_input(campaign, r) for r in campaign.readings):
         known = campaign.rate_clock if symbol == RATE_CLOCK else campaign.clock
         assumed = known.value if known else 0.0
         name = f"{owner}.{symbol}" if owner else symbol

@@ -15,15 +15,15 @@ import polars as pl
 
 from counterspin.arrays import Array
 from counterspin.campaign.accelerometers import Accelerometer
-from counterspin.campaign.conditions import conditions_of
+from counterspin.campaign.conditions import run_conditions
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, source_of
-from counterspin.campaign.memory import WRITERS, write_as_it_is
-from counterspin.campaign.noise_at_rest import true_noise
+from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, require_source
+from counterspin.campaign.memory import WRITERS, copy_record
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run, sample_count
 from counterspin.campaign.settings import StatedNoise
 from counterspin.campaign.simulated_truth import SimulatedTruth
+from counterspin.campaign.static_noise import simulated_noise
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import make_folder, write_text, write_whole
 from counterspin.physics import observation, simulation
@@ -146,7 +146,7 @@ def simulate(
     elif not own:
         write_whole(description, partial(shutil.copyfile, campaign.path), overwrite=overwrite)
     for target, rest in taken_along.items():
-        write_as_it_is(rest, target, overwrite=overwrite)
+        copy_record(rest, target, overwrite=overwrite)
     for done, (frame, target) in enumerate(zip(frames, targets, strict=True), start=1):
         write_whole(target, partial(WRITERS[target.suffix.lower()], frame), overwrite=overwrite)
         if progress is not None:
@@ -182,7 +182,7 @@ def _refuse_unfit(campaign: Campaign) -> None:
 
 def _simulated_in_memory(campaign: Campaign) -> Campaign:
     """Return a campaign with simulated records and readings."""
-    source = source_of(campaign)
+    source = require_source(campaign)
     if "readings" in source.document:
         raise CampaignError(
             str(campaign.path), ["readings: a table of readings is simulated into a folder only"]
@@ -224,7 +224,7 @@ def _run_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
 def _mean_records(campaign: Campaign, head_errors: Array) -> Iterator[pl.DataFrame]:
     """Yield the records whose means are readings, with a column for each accelerometer."""
     assert campaign.simulation is not None
-    noise = true_noise(campaign)
+    noise = simulated_noise(campaign)
     recorded = [(reading, float(head_errors[i])) for i, reading in enumerate(campaign.readings)]
     by_file: dict[Path, list[tuple[Reading, float]]] = {}
     for reading, error in recorded:
@@ -253,7 +253,7 @@ def _mean_records(campaign: Campaign, head_errors: Array) -> Iterator[pl.DataFra
 def _pose_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
     """Yield the records of poses."""
     assert campaign.simulation is not None
-    noise, rate = true_noise(campaign), campaign.simulation.sampling_rate
+    noise, rate = simulated_noise(campaign), campaign.simulation.sampling_rate
     for index, record in enumerate(campaign.triad.records if campaign.triad else ()):
         generator = stream(campaign, 0, 3 + index)
         time, force, _ = forces_in_record(record, campaign.simulation.poses, rate, generator)
@@ -267,7 +267,7 @@ def _pose_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
             accelerometer = campaign.accelerometers[name]
             channel = accelerometer.force
             assert channel is not None
-            felt = accelerometer.completed(observable="specific_force", channel=channel)
+            felt = accelerometer.with_private(observable="specific_force", channel=channel)
             noisy = _measured(generator, time, signal, felt, noise)
             columns[channel.name] = channel.filed(noisy * stated_over_true(campaign, channel))
         yield pl.DataFrame(columns)
@@ -350,10 +350,10 @@ def simulate_run(
         of_run.spindle,
         true.radius.value,
         true.site,
-        conditions=conditions_of(campaign)[run.name],
+        conditions=run_conditions(campaign)[run.name],
     )
     times = np.arange(sample_count(run.duration, rate)) / rate
-    noise = true_noise(campaign)
+    noise = simulated_noise(campaign)
     stamps = _noisy(generator, times * stamped_over_true(campaign, recording), noise.timing)
     columns = {recording.time.name: stamps / recording.time.factor}
     if recording.angle is not None:

@@ -18,22 +18,29 @@ from pydantic import AfterValidator, Field, create_model
 
 from counterspin.calibration.model import inputs_by_owner, make_unknowns
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.campaign.checking import Problems, Section, did_you_mean
 from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.documents import (
     CAMPAIGN_ADVICE,
     DESCRIPTION_NAME,
     KeyPath,
+    campaign_error,
     description_file,
     load_document,
-    mistakes,
-    source_of,
+    require_source,
 )
-from counterspin.campaign.kinds import Schema, SettingsSection, Several, Text, described, exact
+from counterspin.campaign.field_types import (
+    Schema,
+    SettingsSection,
+    Text,
+    TextList,
+    exact,
+    key_field,
+)
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.resolution import CampaignDocument
 from counterspin.campaign.runs import recorders_of
 from counterspin.campaign.terms import BARE_NAMES, expand, rows_of, symbols_shown
+from counterspin.campaign.validation import Problems, Section, suggest_name
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import CLOCK
 from counterspin.inference.joint.unknowns import unit_of
@@ -59,60 +66,60 @@ def _analysis_name(analysis: str) -> str:
 class AnalysisSettings(SettingsSection):
     """[study.analyses.NAME]: one competitor."""
 
-    method: Literal["two-stage", "joint"] = described("how it calibrates", "joint")
-    model: Literal["exact", "as-printed"] = described(
+    method: Literal["two-stage", "joint"] = key_field("how it calibrates", "joint")
+    model: Literal["exact", "as-printed"] = key_field(
         "which equations the two-stage method takes", "as-printed", "exact"
     )
-    weighted: bool = described(
+    weighted: bool = key_field(
         "whether the second stage of the two-stage method weighs its strobes", False, True
     )
-    ripple: Literal["amplitude", "ratio"] = described(
+    ripple: Literal["amplitude", "ratio"] = key_field(
         "whether the two-stage method states a ripple of the rate by its amplitude, or by that "
         "over the rate",
         "ratio",
         "amplitude",
     )
-    fit_bias: bool = described("whether the second stage fits a bias", False, True)
-    sigma: Literal["given", "residuals"] = described(
+    fit_bias: bool = key_field("whether the second stage fits a bias", False, True)
+    sigma: Literal["given", "residuals"] = key_field(
         "whether the noise of the strobes is given or taken from the residuals",
         "residuals",
         "given",
     )
-    terms: list[Text] | None = described(
+    terms: list[Text] | None = key_field(
         "what is asked for, in place of `[model]` `terms`",
         ["K_F", "K_II"],
         None,
         absent="the campaign's",
     )
-    assume: Several | None = described(
+    assume: TextList | None = key_field(
         "taken as perfect, in place of `[model]` `assume`", ["K_OO"], None, absent="the campaign's"
     )
-    hold: list[Text] | None = described(
+    hold: list[Text] | None = key_field(
         "known but not adjusted, in place of `[model]` `hold`",
         ["K_PP"],
         None,
         absent="the campaign's",
     )
-    considered: list[Text] | None = described("the old name of `hold`", ["K_PP"], None)
+    considered: list[Text] | None = key_field("the old name of `hold`", ["K_PP"], None)
 
 
 class DistributionSettings(SettingsSection):
     """[study.vary.NAME]: how one quantity varies."""
 
-    normal: Any = described(
+    normal: Any = key_field(
         "mean ± standard deviation of a normal distribution",
         "2e-5 ± 1e-6 g/g^2",
         None,
         kind="quantity ±",
     )
-    uniform: Any = described(
+    uniform: Any = key_field(
         "lowest and highest value of a uniform distribution",
         ["-1e-7 1/s", "1e-7 1/s"],
         None,
         kind="two quantities",
     )
-    fixed: Any = described("one value in every trial", "0.02 m", None, kind="quantity")
-    per: Literal["run", "campaign"] = described(
+    fixed: Any = key_field("one value in every trial", "0.02 m", None, kind="quantity")
+    per: Literal["run", "campaign"] = key_field(
         "whether it is drawn anew for each run", "run", "campaign"
     )
 
@@ -120,11 +127,11 @@ class DistributionSettings(SettingsSection):
 class StudySettings(SettingsSection):
     """[study]: what varies from trial to trial, and which analyses compete."""
 
-    trials: Annotated[int, Field(ge=2, le=10**9)] = described(
+    trials: Annotated[int, Field(ge=2, le=10**9)] = key_field(
         "how many campaigns are simulated and calibrated", 2000, 10_000
     )
-    seed: Annotated[int, Field(ge=0)] = described("of the random numbers", 1, 1)
-    vary: Annotated[dict[str, Any], Section(dict[str, DistributionSettings])] = described(
+    seed: Annotated[int, Field(ge=0)] = key_field("of the random numbers", 1, 1)
+    vary: Annotated[dict[str, Any], Section(dict[str, DistributionSettings])] = key_field(
         "what differs from trial to trial: name -> distribution",
         {"centrifuge.radius": {"normal": "2.5 ± 1e-5 m"}},
         absent="nothing",
@@ -133,7 +140,7 @@ class StudySettings(SettingsSection):
     analyses: Annotated[
         dict[Annotated[str, AfterValidator(_analysis_name)], Any],
         Section(dict[str, AnalysisSettings]),
-    ] = described(
+    ] = key_field(
         "what competes: name -> analysis",
         {"joint": {"method": "joint"}},
         absent="the two methods, and the paper's equations",
@@ -144,9 +151,9 @@ class StudySettings(SettingsSection):
 class StudyDocument(SettingsSection):
     """A study in a file of its own, beside the campaign that it names."""
 
-    schema_version: Schema = described("version of this format", 1, alias="schema")
-    campaign: Text = described("folder or description of the campaign", "campaign")
-    study: Annotated[dict[str, Any], Section(StudySettings)] = described(
+    schema_version: Schema = key_field("version of this format", 1, alias="schema")
+    campaign: Text = key_field("folder or description of the campaign", "campaign")
+    study: Annotated[dict[str, Any], Section(StudySettings)] = key_field(
         "what varies, and what competes", {}
     )
 
@@ -202,7 +209,7 @@ def read_study(path: Path | str | Campaign) -> StudyDescription:
     if not isinstance(path, Campaign):
         file = description_file(path)
         return study_of(load_document(file, CAMPAIGN_ADVICE, "campaign"), file)
-    return study_of(dict(source_of(path).document), path.path, path.folder / DESCRIPTION_NAME)
+    return study_of(dict(require_source(path).document), path.path, path.folder / DESCRIPTION_NAME)
 
 
 def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> StudyDescription:
@@ -218,7 +225,7 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
     section = raw.get("study", {})
     settings = problems.check(StudySettings, section, ("study",))
     if campaign is None or settings is None:
-        raise mistakes(file, problems.lines)
+        raise campaign_error(file, problems.lines)
     if campaign.simulation is None:
         problems.add(("truth",), "missing; a study needs [truth.NAME] with the true coefficients")
     else:
@@ -230,7 +237,7 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
         read_one_by_one = _campaign(document, where, problems, named)
         campaign = read_one_by_one and with_noise_of_poses(read_one_by_one, records)
         if campaign is None:
-            raise mistakes(file, problems.lines)
+            raise campaign_error(file, problems.lines)
     recorders = recorders_of(document.get("records", {}), campaign.runs)
     varying: list[VariedQuantity] = []
     for key, path_, entry in _entries(settings.vary, ("study", "vary")):
@@ -253,7 +260,7 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
         if analysis is not None:
             analyses.append(analysis)
     if problems.lines:
-        raise mistakes(file, problems.lines)
+        raise campaign_error(file, problems.lines)
     varying += _known(campaign, varying)
     return StudyDescription(
         campaign, settings.trials, settings.seed, tuple(varying), tuple(analyses)
@@ -299,7 +306,7 @@ def _document(
     known = ("schema", "campaign", "study")
     for key in raw:
         if key not in known:
-            problems.add((key,), "unknown key" + did_you_mean(key, known))
+            problems.add((key,), "unknown key" + suggest_name(key, known))
     if type(raw.get("schema")) is not int or raw["schema"] != 1:
         problems.add(("schema",), "this version of counterspin reads schema = 1")
     return load_document(base, CAMPAIGN_ADVICE, "campaign"), base
@@ -354,7 +361,7 @@ def _varying(
     (distribution,) = given
     symbol = names[0][1]
     unit = OTHERS.get(symbol) or unit_of(symbol)
-    read = problems.attempt(
+    read = problems.collect(
         path, _read, distribution, getattr(settings, distribution), unit, campaign.gravity.value
     )
     per_run = settings.per == "run"
@@ -406,7 +413,7 @@ def _names(
         rows = rows_of(key, mountings, [run.attitude for run in campaign.runs])
         return [("", row.symbol) for row in rows]
     known = [*OTHERS, *ACCELEROMETER_TERMS, *BARE_NAMES, *SHARED_TERMS, *shown]
-    hint = did_you_mean(key, known)
+    hint = suggest_name(key, known)
     if "known:" in hint:
         hint = f"; known: {', '.join([*OTHERS, *ACCELEROMETER_TERMS, *BARE_NAMES])}"
     problems.add(path, "cannot be varied in a study" + hint)

@@ -15,7 +15,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.model import inputs_by_owner
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.noise_at_rest import true_noise
+from counterspin.campaign.static_noise import simulated_noise
 from counterspin.frozen import frozen
 from counterspin.physics import simulation
 from counterspin.physics.spindle import Ripple, Spindle
@@ -292,7 +292,7 @@ class StudyTruth:
             spindles=tuple(run.spindle for run in campaign.simulation.truth.runs.values()),
             stated=stated,
             inputs=inputs,
-            white=float(true_noise(campaign).displacement),
+            white=float(simulated_noise(campaign).displacement),
             varying=varying,
         )
 

@@ -42,7 +42,7 @@ from counterspin.inference.noise.model import Noise
 from counterspin.inference.two_stage.model import TwoStageRequest
 from counterspin.physics import as_printed
 from counterspin.physics.terms import INPUTS, SHARED_TERMS, TERMS, term
-from counterspin.readings.linear import Measured, blocks_at
+from counterspin.readings.linear import ReadingGroup, blocks_at
 from counterspin.studies.draws import (
     NOISE_LEVELS,
     Draws,
@@ -220,7 +220,7 @@ def _solve(blocks: Sequence[Block], model: Unknowns, true: int) -> Solution:
 
 
 def bounds(
-    truth: StudyTruth, model: Unknowns, world: World | None, readings: Sequence[Measured] = ()
+    truth: StudyTruth, model: Unknowns, world: World | None, readings: Sequence[ReadingGroup] = ()
 ) -> dict[str, float]:
     """Return the least standard uncertainty from all samples and readings, by unknown.
 

@@ -29,9 +29,9 @@ from counterspin.physics.motion import encoder_error
 from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
 from counterspin.physics.terms import shown_by_readings, symbol_of
 from counterspin.readings.groups import numbered_groups
-from counterspin.readings.joining import with_groups
+from counterspin.readings.joint_data import estimate_with_groups
 from counterspin.readings.known_attitudes import INPUT_STEPS, Readings, with_input
-from counterspin.readings.means import stretches
+from counterspin.readings.means import segment_count
 from counterspin.simulation.readings import (
     drawn_by_run,
     head_errors,
@@ -44,8 +44,8 @@ from counterspin.simulation.readings import (
 from counterspin.studies.draws import NOISE_LEVELS, Draws, of_run
 from counterspin.studies.work import JointRequest, Trials
 from counterspin.studies.world import World, noise_of_mean
-from counterspin.triads.groups import one_group
-from counterspin.triads.poses import TriadPoses, indications_along
+from counterspin.triads.groups import make_group
+from counterspin.triads.poses import TriadPoses, predict_indications
 
 
 class Rotation(NamedTuple):
@@ -254,7 +254,7 @@ class TrialReadings:
                 {symbol: value for (owner, symbol), value in true.items() if owner == name}
                 for name in group.accelerometers
             ]
-            value = indications_along(group, coefficients, drawn.along)
+            value = predict_indications(group, coefficients, drawn.along)
             gravity = float(draws.off("site.gravity")[0])
             value = value * (1.0 + group.in_si * gravity / group.gravity)
             value = value + drawn.noise * generator.standard_normal(value.shape)
@@ -341,7 +341,7 @@ def _drawn_poses(campaign: Campaign) -> Iterator[DrawnPoses]:
         if not kind and not noise.all():
             raise ValueError(f"{_NO_NOISE}: {poses[places[0]][0].name}")
         # Drawn values are not rounded.
-        group = replace(one_group(campaign, [poses[place] for place in places]), resolution=0.0)
+        group = replace(make_group(campaign, [poses[place] for place in places]), resolution=0.0)
         yield DrawnPoses(group, along[places], noise)
 
 
@@ -353,7 +353,7 @@ def _record_noise(campaign: Campaign, reading: Reading) -> tuple[float, float]:
     turns = math.floor(duration * abs(reading.rate) / (2.0 * math.pi) + 1e-9)
     if reading.rate and turns:
         duration = turns * 2.0 * math.pi / abs(reading.rate)
-    freedom = max(stretches(math.floor(duration * rate)) - 1.0, 1.0)
+    freedom = max(segment_count(math.floor(duration * rate)) - 1.0, 1.0)
     return noise_of_mean(campaign, duration), freedom
 
 
@@ -384,7 +384,7 @@ class FullEngine:
             estimated = estimate(records.series(), model, self.request.noise)
         if self.readings is not None:
             groups = self.readings.groups(draws, generator, model)
-            estimated, _ = with_groups(estimated, model, groups)
+            estimated, _ = estimate_with_groups(estimated, model, groups)
         assert estimated is not None
         solution, unknowns = estimated.fit.solution, estimated.fit.model.unknowns
         rows = list(self.rows)

@@ -14,11 +14,11 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.joint_problem import stated_timing_noise
-from counterspin.campaign.conditions import conditions_of
+from counterspin.campaign.conditions import run_conditions
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.noise_at_rest import true_noise
 from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.runs import is_pose, sample_count
+from counterspin.campaign.static_noise import simulated_noise
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series
@@ -145,7 +145,7 @@ def world_of(campaign: Campaign) -> World:
     ]
     if short:
         raise CampaignError(str(campaign.path), short)
-    noise = true_noise(campaign)
+    noise = simulated_noise(campaign)
     return World(
         runs=tuple(run.name for run in campaign.runs),
         spindles=tuple(run.spindle for run in campaign.simulation.truth.runs.values()),
@@ -166,7 +166,7 @@ def world_of(campaign: Campaign) -> World:
             bias_walk=float(noise.bias_walk),
         ),
         stated_times=stated_timing_noise(campaign),
-        conditions=tuple(conditions_of(campaign).values()),
+        conditions=tuple(run_conditions(campaign).values()),
         recorders=tuple(campaign.recording_of(run).recorder for run in campaign.runs),
     )
 
@@ -224,13 +224,13 @@ def with_noise_of_poses(campaign: Campaign, records: tuple[PoseRecord, ...]) -> 
     size = noise_of_mean(campaign, 2.0 * min(record.rest for record in records))
     noise = dict.fromkeys(campaign.triad.accelerometers, size) | dict(truth.reading_noise)
     known = replace(truth, reading_noise=noise)
-    return replace(campaign, simulation=campaign.simulation.completed(truth=known))
+    return replace(campaign, simulation=campaign.simulation.with_private(truth=known))
 
 
 def noise_of_mean(campaign: Campaign, seconds: float) -> float:
     """Return the true standard deviation of the mean of so much of a record, g."""
     assert campaign.simulation is not None
-    noise, rate = true_noise(campaign), campaign.simulation.sampling_rate
+    noise, rate = simulated_noise(campaign), campaign.simulation.sampling_rate
     white = float(noise.specific_force) / math.sqrt(max(seconds * rate, 1.0))
     walk = float(noise.acceleration) / math.sqrt(max(seconds, 1.0 / rate))
     return math.hypot(white, walk) / campaign.gravity.value

@@ -3,11 +3,11 @@
 Readings load this room by name for a campaign with a triad.
 
 - `section`: [triad], and runs at unknown attitudes
-- `rests`: rests of a sensor with three axes in one long record
-- `found_poses`, `groups`: poses that were read or found in records, grouped by noise
+- `static_intervals`: rests of a sensor with three axes in one long record
+- `record_poses`, `groups`: poses that were read or found in records, grouped by noise
 - `poses`: poses as data of a fit
-- `rank`: parameters that the directions of the poses do not determine
+- `determinability`: parameters that the directions of the poses do not determine
 - `patterns`, `checks`: patterns of the residuals of poses, and tests of them
 - `result`: the nine parameters, the matrix and the poses in a result
-- `joining`: the triad as data of a calibration
+- `joint_data`: the triad as data of a calibration
 """

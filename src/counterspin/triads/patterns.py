@@ -10,8 +10,8 @@ from counterspin.arrays import Array
 from counterspin.inference.joint.alternatives import Alternative
 from counterspin.inference.joint.fit import JointFit
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
-from counterspin.readings.patterns import TERM, in_order
-from counterspin.triads.poses import TriadPoses, lever_of
+from counterspin.readings.patterns import TERM, time_patterns
+from counterspin.triads.poses import TriadPoses, design_factor
 
 #: Owner and symbol of an unknown.
 _Key = tuple[str, str]
@@ -19,10 +19,10 @@ _Key = tuple[str, str]
 
 def pose_candidates(
     poses: TriadPoses,
-    place: int,
+    group_index: int,
     fit: JointFit,
-    unknown: Collection[_Key],
-    followed: Collection[_Key],
+    estimated_keys: Collection[_Key],
+    tested_keys: Collection[_Key],
 ) -> Iterator[Alternative]:
     """Yield the columns that the residuals of poses may follow.
 
@@ -30,22 +30,25 @@ def pose_candidates(
     unknown: Owner and symbol of what the fit may choose; `followed`, of that what it may choose
         within what is known of it.
     """
-    at = poses.at(fit.model, fit.solution.estimate)
-    for k, name in enumerate(poses.accelerometers):
-        forces = at.products[:, k, [*TERMS].index("K_I")]
-        for kind, symbol, column in in_order(poses, forces):
-            yield Alternative(kind, name, symbol, {place: at.along[:, k] * column})
+    point = poses.at(fit.model, fit.solution.estimate)
+    for axis_index, name in enumerate(poses.accelerometers):
+        forces = point.products[:, axis_index, [*TERMS].index("K_I")]
+        for kind, symbol, column in time_patterns(poses, forces):
+            yield Alternative(
+                kind, name, symbol, {group_index: point.projection[:, axis_index] * column}
+            )
         products: dict[str, Array] = {
-            symbol: at.along[:, k] * at.products[:, k, index] for index, symbol in enumerate(TERMS)
+            symbol: point.projection[:, axis_index] * point.products[:, axis_index, index]
+            for index, symbol in enumerate(TERMS)
         }
         for symbol, product in products.items():
-            if (name, symbol) not in unknown or (name, symbol) in followed:
-                yield Alternative(TERM, name, symbol, {place: product})
+            if (name, symbol) not in estimated_keys or (name, symbol) in tested_keys:
+                yield Alternative(TERM, name, symbol, {group_index: product})
         for symbol, row in CONDITION_TERMS.items():
-            lever = lever_of(poses, symbol)
+            factor = design_factor(poses, symbol)
             # A slope with time that nobody has stated is the drift.
-            if lever is None or np.ptp(lever) == 0.0 or row.effect.condition == "time":
+            if factor is None or np.ptp(factor) == 0.0 or row.effect.condition == "time":
                 continue
-            if (name, symbol) not in unknown or (name, symbol) in followed:
-                changed = products[row.effect.coefficient] * lever
-                yield Alternative(TERM, name, symbol, {place: changed})
+            if (name, symbol) not in estimated_keys or (name, symbol) in tested_keys:
+                column_of_slope = products[row.effect.coefficient] * factor
+                yield Alternative(TERM, name, symbol, {group_index: column_of_slope})

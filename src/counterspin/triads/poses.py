@@ -25,8 +25,8 @@ from counterspin.inference.least_squares import Solution
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import SIGN_WIDTH
 from counterspin.physics.terms import CONDITION_TERMS, LINEAR, TERMS
-from counterspin.readings.linear import FINEST, LinearReadings
-from counterspin.triads.rank import candidates_of, undetermined_parameters
+from counterspin.readings.linear import MIN_RELATIVE_NOISE, LinearReadings
+from counterspin.triads.determinability import default_candidates, undetermined_parameters
 
 _SYMBOLS: Final = tuple(TERMS)
 
@@ -34,7 +34,7 @@ _SYMBOLS: Final = tuple(TERMS)
 _ROUNDS: Final = 40
 
 #: Settled: no direction moves by more, rad.
-_SETTLED: Final = 1e-14
+_CONVERGED: Final = 1e-14
 
 #: Sensitivities that a start without a guess may find, of the nominal one.
 _CREDIBLE: Final = (0.2, 5.0)
@@ -65,7 +65,7 @@ class TriadPoses:
     scatter: Array
     #: 1 where a value was written in m/s^2 and became g by the gravity assumed, else 0, (n, 3).
     in_si: Array
-    within: float = 0.0  #: What is known of the noise from within the poses, g.
+    noise_within_poses: float = 0.0  #: What is known of the noise from within the poses, g.
     resolution: float = 0.0  #: One of the last digit that was written, g.
     direction: Array | float = 0.0  #: In which the temperature went, as of `RunConditions`.
     motion: str = "poses"
@@ -81,13 +81,15 @@ class TriadPoses:
         return len(self.names)
 
     @property
-    def least_noise(self) -> float:
-        """The least noise that they can be said to have, g; see `Readings.least_noise`."""
+    def noise_floor(self) -> float:
+        """The least noise that they can be said to have, g; see `Readings.noise_floor`."""
         largest = float(np.max(np.abs(self.value), initial=1e-3))
-        return max(self.within, self.resolution / math.sqrt(12.0), FINEST * largest)
+        return max(
+            self.noise_within_poses, self.resolution / math.sqrt(12.0), MIN_RELATIVE_NOISE * largest
+        )
 
     @property
-    def read_again(self) -> tuple[tuple[int, ...], ...]:
+    def replicates(self) -> tuple[tuple[int, ...], ...]:
         """Nobody knows whether two poses are one."""
         return ()
 
@@ -97,11 +99,11 @@ class TriadPoses:
         return ()
 
     @property
-    def freedom_of_repeats(self) -> float:
+    def repeat_dof(self) -> float:
         """Degrees of freedom that repeats in one pose have among themselves, of all three."""
         return 3.0 * float(np.sum(self.repeats - 1.0))
 
-    def linearised(
+    def linearize(
         self,
         model: Unknowns,
         estimate: Array,
@@ -110,22 +112,24 @@ class TriadPoses:
         """Return one row a pose at an estimate, the pose's angles eliminated."""
         point = self.at(model, estimate)
         columns = self._columns(point)
-        perfect = point.indicated - columns @ point.values
-        for index, unknown in enumerate(point.everything):
+        offset = point.indicated - columns @ point.values
+        for index, unknown in enumerate(point.unknowns):
             if unknown.symbol == "site.gravity":
                 columns[:, :, index] += self.in_si * point.indicated / self.gravity
-        along = point.along
-        rows = np.einsum("nk,nkp->np", along, columns)
-        stated = None if self.u is None else np.sqrt(np.sum((along * self.u) ** 2, axis=1))
-        nothing = np.zeros(self.size)
-        target = np.sum(along * (self.value - perfect), axis=1)
-        return LinearReadings.whole(self, model, rows, target, stated, self.repeats, nothing)
+        projection = point.projection
+        rows = np.einsum("nk,nkp->np", projection, columns)
+        stated = None if self.u is None else np.sqrt(np.sum((projection * self.u) ** 2, axis=1))
+        no_head_error = np.zeros(self.size)
+        target = np.sum(projection * (self.value - offset), axis=1)
+        return LinearReadings.from_columns(
+            self, model, rows, target, stated, self.repeats, no_head_error
+        )
 
-    def _columns(self, point: PosesAt) -> Array:
+    def _columns(self, point: SolvedPoses) -> Array:
         """Return the derivatives of the indications by everything, shape (n, 3, p)."""
-        columns = np.zeros((self.size, 3, len(point.everything)))
-        for index, place, term, lever in levers(self, point.everything):
-            columns[:, place, index] = point.products[:, place, term] * lever
+        columns = np.zeros((self.size, 3, len(point.unknowns)))
+        for index, axis_index, term, factor in design_factors(self, point.unknowns):
+            columns[:, axis_index, index] = point.products[:, axis_index, term] * factor
         return columns
 
     def curvature(self, model: Unknowns, estimate: Array, moves: Array) -> Array:
@@ -137,65 +141,67 @@ class TriadPoses:
         moves: Of the unknowns from the estimate, shape (p, m).
         """
         point = self.at(model, estimate)
-        _, slopes = _products(self.axes, point.direction, point.effective)
+        _, slopes = _products_and_slopes(self.axes, point.direction, point.effective)
         columns = self._columns(point)[:, :, : len(moves)]
         change = np.linalg.solve(slopes, columns @ moves)
-        along = np.einsum("nj,njm->nm", point.direction, change)
-        turned = change - point.direction[:, :, None] * along[:, None, :]
-        squares: Array = np.sum(turned**2, axis=1)
-        return 0.5 * point.growth[:, None] * squares
+        radial = np.einsum("nj,njm->nm", point.direction, change)
+        tangential = change - point.direction[:, :, None] * radial[:, None, :]
+        squares: Array = np.sum(tangential**2, axis=1)
+        return 0.5 * point.gain[:, None] * squares
 
-    def at(self, model: Unknowns, estimate: Array) -> PosesAt:
+    def at(self, model: Unknowns, estimate: Array) -> SolvedPoses:
         """Return the poses under the coefficients of an estimate, their angles found.
 
         estimate: The unknowns less nominal; considered terms that it lacks are as assumed.
         """
-        everything = (*model.unknowns, *model.considered)
-        assumed = [other.prior_mean for other in everything[len(estimate) :]]
-        values = np.append(estimate, assumed)
+        unknowns = (*model.unknowns, *model.considered)
+        assumed_values = [parameter.prior_mean for parameter in unknowns[len(estimate) :]]
+        values = np.append(estimate, assumed_values)
         effective = np.tile([row.nominal for row in TERMS.values()], (self.size, 3, 1))
-        for index, place, term, lever in levers(self, everything):
-            effective[:, place, term] += values[index] * lever
-        return PosesAt.settled(self, everything, values, effective)
+        for index, axis_index, term, factor in design_factors(self, unknowns):
+            effective[:, axis_index, term] += values[index] * factor
+        return SolvedPoses.solve_directions(self, unknowns, values, effective)
 
     def start(self, unknowns: Sequence[Unknown], point: Array) -> Array:
         """Return a place to begin at without a guess: of biases, sensitivities and angles."""
-        bias, rows = _ellipsoid(self.value, self.axes)
-        found = {"K_F": bias}
+        bias, rows = _fit_ellipsoid(self.value, self.axes)
+        initial_values = {"K_F": bias}
         for symbol, (axis, sign) in LINEAR.items():
-            found[symbol] = sign * np.sum(rows * self.axes[:, axis], axis=1)
-        begun = point.copy()
+            initial_values[symbol] = sign * np.sum(rows * self.axes[:, axis], axis=1)
+        initial_point = point.copy()
         for index, unknown in enumerate(unknowns):
-            if unknown.owner in self.accelerometers and unknown.symbol in found:
-                place = self.accelerometers.index(unknown.owner)
-                begun[index] = found[unknown.symbol][place] - unknown.nominal
-        return begun
+            if unknown.owner in self.accelerometers and unknown.symbol in initial_values:
+                axis_index = self.accelerometers.index(unknown.owner)
+                initial_point[index] = initial_values[unknown.symbol][axis_index] - unknown.nominal
+        return initial_point
 
     @property
     def triad(self) -> tuple[str, ...]:
         """Names of the accelerometers."""
         return self.accelerometers
 
-    def with_positions_set(self) -> TriadPoses:
+    def without_setting_errors(self) -> TriadPoses:
         """Return the poses: no position was set."""
         return self
 
     def with_noise(self, noise: float) -> TriadPoses:
         """Return the poses with a stated noise of one repeat, g."""
-        own = noise / np.sqrt(self.repeats)
-        return replace(self, u=np.repeat(own[:, None], 3, axis=1))
+        noise_sd = noise / np.sqrt(self.repeats)
+        return replace(self, u=np.repeat(noise_sd[:, None], 3, axis=1))
 
-    def turned_about(self, name: str, turn: Callable[[Mounting], Mounting]) -> TriadPoses:
+    def with_rotated_mounting(
+        self, name: str, rotate: Callable[[Mounting], Mounting]
+    ) -> TriadPoses:
         """Return the poses with an accelerometer mounted otherwise."""
         if name not in self.accelerometers:
             return self
-        axes, place = self.axes.copy(), self.accelerometers.index(name)
-        axes[place] = turn(Mounting(tuple(map(tuple, axes[place])))).matrix
+        axes, index = self.axes.copy(), self.accelerometers.index(name)
+        axes[index] = rotate(Mounting(tuple(map(tuple, axes[index])))).matrix
         return replace(self, axes=axes)
 
     def default_candidates(self, model: Unknowns) -> Sequence[Unknown]:
         """Return the requested parameters that the directions may leave undetermined."""
-        return candidates_of(model, self.accelerometers)
+        return default_candidates(model, self.accelerometers)
 
     def undetermined(
         self, fit: JointFit, model: Unknowns, candidates: Sequence[Unknown]
@@ -205,70 +211,70 @@ class TriadPoses:
 
     def lack_of_noise(self, freedom: float, free: int, solution: Solution, model: Unknowns) -> str:
         """Return the error that the residuals do not determine their noise; as of `Measured`."""
-        if freedom >= 0.5 and self.size + self.freedom_of_repeats > free:
+        if freedom >= 0.5 and self.size + self.repeat_dof > free:
             return ""
-        return _too_few(self, solution, model)
+        return _insufficient_poses_error(self, solution, model)
 
     def divergence(self, rounds: int) -> str:
         """Return the error that the fit did not converge in so many rounds."""
-        return _unsettled(self, rounds)
+        return _divergence_error(self, rounds)
 
 
 @frozen
-class PosesAt:
+class SolvedPoses:
     """Poses under given coefficients, each turned so that its three indications fit best."""
 
-    everything: tuple[Unknown, ...]  #: What is estimated, then what is considered.
+    unknowns: tuple[Unknown, ...]  #: What is estimated, then what is considered.
     values: Array  #: Of these, less nominal.
     effective: Array  #: The coefficients at each pose, shape (n, 3, number of `TERMS`).
     direction: Array  #: Of the specific force in the triad's frame, unit vectors, shape (n, 3).
     products: Array  #: Of every term, shape (n, 3, number of `TERMS`).
     indicated: Array  #: By the coefficients, g, shape (n, 3).
     #: The combination of the three indications that no turn changes, unit vectors, (n, 3).
-    along: Array
-    growth: Array  #: What it grows by as the specific force grows, shape (n,).
+    projection: Array
+    gain: Array  #: What it grows by as the specific force grows, shape (n,).
 
     @classmethod
-    def settled(
+    def solve_directions(
         cls,
         poses: TriadPoses,
-        everything: tuple[Unknown, ...],
+        unknowns: tuple[Unknown, ...],
         values: Array,
         effective: Array,
     ) -> Self:
         """Return the poses with the directions that fit their indications best."""
         weight = np.ones((poses.size, 3)) if poses.u is None else 1.0 / poses.u
-        direction = _first_directions(poses, effective)
+        direction = _initial_directions(poses, effective)
         for _ in range(_ROUNDS):
-            products, slopes = _products(poses.axes, direction, effective)
-            left = weight * (poses.value - np.sum(products * effective, axis=2))
-            aside = _aside(direction)
-            turning = weight[:, :, None] * (slopes @ aside)
-            gram = np.swapaxes(turning, 1, 2) @ turning
-            step = np.linalg.solve(gram, np.swapaxes(turning, 1, 2) @ left[:, :, None])
-            moved = direction + (aside @ step)[:, :, 0]
-            direction = moved / np.linalg.norm(moved, axis=1)[:, None]
-            if np.max(np.abs(step), initial=0.0) < _SETTLED:
+            products, slopes = _products_and_slopes(poses.axes, direction, effective)
+            residuals = weight * (poses.value - np.sum(products * effective, axis=2))
+            basis = _tangent_basis(direction)
+            tangent_slopes = weight[:, :, None] * (slopes @ basis)
+            gram = np.swapaxes(tangent_slopes, 1, 2) @ tangent_slopes
+            step = np.linalg.solve(gram, np.swapaxes(tangent_slopes, 1, 2) @ residuals[:, :, None])
+            updated = direction + (basis @ step)[:, :, 0]
+            direction = updated / np.linalg.norm(updated, axis=1)[:, None]
+            if np.max(np.abs(step), initial=0.0) < _CONVERGED:
                 break
-        products, slopes = _products(poses.axes, direction, effective)
-        turning = slopes @ _aside(direction)
-        along = np.cross(turning[:, :, 0], turning[:, :, 1])
-        along /= np.linalg.norm(along, axis=1)[:, None]
-        growth = np.einsum("nk,nkj,nj->n", along, slopes, direction)
-        sign = np.where(growth < 0.0, -1.0, 1.0)
+        products, slopes = _products_and_slopes(poses.axes, direction, effective)
+        tangent_slopes = slopes @ _tangent_basis(direction)
+        projection = np.cross(tangent_slopes[:, :, 0], tangent_slopes[:, :, 1])
+        projection /= np.linalg.norm(projection, axis=1)[:, None]
+        gain = np.einsum("nk,nkj,nj->n", projection, slopes, direction)
+        sign = np.where(gain < 0.0, -1.0, 1.0)
         return cls(
-            everything,
+            unknowns,
             values,
             effective,
             direction,
             products,
             np.sum(products * effective, axis=2),
-            along * sign[:, None],
-            growth * sign,
+            projection * sign[:, None],
+            gain * sign,
         )
 
 
-def indications_along(
+def predict_indications(
     poses: TriadPoses, coefficients: Sequence[Mapping[str, float]], direction: Array
 ) -> Array:
     """Return the indications of a triad in poses of given directions, g, shape (n, 3).
@@ -278,47 +284,47 @@ def indications_along(
         itself in g; shape (n, 3).
     """
     effective = np.tile([row.nominal for row in TERMS.values()], (poses.size, 3, 1))
-    for place, own in enumerate(coefficients):
-        for symbol, value in own.items():
+    for index, values in enumerate(coefficients):
+        for symbol, value in values.items():
             if symbol in TERMS:
-                effective[:, place, _SYMBOLS.index(symbol)] += value - TERMS[symbol].nominal
-            elif (lever := lever_of(poses, symbol)) is not None:
-                effective[:, place, _changing(symbol)] += value * lever
-    products, _ = _products(poses.axes, direction, effective)
+                effective[:, index, _SYMBOLS.index(symbol)] += value - TERMS[symbol].nominal
+            elif (factor := design_factor(poses, symbol)) is not None:
+                effective[:, index, _term_index(symbol)] += value * factor
+    products, _ = _products_and_slopes(poses.axes, direction, effective)
     return np.asarray(np.sum(products * effective, axis=2), np.float64)
 
 
-def lever_of(poses: TriadPoses, symbol: str) -> Array | None:
+def design_factor(poses: TriadPoses, symbol: str) -> Array | None:
     """Return by what a slope is multiplied, shape (n,); None if it is nothing at rest."""
     slope = CONDITION_TERMS[symbol].effect
     if slope.condition == "force":
         return None
-    ways = np.broadcast_to(poses.direction, poses.size)
-    return slope.design_factors(poses.time, poses.temperature, ways, np.zeros(poses.size))
+    directions = np.broadcast_to(poses.direction, poses.size)
+    return slope.design_factors(poses.time, poses.temperature, directions, np.zeros(poses.size))
 
 
-def _changing(symbol: str) -> int:
+def _term_index(symbol: str) -> int:
     """Return the place of the term that a slope changes."""
     return _SYMBOLS.index(CONDITION_TERMS[symbol].effect.coefficient)
 
 
-def levers(
-    poses: TriadPoses, everything: Sequence[Unknown]
+def design_factors(
+    poses: TriadPoses, unknowns: Sequence[Unknown]
 ) -> Iterator[tuple[int, int, int, Array]]:
     """Yield for each coefficient, or slope of one: its index, whose, of which term, times what."""
-    for index, unknown in enumerate(everything):
+    for index, unknown in enumerate(unknowns):
         if unknown.owner not in poses.accelerometers:
             continue
-        place, symbol = poses.accelerometers.index(unknown.owner), unknown.symbol
+        axis_index, symbol = poses.accelerometers.index(unknown.owner), unknown.symbol
         if symbol in TERMS:
-            yield index, place, _SYMBOLS.index(symbol), np.ones(poses.size)
+            yield index, axis_index, _SYMBOLS.index(symbol), np.ones(poses.size)
         elif symbol in CONDITION_TERMS:
-            lever = lever_of(poses, symbol)
-            if lever is not None:
-                yield index, place, _changing(symbol), lever
+            factor = design_factor(poses, symbol)
+            if factor is not None:
+                yield index, axis_index, _term_index(symbol), factor
 
 
-def _products(axes: Array, direction: Array, effective: Array) -> tuple[Array, Array]:
+def _products_and_slopes(axes: Array, direction: Array, effective: Array) -> tuple[Array, Array]:
     """Return every term's product, and the slopes of the indications by the direction, at poses.
 
     Returns: shapes (n, 3, number of `TERMS`) and (n, 3, 3).
@@ -327,33 +333,35 @@ def _products(axes: Array, direction: Array, effective: Array) -> tuple[Array, A
     rows = [row.effect for row in TERMS.values()]
     products = np.stack([effect.evaluate(a_ipo, sign_width=SIGN_WIDTH) for effect in rows], axis=-1)
     by_axis = np.zeros((*a_ipo.shape[1:], 3))
-    for place, effect in enumerate(rows):
-        if not effective[:, :, place].any():
+    for index, effect in enumerate(rows):
+        if not effective[:, :, index].any():
             continue
         for axis, name in enumerate("IPO"):
-            by_axis[:, :, axis] += effective[:, :, place] * effect.slope(a_ipo, name)
+            by_axis[:, :, axis] += effective[:, :, index] * effect.slope(a_ipo, name)
     return products, np.einsum("nki,kij->nkj", by_axis, axes)
 
 
-def _aside(direction: Array) -> Array:
+def _tangent_basis(direction: Array) -> Array:
     """Return two unit vectors at right angles to each direction and other, shape (n, 3, 2)."""
-    least = np.eye(3)[np.argmin(np.abs(direction), axis=1)]
-    first = np.cross(direction, least)
-    first /= np.linalg.norm(first, axis=1)[:, None]
-    return np.stack([first, np.cross(direction, first)], axis=2)
+    reference = np.eye(3)[np.argmin(np.abs(direction), axis=1)]
+    tangent = np.cross(direction, reference)
+    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
+    return np.stack([tangent, np.cross(direction, tangent)], axis=2)
 
 
-def _first_directions(poses: TriadPoses, effective: Array) -> Array:
+def _initial_directions(poses: TriadPoses, effective: Array) -> Array:
     """Return the directions that bias, sensitivity and misalignments alone give."""
     bias, rows = effective[:, :, _SYMBOLS.index("K_F")], np.zeros((poses.size, 3, 3))
     for symbol, (axis, sign) in LINEAR.items():
-        along = sign * effective[:, :, _SYMBOLS.index(symbol)]
-        rows += along[:, :, None] * poses.axes[:, axis]
-    found = np.asarray(np.linalg.solve(rows, (poses.value - bias)[:, :, None])[:, :, 0], np.float64)
-    return np.asarray(found / np.linalg.norm(found, axis=1)[:, None], np.float64)
+        coefficient = sign * effective[:, :, _SYMBOLS.index(symbol)]
+        rows += coefficient[:, :, None] * poses.axes[:, axis]
+    directions = np.asarray(
+        np.linalg.solve(rows, (poses.value - bias)[:, :, None])[:, :, 0], np.float64
+    )
+    return np.asarray(directions / np.linalg.norm(directions, axis=1)[:, None], np.float64)
 
 
-def _ellipsoid(value: Array, axes: Array) -> tuple[Array, Array]:
+def _fit_ellipsoid(value: Array, axes: Array) -> tuple[Array, Array]:
     """Return biases and the vectors along which the three feel, as poses show them without a guess.
 
     First one sensitivity for all by the norm of the indications, then a sphere, then an ellipsoid,
@@ -362,19 +370,19 @@ def _ellipsoid(value: Array, axes: Array) -> tuple[Array, Array]:
     Returns: g, shape (3,); in the triad's frame, g/g, shape (3, 3).
     """
     nominal = axes[:, 0]
-    plain: Array = np.asarray(np.linalg.solve(nominal, value.T).T, np.float64)
-    size = float(np.sqrt(np.mean(np.sum(plain**2, axis=1))))
+    nominal_force: Array = np.asarray(np.linalg.solve(nominal, value.T).T, np.float64)
+    size = float(np.sqrt(np.mean(np.sum(nominal_force**2, axis=1))))
     bias, gram = np.zeros(3), size**2 * np.eye(3)
-    sphere = _least_squares(2.0 * plain, np.sum(plain**2, axis=1), constant=True)
+    sphere = _least_squares(2.0 * nominal_force, np.sum(nominal_force**2, axis=1), constant=True)
     if sphere is not None:
         square = sphere[3] + float(sphere[:3] @ sphere[:3])
         if _are_credible(np.array([square])) and np.linalg.norm(sphere[:3]) < _CREDIBLE[1]:
             bias, gram = sphere[:3], square * np.eye(3)
-    x, y, z = (plain - bias).T
+    x, y, z = (nominal_force - bias).T
     columns = np.column_stack(
         [x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z]
     )
-    quadric = _least_squares(columns, np.ones(len(plain)))
+    quadric = _least_squares(columns, np.ones(len(nominal_force)))
     if quadric is not None:
         xx, yy, zz, xy, xz, yz = quadric[:6]
         form = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -400,45 +408,53 @@ def _are_credible(squares: npt.NDArray[np.float64]) -> bool:
 def _least_squares(columns: Array, target: Array, *, constant: bool = False) -> Array | None:
     """Return the solution; None where the rows do not determine it."""
     ones = np.ones((target.size, int(constant)))
-    every: Array = np.hstack([columns, ones])
-    sizes = np.linalg.norm(every, axis=0)
-    if every.shape[0] < every.shape[1] or not sizes.all():
+    design: Array = np.hstack([columns, ones])
+    sizes = np.linalg.norm(design, axis=0)
+    if design.shape[0] < design.shape[1] or not sizes.all():
         return None
-    if np.linalg.cond(every / sizes) > _WORST_CONDITION:
+    if np.linalg.cond(design / sizes) > _WORST_CONDITION:
         return None
-    return np.asarray(np.linalg.lstsq(every, target, rcond=None)[0], np.float64)
+    return np.asarray(np.linalg.lstsq(design, target, rcond=None)[0], np.float64)
 
 
-def _too_few(poses: TriadPoses, solution: Solution, model: Unknowns) -> str:
+def _insufficient_poses_error(poses: TriadPoses, solution: Solution, model: Unknowns) -> str:
     """Return that poses tell no noise, and what they do not determine besides."""
-    free = [u.name for u in model.unknowns if math.isinf(u.prior[1])]
-    asked = [unknown.name for unknown in model.unknowns if unknown.asked]
-    determined = assess(solution, asked).determined
-    lacking = [name for name in asked if not determined[name]]
-    besides = f" They do not determine {', '.join(lacking)} at all." if lacking else ""
+    free_names = [u.name for u in model.unknowns if math.isinf(u.prior[1])]
+    requested = [unknown.name for unknown in model.unknowns if unknown.asked]
+    determined = assess(solution, requested).determined
+    undetermined = [name for name in requested if not determined[name]]
+    undetermined_text = (
+        f" They do not determine {', '.join(undetermined)} at all." if undetermined else ""
+    )
     angles = [u for u in model.unknowns if u.asked and u.symbol.startswith("delta")]
-    fewer = (
+    suggestion = (
         " They can determine biases and scale factors, if these alone are asked for: terms = "
         '["K_F", "K_I"] in [model].'
-        if angles and poses.size > len(asked) - len(angles)
+        if angles and poses.size > len(requested) - len(angles)
         else ""
     )
     return (
         f"{poses.accelerometer}: {poses.size} pose{'s' * (poses.size > 1)} at unknown attitudes "
         f"without a stated uncertainty do not determine their noise in addition to "
-        f"{len(free)} unknowns without a prior.{besides} Take more poses, spread over all "
-        f"directions, or state the uncertainty.{fewer}"
+        f"{len(free_names)} unknowns without a prior.{undetermined_text} Take more poses, "
+        "spread over all "
+        f"directions, or state the uncertainty.{suggestion}"
     )
 
 
-def _unsettled(poses: TriadPoses, rounds: int) -> str:
+def _divergence_error(poses: TriadPoses, rounds: int) -> str:
     """Return why poses may leave a fit without an end: they lie too near each other."""
-    unit = poses.value / np.linalg.norm(poses.value, axis=1)[:, None]
-    middle = unit.mean(axis=0)
-    widest = math.degrees(math.acos(np.clip(np.min(unit @ middle) / np.linalg.norm(middle), -1, 1)))
+    unit_vectors = poses.value / np.linalg.norm(poses.value, axis=1)[:, None]
+    mean_direction = unit_vectors.mean(axis=0)
+    largest_angle = math.degrees(
+        math.acos(
+            np.clip(np.min(unit_vectors @ mean_direction) / np.linalg.norm(mean_direction), -1, 1)
+        )
+    )
     return (
         f"{poses.accelerometer}: the fit of {poses.size} poses did not converge in {rounds} "
-        f"rounds. They lie within {widest:.0f} deg of one direction; take poses all over the "
+        f"rounds. They lie within {largest_angle:.0f} deg of one direction; take poses all over "
+        "the "
         f"sphere, or "
         "give the coefficients priors."
     )

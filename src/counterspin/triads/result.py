@@ -33,9 +33,9 @@ from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import Combination
 from counterspin.physics.terms import CONDITION_TERMS, LINEAR, TERMS
 from counterspin.readings.fitted import FittedReadings
-from counterspin.readings.joining import dof_of
-from counterspin.triads.found_poses import FoundPose
-from counterspin.triads.poses import PosesAt, TriadPoses, levers
+from counterspin.readings.joint_data import combination_dof
+from counterspin.triads.poses import SolvedPoses, TriadPoses, design_factors
+from counterspin.triads.record_poses import LocatedPose
 
 #: Points of what is drawn of the search for rests.
 _TRACE_POINTS: Final = 600
@@ -44,14 +44,14 @@ _SYMBOLS: Final = tuple(TERMS)
 
 #: A parameter follows unknowns that are not determined if its slope by one is larger, and if the
 #: data take away less than half of what their default priors contribute.
-_FOLLOWS: Final = 0.5
+_DEFAULT_FRACTION: Final = 0.5
 
 #: An angle depends no more on where the axes point than by rounding.
-_NOTHING: Final = 1e-12
+_NEGLIGIBLE: Final = 1e-12
 
 
 @frozen
-class _Parameter:
+class _DerivedParameter:
     """A parameter at an estimate, and how it follows the unknowns."""
 
     value: float
@@ -64,7 +64,7 @@ def triad_result(
     campaign: Campaign,
     estimated: Estimate,
     parts: Sequence[FittedReadings],
-    found_poses: Mapping[str, FoundPose],
+    found_poses: Mapping[str, LocatedPose],
 ) -> TriadResult:
     """Return the campaign's triad.
 
@@ -73,51 +73,56 @@ def triad_result(
     """
     assert campaign.triad is not None
     names = campaign.triad.accelerometers
-    places = {
-        (unknown.owner, unknown.symbol): place
-        for place, unknown in enumerate(estimated.fit.model.unknowns)
+    indices = {
+        (unknown.owner, unknown.symbol): index
+        for index, unknown in enumerate(estimated.fit.model.unknowns)
     }
-    at = _Linear.at(campaign, estimated, places)
-    parameters = dict(_parameters(campaign, at, estimated))
-    found = {name: _coefficient(estimated, one, parts) for name, one in parameters.items()}
-    determined = [name for name, c in found.items() if c.estimated]
-    lacking = [name for name, c in found.items() if c.value is None]
-    matrix = None if lacking else at.inverse()
+    linear = _LinearModel.at(campaign, estimated, indices)
+    parameters = dict(_derive_parameters(campaign, linear, estimated))
+    coefficients = {
+        name: _make_coefficient(estimated, parameter, parts)
+        for name, parameter in parameters.items()
+    }
+    determined = [name for name, coefficient in coefficients.items() if coefficient.estimated]
+    undetermined = [name for name, coefficient in coefficients.items() if coefficient.value is None]
+    matrix = None if undetermined else linear.inverse()
     poses: list[PoseResult] = []
-    before, after = [], []
+    norms_before, norms_after = [], []
     model = estimated.fit.model
-    for part in parts:
-        group = part.readings
+    for fitted in parts:
+        group = fitted.readings
         if not isinstance(group, TriadPoses):
             continue
-        there = group.at(model, estimated.fit.solution.estimate)
-        poses += _poses(group, part, there, found_poses)
+        solved = group.at(model, estimated.fit.solution.estimate)
+        poses += _pose_results(group, fitted, solved, found_poses)
         nominal = np.linalg.inv(group.axes[:, 0])
-        before.append(np.linalg.norm(group.value @ nominal.T, axis=1) - 1.0)
+        norms_before.append(np.linalg.norm(group.value @ nominal.T, axis=1) - 1.0)
         if matrix is not None:
-            left = group.value - _second_order(campaign, there) - at.bias
-            left -= _changes(group, there, model.asked)
-            after.append(np.linalg.norm(left @ matrix.T, axis=1) - 1.0)
+            corrected = group.value - _nonlinear_part(campaign, solved) - linear.bias
+            corrected -= _slope_part(group, solved, model.asked)
+            norms_after.append(np.linalg.norm(corrected @ matrix.T, axis=1) - 1.0)
     gravity = campaign.gravity.value
     return TriadResult(
         accelerometers=list(names),
-        parameters=found,
+        parameters=coefficients,
         correlation=_correlation(estimated, {n: parameters[n] for n in determined}),
         budget={n: budget_of(estimated.fit, parameters[n].slopes) for n in determined},
-        by_gravity=_by_gravity(estimated, {n: parameters[n] for n in determined}),
+        by_gravity=_gravity_sensitivities(estimated, {n: parameters[n] for n in determined}),
         matrix=None if matrix is None else matrix.tolist(),
-        u_matrix=None if matrix is None else _u_matrix(estimated, at, matrix),
-        bias=None if matrix is None else at.bias.tolist(),
-        why_no_matrix=f"The poses do not determine {', '.join(lacking)}." if lacking else None,
-        rms_before=_rms(before, gravity),
-        rms_after=_rms(after, gravity),
+        u_matrix=None if matrix is None else _u_matrix(estimated, linear, matrix),
+        bias=None if matrix is None else linear.bias.tolist(),
+        why_no_matrix=f"The poses do not determine {', '.join(undetermined)}."
+        if undetermined
+        else None,
+        rms_before=_rms(norms_before, gravity),
+        rms_after=_rms(norms_after, gravity),
         poses=poses,
-        records=_records(found_poses.values()),
+        records=_record_results(found_poses.values()),
     )
 
 
 @frozen(eq=False)
-class _Linear:
+class _LinearModel:
     """Biases of a triad, and the vectors along which its accelerometers feel."""
 
     names: Sequence[str]
@@ -129,29 +134,32 @@ class _Linear:
 
     @classmethod
     def at(
-        cls, campaign: Campaign, estimated: Estimate, places: Mapping[tuple[str, str], int]
-    ) -> _Linear:
+        cls, campaign: Campaign, estimated: Estimate, indices: Mapping[tuple[str, str], int]
+    ) -> _LinearModel:
         assert campaign.triad is not None
         names, estimate = campaign.triad.accelerometers, estimated.fit.solution.estimate
 
         def value(name: str, symbol: str) -> float:
-            place = places.get((name, symbol))
-            known = campaign.accelerometers[name].priors.get(symbol)
-            if place is not None:
-                return TERMS[symbol].nominal + float(estimate[place])
-            return TERMS[symbol].nominal if known is None else known.value
+            index = indices.get((name, symbol))
+            prior = campaign.accelerometers[name].priors.get(symbol)
+            if index is not None:
+                return TERMS[symbol].nominal + float(estimate[index])
+            return TERMS[symbol].nominal if prior is None else prior.value
 
         axes = np.array([campaign.accelerometers[name].mounting.matrix for name in names])
         rows = [
             sum(
-                (sign * value(name, symbol) * own[axis] for symbol, (axis, sign) in LINEAR.items()),
+                (
+                    sign * value(name, symbol) * axes_of_one[axis]
+                    for symbol, (axis, sign) in LINEAR.items()
+                ),
                 np.zeros(3),
             )
-            for name, own in zip(names, axes, strict=True)
+            for name, axes_of_one in zip(names, axes, strict=True)
         ]
         return cls(
             names,
-            places,
+            indices,
             len(estimated.fit.model.unknowns),
             np.array([value(name, "K_F") for name in names]),
             np.array(rows),
@@ -160,63 +168,80 @@ class _Linear:
 
     def inverse(self) -> Array:
         """Return the matrix that takes indications less biases to the triad's frame, (3, 3)."""
-        found: Array = np.linalg.inv(self.rows).astype(np.float64) + 0.0  # which leaves no -0.0
-        return found
+        inverse_matrix: Array = (
+            np.linalg.inv(self.rows).astype(np.float64) + 0.0
+        )  # which leaves no -0.0
+        return inverse_matrix
 
     def slopes(self, name: str, by_symbol: Mapping[str, float]) -> Array:
         """Return slopes by the unknowns, (p,), of what has slopes by an accelerometer's terms."""
-        found = np.zeros(self.count)
+        derivatives = np.zeros(self.count)
         for symbol, slope in by_symbol.items():
             if (name, symbol) in self.places:
-                found[self.places[name, symbol]] = slope
-        return found
+                derivatives[self.places[name, symbol]] = slope
+        return derivatives
 
-    def by_row(self, place: int, slope: Array) -> Array:
+    def row_slopes(self, index: int, slope: Array) -> Array:
         """Return slopes by the unknowns of what has a slope by an accelerometer's vector."""
-        own = self.axes[place]
+        axes_rows = self.axes[index]
         return self.slopes(
-            self.names[place],
-            {symbol: sign * float(slope @ own[axis]) for symbol, (axis, sign) in LINEAR.items()},
+            self.names[index],
+            {
+                symbol: sign * float(slope @ axes_rows[axis])
+                for symbol, (axis, sign) in LINEAR.items()
+            },
         )
 
 
-def _parameters(
-    campaign: Campaign, at: _Linear, estimated: Estimate
-) -> Iterator[tuple[str, _Parameter]]:
+def _derive_parameters(
+    campaign: Campaign, linear: _LinearModel, estimated: Estimate
+) -> Iterator[tuple[str, _DerivedParameter]]:
     """Yield the nine parameters, and the terms of second order that were asked for."""
-    names, places = at.names, at.places
-    for place, name in enumerate(names):
+    names, indices = linear.names, linear.places
+    for index, name in enumerate(names):
         limit = campaign.limit_of("K_F", name)
-        own = at.slopes(name, {"K_F": 1.0})
-        yield f"offset.{name}", _Parameter(float(at.bias[place]), own, "g", limit)
-    sizes = np.linalg.norm(at.rows, axis=1)
-    units = at.rows / sizes[:, None]
-    for place, name in enumerate(names):
+        slopes = linear.slopes(name, {"K_F": 1.0})
+        yield f"offset.{name}", _DerivedParameter(float(linear.bias[index]), slopes, "g", limit)
+    sizes = np.linalg.norm(linear.rows, axis=1)
+    units = linear.rows / sizes[:, None]
+    for index, name in enumerate(names):
         limit = campaign.limit_of("K_I", name)
-        own = at.by_row(place, units[place])
-        own = own + _second_order_slopes(at, name, float(sizes[place]), estimated.fit.model.asked)
-        yield f"sensitivity.{name}", _Parameter(float(sizes[place]), own, "g/g", limit)
-    for one, other in combinations(range(len(names)), 2):
-        a, b = units[one], units[other]
-        cosine = float(a @ b)
+        slopes = linear.row_slopes(index, units[index])
+        slopes = slopes + _misalignment_slopes(
+            linear, name, float(sizes[index]), estimated.fit.model.asked
+        )
+        yield f"sensitivity.{name}", _DerivedParameter(float(sizes[index]), slopes, "g/g", limit)
+    for first, second in combinations(range(len(names)), 2):
+        first_unit, second_unit = units[first], units[second]
+        cosine = float(first_unit @ second_unit)
         angle = math.acos(max(-1.0, min(1.0, cosine)))
         sine = math.sin(angle)
-        found = at.by_row(one, -(b - cosine * a) / (sine * sizes[one]))
-        found = found + at.by_row(other, -(a - cosine * b) / (sine * sizes[other]))
-        limit = max(campaign.limit_of("delta_O", names[k]) for k in (one, other))
-        yield f"angle.{names[one]}.{names[other]}", _Parameter(angle, found, "rad", limit)
+        angle_slopes = linear.row_slopes(
+            first, -(second_unit - cosine * first_unit) / (sine * sizes[first])
+        )
+        angle_slopes = angle_slopes + linear.row_slopes(
+            second, -(first_unit - cosine * second_unit) / (sine * sizes[second])
+        )
+        limit = max(campaign.limit_of("delta_O", names[k]) for k in (first, second))
+        yield (
+            f"angle.{names[first]}.{names[second]}",
+            _DerivedParameter(angle, angle_slopes, "rad", limit),
+        )
     for name in names:
         for symbol in campaign.model.terms:
-            if symbol in TERMS and symbol not in ("K_F", *LINEAR) and (name, symbol) in places:
-                place = places[name, symbol]
-                value = TERMS[symbol].nominal + float(estimated.fit.solution.estimate[place])
+            if symbol in TERMS and symbol not in ("K_F", *LINEAR) and (name, symbol) in indices:
+                index = indices[name, symbol]
+                value = TERMS[symbol].nominal + float(estimated.fit.solution.estimate[index])
                 limit = campaign.limit_of(symbol, name)
-                own = at.slopes(name, {symbol: 1.0})
-                yield f"{name}.{symbol}", _Parameter(value, own, TERMS[symbol].unit, limit)
+                slopes = linear.slopes(name, {symbol: 1.0})
+                yield (
+                    f"{name}.{symbol}",
+                    _DerivedParameter(value, slopes, TERMS[symbol].unit, limit),
+                )
 
 
-def _second_order_slopes(
-    at: _Linear, name: str, size: float, requested: Sequence[Unknown]
+def _misalignment_slopes(
+    linear: _LinearModel, name: str, size: float, requested: Sequence[Unknown]
 ) -> Array:
     """Return slopes of a sensitivity, (p,), that stand for the squares of its misalignments.
 
@@ -224,135 +249,161 @@ def _second_order_slopes(
     the mean s^2/2 and the variance s^4/2 over its default prior s; the slope times s is the root
     mean square.
     """
-    default = {u.symbol: u.default for u in requested if u.owner == name and u.defaulted}
-    across = {symbol: s for symbol, s in default.items() if symbol.startswith("delta_")}
-    share = math.sqrt(len(across) / 4.0 + 0.5)
-    return at.slopes(name, {symbol: share * s / size for symbol, s in across.items()})
+    default = {
+        unknown.symbol: unknown.default
+        for unknown in requested
+        if unknown.owner == name and unknown.defaulted
+    }
+    misalignments = {
+        symbol: default_sd for symbol, default_sd in default.items() if symbol.startswith("delta_")
+    }
+    share = math.sqrt(len(misalignments) / 4.0 + 0.5)
+    return linear.slopes(
+        name, {symbol: share * default_sd / size for symbol, default_sd in misalignments.items()}
+    )
 
 
-def _coefficient(
-    estimated: Estimate, one: _Parameter, read: Sequence[FittedReadings]
+def _make_coefficient(
+    estimated: Estimate, parameter: _DerivedParameter, groups: Sequence[FittedReadings]
 ) -> Coefficient:
     """Return a parameter as a result shows it; one that is not determined has no value."""
     fit = estimated.fit
-    if np.max(np.abs(one.slopes), initial=0.0) < _NOTHING:
-        return Coefficient(value=one.value, u=0.0, unit=one.unit, estimated=False)
-    combined = fit.solution.combine(one.slopes)
-    if not combined.u < one.limit or _follows_defaults(estimated, one, combined):
-        return Coefficient(value=None, u=None, unit=one.unit, estimated=False)
-    own = np.flatnonzero(np.abs(one.slopes) > _NOTHING)
-    known = float(np.linalg.norm(one.slopes[own] * fit.solution.prior_sd[own]))
+    if np.max(np.abs(parameter.slopes), initial=0.0) < _NEGLIGIBLE:
+        return Coefficient(value=parameter.value, u=0.0, unit=parameter.unit, estimated=False)
+    combined = fit.solution.combine(parameter.slopes)
+    if not combined.u < parameter.limit or _is_default_only(estimated, parameter, combined):
+        return Coefficient(value=None, u=None, unit=parameter.unit, estimated=False)
+    used = np.flatnonzero(np.abs(parameter.slopes) > _NEGLIGIBLE)
+    known = float(np.linalg.norm(parameter.slopes[used] * fit.solution.prior_sd[used]))
     if combined.u**2 > PRIOR_LEFT * known**2:
         # What is known beforehand is all there is.
-        return Coefficient(value=one.value, u=combined.u, unit=one.unit, estimated=False)
-    noise, stated, unstated = by_kind_of(fit, one.slopes)
+        return Coefficient(
+            value=parameter.value, u=combined.u, unit=parameter.unit, estimated=False
+        )
+    noise, stated, unstated = by_kind_of(fit, parameter.slopes)
     return Coefficient(
-        value=one.value,
+        value=parameter.value,
         u=math.hypot(noise, stated, unstated),
         u_noise=noise,
         u_stated=stated,
         u_unstated=unstated,
-        dof=countable(_dof(estimated, one.slopes, read)),
-        unit=one.unit,
+        dof=countable(_dof(estimated, parameter.slopes, groups)),
+        unit=parameter.unit,
         estimated=True,
     )
 
 
-def _follows_defaults(estimated: Estimate, one: _Parameter, combined: Combination) -> bool:
+def _is_default_only(
+    estimated: Estimate, parameter: _DerivedParameter, combined: Combination
+) -> bool:
     """Return whether a parameter is known only by default priors of undetermined unknowns."""
     fit = estimated.fit
     defaulted = [unknown.defaulted for unknown in fit.model.unknowns]
-    slopes, contributed = one.slopes[defaulted], combined.prior[defaulted]
-    before = np.linalg.norm(slopes * fit.solution.prior_sd[defaulted])
-    large = np.max(np.abs(slopes), initial=0.0) > _FOLLOWS
-    return bool(large and np.linalg.norm(contributed) > _FOLLOWS * before)
+    slopes, contributed = parameter.slopes[defaulted], combined.prior[defaulted]
+    prior_norm = np.linalg.norm(slopes * fit.solution.prior_sd[defaulted])
+    depends = np.max(np.abs(slopes), initial=0.0) > _DEFAULT_FRACTION
+    return bool(depends and np.linalg.norm(contributed) > _DEFAULT_FRACTION * prior_norm)
 
 
-def _dof(estimated: Estimate, slopes: Array, read: Sequence[FittedReadings]) -> float:
+def _dof(estimated: Estimate, slopes: Array, groups: Sequence[FittedReadings]) -> float:
     """Return the degrees of freedom of a parameter; of records' noise the least of its parts."""
-    fit, of_records = estimated.fit, math.inf
+    fit, record_dof = estimated.fit, math.inf
     if fit.prepared:
-        of_records = float(np.min(estimated.dof[np.abs(slopes) > _NOTHING]))
-    dof = [part.noise_dof for part in read]
-    return dof_of(slopes, fit, dof, of_records)
+        record_dof = float(np.min(estimated.dof[np.abs(slopes) > _NEGLIGIBLE]))
+    dof = [group.noise_dof for group in groups]
+    return combination_dof(slopes, fit, dof, record_dof)
 
 
-def _correlation(estimated: Estimate, parameters: Mapping[str, _Parameter]) -> Correlation | None:
+def _correlation(
+    estimated: Estimate, parameters: Mapping[str, _DerivedParameter]
+) -> Correlation | None:
     if not parameters:
         return None
-    slopes = np.array([one.slopes for one in parameters.values()])
+    slopes = np.array([parameter.slopes for parameter in parameters.values()])
     covariance = slopes @ estimated.fit.solution.covariance @ slopes.T
     u = np.sqrt(np.diag(covariance))
     return Correlation(terms=list(parameters), matrix=(covariance / np.outer(u, u)).tolist())
 
 
-def _by_gravity(estimated: Estimate, parameters: Mapping[str, _Parameter]) -> dict[str, float]:
+def _gravity_sensitivities(
+    estimated: Estimate, parameters: Mapping[str, _DerivedParameter]
+) -> dict[str, float]:
     """Return the change of each parameter per m/s^2 of the assumed g; empty if g is exact."""
     model = estimated.fit.model
-    for held, terms in ((False, model.unknowns), (True, model.considered)):
-        for place, term in enumerate(terms):
+    for is_considered, terms in ((False, model.unknowns), (True, model.considered)):
+        for index, term in enumerate(terms):
             if term.symbol == "site.gravity" and term.prior[1] > 0.0:
-                moved = {}
-                for name, one in parameters.items():
-                    parts = estimated.fit.solution.combine(one.slopes)
-                    moved[name] = float((parts.considered if held else parts.prior)[place])
-                return {name: by / term.prior[1] for name, by in moved.items()}
+                shifts = {}
+                for name, parameter in parameters.items():
+                    combined = estimated.fit.solution.combine(parameter.slopes)
+                    shifts[name] = float(
+                        (combined.considered if is_considered else combined.prior)[index]
+                    )
+                return {name: shift / term.prior[1] for name, shift in shifts.items()}
     return {}
 
 
-def _u_matrix(estimated: Estimate, at: _Linear, matrix: Array) -> list[list[float]]:
+def _u_matrix(estimated: Estimate, linear: _LinearModel, matrix: Array) -> list[list[float]]:
     """Return the standard uncertainties of the matrix: it moves by -M dR M with the rows R."""
-    found = np.zeros((3, 3))
+    u_values = np.zeros((3, 3))
     for row, column in np.ndindex(3, 3):
         slopes = sum(
-            (at.by_row(k, -matrix[row, k] * matrix[:, column]) for k in range(3)),
-            np.zeros(at.count),
+            (
+                linear.row_slopes(axis_index, -matrix[row, axis_index] * matrix[:, column])
+                for axis_index in range(3)
+            ),
+            np.zeros(linear.count),
         )
-        found[row, column] = estimated.fit.solution.combine(slopes).u
-    return found.tolist()
+        u_values[row, column] = estimated.fit.solution.combine(slopes).u
+    return u_values.tolist()
 
 
-def _poses(
-    group: TriadPoses, part: FittedReadings, there: PosesAt, where: Mapping[str, FoundPose]
+def _pose_results(
+    group: TriadPoses,
+    fitted: FittedReadings,
+    solved: SolvedPoses,
+    poses_by_name: Mapping[str, LocatedPose],
 ) -> Iterator[PoseResult]:
     """Yield the poses as a result shows them, and where they were found."""
     for k, name in enumerate(group.names):
-        found, z = where[name], part.single[k].standardised
+        pose, z = poses_by_name[name], fitted.single[k].standardized
         start = end = samples = None
-        if found.record is not None:
-            poses, place = found.record.poses, found.place
-            start, end = float(poses.start[place]), float(poses.end[place])
-            samples = int(poses.count[place])
-        growth = float(there.growth[k])
+        if pose.record is not None:
+            poses, index = pose.record.poses, pose.index
+            start, end = float(poses.start[index]), float(poses.end[index])
+            samples = int(poses.count[index])
+        growth = float(solved.gain[k])
         yield PoseResult(
             name=name,
             start=start,
             end=end,
             samples=samples,
             values=tuple(group.value[k].tolist()),
-            direction=tuple(there.direction[k].tolist()),
-            residual=float(part.residuals[k]) / growth,
-            u=float(part.sigma[k]) / growth,
+            direction=tuple(solved.direction[k].tolist()),
+            residual=float(fitted.residuals[k]) / growth,
+            u=float(fitted.sigma[k]) / growth,
             z=None if math.isnan(z) else z,
         )
 
 
-def _second_order(campaign: Campaign, there: PosesAt) -> Array:
+def _nonlinear_part(campaign: Campaign, solved: SolvedPoses) -> Array:
     """Return the effect of the requested nonlinear terms on the indications, shape (n, 3)."""
     symbols = [s for s in campaign.model.terms if s in TERMS and s not in ("K_F", *LINEAR)]
-    places = [_SYMBOLS.index(symbol) for symbol in symbols]
-    added: Array = np.sum(there.products[:, :, places] * there.effective[:, :, places], axis=2)
-    return added
+    indices = [_SYMBOLS.index(symbol) for symbol in symbols]
+    effect: Array = np.sum(solved.products[:, :, indices] * solved.effective[:, :, indices], axis=2)
+    return effect
 
 
-def _changes(poses: TriadPoses, there: PosesAt, asked: Sequence[Unknown]) -> Array:
+def _slope_part(poses: TriadPoses, solved: SolvedPoses, parameters: Sequence[Unknown]) -> Array:
     """Return the effect of the requested slopes on the indications, shape (n, 3)."""
-    added, own = np.zeros_like(poses.value), set(asked)
-    for index, place, term, lever in levers(poses, there.everything):
-        unknown = there.everything[index]
-        if unknown.symbol in CONDITION_TERMS and unknown in own:
-            added[:, place] += there.products[:, place, term] * lever * there.values[index]
-    return added
+    effect, requested = np.zeros_like(poses.value), set(parameters)
+    for index, axis_index, term, factor in design_factors(poses, solved.unknowns):
+        unknown = solved.unknowns[index]
+        if unknown.symbol in CONDITION_TERMS and unknown in requested:
+            effect[:, axis_index] += (
+                solved.products[:, axis_index, term] * factor * solved.values[index]
+            )
+    return effect
 
 
 def _rms(parts: Sequence[Array], gravity: float) -> float | None:
@@ -362,18 +413,18 @@ def _rms(parts: Sequence[Array], gravity: float) -> float | None:
     return gravity * float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
-def _records(poses: Iterable[FoundPose]) -> dict[str, PosesInRecord]:
+def _record_results(poses: Iterable[LocatedPose]) -> dict[str, PosesInRecord]:
     """Return the results of the records with poses."""
-    records = {one.record.name: one.record.poses for one in poses if one.record is not None}
-    traces = {name: found.trace(_TRACE_POINTS) for name, found in records.items()}
+    records = {pose.record.name: pose.record.poses for pose in poses if pose.record is not None}
+    traces = {name: detected.trace(_TRACE_POINTS) for name, detected in records.items()}
     return {
         name: PosesInRecord(
-            poses=len(found.start),
-            threshold=found.threshold,
-            contrast=found.contrast if math.isfinite(found.contrast) else None,
-            notes=[*found.left_out, *found.doubts],
+            poses=len(detected.start),
+            threshold=detected.threshold,
+            contrast=detected.contrast if math.isfinite(detected.contrast) else None,
+            notes=[*detected.rejected, *detected.warnings],
             time=traces[name][0].round(6).tolist(),
             level=[float(f"{level:.4g}") for level in traces[name][1]],
         )
-        for name, found in records.items()
+        for name, detected in records.items()
     }

@@ -9,12 +9,12 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import Field
 
-from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.documents import KeyPath
-from counterspin.campaign.kinds import SettingsSection, Text, described
+from counterspin.campaign.field_types import SettingsSection, Text, key_field
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.reading import PoseRecord, Reading, Triad
 from counterspin.campaign.runs import PosesSettings, Run
+from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.physics.accelerometer import Mounting
 
 #: Smallest volume that three input axes may span: below it they do not feel all directions.
@@ -33,7 +33,7 @@ _ALONG: Final = 1e-6
 class TriadSettings(SettingsSection):
     """[triad]: three accelerometers of one sensor."""
 
-    accelerometers: Annotated[list[Text], Field(min_length=3, max_length=3)] = described(
+    accelerometers: Annotated[list[Text], Field(min_length=3, max_length=3)] = key_field(
         "their names: the frame's first axis is the input axis of the first, and that of the "
         "second lies in the plane of the first two; where none of them states an axis, they are "
         "at right angles",
@@ -111,7 +111,7 @@ def _axes_of(
     before = len(problems.lines)
     for place, name in enumerate(names if mountings else ()):
         if name not in mountings:
-            said = did_you_mean(name, mountings)
+            said = suggest_name(name, mountings)
             problems.add(("triad", "accelerometers", place), f'no accelerometer is "{name}"{said}')
         elif name in names[:place]:
             problems.add(("triad", "accelerometers", place), f'"{name}" is listed twice')

@@ -40,8 +40,8 @@ from counterspin.calibration.two_stage.findings import (
 )
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.noise_at_rest import said_noise
 from counterspin.campaign.settings import StatedNoise
+from counterspin.campaign.static_noise import resolve_noise
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail
@@ -334,7 +334,7 @@ def make_request(
             f"{accelerometer.name}: the two-stage method needs the displacement, and this record "
             f"is of {accelerometer.observable.replace('_', ' ')}; use the joint method"
         )
-    stated = said_noise(campaign)[accelerometer.name].sizes
+    stated = resolve_noise(campaign)[accelerometer.name].sizes
     if stated is not None and stated.wanders:
         raise NotIdentifiableError(
             f"{accelerometer.name}: the two-stage method cannot treat a wandering bias "

@@ -57,7 +57,7 @@ def budget_of(fit: JointFit, weights: Array, name: str = "") -> list[BudgetLine]
     """
     solution, model = fit.solution, fit.model
     parts = solution.combine(weights)
-    of_rates = [one.variances_by_rates(fit.solution, weights) for one in fit.observations]
+    of_rates = [one.rate_variances(fit.solution, weights) for one in fit.observations]
     lines = [
         BudgetLine(f"noise of {source}", NOISE, None, "", None, share, 0.0)
         for source, share in _noise_by_source(fit, parts.noise_rows, of_rates).items()
@@ -115,7 +115,7 @@ def _lines_of_rates(fit: JointFit, of_rates: Sequence[tuple[float, float]]) -> I
     for place, (kind, squares) in enumerate(zip(kinds, zip(*of_rates, strict=True), strict=True)):
         size = math.sqrt(sum(squares))
         if size > 0.0:
-            u = np.concatenate([one.u_of_rates[place] for one in fit.observations])
+            u = np.concatenate([one.rate_uncertainties[place] for one in fit.observations])
             typical = math.sqrt(float(np.mean(u[u > 0.0] ** 2)))
             yield BudgetLine(RATE, kind, typical, unit_of(RATE), size / typical, size, 0.0)
 
@@ -148,7 +148,7 @@ def by_kind_of(fit: JointFit, weights: Array) -> tuple[float, float, float]:
 
 def _squares_by_kind(fit: JointFit, weights: Array, noise: float) -> dict[str, float]:
     """Return a variance of observations by kind: the errors of rates are not noise."""
-    of_rates = [one.variances_by_rates(fit.solution, weights) for one in fit.observations]
+    of_rates = [one.rate_variances(fit.solution, weights) for one in fit.observations]
     stated, default = (sum(squares) for squares in zip(*of_rates, strict=True))
     return {NOISE: max(noise - stated - default, 0.0), STATED: stated, UNSTATED: default}
 

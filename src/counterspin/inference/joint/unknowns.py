@@ -198,7 +198,7 @@ class Observation(ABC):
     def block(self, noise: Mapping[str, Noise]) -> Block:
         """Return its information on its columns, by the noise of its source."""
 
-    def variances_by_rates(self, solution: Solution, weights: Array) -> tuple[float, float]:  # noqa: ARG002
+    def rate_variances(self, solution: Solution, weights: Array) -> tuple[float, float]:  # noqa: ARG002
         """Return the variances of a combination by random errors of rates: stated, and default.
 
         weights: Of the unknowns in the combination, shape (p,).
@@ -206,7 +206,7 @@ class Observation(ABC):
         return 0.0, 0.0
 
     @property
-    def u_of_rates(self) -> tuple[Array, Array]:
+    def rate_uncertainties(self) -> tuple[Array, Array]:
         """Relative standard uncertainties of its rates: stated, and default; else 0, shape (n,)."""
         return np.zeros(0), np.zeros(0)
 

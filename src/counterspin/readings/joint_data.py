@@ -28,30 +28,30 @@ from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.loading import is_installed, load_name
 from counterspin.physics.accelerometer import Mounting
 from counterspin.readings.checks import (
-    no_more_than_rounded,
-    outliers_of_means,
-    overstated_noise,
-    readings_fit,
+    check_readings,
+    overstated_noise_remarks,
+    record_outlier_findings,
+    rounding_remarks,
 )
 from counterspin.readings.fit import ReadingsFit, solve_readings
 from counterspin.readings.fitted import FittedReadings
-from counterspin.readings.groups import groups_of
+from counterspin.readings.groups import group_readings
 from counterspin.readings.known_attitudes import Readings
-from counterspin.readings.linear import Measured
+from counterspin.readings.linear import ReadingGroup
 from counterspin.readings.mean_records import MeanRecords, average_records
 from counterspin.readings.means import RecordMean
 from counterspin.readings.methods import compare_methods
-from counterspin.readings.parts import poses_of, readings_of
-from counterspin.readings.unseen_faults import remarks_of, unseen_faults
+from counterspin.readings.reading_groups import pose_groups, reading_groups
+from counterspin.readings.undetected_faults import fault_remarks, find_undetected_faults
 
 #: Poses of a triad, loaded for a campaign that has one: signature of `TriadData`.
-TRIAD: Final = "counterspin.triads.joining:TriadInFit"
+TRIAD: Final = "counterspin.triads.joint_data:TriadInFit"
 
 
 class TriadData(Protocol):
     """Poses of a campaign's triad, and the triad's part of the result."""
 
-    def groups(self) -> Sequence[Measured]:
+    def groups(self) -> Sequence[ReadingGroup]:
         """Return the poses in groups with noise of one kind."""
 
     def findings(self, fit: JointFit, posed: Sequence[FittedReadings]) -> list[Finding]:
@@ -79,16 +79,23 @@ class ReadingsAndPoses(ReadingData):
 
     def contributions(self, views: Sequence[AccelerometerView]) -> dict[str, Contribution]:
         """Return readings, test methods and unseen faults for the results of accelerometers."""
-        compared, faults = compare_methods(views), unseen_faults(views)
+        comparisons, faults = compare_methods(views), find_undetected_faults(views)
         means = self.recorded.means
         return {
             view.name: Contribution(
-                residual_view=compared[view.name].residual_view,
-                findings=[*compared[view.name].findings, *outliers_of_means(view.name, means)],
-                remarks=list(remarks_of({view.name: faults[view.name]})),
+                residual_view=comparisons[view.name].residual_view,
+                findings=[
+                    *comparisons[view.name].findings,
+                    *record_outlier_findings(view.name, means),
+                ],
+                remarks=list(fault_remarks({view.name: faults[view.name]})),
                 fields={
-                    "readings": [r for part in readings_of(view) for r in results_of(part, means)],
-                    "kinds": compared[view.name].results,
+                    "readings": [
+                        reading_result
+                        for part in reading_groups(view)
+                        for reading_result in reading_results(part, means)
+                    ],
+                    "kinds": comparisons[view.name].results,
                     "unseen_faults": faults[view.name],
                 },
             )
@@ -97,13 +104,13 @@ class ReadingsAndPoses(ReadingData):
 
     def findings(self, view: AccelerometerView) -> list[Finding]:
         """Return the findings of tests of the residuals of readings and poses."""
-        posed = self.triad.findings(view.fit, poses_of(view)) if self.triad else []
-        return [*readings_fit(view), *posed]
+        pose_findings = self.triad.findings(view.fit, pose_groups(view)) if self.triad else []
+        return [*check_readings(view), *pose_findings]
 
     def remarks(self, views: Sequence[AccelerometerView]) -> Iterator[str]:
         """Yield remarks on the noise, and on records without an angle."""
-        yield from no_more_than_rounded(views)
-        yield from overstated_noise(views)
+        yield from rounding_remarks(views)
+        yield from overstated_noise_remarks(views)
         if self.recorded.without_angle:
             yield (
                 f"The records of {', '.join(self.recorded.without_angle)} have no angle: the mean "
@@ -112,7 +119,7 @@ class ReadingsAndPoses(ReadingData):
 
     def advice(self, view: AccelerometerView, symbol: str) -> tuple[str, str]:
         """Return poses or records, and advice on poses, or on readings at rest only."""
-        if self.triad and poses_of(view) and not readings_of(view) and not view.has_records:
+        if self.triad and pose_groups(view) and not reading_groups(view) and not view.has_records:
             return "poses", self.triad.advice(view)
         if only_at_rest(view.campaign) and symbol in ("K_F", "K_II", *SQUARES):
             return "records", (
@@ -127,54 +134,54 @@ class ReadingsAndPoses(ReadingData):
         estimate: Estimate,
         parts: Sequence[FittedGroup],
         name: str,
-        turn: Callable[[Mounting], Mounting],
+        rotate: Callable[[Mounting], Mounting],
     ) -> tuple[JointFit, tuple[FittedGroup, ...]]:
         """Return the fit of groups with an accelerometer mounted otherwise, beside records."""
-        groups: list[Measured] = []
-        for part in parts:
-            assert isinstance(part, FittedReadings)
-            group = part.readings
-            if not math.isinf(part.noise_dof):
-                group = group.with_noise(part.noise)
-            groups.append(group.turned_about(name, turn))
+        groups: list[ReadingGroup] = []
+        for fitted_group in parts:
+            assert isinstance(fitted_group, FittedReadings)
+            group = fitted_group.readings
+            if not math.isinf(fitted_group.noise_dof):
+                group = group.with_noise(fitted_group.noise)
+            groups.append(group.with_rotated_mounting(name, rotate))
         if not groups:
             return estimate.fit, ()
         records = estimate if estimate.fit.prepared else None
-        joined, fitted = with_groups(records, estimate.fit.model, groups)
-        return joined.fit, fitted
+        updated, fitted = estimate_with_groups(records, estimate.fit.model, groups)
+        return updated.fit, fitted
 
 
-def join(problem: JointProblem) -> tuple[Estimate, ReadingsAndPoses]:
+def join_readings(problem: JointProblem) -> tuple[Estimate, ReadingsAndPoses]:
     """Return the estimate from all data of a campaign, with its readings and poses in it."""
     campaign = problem.campaign
-    read = campaign.readings or campaign.posed
-    if not read:
+    has_readings = campaign.readings or campaign.posed
+    if not has_readings:
         records = estimate(problem.series, problem.model, problem.noise)
-        return records, ReadingsAndPoses(triad=triad_of(campaign))
-    from_records = None
+        return records, ReadingsAndPoses(triad=make_triad(campaign))
+    record_estimate = None
     if problem.observed:
-        from_records = estimate(problem.series, problem.model, problem.noise)
-    return with_readings(from_records, problem.model, campaign)
+        record_estimate = estimate(problem.series, problem.model, problem.noise)
+    return estimate_with_readings(record_estimate, problem.model, campaign)
 
 
-def with_readings(
+def estimate_with_readings(
     estimated: Estimate | None, model: Unknowns, campaign: Campaign
 ) -> tuple[Estimate, ReadingsAndPoses]:
     """Return the estimate with the campaign's readings and poses, and how these fit.
 
     estimated: From records; None if there are none.
     """
-    _require_values(campaign)
+    _check_values(campaign)
     if estimated is None:
-        _require_enough(campaign, model)
-    taken, recorded = average_records(campaign)
-    triad = triad_of(campaign)
-    groups = [*groups_of(campaign, taken), *(triad.groups() if triad else ())]
-    estimated, parts = with_groups(estimated, model, groups)
+        _check_reading_count(campaign, model)
+    readings, recorded = average_records(campaign)
+    triad = make_triad(campaign)
+    groups = [*group_readings(campaign, readings), *(triad.groups() if triad else ())]
+    estimated, parts = estimate_with_groups(estimated, model, groups)
     return estimated, ReadingsAndPoses(parts, recorded, triad)
 
 
-def triad_of(campaign: Campaign) -> TriadData | None:
+def make_triad(campaign: Campaign) -> TriadData | None:
     """Return the triad of a campaign with the poses in its records; None: it has no triad."""
     if campaign.triad is None:
         return None
@@ -190,7 +197,7 @@ def only_at_rest(campaign: Campaign) -> bool:
     return motions <= {"static"} and not campaign.runs
 
 
-def results_of(
+def reading_results(
     part: FittedReadings, means: Mapping[tuple[str, str], RecordMean]
 ) -> list[ReadingResult]:
     """Return each reading as a result shows it."""
@@ -200,21 +207,23 @@ def results_of(
         ReadingResult(
             name=name,
             motion=group.motion,
-            mounting=group.mountings[i],
+            mounting=group.mountings[index],
             input_axis=tuple(map(float, station.mounting.matrix[0])),
             pendulous_axis=tuple(map(float, station.mounting.matrix[1])),
             rate=station.rate,
-            value=float(group.value[i]),
-            u=float(part.sigma[i]),
-            residual=float(part.residuals[i]),
-            z=None if math.isnan(part.single[i].standardised) else part.single[i].standardised,
-            **_found_in(means.get((group.accelerometer, name))),
+            value=float(group.value[index]),
+            u=float(part.sigma[index]),
+            residual=float(part.residuals[index]),
+            z=None
+            if math.isnan(part.single[index].standardized)
+            else part.single[index].standardized,
+            **_record_fields(means.get((group.accelerometer, name))),
         )
-        for i, (name, station) in enumerate(zip(group.names, group.stations, strict=True))
+        for index, (name, station) in enumerate(zip(group.names, group.stations, strict=True))
     ]
 
 
-def _found_in(mean: RecordMean | None) -> dict[str, Any]:
+def _record_fields(mean: RecordMean | None) -> dict[str, Any]:
     """Return the fields of a result that describe the record averaged in a reading."""
     if mean is None:
         return {}
@@ -222,8 +231,8 @@ def _found_in(mean: RecordMean | None) -> dict[str, Any]:
     return {"samples": mean.samples, "counts": report.counts(), "notes": report.notes()}
 
 
-def with_groups(
-    estimated: Estimate | None, model: Unknowns, groups: Sequence[Measured]
+def estimate_with_groups(
+    estimated: Estimate | None, model: Unknowns, groups: Sequence[ReadingGroup]
 ) -> tuple[Estimate, tuple[FittedReadings, ...]]:
     """Return the estimate with readings and poses, and how these fit.
 
@@ -238,19 +247,22 @@ def with_groups(
     return replace(estimated, fit=fit.fit, dof=dof, core=None, lost={}), fit.groups
 
 
-def _require_enough(campaign: Campaign, model: Unknowns) -> None:
+def _check_reading_count(campaign: Campaign, model: Unknowns) -> None:
     """Refuse fewer readings of an accelerometer than coefficients of which nothing is known."""
-    posed = campaign.triad.accelerometers if campaign.triad and campaign.posed else ()
+    pose_accelerometers = campaign.triad.accelerometers if campaign.triad and campaign.posed else ()
     for name in campaign.accelerometers:
-        if name in posed:
+        if name in pose_accelerometers:
             continue
         count = sum(reading.accelerometer == name for reading in campaign.readings)
-        free = [u.symbol for u in model.unknowns if u.owner == name and math.isinf(u.prior[1])]
-        if count < len(free):
-            have = f"{count} readings" if count != 1 else "1 reading"
+        free_symbols = [
+            u.symbol for u in model.unknowns if u.owner == name and math.isinf(u.prior[1])
+        ]
+        if count < len(free_symbols):
+            count_text = f"{count} readings" if count != 1 else "1 reading"
             raise NotIdentifiableError(
-                f"{campaign.path}: {have} of {name} cannot determine {len(free)} coefficients "
-                f"({', '.join(free)}); add positions, reduce model.terms, "
+                f"{campaign.path}: {count_text} of {name} cannot determine {len(free_symbols)} "
+                "coefficients "
+                f"({', '.join(free_symbols)}); add positions, reduce model.terms, "
                 "or give priors"
             )
 
@@ -261,13 +273,20 @@ def _effective_dof(dof: np.ndarray, fit: ReadingsFit) -> np.ndarray:
     Satterthwaite's, or fewer where few readings tell a noise, so that the intervals cover. What the
     records' noise adds keeps the records' own degrees of freedom.
     """
-    own = [group.noise_dof for group in fit.groups]
-    of_records = dof if fit.fit.prepared else np.full(dof.size, math.inf)
-    every = zip(np.eye(dof.size), of_records.tolist(), strict=True)
-    return np.array([dof_of(weights, fit.fit, own, beside) for weights, beside in every])
+    noise_dofs = [group.noise_dof for group in fit.groups]
+    record_dofs = dof if fit.fit.prepared else np.full(dof.size, math.inf)
+    unit_vectors = zip(np.eye(dof.size), record_dofs.tolist(), strict=True)
+    return np.array(
+        [
+            combination_dof(weights, fit.fit, noise_dofs, record_dof)
+            for weights, record_dof in unit_vectors
+        ]
+    )
 
 
-def dof_of(weights: np.ndarray, fit: JointFit, dof: Sequence[float], of_records: float) -> float:
+def combination_dof(
+    weights: np.ndarray, fit: JointFit, dof: Sequence[float], record_dof: float
+) -> float:
     """Return the degrees of freedom of a combination of the unknowns.
 
     dof: Of the noise of readings and poses, in the order of the fit.
@@ -276,24 +295,24 @@ def dof_of(weights: np.ndarray, fit: JointFit, dof: Sequence[float], of_records:
     combined = fit.solution.combine(weights)
     rows, total = combined.noise_rows, float(weights @ fit.solution.covariance @ weights)
     sizes = [block.factor.shape[0] for block in fit.blocks[len(fit.prepared) :]]
-    ends = np.cumsum([rows.size - sum(sizes), *sizes])
-    inverse = 1.0 / dof_beside(_share(rows[: ends[0]], total), of_records)
-    for part, own in zip(np.split(rows, ends[:-1])[1:], dof, strict=True):
-        inverse += 1.0 / dof_beside(_share(part, total), own)
+    boundaries = np.cumsum([rows.size - sum(sizes), *sizes])
+    inverse = 1.0 / dof_beside(_variance_share(rows[: boundaries[0]], total), record_dof)
+    for part, noise_dof in zip(np.split(rows, boundaries[:-1])[1:], dof, strict=True):
+        inverse += 1.0 / dof_beside(_variance_share(part, total), noise_dof)
     return 1.0 / inverse if inverse > 0.0 else math.inf
 
 
-def _share(rows: np.ndarray, total: float) -> float:
+def _variance_share(rows: np.ndarray, total: float) -> float:
     return min(float(rows @ rows) / total, 1.0) if total > 0.0 else 0.0
 
 
-def _require_values(campaign: Campaign) -> None:
-    blank = [reading.name for reading in campaign.all_readings if math.isnan(reading.value)]
-    if blank:
+def _check_values(campaign: Campaign) -> None:
+    empty = [reading.name for reading in campaign.all_readings if math.isnan(reading.value)]
+    if empty:
         raise CampaignError(
             str(campaign.path),
             [
-                f'"{blank[0]}" and {len(blank) - 1} other readings have no value yet: enter '
+                f'"{empty[0]}" and {len(empty) - 1} other readings have no value yet: enter '
                 "the readings, or simulate them from [truth] with `counterspin simulate`"
             ],
         )

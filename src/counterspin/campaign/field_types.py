@@ -75,17 +75,17 @@ def _gravity(info: ValidationInfo) -> float | None:
     return (info.context or {}).get("gravity")
 
 
-def _parsed(unit: str, text: object, info: ValidationInfo, usual: str | None = None) -> Quantity:
+def _parse_quantity(
+    unit: str, text: object, info: ValidationInfo, usual: str | None = None
+) -> Quantity:
     return parse(text, unit, gravity=_gravity(info), usual=usual)
 
 
-def _parsed_exactly(
-    unit: str, text: object, info: ValidationInfo, usual: str | None = None
-) -> float:
+def _parse_exact(unit: str, text: object, info: ValidationInfo, usual: str | None = None) -> float:
     return exact(text, unit, gravity=_gravity(info), usual=usual)
 
 
-def _parsed_noise(unit: str, text: object, info: ValidationInfo) -> float | str:
+def _parse_noise(unit: str, text: object, info: ValidationInfo) -> float | str:
     if text == ESTIMATE:
         return ESTIMATE
     size = exact(text, unit, _gravity(info))
@@ -94,7 +94,7 @@ def _parsed_noise(unit: str, text: object, info: ValidationInfo) -> float | str:
     return size
 
 
-def _parsed_truth(unit: str, text: object, info: ValidationInfo) -> float:
+def _parse_truth(unit: str, text: object, info: ValidationInfo) -> float:
     """Read a coefficient, of an accelerometer with an output in its unit too, such as mA/g."""
     output = (info.context or {}).get("output")
     if output is not None and unit.startswith("g"):
@@ -103,7 +103,7 @@ def _parsed_truth(unit: str, text: object, info: ValidationInfo) -> float:
     return exact(text, unit, gravity=_gravity(info))
 
 
-def _written(unit: str, *, uncertain: bool = False) -> Any:
+def _written_form(unit: str, *, uncertain: bool = False) -> Any:
     """Return the written form of a quantity in a unit, for schemas."""
     spread = rf"({PLUS_MINUS}{NUMBER})?" if uncertain else ""
     number = f"[+−-]?{NUMBER.removeprefix('[+-]?')}"
@@ -143,25 +143,29 @@ class _IsQuantity:
 
 
 #: A number of a table, which has its unit already.
-ReadAlready = Annotated[Quantity, _IsQuantity()]
+ParsedQuantity = Annotated[Quantity, _IsQuantity()]
 
 
-def known(unit: str, usual: str | None = None) -> PlainValidator:
+def uncertain_quantity(unit: str, usual: str | None = None) -> PlainValidator:
     """Return the validator of a quantity with its uncertainty; `usual` as of `parse`."""
-    return Quantities(partial(_parsed, unit, usual=usual), _written(unit, uncertain=True))
+    return Quantities(
+        partial(_parse_quantity, unit, usual=usual), _written_form(unit, uncertain=True)
+    )
 
 
-def a_part(text: object, info: ValidationInfo) -> Quantity:
+def parse_fraction(text: object, info: ValidationInfo) -> Quantity:
     """Return a fraction; a number alone needs no unit."""
     try:
-        return _parsed("1", text, info)
+        return _parse_quantity("1", text, info)
     except ValueError:
         return (
-            _parsed("1", f"{text} 1", info) if isinstance(text, str) else _parsed("1", text, info)
+            _parse_quantity("1", f"{text} 1", info)
+            if isinstance(text, str)
+            else _parse_quantity("1", text, info)
         )
 
 
-def a_clock(value: Quantity) -> Quantity:
+def check_clock_error(value: Quantity) -> Quantity:
     """Return the relative error of a clock's rate, if it is one."""
     if abs(value.value) > 0.01:
         raise ValueError("a clock error above 1 % is not plausible; check the unit of the time")
@@ -170,12 +174,12 @@ def a_clock(value: Quantity) -> Quantity:
 
 def read_exactly(unit: str, usual: str | None = None) -> PlainValidator:
     """Return the validator of a quantity without uncertainty; `usual` as of `parse`."""
-    return Quantities(partial(_parsed_exactly, unit, usual=usual), _written(unit))
+    return Quantities(partial(_parse_exact, unit, usual=usual), _written_form(unit))
 
 
 def coefficient(unit: str) -> PlainValidator:
     """Return the validator of a true coefficient, in g-units or those of the `output`."""
-    return Quantities(partial(_parsed_truth, unit), _written(unit))
+    return Quantities(partial(_parse_truth, unit), _written_form(unit))
 
 
 def positive(value: Any) -> Any:
@@ -185,7 +189,7 @@ def positive(value: Any) -> Any:
     return value
 
 
-def of_earth(value: Any) -> Any:
+def check_gravity(value: Any) -> Any:
     """Return a gravity that is possible on Earth's surface."""
     positive(value)
     size = value.value if isinstance(value, Quantity) else value
@@ -197,7 +201,7 @@ def of_earth(value: Any) -> Any:
     return value
 
 
-def a_latitude(value: Any) -> Any:
+def check_latitude(value: Any) -> Any:
     """Return an angle, or a quantity that is one, that is a latitude."""
     size = value.value if isinstance(value, Quantity) else value
     if abs(size) > math.pi / 2.0 * (1.0 + 1e-12):
@@ -205,14 +209,14 @@ def a_latitude(value: Any) -> Any:
     return value
 
 
-def an_error(value: Quantity) -> Quantity:
+def check_zero_mean(value: Quantity) -> Quantity:
     """Refuse what is not about zero, or has no uncertainty."""
     if value.value != 0.0 or not value.u > 0.0:
         raise ValueError('needs the value zero and an uncertainty; write "0 ± 0.5 deg"')
     return value
 
 
-def turning(value: float) -> float:
+def check_nonzero(value: float) -> float:
     """Return a rate that is not zero."""
     if value == 0.0:
         raise ValueError("the centrifuge must turn; the rate is zero")
@@ -221,11 +225,11 @@ def turning(value: float) -> float:
 
 def noise_size(unit: str) -> PlainValidator:
     """Return the validator of a standard deviation, or of the wish to have it estimated."""
-    written = _written(unit) | Literal["estimate"]
-    return Quantities(partial(_parsed_noise, unit), written)
+    written = _written_form(unit) | Literal["estimate"]
+    return Quantities(partial(_parse_noise, unit), written)
 
 
-def a_ratio(value: object) -> float:
+def parse_ratio(value: object) -> float:
     """Read a plain number, or text in ppm."""
     if isinstance(value, str):
         return exact(value, "1")
@@ -243,14 +247,14 @@ def small_rate_error(value: float) -> float:
     return value
 
 
-def _a_unit(wanted: str, unit: str, info: ValidationInfo) -> str:
+def _check_unit(wanted: str, unit: str, info: ValidationInfo) -> str:
     unit_factor(unit, wanted, gravity=_gravity(info))
     return unit
 
 
 def unit_of(wanted: str) -> AfterValidator:
     """Return the validator of a unit's name, of one dimension."""
-    return AfterValidator(partial(_a_unit, wanted))
+    return AfterValidator(partial(_check_unit, wanted))
 
 
 #: What an accelerometer's output may be, beside a specific force.
@@ -295,19 +299,19 @@ def _in_folder(name: object, info: ValidationInfo) -> Path:
     return folder / record_file(name)
 
 
-def a_temperature(value: object) -> float:
+def parse_temperature(value: object) -> float:
     """Return a temperature, K."""
     if isinstance(value, Quantity):
-        return _kelvin(value.value, value.unit)
+        return _to_kelvin(value.value, value.unit)
     if not isinstance(value, str):
         raise ValueError("must be text")
     match = _TEMPERATURE.fullmatch(value)
     if match is None:
         raise ValueError(f'{value!r} is not a temperature; write "23.4 degC" or "296.5 K"')
-    return _kelvin(float(match[1]), match[2])
+    return _to_kelvin(float(match[1]), match[2])
 
 
-def _kelvin(value: float, scale: str) -> float:
+def _to_kelvin(value: float, scale: str) -> float:
     """Return a temperature in K; ValueError if no accelerometer works at it."""
     kelvin = value + TEMPERATURE_SCALES[scale]
     coldest, warmest = WORKING_TEMPERATURES
@@ -319,13 +323,13 @@ def _kelvin(value: float, scale: str) -> float:
     return kelvin
 
 
-def temperatures(value: object) -> tuple[float, ...]:
+def parse_temperatures(value: object) -> tuple[float, ...]:
     """Return one temperature or several in turn, K."""
     if not isinstance(value, list):
-        return (a_temperature(value),)
+        return (parse_temperature(value),)
     if not value:
         raise ValueError("must have at least one temperature")
-    return tuple(a_temperature(one) for one in value)
+    return tuple(parse_temperature(item) for item in value)
 
 
 def temperature_scale(unit: str) -> str:
@@ -335,13 +339,13 @@ def temperature_scale(unit: str) -> str:
     return "K" if unit == "K" else "degC"
 
 
-def temperature_known(text: str) -> Quantity:
+def parse_uncertain_temperature(text: str) -> Quantity:
     """Return a temperature with its standard uncertainty, K."""
     match = _UNCERTAIN_TEMPERATURE.fullmatch(text)
     if match is None:
         raise ValueError(f'{text!r} is not a temperature; write "23.4 ± 0.5 degC" or "296.5 K"')
     number = parse(f"{match[1]} 1", "1")
-    return Quantity(_kelvin(number.value, match[2]), number.u, "K")
+    return Quantity(_to_kelvin(number.value, match[2]), number.u, "K")
 
 
 def date_or_text(value: object) -> str:
@@ -353,7 +357,7 @@ def date_or_text(value: object) -> str:
     return value
 
 
-def _whole(value: object) -> object:
+def _strict_integer(value: object) -> object:
     """Refuse true and 1.0, which Python takes for 1."""
     return value if type(value) is int else None
 
@@ -371,12 +375,12 @@ class SettingsSection(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, defer_build=True)
 
-    def completed(self, **others: object) -> Self:
+    def with_private(self, **values: object) -> Self:
         """Return the table with what other tables say of it, by the properties' names."""
-        made = self.model_copy()
-        for name, value in others.items():
-            setattr(made, f"_{name}", value)
-        return made
+        copy = self.model_copy()
+        for name, value in values.items():
+            setattr(copy, f"_{name}", value)
+        return copy
 
     def contradictions(self) -> Iterator[Contradiction]:
         """Yield what is wrong among its keys, each of which is right by itself."""
@@ -420,7 +424,7 @@ def direction_of_zero(value: object) -> float:
         raise ValueError(f"{error}; or one of {', '.join(COMPASS)}") from None
 
 
-def an_encoding(name: str) -> str:
+def check_encoding(name: str) -> str:
     """Return the name of an existing encoding."""
     try:
         codecs.lookup(name)
@@ -431,57 +435,57 @@ def an_encoding(name: str) -> str:
     return name
 
 
-def with_units(value: Any, info: ValidationInfo) -> Any:
+def require_units(value: Any, info: ValidationInfo) -> Any:
     """Return quantities as they are written; a number alone is refused, with the likely unit.
 
     That is the one of the context's `units` by name, of which there may be only one, or else g.
     """
     units: Mapping[str, str] = (info.context or {}).get("units", {})
-    usual = next(iter(units.values())) if len(set(units.values())) == 1 else "g"
-    named = value if isinstance(value, Mapping) else {"": value}
-    for name, written in named.items():
-        for one in written if isinstance(written, list) else [written]:
-            if isinstance(one, int | float) and not isinstance(one, bool):
-                unit = units.get(name, usual)
-                example = f'"{one!r} {unit}"'
+    default_unit = next(iter(units.values())) if len(set(units.values())) == 1 else "g"
+    values = value if isinstance(value, Mapping) else {"": value}
+    for name, items in values.items():
+        for item in items if isinstance(items, list) else [items]:
+            if isinstance(item, int | float) and not isinstance(item, bool):
+                unit = units.get(name, default_unit)
+                example = f'"{item!r} {unit}"'
                 raise ValueError(f"a number without its unit; write it as text, such as {example}")
     return value
 
 
-def several(value: Any) -> Any:
+def as_list(value: Any) -> Any:
     """Return a single text as a list."""
     return [value] if isinstance(value, str) else value
 
 
-Schema = Annotated[Literal[1], BeforeValidator(_whole)]
+Schema = Annotated[Literal[1], BeforeValidator(_strict_integer)]
 Text = Annotated[str, Field(min_length=1)]
 Components = Annotated[list[float], Field(min_length=3, max_length=3)]
 Direction = Annotated[
     tuple[float, float, float],
     PlainValidator(read_direction, Literal[tuple(DIRECTIONS)] | Components),
 ]
-Stand = Annotated[Attitude, PlainValidator(read_attitude, Text | dict[str, Any])]
-Ratio = Annotated[float, PlainValidator(a_ratio, float | _written("1"))]
+AttitudeField = Annotated[Attitude, PlainValidator(read_attitude, Text | dict[str, Any])]
+Ratio = Annotated[float, PlainValidator(parse_ratio, float | _written_form("1"))]
 DateOrText = Annotated[str, PlainValidator(date_or_text, str | datetime.date)]
-Part = Annotated[Quantity, PlainValidator(a_part, str)]
+Fraction = Annotated[Quantity, PlainValidator(parse_fraction, str)]
 ZeroDirection = Annotated[float, PlainValidator(direction_of_zero, Literal[tuple(COMPASS)] | str)]
-Several = Annotated[list[Text], BeforeValidator(several, Text | list[Text])]
+TextList = Annotated[list[Text], BeforeValidator(as_list, Text | list[Text])]
 PositiveRatio = Annotated[Ratio, AfterValidator(positive)]
-Temperature = Annotated[float, PlainValidator(a_temperature, Text)]
-Temperatures = Annotated[tuple[float, ...], PlainValidator(temperatures, Text | list[Text])]
+Temperature = Annotated[float, PlainValidator(parse_temperature, Text)]
+Temperatures = Annotated[tuple[float, ...], PlainValidator(parse_temperatures, Text | list[Text])]
 RecordFile = Annotated[Path, PlainValidator(_in_folder, Text)]
 Seconds = Annotated[float, read_exactly("s"), AfterValidator(positive)]
 
 
-def described(
+def key_field(
     meaning: str,
     example: Any,
     default: Any = PydanticUndefined,
     *,
     absent: str = "",
     kind: str = "",
-    of: str = "",
-    **more: Any,
+    applies_to: str = "",
+    **options: Any,
 ) -> Any:
     """Return a field with what its documentation, its schema and its form say.
 
@@ -492,12 +496,14 @@ def described(
     of: Of which tables it is a key, if not of all of the class.
     more: As of `pydantic.Field`.
     """
-    said = {"x-absent": absent, "x-kind": kind, "x-of": of}
-    extra: Any = {name: words for name, words in said.items() if words}
-    return Field(default, description=meaning, examples=[example], json_schema_extra=extra, **more)
+    schema_extra = {"x-absent": absent, "x-kind": kind, "x-of": applies_to}
+    extra: Any = {name: words for name, words in schema_extra.items() if words}
+    return Field(
+        default, description=meaning, examples=[example], json_schema_extra=extra, **options
+    )
 
 
 def extra_of(field: FieldInfo) -> dict[str, str]:
-    """Return the extra data of a field from `described`, besides its meaning and its example."""
+    """Return the extra data of a field from `key_field`, besides its meaning and its example."""
     extra: Any = field.json_schema_extra or {}
     return dict(extra)

@@ -25,7 +25,7 @@ from counterspin.records.reading import read_record
 from counterspin.records.record import Record, RecordColumns, StatedMotion
 
 #: Shortest pose, s, where nothing else is stated.
-SHORTEST_REST: Final = 1.5
+MIN_DURATION: Final = 1.5
 
 #: Span over which the level is taken, s, and the fewest rows in it; no longer than a pose.
 _WINDOW: Final = 1.0
@@ -35,10 +35,10 @@ _FEWEST_ROWS: Final = 8
 _THRESHOLD_RATIO: Final = 2.0
 
 #: Levels in motion over those at rest, in the median, below which the threshold is in doubt.
-CLEAR_RATIO: Final = 5.0
+MIN_CONTRAST: Final = 5.0
 
 #: Scatter within a pose over the threshold beyond which it is hardly at rest.
-_WANDER_RATIO: Final = 3.0
+_DRIFT_RATIO: Final = 3.0
 
 #: Standard deviations beyond which one or two rows among their neighbours are spikes.
 _SPIKE_SDS: Final = 10.0
@@ -46,14 +46,14 @@ _SPIKE_SDS: Final = 10.0
 _SPIKE_ROWS: Final = 64
 
 #: Part of a pose's rows at the largest or smallest value of an axis from which it is saturated.
-_SATURATED_PART: Final = 0.25
+_SATURATED_FRACTION: Final = 0.25
 
 #: Bins of the logarithm of the level in which rest and motion are told apart.
 _BINS: Final = 256
 
 
 @frozen(eq=False)
-class Poses:
+class StaticIntervals:
     """The poses of a record; values in the unit of its columns, k poses of n rows."""
 
     #: First and last time of each, s, shape (k,).
@@ -72,43 +72,44 @@ class Poses:
     contrast: float
     #: Of each axis, the values within poses that stand far off their neighbours, shape (3,).
     spikes: Array
-    left_out: tuple[str, ...] = ()  #: Rests that are no poses, each with the reason.
+    rejected: tuple[str, ...] = ()  #: Rests that are no poses, each with the reason.
 
-    def trace(self, most: int) -> tuple[Array, Array]:
+    def trace(self, max_points: int) -> tuple[Array, Array]:
         """Return times, s, and the largest level about each, at most so many, shapes (m,)."""
-        good = np.isfinite(self.level)
-        time, level = self.time[good], self.level[good]
-        starts = np.unique(np.linspace(0, len(level), most, endpoint=False).astype(int))
+        is_valid = np.isfinite(self.level)
+        time, level = self.time[is_valid], self.level[is_valid]
+        starts = np.unique(np.linspace(0, len(level), max_points, endpoint=False).astype(int))
         return time[starts], np.maximum.reduceat(level, starts)
 
     @property
-    def doubts(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[str, ...]:
         """Reasons to doubt the threshold, a sentence each; empty for a clear record."""
-        found = []
+        messages = []
         if math.isinf(self.contrast):
-            found.append("Nothing moves in the record: all of it counts as rest.")
-        elif self.contrast < CLEAR_RATIO:
-            found.append(
+            messages.append("Nothing moves in the record: all of it counts as rest.")
+        elif self.contrast < MIN_CONTRAST:
+            messages.append(
                 f"Rest and motion are not clearly apart: motion has {self.contrast:.2g} times the "
                 f"level of rest. Compare the plot of the level with the threshold "
                 f"of {self.threshold:.3g}, and state another one if it separates them better."
             )
-        wander = np.sqrt((self.scatter**2).sum(axis=1))
-        for place in np.flatnonzero(wander > _WANDER_RATIO * self.threshold)[:1]:
-            found.append(
-                f"The pose from {self.start[place]:.6g} s to {self.end[place]:.6g} s scatters by "
-                f"{wander[place]:.3g} over its whole length, more than its noise explains: the "
+        total_scatter = np.sqrt((self.scatter**2).sum(axis=1))
+        for index in np.flatnonzero(total_scatter > _DRIFT_RATIO * self.threshold)[:1]:
+            messages.append(
+                f"The pose from {self.start[index]:.6g} s to {self.end[index]:.6g} s scatters by "
+                f"{total_scatter[index]:.3g} over its whole length, more than its noise "
+                "explains: the "
                 "sensor may have turned slowly."
             )
-        return tuple(found)
+        return tuple(messages)
 
 
 def read_poses(
     path: str | Path | MemoryTable,
     columns: RecordColumns,
-    rest: float = SHORTEST_REST,
+    rest: float = MIN_DURATION,
     threshold: float | None = None,
-) -> tuple[Poses, Record]:
+) -> tuple[StaticIntervals, Record]:
     """Return the poses of a record of three signals, and the record itself, all its rows.
 
     rest, threshold: As of `find_poses`; the threshold in the unit that the columns come in.
@@ -125,8 +126,8 @@ def read_poses(
 
 
 def find_poses(
-    time: Array, values: Array, rest: float = SHORTEST_REST, threshold: float | None = None
-) -> Poses:
+    time: Array, values: Array, rest: float = MIN_DURATION, threshold: float | None = None
+) -> StaticIntervals:
     """Find where a sensor lies still.
 
     A missing stretch of half a window ends a pose. Rows without all three values, and single spikes
@@ -137,49 +138,50 @@ def find_poses(
     rest: Shortest pose, s.
     threshold: Highest level at rest, in the values' unit; found if None.
     """
-    there = np.flatnonzero(np.isfinite(time) & np.isfinite(values).all(axis=1))
-    step = _usual_step(time[there], rest)
+    valid = np.flatnonzero(np.isfinite(time) & np.isfinite(values).all(axis=1))
+    step = _sampling_step(time[valid], rest)
     window = min(max(_WINDOW, _FEWEST_ROWS * step), rest)
-    resolutions = np.array([resolution(axis) for axis in values[there].T])
-    spikes = _spikes(values[there], max(_SPIKE_ROWS, round(window / step)), resolutions)
-    good = ~spikes.any(axis=1)
-    spike_times, there = time[there[~good]], there[good]
-    t, x = time[there], values[there]
-    level = _levels(t, x, window)
-    found = _usual_threshold(level, resolutions) if threshold is None else threshold
-    starts, ends = _rests(t, level, found, rest, window, step)
+    resolutions = np.array([resolution(axis) for axis in values[valid].T])
+    spikes = _outlier_mask(values[valid], max(_SPIKE_ROWS, round(window / step)), resolutions)
+    is_regular = ~spikes.any(axis=1)
+    spike_times, valid = time[valid[~is_regular]], valid[is_regular]
+    t, x = time[valid], values[valid]
+    level = _rolling_sd(t, x, window)
+    used_threshold = _default_threshold(level, resolutions) if threshold is None else threshold
+    starts, ends = _find_intervals(t, level, used_threshold, rest, window, step)
     if not len(starts):
-        raise RecordError(_no_rest_words(t, level, found, rest, window, step))
-    contrast = _contrast(level, found, starts, ends)
-    faults = _faults(x, starts, ends, resolutions)
+        raise RecordError(_no_interval_message(t, level, used_threshold, rest, window, step))
+    contrast = _contrast(level, used_threshold, starts, ends)
+    faults = _interval_faults(x, starts, ends, resolutions)
     left_out = tuple(
-        f"The rest from {t[starts[place]]:.6g} s to {t[ends[place] - 1]:.6g} s is left out: {words}"
-        for place, words in faults.items()
+        f"The rest from {t[starts[index]]:.6g} s to {t[ends[index] - 1]:.6g} s is left out: "
+        f"{reason}"
+        for index, reason in faults.items()
     )
     if len(faults) == len(starts):
         raise RecordError("every rest is left out. " + " ".join(left_out))
     starts, ends = np.delete(starts, list(faults)), np.delete(ends, list(faults))
-    rows = [x[a:b] for a, b in zip(starts, ends, strict=True)]
-    pose = np.searchsorted(t[starts], spike_times) - 1
-    within = (pose >= 0) & (spike_times < t[ends - 1][np.maximum(pose, 0)])
+    rows = [x[first:last] for first, last in zip(starts, ends, strict=True)]
+    interval = np.searchsorted(t[starts], spike_times) - 1
+    is_inside = (interval >= 0) & (spike_times < t[ends - 1][np.maximum(interval, 0)])
     levels = np.full(len(time), np.nan)
-    levels[there] = level
-    return Poses(
+    levels[valid] = level
+    return StaticIntervals(
         start=t[starts],
         end=t[ends - 1],
-        mean=np.array([part.mean(axis=0) for part in rows]),
-        scatter=np.array([part.std(axis=0) for part in rows]),
+        mean=np.array([interval_values.mean(axis=0) for interval_values in rows]),
+        scatter=np.array([interval_values.std(axis=0) for interval_values in rows]),
         count=(ends - starts).astype(float),
-        threshold=float(found),
+        threshold=float(used_threshold),
         time=time,
         level=levels,
         contrast=contrast,
-        spikes=spikes[~good][within].sum(axis=0).astype(float),
-        left_out=left_out,
+        spikes=spikes[~is_regular][is_inside].sum(axis=0).astype(float),
+        rejected=left_out,
     )
 
 
-def _usual_step(time: Array, rest: float) -> float:
+def _sampling_step(time: Array, rest: float) -> float:
     """Return the usual step of a time, s; RecordError if no rest can be found in its rows.
 
     Rows with the same time, as a coarse clock writes them, have no step.
@@ -208,7 +210,7 @@ def _usual_step(time: Array, rest: float) -> float:
     return step
 
 
-def _spikes(values: Array, rows: int, resolutions: Array) -> np.ndarray:
+def _outlier_mask(values: Array, rows: int, resolutions: Array) -> np.ndarray:
     """Return which values, one or two in a row, stand far off their neighbours, shape (n, 3).
 
     A median of five does not see them. The motions of a hand are no smooth waves, so that
@@ -217,24 +219,24 @@ def _spikes(values: Array, rows: int, resolutions: Array) -> np.ndarray:
     rows: In a stretch whose scatter is one.
     """
     padded = np.pad(values, ((2, 2), (0, 0)), mode="reflect")
-    a, b, c, d, e = (padded[place : place + len(values)] for place in range(5))
+    a, b, c, d, e = (padded[offset : offset + len(values)] for offset in range(5))
     # The median of five is that of the fifth and of the two middle ones of the others.
     low = np.maximum(np.minimum(a, b), np.minimum(d, e))
     high = np.minimum(np.maximum(a, b), np.maximum(d, e))
-    off = np.abs(c - np.clip(c, np.minimum(low, high), np.maximum(low, high)))
-    rows = min(rows, len(off))
-    blocks = off[: len(off) // rows * rows].reshape(-1, rows, 3)
+    deviation = np.abs(c - np.clip(c, np.minimum(low, high), np.maximum(low, high)))
+    rows = min(rows, len(deviation))
+    blocks = deviation[: len(deviation) // rows * rows].reshape(-1, rows, 3)
     # From the upper quartile: every fifth value is the median itself, and so not off at all.
-    place = 3 * rows // 4
-    scale = np.partition(blocks, place, axis=1)[:, place] * SIGMA_OF_MAD / 2.0
+    offset = 3 * rows // 4
+    scale = np.partition(blocks, offset, axis=1)[:, offset] * SIGMA_OF_MAD / 2.0
     # A smooth motion is its own median: where one fills most of a stretch, the next one tells.
     scale = np.maximum(scale, np.maximum(np.roll(scale, 1, axis=0), np.roll(scale, -1, axis=0)))
     limits = _SPIKE_SDS * scale + 1.5 * resolutions
-    limits = limits[np.minimum(np.arange(len(off)) // rows, len(limits) - 1)]
-    return np.asarray(off > limits)
+    limits = limits[np.minimum(np.arange(len(deviation)) // rows, len(limits) - 1)]
+    return np.asarray(deviation > limits)
 
 
-def _levels(time: Array, values: Array, window: float) -> Array:
+def _rolling_sd(time: Array, values: Array, window: float) -> Array:
     """Return the standard deviation of three axes together in a window about each row, (n,).
 
     The rows are cut into parts, of which a window meets at most two. Sums run within a part and
@@ -245,29 +247,35 @@ def _levels(time: Array, values: Array, window: float) -> Array:
     low = np.searchsorted(time, time - half, side="left")
     high = np.searchsorted(time, time + half, side="right")
     size = int((high - low).max())
-    parts = -(-len(time) // size)
-    edges = np.minimum(np.arange(parts + 1) * size, len(time))
+    block_count = -(-len(time) // size)
+    edges = np.minimum(np.arange(block_count + 1) * size, len(time))
     means = np.add.reduceat(values, edges[:-1], axis=0) / np.diff(edges)[:, None]
-    part = np.arange(len(time)) // size
-    apart = values - means[part]
-    padded = np.zeros((parts * size, 4))
-    padded[: len(time), :3] = apart
-    padded[: len(time), 3] = (apart**2).sum(axis=1)
-    sums = np.zeros((parts, size + 1, 4))
-    np.cumsum(padded.reshape(parts, size, 4), axis=1, out=sums[:, 1:])
+    block = np.arange(len(time)) // size
+    deviations = values - means[block]
+    padded = np.zeros((block_count * size, 4))
+    padded[: len(time), :3] = deviations
+    padded[: len(time), 3] = (deviations**2).sum(axis=1)
+    sums = np.zeros((block_count, size + 1, 4))
+    np.cumsum(padded.reshape(block_count, size, 4), axis=1, out=sums[:, 1:])
     first = low // size
     middle = np.minimum(high, (first + 1) * size)
-    one = sums[first, middle - first * size] - sums[first, low - first * size]
-    second = np.minimum(first + 1, parts - 1)
-    two = sums[second, np.maximum(high - second * size, 0)]
-    two[high == middle] = 0.0
+    first_sums = sums[first, middle - first * size] - sums[first, low - first * size]
+    second = np.minimum(first + 1, block_count - 1)
+    second_sums = sums[second, np.maximum(high - second * size, 0)]
+    second_sums[high == middle] = 0.0
     # Two groups as one: the squares about each mean, and those of the means about each other.
-    here, there = middle - low, high - middle
-    squares = one[:, 3] - (one[:, :3] ** 2).sum(axis=1) / here
-    squares += two[:, 3] - (two[:, :3] ** 2).sum(axis=1) / np.maximum(there, 1)
-    between = means[first] + one[:, :3] / here[:, None]
-    between = between - means[second] - two[:, :3] / np.maximum(there, 1)[:, None]
-    squares += (between**2).sum(axis=1) * here * there / (here + there)
+    first_count, second_count = middle - low, high - middle
+    squares = first_sums[:, 3] - (first_sums[:, :3] ** 2).sum(axis=1) / first_count
+    squares += second_sums[:, 3] - (second_sums[:, :3] ** 2).sum(axis=1) / np.maximum(
+        second_count, 1
+    )
+    mean_difference = means[first] + first_sums[:, :3] / first_count[:, None]
+    mean_difference = (
+        mean_difference - means[second] - second_sums[:, :3] / np.maximum(second_count, 1)[:, None]
+    )
+    squares += (
+        (mean_difference**2).sum(axis=1) * first_count * second_count / (first_count + second_count)
+    )
     rows = high - low
     level = np.sqrt(np.maximum(squares, 0.0) / np.maximum(rows - 1, 1))
     # So few rows may be alike by chance.
@@ -275,7 +283,7 @@ def _levels(time: Array, values: Array, window: float) -> Array:
     return np.asarray(level)
 
 
-def _usual_threshold(level: Array, resolutions: Array) -> float:
+def _default_threshold(level: Array, resolutions: Array) -> float:
     """Return twice the usual level at rest.
 
     Rest and motion are the two groups of the level's logarithm that lie apart most (Otsu, IEEE
@@ -283,34 +291,38 @@ def _usual_threshold(level: Array, resolutions: Array) -> float:
     """
     finite = level[np.isfinite(level)]
     # A step of the last digit to and fro in every axis is no motion.
-    least = float(np.sqrt((resolutions**2).sum()))
+    resolution_floor = float(np.sqrt((resolutions**2).sum()))
     positive = finite[finite > 0.0]
     if not len(positive):
-        return least
+        return resolution_floor
     # Values that stand still for once are no group of their own.
     logs = np.log(np.maximum(finite, 0.1 * np.quantile(positive, 0.05)))
     counts, edges = np.histogram(logs, bins=_BINS)
     centres = 0.5 * (edges[1:] + edges[:-1])
     below, sums = np.cumsum(counts)[:-1], np.cumsum(counts * centres)[:-1]
-    above, rest = len(logs) - below, (counts * centres).sum() - sums
+    above, upper_sums = len(logs) - below, (counts * centres).sum() - sums
     with np.errstate(invalid="ignore", divide="ignore"):
-        apart = below * above * (sums / below - rest / above) ** 2
-    split = edges[1 + int(np.nanargmax(apart))] if np.isfinite(apart).any() else edges[-1]
-    usual = math.exp(median(logs[logs <= split]))
-    return max(_THRESHOLD_RATIO * usual, least)
+        between_variance = below * above * (sums / below - upper_sums / above) ** 2
+    split = (
+        edges[1 + int(np.nanargmax(between_variance))]
+        if np.isfinite(between_variance).any()
+        else edges[-1]
+    )
+    static_level = math.exp(median(logs[logs <= split]))
+    return max(_THRESHOLD_RATIO * static_level, resolution_floor)
 
 
-def _rests(
+def _find_intervals(
     time: Array, level: Array, threshold: float, rest: float, window: float, step: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the first row of each rest, and the one after its last."""
-    quiet = level <= threshold
-    ends_here = np.append(np.diff(time) > 0.5 * window, True)
-    first = quiet & np.append(True, ends_here[:-1] | ~quiet[:-1])
-    last = quiet & (ends_here | ~np.append(quiet[1:], False))
+    is_quiet = level <= threshold
+    is_gap = np.append(np.diff(time) > 0.5 * window, True)
+    first = is_quiet & np.append(True, is_gap[:-1] | ~is_quiet[:-1])
+    last = is_quiet & (is_gap | ~np.append(is_quiet[1:], False))
     starts, ends = np.flatnonzero(first), np.flatnonzero(last) + 1
-    long = time[ends - 1] - time[starts] + step >= rest * (1.0 - 1e-9)
-    return starts[long], ends[long]
+    is_long = time[ends - 1] - time[starts] + step >= rest * (1.0 - 1e-9)
+    return starts[is_long], ends[is_long]
 
 
 def _contrast(level: Array, threshold: float, starts: np.ndarray, ends: np.ndarray) -> float:
@@ -319,60 +331,61 @@ def _contrast(level: Array, threshold: float, starts: np.ndarray, ends: np.ndarr
     inside = np.zeros(len(level) + 1)
     np.add.at(inside, starts, 1.0)
     np.add.at(inside, ends, -1.0)
-    usual = median(level[np.cumsum(inside)[:-1] > 0.0])
-    return median(moving) / usual if len(moving) and usual else math.inf
+    static_level = median(level[np.cumsum(inside)[:-1] > 0.0])
+    return median(moving) / static_level if len(moving) and static_level else math.inf
 
 
-def _no_rest_words(
+def _no_interval_message(
     time: Array, level: Array, threshold: float, rest: float, window: float, step: float
 ) -> str:
     """Say that no rest was found, and which threshold would take the quietest stretch."""
-    words = f"no rest of {rest:g} s was found below the threshold of {threshold:.3g}."
+    message = f"no rest of {rest:g} s was found below the threshold of {threshold:.3g}."
     candidates = np.unique(level[np.isfinite(level)])
     low, high = 0, len(candidates)
     while low < high:
         middle = (low + high) // 2
-        if len(_rests(time, level, float(candidates[middle]), rest, window, step)[0]):
+        if len(_find_intervals(time, level, float(candidates[middle]), rest, window, step)[0]):
             high = middle
         else:
             low = middle + 1
     if low == len(candidates):
-        return f"{words} No stretch of the record is as long without a gap."
-    starts, ends = _rests(time, level, float(candidates[low]), rest, window, step)
+        return f"{message} No stretch of the record is as long without a gap."
+    starts, ends = _find_intervals(time, level, float(candidates[low]), rest, window, step)
     return (
-        f"{words} The quietest stretch, from {time[starts[0]]:.6g} s to "
+        f"{message} The quietest stretch, from {time[starts[0]]:.6g} s to "
         f"{time[ends[0] - 1]:.6g} s, stays below {candidates[low]:.3g}: a higher threshold would "
         "take it, or a shorter rest a quieter part."
     )
 
 
-def _faults(
+def _interval_faults(
     values: Array, starts: np.ndarray, ends: np.ndarray, resolutions: Array
 ) -> dict[int, str]:
     """Return why rests are no poses, by their place: values that are held, or cut off."""
     scatter = [values[a:b].std(axis=0) for a, b in zip(starts, ends, strict=True)]
-    usual = np.median(scatter, axis=0)
+    median_scatter = np.median(scatter, axis=0)
     # Where an axis scatters by less than its digits, equal values tell nothing.
-    telling = usual > 2.0 * resolutions
+    is_testable = median_scatter > 2.0 * resolutions
     extremes = np.stack([values.min(axis=0), values.max(axis=0)])
     faults = {}
-    for place, (a, b) in enumerate(zip(starts, ends, strict=True)):
-        if usual.any() and (values[a:b] == values[a]).all():
-            faults[place] = "its values do not change at all, as if the recorder had stopped."
+    for index, (a, b) in enumerate(zip(starts, ends, strict=True)):
+        if median_scatter.any() and (values[a:b] == values[a]).all():
+            faults[index] = "its values do not change at all, as if the recorder had stopped."
             continue
-        at_ends = (values[a:b, None] == extremes).mean(axis=0).max(axis=0)
-        saturated = np.flatnonzero(telling & (at_ends > _SATURATED_PART))
+        share_at_ends = (values[a:b, None] == extremes).mean(axis=0).max(axis=0)
+        saturated = np.flatnonzero(is_testable & (share_at_ends > _SATURATED_FRACTION))
         if len(saturated):
             axis = saturated[0]
-            faults[place] = (
-                f"{at_ends[axis]:.0%} of its values along axis {axis + 1} are the largest or "
+            faults[index] = (
+                f"{share_at_ends[axis]:.0%} of its values along axis {axis + 1} are the largest or "
                 "smallest of the record, as at the limit of the range."
             )
             continue
-        held = np.flatnonzero(telling & (values[a:b] == values[a]).all(axis=0))
-        if len(held):
-            faults[place] = (
-                f"axis {held[0] + 1} does not change at all, beside others that do, as where a "
+        constant_axes = np.flatnonzero(is_testable & (values[a:b] == values[a]).all(axis=0))
+        if len(constant_axes):
+            faults[index] = (
+                f"axis {constant_axes[0] + 1} does not change at all, beside others that do, as "
+                "where a "
                 "sensor hangs."
             )
     return faults

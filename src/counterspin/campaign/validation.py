@@ -40,17 +40,17 @@ _PLAIN_MESSAGES: Final[Mapping[str, str]] = {
 _ONE_OF_SEVERAL: Final = re.compile(r"(constrained-)?(str|int|float)|(list|dict|is-instance)\[.*\]")
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
+def suggest_name(word: str, choices: Iterable[str]) -> str:
     """Return ``; did you mean "..."?`` and what is known, for the end of a message."""
-    names = list(known)
+    names = list(choices)
     folded = {name.lower(): name for name in names}
     from difflib import get_close_matches  # needed only where a file is wrong
 
     if not names:
         return ""
-    near = get_close_matches(word.lower(), folded, n=1)
-    hint = f'; did you mean "{folded[near[0]]}"?' if near else ""
-    return f"{hint}; known: {', '.join(names)}" if not near else hint
+    matches = get_close_matches(word.lower(), folded, n=1)
+    hint = f'; did you mean "{folded[matches[0]]}"?' if matches else ""
+    return f"{hint}; known: {', '.join(names)}" if not matches else hint
 
 
 class Section:
@@ -64,7 +64,7 @@ class Section:
         self._written = written
 
     @property
-    def written(self) -> Any:
+    def model(self) -> Any:
         """The class, or classes, of the table."""
         return load_name(self._written) if isinstance(self._written, str) else self._written
 
@@ -72,17 +72,17 @@ class Section:
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
         """Return the JSON Schema of what is written: of one class, the reference to it."""
-        written = TypeAdapter(self.written).core_schema
+        written = TypeAdapter(self.model).core_schema
         return handler(core_schema.definitions_schema(written, []))
 
 
-def sections_of(document: type[BaseModel]) -> dict[str, Any]:
+def nested_models(document: type[BaseModel]) -> dict[str, Any]:
     """Return key -> what may stand there, of the tables of a document that are checked apart."""
     return {
-        field.alias or name: said.written
+        field.alias or name: section.model
         for name, field in document.model_fields.items()
-        for said in field.metadata
-        if isinstance(said, Section)
+        for section in field.metadata
+        if isinstance(section, Section)
     }
 
 
@@ -120,32 +120,32 @@ class Problems:
             be given in m/s^2 or in g; `output`, in whose unit coefficients may be; `units` of
             readings by accelerometer; `folder`, in which files are.
         """
-        made, wrong = self.partly(model, raw, path, **context)
-        return None if wrong else made
+        instance, invalid_keys = self.validate_partial(model, raw, path, **context)
+        return None if invalid_keys else instance
 
-    def partly(
+    def validate_partial(
         self, model: type[M], raw: Any, path: KeyPath, **context: object
     ) -> tuple[M | None, set[str]]:
         """Return the section with its right keys, and the wrong ones; parameters as of `check`.
 
         What is required and wrong has the value of its example.
         """
-        wrong: set[str] = set()
-        made = None
+        invalid_keys: set[str] = set()
+        instance = None
         try:
-            made = model.model_validate(raw, context=context)
+            instance = model.model_validate(raw, context=context)
         except ValidationError as error:
-            for loc, mistake in _told_once(error.errors(include_url=False)):
-                self.add((*path, *loc), _words(mistake, loc, model))
-                wrong.add(str(loc[0]) if loc else "")
-            if isinstance(raw, Mapping) and "" not in wrong:
-                made = _right_part(model, raw, wrong, context)
-        for place, words, *others in _contradictions(made):
-            if not wrong & {*map(str, place[:1]), *others}:
-                self.add((*path, *place), words)
-        return made, wrong
+            for error_path, mistake in _deduplicate(error.errors(include_url=False)):
+                self.add((*path, *error_path), _error_text(mistake, error_path, model))
+                invalid_keys.add(str(error_path[0]) if error_path else "")
+            if isinstance(raw, Mapping) and "" not in invalid_keys:
+                instance = _validate_without(model, raw, invalid_keys, context)
+        for location, message, *related in _contradictions(instance):
+            if not invalid_keys & {*map(str, location[:1]), *related}:
+                self.add((*path, *location), message)
+        return instance, invalid_keys
 
-    def attempt(self, path: KeyPath, make: Callable[..., T], *args: Any, **kwargs: Any) -> T | None:
+    def collect(self, path: KeyPath, make: Callable[..., T], *args: Any, **kwargs: Any) -> T | None:
         """Return ``make(...)``, or None with its ValueError noted."""
         try:
             return make(*args, **kwargs)
@@ -161,11 +161,11 @@ class Problems:
         return f' (run "{name}")' if isinstance(name, str) and path[2] != "name" else ""
 
 
-def _words(mistake: Any, loc: KeyPath, model: type[BaseModel]) -> str:
+def _error_text(mistake: Any, loc: KeyPath, model: type[BaseModel]) -> str:
     """Return pydantic's message on a mistake in plain words."""
     kind, sizes = mistake["type"], mistake.get("ctx", {})
     if kind == "extra_forbidden":
-        return "unknown key" + did_you_mean(str(loc[-1]), _known_keys(model, loc[:-1]))
+        return "unknown key" + suggest_name(str(loc[-1]), _known_keys(model, loc[:-1]))
     if kind == "literal_error" and loc[-1] != "schema":
         return f"{str(mistake['input'])!r} is none of {sizes['expected']}"
     if kind == "value_error":
@@ -178,17 +178,19 @@ def _words(mistake: Any, loc: KeyPath, model: type[BaseModel]) -> str:
     return words
 
 
-def _contradictions(made: Any) -> Iterator[Any]:
+def _contradictions(instance: Any) -> Iterator[Any]:
     """Yield what contradicts itself in a section, and in those within it."""
-    yield from getattr(made, "contradictions", tuple)()
-    for name, field in type(made).model_fields.items() if isinstance(made, BaseModel) else ():
-        inner = getattr(made, name)
-        for place, words, *others in _contradictions(inner):
-            yield (field.alias or name, *place), words, *others
+    yield from getattr(instance, "contradictions", tuple)()
+    for name, field in (
+        type(instance).model_fields.items() if isinstance(instance, BaseModel) else ()
+    ):
+        inner = getattr(instance, name)
+        for location, message, *related in _contradictions(inner):
+            yield (field.alias or name, *location), message, *related
 
 
-def _right_part(
-    model: type[M], raw: Mapping[str, Any], wrong: set[str], context: dict[str, object]
+def _validate_without(
+    model: type[M], raw: Mapping[str, Any], invalid_keys: set[str], context: dict[str, object]
 ) -> M | None:
     """Return a section without its wrong keys, with required ones as in their examples."""
     examples = {
@@ -196,36 +198,40 @@ def _right_part(
         for name, field in model.model_fields.items()
         if field.is_required()
     }
-    part = {key: example for key, example in examples.items() if key in wrong}
-    part |= {key: value for key, value in raw.items() if key not in wrong}
+    valid = {key: example for key, example in examples.items() if key in invalid_keys}
+    valid |= {key: value for key, value in raw.items() if key not in invalid_keys}
     try:
-        return model.model_validate(part, context=context)
+        return model.model_validate(valid, context=context)
     except ValidationError:
         return None
 
 
-def _told_once(mistakes: Iterable[Any]) -> Iterator[tuple[KeyPath, Any]]:
+def _deduplicate(mistakes: Iterable[Any]) -> Iterator[tuple[KeyPath, Any]]:
     """Yield the mistakes with their places; those of a value with alternative types as one.
 
     If one of these types fits except for a mistake within, report that mistake.
     """
-    several: dict[KeyPath, list[Any]] = {}
+    errors_by_path: dict[KeyPath, list[Any]] = {}
     for mistake in mistakes:
         if mistake["type"] == "is_instance_of":
             continue  # what no document can hold
         loc = mistake["loc"]
-        at = next((i for i, part in enumerate(loc) if _is_type(part)), len(loc))
-        several.setdefault(loc[:at], []).append({**mistake, "loc": loc[:at] + loc[at + 1 :]})
-    for place, of_one in several.items():
-        within = [one for one in of_one if one["loc"] != place]
-        told = within or [one for one in of_one if not one["type"].endswith("_type")]
-        if within:
-            yield from _told_once(within)
-        elif told or len(of_one) == 1:
-            yield place, (told or of_one)[0]
+        split = next((i for i, part in enumerate(loc) if _is_type(part)), len(loc))
+        errors_by_path.setdefault(loc[:split], []).append(
+            {**mistake, "loc": loc[:split] + loc[split + 1 :]}
+        )
+    for place, errors in errors_by_path.items():
+        nested = [error for error in errors if error["loc"] != place]
+        reported = nested or [error for error in errors if not error["type"].endswith("_type")]
+        if nested:
+            yield from _deduplicate(nested)
+        elif reported or len(errors) == 1:
+            yield place, (reported or errors)[0]
         else:
-            *some, last = (_PLAIN_MESSAGES[one["type"]].partition("must be ")[2] for one in of_one)
-            yield place, {"type": "", "msg": f"must be {', '.join(some)} or {last}"}
+            *types, last_type = (
+                _PLAIN_MESSAGES[error["type"]].partition("must be ")[2] for error in errors
+            )
+            yield place, {"type": "", "msg": f"must be {', '.join(types)} or {last_type}"}
 
 
 def _is_type(part: str | int) -> bool:
@@ -235,15 +241,15 @@ def _is_type(part: str | int) -> bool:
 def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:
     """Return the keys of the (nested) model at a place."""
     current: Any = model
-    named = False  # whether the next part is a name that a person gave
+    is_user_key = False  # whether the next part is a name that a person gave
     for part in loc:
-        if isinstance(part, int) or current is None or named:
-            named = False
+        if isinstance(part, int) or current is None or is_user_key:
+            is_user_key = False
             continue
         fields = current.model_fields
-        by_key = {field.alias or name: field.annotation for name, field in fields.items()}
-        named = typing.get_origin(by_key.get(part)) is dict
-        current = model_inside(by_key.get(part))
+        annotations = {field.alias or name: field.annotation for name, field in fields.items()}
+        is_user_key = typing.get_origin(annotations.get(part)) is dict
+        current = model_inside(annotations.get(part))
     if current is None:
         return []
     return [field.alias or name for name, field in current.model_fields.items()]

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.kinds import ESTIMATE
+from counterspin.campaign.field_types import ESTIMATE
 from counterspin.campaign.settings import NoiseSettings, StatedNoise
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
@@ -32,7 +32,7 @@ SI_UNITS: Final[Mapping[str, str]] = {
 
 
 @frozen
-class SaidNoise:
+class ResolvedNoise:
     """The stated noise of one accelerometer."""
 
     sizes: StatedNoise | None  #: None: nothing.
@@ -41,7 +41,7 @@ class SaidNoise:
 
 
 @frozen
-class _Asked:
+class _NoiseRequest:
     """A record at rest and how it is read."""
 
     identity: FileIdentity | str  #: Of a record in memory, its checksum.
@@ -49,7 +49,9 @@ class _Asked:
     campaign: Campaign = field(compare=False)
 
 
-def said_noise(campaign: Campaign, unseen: float | str = ESTIMATE) -> dict[str, SaidNoise]:
+def resolve_noise(
+    campaign: Campaign, undetected: float | str = ESTIMATE
+) -> dict[str, ResolvedNoise]:
     """Return the stated noise, by accelerometer.
 
     Values from a record at rest complete the stated ones; a wander that the record does not show is
@@ -59,61 +61,64 @@ def said_noise(campaign: Campaign, unseen: float | str = ESTIMATE) -> dict[str, 
         records; without records, as in a forecast, it is zero.
     """
     if campaign.rest is None:
-        return dict.fromkeys(campaign.accelerometers, SaidNoise(campaign.noise))
-    found = _found(campaign)
+        return dict.fromkeys(campaign.accelerometers, ResolvedNoise(campaign.noise))
+    noise_by_name = _static_record_noise(campaign)
     return {
-        name: _said(campaign, name, found.get(name), unseen) for name in campaign.accelerometers
+        name: _resolve_accelerometer(campaign, name, noise_by_name.get(name), undetected)
+        for name in campaign.accelerometers
     }
 
 
-def true_noise(campaign: Campaign) -> StatedNoise:
+def simulated_noise(campaign: Campaign) -> StatedNoise:
     """Return the noise with which a campaign is simulated, every component a number."""
     assert campaign.simulation is not None
     true = campaign.simulation.truth.noise
     if isinstance(true, NoiseSettings) and true.rest is not None:
-        return with_sizes_found(campaign, true)
+        return with_static_sizes(campaign, true)
     return true
 
 
-def with_sizes_found(campaign: Campaign, noise: NoiseSettings) -> StatedNoise:
+def with_static_sizes(campaign: Campaign, noise: NoiseSettings) -> StatedNoise:
     """Return a campaign's noise with the sizes from its record at rest.
 
     If the accelerometers have sizes of their own, take the largest: a simulation and a plan have
     one noise.
     """
-    said = said_noise(replace(campaign, noise=noise), 0.0)
+    resolved = resolve_noise(replace(campaign, noise=noise), 0.0)
     sizes = {name: getattr(noise, name) for name in StatedNoise.model_fields}
     for name, accelerometer in campaign.accelerometers.items():
         for key in {accelerometer.observable, *SI_UNITS} - noise.model_fields_set:
-            sizes[key] = max(sizes[key], getattr(said[name].sizes, key))
+            sizes[key] = max(sizes[key], getattr(resolved[name].sizes, key))
     return StatedNoise.model_construct(**sizes)
 
 
-def _said(campaign: Campaign, name: str, found: RestNoise | None, unseen: float | str) -> SaidNoise:
+def _resolve_accelerometer(
+    campaign: Campaign, name: str, static_noise_of: RestNoise | None, undetected: float | str
+) -> ResolvedNoise:
     noise, observable = campaign.noise, campaign.accelerometers[name].observable
     assert noise is not None
-    if found is None:
-        return SaidNoise(noise)
+    if static_noise_of is None:
+        return ResolvedNoise(noise)
     # Of a specific force the first component is quantisation of the velocity: it averages away.
-    own = None if observable == "specific_force" else observable
-    covariance = found.covariance.copy()
+    white_key = None if observable == "specific_force" else observable
+    covariance = static_noise_of.covariance.copy()
     sizes: dict[str, float | str] = {}
-    for place, key in enumerate((own, "acceleration", "flicker", "bias_walk")):
+    for index, key in enumerate((white_key, "acceleration", "flicker", "bias_walk")):
         if key is None or key in noise.model_fields_set:
-            covariance[place], covariance[:, place] = 0.0, 0.0
+            covariance[index], covariance[:, index] = 0.0, 0.0
             continue
-        variance = found.components[COMPONENTS[place]].variance
+        variance = static_noise_of.components[COMPONENTS[index]].variance
         if key == "displacement" and isinstance(noise.quantisation, float):
             # What is stated of the steps is a part of what is white.
             variance = max(variance - noise.quantisation**2 / 12.0, 0.0)
         sizes[key] = math.sqrt(variance)
-        if variance == 0.0 and key in (own, "acceleration"):
-            sizes[key] = unseen
-    said = tuple(map(tuple, covariance.tolist())) if np.any(covariance) else ()
-    return SaidNoise(noise.model_copy(update=sizes), said)
+        if variance == 0.0 and key in (white_key, "acceleration"):
+            sizes[key] = undetected
+    remaining_covariance = tuple(map(tuple, covariance.tolist())) if np.any(covariance) else ()
+    return ResolvedNoise(noise.model_copy(update=sizes), remaining_covariance)
 
 
-def _found(campaign: Campaign) -> Mapping[str, RestNoise]:
+def _static_record_noise(campaign: Campaign) -> Mapping[str, RestNoise]:
     """Return the noise of the record at rest, by accelerometer."""
     file, key = campaign.rest, f"{campaign.path}: noise.from"
     assert file is not None
@@ -122,15 +127,18 @@ def _found(campaign: Campaign) -> Mapping[str, RestNoise]:
         campaign.gravity,
         campaign.time,
         campaign.dialect,
-        tuple((a.name, a.channel, a.observable) for a in campaign.accelerometers.values()),
+        tuple(
+            (accelerometer.name, accelerometer.channel, accelerometer.observable)
+            for accelerometer in campaign.accelerometers.values()
+        ),
     )
     try:
         # What was found stays in memory: the record, and the campaign's others, need not.
         record = campaign.record_at(file)
         frames = {file: record} if isinstance(record, MemoryTable) else {}
-        asked = replace(campaign, frames=frames, runs=(), readings=())
+        without_runs = replace(campaign, frames=frames, runs=(), readings=())
         identity = record.checksum if isinstance(record, MemoryTable) else FileIdentity.of(record)
-        return _analysed(_Asked(identity, read, asked))
+        return _analyze_record(_NoiseRequest(identity, read, without_runs))
     except OSError as error:
         raise RecordError(f"{key}: {file}: file not found.") from error
     except RecordError as error:
@@ -138,22 +146,31 @@ def _found(campaign: Campaign) -> Mapping[str, RestNoise]:
 
 
 @lru_cache(maxsize=4)
-def _analysed(asked: _Asked) -> Mapping[str, RestNoise]:
-    file = asked.campaign.rest
+def _analyze_record(request: _NoiseRequest) -> Mapping[str, RestNoise]:
+    file = request.campaign.rest
     assert file is not None
-    record = asked.campaign.record_at(file)
-    signals = rest_signals(asked.campaign, record)
+    record = request.campaign.record_at(file)
+    signals = static_signals(request.campaign, record)
     return {signal.name: at_rest(record, signal).analysis.noise for signal in signals}
 
 
-def rest_signals(campaign: Campaign, record: Path | MemoryTable) -> list[RestSignal]:
+def static_signals(campaign: Campaign, record: Path | MemoryTable) -> list[RestSignal]:
     """Return the columns of a campaign's accelerometers in a record at rest."""
-    used = [a for a in campaign.accelerometers.values() if a.channel.name]
-    specs = [campaign.time, *(a.channel for a in used)]
+    used = [
+        accelerometer
+        for accelerometer in campaign.accelerometers.values()
+        if accelerometer.channel.name
+    ]
+    specs = [campaign.time, *(accelerometer.channel for accelerometer in used)]
     time, *signals = read_scaled(record, specs, campaign.dialect)
     return [
         RestSignal(
-            a.name, a.channel.name, observation.ORDERS[a.observable], a.channel.in_g, time, values
+            accelerometer.name,
+            accelerometer.channel.name,
+            observation.ORDERS[accelerometer.observable],
+            accelerometer.channel.in_g,
+            time,
+            values,
         )
-        for a, values in zip(used, signals, strict=True)
+        for accelerometer, values in zip(used, signals, strict=True)
     ]

@@ -12,7 +12,7 @@ from counterspin.arrays import Array
 from counterspin.errors import RecordError
 from counterspin.records.memory import MemoryTable
 from counterspin.records.record import ColumnSpec, RecordColumns
-from counterspin.triads.rests import find_poses, read_poses
+from counterspin.triads.static_intervals import find_poses, read_poses
 
 #: Records of real sensors, beside the repository where there are any.
 _REAL = next(filter(Path.exists, (up / "shared/real" for up in Path(__file__).parents)), None)
@@ -37,8 +37,8 @@ def test_rests_are_found_whatever_part_of_the_record_they_take(rest: float, moti
     truth = posed(rest, motion)
     found = find_poses(truth.time, truth.values)
     assert_found(truth, found)
-    assert found.doubts == ()
-    assert found.left_out == ()
+    assert found.warnings == ()
+    assert found.rejected == ()
     assert found.scatter == pytest.approx(NOISE, rel=0.3)
     # Twice the noise of three axes together.
     assert found.threshold == pytest.approx(2.0 * np.sqrt(3.0) * NOISE, rel=0.05)
@@ -76,7 +76,7 @@ def test_a_stated_threshold_and_rest_decide() -> None:
     one = find_poses(truth.time, truth.values, threshold=50.0)
     assert len(one.start) == 1
     assert one.threshold == 50.0
-    assert "Nothing moves" in one.doubts[0]
+    assert "Nothing moves" in one.warnings[0]
     with pytest.raises(RecordError, match=r"no rest of 5 s was found .*a higher threshold"):
         find_poses(truth.time, truth.values, rest=5.0)
     with pytest.raises(
@@ -161,7 +161,7 @@ def test_a_drift_within_a_pose_is_no_motion_but_a_slow_turn_is_doubtful() -> Non
     turned = np.array([9.81 * np.sin(0.01 * truth.time), 0.0 * truth.time, 0.0 * truth.time]).T
     noise = NOISE * np.random.default_rng(5).normal(size=turned.shape)
     found = find_poses(truth.time, turned + noise)
-    assert any("turned slowly" in doubt for doubt in found.doubts)
+    assert any("turned slowly" in doubt for doubt in found.warnings)
 
 
 @pytest.mark.parametrize("digit", [0.005, 0.05, 0.2])
@@ -171,7 +171,7 @@ def test_coarse_digits_do_no_harm(digit: float) -> None:
     found = find_poses(truth.time, values)
     assert len(found.start) == 12
     assert np.abs(found.mean - truth.force).max() < 0.01 + 0.5 * digit
-    assert found.left_out == ()
+    assert found.rejected == ()
 
 
 def test_saturated_and_held_rests_are_left_out_and_said() -> None:
@@ -181,22 +181,22 @@ def test_saturated_and_held_rests_are_left_out_and_said() -> None:
     hit = truth.force[:, 0] > top
     found = find_poses(truth.time, cut)
     assert_found(truth, found, ~hit)
-    assert len(found.left_out) == hit.sum()
-    assert "along axis 1 are the largest or smallest of the record" in found.left_out[0]
+    assert len(found.rejected) == hit.sum()
+    assert "along axis 1 are the largest or smallest of the record" in found.rejected[0]
     held = truth.values.copy()
     first = round(truth.start[5] / STEP)
     held[first : first + 400] = held[first]
     found = find_poses(truth.time, held)
     assert len(found.start) == 11
-    assert "do not change at all" in found.left_out[0]
+    assert "do not change at all" in found.rejected[0]
     # One axis hangs, from within one rest to within another: both are left out, and those between.
     hung = truth.values.copy()
     last = round(truth.start[7] / STEP) + 400
     hung[first:last, 1] = hung[first, 1]
     found = find_poses(truth.time, hung)
     assert len(found.start) == 9
-    assert len(found.left_out) == 3
-    assert "axis 2 does not change at all" in found.left_out[0]
+    assert len(found.rejected) == 3
+    assert "axis 2 does not change at all" in found.rejected[0]
 
 
 def test_a_record_without_a_clear_gap_says_so() -> None:
@@ -204,10 +204,10 @@ def test_a_record_without_a_clear_gap_says_so() -> None:
     time = np.arange(6000) * STEP
     loud = np.where(np.sin(2.0 * np.pi * time / 10.0) > 0.0, 1.0, 2.2)[:, None]
     found = find_poses(time, loud * rng.normal(size=(6000, 3)))
-    assert any("not clearly apart" in doubt for doubt in found.doubts)
+    assert any("not clearly apart" in doubt for doubt in found.warnings)
     still = find_poses(time, NOISE * rng.normal(size=(6000, 3)))
     assert len(still.start) == 1
-    assert "Nothing moves" in still.doubts[0]
+    assert "Nothing moves" in still.warnings[0]
 
 
 @pytest.mark.parametrize(
@@ -269,7 +269,7 @@ def test_a_mems_sensor_set_by_hand_lay_in_22_poses() -> None:
     values = np.loadtxt(_REAL / "mpu9150/imu0.log")[:, :3]
     poses = find_poses(np.arange(len(values)) * STEP, values)
     assert len(poses.start) == 22
-    assert poses.doubts == poses.left_out == ()
+    assert poses.warnings == poses.rejected == ()
 
 
 @pytest.mark.skipif(_REAL is None, reason="the real records are not here")

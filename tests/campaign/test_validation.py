@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import Field
 
-from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.kinds import SettingsSection, Text
+from counterspin.campaign.field_types import SettingsSection, Text
 from counterspin.campaign.runs import OfEach
+from counterspin.campaign.validation import Problems, suggest_name
 
 
 class Inner(SettingsSection):
@@ -61,5 +61,5 @@ def test_a_value_of_each_type_is_accepted():
 
 
 def test_where_nothing_is_known_nothing_is_meant():
-    assert did_you_mean("x", []) == ""
-    assert did_you_mean("alpah", ["alpha", "beta"]) == '; did you mean "alpha"?'
+    assert suggest_name("x", []) == ""
+    assert suggest_name("alpah", ["alpha", "beta"]) == '; did you mean "alpha"?'

@@ -13,16 +13,16 @@ from inspect import signature
 from typing import Any, Final
 
 from counterspin.campaign.accelerometers import TRUTH_TABLES, Accelerometer
-from counterspin.campaign.checking import Problems
 from counterspin.campaign.columns import RecordsSettings
 from counterspin.campaign.documents import KeyPath, list_of, table_of
-from counterspin.campaign.kinds import exact
+from counterspin.campaign.field_types import exact
 from counterspin.campaign.model import ErrorModel
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run, is_reading
 from counterspin.campaign.settings import OBSERVABLES, CentrifugeSettings, NoiseSettings
 from counterspin.campaign.terms import symbols_shown
+from counterspin.campaign.validation import Problems
 from counterspin.physics.effects import AttitudeError, TrajectoryError
 from counterspin.physics.terms import CONDITION_TERMS, SHARED_TERMS, shown_by_readings
 
@@ -43,7 +43,7 @@ def check(function: Callable[..., Mistakes]) -> Callable[..., Mistakes]:
     return function
 
 
-def note_mistakes(parts: Mapping[str, Any], problems: Problems) -> None:
+def run_checks(parts: Mapping[str, Any], problems: Problems) -> None:
     """Note what every check finds whose parts are in order.
 
     parts: Those of a description that are in order, by name; None of a table that is not there.
@@ -70,14 +70,14 @@ def _missing_sections(
 
 
 @check
-def _no_runs(document: Mapping[str, Any], listed: Listed) -> Mistakes:
+def _missing_runs(document: Mapping[str, Any], listed: Listed) -> Mistakes:
     if not listed and "readings" not in document:
-        said = "must have at least one entry" if "runs" in document else "is missing"
-        yield ("runs",), "are all left out by skip = true" if list_of(document, "runs") else said
+        message = "must have at least one entry" if "runs" in document else "is missing"
+        yield ("runs",), "are all left out by skip = true" if list_of(document, "runs") else message
 
 
 @check
-def _names_and_files_once(document: Mapping[str, Any], listed: Listed) -> Mistakes:
+def _repeated_names_and_files(document: Mapping[str, Any], listed: Listed) -> Mistakes:
     """Yield names of runs that are used twice, and files; of a file each part is one."""
     names: dict[str, int] = {}
     files: dict[str, int] = {}
@@ -89,14 +89,14 @@ def _names_and_files_once(document: Mapping[str, Any], listed: Listed) -> Mistak
     for index, entry in listed:
         if not isinstance(entry, dict):
             continue
-        yield from _once(entry.get("name"), names, ("runs", index, "name"))
+        yield from _check_unique(entry.get("name"), names, ("runs", index, "name"))
         for key, file in _files(entry):
             sharing = runs_by_record.get(file, []) if isinstance(file, str) else []
-            if not _is_elsewhere(entry, sharing, records):
-                yield from _once(file, files, ("runs", index, key))
+            if not _is_disjoint(entry, sharing, records):
+                yield from _check_unique(file, files, ("runs", index, key))
 
 
-def _once(value: Any, seen: dict[str, int], path: KeyPath) -> Mistakes:
+def _check_unique(value: Any, seen: dict[str, int], path: KeyPath) -> Mistakes:
     index = path[1]
     assert isinstance(index, int)
     if isinstance(value, str) and seen.setdefault(value, index) != index:
@@ -105,41 +105,51 @@ def _once(value: Any, seen: dict[str, int], path: KeyPath) -> Mistakes:
 
 def _files(entry: Mapping[str, Any]) -> list[tuple[str, Any]]:
     """Return the files that a run names, with their keys."""
-    more = entry.get("continued_in")
-    names = [("continued_in", name) for name in (more if isinstance(more, list) else [])]
+    continuations = entry.get("continued_in")
+    names = [
+        ("continued_in", name)
+        for name in (continuations if isinstance(continuations, list) else [])
+    ]
     return [("record", entry.get("record")), *names, ("pulses", entry.get("pulses"))]
 
 
-def _is_elsewhere(
+def _is_disjoint(
     entry: Mapping[str, Any], sharing: Sequence[Mapping[str, Any]], records: Mapping[str, Any]
 ) -> bool:
     """Return whether a run uses another part of a file than all other runs that name the file.
 
     sharing: The runs whose record is the file.
     """
-    here = _table_in_file(entry, records)
-    others = [run for run in sharing if run is not entry]
-    same = (run for run in others if not _are_two_tables(here, _table_in_file(run, records)))
+    selection = _table_selection(entry, records)
+    other_runs = [run for run in sharing if run is not entry]
+    sharing_table = (
+        run
+        for run in other_runs
+        if not _are_different_tables(selection, _table_selection(run, records))
+    )
     if "start" not in entry and "stop" not in entry:
-        return bool(others) and next(same, None) is None
-    begin, end = _stated_part(entry)
-    return bool(others) and all(
-        end <= start or stop <= begin for start, stop in map(_stated_part, same)
+        return bool(other_runs) and next(sharing_table, None) is None
+    range_start, range_stop = _time_range(entry)
+    return bool(other_runs) and all(
+        range_stop <= start or stop <= range_start
+        for start, stop in map(_time_range, sharing_table)
     )
 
 
-def _table_in_file(entry: Mapping[str, Any], records: Mapping[str, Any]) -> list[Any]:
+def _table_selection(entry: Mapping[str, Any], records: Mapping[str, Any]) -> list[Any]:
     """Return the sheet and the group that are read of a run's record; None: the only one."""
-    own = entry.get("records")
-    stated = {**records, **own} if isinstance(own, Mapping) else records
+    run_section = entry.get("records")
+    stated = {**records, **run_section} if isinstance(run_section, Mapping) else records
     return [stated.get("sheet"), stated.get("group")]
 
 
-def _are_two_tables(one: Sequence[Any], other: Sequence[Any]) -> bool:
-    return any(a is not None and b is not None and a != b for a, b in zip(one, other, strict=True))
+def _are_different_tables(first: Sequence[Any], second: Sequence[Any]) -> bool:
+    return any(
+        a is not None and b is not None and a != b for a, b in zip(first, second, strict=True)
+    )
 
 
-def _stated_part(entry: Mapping[str, Any]) -> tuple[float, float]:
+def _time_range(entry: Mapping[str, Any]) -> tuple[float, float]:
     """Return the part of its record that a run states; all of it if it states none that is one."""
     try:
         start = exact(entry["start"], "s") if "start" in entry else -math.inf
@@ -150,16 +160,16 @@ def _stated_part(entry: Mapping[str, Any]) -> tuple[float, float]:
 
 
 @check
-def _two_clocks(runs: Mapping[int, Run]) -> Mistakes:
+def _conflicting_clocks(runs: Mapping[int, Run]) -> Mistakes:
     """Yield recorders of which two runs state two clocks."""
     clocks: dict[str, tuple[str, Quantity | None]] = {}
     for run in runs.values():
         if run.recording is not None and run.recording.recorder:
-            own = run.name, run.recording.clock
-            first, clock = clocks.setdefault(run.recording.recorder, own)
+            name_and_clock = run.name, run.recording.clock
+            first_name, clock = clocks.setdefault(run.recording.recorder, name_and_clock)
             if clock != run.recording.clock:
-                said = f'state two clocks of the recorder "{run.recording.recorder}"; state one'
-                yield ("runs",), f'"{first}" and "{run.name}" {said}'
+                message = f'state two clocks of the recorder "{run.recording.recorder}"; state one'
+                yield ("runs",), f'"{first_name}" and "{run.name}" {message}'
 
 
 @check
@@ -174,35 +184,35 @@ def _names_of_accelerometers(tables: Mapping[str, Any]) -> Mistakes:
     """Yield names that [truth] could not tell from its other tables, or TOML would quote."""
     for name in tables:
         if name in TRUTH_TABLES or not _NAME.fullmatch(name):
-            said = "cannot be an accelerometer's name; use letters, digits, - and _, and none of"
-            yield ("accelerometers", name), f"{said} {', '.join(TRUTH_TABLES)}"
+            message = "cannot be an accelerometer's name; use letters, digits, - and _, and none of"
+            yield ("accelerometers", name), f"{message} {', '.join(TRUTH_TABLES)}"
 
 
 @check
-def _columns_once(
+def _repeated_columns(
     records: RecordsSettings | None, accelerometers: Mapping[str, Accelerometer]
 ) -> Mistakes:
     """Yield columns that are used twice."""
     if records is None:
         return
     seen = {records.time.column or "": "records.time"}
-    others = {
+    columns_by_key = {
         f"records.{key}": channel.column
         for key, channel in (("angle", records.angle), ("temperature", records.temperature))
         if channel
     }
-    others |= {
-        f"accelerometers.{one.name}.{one.observable}": one.channel.name
-        for one in accelerometers.values()
+    columns_by_key |= {
+        f"accelerometers.{item.name}.{item.observable}": item.channel.name
+        for item in accelerometers.values()
     }
-    for key, column in others.items():
+    for key, column in columns_by_key.items():
         if column in seen:
             yield tuple(key.split(".")), f'column "{column}" is already used by {seen[column]}'
         seen[column] = key
 
 
 @check
-def _record_of_the_noise(noise: NoiseSettings | None, listed: Listed) -> Mistakes:
+def _invalid_noise_record(noise: NoiseSettings | None, listed: Listed) -> Mistakes:
     entries = [entry for _, entry in listed]
     if noise is not None and noise.rest is not None:
         if all(map(is_reading, entries)):
@@ -212,7 +222,7 @@ def _record_of_the_noise(noise: NoiseSettings | None, listed: Listed) -> Mistake
 
 
 @check
-def _noise_of_nothing(noise: NoiseSettings | None, observables: Mapping[str, str]) -> Mistakes:
+def _unused_noise(noise: NoiseSettings | None, observables: Mapping[str, str]) -> Mistakes:
     for key in OBSERVABLES if noise and observables else ():
         if key not in observables.values() and getattr(noise, key) != 0.0:
             yield ("noise", key), f"no accelerometer records {key}"
@@ -236,20 +246,20 @@ def _terms_that_cannot_act(
     """Yield named terms that neither a record nor a reading of the campaign can show."""
     recorded = any(not is_reading(entry) for _, entry in listed)
     strapped = centrifuge is not None and centrifuge.strapped
-    named = {"terms": model.terms, "hold": model.considered, "priors": tuple(model.priors)}
-    for key, symbols in named.items():
+    symbols_by_key = {"terms": model.terms, "hold": model.considered, "priors": tuple(model.priors)}
+    for key, symbols in symbols_by_key.items():
         for symbol in symbols:
             row = SHARED_TERMS.get(symbol)
             if row is None or symbol in symbols_shown(right_readings):
                 continue
-            if why := _without_effect(row.effect, strapped):
-                yield ("model", key), f'"{symbol}" {why}'
+            if reason := _reason_without_effect(row.effect, strapped):
+                yield ("model", key), f'"{symbol}" {reason}'
             elif not (recorded or key == "priors" or shown_by_readings(symbol)):
-                why = "acts on records of the double turntable, and no run has one; leave it out"
-                yield ("model", key), f'"{symbol}" {why}'
+                reason = "acts on records of the double turntable, and no run has one; leave it out"
+                yield ("model", key), f'"{symbol}" {reason}'
 
 
-def _without_effect(effect: AttitudeError | TrajectoryError, strapped: bool) -> str:
+def _reason_without_effect(effect: AttitudeError | TrajectoryError, strapped: bool) -> str:
     """Return why a term acts on no record of the double turntable; empty if it may act."""
     if not isinstance(effect, AttitudeError):
         return ""
@@ -267,7 +277,7 @@ def _without_effect(effect: AttitudeError | TrajectoryError, strapped: bool) -> 
 
 
 @check
-def _conditions(
+def _missing_conditions(
     model: ErrorModel,
     runs: Mapping[int, Run],
     recorded_temperatures: set[str],
@@ -275,28 +285,35 @@ def _conditions(
 ) -> Mistakes:
     """Yield what is missing for the slopes of a model, and slopes that nothing determines."""
     reference = centrifuge and centrifuge.reference_temperature
-    used = [row for s, row in CONDITION_TERMS.items() if s in {*model.terms, *model.considered}]
+    used = [
+        row
+        for symbol, row in CONDITION_TERMS.items()
+        if symbol in {*model.terms, *model.considered}
+    ]
     for key in ("temperature", "time"):
         conditions = (key, "direction") if key == "temperature" else (key,)
-        asking = next((row.symbol for row in used if row.effect.condition in conditions), None)
-        own = recorded_temperatures if key == "temperature" else ()
-        stated = [getattr(run, key) is not None or run.name in own for run in runs.values()]
-        if asking is None and (key == "temperature" or not any(stated)):
+        term_symbol = next((row.symbol for row in used if row.effect.condition in conditions), None)
+        recorded_runs = recorded_temperatures if key == "temperature" else ()
+        stated = [
+            getattr(run, key) is not None or run.name in recorded_runs for run in runs.values()
+        ]
+        if term_symbol is None and (key == "temperature" or not any(stated)):
             continue
-        why = f"{asking} is in the model" if asking else "other runs state theirs"
-        for place, there in zip(runs, stated, strict=True):
-            if not there:
+        reason = f"{term_symbol} is in the model" if term_symbol else "other runs state theirs"
+        for index, is_stated in zip(runs, stated, strict=True):
+            if not is_stated:
                 example = '"23.4 degC"' if key == "temperature" else '"12 min"'
-                said = f"is missing: {why}; write for example {key} = {example}"
-                yield ("runs", place, key), said
-        if own or reference is not None or not runs or not all(stated):
+                message = f"is missing: {reason}; write for example {key} = {example}"
+                yield ("runs", index, key), message
+        if recorded_runs or reference is not None or not runs or not all(stated):
             continue
-        if asking and key == "temperature":
+        if term_symbol and key == "temperature":
             temperatures = {
                 temperature for run in runs.values() for temperature in run.temperature or ()
             }
             if len(temperatures) == 1:
                 yield (
                     ("centrifuge", "reference_temperature"),
-                    f"is missing: {asking} is in the model, and all runs are at one temperature",
+                    f"is missing: {term_symbol} is in the model, and all runs are at one "
+                    "temperature",
                 )

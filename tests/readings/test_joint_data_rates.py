@@ -9,7 +9,7 @@ import pytest
 import counterspin as cs
 from counterspin.calibration.model import make_unknowns
 from counterspin.errors import CampaignError
-from counterspin.readings.joining import with_readings
+from counterspin.readings.joint_data import estimate_with_readings
 
 GRAVITY, LATITUDE, EARTH = 9.8066, math.radians(45.0), 7.292115e-5
 TRUTH = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 1.5e-5, "K_III": 1e-6}
@@ -71,7 +71,7 @@ def with_values(of, rng, *, rate_errors=0.0, radii=(), sigma=SIGMA):
 
 def deviations(of, model):
     """Return z of the coefficients of A."""
-    estimate, _ = with_readings(None, model, of)
+    estimate, _ = estimate_with_readings(None, model, of)
     solution = estimate.fit.solution
     return {
         u.symbol: (solution.estimate[i] + u.nominal - TRUTH[u.symbol]) / solution.u[i]

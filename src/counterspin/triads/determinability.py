@@ -28,7 +28,7 @@ _STEP: Final = 2.0
 _PART: Final = 0.5
 
 
-def candidates_of(model: Unknowns, accelerometers: Collection[str]) -> tuple[Unknown, ...]:
+def default_candidates(model: Unknowns, accelerometers: Collection[str]) -> tuple[Unknown, ...]:
     """Return the requested parameters of a triad that have a default prior and no other."""
     return tuple(
         unknown
@@ -54,43 +54,43 @@ def undetermined_parameters(
     while len(undetermined) < len(candidates):
         current = model.with_default_priors(undetermined)
         solution = solve_blocks(fit.blocks, current)
-        left = [unknown for unknown in candidates if unknown not in undetermined]
-        places = [model.unknowns.index(unknown) for unknown in left]
-        limits = np.array([unknown.limit for unknown in left])
-        failing = solution.u[places] >= limits
-        default = np.array([unknown.default for unknown in left])
-        if not failing.any():
-            bent = _curvature(fit, solution, places)
+        remaining = [unknown for unknown in candidates if unknown not in undetermined]
+        indices = [model.unknowns.index(unknown) for unknown in remaining]
+        limits = np.array([unknown.limit for unknown in remaining])
+        is_undetermined = solution.u[indices] >= limits
+        default = np.array([unknown.default for unknown in remaining])
+        if not is_undetermined.any():
+            curvature = _curvature(fit, solution, indices)
             # A bend that moves a parameter by little of its default prior leaves it determined.
-            matters = solution.u[places] * np.sqrt(bent) / _STEP > _PART * default
-            failing = (bent > _STEP**2) & matters
-        if not failing.any() and undetermined:
-            failing = _parts_of_priors(solution, current, places) > _PART * default
-        if not failing.any():
+            is_significant = solution.u[indices] * np.sqrt(curvature) / _STEP > _PART * default
+            is_undetermined = (curvature > _STEP**2) & is_significant
+        if not is_undetermined.any() and undetermined:
+            is_undetermined = _prior_contributions(solution, current, indices) > _PART * default
+        if not is_undetermined.any():
             break
-        size = solution.u[places] / default
-        undetermined.append(left[int(np.argmax(np.where(failing, size, -1.0)))])
+        size = solution.u[indices] / default
+        undetermined.append(remaining[int(np.argmax(np.where(is_undetermined, size, -1.0)))])
     return undetermined
 
 
-def _parts_of_priors(solution: Solution, model: Unknowns, places: Sequence[int]) -> Array:
+def _prior_contributions(solution: Solution, model: Unknowns, indices: Sequence[int]) -> Array:
     """Return the parts of the uncertainties that default priors of other parameters contribute."""
     defaulted = [unknown.defaulted for unknown in model.unknowns]
-    weights = np.eye(len(model.unknowns))[places]
+    weights = np.eye(len(model.unknowns))[indices]
     return np.array([np.linalg.norm(solution.combine(row).prior[defaulted]) for row in weights])
 
 
-def _curvature(fit: JointFit, solution: Solution, places: Sequence[int]) -> Array:
+def _curvature(fit: JointFit, solution: Solution, indices: Sequence[int]) -> Array:
     """Return the chi-square of the second-order changes over each parameter's own uncertainty.
 
     The linear change has the chi-square `_STEP` squared. The steps are those of the noise alone.
     """
     noise = solution.covariance_noise
-    u = np.sqrt(np.diag(noise)[places])
-    moves = _STEP * np.divide(noise[:, places], u, out=np.zeros((len(noise), len(u))), where=u > 0)
-    total = np.zeros(len(places))
-    for part in fit.observations:
-        if isinstance(part, LinearReadings) and part.group.triad:
-            changes = part.group.curvature(fit.model, fit.solution.estimate, moves)
-            total += np.sum((changes / part.sigma[:, None]) ** 2, axis=0)
-    return total
+    u = np.sqrt(np.diag(noise)[indices])
+    moves = _STEP * np.divide(noise[:, indices], u, out=np.zeros((len(noise), len(u))), where=u > 0)
+    chi2 = np.zeros(len(indices))
+    for observation in fit.observations:
+        if isinstance(observation, LinearReadings) and observation.group.triad:
+            changes = observation.group.curvature(fit.model, fit.solution.estimate, moves)
+            chi2 += np.sum((changes / observation.sigma[:, None]) ** 2, axis=0)
+    return chi2

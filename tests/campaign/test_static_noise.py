@@ -10,7 +10,7 @@ import counterspin as cs
 from counterspin.calibration.joint_problem import make_noise
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.memory import make_campaign
-from counterspin.campaign.noise_at_rest import true_noise
+from counterspin.campaign.static_noise import simulated_noise
 from counterspin.errors import CampaignError
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import plan
@@ -56,7 +56,7 @@ def test_the_largest_noise_found_is_simulated(folder, white):
 def test_true_noise_of_its_own_is_simulated_instead(folder, tmp_path):
     at_rest(tmp_path, rows=2000)
     own = read_campaign(write(tmp_path, changed(SMALL, (STATED, FROM))))
-    assert true_noise(own).displacement == 0.01
+    assert simulated_noise(own).displacement == 0.01
     wanted = read_campaign(folder).change({"noise": {"acceleration": "estimate"}})
     with pytest.raises(CampaignError, match=r"noise\.acceleration: a simulation needs its true"):
         cs.simulate(wanted)

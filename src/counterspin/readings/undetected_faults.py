@@ -15,20 +15,20 @@ import numpy as np
 
 from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.checks.shifts import format_size, largest_shift
-from counterspin.campaign.conditions import UNKNOWN_WARMING
+from counterspin.campaign.conditions import DEFAULT_WARMING
 from counterspin.campaign.description import Campaign
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.distributions import student_quantile
 from counterspin.inference.joint.alternatives import Alternative, effects_of
 from counterspin.inference.joint.fit import JointFit, relax
 from counterspin.physics.terms import ARCSEC
-from counterspin.readings.checks import columns_beside, group_of
+from counterspin.readings.checks import pattern_columns, residual_group
 from counterspin.readings.fitted import FittedReadings
-from counterspin.readings.parts import parts_of
 from counterspin.readings.patterns import DRIFT, RANGE, REVERSED, STEP, TURN
+from counterspin.readings.reading_groups import groups_of_view
 
 #: A fault that moves a coefficient by so many of its u is stated.
-_WORTH_STATING: Final = 2.0
+_MIN_SHIFT: Final = 2.0
 
 #: Typical difference between the gains of two ranges of a meter: order of magnitude, as two ranges
 #: of a voltmeter of 6.5 digits that are each within 40 ppm after a year.
@@ -38,50 +38,52 @@ _RANGE: Final = 5e-5
 _HEAD: Final = 36.0 * ARCSEC
 
 #: Fewest readings that a fault can begin among.
-_FEWEST: Final = 4
+_MIN_READINGS: Final = 4
 
 
-def unseen_faults(views: Sequence[AccelerometerView]) -> dict[str, list[str]]:
+def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list[str]]:
     """Return for each accelerometer the faults that it would not show, the worst one first.
 
     Of each kind of fault the one that moves a coefficient most.
     """
     fit = relax(views[0].fit)
-    parts = {id(part.readings): part for view in views for part in parts_of(view)}
-    found: dict[str, dict[str, tuple[float, str]]] = {view.name: {} for view in views}
-    for part in parts.values():
-        place = part.place_in(fit)
-        if place is None or part.readings.size < _FEWEST:
+    groups = {id(group.readings): group for view in views for group in groups_of_view(view)}
+    faults_by_name: dict[str, dict[str, tuple[float, str]]] = {view.name: {} for view in views}
+    for group in groups.values():
+        index = group.index_in(fit)
+        if index is None or group.readings.size < _MIN_READINGS:
             continue
-        every = columns_beside(fit, group_of(part, place))
+        columns = pattern_columns(fit, residual_group(group, index))
         faults = {
-            other: size
-            for other in every
-            if (size := _typical(views[0].campaign, part, other)) is not None
+            column: size
+            for column in columns
+            if (size := _typical_size(views[0].campaign, group, column)) is not None
         }
         if not faults:
             continue
-        noticed = _noticed_from(part, len(every))
-        left, moved = effects_of(fit, tuple(faults))
-        for k, (other, typical) in enumerate(faults.items()):
-            size = min(typical, noticed / max(float(left[k]), 1e-300))
-            if other.kind == REVERSED and size < typical:
+        detectable = _detectable_effect(group, len(columns))
+        residual_norms, shifts = effects_of(fit, tuple(faults))
+        for column_index, (column, typical) in enumerate(faults.items()):
+            size = min(typical, detectable / max(float(residual_norms[column_index]), 1e-300))
+            if column.kind == REVERSED and size < typical:
                 continue  # There is no part of it: the tests would notice the whole.
             for view in views:
-                symbol, shift, times = largest_shift(view, (), size * moved[:, k])
-                times *= _shrunk(view, fit, symbol, part, size * float(left[k]))
-                before = found[view.name].get(other.kind, (_WORTH_STATING, ""))
-                if times > before[0]:
-                    clause = f"{_words(other, size)} moves {symbol} by "
-                    clause += f"{format_size(symbol, abs(shift), 3)} ({times:.2g} times its u)"
-                    found[view.name][other.kind] = times, clause
+                symbol, shift, ratio = largest_shift(view, (), size * shifts[:, column_index])
+                ratio *= _noise_shrinkage(
+                    view, fit, symbol, group, size * float(residual_norms[column_index])
+                )
+                known = faults_by_name[view.name].get(column.kind, (_MIN_SHIFT, ""))
+                if ratio > known[0]:
+                    clause = f"{_describe_fault(column, size)} moves {symbol} by "
+                    clause += f"{format_size(symbol, abs(shift), 3)} ({ratio:.2g} times its u)"
+                    faults_by_name[view.name][column.kind] = ratio, clause
     return {
         name: [clause for _, clause in sorted(faults.values(), reverse=True)]
-        for name, faults in found.items()
+        for name, faults in faults_by_name.items()
     }
 
 
-def remarks_of(faults: Mapping[str, Sequence[str]]) -> Iterator[str]:
+def fault_remarks(faults: Mapping[str, Sequence[str]]) -> Iterator[str]:
     """Yield a remark for each accelerometer whose data would not show some faults."""
     for name, clauses in faults.items():
         if clauses:
@@ -92,32 +94,32 @@ def remarks_of(faults: Mapping[str, Sequence[str]]) -> Iterator[str]:
             )
 
 
-def _noticed_from(part: FittedReadings, tests: int) -> float:
+def _detectable_effect(group: FittedReadings, tests: int) -> float:
     """Return the smallest effect that the tests notice, in standard deviations, for all tests.
 
     An estimated noise is compared with what the other residuals tell of it.
     """
     level = 0.5 * SIGNIFICANCE / max(tests, 1)
-    others = part.noise_dof - 1.0
-    return -student_quantile(others, 0.5 * level) if others >= 1.0 else math.inf
+    dof = group.noise_dof - 1.0
+    return -student_quantile(dof, 0.5 * level) if dof >= 1.0 else math.inf
 
 
-def _shrunk(
-    view: AccelerometerView, fit: JointFit, symbol: str, part: FittedReadings, left: float
+def _noise_shrinkage(
+    view: AccelerometerView, fit: JointFit, symbol: str, group: FittedReadings, effect: float
 ) -> float:
     """Return u over what it becomes where an estimated noise takes up what is left of a fault.
 
     left: Of the fault in the residuals, in standard deviations.
     """
-    if not symbol or part.has_external_noise or not left:
+    if not symbol or group.has_external_noise or not effect:
         return 1.0
-    place = view.indices[symbol]
-    variance = float(view.fit.solution.covariance[place, place])
-    by_noise = float(fit.solution.covariance_noise[place, place]) / variance
-    return 1.0 / math.sqrt(1.0 + min(by_noise, 1.0) * left**2 / max(part.noise_dof, 1.0))
+    index = view.indices[symbol]
+    variance = float(view.fit.solution.covariance[index, index])
+    noise_part = float(fit.solution.covariance_noise[index, index]) / variance
+    return 1.0 / math.sqrt(1.0 + min(noise_part, 1.0) * effect**2 / max(group.noise_dof, 1.0))
 
 
-def _typical(campaign: Campaign, part: FittedReadings, fault: Alternative) -> float | None:
+def _typical_size(campaign: Campaign, part: FittedReadings, fault: Alternative) -> float | None:
     """Return the typical size of a fault in the unit of its column; None where it is none."""
     name = fault.owner
     if fault.kind == STEP:
@@ -131,11 +133,11 @@ def _typical(campaign: Campaign, part: FittedReadings, fault: Alternative) -> fl
     if fault.kind == DRIFT:
         lasts = float(np.ptp(part.readings.time))
         by_time = lasts * campaign.typical_of("K_F.trend", name)
-        return max(by_time, UNKNOWN_WARMING * campaign.typical_of("K_F.temperature", name))
+        return max(by_time, DEFAULT_WARMING * campaign.typical_of("K_F.temperature", name))
     return None
 
 
-def _words(fault: Alternative, size: float) -> str:
+def _describe_fault(fault: Alternative, size: float) -> str:
     if fault.kind == REVERSED:
         return "a rotation in the other sense than stated"
     if fault.kind == STEP:

@@ -1,0 +1,113 @@
+"""Poses of a campaign's triad: those that were read, and those found in records."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from counterspin.campaign.conditions import reference_point
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.reading import PoseRecord, Reading
+from counterspin.frozen import frozen
+from counterspin.records.record import ColumnSpec, RecordColumns, RecordReport
+from counterspin.triads.static_intervals import StaticIntervals, read_poses
+
+
+@frozen(eq=False)
+class PosesOfRecord:
+    """A record with poses in it, and what was found."""
+
+    name: str  #: Of the run.
+    poses: StaticIntervals  #: Where the triad lay still; forces in m/s^2.
+    report: RecordReport  #: What the reading found.
+
+
+@frozen(eq=False)
+class LocatedPose:
+    """A pose: the readings of all three, and where it was found."""
+
+    pose: tuple[Reading, ...]  #: In the order of the triad's accelerometers.
+    record: PosesOfRecord | None = None  #: The record that it was found in; None: it was read.
+    index: int = 0  #: Among the poses of the record.
+
+    @property
+    def scatter_noise(self) -> float:
+        """Standard deviation of the means of a record if its rows are independent, m/s^2."""
+        if self.record is None:
+            return 0.0
+        detected = self.record.poses
+        return float(
+            np.sqrt(np.mean(detected.scatter[self.index] ** 2) / detected.count[self.index])
+        )
+
+
+def campaign_poses(campaign: Campaign) -> list[LocatedPose]:
+    """Return every pose of a campaign's triad."""
+    if campaign.triad is None:
+        return []
+    stated_poses = [LocatedPose(pose) for pose in campaign.triad.poses]
+    return [
+        *stated_poses,
+        *(
+            extracted
+            for record in campaign.triad.records
+            for extracted in extract_poses(campaign, record)
+        ),
+    ]
+
+
+def pooled_noise(poses: Sequence[LocatedPose], gravity: float) -> float:
+    """Return the noise estimated within the poses found in records, g."""
+    noise_values = [pose.scatter_noise for pose in poses if pose.record is not None]
+    return (
+        math.sqrt(sum(size**2 for size in noise_values) / len(noise_values)) / gravity
+        if noise_values
+        else 0.0
+    )
+
+
+def pose_columns(campaign: Campaign) -> RecordColumns:
+    """Return the columns of records with poses, and how their files are written."""
+    return RecordColumns(campaign.time, None, _force_columns(campaign), campaign.dialect)
+
+
+def _force_columns(campaign: Campaign) -> dict[str, ColumnSpec]:
+    """Return the columns of specific force of a triad's accelerometers."""
+    names = campaign.triad.accelerometers if campaign.triad else ()
+    forces = {name: campaign.accelerometers[name].force for name in names}
+    return {name: force for name, force in forces.items() if force is not None}
+
+
+def extract_poses(campaign: Campaign, record: PoseRecord) -> Iterator[LocatedPose]:
+    """Yield the poses of a record, each with its means as readings."""
+    g, source = campaign.gravity.value, campaign.record_at(record.record)
+    # Within a record times are known, from its first row, whether or not it says when it began.
+    start_time = reference_point(campaign).time if record.time is None else record.time
+    in_si = {name: not channel.in_g for name, channel in _force_columns(campaign).items()}
+    detected, table = read_poses(source, pose_columns(campaign), record.rest, record.threshold)
+    source_record = PosesOfRecord(record.name, detected, table.report)
+    temperatures, middles = record.temperature, 0.5 * (detected.start + detected.end)
+    knots = np.linspace(detected.time[0], detected.time[-1], len(temperatures or ()))
+    intervals = zip(detected.start, middles, detected.mean / g, strict=True)
+    for index, (start, middle, mean) in enumerate(intervals):
+        pose = tuple(
+            Reading(
+                name=f"{record.name} {start:.6g} s",
+                accelerometer=name,
+                motion="static",
+                mounting="",
+                axes=campaign.accelerometers[name].mounting,
+                rate=0.0,
+                value=float(value),
+                u=None if record.u is None else record.u / g,
+                head=(0.0, 0.0, 0.0),
+                u_head=0.0,
+                temperature=temperatures and (float(np.interp(middle, knots, temperatures)),),
+                time=start_time + float(start - detected.time[0]),
+                in_si=is_si,
+            )
+            for (name, is_si), value in zip(in_si.items(), mean, strict=True)
+        )
+        yield LocatedPose(pose, source_record, index)
