@@ -396,7 +396,8 @@ def effective_dof(fit):
         rows = fit.solution.combine(direction).noise_rows
         parts = [float(part @ part) for part in np.split(rows, ends[:-1])]
         short = sum(
-            part**2 / own for part, own in zip(parts, (g.dof for g in fit.groups), strict=True)
+            part**2 / own
+            for part, own in zip(parts, (g.noise_dof for g in fit.groups), strict=True)
         )
         dof.append(total[k] ** 2 / short if short > 0.0 else np.inf)
     return dof

@@ -164,7 +164,7 @@ def test_noise_that_setting_errors_hide_is_as_large_as_both():
         read = indicated(rng.normal(0.0, SETTING, (6, 2)))
         values = {name: own + rng.normal(0.0, SIGMA, 6) for name, own in read.items()}
         fit, found, truth = solved(values, None, SETTING)
-        assert [group.dof for group in fit.groups] == pytest.approx([2.0, 2.0])
+        assert [group.noise_dof for group in fit.groups] == pytest.approx([2.0, 2.0])
         sizes += [group.noise for group in fit.groups]
         z = np.abs(found - truth) / fit.solution.u[:8]
         largest.append(float(z.max()))

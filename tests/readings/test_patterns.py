@@ -164,7 +164,7 @@ def test_the_gain_is_that_of_a_fit_with_the_column():
     assert found.alternatives[0].symbol == "cos 2 phi"
     assert {"K_II", "K_PP"} <= {other.symbol for other in found.alternatives}
     with_term = solve_readings([readings(test, values, 2e-6)], model((*LEVEL, "K_II")))
-    gain = group.squares - with_term.groups[0].chi2
+    gain = group.chi2 - with_term.groups[0].chi2
     assert found.p == pytest.approx(2.0 * stats.norm.sf(math.sqrt(gain)), rel=1e-3)
     estimated, own, columns = held(test, values, None)
     (found,) = best_patterns(estimated, [own], [columns])
