@@ -7,7 +7,7 @@ import pytest
 from counterspin.calibration.pages.document import document
 from counterspin.calibration.result import Result
 from counterspin.certificates.certificate_reader import read_certificate
-from counterspin.reports.blocks import Paragraph
+from counterspin.reports.blocks import Paragraph, without_cards
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples" / "three-rate"
 RESULT = Result.read(EXAMPLES / "result.json")
@@ -16,10 +16,12 @@ RESULT = Result.read(EXAMPLES / "result.json")
 def test_the_report_is_of_this_result_and_gives_its_answers():
     page = (EXAMPLES / "report.html").read_text(encoding="utf-8")
     assert RESULT.identifier in page
-    answers = [b.text for b in document(RESULT) if isinstance(b, Paragraph) and b.style == "answer"]
+    blocks = without_cards(document(RESULT))
+    answers = [b.text for b in blocks if isinstance(b, Paragraph) and b.style == "answer"]
     assert len(answers) == 2
     for answer in answers:
-        assert answer.split(" = ")[1] in page
+        value, unit = answer.split(" = ")[1].rsplit(" ", 1)
+        assert f"<strong>{value}</strong> <span>{unit}</span>" in page
 
 
 def test_the_pdf_is_of_this_result():
