@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from counterspin.calibration.findings import methods_agree
@@ -36,6 +36,10 @@ from counterspin.reports.numbers import (
 
 #: Above this correlation, estimates are named as moving together.
 _STRONG_CORRELATION: Final = 0.9
+
+#: Kinds of sources -> type of their evaluation (GUM 3.3.4). Noise is type A where it is estimated
+#: from the records, and else type B.
+_EVALUATIONS: Final = {"stated": "B", "unstated": "B, typical", "held": "B, held"}
 
 #: Unknowns of the two-stage method that are the spindle's, and so in neither table of terms:
 #: symbol and words.
@@ -337,13 +341,15 @@ def _correlations(accelerometer: AccelerometerResult) -> Iterator[Block]:
 
 def budget_blocks(name: str, accelerometer: AccelerometerResult) -> Iterator[Block]:
     """Yield a table for each coefficient that has a budget, K_II first."""
+    estimated = any(line.estimated for line in accelerometer.noise.values())
+    evaluation = _EVALUATIONS | {"noise": "A" if estimated else "B"}
     for symbol, lines in sorted(accelerometer.budget.items(), key=lambda item: item[0] != "K_II"):
         coefficient = accelerometer.coefficients.get(symbol)
         unit, factor = field_unit(coefficient.unit if coefficient else "")
         yield Heading(f"Uncertainty budget of {symbol}, {name}", 3)
         total = math.sqrt(sum(line.contribution**2 for line in lines))
         shown, rest = decisive_lines(lines)
-        rows = [_budget_row(line, factor) for line in shown]
+        rows = [_budget_row(line, factor, evaluation) for line in shown]
         if rest:
             size = math.hypot(*(line.contribution for line in rest))
             share = sum(line.share for line in rest)
@@ -355,7 +361,7 @@ def budget_blocks(name: str, accelerometer: AccelerometerResult) -> Iterator[Blo
             columns=(
                 Column("Source", wraps=True),
                 Column("Meaning", wraps=True),
-                Column("Kind"),
+                Column("Type"),
                 Column("Std. uncertainty", "right", wraps=True),
                 Column(f"Sensitivity, {unit} per unit", "right", wraps=True),
                 Column(f"Contribution, {unit}", "right", wraps=True),
@@ -365,12 +371,12 @@ def budget_blocks(name: str, accelerometer: AccelerometerResult) -> Iterator[Blo
         )
 
 
-def _budget_row(line: BudgetLine, factor: float) -> tuple[str, ...]:
+def _budget_row(line: BudgetLine, factor: float, evaluation: Mapping[str, str]) -> tuple[str, ...]:
     unit, source = field_unit(line.unit)
     return (
         line.source,
         words_of(line.source),
-        line.kind,
+        evaluation[line.kind],
         "" if line.u is None else f"{format_number(line.u * source, 2)} {unit}",
         "" if line.sensitivity is None else format_number(line.sensitivity * factor / source),
         format_uncertainty(line.contribution * factor),

@@ -66,10 +66,10 @@ _MANY_DOF: Final = 1e3
 #: Titles of what a fit is judged by; other keys are their own.
 _TESTS: Final = {
     "chi2": "chi-square",
-    "chi2_p": "its p",
-    "sign_p": "p of signs",
-    "peak_frequency_hz": "peak, Hz",
-    "peak_p": "its p",
+    "chi2_p": "p (chi-square)",
+    "sign_p": "p (sign test)",
+    "peak_frequency_hz": "largest spectral peak, Hz",
+    "peak_p": "p (peak)",
 }
 
 _COLUMNS = (
