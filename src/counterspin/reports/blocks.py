@@ -145,6 +145,7 @@ class Bars(_TextBlock):
     texts: tuple[str, ...]
     stacked: bool = False
     colours: tuple[int, ...] = ()
+    x_label: str = ""  #: Label of the axis, with its unit; empty: no axis.
 
 
 @frozen

@@ -290,9 +290,12 @@ def _draw_bars(axes: Any, bars: Bars, palette: Palette, title: str) -> Margins:
     widest = max((text_width(line) for label in labels for line in label.split("\n")), default=0.0)
     axes.set_yticks(place, labels)
     axes.tick_params(axis="y", length=0.0)
-    axes.set_xticks([])
     axes.grid(visible=False)
-    axes.spines[["bottom"]].set_visible(False)
+    if bars.x_label:
+        axes.set_xlabel(bars.x_label)
+    else:
+        axes.set_xticks([])
+        axes.spines[["bottom"]].set_visible(False)
     axes.set_ylim(len(labels) - 0.4, -0.6)
     for at, value, text in zip(place, values, bars.texts, strict=True):
         axes.annotate(
@@ -309,6 +312,9 @@ def _draw_bars(axes: Any, bars: Bars, palette: Palette, title: str) -> Margins:
     both_ways = bool((values < 0.0).any())
     reach = largest * room / max(room - words * (2.0 if both_ways else 1.0), 0.3 * room)
     axes.set_xlim(-reach if both_ways else 0.0, reach)
+    if bars.x_label:
+        # None beyond the bars, where their texts are.
+        axes.set_xticks([x for x in axes.get_xticks() if abs(x) < 1.001 * largest])
     if both_ways:
         axes.axvline(0.0, color=palette["muted"], linewidth=0.7)
         axes.spines[["left"]].set_visible(False)

@@ -119,7 +119,8 @@ def _typeset_picture(picture: Picture) -> Picture:
                 series=tuple(replace(s, label=typeset(s.label)) for s in titled.series),
             )
         case Bars():
-            return replace(titled, texts=tuple(map(typeset, titled.texts)))
+            texts = tuple(map(typeset, titled.texts))
+            return replace(titled, texts=texts, x_label=typeset(titled.x_label))
         case Sphere():
             return replace(titled, value_label=typeset(titled.value_label))
     return titled

@@ -62,6 +62,7 @@ def budget_bars(name: str, accelerometer: AccelerometerResult, symbol: str = "K_
         ),
         stacked=True,
         colours=tuple(colours),
+        x_label="Cumulative share of u^2, %",
     )
 
 
