@@ -286,7 +286,8 @@ export class Editor {
     const { key, repeat } = section;
     const value = this.now.document[key];
     const here = value !== undefined;
-    const details = make("details", { id: `s-${key}`, open: here },
+    const lacks = this.now.missing?.some(({ key: missing }) => missing.startsWith(`${key}.`));
+    const details = make("details", { id: `s-${key}`, open: here || lacks },
       make("summary", {}, key[0].toUpperCase() + key.slice(1).replaceAll("_", " ")),
       make("p", { class: "quiet" }, section.words, " ", manualLink("Documentation", section.explained, key)));
     this.places?.set(key, details);
