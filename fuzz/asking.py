@@ -266,6 +266,8 @@ class Watched:
             inside = path == self._root or path.startswith(self._root + os.sep)
             if path.startswith(self._beside):
                 self._wrong.append(f"outside was touched: {event} {path}")
+            elif "__pycache__" in path:  # Python compiles a module that is imported here first.
+                continue
             elif writes and not inside and not path.startswith(_TEMPORARY):
                 self._wrong.append(f"written outside: {event} {path}")
 
@@ -314,7 +316,7 @@ class Watched:
 
 
 #: Requests after which a campaign's files have other names.
-_MOVING = ("/api/rename", "/api/put-away")
+_MOVING = ("/api/rename", "/api/put-away", "/api/restore")
 _TEMPORARY = tuple({os.path.realpath(place) for place in ("/tmp", "/dev/shm", "/dev/null")})
 _LOOKING: list[Callable[[str, tuple[Any, ...]], None]] = []
 _HOOKED: list[bool] = []

@@ -34,6 +34,7 @@ from counterspin.application import server
 from counterspin.application.folder import ServedFolder
 from counterspin.application.guard import FILES, SESSION, TICKETS
 from counterspin.application.interface import ENDPOINTS
+from counterspin.application.keeping import TRASH
 from counterspin.calibration.calibrate import calibrate
 from counterspin.certificates.lab import write_example as write_lab
 from counterspin.ingest.starter import init
@@ -173,6 +174,8 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
         "POST copy": [{"name": "three", "to": "copied"}],
         "POST rename": [{"name": "three", "to": "new/three"}],
         "POST put-away": [{"name": "three"}],
+        "POST restore": [{"place": "20260101T000000000000-old"}],
+        "POST sample": [{}],
         "POST records": [{"name": "three", "files": files[:1]}],
         "POST campaign": [{"name": "new", "test": "tumble"}, {"name": "new"}],
         "GET manual": [{"name": "campaign"}],
@@ -555,6 +558,7 @@ def write_served(folder: Path) -> None:
     for name in ("slow.csv", "fast.csv"):
         shutil.copy(folder / "three" / name, folder / "exports" / name)
     init(folder / "tumble", "tumble")
+    init(folder / TRASH / "20260101T000000000000-old", "tumble")
     write_lab(folder / "LAB.toml")
     certificates.write_own(folder / "own.toml")
     key, cert = signing_keys.write_pair(folder.parent / "k", ec.derive_private_key(1, _CURVE))

@@ -102,7 +102,7 @@ def test_what_the_environment_says_stays(monkeypatch):
 def test_a_calibration_takes_one_thread_and_gives_the_others_back(tmp_path, monkeypatch):
     seen = []
     joint = assembly.fit_jointly
-    monkeypatch.setattr(assembly, "joint", lambda *a: seen.append(threads()) or joint(*a))
+    monkeypatch.setattr(assembly, "fit_jointly", lambda *a: seen.append(threads()) or joint(*a))
     calibrate(make_campaign(frames.untrue(), frames.arrays(tmp_path)))
     assert (seen, threads()) == ([{1}], {2})
 

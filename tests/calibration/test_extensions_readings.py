@@ -23,7 +23,7 @@ EXTENSIONS = {"triads": ("triads",), "readings": ("readings", "triads")}
 #: Tests of records that simulate nothing.
 OF_RECORDS = (
     "calibration/test_result.py",
-    "campaign/test_checking.py",
+    "campaign/test_validation.py",
     "inference/joint/test_used_rows_outliers.py",
     "records/test_temperature_course.py",
 )

@@ -336,10 +336,10 @@ def test_budget_is_written_when_asked_for():
     assert "Uncertainty budget" not in text_of(full())
     rows = text_of(full(), budget=True).partition("Uncertainty budget of K_II, Qx")[2]
     assert squeezed(line_with(rows.partition("Accelerometer Qy")[0], "noise of the records")) == (
-        "noise of the records noise 0.00060 80 %"
+        "noise of the records A 0.00060 80 %"
     )
     assert squeezed(line_with(rows, "0.5 arcsec")) == (
-        "platform.tilt.north (run1) stated 0.5 arcsec 0.0006 0.00030 20 %"
+        "platform.tilt.north (run1) B 0.5 arcsec 0.0006 0.00030 20 %"
     )
     # sqrt(6^2 + 3^2) = 6.7
     assert squeezed(line_with(rows, "combined")) == "combined 0.00067"

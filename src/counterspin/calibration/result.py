@@ -14,7 +14,13 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import AfterValidator, Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
+from pydantic import (
+    Field,
+    ModelWrapValidatorHandler,
+    PrivateAttr,
+    field_validator,
+    model_validator,
+)
 
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
@@ -83,7 +89,7 @@ class Result(ReportableResult):
     accepted_misfit: str | None = None
     title: str = ""  #: Of the campaign.
     #: One for each accelerometer.
-    accelerometers: Annotated[dict[str, AccelerometerResult], AfterValidator(NamedParts)]
+    accelerometers: dict[str, AccelerometerResult]
     platform: dict[str, Coefficient] = {}  #: Coefficients of the platform, common to all runs.
     #: Three accelerometers as one sensor; null where the campaign has no ``[triad]``.
     triad: TriadResult | None = None
@@ -91,7 +97,7 @@ class Result(ReportableResult):
     #: Of everything determined, accelerometers and platform together, by whole names such as
     #: ``Qx.K_II`` and ``run1.platform.tilt.north``; null for the two-stage method.
     correlation: Correlation | None = None
-    runs: Annotated[dict[str, RunResult], AfterValidator(NamedParts)]  #: One for each run.
+    runs: dict[str, RunResult]  #: One for each run.
     inputs: Inputs  #: Gravity, latitude, radius.
     #: What else is known, stated or not, of terms and inputs that nobody asked for.
     rests_on: list[Knowledge] = []
@@ -104,6 +110,11 @@ class Result(ReportableResult):
 
     _residuals: pl.DataFrame | None = PrivateAttr(default=None)
     _assumes_all: bool = PrivateAttr(default=False)
+
+    @field_validator("accelerometers", "runs")
+    @classmethod
+    def _suggest_names(cls, parts: dict[str, Any]) -> dict[str, Any]:
+        return NamedParts(parts)
 
     @model_validator(mode="wrap")
     @classmethod

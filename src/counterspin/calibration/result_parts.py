@@ -7,10 +7,10 @@ beside it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, PrivateAttr
+from pydantic import PrivateAttr, field_validator
 
 from counterspin.arrays import Array
 from counterspin.calibration.si_estimates import SiEstimate, StatedGravity, si_estimate
@@ -420,7 +420,7 @@ class AccelerometerResult(ResultPart):
     unseen_faults: list[str] = []
     serial_number: str | None = None  #: As the campaign states it.
     #: The terms that the campaign asked for.
-    coefficients: Annotated[dict[str, Coefficient], AfterValidator(NamedParts)]
+    coefficients: dict[str, Coefficient]
     #: Further terms of which something is known beforehand, as the campaign states it; the fit has
     #: taken their values away.
     known: dict[str, Coefficient] = {}
@@ -452,6 +452,11 @@ class AccelerometerResult(ResultPart):
     #: where they are in g or m/s^2.
     nominal: NominalOutput | None = None
     warnings: list[str] = []  #: The findings in words.
+
+    @field_validator("coefficients")
+    @classmethod
+    def _suggest_names(cls, parts: dict[str, Any]) -> dict[str, Any]:
+        return NamedParts(parts)
 
     def __repr__(self) -> str:
         """Return state and coefficients, a line each."""
