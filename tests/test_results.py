@@ -10,6 +10,7 @@ from typing import ClassVar
 import pytest
 
 import counterspin
+from counterspin.certificates.lab import read_lab
 from counterspin.errors import CounterspinError, RecordError
 from counterspin.results import (
     NamedParts,
@@ -211,3 +212,18 @@ def test_an_unknown_name_suggests_the_closest_one():
 def test_an_argument_of_a_wrong_type_gets_a_sentence(call):
     with pytest.raises(TypeError, match=r"give the .*, as text or a path, not 123 \(int\)"):
         call(123)
+
+
+def test_only_a_result_has_a_report(tmp_path):
+    for make in (
+        lambda: counterspin.report(3, "html"),
+        lambda: counterspin.write_report(3, tmp_path / "r.html"),
+    ):
+        with pytest.raises(TypeError, match=r"give a result of counterspin, not 3 \(int\)"):
+            make()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_data_of_a_laboratory_of_a_wrong_type_get_a_sentence():
+    with pytest.raises(TypeError, match=r"give a mapping of the laboratory's data, .* not 5"):
+        read_lab(5, None)

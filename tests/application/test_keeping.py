@@ -68,6 +68,16 @@ def test_only_what_is_in_the_trash_is_restored(desk, folder, place):
     assert sorted(folder.rglob("*")) == before
 
 
+def test_a_trash_that_is_a_link_to_another_folder_is_empty(desk, folder, tmp_path_factory):
+    outside = tmp_path_factory.mktemp("outside")
+    (outside / "20260101T000000000000-theirs").mkdir()
+    (folder / TRASH).symlink_to(outside)
+    assert trash_contents(desk) == []
+    with pytest.raises(CounterspinError, match="the trash has no"):
+        restore_campaign(desk, "20260101T000000000000-theirs")
+    assert names(outside) == ["20260101T000000000000-theirs"]
+
+
 def test_a_planted_name_does_not_lead_out_of_the_folder(desk, folder):
     planted = "20260101T000000000000-..%2F..%2Fout"
     (folder / TRASH / planted).mkdir(parents=True)

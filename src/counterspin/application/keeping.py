@@ -211,7 +211,8 @@ def put_away(desk: Desk, name: str) -> dict[str, Any]:
 def trash_contents(desk: Desk) -> list[dict[str, str]]:
     """Return place and former name of each campaign in the trash, the latest first."""
     trash = desk.folder.root / TRASH
-    places = sorted(trash.iterdir(), reverse=True) if trash.is_dir() else []
+    is_ours = trash.is_dir() and desk.folder.holds(trash)  # no link to another folder
+    places = sorted(trash.iterdir(), reverse=True) if is_ours else []
     return [
         {"place": place.name, "name": unquote(match["name"])}
         for place in places

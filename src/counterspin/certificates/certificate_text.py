@@ -7,14 +7,13 @@ import re
 from collections.abc import Sequence
 from typing import Final
 
-from counterspin.calibration.pages.accelerometer import rests_on
+from counterspin.calibration.pages.accelerometer import confounded_sentences
 from counterspin.calibration.pages.methods import (
     lines_of_tests,
     model_blocks,
     poses_of,
     readings_of,
 )
-from counterspin.calibration.pages.uncertainty import dominance
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.certificates.lab import CertificateSettings
@@ -230,9 +229,7 @@ def assumption_lines(name: str, result: Result) -> list[str]:
     on a smaller uncertainty is left to the report.
     """
     accelerometer = result.accelerometers[name]
-    advice = dominance(accelerometer)
-    lines = (line for line in rests_on(accelerometer) if line != advice)
-    sentences = [replace_plus_minus(line) for line in lines]
+    sentences = list(map(replace_plus_minus, confounded_sentences(accelerometer)))
     sizes = dict[str, str]()
     budget = [line for lines in accelerometer.budget.values() for line in lines]
     for line in sorted(budget, key=lambda line: line.share):

@@ -38,6 +38,7 @@ from counterspin.certificates.codes import check_code
 from counterspin.certificates.evidence import ALL, names_terms
 from counterspin.certificates.schema import clean_text
 from counterspin.errors import CounterspinError
+from counterspin.input import path_of
 from counterspin.output import write_text
 from counterspin.physics.terms import TABLE, TERMS
 from counterspin.toml_text import parse_toml
@@ -331,9 +332,10 @@ def read_lab(
         source, problems = "the laboratory's data", Problems(path)
         raw = to_toml_value(path, (), problems.add)
     else:
+        path = path_of(path, "a mapping of the laboratory's data, or their file")
         source = str(path)
         advice = "`certificates.lab.write_example` makes one"
-        raw = load_document(Path(path), advice, "laboratory")
+        raw = load_document(path, advice, "laboratory")
         problems = Problems(raw)
     # An empty table makes the check report each of its required keys.
     empty: dict[str, Any] = {"persons": [{}]}

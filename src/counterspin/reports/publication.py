@@ -184,6 +184,14 @@ def draw_on_axes(pictures: Sequence[Picture], axes: Any = None) -> list[Any]:
     return own
 
 
+def _publication_of(result: ReportableResult, identifier: str | None) -> Publication:
+    """Return the report of a result; TypeError for anything else."""
+    if not isinstance(result, ReportableResult):
+        raise TypeError(f"give a result of counterspin, not {result!r} ({type(result).__name__})")
+    page: Publication = result.publication(identifier)
+    return page
+
+
 @overload
 def report(
     result: ReportableResult,
@@ -224,7 +232,7 @@ def report(
     CampaignError
         If there is no such kind.
     """
-    page: Publication = result.publication(identifier)
+    page = _publication_of(result, identifier)
     made = issued or issue_date()
     if kind == "pdf":
         return page.pdf(made)
@@ -264,5 +272,5 @@ def write_report(
     CounterspinError
         If a file is in the way or it cannot be written; nothing is left behind then.
     """
-    page = result.publication(identifier)
+    page = _publication_of(result, identifier)
     page.write(Path(path), issued or issue_date(), overwrite=overwrite)

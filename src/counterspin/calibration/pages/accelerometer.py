@@ -8,7 +8,7 @@ from typing import Final
 
 from counterspin.calibration.findings import methods_agree
 from counterspin.calibration.pages.methods import method_blocks, table_of_tests
-from counterspin.calibration.pages.uncertainty import decisive_lines, dominance, label_of
+from counterspin.calibration.pages.uncertainty import decisive_lines, label_of
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
@@ -55,7 +55,7 @@ def accelerometer_blocks(
     """Yield what was found; gravity in m/s^2 is for noise in micro-g, `details` as in a report."""
     yield Heading(f"Accelerometer {name}")
     yield coefficient_table({**accelerometer.coefficients, **accelerometer.second_unknown})
-    for sentence in map(_confounded, accelerometer.confounded):
+    for sentence in confounded_sentences(accelerometer):
         yield Paragraph(sentence)
     yield Paragraph(_residual(accelerometer))
     if accelerometer.noise:
@@ -214,11 +214,9 @@ def _confounded(confounded: ConfoundedTerms) -> str:
     return f"{text} = {format_estimate(confounded.value * factor, u, unit)}."
 
 
-def rests_on(accelerometer: AccelerometerResult) -> Iterator[str]:
-    """Yield, in sentences, what the records cannot tell apart and what decides u."""
-    yield from map(_confounded, accelerometer.confounded)
-    if sentence := dominance(accelerometer):
-        yield sentence
+def confounded_sentences(accelerometer: AccelerometerResult) -> Iterator[str]:
+    """Return a sentence for each set of terms that the records cannot tell apart."""
+    return map(_confounded, accelerometer.confounded)
 
 
 def _correlation(r: float) -> str:

@@ -467,18 +467,18 @@ var counterspin = (() => {
       chart.setScale("x", { min: centre - half, max: centre + half });
     };
     /** @type {(sign: string, words: string, action: () => void) => HTMLElement} */
-    const key = (sign, words, action) => {
+    const zoomButton = (sign, words, action) => {
       const one = make("button", { type: "button", "aria-label": words, title: words }, sign);
       one.addEventListener("click", action);
       return one;
     };
     box.append(
       make("div", { class: "tools" },
-        key("+", "Zoom in", () => see(0, 0.5)),
-        key("−", "Zoom out", () => see(0, 2)),
-        key("‹", "Move left", () => see(-0.25, 1)),
-        key("›", "Move right", () => see(0.25, 1)),
-        key("Whole", "Show the whole", () => chart.setScale("x", { min: whole[0], max: whole[1] })),
+        zoomButton("+", "Zoom in", () => see(0, 0.5)),
+        zoomButton("−", "Zoom out", () => see(0, 2)),
+        zoomButton("‹", "Move left", () => see(-0.25, 1)),
+        zoomButton("›", "Move right", () => see(0.25, 1)),
+        zoomButton("Whole", "Show the whole", () => chart.setScale("x", { min: whole[0], max: whole[1] })),
         make("p", {}, "Drag to zoom in, double-click to zoom out.")),
       canvas,
       readout,
