@@ -181,7 +181,7 @@ def _unstated(described: str, rng: np.random.Generator) -> dict[str, dict[str, f
         unknowns = make_unknowns(campaign).unknowns
     off: dict[str, dict[str, float]] = {}
     for unknown in unknowns:
-        if unknown.unstated:
+        if unknown.has_default_prior:
             value, u = unknown.prior
             value += STATED.get(unknown.symbol, 0.0)
             off.setdefault(unknown.owner, {})[unknown.symbol] = value + u * rng.standard_normal()

@@ -29,9 +29,9 @@ from counterspin.inference import (
     identifiability,
 )
 from counterspin.inference.distributions import normal_cdf
-from counterspin.inference.joint import encoder, mistakes, prepared, used_rows
+from counterspin.inference.joint import design_blocks, encoder, mistakes, outlier_rejection
+from counterspin.inference.noise import bias_instability, undetected_walk
 from counterspin.inference.noise import search as noise_search
-from counterspin.inference.noise import unseen_noise, wander
 from counterspin.physics import angle_error
 from counterspin.physics.accelerometer import QX
 from counterspin.physics.motion import EARTH_RATE
@@ -102,7 +102,7 @@ NUMBERS = [
     ("methods", "| below {} | left out", [encoder._CONSIDERED_NORM_SQUARED]),
     ("methods", "further than {} typical sizes from nothing", [limits._MAX_DEFAULT_SDS]),
     ("result", "further than {} of its typical sizes", [limits._MAX_DEFAULT_SDS]),
-    ("methods", "above {} of the noise of one row", [prepared._LEAST_EFFECT]),
+    ("methods", "above {} of the noise of one row", [design_blocks._MIN_EFFECT]),
     ("methods", "With the typical {} ug/g^2 of navigation grade", [1e6 * TERMS["K_OO"].typical]),
     ("methods", "enter u as stated, or with {} arcsec", [ENCODER / ARCSEC]),
     ("trust", "in u, at {} arcsec each", [ENCODER / ARCSEC]),
@@ -115,14 +115,18 @@ NUMBERS = [
         "in one case of {}. Noise",
         [1 / normal_cdf(-math.sqrt(noise_search.KEEPING_GAIN))],
     ),
-    ("methods", "likelihood times N^(-{})", [unseen_noise.POWER]),
-    ("methods", "a sum of up to {} cosines", [wander._FUNCTION_RANGE[1]]),
-    ("methods", "the other noise is a {} times as large", [1 / wander._LEAST_WANDER_PART]),
-    ("methods", "flicker above {} half-waves", [wander._FUNCTION_RANGE[1]]),
+    ("methods", "likelihood times N^(-{})", [undetected_walk.PRIOR_EXPONENT]),
+    ("methods", "a sum of up to {} cosines", [bias_instability._BASIS_SIZE_RANGE[1]]),
+    (
+        "methods",
+        "the other noise is a {} times as large",
+        [1 / bias_instability._MIN_RELATIVE_DENSITY],
+    ),
+    ("methods", "flicker above {} half-waves", [bias_instability._BASIS_SIZE_RANGE[1]]),
     ("methods", "false alarm in one of {} good", [1 / diagnostics.SIGNIFICANCE]),
-    ("methods", "at least {} of its prior's variance", [1 - identifiability.PRIOR_LEFT]),
+    ("methods", "at least {} of its prior's variance", [1 - identifiability.MAX_VARIANCE_RATIO]),
     ("methods", "off their neighbours by more than {} standard", [outliers.LIMIT_SDS]),
-    ("methods", "reaches in one of a {} whole records", [1 / used_rows.FALSE_ALARMS]),
+    ("methods", "reaches in one of a {} whole records", [1 / outlier_rejection.FALSE_ALARMS]),
     ("methods", "residuals more than {} the stated noise", [findings.RESIDUAL_RATIO_LIMIT]),
     ("methods", "noise beyond {} ug/Hz^0.5, a run", [1e6 * findings.LARGEST_WALK]),
     ("methods", "the others by more than {} standard", [findings.CONTRADICTION_SIGMAS]),

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.unknowns import Considered, Unknown
 from counterspin.physics import simulation
 from counterspin.physics.accelerometer import QX, QY
@@ -48,7 +48,7 @@ def simulated(
     )
     start = (0.02 - 3e-3 * times, np.full(times.size, -3e-3), np.zeros(times.size))
     error = recorded - reference(trajectory, axes, times, observable, attitude)
-    return Series(
+    return ResidualSeries(
         accelerometer=accelerometer,
         run=run,
         trajectory=trajectory,
@@ -56,7 +56,7 @@ def simulated(
         observable=observable,
         attitude=attitude,
         time=times,
-        spread=np.zeros(times.size),
+        time_sd=np.zeros(times.size),
         count=np.ones(times.size),
         spacing=float(times[1]),
         error=error + start[2 - ORDERS[observable]],
@@ -81,7 +81,9 @@ def unknowns(symbols, priors=None, owner="Qx"):
 
 def held_inputs(sizes):
     """Uncertain inputs that are held, with the table's limits; sizes are standard uncertainties."""
-    return tuple(Considered("", s, (0.0, u), term(s).limit, asked=False) for s, u in sizes.items())
+    return tuple(
+        Considered("", s, (0.0, u), term(s).limit, is_of_interest=False) for s, u in sizes.items()
+    )
 
 
 def noisy(series, noise, rng):

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from counterspin.inference.joint.design_blocks import build_design_blocks
 from counterspin.inference.joint.fit import solve_joint
-from counterspin.inference.joint.prepared import prepare_columns
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.accelerometer import QX, QY
@@ -116,7 +116,7 @@ def u_by_joint_fit(setup, design):
         time, spread, count = blocks_of(samples, 1.0 / setup.sampling_rate, spindle.rate)
         for one in setup.instruments:
             series.append(
-                Series(
+                ResidualSeries(
                     one.name,
                     run,
                     Trajectory(spindle, setup.radius, setup.site),
@@ -149,11 +149,14 @@ def u_by_joint_fit(setup, design):
             for u in model.unknowns
         ]
     )
-    prepared = prepare_columns(series, model, setup.scale_factors, estimate)
+    prepared = build_design_blocks(series, model, setup.scale_factors, estimate)
     timing = {one.name: one.timing for one in setup.instruments}
     prepared = [
         replace(
-            part, series=with_errors(part, model, estimate).with_timing(timing[part.accelerometer])
+            part,
+            series=with_errors(part, model, estimate).with_timestamp_noise(
+                timing[part.accelerometer]
+            ),
         )
         for part in prepared
     ]

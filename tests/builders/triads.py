@@ -123,7 +123,7 @@ def unknowns(extra=(), *, defaults=False):
                 symbol,
                 (term(symbol).nominal, np.inf),
                 term(symbol).sizes("consumer").limit,
-                default=term(symbol).sizes("consumer").typical if defaults else np.inf,
+                default_sd=term(symbol).sizes("consumer").typical if defaults else np.inf,
             )
             for name, symbol in (*PARAMETERS, *extra)
         )

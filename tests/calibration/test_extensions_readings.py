@@ -24,7 +24,7 @@ EXTENSIONS = {"triads": ("triads",), "readings": ("readings", "triads")}
 OF_RECORDS = (
     "calibration/test_result.py",
     "campaign/test_validation.py",
-    "inference/joint/test_used_rows_outliers.py",
+    "inference/joint/test_outlier_rejection_rounds.py",
     "records/test_temperature_course.py",
 )
 

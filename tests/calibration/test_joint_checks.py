@@ -29,7 +29,7 @@ def seen(observable: str, angle: object | None) -> AccelerometerView:
         gravity=SimpleNamespace(value=9.8),
         runs=[SimpleNamespace(rate=rate) for rate in (np.pi, -2 * np.pi)],
     )
-    unknown = SimpleNamespace(owner="Qx", symbol="K_II", asked=True)
+    unknown = SimpleNamespace(owner="Qx", symbol="K_II", is_of_interest=True)
     fit = SimpleNamespace(
         model=SimpleNamespace(unknowns=[unknown]), solution=SimpleNamespace(u=np.array([2e-9]))
     )

@@ -14,7 +14,7 @@ from counterspin.calibration.observed_runs import ObservedRun, Signal
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.two_stage.method import make_request
 from counterspin.campaign.description import read_campaign
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.accelerometer import QX, Mounting
 from counterspin.physics.motion import Site, Trajectory
@@ -57,12 +57,12 @@ def test_noise_of_the_time_stamps_is_the_rms_slope_times_their_noise(observable,
         {"Qx": Signal(accelerometer, np.zeros(400))},
     )
     (series,) = make_series(campaign, [run])
-    slope = (series.reference(later=1e-5) - series.reference(later=-1e-5)) / 2e-5
-    assert series.jitter == pytest.approx(TIMING * math.sqrt(np.mean(slope**2)), rel=1e-6)
-    variance = np.maximum((TIMING * slope) ** 2, 0.02 * series.jitter**2)
-    np.testing.assert_allclose(series.jitter_variance, variance, atol=1e-6 * series.jitter**2)
-    white = series.whitener(Noise(series.jitter)).apply(np.ones(400))
-    np.testing.assert_allclose(white, (variance + series.jitter**2) ** -0.5, rtol=1e-5)
+    slope = (series.reference(delay=1e-5) - series.reference(delay=-1e-5)) / 2e-5
+    assert series.timing_noise == pytest.approx(TIMING * math.sqrt(np.mean(slope**2)), rel=1e-6)
+    variance = np.maximum((TIMING * slope) ** 2, 0.02 * series.timing_noise**2)
+    np.testing.assert_allclose(series.jitter_variance, variance, atol=1e-6 * series.timing_noise**2)
+    white = series.whitener(Noise(series.timing_noise)).apply(np.ones(400))
+    np.testing.assert_allclose(white, (variance + series.timing_noise**2) ** -0.5, rtol=1e-5)
 
 
 def test_credible_sizes_of_unknowns_go_by_the_grade_of_their_accelerometer(tmp_path):
@@ -104,7 +104,7 @@ def test_what_a_time_stamp_moves_is_the_slope_of_what_was_recorded():
     motion = Trajectory(Spindle(math.pi / 2), RADIUS, Site(9.8, 0.8, earth_rate=0.0))
     time = np.arange(0.0, 400.0, 0.05)
     wave = 2e-3 * np.sin(motion.spindle.angle(time) + 0.3)
-    series = Series(
+    series = ResidualSeries(
         accelerometer="Qx",
         run="run",
         trajectory=motion,
@@ -112,7 +112,7 @@ def test_what_a_time_stamp_moves_is_the_slope_of_what_was_recorded():
         observable="displacement",
         attitude=LEVEL,
         time=time,
-        spread=np.zeros(time.size),
+        time_sd=np.zeros(time.size),
         count=np.ones(time.size),
         spacing=0.05,
         error=0.5 * 0.049 * time**2 + wave,

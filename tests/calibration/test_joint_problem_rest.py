@@ -17,8 +17,8 @@ from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.pages.document import document
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError, RecordError
-from counterspin.inference.joint.found_noise import level_dof
-from counterspin.inference.noise.model import WANTED, Differences, Noise
+from counterspin.inference.joint.estimated_noise import noise_level_dof
+from counterspin.inference.noise.model import ESTIMATE, Differences, Noise
 from counterspin.planning.forecast import forecast
 
 STATED = '[noise]\ndisplacement = "0.01 m"'
@@ -54,7 +54,7 @@ def test_a_campaign_has_the_sizes_of_its_record_at_rest_each_accelerometer_its_o
         assert one.covariance[0][0] == pytest.approx(2 * one.white**4 / 4000, rel=0.1)
         # What the record does not show is left to the campaign's own.
         assert signal.components["acceleration"].value is None
-        assert one.random_walk is WANTED
+        assert one.random_walk is ESTIMATE
         assert one.flicker == one.bias_walk == 0.0
     assert noise["Qx"].white != noise["Qy"].white
 
@@ -199,8 +199,8 @@ def test_the_level_is_known_by_the_share_of_each_component():
     inverse = np.linalg.inv(dense(4.0, 0.09))
     traces = np.array([np.trace(inverse @ dense(*one)) for one in ((1.0, 0.0), (0.0, 1.0))])
     expected = 2.0 * 58.0**2 / (traces @ covariance[:2, :2] @ traces)
-    fit = SimpleNamespace(prepared=[part], noise={"Qx": noise})
-    assert level_dof(fit, "Qx") == pytest.approx(expected, rel=1e-5)
+    fit = SimpleNamespace(design_blocks=[part], noise={"Qx": noise})
+    assert noise_level_dof(fit, "Qx") == pytest.approx(expected, rel=1e-5)
 
 
 def test_a_written_campaign_takes_its_record_along(folder, tmp_path):

@@ -6,7 +6,7 @@ import pytest
 from scipy.special import ndtr
 
 from counterspin.inference.diagnostics import (
-    agreement_of,
+    agreement_limit,
     diagnose,
     fisher_g_p,
     normal_equivalent,
@@ -158,7 +158,7 @@ def test_what_cannot_be_tested_is_refused():
 
 @pytest.mark.parametrize("differences", [1, 6, 160])
 def test_all_of_many_differences_agree_in_998_of_1000_good_campaigns(differences):
-    limit = agreement_of(differences)
+    limit = agreement_limit(differences)
     assert (1.0 - 2.0 * ndtr(-limit)) ** differences == pytest.approx(0.998, abs=1e-9)
 
 

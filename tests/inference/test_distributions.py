@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from counterspin.inference.combined_distribution import dof_beside, tail_beside
 from counterspin.inference.distributions import (
     chi_square_tail,
-    countable,
+    finite_dof,
     log_binomial,
     normal_cdf,
     normal_quantile,
     student_cdf,
     student_quantile,
 )
+from counterspin.inference.mixture_distribution import mixture_dof, mixture_tail
 
 SMALL = np.logspace(-12, -0.31, 30).tolist()
 
@@ -83,20 +83,20 @@ def test_logarithm_of_a_binomial_coefficient():
 def test_less_than_a_tenth_of_a_degree_of_freedom_is_a_tenth(dof):
     """The quantile would be beyond what a number can be: 1e320 of 0.005."""
     assert student_quantile(dof, 0.025) == student_quantile(0.1, 0.025) < -1e12
-    assert 0.0 < dof_beside(0.06, dof) == min(dof_beside(0.06, 0.1), dof / 0.06**2)
+    assert 0.0 < mixture_dof(0.06, dof) == min(mixture_dof(0.06, 0.1), dof / 0.06**2)
 
 
 @pytest.mark.parametrize("dof", [1.0, 2.0, 5.0, 20.0])
 @pytest.mark.parametrize("share", [1e-3, 0.03, 0.3, 0.9])
 def test_an_interval_of_something_estimated_beside_something_known(share, dof):
     """The tail beyond it, by quadrature over Student's density, is 2.5 %."""
-    half = stats.t.isf(0.025, dof_beside(share, dof))
+    half = stats.t.isf(0.025, mixture_dof(share, dof))
     x = np.tan(np.linspace(-0.5, 0.5, 20001)[1:-1] * np.pi)
     known = stats.norm.sf((half - math.sqrt(share) * x) / math.sqrt(1.0 - share))
     tail = np.trapezoid(known * stats.t.pdf(x, dof), x)
     # Satterthwaite's formula is taken where it has fewer degrees of freedom.
     assert tail == pytest.approx(0.025, rel=2e-3) or tail < 0.025
-    assert dof * 0.999 < dof_beside(share, dof) <= dof / share**2
+    assert dof * 0.999 < mixture_dof(share, dof) <= dof / share**2
 
 
 @pytest.mark.parametrize("dof", [2.0, 5.0, 20.0, 100.0])
@@ -111,19 +111,19 @@ def test_tails_of_something_estimated_beside_something_known(share, dof, q):
         known = stats.norm.sf((q - math.sqrt(share) * x) / math.sqrt(1.0 - share))
         tail = np.trapezoid(known * stats.t.pdf(x, dof), x)
     if dof > 50.0:
-        assert tail_beside(share, dof, q) == pytest.approx(stats.t.sf(q, dof / share**2), rel=1e-9)
+        assert mixture_tail(share, dof, q) == pytest.approx(stats.t.sf(q, dof / share**2), rel=1e-9)
     else:
-        assert tail_beside(share, dof, q) == pytest.approx(tail, rel=1e-3)
+        assert mixture_tail(share, dof, q) == pytest.approx(tail, rel=1e-3)
 
 
 def test_what_is_known_or_estimated_alone_has_its_own_freedom():
-    assert dof_beside(1.0, 3.0) == 3.0
-    assert math.isinf(dof_beside(0.0, 3.0))
-    assert dof_beside(0.5, 100.0) == 400.0
+    assert mixture_dof(1.0, 3.0) == 3.0
+    assert math.isinf(mixture_dof(0.0, 3.0))
+    assert mixture_dof(0.5, 100.0) == 400.0
 
 
 @pytest.mark.parametrize(
     ("dof", "stated"), [(3.0, 3.0), (2e8, 2e8), (9.12e16, None), (math.inf, None)]
 )
 def test_degrees_of_freedom_that_nobody_can_count_are_infinite(dof, stated):
-    assert countable(dof) == stated
+    assert finite_dof(dof) == stated

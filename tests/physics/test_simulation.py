@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from counterspin.inference.noise.wander import flicker_autocovariance
+from counterspin.inference.noise.bias_instability import flicker_autocovariance
 from counterspin.physics.accelerometer import QX, QY, QZ, Mounting
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import LEVEL, columns, reference

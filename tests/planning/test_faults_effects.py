@@ -113,7 +113,7 @@ def test_shift_is_that_of_the_fit_of_a_record_with_the_fault(changes, predict):
     moved = found.moved[place]
     phase = moved / np.linalg.norm(moved)
     prepared = []
-    for part in prediction.fit.prepared:
+    for part in prediction.fit.design_blocks:
         shown = shown_by(ECCENTRICITY, part.series)
         error = ECCENTRICITY.size * (shown @ phase)
         prepared.append(replace(part, series=replace(part.series, error=error)))
@@ -139,7 +139,7 @@ def derivatives(position, time, order):
 @pytest.mark.parametrize("changes", OBSERVABLES.values(), ids=OBSERVABLES)
 @pytest.mark.parametrize("phase", [0, 1], ids=["cosine", "sine"])
 def test_columns_are_the_motion_s(phase, changes, mounting, predict):
-    part = predict(*changes, rates=(2.9,)).fit.prepared[0]
+    part = predict(*changes, rates=(2.9,)).fit.design_blocks[0]
     series = replace(part.series, mounting=mounting)
     axis = mounting.input_axis[:2]
     radius, rate = series.trajectory.radius, series.trajectory.spindle.rate
@@ -164,7 +164,7 @@ def test_columns_are_the_motion_s(phase, changes, mounting, predict):
 
 
 def test_stretch_looks_like_a_radius_for_each_rate(predict):
-    series = predict(rates=(5.0,)).fit.prepared[0].series
+    series = predict(rates=(5.0,)).fit.design_blocks[0].series
     stretch = next(one for one in faults_of(predict().campaign, "Qx") if "stretch" in one.symbol)
     motion = series.trajectory
     grown = motion.radius * (1.0 + 1e-6 * motion.radius * 25.0)

@@ -136,7 +136,7 @@ def test_a_forecast_shows_itself_in_a_line_for_each_coefficient(tmp_path):
     found = forecast(write(tmp_path, SMALL))
     head, *lines = repr(found).splitlines()
     assert head == f"Forecast of {found.campaign.title}"
-    asked = [unknown.name for unknown in found.fit.model.asked]
+    asked = [unknown.name for unknown in found.fit.model.of_interest]
     assert [line.split()[0] for line in lines] == asked
     shown = dict(line.split(maxsplit=1) for line in lines)
     value, unit = shown["Qx.K_II"].removeprefix("u = ").split()

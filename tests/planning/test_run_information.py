@@ -109,7 +109,7 @@ def test_columns_serve_a_model_that_estimates_what_another_holds():
 
 def estimated_one(held):
     """Return a term that is held as one that is estimated and not asked for."""
-    return Unknown(held.owner, held.symbol, held.prior, held.limit, False, held.unstated)
+    return Unknown(held.owner, held.symbol, held.prior, held.limit, False, held.has_default_prior)
 
 
 def test_integration_of_the_functions_is_exact():

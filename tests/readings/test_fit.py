@@ -22,8 +22,8 @@ from scipy.special import stdtrit
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.inference.identifiability import assess
 from counterspin.inference.noise.likelihood import RecordData
-from counterspin.inference.noise.model import WANTED, Noise
-from counterspin.inference.noise.search import find_noise
+from counterspin.inference.noise.model import ESTIMATE, Noise
+from counterspin.inference.noise.search import estimate_noise
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import Station
 from counterspin.physics.terms import TERMS
@@ -145,13 +145,15 @@ def test_the_noise_is_what_the_search_of_records_finds():
     time, nothing = np.arange(12.0), np.empty((36, 0))
     added = 4.0 * part.head**2
     rows = RecordData(
-        time, 0, part.design, part.target, group.repeats, 1e-9, part.unknowns, added=added
+        time, 0, part.design, part.target, group.repeats, 1e-9, part.unknowns, added_variance=added
     )
     scatter = np.full(36, math.sqrt(group.scatter.sum() / 36.0))
     repeats = RecordData(np.arange(36.0), 0, nothing, scatter, places=())
     known = np.zeros((1, 4))
     known[0, 3] = 1.0 / prior.prior[1]
-    found = find_noise([rows, repeats], Noise(WANTED), known, [prior.prior_mean / prior.prior[1]])
+    found = estimate_noise(
+        [rows, repeats], Noise(ESTIMATE), known, [prior.prior_mean / prior.prior[1]]
+    )
     assert fit.groups[0].noise == pytest.approx(found.noise.white, rel=1e-5)
 
 

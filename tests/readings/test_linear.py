@@ -213,7 +213,7 @@ def test_squares_that_noise_alone_leaves_have_the_moments_of_the_whole_matrix():
     fit = solve_readings([group], Unknowns((*own, *others)))
     part, solution = fit.groups[0].linear, fit.solution
     rows = part.design / part.sigma[:, None]
-    left = np.eye(12) - rows @ solution.least_covariance @ rows.T
+    left = np.eye(12) - rows @ solution.weighted_covariance @ rows.T
     squares = np.linalg.eigvalsh(left) ** 2
     scale, dof = part.noise_moments(solution)
     assert scale * dof == pytest.approx(squares.sum(), rel=1e-9)

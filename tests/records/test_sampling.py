@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from counterspin.inference.noise.samples import Samples
+from counterspin.inference.noise.samples import SensorSamples
 from counterspin.records.sampling import Holding
 
 STEP = 0.01
@@ -23,7 +23,7 @@ def held(values, ratio):
 def test_the_samples_behind_repeated_values(ratio):
     values = white(2000)
     logged = held(values, ratio)
-    found = Samples.of(np.arange(len(logged)) * STEP, logged)
+    found = SensorSamples.of(np.arange(len(logged)) * STEP, logged)
     assert np.array_equal(found.values, values[: len(found.values)])
     assert len(found.values) >= 1999
     assert found.repeated == len(logged) - len(found.values)
@@ -42,17 +42,17 @@ def test_samples_that_are_equal_by_chance_are_no_repeats(resolution):
 
 def test_a_coarse_sensor_in_a_faster_log_is_thinned_at_its_phase_or_refused():
     values = np.round(white(4000) / 1e-3) * 1e-3
-    found = Samples.of(np.arange(12000) * STEP, held(values, 3.0))
+    found = SensorSamples.of(np.arange(12000) * STEP, held(values, 3.0))
     assert np.array_equal(found.values, values)
     with pytest.raises(ValueError, match="too coarse to tell"):
-        Samples.of(np.arange(10000) * STEP, held(values, 2.5))
+        SensorSamples.of(np.arange(10000) * STEP, held(values, 2.5))
 
 
 @pytest.mark.parametrize("burst", [2, 3, 8])
 def test_rows_are_counted_where_stamps_repeat(burst):
     """Packets whose samples all have the time of the packet."""
     values, row = white(4001), np.arange(4001)
-    found = Samples.of(np.floor(row / burst) * burst * STEP, values)
+    found = SensorSamples.of(np.floor(row / burst) * burst * STEP, values)
     assert found.restamped > 0.4 * 4001
     assert np.array_equal(found.values, values)
     assert np.diff(found.time) == pytest.approx(STEP, rel=1e-2)
@@ -63,7 +63,7 @@ def test_a_coarse_clock_and_a_gap():
     row = np.arange(20000)
     time = np.floor(row / 1.666) * 1e-3
     keep = (row < 9000) | (row > 10666)
-    found = Samples.of(time[keep], white(20000)[keep])
+    found = SensorSamples.of(time[keep], white(20000)[keep])
     steps = np.diff(found.time)
     assert np.sum(steps > 0.5) == 1
     assert np.median(steps) == pytest.approx(1e-3 / 1.666, rel=1e-3)
@@ -74,10 +74,10 @@ def test_stamps_that_repeat_while_samples_are_lost_are_refused():
     keep = np.random.default_rng(3).random(20000) > 0.2
     time = np.floor(row / 2) * 2 * STEP
     with pytest.raises(ValueError, match="rows cannot be counted"):
-        Samples.of(time[keep], white(20000)[keep])
+        SensorSamples.of(time[keep], white(20000)[keep])
 
 
 def test_rows_that_were_written_twice_count_once():
     again = np.repeat(np.arange(500), 2)
-    found = Samples.of(again * STEP, white(500)[again])
+    found = SensorSamples.of(again * STEP, white(500)[again])
     assert (len(found.values), found.repeated, found.restamped) == (500, 0, 0)

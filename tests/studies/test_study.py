@@ -297,7 +297,7 @@ def test_study_claims_the_u_of_the_joint_fit_whole(tmp_path, monkeypatch):
     monkeypatch.setattr(whole_trials, "estimate", remembered)
     found = made.trials(truth.draw(stream(3, 0, 0), 1), stream(3, 0, 1))
     (fit,) = (one.fit for one in estimates)
-    assert fit.unseen
+    assert fit.undetected_walks
     assert found.u[:, 0] == pytest.approx(fit.solution.u[list(made.rows)], rel=1e-12)
 
 

@@ -42,7 +42,7 @@ def _fit(along, generator, rows=triads.ROWS, bias=triads.BIAS):
 
 
 def _undetermined(fit):
-    return {unknown.name for unknown in fit.fit.model.unknowns if unknown.defaulted}
+    return {unknown.name for unknown in fit.fit.model.unknowns if unknown.uses_fallback_prior}
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_directions_decide_and_not_the_number_of_poses(directions, undetermined)
     for unknown, u in zip(fit.fit.model.unknowns, fit.solution.u, strict=True):
         if unknown.name in undetermined:
             # Tilts that are noise take away up to a tenth of the prior's variance.
-            assert 0.9 * unknown.default**2 < u**2 <= unknown.default**2
+            assert 0.9 * unknown.default_sd**2 < u**2 <= unknown.default_sd**2
 
 
 def test_nine_poses_in_eight_directions_leave_one_parameter_undetermined():
@@ -102,7 +102,7 @@ def test_uncertainties_of_faces_cover(angle):
         for unknown, error, u in zip(
             fit.fit.model.unknowns, fit.solution.estimate - truth, fit.solution.u, strict=True
         ):
-            if not unknown.defaulted:
+            if not unknown.uses_fallback_prior:
                 z[unknown.symbol if unknown.symbol in z else "delta"].append(error / u)
     offsets = np.array(z["K_F"])
     assert stats.chi2(offsets.size).cdf(offsets @ offsets) == pytest.approx(0.5, abs=0.499)

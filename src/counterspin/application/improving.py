@@ -91,12 +91,12 @@ def fit_into(there: Connection, campaign: Path) -> None:
             read = with_recorded_temperatures(read_campaign(campaign))
             fit = estimate_campaign(JointProblem(read, list(observe(read))))[0].fit
             runs: dict[str, list[tuple[str, str, Array, Array, Array]]] = {}
-            for prepared, residuals in zip(fit.prepared, fit.residuals, strict=True):
+            for prepared, residuals in zip(fit.design_blocks, fit.residuals, strict=True):
                 one = prepared.series
                 flat = less_polynomial(one.time, one.error, one.order)
                 # The same polynomial is taken from both: their difference is the residual.
                 runs.setdefault(one.run, []).append(
-                    (one.accelerometer, one.observable, one.time, flat, flat - residuals.plain)
+                    (one.accelerometer, one.observable, one.time, flat, flat - residuals.unweighted)
                 )
         return {run: _together(parts) for run, parts in runs.items()}
 

@@ -20,12 +20,12 @@ from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import Diagnostics, diagnose
 from counterspin.inference.identifiability import Assessment
-from counterspin.inference.joint.agreement import leave_out
+from counterspin.inference.joint.agreement import jackknife_runs
+from counterspin.inference.joint.design_blocks import DesignBlock
+from counterspin.inference.joint.estimated_noise import noise_level_dof
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, Residuals
-from counterspin.inference.joint.found_noise import level_dof
-from counterspin.inference.joint.prepared import Prepared
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.summary import Jackknife
 from counterspin.physics.accelerometer import Mounting
 
@@ -149,7 +149,7 @@ class AccelerometerView:
         return {
             unknown.symbol: index
             for index, unknown in enumerate(self.fit.model.unknowns)
-            if unknown.owner == self.name and unknown.asked
+            if unknown.owner == self.name and unknown.is_of_interest
         }
 
     @property
@@ -159,7 +159,7 @@ class AccelerometerView:
 
     def jackknife(self) -> list[Jackknife]:
         """Return the jackknife of its K_II: the shift without each run."""
-        return [] if self.k_ii is None else leave_out(self.estimate, self.k_ii)
+        return [] if self.k_ii is None else jackknife_runs(self.estimate, self.k_ii)
 
     def with_groups(self, groups: Sequence[FittedGroup]) -> AccelerometerView:
         """Return the view with those of some groups that are the accelerometer's."""
@@ -169,16 +169,16 @@ class AccelerometerView:
     @property
     def has_records(self) -> bool:
         """Whether it was recorded, and not only read."""
-        return any(prepared.accelerometer == self.name for prepared in self.fit.prepared)
+        return any(prepared.accelerometer == self.name for prepared in self.fit.design_blocks)
 
-    def records(self) -> Iterator[tuple[int, Prepared, Residuals]]:
+    def records(self) -> Iterator[tuple[int, DesignBlock, Residuals]]:
         """Yield its records: place among those of the fit, columns, residuals."""
-        for index, prepared in enumerate(self.fit.prepared):
+        for index, prepared in enumerate(self.fit.design_blocks):
             if prepared.accelerometer == self.name:
                 yield index, prepared, self.fit.residuals[index]
 
     @property
-    def series(self) -> list[Series]:
+    def series(self) -> list[ResidualSeries]:
         """Its records as the fit has them."""
         return [prepared.series for _, prepared, _ in self.records()]
 
@@ -192,13 +192,13 @@ class AccelerometerView:
             # Differences belong to the later of the rows they are made from.
             times[prepared.run] = prepared.series.time[-whitened.size :]
             dofs[prepared.run] = max(self.fit.degrees_of_freedom[index], _FEWEST_DOF)
-        noise_given = self.name not in self.estimate.components
+        noise_given = self.name not in self.estimate.estimated_noise
         fits = len(self.campaign.accelerometers)
         return diagnose(
             rows,
             dofs,
             noise_given=noise_given,
-            noise_dof=level_dof(self.fit, self.name) if noise_given else math.inf,
+            noise_dof=noise_level_dof(self.fit, self.name) if noise_given else math.inf,
             times=times,
             fits=fits,
         )

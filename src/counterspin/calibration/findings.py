@@ -32,7 +32,7 @@ from counterspin.inference.diagnostics import (
     AGREEMENT,
     CHI_SQUARE_SIGNIFICANCE,
     SIGNIFICANCE,
-    agreement_of,
+    agreement_limit,
     normal_equivalent,
 )
 from counterspin.inference.distributions import normal_quantile
@@ -383,7 +383,7 @@ def _check_jackknife(
         return
     z = abs(worst.z) / excess
     size = normal_equivalent(z, worst.dof)
-    if size <= agreement_of(compared * accelerometer_count):
+    if size <= agreement_limit(compared * accelerometer_count):
         return
     unit, factor = field_unit("g/g^2")
     yield Finding(

@@ -83,7 +83,7 @@ def fit_jointly(problem: JointProblem) -> Outcome:
     contributions = data.contributions(views)
     shared = {
         unknown: coefficient(estimated, assessment, index)
-        for index, unknown in enumerate(model.asked)
+        for index, unknown in enumerate(model.of_interest)
         if unknown.symbol not in TERMS and unknown.owner not in campaign.accelerometers
     } | _rotation_coefficients(estimated, assessment)
     deviations = (

@@ -15,10 +15,10 @@ from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.settings import StatedNoise
 from counterspin.frozen import frozen
-from counterspin.inference.joint.series import TIMING, Series, StampErrors
+from counterspin.inference.joint.series import TIMING, ResidualSeries, TimestampErrors
 from counterspin.inference.joint.time_stamps import find_stamp_errors
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.noise.model import WANTED, Noise
+from counterspin.inference.noise.model import ESTIMATE, Noise
 from counterspin.loading import load_name
 from counterspin.physics import observation
 
@@ -50,7 +50,7 @@ class JointProblem:
         return replace(model, unknowns=tuple(unknowns))
 
     @cached_property
-    def series(self) -> tuple[Series, ...]:
+    def series(self) -> tuple[ResidualSeries, ...]:
         """The recorded series."""
         return make_series(self.campaign, self.observed)
 
@@ -59,14 +59,14 @@ class JointProblem:
         """The noise of each accelerometer, as far as it is stated."""
         return make_noise(self.campaign)
 
-    def accelerometer_series(self, name: str) -> list[Series]:
+    def accelerometer_series(self, name: str) -> list[ResidualSeries]:
         """Return the series of an accelerometer."""
         return [
             record_series for record_series in self.series if record_series.accelerometer == name
         ]
 
 
-def make_series(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Series, ...]:
+def make_series(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[ResidualSeries, ...]:
     """Return one series for each run and accelerometer, missing samples left out."""
     timing, encoder_noise = stated_timing_noise(campaign)
     series = []
@@ -75,7 +75,7 @@ def make_series(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Se
         for name, signal in run.signals.items():
             valid = np.isfinite(signal.error)
             accelerometer = signal.accelerometer
-            record_series = Series(
+            record_series = ResidualSeries(
                 accelerometer=name,
                 run=run.run.name,
                 trajectory=run.trajectory,
@@ -83,21 +83,21 @@ def make_series(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Se
                 observable=accelerometer.observable,
                 attitude=run.run.attitude,
                 time=run.record.time[valid],
-                spread=run.record.time_sd[valid],
+                time_sd=run.record.time_sd[valid],
                 count=run.record.count[valid].astype(float),
                 spacing=run.record.report.step,
                 error=signal.error[valid],
                 in_g=accelerometer.channel.in_g,
                 angle_error=run.rotation.error if run.rotation else None,
                 recorder=campaign.recording_of(run.run).recorder,
-                by_latitude=None
+                latitude_sensitivity=None
                 if signal.latitude_derivative is None
                 else signal.latitude_derivative[valid],
-                stamps=timestamp_errors and timestamp_errors.of_rows(valid),
+                timestamp_errors=timestamp_errors and timestamp_errors.select(valid),
             )
-            record_series = record_series.with_timing(timing)
+            record_series = record_series.with_timestamp_noise(timing)
             series.append(
-                record_series.corrected(timestamp_errors.prior[0])
+                record_series.correct_times(timestamp_errors.prior[0])
                 if timestamp_errors
                 else record_series
             )
@@ -112,7 +112,9 @@ def stated_timing_noise(campaign: Campaign) -> tuple[float, float]:
     return timing, angle
 
 
-def _timestamp_errors(run: ObservedRun, timing: float, encoder_noise: float) -> StampErrors | None:
+def _timestamp_errors(
+    run: ObservedRun, timing: float, encoder_noise: float
+) -> TimestampErrors | None:
     """Return the errors of the time stamps of a run that its recorded angle shows."""
     rotation, record = run.rotation, run.record
     if rotation is None:
@@ -148,24 +150,24 @@ def make_noise(campaign: Campaign) -> dict[str, Noise]:
 
 def _noise_model(noise: StatedNoise | None, accelerometer: Accelerometer) -> Noise:
     integrated = observation.ORDERS[accelerometer.observable] > 0
-    unknown_noise = Noise(WANTED, WANTED if integrated else 0.0)
+    unknown_noise = Noise(ESTIMATE, ESTIMATE if integrated else 0.0)
     if noise is None:
         return unknown_noise
     white = _size_or_wanted(getattr(noise, accelerometer.observable))
     walk = _size_or_wanted(noise.acceleration)
-    if not integrated and walk is WANTED:
-        white, walk = WANTED, 0.0
+    if not integrated and walk is ESTIMATE:
+        white, walk = ESTIMATE, 0.0
     displacement = accelerometer.observable == "displacement"
     quantisation = _size_or_wanted(noise.quantisation) if displacement else 0.0
     slow_components = (_size_or_wanted(noise.flicker), _size_or_wanted(noise.bias_walk))
-    stated = Noise(white, walk, 0.0 if quantisation is WANTED else quantisation, *slow_components)
+    stated = Noise(white, walk, 0.0 if quantisation is ESTIMATE else quantisation, *slow_components)
     # A record without any noise cannot be weighted: then the residuals have to say.
     if not any((white, walk, stated.quantisation)):
         return replace(unknown_noise, flicker=stated.flicker, bias_walk=stated.bias_walk)
-    if noise.wanders and white == 0.0 and stated.wanted:
-        return replace(stated, white=WANTED)  # beside what wanders there is white noise
+    if noise.wanders and white == 0.0 and stated.to_estimate:
+        return replace(stated, white=ESTIMATE)  # beside what wanders there is white noise
     return stated
 
 
 def _size_or_wanted(size: float | str) -> float:
-    return size if isinstance(size, float) else WANTED
+    return size if isinstance(size, float) else ESTIMATE

@@ -66,14 +66,20 @@ def make_unknowns(campaign: Campaign) -> Unknowns:
             default = math.inf if known else campaign.typical_of(symbol, owner)
             prior, unstated = (prior, unstated) if known else (NO_PRIOR, False)
             requested.append(
-                Unknown(owner, symbol, prior, limit, unstated=unstated, default=default)
+                Unknown(owner, symbol, prior, limit, has_default_prior=unstated, default_sd=default)
             )
         elif symbol in considered_symbols:
             considered.append(
-                Considered(owner, symbol, prior, limit, asked=False, unstated=unstated)
+                Considered(
+                    owner, symbol, prior, limit, is_of_interest=False, has_default_prior=unstated
+                )
             )
         elif known or prior[1] > 0.0:
-            nuisance.append(Unknown(owner, symbol, prior, limit, asked=False, unstated=unstated))
+            nuisance.append(
+                Unknown(
+                    owner, symbol, prior, limit, is_of_interest=False, has_default_prior=unstated
+                )
+            )
     if campaign.angle is None:
         requested += [
             Unknown(run.name, symbol, NO_PRIOR, limit)
@@ -315,4 +321,4 @@ def _inseparable_squares(campaign: Campaign, nuisance: Sequence[Unknown]) -> Ite
         for symbol in SQUARES:
             if symbol not in known and (name, symbol) not in present:
                 limit = campaign.limit_of(symbol, name)
-                yield Unknown(name, symbol, (0.0, limit), limit, unstated=True)
+                yield Unknown(name, symbol, (0.0, limit), limit, has_default_prior=True)

@@ -33,15 +33,15 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.frozen import frozen
-from counterspin.inference.distributions import chi_square_tail, countable
+from counterspin.inference.distributions import chi_square_tail, finite_dof
 from counterspin.inference.identifiability import Assessment, ConfoundedTerms
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint.budget import by_kind, kind_of
+from counterspin.inference.joint.budget import kind_of, unknown_u_by_category
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import ROTATION, Unknown
 from counterspin.inference.noise.model import COMPONENTS, WALK_UNIT, Noise
-from counterspin.inference.noise.search import FoundNoise
+from counterspin.inference.noise.search import NoiseEstimate
 from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of
 from counterspin.records.record import rejected_of
 
@@ -54,14 +54,14 @@ def coefficient(estimate: Estimate, assessment: Assessment, index: int) -> Coeff
     unknown, solution = estimate.fit.model.unknowns[index], estimate.fit.solution
     unit = unknown.unit
     if not assessment.determined[unknown.name]:
-        has_prior = math.isfinite(unknown.prior[1]) and not unknown.defaulted
+        has_prior = math.isfinite(unknown.prior[1]) and not unknown.uses_fallback_prior
         return Coefficient(
             value=unknown.prior[0] if has_prior else None,
             u=unknown.prior[1] if has_prior else None,
             unit=unit,
             estimated=False,
         )
-    noise, stated, unstated = by_kind(estimate.fit, index)
+    noise, stated, unstated = unknown_u_by_category(estimate.fit, index)
     dof = float(estimate.dof[index])
     return Coefficient(
         value=float(solution.estimate[index]) + unknown.nominal,
@@ -69,7 +69,7 @@ def coefficient(estimate: Estimate, assessment: Assessment, index: int) -> Coeff
         u_noise=noise,
         u_stated=stated,
         u_unstated=unstated,
-        dof=countable(dof),
+        dof=finite_dof(dof),
         unit=unit,
         estimated=True,
     )
@@ -80,7 +80,7 @@ def prior_information(estimate: Estimate, stated_inputs: Mapping[str, Quantity])
     model, solution = estimate.fit.model, estimate.fit.solution
     rows = []
     for index, parameter in enumerate((*model.unknowns, *model.considered)):
-        if parameter.asked or parameter.symbol in encoder.SYMBOLS:
+        if parameter.is_of_interest or parameter.symbol in encoder.SYMBOLS:
             continue
         stated = stated_inputs.get(parameter.name)
         # The prior of an input is a deviation from the value at which derivatives are taken.
@@ -161,8 +161,8 @@ def residual(view: AccelerometerView) -> Residual:
         return residual_of(view.groups)
     squares, samples, diagnostics = 0.0, 0.0, view.diagnostics
     for _, prepared, residuals in view.records():
-        squares += float(np.sum(residuals.plain**2 * prepared.series.count))
-        samples += residuals.plain.size
+        squares += float(np.sum(residuals.unweighted**2 * prepared.series.count))
+        samples += residuals.unweighted.size
     return Residual(
         rms=math.sqrt(squares / samples),
         unit=OBSERVABLES[view.accelerometer.observable],
@@ -210,14 +210,15 @@ def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
     reading_lines = reading_noise(view.groups)
     if not view.has_records:
         return reading_lines
-    components = view.estimate.components.get(view.name)
+    components = view.estimate.estimated_noise.get(view.name)
     noise, observable = view.fit.noise[view.name], view.accelerometer.observable
     record_lines = record_noise(noise, components, observable)
     record_series = view.series
-    if any(series.relative != 1.0 for series in record_series):
+    if any(series.variance_ratio != 1.0 for series in record_series):
         white_line = record_lines[observable]
         runs = {
-            series.run: white_line.value * math.sqrt(series.relative) for series in record_series
+            series.run: white_line.value * math.sqrt(series.variance_ratio)
+            for series in record_series
         }
         record_lines[observable] = white_line.model_copy(update={"runs": runs})
     if timing := estimated_timing_noise(view):
@@ -228,7 +229,7 @@ def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
 def estimated_timing_noise(view: AccelerometerView) -> float:
     """Return the noise of the time stamps that the residuals of the records show, s; 0: none."""
     stated = view.campaign.noise is not None and view.campaign.noise.timing
-    return 0.0 if stated else max((series.scatter for series in view.series), default=0.0)
+    return 0.0 if stated else max((series.timestamp_noise for series in view.series), default=0.0)
 
 
 def with_static_uncertainty(
@@ -246,7 +247,7 @@ def with_static_uncertainty(
 
 
 def record_noise(
-    noise: Noise, components: FoundNoise | None, observable: str
+    noise: Noise, components: NoiseEstimate | None, observable: str
 ) -> dict[str, NoiseLine]:
     """Return noise of records, component by component, given or estimated."""
     unit = OBSERVABLES[observable]
@@ -279,8 +280,8 @@ def residual_frame(fit: JointFit, units: Mapping[str, str]) -> pl.DataFrame | No
     units: Of each accelerometer's records.
     """
     frames = []
-    for prepared, residuals in zip(fit.prepared, fit.residuals, strict=True):
-        series, plain = prepared.series, residuals.plain
+    for prepared, residuals in zip(fit.design_blocks, fit.residuals, strict=True):
+        series, plain = prepared.series, residuals.unweighted
         whitened = np.full(plain.size, np.nan)
         # Differences belong to the later rows.
         whitened[plain.size - residuals.whitened.size :] = residuals.whitened

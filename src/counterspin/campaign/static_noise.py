@@ -17,7 +17,11 @@ from counterspin.campaign.settings import NoiseSettings, StatedNoise
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.inference.noise.model import COMPONENTS
-from counterspin.inference.noise.rest import RestNoise, RestSignal, at_rest
+from counterspin.inference.noise.static_noise import (
+    StaticNoise,
+    StaticSignal,
+    analyse_static_record,
+)
 from counterspin.input import FileIdentity
 from counterspin.physics import observation
 from counterspin.records.formats import read_scaled
@@ -93,7 +97,7 @@ def with_static_sizes(campaign: Campaign, noise: NoiseSettings) -> StatedNoise:
 
 
 def _resolve_accelerometer(
-    campaign: Campaign, name: str, static_noise_of: RestNoise | None, undetected: float | str
+    campaign: Campaign, name: str, static_noise_of: StaticNoise | None, undetected: float | str
 ) -> ResolvedNoise:
     noise, observable = campaign.noise, campaign.accelerometers[name].observable
     assert noise is not None
@@ -118,7 +122,7 @@ def _resolve_accelerometer(
     return ResolvedNoise(noise.model_copy(update=sizes), remaining_covariance)
 
 
-def _static_record_noise(campaign: Campaign) -> Mapping[str, RestNoise]:
+def _static_record_noise(campaign: Campaign) -> Mapping[str, StaticNoise]:
     """Return the noise of the record at rest, by accelerometer."""
     file, key = campaign.rest, f"{campaign.path}: noise.from"
     assert file is not None
@@ -146,15 +150,15 @@ def _static_record_noise(campaign: Campaign) -> Mapping[str, RestNoise]:
 
 
 @lru_cache(maxsize=4)
-def _analyze_record(request: _NoiseRequest) -> Mapping[str, RestNoise]:
+def _analyze_record(request: _NoiseRequest) -> Mapping[str, StaticNoise]:
     file = request.campaign.rest
     assert file is not None
     record = request.campaign.record_at(file)
     signals = static_signals(request.campaign, record)
-    return {signal.name: at_rest(record, signal).analysis.noise for signal in signals}
+    return {signal.name: analyse_static_record(record, signal).analysis.noise for signal in signals}
 
 
-def static_signals(campaign: Campaign, record: Path | MemoryTable) -> list[RestSignal]:
+def static_signals(campaign: Campaign, record: Path | MemoryTable) -> list[StaticSignal]:
     """Return the columns of a campaign's accelerometers in a record at rest."""
     used = [
         accelerometer
@@ -164,7 +168,7 @@ def static_signals(campaign: Campaign, record: Path | MemoryTable) -> list[RestS
     specs = [campaign.time, *(accelerometer.channel for accelerometer in used)]
     time, *signals = read_scaled(record, specs, campaign.dialect)
     return [
-        RestSignal(
+        StaticSignal(
             accelerometer.name,
             accelerometer.channel.name,
             observation.ORDERS[accelerometer.observable],

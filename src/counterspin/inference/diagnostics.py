@@ -42,7 +42,7 @@ FALSE_ALARMS: Final = 0.002
 SIGNIFICANCE: Final = 0.005
 
 #: Part of a column, squared, that the fit must leave of it for anything to be tested.
-LEAST_PART_LEFT: Final = 1e-9
+MIN_RESIDUAL_FRACTION: Final = 1e-9
 
 #: The share of it that is each side's of the whole fit's chi-square; the runs have the other half.
 CHI_SQUARE_SIGNIFICANCE: Final = SIGNIFICANCE / 4.0
@@ -124,9 +124,9 @@ def diagnose(
         if isinstance(dof, Mapping)
         else {name: dof * len(rows) / total for name, rows in values.items()}
     )
-    whole = float(sum(shares[name] for name in values))
+    total_dof = float(sum(shares[name] for name in values))
     if not min(shares[name] for name in values) > 0:
-        raise ValueError(f"{whole} degrees of freedom: there is nothing to test")
+        raise ValueError(f"{total_dof} degrees of freedom: there is nothing to test")
     runs = {}
     for name, rows in values.items():
         interval = 1.0 if times is None else median(np.diff(np.asarray(times[name])))
@@ -134,13 +134,13 @@ def diagnose(
 
     chi2 = float(sum(run.chi2 for run in runs.values()))
     if noise_given:
-        fit_p = _tail(whole, chi2, noise_dof)
+        fit_p = _tail(total_dof, chi2, noise_dof)
     else:
         smallest = min(min(run.sign_p, run.peak_p) for run in runs.values())
         fit_p = min(1.0, 2 * len(runs) * smallest)
     unit = "Hz" if times else "cycles per row"
-    findings = _findings(runs, (chi2, whole, fit_p), unit, noise_given=noise_given, fits=fits)
-    return Diagnostics(chi2, whole, fit_p, noise_given, runs, findings)
+    findings = _findings(runs, (chi2, total_dof, fit_p), unit, noise_given=noise_given, fits=fits)
+    return Diagnostics(chi2, total_dof, fit_p, noise_given, runs, findings)
 
 
 def _tail(dof: float, chi2: float, noise_dof: float) -> float:
@@ -179,24 +179,24 @@ _PERIODS: Final = 8
 
 def _findings(
     runs: Mapping[str, RunDiagnostics],
-    whole: tuple[float, float, float],
+    fit_test: tuple[float, float, float],
     unit: str,
     *,
     noise_given: bool,
     fits: int,
 ) -> tuple[str, ...]:
     """Sentences on what is too unlikely, all tests of all fits together at `SIGNIFICANCE`."""
-    chi2, dof, p = whole
+    chi2, dof, p = fit_test
     tests = fits * len(runs) * (6 if noise_given else 2)
-    limit, of_chi2 = SIGNIFICANCE / tests, CHI_SQUARE_SIGNIFICANCE / fits
-    found = []
-    if noise_given and p < of_chi2:
-        found.append(
+    limit, chi2_limit = SIGNIFICANCE / tests, CHI_SQUARE_SIGNIFICANCE / fits
+    sentences = []
+    if noise_given and p < chi2_limit:
+        sentences.append(
             f"The residuals are {math.sqrt(chi2 / dof):.3g} times as large as the stated noise: "
             "the noise is stated too small or the model lacks a term."
         )
-    elif noise_given and p > 1 - of_chi2:
-        found.append(
+    elif noise_given and p > 1 - chi2_limit:
+        sentences.append(
             f"The residuals are only {math.sqrt(chi2 / dof):.3g} times as large as the stated "
             "noise: the noise is stated too large."
         )
@@ -206,7 +206,7 @@ def _findings(
     for name in [*waves, *(name for name in runs if name not in waves)]:
         run = runs[name]
         if noise_given and run.chi2_p < limit and len(runs) > 1:
-            found.append(
+            sentences.append(
                 f"{name}: the residuals are {math.sqrt(run.chi2 / run.dof):.3g} times as large as "
                 "the stated noise."
             )
@@ -222,22 +222,22 @@ def _findings(
         )
         tested = [(run.sign_p, signs), (run.peak_p, wave)]
         tested = tested[::-1] if _is_large(run) else tested
-        found += [words for p, words in tested if p < limit]
-    return tuple(found)
+        sentences += [words for p, words in tested if p < limit]
+    return tuple(sentences)
 
 
 def _is_large(run: RunDiagnostics) -> bool:
     return run.peak_share > _LARGE and int(np.argmax(run.periodogram)) >= _PERIODS
 
 
-def agreement_of(differences: int) -> float:
+def agreement_limit(differences: int) -> float:
     """Return up to how many standard uncertainties each of several differences may go.
 
     All of them stay below in 99.8 % of good campaigns (Sidak, Journal of the American Statistical
     Association 62 (1967) 626: at least that, however they depend on each other).
     """
-    each = -math.expm1(math.log1p(-FALSE_ALARMS) / max(differences, 1))
-    return max(AGREEMENT, -normal_quantile(0.5 * each))
+    probability = -math.expm1(math.log1p(-FALSE_ALARMS) / max(differences, 1))
+    return max(AGREEMENT, -normal_quantile(0.5 * probability))
 
 
 def normal_equivalent(z: float, dof: float | None) -> float:

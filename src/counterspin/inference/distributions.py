@@ -31,7 +31,7 @@ _NORMAL: Final = NormalDist()
 
 #: Of fewer degrees of freedom 95 % lie within more than 1e12 standard uncertainties, and beyond
 #: what a number can be: nothing is known.
-LEAST_DOF: Final = 0.1
+MIN_DOF: Final = 0.1
 
 
 def normal_cdf(x: float) -> float:
@@ -54,11 +54,11 @@ def chi_square_tail(dof: float, chi2: float) -> float:
     if x <= 0.0 or math.isinf(x):
         return 1.0 if x <= 0.0 else 0.0
     # x^a exp(-x) / gamma(a + 1), whose factors would overflow.
-    away = (x - a) / a
-    if away <= -1.0:  # to all digits; a is large then
+    deviation = (x - a) / a
+    if deviation <= -1.0:  # to all digits; a is large then
         return 1.0
     if a >= _STIRLING_FROM:
-        size = math.exp(-a * (away - math.log1p(away))) / (
+        size = math.exp(-a * (deviation - math.log1p(deviation))) / (
             math.sqrt(2.0 * math.pi * a) * math.exp(_stirling(a))
         )
     else:
@@ -71,7 +71,7 @@ def chi_square_tail(dof: float, chi2: float) -> float:
             part *= x / n
             total += part
         return max(1.0 - size * total, 0.0)
-    return size * a * _fraction_of_gamma(a, x)
+    return size * a * _gamma_continued_fraction(a, x)
 
 
 def student_cdf(dof: float, t: float) -> float:
@@ -89,13 +89,13 @@ def student_quantile(dof: float, p: float) -> float:
     """
     if math.isinf(dof):
         return normal_quantile(p)
-    tail, dof = min(p, 1.0 - p), max(dof, LEAST_DOF)
+    tail, dof = min(p, 1.0 - p), max(dof, MIN_DOF)
     if tail == 0.5:
         return 0.0
     t = -normal_quantile(tail)
     for _ in range(100):
-        found = _student_tail(dof, t)
-        step = math.log(found / tail) * found / (t * _student_density(dof, t))
+        density = _student_tail(dof, t)
+        step = math.log(density / tail) * density / (t * _student_density(dof, t))
         t *= math.exp(min(step, 50.0))
         if abs(step) < 1e-14:
             break
@@ -123,8 +123,8 @@ def _student_tail(dof: float, t: float) -> float:
     # x^a y^(1/2) / B(a, 1/2)
     size = _gamma_ratio(a) / math.sqrt(math.pi) * math.exp(-a * math.log1p(ratio)) * math.sqrt(y)
     if x < (a + 1.0) / (a + 2.5):
-        return 0.5 * size / a * _fraction_of_beta(a, 0.5, x)
-    return 0.5 - size * _fraction_of_beta(0.5, a, y)
+        return 0.5 * size / a * _beta_continued_fraction(a, 0.5, x)
+    return 0.5 - size * _beta_continued_fraction(0.5, a, y)
 
 
 def _student_density(dof: float, t: float) -> float:
@@ -149,7 +149,7 @@ def _stirling(a: float) -> float:
     return (1.0 / 12.0 - square * (1.0 / 360.0 - square * (1.0 / 1260.0 - square / 1680.0))) / a
 
 
-def _fraction_of_gamma(a: float, x: float) -> float:
+def _gamma_continued_fraction(a: float, x: float) -> float:
     """Return gamma(a, x) exp(x) / x^a by Lentz's method."""
     b = x + 1.0 - a
     c, d = math.inf, 1.0 / b
@@ -165,7 +165,7 @@ def _fraction_of_gamma(a: float, x: float) -> float:
     return value
 
 
-def _fraction_of_beta(a: float, b: float, x: float) -> float:
+def _beta_continued_fraction(a: float, b: float, x: float) -> float:
     """Return a B_x(a, b) / (x^a (1 - x)^b) by Lentz's method (NIST DLMF 8.17.22)."""
     c, d = 1.0, 1.0 / (1.0 - (a + b) * x / (a + 1.0))
     value, change, m = d, math.inf, 0.0
@@ -182,7 +182,7 @@ def _fraction_of_beta(a: float, b: float, x: float) -> float:
     return value
 
 
-def countable(dof: float) -> float | None:
+def finite_dof(dof: float) -> float | None:
     """Return degrees of freedom as a result states them: None where they are as good as infinite.
 
     Satterthwaite's formula gives numbers such as 9e16 where next to nothing of u was estimated.

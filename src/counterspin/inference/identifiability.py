@@ -30,13 +30,13 @@ from counterspin.inference.least_squares import Solution
 _FLOOR: Final = 1e-12
 
 #: The data improve a prior where they take away at least a tenth of its variance.
-PRIOR_LEFT: Final = 0.9
+MAX_VARIANCE_RATIO: Final = 0.9
 
 #: What the words leave out of a combination is below this part of its u, for any credible size.
 _NEGLIGIBLE: Final = 0.1
 
 #: Terms whose columns agree this well are taken together, whatever their priors.
-TWIN_AGREEMENT: Final = 1.0 - 1e-6
+COLLINEAR_CORRELATION: Final = 1.0 - 1e-6
 
 #: Terms whose columns correlate by more are near-collinear (IEEE Std 836: "bucking").
 NEAR_COLLINEAR: Final = 0.95
@@ -70,9 +70,9 @@ class ConfoundedTerms:
 
     def of(self, owner: str) -> ConfoundedTerms:
         """Return the same with an owner's terms named without it."""
-        own = f"{owner}."
-        terms = [name.removeprefix(own) for name in self.terms]
-        return replace(self, terms=terms, determined=self.determined.replace(own, ""))
+        prefix = f"{owner}."
+        terms = [name.removeprefix(prefix) for name in self.terms]
+        return replace(self, terms=terms, determined=self.determined.replace(prefix, ""))
 
 
 @frozen
@@ -114,14 +114,18 @@ def assess(
     offset = np.zeros(p) if nominal is None else np.asarray(nominal, dtype=np.float64)
     limits, prior_sd = solution.limits[:p], solution.prior_sd[:p]
     free = np.flatnonzero(prior_sd > 0)
-    problem = _Problem(_of_first(solution, p)[:, free], 1.0 / prior_sd[free], limits[free])
+    problem = _Information(
+        _project_onto_first(solution, p)[:, free], 1.0 / prior_sd[free], limits[free]
+    )
     root = problem.root()
 
     variance = np.diag(solution.covariance_considered)[:p].copy()
     variance[free] += np.sum(root**2, axis=1)
-    if solution.covariance_unseen is not None:
-        variance += np.diag(solution.covariance_unseen)[:p]
-    determined = (prior_sd > 0) & (variance < limits**2) & (variance <= PRIOR_LEFT * prior_sd**2)
+    if solution.covariance_undetected is not None:
+        variance += np.diag(solution.covariance_undetected)[:p]
+    determined = (
+        (prior_sd > 0) & (variance < limits**2) & (variance <= MAX_VARIANCE_RATIO * prior_sd**2)
+    )
 
     # A coefficient such as K_I = 1.002 is as large as what its unknown leaves out, and more.
     sizes = problem.limits + np.abs(offset[free])
@@ -148,22 +152,24 @@ def assess(
         )
         return described, combined.u / float(np.max(np.abs(full[:p]) * np.sqrt(variance)))
 
-    loose = [i for i in range(free.size) if np.linalg.norm(root[i]) >= problem.limits[i]]
-    behind = _separate(root, problem.limits, loose, range(free.size))
-    confounded = [describe(weights)[0] for weights in behind]
+    undetermined = [i for i in range(free.size) if np.linalg.norm(root[i]) >= problem.limits[i]]
+    combinations = _determined_combinations(root, problem.limits, undetermined, range(free.size))
+    confounded = [describe(weights)[0] for weights in combinations]
     place = {symbols[k]: i for i, k in enumerate(free.tolist())}
     named = _connected([[place[name] for name in item.terms] for item in confounded])
 
-    alike = problem.alike()
-    twins = _connected([pair for pair, size in alike.items() if size > TWIN_AGREEMENT])
-    for group in [*twins, *map(list, alike)]:
+    pairs = problem.collinear_pairs()
+    collinear_groups = _connected(
+        [pair for pair, size in pairs.items() if size > COLLINEAR_CORRELATION]
+    )
+    for group in [*collinear_groups, *map(list, pairs)]:
         if any(set(group) <= set(terms) for terms in named):
             continue
-        own = problem.root(without_priors=group)
-        for weights in _separate(own, problem.limits, group, group):
+        root_without_priors = problem.root(without_priors=group)
+        for weights in _determined_combinations(root_without_priors, problem.limits, group, group):
             item, ratio = describe(weights)
             # Where priors decide more than the pair's combination, it says nothing.
-            if group in twins or ratio < 0.5:
+            if group in collinear_groups or ratio < 0.5:
                 confounded.append(item)
                 named.append(group)
     return Assessment(
@@ -173,7 +179,7 @@ def assess(
     )
 
 
-def _of_first(solution: Solution, p: int) -> Array:
+def _project_onto_first(solution: Solution, p: int) -> Array:
     """Return the information about the first unknowns, the others projected out with priors."""
     # What is known exactly has nothing to be projected out.
     uncertain = p + np.flatnonzero(solution.prior_sd[p:] > 0.0)
@@ -185,16 +191,16 @@ def _of_first(solution: Solution, p: int) -> Array:
     return triangle_of(np.vstack([rows, known]))[count:, count:]
 
 
-class _Problem:
+class _Information:
     """The data's square-root information and the priors' weights of the free unknowns."""
 
     def __init__(self, data: Array, weights: Array, limits: Array) -> None:
         self.data = triangle_of(data)
         self.weights = weights
         self.limits = limits
-        own = np.sqrt(np.sum(self.data**2, axis=0) + weights**2)
+        column_norms = np.sqrt(np.sum(self.data**2, axis=0) + weights**2)
         # Columns that the data do not see at all are bounded in units of their limits.
-        self.floor = _FLOOR * np.maximum(own, 1.0 / limits)
+        self.floor = _FLOOR * np.maximum(column_norms, 1.0 / limits)
 
     def root(self, without_priors: Sequence[int] = ()) -> Array:
         """Return T with T @ T.T the covariance from data and priors, leaving some priors out."""
@@ -206,7 +212,7 @@ class _Problem:
 
     def correlation(self, terms: npt.NDArray[np.intp]) -> float:
         """Largest pairwise correlation inside a set, before the set's own priors."""
-        columns = self._inside(terms[None])[0]
+        columns = self._project_onto_sets(terms[None])[0]
         cosine = columns.T @ columns
         norms = np.sqrt(np.diag(cosine))
         cosine = cosine / np.outer(norms, norms)
@@ -214,13 +220,13 @@ class _Problem:
         # Two columns that point the same way have estimates that work against each other.
         return float(np.clip(-cosine[worst], -1.0, 1.0))
 
-    def alike(self) -> dict[tuple[int, int], float]:
+    def collinear_pairs(self) -> dict[tuple[int, int], float]:
         """Pairs that the data see one by one but hardly tell apart, before their own priors."""
         pairs = list(combinations(range(self.limits.size), 2))
         if not pairs:
             return {}
         index = np.asarray(pairs, dtype=np.intp)
-        columns = self._inside(index)
+        columns = self._project_onto_sets(index)
         norms = np.linalg.norm(columns, axis=1)
         seen = (norms * self.limits[index] >= 1.0).all(axis=1)
         cosine = np.zeros(len(pairs))
@@ -232,7 +238,7 @@ class _Problem:
             if size > NEAR_COLLINEAR
         }
 
-    def _inside(self, sets: npt.NDArray[np.intp]) -> Array:
+    def _project_onto_sets(self, sets: npt.NDArray[np.intp]) -> Array:
         """Square-root information about sets of s terms, shape (sets, s, s).
 
         All other unknowns are projected out, with their priors; the sets' own priors are left out.
@@ -252,10 +258,10 @@ class _Problem:
         return triangle_of(ordered)[:, size - count : size, size - count :]
 
 
-def _separate(
+def _determined_combinations(
     root: Array,
     limits: Array,
-    loose: Sequence[int],
+    undetermined: Sequence[int],
     candidates: Sequence[int],
 ) -> list[Array]:
     """Find the combinations that are determined although their terms are not.
@@ -265,47 +271,50 @@ def _separate(
     combination sought, uncorrelated with those set aside and so the best known.
     """
     size = np.linalg.norm(root, axis=1)
-    aside: list[int] = []
+    pivots: list[int] = []
     basis = np.empty((0, root.shape[1]))
 
-    def left(i: int) -> Array:
-        once: Array = root[i] - basis.T @ (basis @ root[i])
-        again: Array = once - basis.T @ (basis @ once)  # against rounding
-        return again
+    def residual(i: int) -> Array:
+        projected: Array = root[i] - basis.T @ (basis @ root[i])
+        reprojected: Array = projected - basis.T @ (basis @ projected)  # against rounding
+        return reprojected
 
     def explained(i: int) -> bool:
-        rest = np.linalg.norm(left(i))
-        return bool(rest < limits[i] and rest**2 < (1.0 - NEAR_COLLINEAR**2) * size[i] ** 2)
+        norm = np.linalg.norm(residual(i))
+        return bool(norm < limits[i] and norm**2 < (1.0 - NEAR_COLLINEAR**2) * size[i] ** 2)
 
-    for i in sorted(loose, reverse=True):
+    for i in sorted(undetermined, reverse=True):
         if not explained(i):
-            rest = left(i)
-            basis = np.vstack([basis, rest / np.linalg.norm(rest)])
-            aside.append(i)
+            norm = residual(i)
+            basis = np.vstack([basis, norm / np.linalg.norm(norm)])
+            pivots.append(i)
 
-    found = []
+    combinations = []
     for i in candidates:
-        if i in aside or not explained(i):
+        if i in pivots or not explained(i):
             continue
-        others = list(aside)
-        best = float(np.linalg.norm(left(i)))
-        for k in aside:  # a term that does not help is not named
-            fewer = [other for other in others if other != k]
-            if np.linalg.norm(_regress(root, i, fewer) @ root) <= (1.0 + _NEGLIGIBLE) * best:
-                others = fewer
-        if others:
-            found.append(_regress(root, i, others))
-    return found
+        named = list(pivots)
+        best = float(np.linalg.norm(residual(i)))
+        for k in pivots:  # a term that does not help is not named
+            candidates_left = [pivot for pivot in named if pivot != k]
+            if (
+                np.linalg.norm(_regress(root, i, candidates_left) @ root)
+                <= (1.0 + _NEGLIGIBLE) * best
+            ):
+                named = candidates_left
+        if named:
+            combinations.append(_regress(root, i, named))
+    return combinations
 
 
-def _regress(root: Array, i: int, others: Sequence[int]) -> Array:
-    """Weights of unknown ``i`` less its regression on ``others``."""
+def _regress(root: Array, i: int, regressors: Sequence[int]) -> Array:
+    """Weights of unknown ``i`` minus its regression on ``regressors``."""
     weights = np.zeros(root.shape[0])
     weights[i] = 1.0
-    if others:
-        scale = np.linalg.norm(root[list(others)], axis=1)
-        scaled = root[list(others)] / scale[:, None]
-        weights[list(others)] = -np.linalg.lstsq(scaled.T, root[i], rcond=None)[0] / scale
+    if regressors:
+        scale = np.linalg.norm(root[list(regressors)], axis=1)
+        scaled = root[list(regressors)] / scale[:, None]
+        weights[list(regressors)] = -np.linalg.lstsq(scaled.T, root[i], rcond=None)[0] / scale
     return weights
 
 
@@ -327,17 +336,17 @@ def write_combination(names: Sequence[str], weights: npt.ArrayLike, slack: npt.A
     """
     exact = np.asarray(weights, dtype=np.float64)
     allowed = np.broadcast_to(np.asarray(slack, dtype=np.float64), exact.shape)
-    whole = np.round(exact)
-    if (whole != 0).all() and (np.abs(exact - whole) <= allowed).all():
-        exact = whole
+    rounded = np.round(exact)
+    if (rounded != 0).all() and (np.abs(exact - rounded) <= allowed).all():
+        exact = rounded
     text = ""
     for name, weight, error in zip(names, exact.tolist(), allowed.tolist(), strict=True):
-        size = _rounded(abs(weight), error)
+        size = _format_number(abs(weight), error)
         text += f" {'-' if weight < 0 else '+'} " + (name if size == "1" else f"{size} {name}")
     return text.removeprefix(" + ")
 
 
-def _rounded(size: float, error: float) -> str:
+def _format_number(size: float, error: float) -> str:
     """Return a number with the fewest digits, four at least, that err by no more than this."""
     for digits in range(4, 17):
         text = f"{size:.{digits}g}"

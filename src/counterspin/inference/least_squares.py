@@ -99,8 +99,8 @@ def reduce_rows(rows: Array, m: int, p: int) -> Block:
     if not np.isfinite(triangle).all():
         raise ValueError("the columns or the observations hold numbers that are not finite")
 
-    own = triangle[:m, :m]
-    if dependent(own).size:
+    nuisance_triangle = triangle[:m, :m]
+    if dependent_columns(nuisance_triangle).size:
         raise NotIdentifiableError(
             f"{n} samples cannot tell the {m} unknowns of the record itself (such as its start "
             "offset and start velocity) apart; the record is too short"
@@ -116,7 +116,7 @@ def reduce_rows(rows: Array, m: int, p: int) -> Block:
     )
 
 
-def dependent(triangle: Array) -> npt.NDArray[np.intp]:
+def dependent_columns(triangle: Array) -> npt.NDArray[np.intp]:
     """Return the columns of a triangular factor that depend on those before them, to rounding."""
     norms = np.linalg.norm(triangle, axis=0)
     diagonal = np.zeros_like(norms)  # a column beyond the last row depends on the others
@@ -147,12 +147,14 @@ class Combination:
     considered: Array  #: Signed contribution of each considered term, shape (q,).
     #: What only the numerical regularisation holds; negligible for all that is determined.
     unresolved: float
-    unseen: float = 0.0  #: Standard uncertainty from noise that the records do not show.
+    undetected: float = 0.0  #: Standard uncertainty from noise that the records do not show.
 
     @property
     def u(self) -> float:
         """The combined standard uncertainty."""
-        return math.hypot(self.noise, self.unseen, self.unresolved, *self.prior, *self.considered)
+        return math.hypot(
+            self.noise, self.undetected, self.unresolved, *self.prior, *self.considered
+        )
 
 
 @frozen
@@ -200,16 +202,16 @@ class Solution:
     limits: Array | None
     _rows: _Rows
     #: From noise that the records do not show, shape (p, p); None without. `solve` knows none.
-    covariance_unseen: Array | None = None
+    covariance_undetected: Array | None = None
 
     @property
     def covariance(self) -> Array:
         """The combined covariance, shape (p, p)."""
-        seen = self.least_covariance + self.covariance_considered
-        return seen if self.covariance_unseen is None else seen + self.covariance_unseen
+        seen = self.weighted_covariance + self.covariance_considered
+        return seen if self.covariance_undetected is None else seen + self.covariance_undetected
 
     @property
-    def least_covariance(self) -> Array:
+    def weighted_covariance(self) -> Array:
         """Covariance that the weights minimise, from noise, priors and regularisation, (p, p).
 
         Considered terms and noise that does not show have no part in the weights.
@@ -228,8 +230,8 @@ class Solution:
         A row's residual has one minus this for its expected square, priors being right.
         """
         rotation: Array = self._rows.rotation[: self._rows.data]
-        followed: Array = np.sum(rotation**2, axis=1)
-        return followed
+        leverages: Array = np.sum(rotation**2, axis=1)
+        return leverages
 
     def with_row_noise(self, noise: Array) -> Solution:
         """Return the same estimates where the data's rows are not of the variance assumed.
@@ -244,8 +246,8 @@ class Solution:
             _rows=replace(rows, noise=noise),
         )
 
-    def root_of(self, rows: Array) -> Array:
-        """Return G with G @ G.T the `least_covariance` of rows @ unknowns, shape (n, f).
+    def covariance_root(self, rows: Array) -> Array:
+        """Return G with G @ G.T the `weighted_covariance` of rows @ unknowns, shape (n, f).
 
         From the factors, for the reason that `combine` gives.
 
@@ -254,14 +256,14 @@ class Solution:
         free = self._rows.free
         return np.asarray(np.linalg.solve(self._rows.triangle.T, rows[:, free].T).T, np.float64)
 
-    def in_rows(self, unknowns: Array) -> Array:
-        """Return values of the unknowns in rows in which `least_covariance` is one, shape (f,).
+    def whiten_unknowns(self, unknowns: Array) -> Array:
+        """Return values of the unknowns in rows in which `weighted_covariance` is one, shape (f,).
 
         unknowns: Shape (p,); those that are exactly known are left out.
         """
         return np.asarray(self._rows.triangle @ unknowns[self._rows.free])
 
-    def unexplained(self, data: Array, priors: Array) -> Array:
+    def project_out(self, data: Array, priors: Array) -> Array:
         """Return the part of additional columns that no value of the unknowns explains.
 
         data: In the blocks' stacked rows, shape (n, c).
@@ -269,24 +271,24 @@ class Solution:
         count, and none that is known exactly.
         Returns: shape (rows, c), first the blocks' rows; orthogonal to the columns of the problem.
         """
-        stacked, rotation = self._stacked(data, priors), self._rows.rotation
+        stacked, rotation = self._stack_rows(data, priors), self._rows.rotation
         # Twice: what rounding leaves of the first projection matters where little is left.
         for _ in range(2):
             stacked -= rotation @ (rotation.T @ stacked)
         return stacked
 
-    def taken_up(self, data: Array, priors: Array) -> Array:
+    def undetected_shifts(self, data: Array, priors: Array) -> Array:
         """Return by how much the unknowns move, shape (p, c), where columns go unnoticed.
 
-        What `unexplained` leaves; arguments as of that.
+        What `project_out` leaves; arguments as of that.
         """
         rows = self._rows
-        moved = np.zeros((self.estimate.size, data.shape[1]))
-        stacked = self._stacked(data, priors)
-        moved[rows.free] = np.linalg.solve(rows.triangle, rows.rotation.T @ stacked)
-        return moved
+        shifts = np.zeros((self.estimate.size, data.shape[1]))
+        stacked = self._stack_rows(data, priors)
+        shifts[rows.free] = np.linalg.solve(rows.triangle, rows.rotation.T @ stacked)
+        return shifts
 
-    def _stacked(self, data: Array, priors: Array) -> Array:
+    def _stack_rows(self, data: Array, priors: Array) -> Array:
         """Return columns in all rows: of the blocks, the priors and the unknowns that are held."""
         rows = self._rows
         stacked = np.zeros((rows.rotation.shape[0], data.shape[1]))
@@ -317,9 +319,9 @@ class Solution:
             prior=prior,
             considered=-(data @ rows.considered) * self.considered_sd,
             unresolved=float(np.linalg.norm(gain[after:])),
-            unseen=0.0
-            if self.covariance_unseen is None
-            else math.sqrt(max(float(c @ self.covariance_unseen @ c), 0.0)),
+            undetected=0.0
+            if self.covariance_undetected is None
+            else math.sqrt(max(float(c @ self.covariance_undetected @ c), 0.0)),
         )
 
 
@@ -366,18 +368,24 @@ def solve(
 
     free = np.flatnonzero(sd > 0)
     known = np.flatnonzero(np.isfinite(sd[free]))  # positions among the free ones
-    held = np.flatnonzero(np.isinf(sd[free])) if bound is not None else np.empty(0, np.intp)
+    unbounded = np.flatnonzero(np.isinf(sd[free])) if bound is not None else np.empty(0, np.intp)
     weight_prior = 1.0 / sd[free][known]
-    weight_held = np.empty(0) if bound is None else 1.0 / (REGULARISATION * bound[free][held])
+    weight_regularisation = (
+        np.empty(0) if bound is None else 1.0 / (REGULARISATION * bound[free][unbounded])
+    )
     eye = np.eye(free.size)
     stacked = np.vstack(
-        [factor[:, free], weight_prior[:, None] * eye[known], weight_held[:, None] * eye[held]]
+        [
+            factor[:, free],
+            weight_prior[:, None] * eye[known],
+            weight_regularisation[:, None] * eye[unbounded],
+        ]
     )
     # All unknowns are counted from their prior means, so that the added rows aim at zero.
     misfit = np.concatenate([block.target for block in blocks])
     misfit = misfit - considered @ c_mean - factor @ mean
     rotation, triangle = _factorise(stacked)
-    weak = dependent(triangle)
+    weak = dependent_columns(triangle)
     if bound is None and weak.size:
         which = int(free[weak[0]])
         raise NotIdentifiableError(

@@ -69,16 +69,18 @@ def variance_components(
         show that coarser ones show too is these.
     design: Columns of what is estimated beside, such as the mean, shape (n, p).
     """
-    told, same_as = _told_apart(groups, design)
-    search = _Search(values, covariance, [one for one, _ in told.values()], design)
+    distinct, same_as = _distinct_groups(groups, design)
+    search = _RestrictedDeviance(
+        values, covariance, [item for item, _ in distinct.values()], design
+    )
     best, least = search.best()
     components = {}
-    for place, (name, (of_group, freedom)) in enumerate(told.items()):
-        low, high = search.interval(place, best, least, freedom)
+    for index, (name, (of_group, freedom)) in enumerate(distinct.items()):
+        low, high = search.interval(index, best, least, freedom)
         components[name] = Component(
             groups=of_group.shape[1],
             freedom=freedom,
-            value=math.sqrt(best[place]),
+            value=math.sqrt(best[index]),
             low=math.sqrt(low),
             high=math.sqrt(high),
         )
@@ -89,65 +91,65 @@ def variance_components(
     )
 
 
-def _told_apart(
+def _distinct_groups(
     groups: Mapping[str, Sequence[Hashable]], design: Array
 ) -> tuple[dict[str, tuple[Array, int]], dict[str, str]]:
     """Return the indicators of groups, shape (n, g), with what they tell beyond coarser ones."""
-    told: dict[str, tuple[Array, int]] = {}
+    distinct: dict[str, tuple[Array, int]] = {}
     same_as: dict[str, str] = {}
     before, rank = design, int(np.linalg.matrix_rank(design))
     for name, labels in sorted(groups.items(), key=lambda item: len(set(item[1]))):
         places = {label: place for place, label in enumerate(dict.fromkeys(labels))}
         indicator = np.eye(len(places))[[places[label] for label in labels]]
-        whole = np.hstack([before, indicator])
-        freedom = int(np.linalg.matrix_rank(whole)) - rank
-        if freedom > 0:
-            told[name] = indicator, freedom
-            before, rank = whole, rank + freedom
-        elif len(places) > 1 and told:
-            same_as[name] = list(told)[-1]
-    return told, same_as
+        combined = np.hstack([before, indicator])
+        dof = int(np.linalg.matrix_rank(combined)) - rank
+        if dof > 0:
+            distinct[name] = indicator, dof
+            before, rank = combined, rank + dof
+        elif len(places) > 1 and distinct:
+            same_as[name] = list(distinct)[-1]
+    return distinct, same_as
 
 
-class _Search:
+class _RestrictedDeviance:
     """The restricted likelihood of variances, in units of the measurements' own."""
 
     def __init__(
         self, values: Array, covariance: Array, indicators: Sequence[Array], design: Array
     ) -> None:
         self.values, self.design, self.covariance = values, design, covariance
-        self.parts = [one @ one.T for one in indicators]
-        left = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
-        own = float(np.mean(np.diag(covariance)))
-        self.scale = max(own, float(left @ left) / values.size)
+        self.parts = [indicator @ indicator.T for indicator in indicators]
+        residuals = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
+        mean_variance = float(np.mean(np.diag(covariance)))
+        self.scale = max(mean_variance, float(residuals @ residuals) / values.size)
 
     def weights(self, variances: Array) -> tuple[Array, Array]:
         """Return V^-1, shape (n, n), and X^T V^-1 X."""
-        whole = self.covariance + sum(
+        total = self.covariance + sum(
             (v * part for v, part in zip(variances, self.parts, strict=True)), 0.0
         )
-        inverse = np.linalg.inv(whole)
+        inverse = np.linalg.inv(total)
         return inverse, self.design.T @ inverse @ self.design
 
     def deviance(self, variances: Array) -> tuple[float, Array]:
         """Return -2 l and its derivatives by the variances."""
         try:
             inverse, weighted = self.weights(variances)
-            (sign, size), (_, of_mean) = (
+            (sign, size), (_, log_det_of_mean) = (
                 np.linalg.slogdet(matrix) for matrix in (inverse, weighted)
             )
-            seen = inverse @ self.design
-            projection = inverse - seen @ np.linalg.solve(weighted, seen.T)
+            weighted_design = inverse @ self.design
+            projection = inverse - weighted_design @ np.linalg.solve(weighted, weighted_design.T)
         except np.linalg.LinAlgError:
             return math.inf, np.zeros(len(self.parts))
         if not (sign > 0.0 and np.isfinite(projection).all()):
             return math.inf, np.zeros(len(self.parts))
         residual = projection @ self.values
-        total = -size + of_mean + float(self.values @ residual)
+        total = -size + log_det_of_mean + float(self.values @ residual)
         slopes = [np.sum(projection * part) - residual @ part @ residual for part in self.parts]
         return float(total), np.array(slopes)
 
-    def minimised(self, start: Array, fixed: Mapping[int, float]) -> tuple[Array, float]:
+    def minimise(self, start: Array, fixed: Mapping[int, float]) -> tuple[Array, float]:
         """Return the variances of the least -2 l from a start, some of them fixed, and that."""
         from scipy.optimize import minimize
 
@@ -158,60 +160,60 @@ class _Search:
         if not free:
             return variances, self.deviance(variances)[0]
 
-        def by_logarithm(x: Array) -> tuple[float, Array]:
+        def deviance_of_logs(x: Array) -> tuple[float, Array]:
             variances[free] = np.exp(x) * self.scale
             total, slopes = self.deviance(variances)
             return (total if math.isfinite(total) else 1e300), slopes[free] * variances[free]
 
         ends = (math.log(_SMALLEST), math.log(_LARGEST))
-        begin = np.clip(np.log(np.maximum(variances[free], 1e-300) / self.scale), *ends)
-        found = minimize(
-            by_logarithm, begin, jac=True, method="L-BFGS-B", bounds=[ends] * len(free)
+        initial = np.clip(np.log(np.maximum(variances[free], 1e-300) / self.scale), *ends)
+        result = minimize(
+            deviance_of_logs, initial, jac=True, method="L-BFGS-B", bounds=[ends] * len(free)
         )
-        variances[free] = np.exp(found.x) * self.scale
+        variances[free] = np.exp(result.x) * self.scale
         return variances, self.deviance(variances)[0]
 
     def best(self) -> tuple[Array, float]:
         """Return the variances of the least -2 l, and that; what is not needed is zero."""
         starts = product((1.0, 1e-3), repeat=len(self.parts))
-        tried = [self.minimised(np.array(start) * self.scale, {}) for start in starts]
-        variances, least = min(tried, key=lambda one: one[1])
-        none: dict[int, float] = {}
+        trials = [self.minimise(np.array(start) * self.scale, {}) for start in starts]
+        variances, least = min(trials, key=lambda trial: trial[1])
+        zero_components: dict[int, float] = {}
         for place in np.flatnonzero(variances < _SMALL * self.scale):
-            without, total = self.minimised(variances, {**none, int(place): 0.0})
+            without, total = self.minimise(variances, {**zero_components, int(place): 0.0})
             if total <= least + 1e-6:
-                none[int(place)] = 0.0
+                zero_components[int(place)] = 0.0
                 variances, least = without, total
         return variances, least
 
-    def interval(self, place: int, best: Array, least: float, freedom: int) -> tuple[float, float]:
+    def interval(self, place: int, best: Array, least: float, dof: int) -> tuple[float, float]:
         """Return the ends of a variance's interval."""
         from scipy.optimize import brentq
 
-        most = least + _profile_limit(freedom)
+        limit = least + _profile_limit(dof)
 
-        def beyond(logarithm: float) -> float:
+        def excess(logarithm: float) -> float:
             value = math.exp(logarithm) * self.scale
-            return self.minimised(best, {place: value})[1] - most
+            return self.minimise(best, {place: value})[1] - limit
 
         ends = math.log(_SMALLEST), math.log(_LARGEST)
         middle = math.log(max(best[place] / self.scale, _SMALLEST))
         low = high = 0.0
-        if beyond(ends[0]) > 0.0 and middle > ends[0]:
-            low = math.exp(brentq(beyond, ends[0], middle, xtol=1e-4)) * self.scale
+        if excess(ends[0]) > 0.0 and middle > ends[0]:
+            low = math.exp(brentq(excess, ends[0], middle, xtol=1e-4)) * self.scale
         step = 1.0
-        while middle + step < ends[1] and beyond(middle + step) < 0.0:
+        while middle + step < ends[1] and excess(middle + step) < 0.0:
             step *= 2.0
         end = min(middle + step, ends[1])
-        if beyond(end) < 0.0:
+        if excess(end) < 0.0:
             high = math.inf
         else:
-            high = math.exp(brentq(beyond, middle, end, xtol=1e-4)) * self.scale
+            high = math.exp(brentq(excess, middle, end, xtol=1e-4)) * self.scale
         return low, high
 
 
 @lru_cache(maxsize=64)
-def _profile_limit(freedom: int) -> float:
+def _profile_limit(dof: int) -> float:
     """Return how far -2 l may rise within a 95 % interval of a variance.
 
     For a variance that s^2 with some degrees of freedom shows, -2 l rises by n (w - 1 - log w) at
@@ -221,10 +223,10 @@ def _profile_limit(freedom: int) -> float:
     from scipy.special import lambertw
     from scipy.stats import chi2
 
-    def missed(rise: float) -> float:
-        at = -math.exp(-1.0 - rise / freedom)
+    def coverage_error(rise: float) -> float:
+        at = -math.exp(-1.0 - rise / dof)
         low, high = (-float(lambertw(at, branch).real) for branch in (0, -1))
-        inside = chi2.cdf(freedom * high, freedom) - chi2.cdf(freedom * low, freedom)
-        return float(inside) - _COVERAGE
+        covered = chi2.cdf(dof * high, dof) - chi2.cdf(dof * low, dof)
+        return float(covered) - _COVERAGE
 
-    return float(brentq(missed, 3.0, 12.0))
+    return float(brentq(coverage_error, 3.0, 12.0))

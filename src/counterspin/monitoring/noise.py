@@ -18,8 +18,13 @@ from counterspin.campaign.settings import OBSERVABLES
 from counterspin.campaign.static_noise import SI_UNITS, static_signals
 from counterspin.errors import CampaignError, RecordError
 from counterspin.inference.noise.model import COMPONENTS
-from counterspin.inference.noise.rest import Band, RestRecord, RestSignal, at_rest
 from counterspin.inference.noise.spectrum import SpectralLine, allan_values, spectrum
+from counterspin.inference.noise.static_noise import (
+    Band,
+    StaticRecord,
+    StaticSignal,
+    analyse_static_record,
+)
 from counterspin.ingest.column_roles import FileGuess, guess_file
 from counterspin.ingest.contents import FileColumn, FileContents, read_contents
 from counterspin.monitoring.result import (
@@ -123,7 +128,7 @@ def noise(
             signals = _select_signals(static_signals(full_campaign, source), columns)
         else:
             signals, unused = _guess_signals(source, columns, unit, sampling_rate, g, select)
-        rest_records = [at_rest(source, signal) for signal in signals]
+        rest_records = [analyse_static_record(source, signal) for signal in signals]
         parts = [_estimate_noise(rest_record, turning) for rest_record in rest_records]
     checksum = None
     if file is not None:
@@ -148,7 +153,7 @@ def _quantity(name: str, text: str | None, unit: str) -> float | None:
         raise CampaignError("noise", [f"`{name}`: {error}"]) from error
 
 
-def _select_signals(signals: list[RestSignal], columns: Sequence[str]) -> list[RestSignal]:
+def _select_signals(signals: list[StaticSignal], columns: Sequence[str]) -> list[StaticSignal]:
     chosen = [s for s in signals if not columns or s.column in columns or s.name in columns]
     if not chosen:
         available = ", ".join(signal.column for signal in signals)
@@ -163,7 +168,7 @@ def _guess_signals(
     sampling_rate: str | None,
     gravity: float,
     select: str | None,
-) -> tuple[list[RestSignal], list[str]]:
+) -> tuple[list[StaticSignal], list[str]]:
     """Return the signals of a file by its column names and units, and the other columns' names."""
     answers = {} if sampling_rate is None else {"sampling_rate": sampling_rate}
     if select is not None and not (select.partition("=")[2] and isinstance(source, Path)):
@@ -194,7 +199,7 @@ def _guess_signals(
     time = _row_times(source, guess, seen.columns)
     time_column = guess.time.column if guess.time else None
     rest = [c for c in seen.columns if c.name != time_column and not c.stamps]
-    taken: list[RestSignal] = []
+    taken: list[StaticSignal] = []
     unused: list[str] = []
     for column in rest:
         if columns and column.name not in columns:
@@ -214,7 +219,7 @@ def _guess_signals(
         in_g = base_unit(known)[1]["[gravity]"] != 0.0
         values = column.values * factor
         order = observation.ORDERS[observable]
-        taken.append(RestSignal(column.name, column.name, order, in_g, time, values))
+        taken.append(StaticSignal(column.name, column.name, order, in_g, time, values))
     if unit is not None and not any(converts(unit, si) for si in OBSERVABLES.values()):
         wanted = "a unit of length, velocity or specific force is needed, such as m/s^2"
         raise CampaignError("noise", [f"`unit`: {unit!r}: {wanted}"])
@@ -256,9 +261,9 @@ def _unit_of(column: FileColumn) -> str | None:
     return column.unit or file_unit(ending) or None
 
 
-def _estimate_noise(record: RestRecord, turning: float | None) -> SignalNoise:
+def _estimate_noise(record: StaticRecord, turning: float | None) -> SignalNoise:
     """Return the noise of a column."""
-    signal, stretches, analysis = record.signal, record.stretches, record.analysis
+    signal, stretches, analysis = record.signal, record.segments, record.analysis
     rest, kind, step = analysis.noise, analysis.kind, analysis.step
     key, unit = ("quantisation", "m/s")
     observable = next(name for name, order in observation.ORDERS.items() if order == signal.order)
@@ -274,9 +279,9 @@ def _estimate_noise(record: RestRecord, turning: float | None) -> SignalNoise:
         for name, component in ((name, rest.components[name]) for name in COMPONENTS)
     }
     _, longest = stretches.longest
-    differences = kind.means
+    differences = kind.averaging_order
     force = np.diff(longest, n=differences) / stretches.step**differences
-    seconds = stretches.step * sum(part.size for _, part in stretches.parts)
+    seconds = stretches.step * sum(part.size for _, part in stretches.segments)
     lines = [replace(line, name=_line_name(line, 1.0 / step, turning)) for line in analysis.lines]
     stated = SignalNoise(
         name=signal.name,
@@ -284,7 +289,7 @@ def _estimate_noise(record: RestRecord, turning: float | None) -> SignalNoise:
         observable=observable,  # type: ignore[arg-type]
         in_g=signal.in_g,
         rows=stretches.rows,
-        sampling_rate=1.0 / stretches.clock,
+        sampling_rate=1.0 / stretches.sample_interval,
         seconds=seconds,
         outliers=stretches.outliers,
         filled=stretches.filled,
@@ -329,7 +334,7 @@ def _alias_frequency(frequency: float, sampling: float) -> float:
     return abs(frequency - sampling * round(frequency / sampling))
 
 
-def _remarks(stated: SignalNoise, record: RestRecord) -> Iterator[str]:
+def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
     """Yield remarks on the validity of the figures."""
     names = {"acceleration": "white noise of the accelerometer", "flicker": "flicker"}
     names |= {"bias_walk": "random walk of the bias", "quantisation": "quantisation noise"}
@@ -367,7 +372,7 @@ def _remarks(stated: SignalNoise, record: RestRecord) -> Iterator[str]:
             f"The record is cut at {stated.gaps} gap{'s' if stated.gaps > 1 else ''}; spectrum "
             "and Allan deviation use its longest part, the components all parts."
         )
-    thin = round(record.analysis.step / record.stretches.step)
+    thin = round(record.analysis.step / record.segments.step)
     if thin > 1:
         yield (
             f"Components, lines and Allan deviation are computed from velocities {thin} "
@@ -383,22 +388,22 @@ def _remarks(stated: SignalNoise, record: RestRecord) -> Iterator[str]:
     yield from _misfit_remarks(record.analysis.noise.bands)
 
 
-def _sampling(record: RestRecord) -> Iterator[str]:
+def _sampling(record: StaticRecord) -> Iterator[str]:
     """Yield remarks on rows that are not samples of their own, and on missing samples."""
-    stretches = record.stretches
+    stretches = record.segments
     if stretches.repeated:
         yield (
             f"{stretches.repeated} of {stretches.rows} rows repeat the value before them, as where "
             "a log is faster than the sensor. Only new values are used, at "
-            f"{1.0 / stretches.clock:.4g} Hz."
+            f"{1.0 / stretches.sample_interval:.4g} Hz."
         )
     if stretches.restamped and stretches.restamped < stretches.rows:
         yield (
             f"{stretches.restamped} of {stretches.rows} rows repeat the time of the row before "
             "with another value. Rows are counted instead."
         )
-    if stretches.filled and stretches.share < 1.0:
-        part = 100.0 * (1.0 - stretches.share)
+    if stretches.filled and stretches.recorded_fraction < 1.0:
+        part = 100.0 * (1.0 - stretches.recorded_fraction)
         yield (
             f"{stretches.filled} samples are missing ({part:.2g} %). The recorded samples are used "
             "as they follow one another; slow noise is resolved to that extent."
@@ -412,9 +417,9 @@ def _sampling(record: RestRecord) -> Iterator[str]:
         yield f"{stretches.filled - stretches.outliers} missing samples are interpolated."
 
 
-def _motion_remarks(record: RestRecord) -> Iterator[str]:
+def _motion_remarks(record: StaticRecord) -> Iterator[str]:
     """Yield a remark on the segment whose scatter of specific force indicates motion."""
-    start, values = record.stretches.longest
+    start, values = record.segments.longest
     size = max(_MIN_SEGMENT_SAMPLES, values.size // _MOTION_SEGMENTS)
     parts = values[: values.size // size * size].reshape(-1, size)
     scatter = parts.std(axis=1)
@@ -424,17 +429,17 @@ def _motion_remarks(record: RestRecord) -> Iterator[str]:
         and len(parts) >= _MOTION_SEGMENTS // 2
         and scatter[place] > _MOTION_RATIO * usual
     ):
-        begin = start + place * size * record.stretches.step
+        begin = start + place * size * record.segments.step
         yield (
-            f"From {begin:.4g} s to {begin + size * record.stretches.step:.4g} s the record "
+            f"From {begin:.4g} s to {begin + size * record.segments.step:.4g} s the record "
             f"scatters {scatter[place] / usual:.2g} times as much as where it is quiet: it is not "
             "at rest all along, and these figures are not those of its noise. Cut it there."
         )
 
 
-def _scatter(record: RestRecord) -> float:
+def _scatter(record: StaticRecord) -> float:
     """Return the standard deviation of samples relative to their neighbours."""
-    _, longest = record.stretches.longest
+    _, longest = record.segments.longest
     second = longest[2:] - 2.0 * longest[1:-1] + longest[:-2]
     return float(np.std(second)) / math.sqrt(6.0)
 

@@ -113,8 +113,8 @@ def _residuals(campaign: Campaign, view: AccelerometerView, run: str) -> Residua
     squares = rows = 0.0
     for _, prepared, residuals in view.records():
         if prepared.run == run:
-            squares += float((residuals.plain**2 * prepared.series.count).sum())
-            rows += residuals.plain.size
+            squares += float((residuals.unweighted**2 * prepared.series.count).sum())
+            rows += residuals.unweighted.size
     observable = view.accelerometer.observable
     stated = getattr(resolve_noise(campaign)[view.name].sizes, observable, None)
     return ResidualState(
@@ -219,13 +219,13 @@ def _with_unit(campaign: Campaign, name: str, u: float | str) -> str:
         number = float(u)
     except ValueError:
         return str(u)
-    symbols = [u.symbol for u in make_unknowns(campaign).asked if name in (u.name, u.symbol)]
+    symbols = [u.symbol for u in make_unknowns(campaign).of_interest if name in (u.name, u.symbol)]
     return f"{number!r} {unit_of(symbols[0])}" if symbols else str(u)
 
 
 def current_estimates(fit: CurrentFit, names: Sequence[str]) -> list[CurrentEstimate]:
     """Return the estimates of unknowns from a fit, None where it does not determine them."""
-    places = {u.name: i for i, u in enumerate(fit.estimate.fit.model.asked)}
+    places = {u.name: i for i, u in enumerate(fit.estimate.fit.model.of_interest)}
     reached = []
     for name in names:
         if name not in places:
@@ -244,7 +244,7 @@ def current_estimates(fit: CurrentFit, names: Sequence[str]) -> list[CurrentEsti
 
 def undetermined_estimates(campaign: Campaign, names: Sequence[str]) -> list[CurrentEstimate]:
     """Return the named parameters of interest as not determined."""
-    symbols = {unknown.name: unknown.symbol for unknown in make_unknowns(campaign).asked}
+    symbols = {unknown.name: unknown.symbol for unknown in make_unknowns(campaign).of_interest}
     return [
         CurrentEstimate(name=name, value=None, u=None, unit=unit_of(symbols[name]))
         for name in names
@@ -256,7 +256,7 @@ def displayed_names(campaign: Campaign, goals: Iterable[str] = ()) -> list[str]:
     """Return the displayed names: K_II of each, parameters of interest of a triad, and goals."""
     of_triad = campaign.triad.accelerometers if campaign.triad and campaign.posed else ()
     requested = [
-        unknown.name for unknown in make_unknowns(campaign).asked if unknown.owner in of_triad
+        unknown.name for unknown in make_unknowns(campaign).of_interest if unknown.owner in of_triad
     ]
     squares = (f"{name}.K_II" for name in campaign.accelerometers)
     return list(dict.fromkeys([*squares, *requested, *goals]))
@@ -362,7 +362,9 @@ def missing_directions(
         for name in group.accelerometers
     ]
     further = pointing_up(make_group(campaign, [found_poses[0].pose] * len(ups)), ups, known)
-    requested = [place for place, u in enumerate(model.asked) if u.owner in group.accelerometers]
+    requested = [
+        place for place, u in enumerate(model.of_interest) if u.owner in group.accelerometers
+    ]
     rows = group.linearize(model, point).design[:, requested]
     possible = further.linearize(model, point).design[:, requested]
     information = rows.T @ rows + _NEGLIGIBLE_PRIOR * np.eye(len(requested))

@@ -20,8 +20,8 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.runs import sample_count
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.inference.joint.design_blocks import DesignBlock, update_design_blocks
 from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.prepared import Prepared, prepared_for
 from counterspin.inference.joint.series import INPUTS, TIMING
 from counterspin.inference.joint.unknowns import (
     ROTATION,
@@ -148,7 +148,7 @@ def _omit_terms(prediction: Forecast, model: Unknowns, expected: Array) -> tuple
         if isinstance(observation, LinearReadings)
     ]
     return (
-        *prepared_for(fit.prepared, fit.model, model, factors, {}),
+        *update_design_blocks(fit.design_blocks, fit.model, model, factors, {}),
         *(group.linearize(model, expected) for group in readings),
     )
 
@@ -234,7 +234,7 @@ def mean_square(name: str) -> Fault:
     """Return the effect of K_II of an accelerometer on the mean force, without its harmonics."""
 
     def shown(observation: Observation) -> Array:
-        if not isinstance(observation, Prepared) or observation.accelerometer != name:
+        if not isinstance(observation, DesignBlock) or observation.accelerometer != name:
             return np.zeros(len(observation.design))
         series, motion = observation.series, observation.series.trajectory
         times = np.arange(16.0) / 16.0 * (2.0 * math.pi / abs(motion.spindle.rate))

@@ -23,11 +23,11 @@ from counterspin.campaign.static_noise import resolve_noise, simulated_noise
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.identifiability import Assessment
-from counterspin.inference.joint.encoder import with_encoder
+from counterspin.inference.joint.design_blocks import build_design_blocks
+from counterspin.inference.joint.encoder import add_encoder_terms
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, solve_joint
-from counterspin.inference.joint.prepared import prepare_columns
-from counterspin.inference.joint.series import Series, StampErrors
+from counterspin.inference.joint.series import ResidualSeries, TimestampErrors
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.motion import Trajectory
@@ -57,7 +57,7 @@ class Forecast:
 
     def __repr__(self) -> str:
         """Return the u of the parameters of interest, a line each."""
-        requested = self.fit.model.asked
+        requested = self.fit.model.of_interest
         width = max((len(unknown.name) for unknown in requested), default=0)
         lines = []
         for unknown in requested:
@@ -139,9 +139,9 @@ def forecast(
         for name in campaign.accelerometers
     ]
     noise = noise_of_records(campaign)
-    full_model = with_encoder(model, series, noise)
+    full_model = add_encoder_terms(model, series, noise)
     expected = np.pad(expected, (0, len(full_model.unknowns) - len(model.unknowns)))
-    prepared = prepare_columns(series, full_model, scale_factors(campaign), expected)
+    prepared = build_design_blocks(series, full_model, scale_factors(campaign), expected)
     read = [group.linearize(full_model, expected) for group in groups]
     return Forecast(campaign, solve_joint([*prepared, *read], full_model, noise))
 
@@ -206,7 +206,7 @@ def noise_of_records(campaign: Campaign) -> dict[str, Noise]:
     return models
 
 
-def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float) -> Series:
+def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float) -> ResidualSeries:
     """Return the series that a run will give, its samples or block means, without errors.
 
     sampling_rate: Hz.
@@ -224,7 +224,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     timing = float(noise.get("timing", 0.0))
     encoder_noise = float(noise.get("angle", 0.0))
     of_angle = math.hypot(encoder_noise, run.rate * timing)
-    series = Series(
+    series = ResidualSeries(
         accelerometer=name,
         run=run.name,
         trajectory=Trajectory(
@@ -237,7 +237,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
         observable=accelerometer.observable,
         attitude=run.attitude,
         time=time,
-        spread=step * np.sqrt((count**2 - 1.0) / 12.0),
+        time_sd=step * np.sqrt((count**2 - 1.0) / 12.0),
         count=count,
         spacing=step,
         error=np.zeros_like(time),
@@ -246,7 +246,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
         angle_error=angle_error_to_come(time, run.rate, of_angle, count)
         if campaign.angle is not None and of_angle > 0.0
         else None,
-        stamps=StampErrors(
+        timestamp_errors=TimestampErrors(
             np.zeros_like(time),
             of_angle / abs(run.rate),
             time.size,
@@ -264,8 +264,14 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     unknowns = make_unknowns(campaign).unknowns
     values = expected_values(campaign, unknowns).tolist()
     expected = dict(zip(unknowns, values, strict=True))
-    record = expected_record(series, expected, scale_factors(campaign)[name]).with_timing(timing)
-    return record.corrected(record.stamps.prior[0]) if record.stamps else record
+    record = expected_record(series, expected, scale_factors(campaign)[name]).with_timestamp_noise(
+        timing
+    )
+    return (
+        record.correct_times(record.timestamp_errors.prior[0])
+        if record.timestamp_errors
+        else record
+    )
 
 
 def expected_values(campaign: Campaign, unknowns: tuple[Unknown, ...] | list[Unknown]) -> Array:
@@ -312,7 +318,7 @@ def setup_of(campaign: Campaign, sampling_rate: float, *, considering: bool = Tr
     model = model.without([row.symbol for row in CONDITION_TERMS.values() if row.effect.power > 1])
     if not considering:
         estimated = tuple(
-            Unknown(c.owner, c.symbol, c.prior, c.limit, False, c.unstated)
+            Unknown(c.owner, c.symbol, c.prior, c.limit, False, c.has_default_prior)
             for c in model.considered
         )
         dated = [row.symbol for row in CONDITION_TERMS.values() if row.effect.condition != "force"]

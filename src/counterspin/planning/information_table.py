@@ -356,7 +356,7 @@ class InformationTable:
             white = math.sqrt(self._noise.sample_variance * weight)
             added = 0.0 if self._added is None else weight * self._added(float(rate), angle)
             noise = Noise(white, self._noise.random_walk)
-            whiten = make_whitener(angle / rate, order, noise, added=added)
+            whiten = make_whitener(angle / rate, order, noise, added_variance=added)
             rows = whiten.apply(functions(angle, self._harmonics)[:, lost:])
             parts = np.arange(phases) * (points // phases)
             ends = (counts[:, None] * points + parts).ravel() - lost

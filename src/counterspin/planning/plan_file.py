@@ -410,7 +410,7 @@ def resolve_goal(
     wanted = settings.target if settings.target is not None else settings.minimise
     if wanted is None:
         wanted = ["K_II"]
-    shared = [u for u in make_unknowns(campaign).asked if u.owner not in _run_names(campaign)]
+    shared = [u for u in make_unknowns(campaign).of_interest if u.owner not in _run_names(campaign)]
     before = len(problems.lines)
     sizes: dict[str, float] = {}
     units: set[str] = set()

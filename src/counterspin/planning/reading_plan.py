@@ -325,8 +325,8 @@ def _possibilities(plan: ReadingPlan, model: Unknowns) -> Possibilities:
         row = 0 if isinstance(group, TriadPoses) else accelerometers.index(group.accelerometer)
         design[places, row], fixed[places, row] = design_rows, others
     blocks = _existing_blocks(plan, model, expected)
-    known = np.diag([1.0 / unknown.spread for unknown in model.unknowns])
-    sizes = np.array(model.considered_sizes)
+    known = np.diag([1.0 / unknown.prior_sd for unknown in model.unknowns])
+    sizes = np.array(model.considered_sds)
     return Possibilities(
         design,
         fixed * sizes,

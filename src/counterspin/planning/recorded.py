@@ -88,7 +88,7 @@ def observed_with_noise(campaign: Campaign) -> tuple[list[ObservedRun], dict[str
 
 def noise_of_fit(fit: JointFit) -> dict[str, Noise]:
     """Return the noise that was found, with the random walk that may be there and not show."""
-    hidden = {name: level for name, (level, _) in fit.unseen.items()}
+    hidden = {name: level for name, (level, _) in fit.undetected_walks.items()}
     return {
         name: replace(noise, random_walk=math.hypot(noise.random_walk, hidden.get(name, 0.0)))
         for name, noise in fit.noise.items()

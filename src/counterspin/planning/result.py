@@ -231,7 +231,7 @@ def _one_rate(campaign: Campaign) -> list[str]:
 
 def accelerometers_of(prediction: Forecast) -> dict[str, PlannedAccelerometer]:
     """Return the expected result of a campaign for each accelerometer."""
-    requested = prediction.fit.model.asked
+    requested = prediction.fit.model.of_interest
     places = {
         name: {
             u.symbol: i for i, u in enumerate(requested) if u.owner == name and u.symbol in TERMS
@@ -275,7 +275,7 @@ def platform_of(prediction: Forecast) -> dict[str, PredictedCoefficient]:
     """Return the expected uncertainties of the platform's terms that all runs share."""
     return {
         unknown.symbol: _predicted(prediction, index)
-        for index, unknown in enumerate(prediction.fit.model.asked)
+        for index, unknown in enumerate(prediction.fit.model.of_interest)
         if not unknown.owner
     }
 

@@ -119,7 +119,9 @@ class RunInformation:
         for run_type, (name, _) in enumerate(self._run_types):
             unknowns = [model.unknowns[i] for i in owns[name][0]]
             # Of nothing known, the solver's regularisation.
-            self._priors[run_type, : len(unknowns)] = [1.0 / unknown.spread for unknown in unknowns]
+            self._priors[run_type, : len(unknowns)] = [
+                1.0 / unknown.prior_sd for unknown in unknowns
+            ]
 
     def of_model(self, setup: Setup) -> RunInformation:
         """Return the same for a set-up whose model has some of these terms, in other parts."""
@@ -173,7 +175,7 @@ class RunInformation:
         series = self._terms.series(instrument, attitude, sense * rate, angle / rate)
         expected = dict(zip(setup.model.unknowns, setup.estimate.tolist(), strict=True))
         expecting = expected_record(series, expected, setup.scale_factors[instrument.name])
-        return expecting.with_timing(instrument.timing_left(rate)).jitter_variance
+        return expecting.with_timestamp_noise(instrument.timing_left(rate)).jitter_variance
 
     def sampled_at(self, sampling_rate: float) -> RunInformation:
         """Return the same for another sampling rate, Hz."""

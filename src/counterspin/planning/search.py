@@ -331,7 +331,7 @@ def assess_blocks(predictor: Predictor, blocks: Array) -> Assessment:
         considered_sd=predictor.common,
         limits=[unknown.limit for unknown in shared],
     )
-    return assess(solution, [unknown.name for unknown in shared if unknown.asked])
+    return assess(solution, [unknown.name for unknown in shared if unknown.is_of_interest])
 
 
 def _find_helpful_attitude(search: Search, missing: list[str]) -> str | None:

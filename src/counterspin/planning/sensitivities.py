@@ -9,8 +9,8 @@ import numpy as np
 
 from counterspin.arrays import Array, triangle_of
 from counterspin.frozen import frozen
+from counterspin.inference.joint.design_blocks import DesignBlock, build_design_blocks
 from counterspin.inference.joint.fit import JointFit, solve_blocks
-from counterspin.inference.joint.prepared import Prepared, prepare_columns
 from counterspin.inference.joint.unknowns import Considered, Observation, Unknowns
 from counterspin.inference.least_squares import Block
 from counterspin.readings.linear import LinearReadings
@@ -88,9 +88,9 @@ def columns_of(fit: JointFit, terms: Sequence[Considered], expected: Array) -> C
     def shown(one: Observation) -> Array:
         if isinstance(one, LinearReadings):
             return one.group.linearize(whole, expected).fixed[:, len(model.considered) :]
-        assert isinstance(one, Prepared)
+        assert isinstance(one, DesignBlock)
         factors = {one.accelerometer: one.scale_factor}
-        (made,) = prepare_columns([one.series], on, factors, expected[acting])
+        (made,) = build_design_blocks([one.series], on, factors, expected[acting])
         columns = np.zeros((len(one.design), len(terms)))
         columns[:, list(made.considered)] = made.fixed
         return columns
@@ -106,7 +106,7 @@ def _left(
     What is considered is followed here as what is estimated: the test of the residuals allows
     for it.
     """
-    spread = np.array([*(u.spread for u in model.unknowns), *model.considered_sizes])
+    spread = np.array([*(u.prior_sd for u in model.unknowns), *model.considered_sds])
     p = spread.size
     held = np.diag(1.0 / np.where(spread > 0.0, spread, 1e-30))
     rows = [np.hstack([block.factor, block.considered]) for block in blocks]

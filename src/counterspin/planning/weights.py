@@ -17,8 +17,8 @@ from numpy.polynomial import chebyshev
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.joint.prepared import Prepared, prepare_columns
-from counterspin.inference.joint.series import CLOCK, Series
+from counterspin.inference.joint.design_blocks import DesignBlock, build_design_blocks
+from counterspin.inference.joint.series import CLOCK, ResidualSeries
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.accelerometer import Mounting
@@ -34,7 +34,7 @@ from counterspin.planning.information_table import functions, integration
 class PlannedInstrument:
     """An accelerometer in a plan."""
 
-    #: As in `Series`.
+    #: As in `ResidualSeries`.
     name: str
     mounting: Mounting
     observable: str
@@ -61,16 +61,14 @@ class PlannedInstrument:
 
 
 def expected_record(
-    series: Series, expected: Mapping[Unknown, float], scale_factor: float
-) -> Series:
+    series: ResidualSeries, expected: Mapping[Unknown, float], scale_factor: float
+) -> ResidualSeries:
     """Return a record with its expected errors, except those of inputs.
 
     expected: Values minus nominal.
     scale_factor: K_I, with which the accelerometer sees the platform's errors.
     """
-    relevant = [
-        u for u in expected if expected[u] and u.symbol not in INPUTS and u.concerns(series)
-    ]
+    relevant = [u for u in expected if expected[u] and u.symbol not in INPUTS and u.affects(series)]
     columns = series.columns([u.symbol for u in relevant], scale_factor)
     return replace(series, error=columns @ [expected[u] for u in relevant])
 
@@ -119,7 +117,7 @@ class Setup:
     @property
     def considered_sizes(self) -> Array:
         """Standard uncertainties of all considered columns, in the model's order."""
-        return np.array(self.model.considered_sizes)
+        return np.array(self.model.considered_sds)
 
 
 #: Highest harmonics of the angle that are tried, until the columns are combinations of the
@@ -252,13 +250,13 @@ class TermWeights:
 
     def _columns(
         self, instrument: PlannedInstrument, attitude: str, rate: float, times: Array
-    ) -> Prepared:
+    ) -> DesignBlock:
         """Return the columns of the specific force, before any integration."""
         setup = self.setup
         forced = replace(instrument, observable="specific_force")
         series = self.series(forced, attitude, rate, times)
         factors = {name: setup.scale_factors[name] for name in [instrument.name]}
-        (prepared,) = prepare_columns([series], setup.model, factors, setup.estimate)
+        (prepared,) = build_design_blocks([series], setup.model, factors, setup.estimate)
         unknowns = [setup.model.unknowns[i].symbol for i in prepared.unknowns]
         considered = [setup.model.considered[i].symbol for i in prepared.considered]
         for symbols, columns in ((unknowns, prepared.design), (considered, prepared.fixed)):
@@ -269,10 +267,10 @@ class TermWeights:
 
     def series(
         self, instrument: PlannedInstrument, attitude: str, rate: float, times: Array
-    ) -> Series:
+    ) -> ResidualSeries:
         """Return a record without errors."""
         setup = self.setup
-        return Series(
+        return ResidualSeries(
             accelerometer=instrument.name,
             run=attitude,
             trajectory=Trajectory(
@@ -285,13 +283,13 @@ class TermWeights:
             observable=instrument.observable,
             attitude=setup.attitudes[attitude],
             time=times,
-            spread=np.zeros_like(times),
+            time_sd=np.zeros_like(times),
             count=np.ones_like(times),
             spacing=float(times[1] - times[0]),
             error=np.zeros_like(times),
         )
 
-    def _by_clock(self, prepared: Prepared, column: Array, order: int) -> Array:
+    def _by_clock(self, prepared: DesignBlock, column: Array, order: int) -> Array:
         """Return the `order`-th derivative of a fast clock's effect on a record, from the force.
 
         The clock reduces a force at true times by its own size for each integration.
@@ -299,10 +297,10 @@ class TermWeights:
         acceleration in velocity.
         """
         series, model = prepared.series, self.setup.model
-        requested = [k for k, i in enumerate(prepared.unknowns) if model.unknowns[i].asked]
+        requested = [k for k, i in enumerate(prepared.unknowns) if model.unknowns[i].is_of_interest]
         values = self.setup.estimate[[prepared.unknowns[k] for k in requested]]
         errors = prepared.design[:, requested] @ values
-        change = series.by_clock(_CLOCK_STEP).reference() - series.reference()
+        change = series.rescale_clock(_CLOCK_STEP).reference() - series.reference()
         shown: Array = column - change / _CLOCK_STEP - order * errors
         if order == 1:
             axis = series.mounting.turned(series.attitude).input_axis

@@ -14,7 +14,12 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.joint.fit import JointFit, relaxed_block, solve_blocks, solve_relaxed
+from counterspin.inference.joint.fit import (
+    JointFit,
+    estimate_considered_in_block,
+    solve_blocks,
+    solve_with_considered,
+)
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Block, Solution
 
@@ -52,7 +57,7 @@ def compare_motions(fit: JointFit) -> dict[str, MethodFit]:
 
 def _compare_motion(fit: JointFit, motion: str) -> MethodFit:
     model, solution = fit.model, fit.solution
-    alone = fit.only([observation.motion == motion for observation in fit.observations])
+    alone = fit.subset([observation.motion == motion for observation in fit.observations])
     other_blocks = [
         block
         for block, observation in zip(fit.blocks, fit.observations, strict=True)
@@ -62,8 +67,8 @@ def _compare_motion(fit: JointFit, motion: str) -> MethodFit:
     # The whole is the better estimate of the two, so that variances subtract (Hausman); what is
     # considered moves both, and the shift by the difference.
     variance_without, variance = (
-        np.diag(without.least_covariance),
-        np.diag(solution.least_covariance),
+        np.diag(without.weighted_covariance),
+        np.diag(solution.weighted_covariance),
     )
     considered_shift = (
         without.sensitivity_considered - solution.sensitivity_considered
@@ -71,8 +76,8 @@ def _compare_motion(fit: JointFit, motion: str) -> MethodFit:
     shift_variance = np.maximum(variance_without - variance, 0.0) + np.sum(
         considered_shift**2, axis=1
     )
-    if solution.covariance_unseen is not None:
-        shift_variance = shift_variance + np.diag(solution.covariance_unseen)
+    if solution.covariance_undetected is not None:
+        shift_variance = shift_variance + np.diag(solution.covariance_undetected)
     chi2, dof = _prediction_chi2(alone.blocks, other_blocks, model)
     return MethodFit(
         alone=alone,
@@ -90,12 +95,12 @@ def _prediction_chi2(
     method_blocks: Sequence[Block], other_blocks: Sequence[Block], model: Unknowns
 ) -> tuple[float, int]:
     """Return chi-square of what a kind says against the others' prediction, and its freedom."""
-    predicted = solve_relaxed(other_blocks, model)
-    blocks = [relaxed_block(block) for block in method_blocks]
+    predicted = solve_with_considered(other_blocks, model)
+    blocks = [estimate_considered_in_block(block) for block in method_blocks]
     rows = np.vstack([block.factor for block in blocks])
     target = np.concatenate([block.target for block in blocks])
     terms = (*model.unknowns, *model.considered)
-    prior_sds = np.array([term.spread for term in terms])
+    prior_sds = np.array([term.prior_sd for term in terms])
     limits = np.array([term.limit for term in terms])
     directions_seen, sizes, _ = np.linalg.svd(
         rows * np.minimum(prior_sds, limits), full_matrices=False
@@ -104,7 +109,7 @@ def _prediction_chi2(
     # Only what the kind says of the unknowns; its own scatter has tests of its own.
     innovation = directions_seen.T @ (target - rows @ predicted.estimate)
     directions, prediction_sd, _ = np.linalg.svd(
-        predicted.root_of(directions_seen.T @ rows), full_matrices=True
+        predicted.covariance_root(directions_seen.T @ rows), full_matrices=True
     )
     prediction_sd = np.append(prediction_sd, np.zeros(innovation.size - prediction_sd.size))
     predicted_directions = prediction_sd < _MAX_PREDICTION_SD

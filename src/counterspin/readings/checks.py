@@ -20,7 +20,7 @@ from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE, SIGNIFICANCE
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.joint.alternatives import Alternative
-from counterspin.inference.joint.fit import JointFit, relax
+from counterspin.inference.joint.fit import JointFit, estimate_considered
 from counterspin.loading import load_name
 from counterspin.readings.fitted import MIN_DOF, FittedReadings, OutlyingReadings
 from counterspin.readings.known_attitudes import Readings
@@ -201,7 +201,7 @@ def untestable_finding(name: str, group: FittedReadings) -> Finding:
 
 def _find_patterns(view: AccelerometerView) -> Iterator[tuple[int, Pattern]]:
     """Yield what the residuals of each motion follow most: its place, and what it is."""
-    fit = relax(view.fit)
+    fit = estimate_considered(view.fit)
     testable = {
         index: group
         for index, group in enumerate(reading_groups(view))

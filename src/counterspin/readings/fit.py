@@ -167,9 +167,9 @@ def _constrained_models(readings: Sequence[ReadingGroup], model: Unknowns) -> It
 
         def held(other: U, owners: Collection[str] = owners) -> U:
             hides = other.owner in pose_accelerometers
-            if other.unstated and reading_accelerometers:
+            if other.has_default_prior and reading_accelerometers:
                 hides |= other.owner in owners or other.symbol.startswith(HEAD_WAVES)
-            if not hides or other.asked or math.isinf(other.prior[1]):
+            if not hides or other.is_of_interest or math.isinf(other.prior[1]):
                 return other
             return replace(other, prior=(other.prior[0], _CONSTRAINT_FACTOR * other.prior[1]))
 
@@ -190,7 +190,11 @@ def _solve(
     """
     unknowns = [*model.unknowns, *model.considered]
     prior_means = np.array([unknown.prior_mean for unknown in unknowns])
-    point = prior_means if start is None else start.fit.relaxed.estimate[: prior_means.size]
+    point = (
+        prior_means
+        if start is None
+        else start.fit.solution_with_considered.estimate[: prior_means.size]
+    )
     for group in readings if start is None else ():
         point = group.start(unknowns, point)
     limits = np.array([unknown.limit for unknown in unknowns])
@@ -216,12 +220,19 @@ def _solve(
         for _ in range(_NOISE_ROUNDS):
             weighted = [part.with_noise(size) for part, size in zip(parts, noise, strict=True)]
             fit, previous = _joint_fit(records, weighted, model), noise
-            relaxed_parts = [part.relaxed(len(model.unknowns)) for part in weighted]
+            relaxed_parts = [
+                part.with_considered_estimated(len(model.unknowns)) for part in weighted
+            ]
             if joint_noise is not None:
                 break
             noise = [
                 _update_noise(
-                    group, part, fit.relaxed, Unknowns(model.unknowns), previous_noise, free_count
+                    group,
+                    part,
+                    fit.solution_with_considered,
+                    Unknowns(model.unknowns),
+                    previous_noise,
+                    free_count,
                 )
                 for group, part, previous_noise in zip(
                     readings, relaxed_parts, previous, strict=True
@@ -233,7 +244,7 @@ def _solve(
             )
             if max(changes) < _TOLERANCE:
                 break
-        solution = fit.relaxed
+        solution = fit.solution_with_considered
         estimate, sd = solution.estimate[: prior_means.size], solution.u[: prior_means.size]
         index = _linearization_point(
             estimate, solution, prior_means, limits, max_deviation, pose_indices
@@ -269,10 +280,15 @@ def _solve(
     fit = replace(fit, noise=estimated_noise)
     if records is not None:
         solution_with_walk = replace(
-            fit.solution, covariance_unseen=records.solution.covariance_unseen
+            fit.solution, covariance_undetected=records.solution.covariance_undetected
         )
         noises = {**records.noise, **estimated_noise}
-        fit = replace(fit, solution=solution_with_walk, noise=noises, unseen=records.unseen)
+        fit = replace(
+            fit,
+            solution=solution_with_walk,
+            noise=noises,
+            undetected_walks=records.undetected_walks,
+        )
     groups = (
         FittedReadings(group, part, size, noise_dof)
         for group, part, size, noise_dof in zip(readings, parts, noise, dof, strict=True)
@@ -292,9 +308,9 @@ def _joint_fit(
         return JointFit(
             model, solve_blocks(reading_blocks, model), observations, reading_blocks, {}
         )
-    blocks = (*records.blocks[: len(records.prepared)], *reading_blocks)
+    blocks = (*records.blocks[: len(records.design_blocks)], *reading_blocks)
     return JointFit(
-        model, solve_blocks(blocks, model), (*records.prepared, *observations), blocks, {}
+        model, solve_blocks(blocks, model), (*records.design_blocks, *observations), blocks, {}
     )
 
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.combined_distribution import tail_beside
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
+from counterspin.inference.mixture_distribution import mixture_tail
 from counterspin.physics.station import READINGS
 from counterspin.readings.linear import LinearReadings, ReadingGroup
 
@@ -127,7 +127,11 @@ class FittedReadings:
         deleted_noise = None
         if not self.has_external_noise:
             # Noise is estimated with what is considered among the unknowns.
-            deleted_noise = _DeletedNoise(linear.relaxed(len(model.unknowns)), fit.relaxed, group)
+            deleted_noise = _DeletedNoise(
+                linear.with_considered_estimated(len(model.unknowns)),
+                fit.solution_with_considered,
+                group,
+            )
 
         def position(indices: Sequence[int]) -> Position:
             return make_position(linear, indices, solution, model, deleted_noise)
@@ -231,7 +235,7 @@ def make_position(
     scaled_weights = weights * part.sigma
     column = part.project_out(scaled_weights, solution)
     residual_variance = max(float(scaled_weights @ column), 0.0)
-    considered_shift = weights @ part.considered_sensitivity(solution) * model.considered_sizes
+    considered_shift = weights @ part.considered_sensitivity(solution) * model.considered_sds
     variance = residual_variance + float(considered_shift @ considered_shift)
     residual = float(weights @ part.residuals(solution, model))
     if variance <= 1e-9 * float(scaled_weights @ scaled_weights):
@@ -244,7 +248,7 @@ def make_position(
         scale, dof = noise.evaluate(scaled_weights)
         variance_ratio = 1.0 - noise_fraction + noise_fraction * scale
         studentized, share = z / math.sqrt(variance_ratio), noise_fraction * scale / variance_ratio
-    p = 2.0 * tail_beside(share, dof, abs(studentized))
+    p = 2.0 * mixture_tail(share, dof, abs(studentized))
     return Position(tuple(indices), residual, z, studentized, p)
 
 

@@ -21,10 +21,10 @@ from counterspin.calibration.result_parts import Finding, ReadingResult, TriadRe
 from counterspin.campaign.description import Campaign
 from counterspin.errors import CampaignError, NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.inference.combined_distribution import dof_beside
 from counterspin.inference.joint.estimation import Estimate, estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.mixture_distribution import mixture_dof
 from counterspin.loading import is_installed, load_name
 from counterspin.physics.accelerometer import Mounting
 from counterspin.readings.checks import (
@@ -146,7 +146,7 @@ class ReadingsAndPoses(ReadingData):
             groups.append(group.with_rotated_mounting(name, rotate))
         if not groups:
             return estimate.fit, ()
-        records = estimate if estimate.fit.prepared else None
+        records = estimate if estimate.fit.design_blocks else None
         updated, fitted = estimate_with_groups(records, estimate.fit.model, groups)
         return updated.fit, fitted
 
@@ -244,7 +244,9 @@ def estimate_with_groups(
     else:
         fit = solve_readings(groups, estimated.fit.model, estimated.fit)
     dof = _effective_dof(estimated.dof, fit)
-    return replace(estimated, fit=fit.fit, dof=dof, core=None, lost={}), fit.groups
+    return replace(
+        estimated, fit=fit.fit, dof=dof, compressed_fit=None, information_losses={}
+    ), fit.groups
 
 
 def _check_reading_count(campaign: Campaign, model: Unknowns) -> None:
@@ -274,7 +276,7 @@ def _effective_dof(dof: np.ndarray, fit: ReadingsFit) -> np.ndarray:
     records' noise adds keeps the records' own degrees of freedom.
     """
     noise_dofs = [group.noise_dof for group in fit.groups]
-    record_dofs = dof if fit.fit.prepared else np.full(dof.size, math.inf)
+    record_dofs = dof if fit.fit.design_blocks else np.full(dof.size, math.inf)
     unit_vectors = zip(np.eye(dof.size), record_dofs.tolist(), strict=True)
     return np.array(
         [
@@ -294,11 +296,11 @@ def combination_dof(
     """
     combined = fit.solution.combine(weights)
     rows, total = combined.noise_rows, float(weights @ fit.solution.covariance @ weights)
-    sizes = [block.factor.shape[0] for block in fit.blocks[len(fit.prepared) :]]
+    sizes = [block.factor.shape[0] for block in fit.blocks[len(fit.design_blocks) :]]
     boundaries = np.cumsum([rows.size - sum(sizes), *sizes])
-    inverse = 1.0 / dof_beside(_variance_share(rows[: boundaries[0]], total), record_dof)
+    inverse = 1.0 / mixture_dof(_variance_share(rows[: boundaries[0]], total), record_dof)
     for part, noise_dof in zip(np.split(rows, boundaries[:-1])[1:], dof, strict=True):
-        inverse += 1.0 / dof_beside(_variance_share(part, total), noise_dof)
+        inverse += 1.0 / mixture_dof(_variance_share(part, total), noise_dof)
     return 1.0 / inverse if inverse > 0.0 else math.inf
 
 

@@ -341,7 +341,7 @@ def linearize(
     indicated = np.sum(point.products * point.effective, axis=1)
     offset = indicated - columns @ at
     # Derivatives by inputs are taken at what is stated of them, and not at the estimate.
-    replaced = [s for i, s in symbols.items() if s in machine and not unknowns[i].unstated]
+    replaced = [s for i, s in symbols.items() if s in machine and not unknowns[i].has_default_prior]
     steps = {**INPUT_STEPS, **dict.fromkeys(group.clocks, _RATE_STEP)}
     for index, name in enumerate(unknown.name for unknown in unknowns):
         if name in steps:

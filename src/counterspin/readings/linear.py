@@ -203,7 +203,7 @@ class LinearReadings(Observation):
 
     def gains(self, solution: Solution, weights: Array) -> Array:
         """Return the change of a combination of the unknowns per 1 g in a reading, shape (n,)."""
-        sensitivity = weights @ solution.least_covariance[:, list(self.unknowns)]
+        sensitivity = weights @ solution.weighted_covariance[:, list(self.unknowns)]
         gains: Array = (self.design @ sensitivity) / self.sigma**2
         return gains
 
@@ -241,7 +241,7 @@ class LinearReadings(Observation):
         """
         residuals = self.residuals(solution, model) / self.sigma
         considered_columns = (
-            self.considered_sensitivity(solution) / self.sigma[:, None] * model.considered_sizes
+            self.considered_sensitivity(solution) / self.sigma[:, None] * model.considered_sds
         )
         coefficients = np.linalg.lstsq(
             np.vstack([considered_columns, np.eye(considered_columns.shape[1])]),
@@ -259,7 +259,7 @@ class LinearReadings(Observation):
 
     def _covariance(self, solution: Solution) -> Array:
         """Return the covariance that the weights minimise, of the own unknowns."""
-        covariance: Array = solution.least_covariance[np.ix_(self.unknowns, self.unknowns)]
+        covariance: Array = solution.weighted_covariance[np.ix_(self.unknowns, self.unknowns)]
         return covariance
 
     def leverages(self, solution: Solution) -> Array:

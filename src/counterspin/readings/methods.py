@@ -79,7 +79,7 @@ def _with_record_fit(
     view: AccelerometerView, compared: Mapping[str, MethodFit]
 ) -> AccelerometerView:
     """Return a view, whose readings are fitted apart, in which records are too."""
-    if not view.fit.prepared:
+    if not view.fit.design_blocks:
         return view
     recorded = compared["counter-rotating"].alone
     return replace(view, estimate=replace(view.estimate, fit=recorded))
@@ -126,7 +126,7 @@ def _method_agreement(
 def _determined(view: AccelerometerView, solution: Solution) -> dict[str, bool]:
     """Return which of an accelerometer's own terms a solution determines."""
     unknowns = view.fit.model.unknowns
-    names = [unknown.name for unknown in view.fit.model.asked]
+    names = [unknown.name for unknown in view.fit.model.of_interest]
     determined = assess(solution, names).determined
     return {symbol: determined[unknowns[index].name] for symbol, index in view.indices.items()}
 

@@ -22,9 +22,9 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.diagnostics import LEAST_PART_LEFT, SIGNIFICANCE
+from counterspin.inference.diagnostics import MIN_RESIDUAL_FRACTION, SIGNIFICANCE
 from counterspin.inference.distributions import chi_square_tail, student_cdf
-from counterspin.inference.joint.alternatives import Alternative, beside_fit
+from counterspin.inference.joint.alternatives import Alternative, project_columns
 from counterspin.inference.joint.fit import JointFit
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 from counterspin.readings.known_attitudes import Readings
@@ -384,9 +384,9 @@ def best_patterns(
     ]
     if len(all_columns) == len(outlier_columns):
         return []
-    projected = beside_fit(fit, all_columns)
+    projected = project_columns(fit, all_columns)
     columns, residual = projected.columns, projected.residual
-    is_usable = np.sum(columns**2, axis=0) > LEAST_PART_LEFT * projected.before
+    is_usable = np.sum(columns**2, axis=0) > MIN_RESIDUAL_FRACTION * projected.squared_norms
     patterns, tests = [], 0
     start = len(outlier_columns)
     for index, (group, group_columns) in enumerate(zip(groups, alternatives, strict=True)):
@@ -416,7 +416,7 @@ def best_patterns(
         remainder = block - basis @ (basis.T @ block)
         residual_without_outliers = residual - basis @ outlier_projection
         norms = np.linalg.norm(remainder, axis=0)
-        usable &= norms**2 > LEAST_PART_LEFT
+        usable &= norms**2 > MIN_RESIDUAL_FRACTION
         if not usable.any():
             continue
         usable_columns = [
@@ -435,7 +435,7 @@ def best_patterns(
         )
         chi2 = group.chi2 - float(outlier_projection @ outlier_projection)
         residual_dof = group.residual_dof - len(outlier_indices)
-        reductions, p_values, rows = [], [], projected.places[group.index]
+        reductions, p_values, rows = [], [], projected.row_slices[group.index]
         for members in combinations:
             reductions.append(
                 _chi2_reduction(np.linalg.qr(unit[:, members])[0], residual_without_outliers, rows)

@@ -19,8 +19,8 @@ from counterspin.campaign.conditions import DEFAULT_WARMING
 from counterspin.campaign.description import Campaign
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.distributions import student_quantile
-from counterspin.inference.joint.alternatives import Alternative, effects_of
-from counterspin.inference.joint.fit import JointFit, relax
+from counterspin.inference.joint.alternatives import Alternative, undetected_effects
+from counterspin.inference.joint.fit import JointFit, estimate_considered
 from counterspin.physics.terms import ARCSEC
 from counterspin.readings.checks import pattern_columns, residual_group
 from counterspin.readings.fitted import FittedReadings
@@ -46,7 +46,7 @@ def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list
 
     Of each kind of fault the one that moves a coefficient most.
     """
-    fit = relax(views[0].fit)
+    fit = estimate_considered(views[0].fit)
     groups = {id(group.readings): group for view in views for group in groups_of_view(view)}
     faults_by_name: dict[str, dict[str, tuple[float, str]]] = {view.name: {} for view in views}
     for group in groups.values():
@@ -62,7 +62,7 @@ def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list
         if not faults:
             continue
         detectable = _detectable_effect(group, len(columns))
-        residual_norms, shifts = effects_of(fit, tuple(faults))
+        residual_norms, shifts = undetected_effects(fit, tuple(faults))
         for column_index, (column, typical) in enumerate(faults.items()):
             size = min(typical, detectable / max(float(residual_norms[column_index]), 1e-300))
             if column.kind == REVERSED and size < typical:

@@ -335,9 +335,9 @@ def against_joint(world: World, truth: StudyTruth, request: JointRequest) -> lis
     if truth.varies(DRIFT, RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
         reasons.append("the rotation varies, and with it the weights of every sample")
     given = list(request.noise.values())
-    if any(noise.wanders for noise in given):
+    if any(noise.has_bias_instability for noise in given):
         reasons.append("the noise that the analysis assumes wanders")
-    if any(noise.wanted for noise in given):
+    if any(noise.to_estimate for noise in given):
         reasons.append("the noise is estimated, so that the estimate is not linear")
         return reasons
     assumed = {(noise.white, noise.random_walk) for noise in given}

@@ -286,7 +286,11 @@ def _known(campaign: Campaign, varying: Sequence[VariedQuantity]) -> Iterator[Va
     model = make_unknowns(campaign)
     for parameter in (*model.unknowns, *model.considered):
         owner = parameter.owner if parameter.symbol in {**ACCELEROMETER_TERMS, **INPUTS} else ""
-        if parameter.asked or parameter.prior[1] == 0.0 or (owner, parameter.symbol) in known:
+        if (
+            parameter.is_of_interest
+            or parameter.prior[1] == 0.0
+            or (owner, parameter.symbol) in known
+        ):
             continue
         known.add((owner, parameter.symbol))
         value, u = parameter.prior

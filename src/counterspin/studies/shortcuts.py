@@ -27,12 +27,12 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference import least_squares
 from counterspin.inference.identifiability import assess
+from counterspin.inference.joint.design_blocks import build_design_blocks
 from counterspin.inference.joint.fit import solve_blocks
-from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import (
-    Series,
-    concerns,
+    ResidualSeries,
     expected_output,
+    input_affects,
     input_column,
     with_input,
 )
@@ -75,7 +75,7 @@ class JointEngine:
 
     @classmethod
     def prepare(
-        cls, series: Sequence[Series], request: JointRequest, truth: StudyTruth
+        cls, series: Sequence[ResidualSeries], request: JointRequest, truth: StudyTruth
     ) -> tuple[JointEngine, tuple[str, ...]]:
         """Reduce all series and solve once."""
         noise = request.noise
@@ -123,7 +123,9 @@ class JointEngine:
         return Trials(estimate, u, np.full((1, 1), math.inf) * np.ones((len(self.u), 1)))
 
 
-def scale_factors(series: Sequence[Series], model: Unknowns, truth: StudyTruth) -> dict[str, float]:
+def scale_factors(
+    series: Sequence[ResidualSeries], model: Unknowns, truth: StudyTruth
+) -> dict[str, float]:
     """Return the K_I with which each accelerometer sees the platform's errors.
 
     `calibrate` takes it from the estimate; a study takes the mean true value.
@@ -135,7 +137,9 @@ def scale_factors(series: Sequence[Series], model: Unknowns, truth: StudyTruth) 
     return factors
 
 
-def _truth_keys(series: Sequence[Series], truth: StudyTruth, runs: Sequence[str]) -> list[Key]:
+def _truth_keys(
+    series: Sequence[ResidualSeries], truth: StudyTruth, runs: Sequence[str]
+) -> list[Key]:
     """Return a key for each column of the true values, terms before inputs."""
     accelerometers = {record.accelerometer for record in series}
     keys: list[Key] = []
@@ -155,7 +159,7 @@ def _truth_keys(series: Sequence[Series], truth: StudyTruth, runs: Sequence[str]
 
 
 def _block(
-    series: Series,
+    series: ResidualSeries,
     model: Unknowns,
     noise: Noise,
     keys: Sequence[Key],
@@ -165,7 +169,7 @@ def _block(
     """Whiten and reduce one series: unknowns, considered terms, columns of the true values."""
     factors = scale_factors([series], model, truth)
     expected = np.array([truth.mean(u.owner, u.symbol) - u.nominal for u in model.unknowns])
-    (prepared,) = prepare_columns([series], model, factors, expected)
+    (prepared,) = build_design_blocks([series], model, factors, expected)
     true = _columns_of_truth(series, keys, runs, truth)
     whiten = series.whitener(noise)
     polynomials = series.polynomials(whiten.polynomials)
@@ -182,7 +186,7 @@ def _block(
 
 
 def _columns_of_truth(
-    series: Series, keys: Sequence[Key], runs: Sequence[str], truth: StudyTruth
+    series: ResidualSeries, keys: Sequence[Key], runs: Sequence[str], truth: StudyTruth
 ) -> Array:
     """Return the columns of the true values in a series, shape (n, keys); zero for other series."""
     name = series.accelerometer
@@ -190,7 +194,7 @@ def _columns_of_truth(
         (owner, symbol): index
         for index, (owner, symbol, run) in enumerate(keys)
         if run in (None, runs.index(series.run))
-        and (owner in ("", name) if symbol not in INPUTS else concerns(series, symbol, owner))
+        and (owner in ("", name) if symbol not in INPUTS else input_affects(series, symbol, owner))
     }
     terms = [key for key in indices if key[1] not in INPUTS]
     k_i = truth.mean(name, "K_I")
@@ -214,7 +218,7 @@ def _solve(blocks: Sequence[Block], model: Unknowns, true: int) -> Solution:
         prior_mean=[u.prior_mean for u in model.unknowns],
         prior_sd=[u.prior[1] for u in model.unknowns],
         considered_mean=[*model.considered_means, *(0.0 for _ in range(true))],
-        considered_sd=[*model.considered_sizes, *(0.0 for _ in range(true))],
+        considered_sd=[*model.considered_sds, *(0.0 for _ in range(true))],
         limits=[u.limit for u in model.unknowns],
     )
 
@@ -266,7 +270,7 @@ def _blocks_of_records(world: World, truth: StudyTruth, model: Unknowns) -> list
         for name in world.mountings
         if name in names
     ]
-    prepared = prepare_columns(series, model, scale_factors(series, model, truth))
+    prepared = build_design_blocks(series, model, scale_factors(series, model, truth))
     noises = dict.fromkeys(names, noise)
     return [part.block_in(model, noises) for part in prepared]
 
@@ -415,7 +419,7 @@ def changes_by_inputs(
         gain = curvature_gain(times[:, None])[0][:, 0]
         before = gain @ np.column_stack([series.columns(symbols, 1.0), series.reference()])
         for (recorder, name), change in changes.items():
-            if not concerns(series, name, recorder):
+            if not input_affects(series, name, recorder):
                 continue
             reference, columns, step = with_input(series, name, symbols, 1.0)
             change[:, run] = (gain @ np.column_stack([columns, reference]) - before) / step

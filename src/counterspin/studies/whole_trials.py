@@ -18,12 +18,16 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.reading import MeasuredRate, Reading
 from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import correct_series, estimate
-from counterspin.inference.joint.series import CLOCK, TIMING, Series
+from counterspin.inference.joint.series import CLOCK, TIMING, ResidualSeries
 from counterspin.inference.joint.time_stamps import find_stamp_errors
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.two_stage.first_stage import Strobes, by_angle, strobe_angle
 from counterspin.inference.two_stage.model import TwoStageRequest
-from counterspin.inference.two_stage.second_stage import StrobedRun, second_stage, with_found_noise
+from counterspin.inference.two_stage.second_stage import (
+    StrobedRun,
+    second_stage,
+    with_estimated_noise,
+)
 from counterspin.physics import observation, simulation
 from counterspin.physics.motion import encoder_error
 from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
@@ -70,7 +74,7 @@ class TrialRecords:
         noise = replace(world.noise, white=float(draws.white[0]), **levels)
         return cls(replace(world, noise=noise), draws, generator)
 
-    def series(self) -> list[Series]:
+    def series(self) -> list[ResidualSeries]:
         """Return the records of all runs and accelerometers."""
         world = self.world
         series = []
@@ -91,7 +95,7 @@ class TrialRecords:
                 series.append(self._with_stamps(record, rotation))
         return series
 
-    def _with_stamps(self, record: Series, rotation: Rotation) -> Series:
+    def _with_stamps(self, record: ResidualSeries, rotation: Rotation) -> ResidualSeries:
         """Return a record with what its angle shows of the time stamps, as `calibrate` has it."""
         if rotation.fit is None:
             return record
@@ -99,8 +103,8 @@ class TrialRecords:
         stamps = find_stamp_errors(rotation.fit, record.time, record.count, stated)
         if stamps is None:
             return record
-        record = replace(record, angle_error=rotation.fit.error, stamps=stamps)
-        return record.corrected(stamps.prior[0])
+        record = replace(record, angle_error=rotation.fit.error, timestamp_errors=stamps)
+        return record.correct_times(stamps.prior[0])
 
     def strobed_run(self, run: int, name: str, request: TwoStageRequest) -> StrobedRun:
         """Return a run with one reading at each strobe."""
@@ -281,7 +285,7 @@ class TrialReadings:
         # A radius with its default prior is a deviation from that of the centrifuge.
         everything = (*model.unknowns, *model.considered)
         known = {*machine, *(parameter.symbol for parameter in everything)}
-        known -= {parameter.symbol for parameter in everything if parameter.unstated}
+        known -= {parameter.symbol for parameter in everything if parameter.has_default_prior}
         for group, places in self.grouped:
             at = list(places)
             coefficients = {
@@ -401,13 +405,18 @@ class FullEngine:
             series = tuple(records.series())
             if request.random_walk is None:
                 estimated = estimate(series, self.joint.model, self.joint.noise)
-                components = estimated.components[self.owner]
+                components = estimated.estimated_noise[self.owner]
                 request = request.with_noise(components.noise)
                 corrected = estimated.series
             else:
                 corrected = correct_series(series, self.joint.model, self.joint.noise)
             runs = [
-                _strobed(record.corrected(other.share).with_timing(other.timing), request)
+                _strobed(
+                    record.correct_times(other.corrected_fraction).with_timestamp_noise(
+                        other.timestamp_sd
+                    ),
+                    request,
+                )
                 for record, other in zip(series, corrected, strict=True)
                 if record.accelerometer == self.owner
             ]
@@ -415,15 +424,15 @@ class FullEngine:
             runs = [records.strobed_run(run, self.owner, request) for run in range(len(world.runs))]
         second = second_stage(runs, world.mountings[self.owner], request, ignored=())
         if components is not None:
-            second = with_found_noise(second, components.noise, components)
+            second = with_estimated_noise(second, components.noise, components)
         solution = second.fit.solution
         return solution.estimate, solution.u, np.asarray(second.dof)
 
 
-def _strobed(record: Series, request: TwoStageRequest) -> StrobedRun:
+def _strobed(record: ResidualSeries, request: TwoStageRequest) -> StrobedRun:
     """Return a run whose strobes are read from its whole record, as `calibrate` does."""
     phase = strobe_angle(record.mounting.turned(record.attitude).input_axis)
     angle = record.trajectory.spindle.angle(record.time)
     strobes = by_angle(record.time, angle, record.error, phase)
-    parabola = request.first_stage(strobes, record.trajectory, record.timing)
+    parabola = request.first_stage(strobes, record.trajectory, record.timestamp_sd)
     return StrobedRun(record.run, record.trajectory, parabola, record.attitude)

@@ -74,8 +74,8 @@ class JointRequest:
         return [
             place
             for place, unknown in enumerate(self.model.unknowns)
-            if unknown.asked
-            and not (unknown.unstated and unknown.prior[1] >= unknown.limit)
+            if unknown.is_of_interest
+            and not (unknown.has_default_prior and unknown.prior[1] >= unknown.limit)
             and (
                 unknown.symbol in ACCELEROMETER_TERMS
                 or (not unknown.owner and unknown.symbol not in ROTATION)

@@ -21,7 +21,7 @@ from counterspin.campaign.runs import is_pose, sample_count
 from counterspin.campaign.static_noise import simulated_noise
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.two_stage.first_stage import strobe_angle
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import RunConditions
@@ -85,13 +85,13 @@ class World:
         spindle: Spindle,
         times: Array | None = None,
         error: Array | None = None,
-    ) -> Series:
+    ) -> ResidualSeries:
         """Return a record, without errors where none are given.
 
         times: Of its rows, s; None: those of the samples.
         """
         times = self.times(run) if times is None else times
-        series = Series(
+        series = ResidualSeries(
             accelerometer=name,
             run=self.runs[run],
             trajectory=self.trajectory(run, spindle),
@@ -99,13 +99,13 @@ class World:
             observable="displacement",
             attitude=self.attitudes[run],
             time=times,
-            spread=np.zeros_like(times),
+            time_sd=np.zeros_like(times),
             count=np.ones_like(times),
             spacing=1.0 / self.sampling_rate,
             error=np.zeros_like(times) if error is None else error,
             recorder=self.recorders[run],
         )
-        return series.with_timing(self.stated_times[0])
+        return series.with_timestamp_noise(self.stated_times[0])
 
     def strobed(self, run: int, name: str) -> StrobedMotion:
         """Return a run as the strobes of an accelerometer see it."""

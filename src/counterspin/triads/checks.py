@@ -13,7 +13,7 @@ from counterspin.calibration.findings import (
 from counterspin.calibration.outcome import residual_of
 from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import SIGNIFICANCE
-from counterspin.inference.joint.fit import JointFit, relax
+from counterspin.inference.joint.fit import JointFit, estimate_considered
 from counterspin.readings.checks import (
     TRIAD,
     outlier_findings,
@@ -54,7 +54,7 @@ def pose_findings(fit: JointFit, groups: Sequence[FittedReadings]) -> list[Findi
 def _find_patterns(fit: JointFit, posed: Sequence[FittedReadings]) -> list[Pattern | None]:
     """Return for each group of poses what its residuals follow, beyond chance."""
     patterns: list[Pattern | None] = [None] * len(posed)
-    fit = relax(fit)
+    fit = estimate_considered(fit)
     testable = [
         index for index, fitted_group in enumerate(posed) if fitted_group.tested_dof >= MIN_DOF
     ]

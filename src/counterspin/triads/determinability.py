@@ -32,10 +32,10 @@ def default_candidates(model: Unknowns, accelerometers: Collection[str]) -> tupl
     """Return the requested parameters of a triad that have a default prior and no other."""
     return tuple(
         unknown
-        for unknown in model.asked
+        for unknown in model.of_interest
         if unknown.owner in accelerometers
         and math.isinf(unknown.prior[1])
-        and math.isfinite(unknown.default)
+        and math.isfinite(unknown.default_sd)
     )
 
 
@@ -58,7 +58,7 @@ def undetermined_parameters(
         indices = [model.unknowns.index(unknown) for unknown in remaining]
         limits = np.array([unknown.limit for unknown in remaining])
         is_undetermined = solution.u[indices] >= limits
-        default = np.array([unknown.default for unknown in remaining])
+        default = np.array([unknown.default_sd for unknown in remaining])
         if not is_undetermined.any():
             curvature = _curvature(fit, solution, indices)
             # A bend that moves a parameter by little of its default prior leaves it determined.
@@ -75,7 +75,7 @@ def undetermined_parameters(
 
 def _prior_contributions(solution: Solution, model: Unknowns, indices: Sequence[int]) -> Array:
     """Return the parts of the uncertainties that default priors of other parameters contribute."""
-    defaulted = [unknown.defaulted for unknown in model.unknowns]
+    defaulted = [unknown.uses_fallback_prior for unknown in model.unknowns]
     weights = np.eye(len(model.unknowns))[indices]
     return np.array([np.linalg.norm(solution.combine(row).prior[defaulted]) for row in weights])
 

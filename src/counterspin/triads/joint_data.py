@@ -74,7 +74,8 @@ def pose_advice(view: AccelerometerView) -> str:
             axes.setdefault(name, []).append(evaluated.direction @ projections[0])
     count, distinct = _count_directions(view)
     free_count = sum(
-        math.isinf(unknown.prior[1]) or unknown.defaulted for unknown in view.fit.model.unknowns
+        math.isinf(unknown.prior[1]) or unknown.uses_fallback_prior
+        for unknown in view.fit.model.unknowns
     )
     sentences = []
     if count < free_count:

@@ -420,13 +420,13 @@ def _least_squares(columns: Array, target: Array, *, constant: bool = False) -> 
 def _insufficient_poses_error(poses: TriadPoses, solution: Solution, model: Unknowns) -> str:
     """Return that poses tell no noise, and what they do not determine besides."""
     free_names = [u.name for u in model.unknowns if math.isinf(u.prior[1])]
-    requested = [unknown.name for unknown in model.unknowns if unknown.asked]
+    requested = [unknown.name for unknown in model.unknowns if unknown.is_of_interest]
     determined = assess(solution, requested).determined
     undetermined = [name for name in requested if not determined[name]]
     undetermined_text = (
         f" They do not determine {', '.join(undetermined)} at all." if undetermined else ""
     )
-    angles = [u for u in model.unknowns if u.asked and u.symbol.startswith("delta")]
+    angles = [u for u in model.unknowns if u.is_of_interest and u.symbol.startswith("delta")]
     suggestion = (
         " They can determine biases and scale factors, if these alone are asked for: terms = "
         '["K_F", "K_I"] in [model].'

@@ -25,9 +25,9 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
-from counterspin.inference.distributions import countable
-from counterspin.inference.identifiability import PRIOR_LEFT
-from counterspin.inference.joint.budget import budget_of, by_kind_of
+from counterspin.inference.distributions import finite_dof
+from counterspin.inference.identifiability import MAX_VARIANCE_RATIO
+from counterspin.inference.joint.budget import combination_budget, u_by_category
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import Combination
@@ -99,14 +99,14 @@ def triad_result(
         norms_before.append(np.linalg.norm(group.value @ nominal.T, axis=1) - 1.0)
         if matrix is not None:
             corrected = group.value - _nonlinear_part(campaign, solved) - linear.bias
-            corrected -= _slope_part(group, solved, model.asked)
+            corrected -= _slope_part(group, solved, model.of_interest)
             norms_after.append(np.linalg.norm(corrected @ matrix.T, axis=1) - 1.0)
     gravity = campaign.gravity.value
     return TriadResult(
         accelerometers=list(names),
         parameters=coefficients,
         correlation=_correlation(estimated, {n: parameters[n] for n in determined}),
-        budget={n: budget_of(estimated.fit, parameters[n].slopes) for n in determined},
+        budget={n: combination_budget(estimated.fit, parameters[n].slopes) for n in determined},
         by_gravity=_gravity_sensitivities(estimated, {n: parameters[n] for n in determined}),
         matrix=None if matrix is None else matrix.tolist(),
         u_matrix=None if matrix is None else _u_matrix(estimated, linear, matrix),
@@ -208,7 +208,7 @@ def _derive_parameters(
         limit = campaign.limit_of("K_I", name)
         slopes = linear.row_slopes(index, units[index])
         slopes = slopes + _misalignment_slopes(
-            linear, name, float(sizes[index]), estimated.fit.model.asked
+            linear, name, float(sizes[index]), estimated.fit.model.of_interest
         )
         yield f"sensitivity.{name}", _DerivedParameter(float(sizes[index]), slopes, "g/g", limit)
     for first, second in combinations(range(len(names)), 2):
@@ -250,9 +250,9 @@ def _misalignment_slopes(
     mean square.
     """
     default = {
-        unknown.symbol: unknown.default
+        unknown.symbol: unknown.default_sd
         for unknown in requested
-        if unknown.owner == name and unknown.defaulted
+        if unknown.owner == name and unknown.uses_fallback_prior
     }
     misalignments = {
         symbol: default_sd for symbol, default_sd in default.items() if symbol.startswith("delta_")
@@ -275,19 +275,19 @@ def _make_coefficient(
         return Coefficient(value=None, u=None, unit=parameter.unit, estimated=False)
     used = np.flatnonzero(np.abs(parameter.slopes) > _NEGLIGIBLE)
     known = float(np.linalg.norm(parameter.slopes[used] * fit.solution.prior_sd[used]))
-    if combined.u**2 > PRIOR_LEFT * known**2:
+    if combined.u**2 > MAX_VARIANCE_RATIO * known**2:
         # What is known beforehand is all there is.
         return Coefficient(
             value=parameter.value, u=combined.u, unit=parameter.unit, estimated=False
         )
-    noise, stated, unstated = by_kind_of(fit, parameter.slopes)
+    noise, stated, unstated = u_by_category(fit, parameter.slopes)
     return Coefficient(
         value=parameter.value,
         u=math.hypot(noise, stated, unstated),
         u_noise=noise,
         u_stated=stated,
         u_unstated=unstated,
-        dof=countable(_dof(estimated, parameter.slopes, groups)),
+        dof=finite_dof(_dof(estimated, parameter.slopes, groups)),
         unit=parameter.unit,
         estimated=True,
     )
@@ -298,7 +298,7 @@ def _is_default_only(
 ) -> bool:
     """Return whether a parameter is known only by default priors of undetermined unknowns."""
     fit = estimated.fit
-    defaulted = [unknown.defaulted for unknown in fit.model.unknowns]
+    defaulted = [unknown.uses_fallback_prior for unknown in fit.model.unknowns]
     slopes, contributed = parameter.slopes[defaulted], combined.prior[defaulted]
     prior_norm = np.linalg.norm(slopes * fit.solution.prior_sd[defaulted])
     depends = np.max(np.abs(slopes), initial=0.0) > _DEFAULT_FRACTION
@@ -308,7 +308,7 @@ def _is_default_only(
 def _dof(estimated: Estimate, slopes: Array, groups: Sequence[FittedReadings]) -> float:
     """Return the degrees of freedom of a parameter; of records' noise the least of its parts."""
     fit, record_dof = estimated.fit, math.inf
-    if fit.prepared:
+    if fit.design_blocks:
         record_dof = float(np.min(estimated.dof[np.abs(slopes) > _NEGLIGIBLE]))
     dof = [group.noise_dof for group in groups]
     return combination_dof(slopes, fit, dof, record_dof)

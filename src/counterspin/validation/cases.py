@@ -162,5 +162,5 @@ _REFERENCES: Final = {
     "calibrate": _fitted,
     "certificate": _stated,
     "apply": _stated,
-    "find_noise": _noise,
+    "estimate_noise": _noise,
 }

@@ -159,11 +159,11 @@ def _effective_dof(module: Any, given: Given) -> Values:
 
 def _variance(module: Any, given: Given) -> Values:
     from counterspin.inference.noise.likelihood import RecordData
-    from counterspin.inference.noise.model import WANTED, Noise
+    from counterspin.inference.noise.model import ESTIMATE, Noise
 
     y = np.array(given["y"], np.float64)
     record = RecordData(np.arange(y.size, dtype=np.float64), 0, np.ones((y.size, 1)), y)
-    return {"white": module.find_noise([record], Noise(WANTED)).noise.white}
+    return {"white": module.estimate_noise([record], Noise(ESTIMATE)).noise.white}
 
 
 def _first_stage(module: Any, given: Given) -> Values:
@@ -202,13 +202,13 @@ def _decide(module: Any, given: Given) -> Values:
 
 def _random_walk(module: Any, given: Given) -> Values:
     from counterspin.inference.noise.likelihood import RecordData
-    from counterspin.inference.noise.model import WANTED, Noise
+    from counterspin.inference.noise.model import ESTIMATE, Noise
 
     stated = document(given["file"])
     time, velocity = (np.array(stated[key], np.float64) for key in ("time", "velocity"))
     line = np.stack([np.ones_like(time), time], axis=1)
-    noise = Noise(given.get("white", WANTED), WANTED)
-    answer = module.find_noise([RecordData(time, 1, line, velocity)], noise)
+    noise = Noise(given.get("white", ESTIMATE), ESTIMATE)
+    answer = module.estimate_noise([RecordData(time, 1, line, velocity)], noise)
     levels = {"white": answer.noise.white, "random_walk": answer.noise.random_walk}
     if "white" in given:
         return levels
@@ -355,7 +355,7 @@ _KERNELS: Final[Mapping[str, Callable[[Any, Given], Values]]] = {
     "fit": _fit,
     "solve": _solve,
     "effective_dof": _effective_dof,
-    "find_noise": _noise,
+    "estimate_noise": _noise,
     "first_stage": _first_stage,
     "walk_covariance": _walk,
     "flicker_autocovariance": _flicker,

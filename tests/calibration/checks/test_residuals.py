@@ -47,11 +47,11 @@ K_II = "2e-5 g/g^2"
 
 def walking(share: float, name: str = "Qx") -> AccelerometerView:
     """A fit of which this share of u^2 of K_II is noise that the records do not show."""
-    unknown = SimpleNamespace(owner="Qx", symbol="K_II", asked=True)
+    unknown = SimpleNamespace(owner="Qx", symbol="K_II", is_of_interest=True)
     fit = SimpleNamespace(
         model=SimpleNamespace(unknowns=[unknown]),
         solution=SimpleNamespace(u=np.array([2e-9])),
-        unseen={name: (1e-5, np.array([[share * 4e-18]]))},
+        undetected_walks={name: (1e-5, np.array([[share * 4e-18]]))},
     )
     return AccelerometerView(SimpleNamespace(campaign=None), SimpleNamespace(fit=fit), None, "Qx")
 

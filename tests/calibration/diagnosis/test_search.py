@@ -20,9 +20,9 @@ from counterspin.calibration.outcome import noise_lines, residual
 from counterspin.campaign.description import read_campaign
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint import mistakes
-from counterspin.inference.joint.alternatives import Alternative, Scores, of_priors
+from counterspin.inference.joint.alternatives import Alternative, ScoreTests, prior_alternatives
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.joint.fit import relax
+from counterspin.inference.joint.fit import estimate_considered
 from counterspin.inference.joint.unknowns import Considered
 from counterspin.physics.simulation import accelerometer_walk
 
@@ -48,7 +48,7 @@ class Campaigns:
         off = {unknown: unknown.prior[1] * rng.standard_normal() for unknown in known}
         series = [self._noisy(i, one, off, rng) for i, one in enumerate(self.clean)]
         found = estimate(series, self.model, make_noise(self.campaign))
-        names = [unknown.name for unknown in self.model.asked]
+        names = [unknown.name for unknown in self.model.of_interest]
         determined = assess(found.fit.solution, names)
         views = [
             AccelerometerView(JointProblem(self.campaign), found, determined, name)
@@ -59,7 +59,7 @@ class Campaigns:
     def _noisy(self, i, one, off, rng):
         error = one.error + WHITE / np.sqrt(one.count) * rng.standard_normal(one.error.size)
         for unknown, size in off.items():
-            if unknown.concerns(one):
+            if unknown.affects(one):
                 if (i, unknown) not in self.columns:
                     self.columns[i, unknown] = one.columns([unknown.symbol], 1.0)[:, 0]
                 error += size * self.columns[i, unknown]
@@ -114,34 +114,34 @@ def test_every_alternative_has_a_credible_limit(tmp_path):
     """What an input would be is possible: no latitude beyond the poles, no gravity but Earth's."""
     given = Campaigns(tmp_path, SOUND, 0.0)
     found = estimate(given.clean, given.model, make_noise(given.campaign))
-    now = replace(found, fit=relax(found.fit), core=None)
-    names = [unknown.name for unknown in given.model.asked]
+    now = replace(found, fit=estimate_considered(found.fit), compressed_fit=None)
+    names = [unknown.name for unknown in given.model.of_interest]
     determined = assess(found.fit.solution, names)
     views = [
         AccelerometerView(JointProblem(given.campaign), found, determined, name)
         for name in given.campaign.accelerometers
     ]
-    others = [*of_priors(now.fit), *search._alternative_hypotheses(views, now)]
+    others = [*prior_alternatives(now.fit), *search._alternative_hypotheses(views, now)]
     every = search._with_input_ranges(given.campaign, others)
     assert len(every) > 100
-    assert all(math.isfinite(end) for other in every for end in other.between)
+    assert all(math.isfinite(end) for other in every for end in other.credible_range)
     latitude, gravity = (
         next(other for other in every if other.symbol == symbol)
         for symbol in ("site.latitude", "site.gravity")
     )
-    assert latitude.credible(math.radians(10.0))
-    assert not latitude.credible(math.radians(12.0))
-    assert not latitude.credible(math.radians(-4200.0))
+    assert latitude.is_credible(math.radians(10.0))
+    assert not latitude.is_credible(math.radians(12.0))
+    assert not latitude.is_credible(math.radians(-4200.0))
     # Of 45.75 deg: what 9.8066 m/s^2 allows between -500 and 3000 m, and the same in the south.
     degrees = np.linspace(-90.0, 90.0, 361) - 45.75
-    allowed = [float(d) + 45.75 for d in degrees if latitude.credible(math.radians(float(d)))]
+    allowed = [float(d) + 45.75 for d in degrees if latitude.is_credible(math.radians(float(d)))]
     assert min(abs(d) for d in allowed) == pytest.approx(42.7, abs=0.5)
     assert max(allowed) == -min(allowed) == pytest.approx(57.1, abs=0.5)
     # Normal gravity at 45.75 deg: 9.79763 m/s^2 at 3000 m, 9.80842 at -500 m; and 1e-3 more.
-    assert gravity.credible(9.80842 - 9.8066 + 0.9e-3)
-    assert not gravity.credible(9.80842 - 9.8066 + 1.1e-3)
-    assert gravity.credible(9.79763 - 9.8066 - 0.9e-3)
-    assert not gravity.credible(9.79763 - 9.8066 - 1.1e-3)
+    assert gravity.is_credible(9.80842 - 9.8066 + 0.9e-3)
+    assert not gravity.is_credible(9.80842 - 9.8066 + 1.1e-3)
+    assert gravity.is_credible(9.79763 - 9.8066 - 0.9e-3)
+    assert not gravity.is_credible(9.79763 - 9.8066 - 1.1e-3)
 
 
 @pytest.mark.parametrize("off", [1e-12, -1e-12])
@@ -151,7 +151,9 @@ def test_what_rounding_alone_tells_apart_stands_in_order(off):
     stated = tuple(Alternative("prior", *name) for name in names)
     u = np.array([1.0, 3.0, 2.0])
     size = 8.0 * np.array([1.0 + off, 1.0, 1.0 - off])
-    found = ranking._rank_rivals(Scores(stated, size * u, u, size, 1e4), int(np.argmax(size)), True)
+    found = ranking._rank_rivals(
+        ScoreTests(stated, size * u, u, size, 1e4), int(np.argmax(size)), True
+    )
     assert found.alternative.symbol == "centrifuge.radius"
     assert [other.symbol for other, _ in found.rivals] == ["K_I", "K_F"]
 
@@ -163,7 +165,7 @@ def test_a_tilt_of_all_runs_is_one_alternative(tmp_path):
         Considered(run, "platform.tilt.up", (0.0, 0.0), 1e-2): 5e-5
         for run in ("slow", "middle", "fast")
     }
-    *single, together = mistakes.of_terms(relax(found.fit), terms)
+    *single, together = mistakes.term_mistakes(estimate_considered(found.fit), terms)
     assert [other.name for other in single] == [f"{run}.platform.tilt.up" for run in RUNS]
     assert together.name == "platform.tilt.up"
     for i, column in together.columns.items():
@@ -182,16 +184,16 @@ def test_a_latitude_far_from_the_stated_one_stands_behind_a_term_that_explains_a
         "input",
         "",
         "site.latitude",
-        between=(-2.0, 2.0),
-        typical=5e-6,
+        credible_range=(-2.0, 2.0),
+        default_sd=5e-6,
         stated=True,
-        likely=(0.0, -1.6),
-        likely_within=math.radians(1.0),
+        likely_values=(0.0, -1.6),
+        likely_tolerance=math.radians(1.0),
     )
-    large = Alternative("term", "Qx", "K_OQ", typical=1e-6, between=(-1e-3, 1e-3))
+    large = Alternative("term", "Qx", "K_OQ", default_sd=1e-6, credible_range=(-1e-3, 1e-3))
     values = np.array([value, 5e-4])
     size = np.array([8.0, 8.0])
-    every = Scores((latitude, large), values, np.abs(values) / size, size, 1e4)
+    every = ScoreTests((latitude, large), values, np.abs(values) / size, size, 1e4)
     found = ranking._rank_rivals(every, 0, True)
     assert found.alternative.symbol == first
     assert len(found.rivals) == 1

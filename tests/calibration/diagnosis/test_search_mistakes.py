@@ -29,7 +29,7 @@ from mistaken_campaigns import (
 from counterspin import calibrate
 from counterspin.calibration.diagnosis import search
 from counterspin.errors import CounterspinError
-from counterspin.inference.joint.estimation import estimate_again
+from counterspin.inference.joint.estimation import reestimate
 from counterspin.simulation.simulate import simulate
 
 PAGE = Path(__file__).parents[3] / "docs" / "diagnosis.md"
@@ -418,10 +418,10 @@ def test_readings_remain_in_the_fit_while_the_noise_of_records_is_found_anew(
     again = []
 
     def watched(before, fit, requests):
-        again.append((fit, estimate_again(before, fit, requests)))
+        again.append((fit, reestimate(before, fit, requests)))
         return again[-1][1]
 
-    monkeypatch.setattr(search, "estimate_again", watched)
+    monkeypatch.setattr(search, "reestimate", watched)
     calibrate(folder)
     assert again
     for fit, after in again:

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from joint_campaign import noisy, three_rates, unknowns
 
-from counterspin.inference.joint.agreement import growth, leave_out
+from counterspin.inference.joint.agreement import jackknife_runs, shift_variance_sensitivities
+from counterspin.inference.joint.estimated_noise import information_losses
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.joint.found_noise import losses
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.noise.model import WANTED, Noise
+from counterspin.inference.noise.model import ESTIMATE, Noise
 
 TRUTH = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5}
 WHITE = 0.01
@@ -29,7 +29,7 @@ def gain_of_shift(fit, run):
     """By how much each whitened row moves the shift, by series."""
     ends = np.cumsum([0, *(block.factor.shape[0] for block in fit.blocks)])
     weights = np.eye(len(fit.model.unknowns))[K_II]
-    own = [part.run == run for part in fit.prepared]
+    own = [part.run == run for part in fit.design_blocks]
     kept = np.repeat([not left for left in own], np.diff(ends))
     shift = -fit.solution.combine(weights).noise_rows
     shift[kept] += fit.without_run(run).combine(weights).noise_rows
@@ -42,7 +42,7 @@ def given():
 
 
 def test_the_shift_is_that_of_a_fit_without_the_run(given):
-    *_, shift = leave_out(given, K_II)
+    *_, shift = jackknife_runs(given, K_II)
     without = estimate(given.series[:2], MODEL, {"Qx": Noise(WHITE, 0.0)}, reject=False)
     assert shift.value == pytest.approx(without.fit.solution.estimate[K_II], rel=1e-9)
     assert shift.shift == pytest.approx(shift.value - given.fit.solution.estimate[K_II], rel=1e-9)
@@ -50,7 +50,7 @@ def test_the_shift_is_that_of_a_fit_without_the_run(given):
 
 
 def test_its_variance_is_that_of_its_gains(given):
-    for shift in leave_out(given, K_II):
+    for shift in jackknife_runs(given, K_II):
         noise = sum(float(rows @ rows) for rows in gain_of_shift(given.fit, shift.run))
         # The prior of K_F moves both estimates, and the shift by the difference.
         without, whole = given.fit.without_run(shift.run), given.fit.solution
@@ -61,26 +61,30 @@ def test_its_variance_is_that_of_its_gains(given):
 
 def test_more_noise_that_nobody_knows_of_adds_what_the_gains_make_of_it(given):
     fit = given.fit
-    runs = [part.run for part in fit.prepared]
-    for run, slopes in zip(runs, growth(fit, losses(fit, "Qx"), runs, K_II), strict=True):
+    runs = [part.run for part in fit.design_blocks]
+    for run, slopes in zip(
+        runs,
+        shift_variance_sensitivities(fit, information_losses(fit, "Qx"), runs, K_II),
+        strict=True,
+    ):
         # Every row's gain counts, in rows of unit variance.
         noise = sum(float(rows @ rows) for rows in gain_of_shift(fit, run))
         assert slopes[0] * WHITE**2 == pytest.approx(noise, rel=1e-6)
 
 
 def test_an_estimated_noise_has_its_degrees_of_freedom():
-    found = fitted(2, Noise(WANTED, 0.0), Unknowns(unknowns(["K_F", "K_I", "K_II"])))
-    (component,) = found.components.values()
-    for shift in leave_out(found, K_II):
+    found = fitted(2, Noise(ESTIMATE, 0.0), Unknowns(unknowns(["K_F", "K_I", "K_II"])))
+    (component,) = found.estimated_noise.values()
+    for shift in jackknife_runs(found, K_II):
         # White noise alone: rows less unknowns, as of every estimate.
         assert shift.dof == pytest.approx(component.degrees_of_freedom, rel=1e-3)
 
 
 def test_noise_that_does_not_show_is_in_the_variance():
-    found = fitted(3, Noise(WANTED, WANTED))
-    (component,) = found.components.values()
-    assert component.unseen is not None
-    known = replace(found, components={"Qx": replace(component, unseen=None)})
-    for wide, narrow in zip(leave_out(found, K_II), leave_out(known, K_II), strict=True):
+    found = fitted(3, Noise(ESTIMATE, ESTIMATE))
+    (component,) = found.estimated_noise.values()
+    assert component.undetected_walk is not None
+    known = replace(found, estimated_noise={"Qx": replace(component, undetected_walk=None)})
+    for wide, narrow in zip(jackknife_runs(found, K_II), jackknife_runs(known, K_II), strict=True):
         assert abs(wide.z) < abs(narrow.z)
         assert wide.dof < narrow.dof

@@ -7,11 +7,11 @@ import pytest
 from joint_campaign import noisy, three_rates, unknowns
 from scipy.stats import f as fisher
 
-from counterspin.inference.joint.agreement import _cosines, slow_parts
+from counterspin.inference.joint.agreement import _cosines, compare_slow_residuals
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.joint.fit import extended, relax
+from counterspin.inference.joint.fit import augment, estimate_considered
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
-from counterspin.inference.noise.model import WANTED, Noise
+from counterspin.inference.noise.model import ESTIMATE, Noise
 
 TRUTH = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5}
 MODEL = Unknowns(unknowns(["K_F", "K_I", "K_II"]))
@@ -23,8 +23,8 @@ def fitted(noise, bend=0.0):
     series = [noisy(one, noise, rng) for one in three_rates(TRUTH)]
     phase = np.pi * series[2].time / series[2].time[-1]
     series[2] = replace(series[2], error=series[2].error + bend * np.sin(phase))
-    found = estimate(series, MODEL, {"Qx": Noise(WANTED, WANTED)}, reject=False)
-    return found.components["Qx"], relax(found.fit)
+    found = estimate(series, MODEL, {"Qx": Noise(ESTIMATE, ESTIMATE)}, reject=False)
+    return found.estimated_noise["Qx"], estimate_considered(found.fit)
 
 
 @pytest.fixture(scope="module")
@@ -34,14 +34,14 @@ def walking():
 
 def test_the_ratio_is_that_of_what_fits_with_cosines_gain(walking):
     gains, counts = [], []
-    for i, part in enumerate(walking.prepared):
+    for i, part in enumerate(walking.design_blocks):
         columns = [{i: column} for column in _cosines(walking, part)]
         free = [Unknown("", str(k), (0.0, np.inf), 1e3) for k in range(len(columns))]
-        whole = extended(walking, free, columns).solution
+        whole = augment(walking, free, columns).solution
         gains.append(walking.solution.chi2 - whole.chi2)
         counts.append(len(columns))
-    found = slow_parts(walking, "Qx")
-    assert [part.run for part in found] == [part.run for part in walking.prepared]
+    found = compare_slow_residuals(walking, "Qx")
+    assert [part.run for part in found] == [part.run for part in walking.design_blocks]
     for k, part in enumerate(found):
         rest, others = sum(gains) - gains[k], sum(counts) - counts[k]
         ratio = gains[k] / counts[k] / (rest / others)
@@ -50,18 +50,20 @@ def test_the_ratio_is_that_of_what_fits_with_cosines_gain(walking):
 
 
 def test_noise_that_acts_in_every_run_is_alike_in_all(walking):
-    assert min(part.p for part in slow_parts(walking, "Qx")) > 0.01
+    assert min(part.p for part in compare_slow_residuals(walking, "Qx")) > 0.01
 
 
 def test_a_bend_of_one_run_is_not():
     components, fit = fitted(Noise(0.01), bend=1.0)
     assert "random_walk" in components.estimated
-    found = slow_parts(fit, "Qx")
+    found = compare_slow_residuals(fit, "Qx")
     worst = min(found, key=lambda part: part.p)
-    assert worst.run == fit.prepared[2].run
+    assert worst.run == fit.design_blocks[2].run
     assert worst.p < 1e-6
     assert worst.ratio > 5.0
 
 
 def test_one_record_has_no_other_to_be_compared_with(walking):
-    assert slow_parts(replace(walking, observations=walking.prepared[:1]), "Qx") == []
+    assert (
+        compare_slow_residuals(replace(walking, observations=walking.design_blocks[:1]), "Qx") == []
+    )

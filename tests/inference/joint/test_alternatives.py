@@ -7,11 +7,16 @@ import numpy as np
 import pytest
 from joint_campaign import ARCSEC, held_inputs, noisy, three_rates, unknowns
 
-from counterspin.inference.joint.alternatives import Alternative, of_priors, of_unstated, scores
+from counterspin.inference.joint.alternatives import (
+    Alternative,
+    default_prior_alternatives,
+    prior_alternatives,
+    run_score_tests,
+)
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.joint.fit import extended, relax
+from counterspin.inference.joint.fit import augment, estimate_considered
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
-from counterspin.inference.noise.model import WANTED, Noise
+from counterspin.inference.noise.model import ESTIMATE, Noise
 
 TRUTH = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5}
 WHITE = 0.01
@@ -35,7 +40,7 @@ def series():
 
 @pytest.fixture(scope="module")
 def relaxed(series):
-    return relax(fitted(series).fit)
+    return estimate_considered(fitted(series).fit)
 
 
 def without_prior(relaxed, places):
@@ -60,9 +65,9 @@ def test_considered_terms_and_inputs_are_unknowns_with_their_priors(relaxed):
 
 @pytest.mark.parametrize("name", ["Qx.K_F", "Qx.K_I", "run2.platform.tilt.north"])
 def test_a_prior_is_held_to_the_fit_without_it(relaxed, name):
-    held = scores(relaxed, of_priors(relaxed), noise_given=True)
+    held = run_score_tests(relaxed, prior_alternatives(relaxed), noise_given=True)
     place = [other.name for other in held.alternatives].index(name)
-    (unknown,) = held.alternatives[place].priors
+    (unknown,) = held.alternatives[place].prior_shifts
     without = without_prior(relaxed, [unknown]).solution
     prior = relaxed.model.unknowns[unknown]
     apart = float(without.estimate[unknown]) - prior.prior_mean
@@ -71,11 +76,11 @@ def test_a_prior_is_held_to_the_fit_without_it(relaxed, name):
     # The numerical regularisation stands for no prior: 1e-8 of u, and more for what is weak.
     assert held.value[place] == pytest.approx(apart, rel=1e-6)
     assert held.u[place] == pytest.approx(spread * math.sqrt(scale), rel=1e-6)
-    assert held.size[place] == pytest.approx(abs(apart) / spread / math.sqrt(scale), rel=1e-6)
+    assert held.z[place] == pytest.approx(abs(apart) / spread / math.sqrt(scale), rel=1e-6)
 
 
 def test_an_exact_prior_is_held_to_the_fit_with_the_term_unknown(relaxed):
-    held = scores(relaxed, of_priors(relaxed), noise_given=True)
+    held = run_score_tests(relaxed, prior_alternatives(relaxed), noise_given=True)
     place = [other.name for other in held.alternatives].index("Qx.K_III")
     without = without_prior(relaxed, [3]).solution
     scale = max(1.0, without.chi2 / without.dof)
@@ -85,63 +90,63 @@ def test_an_exact_prior_is_held_to_the_fit_with_the_term_unknown(relaxed):
 
 def test_a_column_is_held_to_the_fit_with_it(relaxed):
     outputs = {
-        i: part.series.error for i, part in enumerate(relaxed.prepared) if part.run == "run2"
+        i: part.series.error for i, part in enumerate(relaxed.design_blocks) if part.run == "run2"
     }
-    jumps = {2: (relaxed.prepared[2].series.time > 5.0).astype(float)}
+    jumps = {2: (relaxed.design_blocks[2].series.time > 5.0).astype(float)}
     alternatives = [
         Alternative("jump", "run3", "jump", jumps),
         Alternative("scale", "run2", "scale", outputs),
     ]
-    held = scores(relaxed, alternatives, noise_given=True)
+    held = run_score_tests(relaxed, alternatives, noise_given=True)
     for k, columns in enumerate((jumps, outputs)):
         unknown = Unknown("", "other", (0.0, math.inf), 1.0)
-        whole = extended(relaxed, [unknown], [columns]).solution
+        whole = augment(relaxed, [unknown], [columns]).solution
         scale = max(1.0, whole.chi2 / whole.dof)
         assert held.value[k] == pytest.approx(float(whole.estimate[-1]), rel=1e-6)
         assert held.u[k] == pytest.approx(float(whole.u[-1]) * math.sqrt(scale), rel=1e-6)
         gain = relaxed.solution.chi2 - whole.chi2
-        assert held.size[k] ** 2 * scale == pytest.approx(gain, rel=1e-4, abs=1e-6)
+        assert held.z[k] ** 2 * scale == pytest.approx(gain, rel=1e-4, abs=1e-6)
 
 
 def test_what_the_unknowns_follow_cannot_be_told(relaxed):
-    gravity = relaxed.prepared[0].series.trajectory.site.gravity
-    bias = {i: gravity * part.series.time**2 / 2 for i, part in enumerate(relaxed.prepared)}
+    gravity = relaxed.design_blocks[0].series.trajectory.site.gravity
+    bias = {i: gravity * part.series.time**2 / 2 for i, part in enumerate(relaxed.design_blocks)}
     loose = without_prior(relaxed, [0])
-    held = scores(loose, [Alternative("bias", "Qx", "bias", bias)], noise_given=True)
+    held = run_score_tests(loose, [Alternative("bias", "Qx", "bias", bias)], noise_given=True)
     assert math.isinf(held.u[0])
-    assert held.size[0] == 0.0
-    assert held.tested == 0
+    assert held.z[0] == 0.0
+    assert held.test_count == 0
 
 
 def test_what_is_unstated_is_no_prior_but_a_term_or_an_input_of_another_size(series):
     """Stated priors and unstated sizes are two lists; each alternative is the fit without it."""
     model = Unknowns(
-        (*MODEL.unknowns[:4], replace(TILTS[0], unstated=True), *TILTS[1:]),
-        tuple(replace(other, unstated=True) for other in MODEL.considered),
+        (*MODEL.unknowns[:4], replace(TILTS[0], has_default_prior=True), *TILTS[1:]),
+        tuple(replace(other, has_default_prior=True) for other in MODEL.considered),
     )
-    relaxed = relax(fitted(series, model).fit)
-    alternatives = of_unstated(relaxed)
+    relaxed = estimate_considered(fitted(series, model).fit)
+    alternatives = default_prior_alternatives(relaxed)
     assert [(other.kind, other.name) for other in alternatives] == [
         ("term", "run1.platform.tilt.north"),
         ("term", "Qx.K_PP"),
         ("input", "centrifuge.radius"),
     ]
-    stated = {other.name for other in of_priors(relaxed)}
+    stated = {other.name for other in prior_alternatives(relaxed)}
     assert stated == {
         *("Qx.K_F", "Qx.K_I", "Qx.K_III", "run2.platform.tilt.north", "run3.platform.tilt.north"),
         "platform.tilt.north",
     }
     between = [(-1e-2, 1e-2), (-1e-4, 1e-4), (-0.1, 0.1)]
-    assert [other.between for other in alternatives] == between
-    assert [other.typical for other in alternatives] == [ARCSEC, 1e-6, 1e-5]
-    held = scores(relaxed, alternatives, noise_given=True)
+    assert [other.credible_range for other in alternatives] == between
+    assert [other.default_sd for other in alternatives] == [ARCSEC, 1e-6, 1e-5]
+    held = run_score_tests(relaxed, alternatives, noise_given=True)
     for k, other in enumerate(alternatives):
-        (place,) = other.priors
+        (place,) = other.prior_shifts
         without = without_prior(relaxed, [place]).solution
         spread = math.hypot(float(without.u[place]), relaxed.model.unknowns[place].prior[1])
         scale = max(1.0, without.chi2 / without.dof)
         apart = abs(float(without.estimate[place]))
-        assert held.size[k] == pytest.approx(apart / spread / math.sqrt(scale), rel=1e-6, abs=1e-6)
+        assert held.z[k] == pytest.approx(apart / spread / math.sqrt(scale), rel=1e-6, abs=1e-6)
 
 
 def test_all_runs_are_off_alike(series):
@@ -152,12 +157,12 @@ def test_all_runs_are_off_alike(series):
             *(replace(tilt, prior=(60.0 * ARCSEC, ARCSEC)) for tilt in TILTS),
         ),
     )
-    relaxed = relax(fitted(series, off).fit)
-    held = scores(relaxed, of_priors(relaxed), noise_given=True)
+    relaxed = estimate_considered(fitted(series, off).fit)
+    held = run_score_tests(relaxed, prior_alternatives(relaxed), noise_given=True)
     names = [other.name for other in held.alternatives]
     together = names.index("platform.tilt.north")
     single = [names.index(f"run{i}.platform.tilt.north") for i in (1, 2, 3)]
-    assert held.size[together] > max(held.size[single])
+    assert held.z[together] > max(held.z[single])
     assert abs(held.value[together] + 60.0 * ARCSEC) < 4.0 * held.u[together]
 
 
@@ -172,10 +177,12 @@ def test_sizes_are_those_of_chance_where_all_is_as_assumed():
             "K_I": (TRUTH["K_I"] + 5e-6 * rng.standard_normal(), 5e-6),
         }
         model = Unknowns(unknowns(["K_F", "K_I", "K_II"], priors))
-        relaxed = relax(fitted(drawn, model, WANTED).fit)
+        relaxed = estimate_considered(fitted(drawn, model, ESTIMATE).fit)
         columns = {0: drawn[0].time ** 2}
         own = Alternative("bias", "run1", "bias", columns)
-        sizes.append(scores(relaxed, [*of_priors(relaxed), own], noise_given=False).size)
+        sizes.append(
+            run_score_tests(relaxed, [*prior_alternatives(relaxed), own], noise_given=False).z
+        )
     squares = np.square(sizes)
     # Sums of 60 squares of normal variables: 60 ± sqrt(120), held to 4 standard deviations.
     assert np.all(np.abs(squares.sum(axis=0) - 60.0) < 4.0 * math.sqrt(120.0))

@@ -17,11 +17,11 @@ from joint_campaign import (
     unknowns,
 )
 
-from counterspin.inference.joint.budget import budget, by_kind
+from counterspin.inference.joint.budget import budget, unknown_u_by_category
+from counterspin.inference.joint.design_blocks import build_design_blocks
 from counterspin.inference.joint.fit import solve_joint
-from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import INPUTS, TIMING
-from counterspin.inference.joint.summary import HELD, NOISE, STATED, UNSTATED
+from counterspin.inference.joint.summary import CONSIDERED, DEFAULT_PRIOR, NOISE, STATED
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 
@@ -52,8 +52,8 @@ def model():
             f"platform.tilt.{axis}",
             (0.0, 0.5 * ARCSEC),
             1e-2,
-            asked=False,
-            unstated=axis == "north",
+            is_of_interest=False,
+            has_default_prior=axis == "north",
         )
         for i in (1, 2, 3)
         for axis in ("north", "east")
@@ -63,7 +63,9 @@ def model():
     considered = (
         Considered("Qx", "K_PP", (0.0, 2e-6), 1e-4),
         Considered("Qy", "K_IO", (1e-6, 3e-6), 1e-4),
-        Considered("", "platform.g_sensitivity.zx", (0.0, 0.02 * DEG_H), 10 * DEG_H, unstated=True),
+        Considered(
+            "", "platform.g_sensitivity.zx", (0.0, 0.02 * DEG_H), 10 * DEG_H, has_default_prior=True
+        ),
     )
     return Unknowns((*own, drift, *tilts), (*considered, *held_inputs(SIZES)))
 
@@ -71,9 +73,9 @@ def model():
 @pytest.fixture(scope="module")
 def fit(series, model):
     plain = model.without_inputs()
-    first = solve_joint(prepare_columns(series, plain, SCALES), plain, NOISES)
+    first = solve_joint(build_design_blocks(series, plain, SCALES), plain, NOISES)
     return solve_joint(
-        prepare_columns(series, model, SCALES, first.solution.estimate), model, NOISES
+        build_design_blocks(series, model, SCALES, first.solution.estimate), model, NOISES
     )
 
 
@@ -100,8 +102,8 @@ def test_the_lines_are_the_whole(fit, model):
 def test_kinds_add_up_to_the_parts_of_u(fit, model):
     parts = {
         (NOISE,): fit.solution.covariance_noise,
-        (STATED, UNSTATED): fit.solution.covariance_prior,
-        (HELD,): fit.solution.covariance_considered,
+        (STATED, DEFAULT_PRIOR): fit.solution.covariance_prior,
+        (CONSIDERED,): fit.solution.covariance_considered,
     }
     for index in range(len(model.unknowns)):
         lines = budget(fit, index)
@@ -114,7 +116,9 @@ def test_kinds_add_up_to_the_parts_of_u(fit, model):
 
 def test_u_by_kind_is_that_of_the_lines_and_adds_up(fit, model):
     """What is held counts as stated or not, as it is; of Qx's K_II all three parts matter."""
-    typical = {other.name for other in (*model.unknowns, *model.considered) if other.unstated}
+    typical = {
+        other.name for other in (*model.unknowns, *model.considered) if other.has_default_prior
+    }
     for index, unknown in enumerate(model.unknowns):
         lines = budget(fit, index)
         u = fit.solution.u[index]
@@ -123,7 +127,7 @@ def test_u_by_kind_is_that_of_the_lines_and_adds_up(fit, model):
             sum(x.contribution**2 for x in lines if x.kind != NOISE and x.source not in typical),
             sum(line.contribution**2 for line in lines if line.source in typical),
         ]
-        parts = by_kind(fit, index)
+        parts = unknown_u_by_category(fit, index)
         assert math.hypot(*parts) == pytest.approx(u, rel=1e-10), unknown.name
         assert np.square(parts) == pytest.approx(squares, rel=1e-8, abs=1e-8 * u**2), unknown.name
         if unknown.name == "Qx.K_II":
@@ -149,7 +153,7 @@ def test_every_sensitivity_is_what_the_estimate_does(series, fit, model):
     plain = model.without_inputs()
 
     def estimate(changed, chosen=series):
-        found = solve_joint(prepare_columns(chosen, changed, SCALES), changed, NOISES)
+        found = solve_joint(build_design_blocks(chosen, changed, SCALES), changed, NOISES)
         return found.solution.estimate[index]
 
     base = estimate(plain)
@@ -165,7 +169,7 @@ def test_every_sensitivity_is_what_the_estimate_does(series, fit, model):
                 for u in group
             )
 
-        if line.kind in (STATED, UNSTATED):
+        if line.kind in (STATED, DEFAULT_PRIOR):
             changed = estimate(replace(plain, unknowns=shifted(plain.unknowns)))
         elif line.source == TIMING:
             continue  # its own test goes through the records' angles
@@ -183,7 +187,7 @@ def test_every_sensitivity_is_what_the_estimate_does(series, fit, model):
         derivative = (changed - base) / step
         small = 1e-3 * fit.solution.u[index] / step
         assert derivative == pytest.approx(line.sensitivity, rel=2e-3, abs=small), line.source
-    assert compared == {STATED, UNSTATED, HELD, "input"}
+    assert compared == {STATED, DEFAULT_PRIOR, CONSIDERED, "input"}
 
 
 def test_a_record_in_g_depends_on_the_gravity_assumed():
@@ -195,15 +199,15 @@ def test_a_record_in_g_depends_on_the_gravity_assumed():
     model = Unknowns(unknowns(TRUTH), held_inputs({"site.gravity": 1e-4}))
     plain = model.without_inputs()
     noise = {"Qx": Noise(1e-3)}
-    first = solve_joint(prepare_columns(one, plain, SCALES), plain, noise).solution
-    fit = solve_joint(prepare_columns(one, model, SCALES, first.estimate), model, noise)
+    first = solve_joint(build_design_blocks(one, plain, SCALES), plain, noise).solution
+    fit = solve_joint(build_design_blocks(one, model, SCALES, first.estimate), model, noise)
     step = 1e-3
     moved = []
     for s in one:
         motion = INPUTS["site.gravity"](s.trajectory, step)
         output = (s.error + s.reference()) * (SITE.gravity + step) / SITE.gravity
         moved.append(replace(s, trajectory=motion, error=output - s.reference(motion)))
-    after = solve_joint(prepare_columns(moved, plain, SCALES), plain, noise).solution
+    after = solve_joint(build_design_blocks(moved, plain, SCALES), plain, noise).solution
     np.testing.assert_allclose(
         (after.estimate - first.estimate) / step,
         fit.solution.sensitivity_considered[:, 0],
@@ -215,7 +219,7 @@ def test_a_record_in_g_depends_on_the_gravity_assumed():
 def test_an_unknown_known_exactly_has_no_budget():
     model = Unknowns(unknowns(TRUTH, {"K_F": (5.03e-3, 0.0)}))
     found = solve_joint(
-        prepare_columns(three_rates(TRUTH), model, SCALES), model, {"Qx": Noise(0.01)}
+        build_design_blocks(three_rates(TRUTH), model, SCALES), model, {"Qx": Noise(0.01)}
     )
     assert budget(found, 0) == []
     assert sum(line.share for line in budget(found, 2)) == pytest.approx(1.0, abs=1e-9)

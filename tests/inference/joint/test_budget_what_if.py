@@ -87,7 +87,7 @@ def test_noise_that_does_not_show_follows_the_update():
     column = held.solution.sensitivity_considered[:, 0] * PRIORS["K_PP"]
     plain = fit_of({k: v for k, v in PRIORS.items() if k != "K_PP"})
     # The same rows: K_PP's column is drawn before K_4's.
-    solution = dataclasses.replace(plain.solution, covariance_unseen=np.outer(column, column))
+    solution = dataclasses.replace(plain.solution, covariance_undetected=np.outer(column, column))
     seen = dataclasses.replace(plain, solution=solution)
     expected = asked(held).u("K_II", {"K_OO": 1e-7})
     assert asked(seen).u("K_II", {"K_OO": 1e-7}) == pytest.approx(expected, rel=1e-9)

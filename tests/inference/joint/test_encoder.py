@@ -11,12 +11,12 @@ from scipy.special import stdtrit
 
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.budget import budget
+from counterspin.inference.joint.design_blocks import build_design_blocks
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
-from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.summary import NOISE
 from counterspin.inference.joint.unknowns import Considered, Unknowns
-from counterspin.inference.noise.model import WANTED, Noise
+from counterspin.inference.noise.model import ESTIMATE, Noise
 from counterspin.physics import simulation
 from counterspin.physics.accelerometer import QX
 from counterspin.physics.spindle import Ripple, Spindle, fit_spindle
@@ -124,7 +124,7 @@ def test_columns_are_what_the_simulation_does(observable, attitude):
 def test_terms_over_blocks_are_averaged():
     one = encoded([simulated("run", RATES[2], TRUTH)], 1e-6, np.random.default_rng(2))[0]
     spread = np.full(one.time.size, 2e-3)
-    mean = encoder.columns(replace(one, spread=spread), ["encoder.ripple2.sin"], {"K_I": 0.0})
+    mean = encoder.columns(replace(one, time_sd=spread), ["encoder.ripple2.sin"], {"K_I": 0.0})
     fine = [
         encoder.columns(replace(one, time=one.time + shift), ["encoder.ripple2.sin"], {})
         for shift in (-2e-3, 2e-3)
@@ -138,7 +138,7 @@ def test_terms_over_blocks_are_averaged():
 def chosen(observable, encoder_noise, noise):
     rng = np.random.default_rng(3)
     series = encoded(rippled(observable, 0.0, rng), encoder_noise, rng)
-    model = encoder.with_encoder(MODEL, series, {"Qx": noise})
+    model = encoder.add_encoder_terms(MODEL, series, {"Qx": noise})
     return series, model
 
 
@@ -172,7 +172,7 @@ def test_what_is_left_out_or_considered_is_as_small_as_stated(observable, encode
         for symbol in encoder._symbols(run.angle_error)
     )
     whole = replace(MODEL, considered=every)
-    prepared = prepare_columns(series, whole, {"Qx": TRUTH["K_I"]})
+    prepared = build_design_blocks(series, whole, {"Qx": TRUTH["K_I"]})
     solution = solve_joint(prepared, whole, {"Qx": noise}).solution
     names = [c.name for c in every]
     kept = {c.name for c in model.considered}
@@ -184,9 +184,9 @@ def test_what_is_left_out_or_considered_is_as_small_as_stated(observable, encode
 
 
 def test_a_run_without_an_angle_has_no_terms():
-    assert encoder.with_encoder(MODEL, rippled("velocity", 0.0, np.random.default_rng(4)), {}) is (
-        MODEL
-    )
+    assert encoder.add_encoder_terms(
+        MODEL, rippled("velocity", 0.0, np.random.default_rng(4)), {}
+    ) is (MODEL)
 
 
 # Coverage -----------------------------------------------------------------------------------------
@@ -202,9 +202,9 @@ def hidden(encoder_noise, samples):
     ("observable", "encoder_noise", "request_"),
     [
         ("specific_force", 1e-5, Noise(1e-4, 0.0)),
-        ("specific_force", 1e-5, Noise(WANTED, 0.0)),
+        ("specific_force", 1e-5, Noise(ESTIMATE, 0.0)),
         ("velocity", 1e-4, Noise(1e-4, 0.0)),
-        ("velocity", 1e-4, Noise(WANTED, 0.0)),
+        ("velocity", 1e-4, Noise(ESTIMATE, 0.0)),
         ("displacement", 1e-3, Noise(1e-2, 0.0)),
     ],
 )
@@ -212,7 +212,7 @@ def test_u_covers_what_the_encoder_hides(observable, encoder_noise, request_):
     rng = np.random.default_rng(5)
     noise = Noise(1e-2 if observable == "displacement" else 1e-4)
     # Who takes the rotation as exact need not look for the noise: once is enough.
-    compared = observable != "displacement" and request_.white is not WANTED
+    compared = observable != "displacement" and request_.white is not ESTIMATE
     trials = 2000 if FULL else 40 if compared else 8
     inside, distance, blind = np.zeros(TRUE.size), np.zeros(TRUE.size), np.zeros(TRUE.size)
     for _ in range(trials):
@@ -241,7 +241,7 @@ def test_the_noise_is_not_mistaken():
     rng = np.random.default_rng(6)
     true = rippled("specific_force", hidden(1e-5, 385), rng)
     series = encoded([noisy(one, Noise(1e-4), rng) for one in true], 1e-5, rng)
-    found = estimate(series, MODEL, {"Qx": Noise(WANTED, 0.0)}, reject=False)
+    found = estimate(series, MODEL, {"Qx": Noise(ESTIMATE, 0.0)}, reject=False)
     rows = sum(one.time.size for one in series)
     assert found.fit.noise["Qx"].white == pytest.approx(1e-4, rel=4 / math.sqrt(2 * rows))
 

@@ -20,14 +20,14 @@ from joint_campaign import (
 from scipy.special import stdtrit
 
 from counterspin.errors import ConvergenceError
-from counterspin.inference.joint import used_rows
+from counterspin.inference.joint import outlier_rejection
+from counterspin.inference.joint.design_blocks import build_design_blocks
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
-from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.rotation import find_rotation
 from counterspin.inference.joint.series import TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
-from counterspin.inference.noise.model import WANTED, Noise
+from counterspin.inference.noise.model import ESTIMATE, Noise
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle
 
@@ -48,7 +48,7 @@ def clean():
 
 def bound(series, noise):
     """Standard uncertainties where the noise is known."""
-    prepared = prepare_columns(series, MODEL, {"Qx": TRUTH["K_I"]})
+    prepared = build_design_blocks(series, MODEL, {"Qx": TRUTH["K_I"]})
     return solve_joint(prepared, MODEL, {"Qx": noise}).solution.u
 
 
@@ -56,9 +56,9 @@ def bound(series, noise):
 @pytest.mark.parametrize(
     ("noise", "request_", "trials"),
     [
-        (WHITE, Noise(WANTED, 0.0), 4000 if FULL else 30),
-        (MIXED, Noise(WANTED, WANTED), 4000 if FULL else 10),
-        (MIXED, Noise(0.01, WANTED), 4000 if FULL else 8),
+        (WHITE, Noise(ESTIMATE, 0.0), 4000 if FULL else 30),
+        (MIXED, Noise(ESTIMATE, ESTIMATE), 4000 if FULL else 10),
+        (MIXED, Noise(0.01, ESTIMATE), 4000 if FULL else 8),
     ],
     ids=["white", "mixed", "white given"],
 )
@@ -70,7 +70,7 @@ def test_with_estimated_noise_the_bound_is_reached_and_students_intervals_cover(
     for row in range(trials):
         drawn = [noisy(one, noise, rng) for one in clean]
         found = estimate(drawn, MODEL, {"Qx": request_}, reject=False)
-        assert found.components["Qx"].dropped == ()
+        assert found.estimated_noise["Qx"].dropped == ()
         error[row] = found.fit.solution.estimate - TRUE
         u[row], dof[row] = found.fit.solution.u, found.dof
     # Estimated weights cost a little where few degrees of freedom lie behind them.
@@ -95,7 +95,7 @@ def test_given_noise_is_taken_as_it_is(clean):
     drawn = [noisy(one, WHITE, rng) for one in clean]
     found = estimate(drawn, MODEL, {"Qx": Noise(0.02, 0.0)})
     assert found.fit.noise == {"Qx": Noise(0.02)}
-    assert not found.components
+    assert not found.estimated_noise
     assert np.isinf(found.dof).all()
     np.testing.assert_allclose(found.fit.solution.u, 2 * bound(clean, WHITE), rtol=1e-6)
 
@@ -105,12 +105,12 @@ def test_a_component_that_is_not_there_is_dropped_and_costs_nothing(clean):
     (trials, most), kept = (20, 4) if FULL else (10, 3), 0
     for _ in range(trials):
         drawn = [noisy(one, WHITE, rng) for one in clean]
-        found = estimate(drawn, MODEL, {"Qx": Noise(WANTED, WANTED)}, reject=False)
-        kept += "random_walk" in found.components["Qx"].estimated
-        if found.components["Qx"].dropped:
-            assert found.components["Qx"].dropped == ("random_walk",)
+        found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE, ESTIMATE)}, reject=False)
+        kept += "random_walk" in found.estimated_noise["Qx"].estimated
+        if found.estimated_noise["Qx"].dropped:
+            assert found.estimated_noise["Qx"].dropped == ("random_walk",)
             # Its weights are those of white noise; what may not show is beside them in u.
-            solution = replace(found.fit.solution, covariance_unseen=None)
+            solution = replace(found.fit.solution, covariance_undetected=None)
             alone = bound(clean, Noise(found.fit.noise["Qx"].white))
             np.testing.assert_allclose(solution.u, alone, rtol=1e-5)
             assert found.fit.solution.u[0] > 1.05 * alone[0]
@@ -118,7 +118,7 @@ def test_a_component_that_is_not_there_is_dropped_and_costs_nothing(clean):
     assert kept <= most
 
 
-@pytest.mark.parametrize("white", [WANTED, 2e-3])
+@pytest.mark.parametrize("white", [ESTIMATE, 2e-3])
 def test_quantisation_larger_than_the_noise(white):
     step, noise = 0.01, Noise(2e-3)
     # 31.4 samples a revolution, so that the steps do not fall alike in every revolution.
@@ -149,7 +149,7 @@ def test_what_is_known_of_a_considered_term_is_taken_away_before_the_noise_is_es
         unknowns(("K_I", "K_II", "K_III")), (Considered("Qx", "K_F", PRIORS["K_F"], 0.1),)
     )
     drawn = [noisy(one, WHITE, np.random.default_rng(15)) for one in clean]
-    found = estimate(drawn, model, {"Qx": Noise(WANTED, 0.0)})
+    found = estimate(drawn, model, {"Qx": Noise(ESTIMATE, 0.0)})
     # 5 mg in 48 s are 57 m.
     assert found.fit.noise["Qx"].white == pytest.approx(0.01, rel=4 / math.sqrt(2 * 570))
 
@@ -159,13 +159,13 @@ def test_a_delay_within_its_uncertainty_is_no_noise_and_hides_no_outlier(clean, 
     """Angles are taken 6 ms late, known to 5 ms: 0.1 m at the highest rate, ten times the noise."""
     rng = np.random.default_rng(20)
     late = [
-        replace(one, error=one.error + one.reference() - one.reference(later=6e-3)) for one in clean
+        replace(one, error=one.error + one.reference() - one.reference(delay=6e-3)) for one in clean
     ]
     drawn = [noisy(one, WHITE, rng) for one in late]
     drawn[2].error[100] += 0.15
     delay = held_inputs({TIMING: 5e-3})
     model = Unknowns(MODEL.unknowns, delay) if held else Unknowns((*MODEL.unknowns, *delay))
-    found = estimate(drawn, model, {"Qx": Noise(WANTED, 0.0)})
+    found = estimate(drawn, model, {"Qx": Noise(ESTIMATE, 0.0)})
     assert found.fit.noise["Qx"].white == pytest.approx(0.01, rel=4 / math.sqrt(2 * 570))
     assert [np.flatnonzero(mask).tolist() for mask in found.outliers] == [[], [], [100]]
 
@@ -178,8 +178,10 @@ def test_spikes_among_the_first_few_rows_leave_no_input_s_derivative_where_they_
         one.error[::97] += 2e3
     found = estimate(drawn, model, {"Qx": WHITE})
     at, k = found.fit.solution.estimate, 1.0 + found.fit.solution.estimate[1]
-    kept = [one.without(mask) for one, mask in zip(drawn, found.outliers, strict=True)]
-    again = solve_joint(prepare_columns(kept, model, {"Qx": k}, at), model, {"Qx": WHITE}).solution
+    kept = [one.drop_rows(mask) for one, mask in zip(drawn, found.outliers, strict=True)]
+    again = solve_joint(
+        build_design_blocks(kept, model, {"Qx": k}, at), model, {"Qx": WHITE}
+    ).solution
     assert np.max(np.abs(at - again.estimate) / again.u) < 1e-3
     np.testing.assert_allclose(found.fit.solution.u, again.u, rtol=1e-3)
 
@@ -188,11 +190,11 @@ def test_noise_of_the_time_stamps_counts_once(clean):
     rng = np.random.default_rng(16)
     drawn = []
     for rank, one in enumerate(clean):
-        series = one.with_timing(5e-4 * rank)
+        series = one.with_timestamp_noise(5e-4 * rank)
         late = np.sqrt(series.jitter_variance) * rng.standard_normal(one.time.size)
         drawn.append(noisy(replace(series, error=one.error + late), WHITE, rng))
     rows = sum(one.time.size for one in drawn)
-    for request in (Noise(WANTED, 0.0), Noise(WANTED, WANTED), Noise(0.01, 0.0)):
+    for request in (Noise(ESTIMATE, 0.0), Noise(ESTIMATE, ESTIMATE), Noise(0.01, 0.0)):
         found = estimate(drawn, MODEL, {"Qx": request})
         assert found.fit.noise["Qx"].white == pytest.approx(0.01, rel=6 / math.sqrt(2 * rows))
         chi2 = found.fit.solution.chi2 / found.fit.solution.dof
@@ -212,7 +214,7 @@ def test_two_accelerometers_estimate_their_own_noise_and_share_the_platform():
     drawn = [noisy(one, levels[one.accelerometer], rng) for one in series]
     drift = Unknown("", "platform.drift.up", NOTHING, 10 * DEG_H)
     model = Unknowns((*unknowns(TRUTH), *unknowns(TRUTH, owner="Qy"), drift))
-    both = {"Qx": Noise(WANTED, 0.0), "Qy": Noise(WANTED, 0.0)}
+    both = {"Qx": Noise(ESTIMATE, 0.0), "Qy": Noise(ESTIMATE, 0.0)}
     found = estimate(drawn, model, both)
     for name, level in levels.items():
         assert found.fit.noise[name].white == pytest.approx(level.white, rel=0.12)
@@ -227,9 +229,9 @@ def test_two_accelerometers_estimate_their_own_noise_and_share_the_platform():
         parts.append((weight / solo.fit.solution.u[-1] ** 2, solo.dof[-1]))
     # Welch and Satterthwaite: 1/dof is the sum of (share^2/dof).
     assert 1 / shared == pytest.approx(sum(share**2 / dof for share, dof in parts), rel=0.02)
-    given = estimate(drawn, model, {"Qx": Noise(0.01, 0.0), "Qy": Noise(WANTED, 0.0)})
+    given = estimate(drawn, model, {"Qx": Noise(0.01, 0.0), "Qy": Noise(ESTIMATE, 0.0)})
     assert np.isinf(given.dof[:4]).all() or (given.dof[:4] > 1e5).all()
-    assert set(given.components) == {"Qy"}
+    assert set(given.estimated_noise) == {"Qy"}
 
 
 def test_platform_errors_are_seen_through_the_scale_factor_that_was_found():
@@ -287,7 +289,7 @@ def test_the_rotation_is_found_from_the_displacement(start, rate_error, drift, r
         drawn = [noisy(one, WHITE, rng) for one in series]
         found = estimate(drawn, model, {"Qx": Noise(0.01, 0.0)})
         z.append((found.fit.solution.estimate[:4] - TRUE) / found.fit.solution.u[:4])
-        for one, rate in zip(found.fit.prepared, RATES, strict=True):
+        for one, rate in zip(found.fit.design_blocks, RATES, strict=True):
             spindle = one.series.trajectory.spindle
             turn = math.remainder(spindle.start_angle - start, 2 * math.pi)
             index = [u.name for u in model.unknowns].index(f"{one.series.run}.spindle.start_angle")
@@ -339,7 +341,7 @@ def test_spikes_and_gaps_leave_k_ii_within_its_uncertainty(clean):
             dirty = noisy(one, WHITE, rng)
             spikes = rng.random(n) < 0.005
             size = np.exp(rng.uniform(math.log(0.1), math.log(5.0), n)) * rng.choice([-1, 1], n)
-            dirty = replace(dirty, error=dirty.error + spikes * size).without(gap)
+            dirty = replace(dirty, error=dirty.error + spikes * size).drop_rows(gap)
             drawn.append(dirty)
             masks.append(spikes[~gap])
         found = estimate(drawn, MODEL, {"Qx": Noise(0.01, 0.0)})
@@ -349,7 +351,7 @@ def test_spikes_and_gaps_leave_k_ii_within_its_uncertainty(clean):
         missed += (planted & ~seen).sum()
         false_alarms += (seen & ~planted).sum()
         z.append((found.fit.solution.estimate - TRUE) / found.fit.solution.u)
-        for one, mask, data in zip(found.fit.prepared, found.outliers, drawn, strict=True):
+        for one, mask, data in zip(found.fit.design_blocks, found.outliers, drawn, strict=True):
             np.testing.assert_array_equal(one.series.time, data.time[~mask])
     # Ten standard deviations and more: all are found; 0.01 good samples of a series are lost.
     assert planted_in_all > 100
@@ -381,17 +383,17 @@ def test_an_accelerometer_s_walk_is_not_outlying(observable, noise):
     assert rejected <= 2
 
 
-@pytest.mark.parametrize("white", [WANTED, 0.02])
+@pytest.mark.parametrize("white", [ESTIMATE, 0.02])
 def test_noise_of_the_time_stamps_goes_with_the_slope(white):
     """It is less than the white noise at the lowest rate, and forty times it at the highest."""
     rng = np.random.default_rng(22)
     timing, drawn = 2e-3, []
     for i, rate in enumerate(RATES):
         one = simulated(f"run{i}", rate, TRUTH, observable="specific_force")
-        slope = (one.reference(later=1e-4) - one.reference(later=-1e-4)) / 2e-4
+        slope = (one.reference(delay=1e-4) - one.reference(delay=-1e-4)) / 2e-4
         late = timing * rng.standard_normal(one.time.size)
         moved = noisy(replace(one, error=one.error + slope * late), Noise(0.02), rng)
-        drawn.append(moved.with_timing(timing))
+        drawn.append(moved.with_timestamp_noise(timing))
     found = estimate(drawn, MODEL, {"Qx": Noise(white, 0.0)})
     solution = found.fit.solution
     assert found.fit.noise["Qx"].white == pytest.approx(0.02, rel=0.2)
@@ -407,13 +409,13 @@ def test_good_samples_that_an_earlier_model_made_stand_out_are_taken_back(clean)
     drawn[2].error[100] += 0.15
     outliers = [np.zeros(one.time.size, dtype=bool) for one in drawn]
     outliers[2][50:101] = True
-    prepared = prepare_columns(drawn, MODEL, {"Qx": TRUTH["K_I"]})
-    kept = [part.without(mask) for part, mask in zip(prepared, outliers, strict=True)]
+    prepared = build_design_blocks(drawn, MODEL, {"Qx": TRUTH["K_I"]})
+    kept = [part.drop_rows(mask) for part, mask in zip(prepared, outliers, strict=True)]
     fit = solve_joint(kept, MODEL, {"Qx": WHITE})
     noise, outliers = {"Qx": Noise(0.01, 0.0)}, tuple(outliers)
-    again, left = used_rows.taken_back(fit, (prepared, MODEL), drawn, noise, outliers)
+    again, left = outlier_rejection.reinstate_rows(fit, (prepared, MODEL), drawn, noise, outliers)
     assert [np.flatnonzero(mask).tolist() for mask in left] == [[], [], [100]]
-    only = [part.without(mask) for part, mask in zip(prepared, left, strict=True)]
+    only = [part.drop_rows(mask) for part, mask in zip(prepared, left, strict=True)]
     expected = solve_joint(only, MODEL, {"Qx": WHITE}).solution
     np.testing.assert_allclose(again.solution.u, expected.u, rtol=1e-9)
     np.testing.assert_allclose(again.solution.estimate, expected.estimate, rtol=1e-6, atol=1e-12)

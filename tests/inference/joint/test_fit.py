@@ -26,9 +26,9 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.inference.diagnostics import SIGNIFICANCE, diagnose
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess
+from counterspin.inference.joint.design_blocks import build_design_blocks, update_design_blocks
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
-from counterspin.inference.joint.prepared import prepare_columns, prepared_for
 from counterspin.inference.joint.series import INPUTS, TIMING
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
@@ -81,7 +81,7 @@ def dense_bound(prepared, model, noise):
 def paper():
     """The paper's four coefficients at its three rates, without noise."""
     model = Unknowns(unknowns(TRUTH, PRIORS))
-    return model, prepare_columns(three_rates(TRUTH), model, SCALES)
+    return model, build_design_blocks(three_rates(TRUTH), model, SCALES)
 
 
 @pytest.mark.slow
@@ -132,7 +132,7 @@ def test_a_considered_term_drawn_from_its_prior_is_covered_by_u_and_not_by_u_noi
         Considered(f"run{i}", "platform.tilt.north", (0.0, 0.5 * ARCSEC), 1e-2) for i in (1, 2, 3)
     ]
     considering = replace(model, considered=(k_oo, *tilts))
-    prepared = prepare_columns(three_rates(TRUTH), considering, SCALES)
+    prepared = build_design_blocks(three_rates(TRUTH), considering, SCALES)
     rng = np.random.default_rng(2)
     z = np.empty((TRIALS, 2))
     for row in z:
@@ -178,7 +178,7 @@ def both(kind, owner_prior=(0.0, 2e-6), gyro_prior=(0.0, 0.05 * DEG_H)):
 
 
 def k_ii_of(series, model, noise=WHITE):
-    fit = solve_joint(prepare_columns(series, model, SCALES), model, {"Qx": noise})
+    fit = solve_joint(build_design_blocks(series, model, SCALES), model, {"Qx": noise})
     index = [u.name for u in model.unknowns].index("Qx.K_II")
     return fit.solution, index, fit.solution.estimate[index] - TRUTH["K_II"]
 
@@ -260,7 +260,7 @@ def test_two_accelerometers_share_the_platform():
     def drift_of(names):
         model = Unknowns((*(u for name in names for u in own[name]), *shared))
         chosen = [one for name in names for one in series[name]]
-        fit = solve_joint(prepare_columns(chosen, model, SCALES), model, noise)
+        fit = solve_joint(build_design_blocks(chosen, model, SCALES), model, noise)
         index = [u.symbol for u in model.unknowns].index("platform.drift.up")
         estimate, u = fit.solution.estimate[index], fit.solution.u[index]
         assert estimate == pytest.approx(2e-8, abs=0.2 * u)
@@ -299,7 +299,7 @@ def test_three_attitudes_separate_the_three_squares():
         for i, rate in enumerate(RATES)
     ]
     level, tipped = (
-        solve_joint(prepare_columns(chosen, model, SCALES), model, {"Qx": WHITE}).solution
+        solve_joint(build_design_blocks(chosen, model, SCALES), model, {"Qx": WHITE}).solution
         for chosen in (series[:3], series)
     )
     names = [u.name for u in model.unknowns]
@@ -333,7 +333,7 @@ def test_three_attitudes_separate_the_three_squares():
 )
 def test_every_observable_shows_the_same_truth(observable, noise):
     model = Unknowns(unknowns(TRUTH))
-    clean = prepare_columns(three_rates(TRUTH, observable=observable), model, SCALES)
+    clean = build_design_blocks(three_rates(TRUTH, observable=observable), model, SCALES)
     solution = solve_joint(clean, model, {"Qx": noise}).solution
     # The truth is linear in these coefficients: without noise nothing but rounding is left.
     assert (np.abs(solution.estimate - offsets(model, TRUTH)) < 1e-6 * solution.u).all()
@@ -347,7 +347,7 @@ def test_every_observable_shows_the_same_truth(observable, noise):
         misfit += fit.solution.chi2
     for chi2, dof in ((distance, trials * len(TRUTH)), (misfit, trials * fit.solution.dof)):
         assert abs(chi2 - dof) < 4 * math.sqrt(2 * dof)
-    left, rows = fit.residuals[0].plain, fit.residuals[0].whitened
+    left, rows = fit.residuals[0].unweighted, fit.residuals[0].whitened
     assert left.shape == clean[0].series.time.shape
     assert rows.std() == pytest.approx(1.0, abs=4 / math.sqrt(2 * rows.size))
 
@@ -362,7 +362,7 @@ def test_k_i_and_k_ip_are_named_and_only_their_difference_is_determined(name):
     # As many samples and revolutions as the real campaign; u(K_IP) of Qy is then 1.7e-4.
     series = three_rates(truth, accelerometer=name, revolutions=100, per_revolution=64)
     solution = solve_joint(
-        prepare_columns(series, model, {name: 1.0}), model, {name: WHITE}
+        build_design_blocks(series, model, {name: 1.0}), model, {name: WHITE}
     ).solution
     said = assess(
         solution,
@@ -384,7 +384,7 @@ def test_bias_and_its_likes_are_one_combination():
     model = Unknowns((*unknowns(symbols), tilt))
     truth = {"K_F": 5e-3, "K_I": 1.002, "K_II": 2e-5, "K_PP": 3e-6}
     solution = solve_joint(
-        prepare_columns(three_rates(truth), model, SCALES), model, {"Qx": WHITE}
+        build_design_blocks(three_rates(truth), model, SCALES), model, {"Qx": WHITE}
     ).solution
     names = [u.symbol for u in model.unknowns]
     said = assess(solution, names, nominal=[u.nominal for u in model.unknowns])
@@ -407,10 +407,12 @@ def test_a_run_left_out_is_the_fit_without_its_records(paper):
     rng = np.random.default_rng(6)
     fit = solve_joint(redrawn(prepared, WHITE, rng), model, {"Qx": WHITE})
     without = fit.without_run("run2")
-    direct = solve_joint([fit.prepared[0], fit.prepared[2]], model, {"Qx": WHITE}).solution
+    direct = solve_joint(
+        [fit.design_blocks[0], fit.design_blocks[2]], model, {"Qx": WHITE}
+    ).solution
     np.testing.assert_allclose(without.estimate, direct.estimate, rtol=1e-12)
     np.testing.assert_allclose(without.covariance, direct.covariance, rtol=1e-12)
-    alone = replace(fit, observations=fit.prepared[:1], blocks=fit.blocks[:1])
+    alone = replace(fit, observations=fit.design_blocks[:1], blocks=fit.blocks[:1])
     assert alone.without_run("run1") is None
 
 
@@ -418,7 +420,7 @@ def test_other_noise_of_one_accelerometer_is_the_fit_with_that_noise():
     model = Unknowns(tuple(u for name in SCALES for u in unknowns(("K_F", "K_I"), owner=name)))
     truth = {s: TRUTH[s] for s in ("K_F", "K_I")}
     series = [one for name in SCALES for one in three_rates(truth, accelerometer=name)]
-    prepared = prepare_columns(series, model, SCALES)
+    prepared = build_design_blocks(series, model, SCALES)
     fit = solve_joint(prepared, model, {"Qx": WHITE, "Qy": MIXED})
     changed = fit.with_noise({"Qy": WHITE})
     direct = solve_joint(prepared, model, {"Qx": WHITE, "Qy": WHITE})
@@ -433,8 +435,8 @@ def test_another_level_of_white_noise_is_the_fit_with_that_noise(level):
         unknowns(("K_F", "K_I", "K_II")), (Considered("Qx", "K_III", (0.0, 1e-7), 1e-4),)
     )
     # Of time stamps' noise the runs have differently much.
-    series = [one.with_timing(1e-3 * i) for i, one in enumerate(three_rates(TRUTH))]
-    prepared = redrawn(prepare_columns(series, model, SCALES), WHITE, np.random.default_rng(8))
+    series = [one.with_timestamp_noise(1e-3 * i) for i, one in enumerate(three_rates(TRUTH))]
+    prepared = redrawn(build_design_blocks(series, model, SCALES), WHITE, np.random.default_rng(8))
     changed = solve_joint(prepared, model, {"Qx": WHITE}).with_noise({"Qx": level})
     direct = solve_joint(prepared, model, {"Qx": level})
     np.testing.assert_allclose(changed.solution.covariance, direct.solution.covariance, rtol=1e-10)
@@ -461,7 +463,7 @@ def test_residuals_are_what_was_drawn_less_what_the_fit_can_explain(paper):
         )
         # Block by block, the same sum of squares as the solution's own.
         assert rss + priors == pytest.approx(fit.solution.chi2, rel=1e-9)
-        plain = fit.residuals[0].plain
+        plain = fit.residuals[0].unweighted
         own = np.column_stack([np.ones(plain.size), prepared[0].series.time])
         if noise is WHITE:
             assert np.abs(own.T @ plain).max() < 1e-8 * np.abs(own.T).max() * plain.size
@@ -469,7 +471,7 @@ def test_residuals_are_what_was_drawn_less_what_the_fit_can_explain(paper):
 
 def test_block_means_lose_nothing_of_k_ii():
     dense = [
-        one.without(one.time == one.time[-1])
+        one.drop_rows(one.time == one.time[-1])
         for one in three_rates(TRUTH, per_revolution=320, revolutions=6)
     ]
     size = 5  # 64 blocks a revolution
@@ -480,7 +482,7 @@ def test_block_means_lose_nothing_of_k_ii():
             replace(
                 one,
                 time=whole.mean(axis=1),
-                spread=whole.std(axis=1),
+                time_sd=whole.std(axis=1),
                 count=np.full(len(whole), float(size)),
                 error=one.error.reshape(-1, size).mean(axis=1),
             )
@@ -489,7 +491,7 @@ def test_block_means_lose_nothing_of_k_ii():
     (percent,) = told("campaign", "u of K_II is larger by less than {} %")
     for noise in (WHITE, MIXED):
         full, means = (
-            solve_joint(prepare_columns(s, model, SCALES), model, {"Qx": noise}).solution
+            solve_joint(build_design_blocks(s, model, SCALES), model, {"Qx": noise}).solution
             for s in (dense, blocks)
         )
         np.testing.assert_allclose(means.estimate, full.estimate, atol=2e-4 * full.u.min())
@@ -501,9 +503,9 @@ def test_block_means_lose_nothing_of_k_ii():
 def test_a_record_too_short_for_its_own_start_is_refused():
     model = Unknowns(unknowns(("K_F", "K_II")))
     short = simulated("run1", 2.0, {}, revolutions=1, per_revolution=1)
-    short = short.without(np.array([True, False]))
+    short = short.drop_rows(np.array([True, False]))
     with pytest.raises(NotIdentifiableError, match="too short"):
-        solve_joint(prepare_columns([short], model, SCALES), model, {"Qx": WHITE})
+        solve_joint(build_design_blocks([short], model, SCALES), model, {"Qx": WHITE})
 
 
 # Uncertain inputs ---------------------------------------------------------------------------------
@@ -516,11 +518,11 @@ def test_preparing_again_gives_what_preparing_anew_does():
     series = three_rates(TRUTH)
     before = Unknowns((*unknowns(TRUTH, PRIORS), tilt), (gyro,))
     after = replace(before, considered=(k_oo, gyro, *held_inputs({"centrifuge.radius": 1e-4})))
-    fit = solve_joint(prepare_columns(series, before, SCALES), before, {"Qx": WHITE})
+    fit = solve_joint(build_design_blocks(series, before, SCALES), before, {"Qx": WHITE})
     other = {"Qx": 1.5}
     known = dict(zip(before.unknowns, fit.solution.estimate.tolist(), strict=True))
-    again = prepared_for(fit.prepared, before, after, other, known)
-    anew = prepare_columns(series, after, other, fit.solution.estimate)
+    again = update_design_blocks(fit.design_blocks, before, after, other, known)
+    anew = build_design_blocks(series, after, other, fit.solution.estimate)
     for one, two in zip(again, anew, strict=True):
         assert (one.scale_factor, one.unknowns, one.considered) == (
             two.scale_factor,
@@ -546,8 +548,8 @@ def test_sensitivity_to_an_input_is_what_the_estimate_does_when_it_changes():
     model = Unknowns(unknowns(TRUTH, PRIORS), held_inputs(sizes))
     plain = model.without_inputs()
     noise = {"Qx": WHITE}
-    first = solve_joint(prepare_columns(series, plain, SCALES), plain, noise).solution
-    fit = solve_joint(prepare_columns(series, model, SCALES, first.estimate), model, noise)
+    first = solve_joint(build_design_blocks(series, plain, SCALES), plain, noise).solution
+    fit = solve_joint(build_design_blocks(series, model, SCALES, first.estimate), model, noise)
 
     def assumed(name, size):
         """The estimate from the same output when another value of the input is taken."""
@@ -565,7 +567,7 @@ def test_sensitivity_to_an_input_is_what_the_estimate_does_when_it_changes():
                 motion = INPUTS[name](one.trajectory, size)
             error = one.error + one.reference() - one.reference(motion)
             moved.append(replace(one, trajectory=motion, error=error))
-        prepared = prepare_columns(moved, plain, SCALES)
+        prepared = build_design_blocks(moved, plain, SCALES)
         return solve_joint(prepared, plain, noise).solution.estimate
 
     for place, (name, size) in enumerate(sizes.items()):
@@ -625,7 +627,7 @@ def test_an_input_with_a_prior_is_estimated_as_by_dense_least_squares(noise):
     p = len(known)
     covariance = (normal / scale / scale[:, None])[:p, :p]
 
-    inputs = [Unknown("", s, (0.0, u), 0.1, asked=False) for s, u in sizes.items()]
+    inputs = [Unknown("", s, (0.0, u), 0.1, is_of_interest=False) for s, u in sizes.items()]
     model = Unknowns((*unknowns(TRUTH, PRIORS), *inputs))
     request = {"Qx": Noise(noise.white, noise.random_walk)}
     solution = estimate(series, model, request, reject=False).fit.solution
@@ -656,7 +658,7 @@ def test_what_gravity_does_to_a_record_in_g_has_none_of_its_noise():
         replace(one, error=one.error + 0.01 * rng.standard_normal(one.time.size)) for one in clean
     ]
     columns = [
-        [part.fixed for part in prepare_columns(series, model, {"Qx": 1.0}, true)]
+        [part.fixed for part in build_design_blocks(series, model, {"Qx": 1.0}, true)]
         for series in (clean, noisy)
     ]
     for one, same, other in zip(clean, *columns, strict=True):
@@ -679,7 +681,7 @@ def test_freedom_is_what_chi_square_comes_to_in_each_run():
         )
     )
     rng = np.random.default_rng(23)
-    clean = prepare_columns(three_rates(TRUTH, revolutions=2, per_revolution=6), model, SCALES)
+    clean = build_design_blocks(three_rates(TRUTH, revolutions=2, per_revolution=6), model, SCALES)
     sd = np.array([u.prior[1] if np.isfinite(u.prior[1]) else 0.0 for u in model.unknowns])
     trials, sums = 700, np.zeros(3)
     for _ in range(trials):
@@ -712,7 +714,7 @@ def test_a_considered_term_within_its_uncertainty_is_no_lack_of_fit(noise):
         Considered(f"run{i}", "platform.tilt.north", (0.0, 30 * ARCSEC), 1e-2) for i in (1, 2, 3)
     )
     model = Unknowns(own, tilts)
-    clean = prepare_columns(three_rates(TRUTH, revolutions=6, per_revolution=16), model, SCALES)
+    clean = build_design_blocks(three_rates(TRUTH, revolutions=6, per_revolution=16), model, SCALES)
     rng = np.random.default_rng(31)
     trials, alarms, p_values, naive = 300 if FULL else 60, 0, [], 0
     for _ in range(trials):

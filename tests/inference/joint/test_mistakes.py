@@ -9,9 +9,9 @@ from joint_campaign import RATES, simulated, three_rates, unknowns
 from scipy import integrate, stats
 
 from counterspin.inference.joint import mistakes
-from counterspin.inference.joint.alternatives import Alternative, scores
+from counterspin.inference.joint.alternatives import Alternative, run_score_tests
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.joint.fit import relax
+from counterspin.inference.joint.fit import estimate_considered
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import Noise
 
@@ -21,8 +21,8 @@ SIZE = 30e-6  # g
 
 def held(records):
     """Return steps in the records, held against their fit, and its noise."""
-    fit = relax(estimate(records, MODEL, {"Qx": Noise(0.01, 0.0)}, reject=False).fit)
-    return scores(fit, tuple(mistakes.jumps(fit, 9)), noise_given=True)
+    fit = estimate_considered(estimate(records, MODEL, {"Qx": Noise(0.01, 0.0)}, reject=False).fit)
+    return run_score_tests(fit, tuple(mistakes.changepoints(fit, 9)), noise_given=True)
 
 
 @pytest.fixture(scope="module")
@@ -39,10 +39,10 @@ def test_a_step_of_the_bias_is_found_where_and_as_large_as_it_is(sound):
         later = np.maximum(last.time - at, 0.0)
         fallen = SIZE * last.trajectory.site.gravity * later**2 / 2.0
         every = held([*others, replace(last, error=last.error + fallen)])
-        best = int(np.argmax(every.size))
+        best = int(np.argmax(every.z))
         other = every.alternatives[best]
         assert (other.kind, other.owner) == (mistakes.BIAS_STEP, f"{last.run}.Qx")
-        assert other.at == pytest.approx(at, abs=1e-9 * high)
+        assert other.time == pytest.approx(at, abs=1e-9 * high)
         assert float(every.value[best]) == pytest.approx(SIZE, rel=1e-3)
 
 
@@ -57,16 +57,18 @@ def test_a_low_pass_is_found_with_its_time_constant(observable):
         wave -= wave.mean()
         gain = 1.0 / math.sqrt(1.0 + (rate * tau) ** 2)
         records.append(replace(one, error=one.error + (gain - 1.0) * wave))
-    fit = relax(estimate(records, MODEL, {"Qx": Noise(1e-4, 0.0)}, reject=False).fit)
-    others = mistakes.of_records(fit, {"Qx": 1.7e-9}, angle_recorded=True)
-    every = scores(fit, tuple(others), noise_given=True)
-    best = int(np.argmax(every.size))
+    fit = estimate_considered(estimate(records, MODEL, {"Qx": Noise(1e-4, 0.0)}, reject=False).fit)
+    others = mistakes.record_mistakes(fit, {"Qx": 1.7e-9}, angle_recorded=True)
+    every = run_score_tests(fit, tuple(others), noise_given=True)
+    best = int(np.argmax(every.z))
     assert every.alternatives[best].name == "Qx.response"
     assert float(every.value[best]) == pytest.approx(tau**2, rel=0.01)
 
 
 def of_term(typical, value, u):
-    return mistakes.log_evidence(Alternative("term", "Qx", "K_OO", typical=typical), value, u)
+    return mistakes.log_bayes_factor(
+        Alternative("term", "Qx", "K_OO", default_sd=typical), value, u
+    )
 
 
 @pytest.mark.parametrize("value", [5e-7, 2e-6, 1e-5])
@@ -92,7 +94,7 @@ def test_the_nearer_to_its_typical_size_the_likelier():
 
 def test_a_mistake_is_of_any_size():
     def of_mistake(kind, value):
-        return mistakes.log_evidence(Alternative(kind, "Qx", "scale"), value, 1e-3 * value)
+        return mistakes.log_bayes_factor(Alternative(kind, "Qx", "scale"), value, 1e-3 * value)
 
     assert of_mistake(mistakes.SCALE, 1e-5) == pytest.approx(of_mistake(mistakes.SCALE, 0.1))
     assert of_mistake(mistakes.JUMP, 0.1) < of_mistake(mistakes.SCALE, 0.1)
@@ -100,9 +102,11 @@ def test_a_mistake_is_of_any_size():
 
 def test_what_is_stated_may_be_mistaken_and_what_is_not_stated_may_not():
     # A radius of 10 cm off is no typical error, but a mistaken digit; nobody writes a clock down.
-    radius = Alternative("input", "", "centrifuge.radius", typical=1e-5, stated=True)
-    clock = Alternative("input", "", "records.clock", typical=2e-5)
-    assert mistakes.log_evidence(radius, 0.1, 1e-4) > mistakes.log_evidence(clock, 0.005, 5e-6)
+    radius = Alternative("input", "", "centrifuge.radius", default_sd=1e-5, stated=True)
+    clock = Alternative("input", "", "records.clock", default_sd=2e-5)
+    assert mistakes.log_bayes_factor(radius, 0.1, 1e-4) > mistakes.log_bayes_factor(
+        clock, 0.005, 5e-6
+    )
 
 
 def test_what_cannot_be_told_is_the_last():

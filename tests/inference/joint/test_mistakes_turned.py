@@ -8,8 +8,8 @@ import pytest
 from joint_campaign import noisy, three_rates, unknowns
 
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.joint.fit import relax
-from counterspin.inference.joint.mistakes import ACROSS, turned, with_turned
+from counterspin.inference.joint.fit import estimate_considered
+from counterspin.inference.joint.mistakes import ACROSS, rotate_mounting, with_rotated_mounting
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.accelerometer import QX, Mounting
@@ -33,7 +33,7 @@ def test_the_terms_across_the_input_axis():
 
 @pytest.mark.parametrize("quarters", POINTS)
 def test_a_quarter_turns_pendulous_to_output_axis(quarters):
-    other = turned(QX, quarters)
+    other = rotate_mounting(QX, quarters)
     np.testing.assert_allclose(
         other.matrix, Mounting.from_axes("east", POINTS[quarters]).matrix, atol=1e-15
     )
@@ -47,12 +47,12 @@ def test_it_is_the_fit_of_the_other_mounting(observable, quarters):
     truth = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5, "K_OO": 2e-6, "K_IO": 3e-6}
     series = [noisy(one, Noise(white), rng) for one in three_rates(truth, observable=observable)]
     request = {"Qx": Noise(white, 0.0)}
-    found = with_turned(
-        relax(estimate(series, MODEL, request, reject=False).fit), "Qx", quarters
+    found = with_rotated_mounting(
+        estimate_considered(estimate(series, MODEL, request, reject=False).fit), "Qx", quarters
     ).solution
     other = Mounting.from_axes("east", POINTS[quarters])
     stated = [replace(one, mounting=other) for one in series]
-    wanted = relax(estimate(stated, MODEL, request, reject=False).fit).solution
+    wanted = estimate_considered(estimate(stated, MODEL, request, reject=False).fit).solution
     # The rest of the columns knows of the other terms in second order only.
     np.testing.assert_allclose(
         found.estimate, wanted.estimate, atol=1e-6 * float(np.max(wanted.u)), rtol=1e-6
@@ -63,7 +63,7 @@ def test_it_is_the_fit_of_the_other_mounting(observable, quarters):
 
 def test_another_accelerometer_stays_as_it_is():
     series = three_rates({"K_F": 0.005, "K_I": 1.002, "K_OO": 2e-6})
-    fit = relax(estimate(series, MODEL, {"Qx": Noise(0.01, 0.0)}, reject=False).fit)
+    fit = estimate_considered(estimate(series, MODEL, {"Qx": Noise(0.01, 0.0)}, reject=False).fit)
     np.testing.assert_array_equal(
-        with_turned(fit, "Qy", 1).solution.estimate, fit.solution.estimate
+        with_rotated_mounting(fit, "Qy", 1).solution.estimate, fit.solution.estimate
     )

@@ -73,7 +73,7 @@ def test_blocks_in_which_the_force_changes_sign_have_the_mean_of_their_samples(s
     time = samples.time[:rows].reshape(-1, size)
     exact = samples.columns(symbols, 1.0)[:rows].reshape(-1, size, len(symbols)).mean(axis=1)
     count = np.full(len(time), float(size))
-    blocks = replace(samples, time=time.mean(axis=1), spread=time.std(axis=1), count=count)
+    blocks = replace(samples, time=time.mean(axis=1), time_sd=time.std(axis=1), count=count)
     found = blocks.columns(symbols, 1.0)
     assert np.any(np.abs(exact[:, 0]) < 0.49 * SITE.gravity)  # in mid-sign
     np.testing.assert_allclose(found, exact, atol=1e-5 * np.abs(exact).max())

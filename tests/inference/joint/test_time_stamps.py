@@ -11,9 +11,9 @@ from joint_campaign import RATES, SITE, noisy, simulated, unknowns
 from counterspin.inference.joint import encoder, rotation
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.rotation import second_order_bound
-from counterspin.inference.joint.series import StampErrors
+from counterspin.inference.joint.series import TimestampErrors
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.noise.model import WANTED, Noise
+from counterspin.inference.noise.model import ESTIMATE, Noise
 from counterspin.physics.spindle import Ripple, Spindle, fit_spindle
 
 TRUTH = {"K_F": 5e-3, "K_I": 1.002, "K_II": 2e-5, "K_III": 3e-6}
@@ -53,10 +53,12 @@ def scattered(series, timing, rng, *, encoder_noise=ENCODER, stated=(0.0, 0.0)):
             time=stamps,
             trajectory=replace(one.trajectory, spindle=fit.spindle),
             angle_error=fit.error,
-            stamps=StampErrors(delay, fit.rms / rate, fit.dof, np.zeros(delay.size), *known),
+            timestamp_errors=TimestampErrors(
+                delay, fit.rms / rate, fit.dof, np.zeros(delay.size), *known
+            ),
         )
-        late = replace(late, error=output - late.reference()).with_timing(stated[0])
-        drawn.append(late.corrected(late.stamps.prior[0]))
+        late = replace(late, error=output - late.reference()).with_timestamp_noise(stated[0])
+        drawn.append(late.correct_times(late.timestamp_errors.prior[0]))
     return drawn
 
 
@@ -70,7 +72,7 @@ def z_of(found):
 @pytest.mark.parametrize("stated", [True, False], ids=["stated", "found"])
 def test_u_is_the_scatter(exact, observable, timing, stated):
     white = WHITE[observable]
-    request = {"Qx": Noise(white if stated else WANTED, 0.0)}
+    request = {"Qx": Noise(white if stated else ESTIMATE, 0.0)}
     rng, trials, z = np.random.default_rng(1), 6, []
     for _ in range(trials):
         told = (timing if stated else 0.0, 0.0)
@@ -93,7 +95,7 @@ def test_few_samples_of_a_revolution_are_enough():
     for seed in range(3):
         drawn = scattered(exact, 2e-4, np.random.default_rng(seed))
         found = estimate(drawn, MODEL, {"Qx": Noise(WHITE["specific_force"])})
-        assert min(one.share for one in found.series) > 0.99
+        assert min(one.corrected_fraction for one in found.series) > 0.99
         assert np.abs(z_of(found)).max() < 4.0
 
 
@@ -101,7 +103,7 @@ def test_the_angle_tells_the_time(exact):
     """The old treatment, as if output and angle were late independently, wastes all of that."""
     drawn = scattered(exact["specific_force"], 2e-4, np.random.default_rng(2), stated=(2e-4, 0.0))
     request = {"Qx": Noise(WHITE["specific_force"])}
-    alone = [replace(one.corrected(0.0), stamps=None) for one in drawn]
+    alone = [replace(one.correct_times(0.0), timestamp_errors=None) for one in drawn]
     apart = estimate(alone, MODEL, request).fit.solution.u[2]
     assert apart > 50.0 * estimate(drawn, MODEL, request).fit.solution.u[2]
 
@@ -116,8 +118,8 @@ def test_noise_of_the_encoder_is_told_from_that_of_the_time_stamps(exact, stated
     found = estimate(drawn, MODEL, {"Qx": Noise(WHITE["velocity"])})
     for one, rate in zip(found.series, RATES, strict=True):
         share = (timing * rate) ** 2 / ((timing * rate) ** 2 + noise**2)
-        assert one.share == pytest.approx(share, abs=0.12)
-        assert one.timing == pytest.approx(noise / rate * math.sqrt(share), rel=0.2)
+        assert one.corrected_fraction == pytest.approx(share, abs=0.12)
+        assert one.timestamp_sd == pytest.approx(noise / rate * math.sqrt(share), rel=0.2)
     assert np.abs(z_of(found)).max() < 4.0
 
 
@@ -126,7 +128,7 @@ def test_records_with_good_time_stamps_are_left_alone(exact, observable):
     rng = np.random.default_rng(4)
     for _ in range(5):
         drawn = scattered(exact[observable], 0.0, rng, encoder_noise=1e-5)
-        found = estimate(drawn, MODEL, {"Qx": Noise(WANTED, 0.0)})
+        found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE, 0.0)})
         assert all(one is other for one, other in zip(found.series, drawn, strict=True))
 
 
@@ -139,13 +141,13 @@ def test_what_an_angle_does_at_corrected_times(exact, observable):
     one = replace(
         exact[observable][1],
         angle_error=replace(error, root=np.diag(unit)),
-        stamps=noisy_one.stamps,
+        timestamp_errors=noisy_one.timestamp_errors,
     )
     known = {s: value - (s == "K_I") for s, value in TRUTH.items() if s != "K_F"}
     share = 0.7
-    stamps = replace(one.stamps, delay=np.zeros(one.time.size), share=share)
-    plain = encoder.columns(replace(one, stamps=None), [symbol], known)[:, 0]
-    column = encoder.columns(replace(one, stamps=stamps), [symbol], known)[:, 0]
+    stamps = replace(one.timestamp_errors, delay=np.zeros(one.time.size), fraction=share)
+    plain = encoder.columns(replace(one, timestamp_errors=None), [symbol], known)[:, 0]
+    column = encoder.columns(replace(one, timestamp_errors=stamps), [symbol], known)[:, 0]
     place = 3 + 2 * error.harmonics.index(2)
     wave = unit[place] * error.functions(one.time)[0][:, place]
     # True angles ahead by the wave are recorded so; of their delay a share is taken for time.
@@ -164,7 +166,7 @@ def test_what_an_angle_does_at_corrected_times(exact, observable):
 @pytest.mark.parametrize("symbol", ["encoder.rate", "encoder.ripple1.cos"])
 def test_columns_agree_with_a_rotation_that_is_ahead(exact, observable, symbol):
     """At 1 ms, K_III's third harmonic at wrong times looked like a rate: by differences."""
-    drawn = scattered(exact[observable], 1e-3, np.random.default_rng(6))[2].corrected(1.0)
+    drawn = scattered(exact[observable], 1e-3, np.random.default_rng(6))[2].correct_times(1.0)
     known = {s: value - (s == "K_I") for s, value in TRUTH.items()}
     values, step = np.array([*known.values()]), 0.1
 
@@ -190,7 +192,7 @@ def test_columns_agree_with_a_rotation_that_is_ahead(exact, observable, symbol):
 def test_the_bound_of_the_second_order_holds(exact, observable, share):
     rng = np.random.default_rng(7)
     for drawn in scattered(exact[observable], 1e-3, rng):
-        one = drawn.corrected(share)
+        one = drawn.correct_times(share)
         error, largest = one.angle_error, 0.0
         for _ in range(20):
             sds = np.clip(rng.standard_normal(error.deviation.size), -1.7, 1.7)
@@ -225,8 +227,8 @@ def test_a_dense_fit_in_which_each_row_has_its_time_agrees(exact, timing):
     drawn = scattered(exact["specific_force"], timing, rng, stated=(timing, ENCODER))
     runs = []
     for one in drawn:
-        stamped = one.time - one.share * one.stamps.delay
-        turned = one.trajectory.spindle.angle(stamped + one.stamps.delay)
+        stamped = one.time - one.corrected_fraction * one.timestamp_errors.delay
+        turned = one.trajectory.spindle.angle(stamped + one.timestamp_errors.delay)
         runs.append(Records(stamped, turned, one.error + one.reference()))
     machine = Machine(2.5, SITE.gravity, SITE.latitude)
     white = WHITE["specific_force"]
@@ -238,7 +240,7 @@ def test_a_dense_fit_in_which_each_row_has_its_time_agrees(exact, timing):
 
 def test_small_errors_of_the_angle_cost_nothing(exact, monkeypatch):
     """The bound says so beforehand: no rotation is tried."""
-    monkeypatch.setattr(rotation, "turn_to_estimate", None)
+    monkeypatch.setattr(rotation, "rotate_to_estimate", None)
     drawn = scattered(exact["specific_force"], 0.0, np.random.default_rng(8))
     found = estimate(drawn, MODEL, {"Qx": Noise(WHITE["specific_force"])})
     assert any(one.symbol in encoder.SYMBOLS for one in found.fit.model.unknowns)

@@ -31,7 +31,7 @@ def test_as_many_unknowns_as_rows_leave_no_noise_to_be_told(unknowns, width):
 def test_one_row_more_than_unknowns_tells_it(width):
     few = likelihood(5, width)
     scale = few.best_scale(WHITE)
-    assert few.freedom(scale, WHITE) == pytest.approx(1.0, abs=1e-6)
+    assert few.dof(scale, WHITE) == pytest.approx(1.0, abs=1e-6)
     assert abs(few.slope(scale, WHITE)) < 1e-6
     # A single degree of freedom: within the central 99.9 % of chi-square.
     assert 3.9e-7 < math.exp(scale) / 1e-12 < 12.2
@@ -40,7 +40,7 @@ def test_one_row_more_than_unknowns_tells_it(width):
 def test_priors_that_hold_the_unknowns_leave_rows():
     held = likelihood(7, 1e-9, noise=1e-2)
     scale = held.best_scale(WHITE)
-    assert held.freedom(scale, WHITE) == pytest.approx(6.0, abs=1e-3)
+    assert held.dof(scale, WHITE) == pytest.approx(6.0, abs=1e-3)
     # Six degrees of freedom: within the central 99.9 % of chi-square.
     assert 0.299 < 6.0 * math.exp(scale) / 1e-4 < 24.11
 
@@ -52,13 +52,13 @@ def test_likelihood_is_that_of_the_whitened_rows(order):
     times = np.linspace(0.0, 200.0, 101)
     design = np.column_stack([times**order, np.cos(0.3 * times)])
     values = rng.standard_normal(times.size)
-    records = [RecordData(times, order, design, values, before=50.0)]
+    records = [RecordData(times, order, design, values, walk_duration=50.0)]
     likelihood_of = RestrictedLikelihood.of(records, None, None)
     white = 0.7
     found = likelihood_of.value(math.log(white), (1.0, 1e-4, 1e-5, 1e-6))
     noise = Noise(*(math.sqrt(white * part) for part in (1.0, 1e-4)), 0.0)
     noise = replace(noise, flicker=math.sqrt(white * 1e-5), bias_walk=math.sqrt(white * 1e-6))
-    whitener = make_whitener(times, order, noise, before=50.0)
+    whitener = make_whitener(times, order, noise, walk_duration=50.0)
     x, y = whitener.apply(design), whitener.apply(values)
     _, log_information = np.linalg.slogdet(x.T @ x)
     left = y - x @ np.linalg.lstsq(x, y, rcond=None)[0]

@@ -9,13 +9,13 @@ import sympy
 
 from counterspin.inference.noise.model import (
     COMPONENTS,
-    WANTED,
+    ESTIMATE,
     Differences,
     Noise,
-    information_lost,
+    build_whitener,
+    information_loss,
     make_whitener,
     solve_banded_factor,
-    whitener_of,
 )
 
 HALF = sympy.Rational(1, 2)
@@ -219,15 +219,15 @@ def test_noise_is_not_negative(value):
 
 
 def test_what_is_wanted_is_no_number_and_one_object_in_every_process():
-    asked = Noise(WANTED, 0.2, 0.1, WANTED)
-    assert asked.wanted == ("white", "flicker")
-    assert asked.wanders
+    asked = Noise(ESTIMATE, 0.2, 0.1, ESTIMATE)
+    assert asked.to_estimate == ("white", "flicker")
+    assert asked.has_bias_instability
     again = pickle.loads(pickle.dumps(asked))
-    assert again.white is WANTED
+    assert again.white is ESTIMATE
     assert again.known == Noise(0.0, 0.2, 0.1)
-    assert repr(WANTED) == "WANTED"
+    assert repr(ESTIMATE) == "ESTIMATE"
     with pytest.raises(ValueError, match="quantisation"):
-        Noise(1.0, 0.0, WANTED)
+        Noise(1.0, 0.0, ESTIMATE)
     found = asked.with_variances((0.25, 9.0, 0.04, 9.0))
     assert found == Noise(math.sqrt(0.25 - 0.01 / 12), 0.2, 0.1, 0.2)
 
@@ -244,7 +244,7 @@ def test_white_noise_of_another_size_in_each_row_is_whitened(order, relative):
     t = 0.5 * np.arange(1.0, 9.0)
     added = np.linspace(0.5, 3.0, 8)
     differences = Differences.of(t, order, None, 0.5, relative)
-    whiten = whitener_of(differences, Noise(1.0, 0.7), 0.0, added)
+    whiten = build_whitener(differences, Noise(1.0, 0.7), 0.0, added)
     early, late = np.minimum.outer(t, t), np.maximum.outer(t, t)
     walk = (np.eye(8) / 0.5, early, early**2 * (3.0 * late - early) / 6.0)[order]
     rows = whiten.apply(np.eye(8))
@@ -262,7 +262,7 @@ ADDED = np.linspace(0.0, 0.2, 300)
 def information(noise, differences):
     """Start errors are differenced out where there is a walk, be it as small as can be."""
     walking = replace(noise, random_walk=max(noise.random_walk, 1e-12))
-    rows = whitener_of(differences, walking, 5.0, ADDED).apply(COLUMNS)
+    rows = build_whitener(differences, walking, 5.0, ADDED).apply(COLUMNS)
     return rows.T @ rows
 
 
@@ -271,10 +271,10 @@ def information(noise, differences):
 @pytest.mark.parametrize("noise", [Noise(0.3, 0.05), Noise(0.3), Noise(0.3, 0.05, 0.1, 0.02, 0.01)])
 def test_it_is_the_derivative_of_the_information(order, noise, relative):
     differences = Differences.of(TIMES, order, 2, 0.02, relative)
-    lost = information_lost(differences, COLUMNS, noise, 5.0, ADDED)
+    lost = information_loss(differences, COLUMNS, noise, 5.0, ADDED)
     for part, name in zip(lost, COMPONENTS, strict=True):
         level = getattr(noise, name) ** 2
-        if name in COMPONENTS[2:] and not noise.wanders:
+        if name in COMPONENTS[2:] and not noise.has_bias_instability:
             assert not part.any()
             continue
         step = 1e-3 * level or 1e-9

@@ -9,18 +9,23 @@ from scipy.special import ndtri, stdtrit
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.noise.likelihood import RecordData, RestrictedLikelihood
 from counterspin.inference.noise.model import (
-    WANTED,
+    ESTIMATE,
     Differences,
     Noise,
-    information_lost,
+    information_loss,
     make_whitener,
 )
-from counterspin.inference.noise.search import KEEPING_GAIN, _step, effective_dof, find_noise
+from counterspin.inference.noise.search import (
+    KEEPING_GAIN,
+    _newton_step,
+    effective_dof,
+    estimate_noise,
+)
 from counterspin.physics.simulation import bias_wander
 
 TRIALS = 4000 if os.environ.get("COUNTERSPIN_FULL") else 80
 STEP = 0.5
-BOTH = Noise(WANTED, WANTED)
+BOTH = Noise(ESTIMATE, ESTIMATE)
 
 
 def ratio(size):
@@ -53,7 +58,7 @@ def record(rng, n, noise, order=2):
 def test_white_noise_alone_is_rss_over_n_minus_p():
     rng = np.random.default_rng(1)
     data = record(rng, 200, Noise(0.3))
-    found = find_noise([data], Noise(WANTED))
+    found = estimate_noise([data], Noise(ESTIMATE))
     everything = np.column_stack([np.ones(200), data.times, data.design])
     rss = np.linalg.lstsq(everything, data.observations, rcond=None)[1][0]
     assert found.noise.white**2 == pytest.approx(rss / 195, rel=1e-9)
@@ -132,12 +137,12 @@ def mixed():
     rows = []
     for _ in range(TRIALS):
         data = record(rng, n, noise)
-        found = find_noise([data], BOTH)
+        found = estimate_noise([data], BOTH)
         whitener, gain = covariance(found.noise)
         estimated = gain[:3] @ whitener.apply(data.observations)
         u = np.sqrt(variances(found.noise))
         inverse = gain[:3] @ gain[:3].T
-        lost = information_lost(Differences.of(times, 2), columns(times), found.noise)
+        lost = information_loss(Differences.of(times, 2), columns(times), found.noise)
         slopes = np.diagonal(inverse @ lost @ inverse, axis1=1, axis2=2).T
         rows.append((found, estimated, u, effective_dof(u**2, slopes, found.covariance)))
     return noise, rows, np.sqrt(variances(noise))
@@ -181,7 +186,7 @@ def test_student_intervals_cover(mixed):
 def test_a_walk_that_is_not_there_is_seldom_kept():
     rng = np.random.default_rng(4)
     kept = sum(
-        "random_walk" in find_noise([record(rng, 100, Noise(0.3))], BOTH).estimated
+        "random_walk" in estimate_noise([record(rng, 100, Noise(0.3))], BOTH).estimated
         for _ in range(TRIALS)
     )
     # 5 % at most; the mixture's half at zero is larger in short records, so somewhat fewer.
@@ -197,7 +202,7 @@ def test_the_threshold_is_that_of_the_mixture():
 
 def test_a_walk_that_is_there_is_kept_and_found():
     rng = np.random.default_rng(5)
-    found = find_noise([record(rng, 800, Noise(0.3, 0.05))], BOTH)
+    found = estimate_noise([record(rng, 800, Noise(0.3, 0.05))], BOTH)
     assert found.estimated == ("white", "random_walk")
     assert found.dropped == ()
     levels = np.array([found.noise.white**2, found.noise.random_walk**2])
@@ -213,17 +218,17 @@ def test_what_is_next_to_nothing_does_not_hold_a_search_up():
     def value(x):
         return -50.0 * (x[0] - 1.3) ** 2 - 0.02 * math.exp(x[1])
 
-    x, gain = _step(value, np.array([1.0, 0.0]))
+    x, gain = _newton_step(value, np.array([1.0, 0.0]))
     np.testing.assert_allclose(x, [1.3, -1.0], atol=1e-3)
     assert gain == pytest.approx(50.0 * 0.3**2 + 0.01, rel=1e-3)
     # From where it does not show, upward and as far as may be.
-    x, _ = _step(lambda x: 0.02 * math.exp(x[0]), np.zeros(1))
+    x, _ = _newton_step(lambda x: 0.02 * math.exp(x[0]), np.zeros(1))
     assert x[0] == 3.0
 
 
 @pytest.mark.parametrize("order", [2, 1])
 def test_a_walk_alone_leaves_no_white_noise(order):
-    found = find_noise([record(np.random.default_rng(6), 400, Noise(0.0, 0.2), order)], BOTH)
+    found = estimate_noise([record(np.random.default_rng(6), 400, Noise(0.0, 0.2), order)], BOTH)
     assert found.dropped == ("white",)
     assert found.noise.white == 0
     assert found.noise.random_walk == pytest.approx(0.2, rel=4 / np.sqrt(2 * 400))
@@ -236,12 +241,12 @@ def test_a_misfit_that_no_small_walk_explains_is_the_most_likely_noise(added):
     times = 0.1 * np.arange(400)
     wave = 0.3 * np.sin(math.pi * times)
     observed = wave + 0.01 * np.random.default_rng(11).standard_normal(times.size)
-    data = RecordData(times, 2, np.empty((times.size, 0)), observed, added=added)
-    likelihood = RestrictedLikelihood.of([replace(data, added=0.0)], None, None)
+    data = RecordData(times, 2, np.empty((times.size, 0)), observed, added_variance=added)
+    likelihood = RestrictedLikelihood.of([replace(data, added_variance=0.0)], None, None)
     grid = [ratio(math.exp(size)) for size in np.arange(-25.0, 20.0, 0.25)]
     dense = [likelihood.value(likelihood.best_scale(unit), unit) for unit in grid]
     assert min(dense[: int(np.argmax(dense))]) < dense[0] - 10.0
-    found = find_noise([data], BOTH)
+    found = estimate_noise([data], BOTH)
     assert found.estimated == ("white", "random_walk")
     assert found.log_likelihoods["white", "random_walk"] >= max(dense) - 1e-6
     assert math.hypot(found.noise.white, math.sqrt(added)) < 0.02
@@ -250,10 +255,10 @@ def test_a_misfit_that_no_small_walk_explains_is_the_most_likely_noise(added):
 def test_velocity_records_share_their_noise():
     rng = np.random.default_rng(7)
     records = [record(rng, n, Noise(0.3, 0.2), order=1) for n in (300, 500)]
-    found = find_noise(records, BOTH)
+    found = estimate_noise(records, BOTH)
     levels = np.array([found.noise.white**2, found.noise.random_walk**2])
     assert (np.abs(levels - [0.09, 0.04]) < 4 * np.sqrt(np.diag(found.covariance)[:2])).all()
-    alone = find_noise(records[:1], BOTH)
+    alone = estimate_noise(records[:1], BOTH)
     assert (np.diag(found.covariance)[:2] < np.diag(alone.covariance)[:2]).all()
 
 
@@ -261,27 +266,27 @@ def test_specific_force_cannot_tell_a_walk_from_white_noise():
     rng = np.random.default_rng(8)
     design = rng.normal(size=(300, 2))
     data = RecordData(np.arange(300) * 0.5, 0, design, 0.1 * rng.normal(size=300))
-    found = find_noise([data], BOTH)
+    found = estimate_noise([data], BOTH)
     assert found.estimated == ("white",)
     assert found.degrees_of_freedom == 298
     # With the walk given, the white part is what is left: 0.1^2 = white^2 + N^2/h.
-    given = find_noise([data], Noise(WANTED, 0.03)).noise
+    given = estimate_noise([data], Noise(ESTIMATE, 0.03)).noise
     assert given.white**2 + 0.03**2 / 0.5 == pytest.approx(found.noise.white**2, rel=1e-3)
     assert given.random_walk == 0.03
 
 
 def test_given_components_stay_as_given():
     data = record(np.random.default_rng(9), 400, Noise(0.3, 0.1))
-    both = find_noise([data], BOTH)
-    white_only = find_noise([data], Noise(WANTED, both.noise.random_walk))
-    walk_only = find_noise([data], Noise(both.noise.white, WANTED))
+    both = estimate_noise([data], BOTH)
+    white_only = estimate_noise([data], Noise(ESTIMATE, both.noise.random_walk))
+    walk_only = estimate_noise([data], Noise(both.noise.white, ESTIMATE))
     assert white_only.noise.white == pytest.approx(both.noise.white, rel=1e-3)
     assert walk_only.noise.random_walk == pytest.approx(both.noise.random_walk, rel=2e-3)
     # Knowing the other one helps, and how much is what the joint covariance says.
     given = 1 / np.diag(np.linalg.inv(both.covariance[:2, :2]))
     assert white_only.covariance[0, 0] == pytest.approx(given[0], rel=0.01)
     assert walk_only.covariance[1, 1] == pytest.approx(given[1], rel=0.01)
-    neither = find_noise([data], Noise(0.3, 0.1))
+    neither = estimate_noise([data], Noise(0.3, 0.1))
     assert (neither.noise, neither.estimated) == (Noise(0.3, 0.1), ())
     assert not neither.covariance.any()
 
@@ -291,13 +296,13 @@ def test_quantisation_larger_than_the_noise():
     data = record(rng, 500, Noise(0.05, 0.0, 1.0))
     # The start velocity sweeps the signal over many steps, so that rounding errors are spread.
     swept = 1.0 * np.round(data.observations + 0.37 * data.times)
-    found = find_noise([replace(data, observations=swept)], Noise(WANTED, WANTED, 1.0))
+    found = estimate_noise([replace(data, observations=swept)], Noise(ESTIMATE, ESTIMATE, 1.0))
     assert found.noise.quantisation == 1.0
     assert found.noise.sample_variance == pytest.approx(1 / 12, rel=4 * np.sqrt(2 / 500))
     # Most residuals equal zero: no smaller than the step allows, and not singular.
     still = np.zeros(500)
     still[::50] = 1.0
-    found = find_noise([replace(data, observations=still)], Noise(WANTED, WANTED, 1.0))
+    found = estimate_noise([replace(data, observations=still)], Noise(ESTIMATE, ESTIMATE, 1.0))
     assert found.noise.white == 0
     assert found.estimated == ()
     assert found.noise.sample_variance == pytest.approx(1 / 12)
@@ -308,7 +313,7 @@ def test_start_errors_and_repeated_columns_count_once():
     more = np.column_stack(
         [data.design, np.ones(200), data.times, data.design[:, 0], np.zeros(200)]
     )
-    plain, padded = find_noise([data], BOTH), find_noise([replace(data, design=more)], BOTH)
+    plain, padded = estimate_noise([data], BOTH), estimate_noise([replace(data, design=more)], BOTH)
     assert padded.degrees_of_freedom == plain.degrees_of_freedom
     assert padded.noise.white == pytest.approx(plain.noise.white, rel=1e-6)
 
@@ -316,9 +321,9 @@ def test_start_errors_and_repeated_columns_count_once():
 def test_priors_give_back_degrees_of_freedom():
     data = record(np.random.default_rng(12), 60, Noise(0.3))
     loose, tight = (
-        find_noise([data], Noise(WANTED), np.eye(3) * w, np.zeros(3)) for w in (1e-6, 1e6)
+        estimate_noise([data], Noise(ESTIMATE), np.eye(3) * w, np.zeros(3)) for w in (1e-6, 1e6)
     )
-    free = find_noise([data], Noise(WANTED))
+    free = estimate_noise([data], Noise(ESTIMATE))
     assert loose.noise.white == pytest.approx(free.noise.white, rel=1e-6)
     assert loose.degrees_of_freedom == pytest.approx(55, abs=1e-6)
     assert tight.degrees_of_freedom == pytest.approx(58, abs=1e-6)
@@ -338,16 +343,16 @@ def test_dof_of_a_sum_of_two_variances():
 def test_what_cannot_be_estimated_is_refused():
     data = record(np.random.default_rng(13), 40, Noise(0.3))
     with pytest.raises(NotIdentifiableError, match="all zero"):
-        find_noise([replace(data, observations=np.zeros(40))], BOTH)
+        estimate_noise([replace(data, observations=np.zeros(40))], BOTH)
     short = RecordData(data.times[:5], 2, np.asarray(data.design)[:5], data.observations[:5])
     with pytest.raises(NotIdentifiableError, match="too few"):
-        find_noise([short], BOTH)
+        estimate_noise([short], BOTH)
     with pytest.raises(ValueError, match="no records"):
-        find_noise([], BOTH)
+        estimate_noise([], BOTH)
     with pytest.raises(ValueError, match="different observables"):
-        find_noise([data, replace(data, order=1)], BOTH)
+        estimate_noise([data, replace(data, order=1)], BOTH)
     with pytest.raises(ValueError, match="all components"):
-        find_noise([data], Noise(0.0, 0.0))
+        estimate_noise([data], Noise(0.0, 0.0))
 
 
 def test_records_may_name_the_unknowns_that_they_see():
@@ -363,7 +368,7 @@ def test_records_may_name_the_unknowns_that_they_see():
         design[:, [k + 1, 0]] = np.column_stack([own, common])
         dense.append(RecordData(times, 2, design, y))
     prior = {"prior_rows": np.eye(4) / 0.05, "prior_values": np.zeros(4)}
-    one, other = (find_noise(records, BOTH, **prior) for records in (compact, dense))
+    one, other = (estimate_noise(records, BOTH, **prior) for records in (compact, dense))
     assert one.noise.variances == pytest.approx(other.noise.variances, rel=1e-6)
     assert one.degrees_of_freedom == pytest.approx(other.degrees_of_freedom, rel=1e-9)
     for names, value in one.log_likelihoods.items():
@@ -389,7 +394,7 @@ def test_sizes_are_found():
         )
         for _ in range(2)
     ]
-    found = find_noise(records, Noise(WANTED, 0.0, 0.0, WANTED, 0.0))
+    found = estimate_noise(records, Noise(ESTIMATE, 0.0, 0.0, ESTIMATE, 0.0))
     assert found.estimated == ("white", "flicker")
     for place, name in ((0, "white"), (2, "flicker")):
         square = getattr(noise, name) ** 2
@@ -403,7 +408,7 @@ def test_a_wander_that_is_not_there_is_dropped_or_small():
     times = np.arange(400) * 0.5
     white = 1e-3 * rng.standard_normal(times.size)
     records = [RecordData(times, 1, np.empty((times.size, 0)), white)]
-    found = find_noise(records, Noise(WANTED, 0.0, 0.0, WANTED, WANTED))
+    found = estimate_noise(records, Noise(ESTIMATE, 0.0, 0.0, ESTIMATE, ESTIMATE))
     assert found.noise.white == pytest.approx(1e-3, rel=0.1)
     assert "bias_walk" in found.dropped
     # Over the whole record it would add less than the white noise of one sample.

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from counterspin.inference.noise.even import SampleKind
+from counterspin.inference.noise.even_sampling import Sampling
 from counterspin.inference.noise.spectrum import find_lines, spectrum
 from counterspin.physics.simulation import bias_wander
 
@@ -19,7 +19,7 @@ def noise(seed, n=20_000):
 def test_white_noise_has_its_density():
     """Of some forty intervals of 95 % at most 6 miss: 1.5 % of such records have more."""
     density = 1e-6 * STEP
-    points = spectrum(noise(1), STEP, SampleKind(1, 0), (0.0, density, 0.0, 0.0))
+    points = spectrum(noise(1), STEP, Sampling(1, 0), (0.0, density, 0.0, 0.0))
     missed = [point for point in points if not point.low <= density <= point.high]
     assert len(points) > 25
     assert [point.expected for point in points] == pytest.approx([density] * len(points))

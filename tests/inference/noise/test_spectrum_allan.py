@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from counterspin.inference.noise.even import SampleKind
-from counterspin.inference.noise.spectrum import allan_deviation, allan_values, moments
+from counterspin.inference.noise.even_sampling import Sampling
+from counterspin.inference.noise.spectrum import allan_deviation, allan_moments, allan_values
 
 WHITE, FLICKER, WALK = (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)
 
@@ -40,7 +40,9 @@ def test_a_thousand_values_of_nist(count, published):
 
 def test_degrees_of_freedom_of_the_thousand_values():
     """NIST SP 1065, table 32: 146.177 at 10, by Greenhall's approximations."""
-    assert moments(1000, 1.0, SampleKind(1, 1), WHITE, 10)[1] == pytest.approx(146.177, rel=1e-3)
+    assert allan_moments(1000, 1.0, Sampling(1, 1), WHITE, 10)[1] == pytest.approx(
+        146.177, rel=1e-3
+    )
 
 
 #: What allantools 2024.6 says of 4096 numbers u less 1/2, and 0.02 of their sum added, at 2 Hz:
@@ -63,7 +65,9 @@ def test_figures_of_allantools(count):
     assert allan_deviation(integral(values, step), step, count) == pytest.approx(
         deviation, rel=1e-9
     )
-    found = [moments(4096, step, SampleKind(1, 1), one, count)[1] for one in (WHITE, FLICKER, WALK)]
+    found = [
+        allan_moments(4096, step, Sampling(1, 1), one, count)[1] for one in (WHITE, FLICKER, WALK)
+    ]
     np.testing.assert_allclose(found, freedom, rtol=0.06 if count == 16 else 0.006)
 
 
@@ -71,7 +75,7 @@ def test_figures_of_allantools(count):
 @pytest.mark.parametrize("size", [WHITE, WALK, (1e-3, 1.0, 0.0, 1e-3)])
 def test_moments_are_those_of_a_dense_covariance(size, count):
     """E = tr(A V) and Var = 2 tr(A V A V) of the quadratic form of Gaussian samples."""
-    n, step, kind = 150, 0.5, SampleKind(1, 0)
+    n, step, kind = 150, 0.5, Sampling(1, 0)
     differences = np.diff(np.eye(n + 1), axis=0) / step
     walk = step * np.minimum.outer(np.arange(n) + 1.0, np.arange(n) + 1.0)
     force = size[0] * differences @ differences.T + size[1] / step * np.eye(n) + size[3] * walk
@@ -79,14 +83,14 @@ def test_moments_are_those_of_a_dense_covariance(size, count):
     second = whole[2 * count :] - 2.0 * whole[count:-count] + whole[: -2 * count]
     inside = second @ force @ second.T / (2.0 * (count * step) ** 2) / len(second)
     expected, variance = np.trace(inside), 2.0 * np.sum(inside**2)
-    deviation, dof = moments(n, step, kind, size, count)
+    deviation, dof = allan_moments(n, step, kind, size, count)
     assert deviation**2 == pytest.approx(expected, rel=1e-9)
     assert dof == pytest.approx(2.0 * expected**2 / variance, rel=1e-9)
 
 
 def test_intervals_are_those_of_chi_square():
     velocity = integral(np.random.default_rng(1).standard_normal(300))
-    points = allan_values(velocity, 1.0, SampleKind(1, 0), WHITE)
+    points = allan_values(velocity, 1.0, Sampling(1, 0), WHITE)
     assert [point.tau for point in points][:4] == [1.0, 2.0, 3.0, 4.0]
     assert points[-1].tau <= 100.0
     for point in points:

@@ -6,18 +6,18 @@ from functools import cache
 import numpy as np
 import pytest
 
-from counterspin.inference.joint.alternatives import of_priors, scores
+from counterspin.inference.joint.alternatives import prior_alternatives, run_score_tests
 from counterspin.inference.joint.budget import budget
-from counterspin.inference.joint.fit import relax
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.fit import estimate_considered
+from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.inference.two_stage.first_stage import Strobes, first_stage, strobe_angle
 from counterspin.inference.two_stage.model import (
     DRIFT,
     TwoStageRequest,
-    held,
-    strobed,
+    considered_terms,
+    select_strobes,
     two_stage_model,
 )
 from counterspin.inference.two_stage.second_stage import StrobedRun, resolve, second_stage
@@ -176,7 +176,7 @@ def test_a_record_is_taken_at_its_strobes():
     motion = Trajectory(Spindle(math.pi), R, SITE)
     time = np.arange(0.0, 20.0, 0.03)
     shown = np.cos(time)
-    series = Series(
+    series = ResidualSeries(
         accelerometer="Qx",
         run="slow",
         trajectory=motion,
@@ -184,17 +184,17 @@ def test_a_record_is_taken_at_its_strobes():
         observable="displacement",
         attitude=observation.LEVEL,
         time=time,
-        spread=np.zeros_like(time),
+        time_sd=np.zeros_like(time),
         count=np.ones_like(time),
         spacing=0.03,
         error=shown,
-        by_latitude=2.0 * shown,
+        latitude_sensitivity=2.0 * shown,
     )
-    at, found = strobed(series)
+    at, found = select_strobes(series)
     np.testing.assert_allclose(at.time, 0.5 + 2.0 * np.arange(10), atol=1e-12)
     # Between two samples 0.03 s apart, a straight line is off by 0.03^2/8 at the most.
     np.testing.assert_allclose(at.error, np.cos(at.time), atol=1.2e-4)
-    np.testing.assert_allclose(at.by_latitude, 2.0 * at.error, rtol=1e-12)
+    np.testing.assert_allclose(at.latitude_sensitivity, 2.0 * at.error, rtol=1e-12)
     np.testing.assert_array_equal(at.count, found.noise_factor**-2.0)
     assert at.count.max() <= 2.0 + 1e-12
     assert at.count.min() >= 1.0
@@ -210,7 +210,7 @@ def test_what_is_not_estimated_is_held_as_it_is_known():
             Unknown("Qy", "K_III", (0.0, 1e-6), 1e-4),
             Unknown("slow", PSI, (0.0, 1e-6), 1e-2),
             Unknown("slow", ROTATION[1], NO_PRIOR, 1.0),
-            Unknown("", "site.gravity", (0.0, 1e-5), 0.08, asked=False),
+            Unknown("", "site.gravity", (0.0, 1e-5), 0.08, is_of_interest=False),
         ),
         (Considered("", "platform.g_sensitivity.zx", (0.0, 1e-9), 1e-6),),
     )
@@ -221,7 +221,7 @@ def test_what_is_not_estimated_is_held_as_it_is_known():
         ("", "site.gravity", (0.0, 1e-5)),
         ("", "platform.g_sensitivity.zx", (0.0, 1e-9)),
     ]
-    kept = held(model, ["K_II", "K_F"], [one])
+    kept = considered_terms(model, ["K_II", "K_F"], [one])
     assert [(other.owner, other.symbol, other.prior) for other in kept] == expected
     asked = TwoStageRequest(priors={"K_II": (1e-5, 1e-6)}, nominal_angle=True)
     ours = two_stage_model(model, asked, [one])
@@ -237,7 +237,7 @@ def strobed_series():
     """One run at its strobes as a series of an accelerometer with a name, and its parabola."""
     (run,) = [run for run in runs() if run.name == "3.14"]
     strobes = run.parabola.strobes
-    series = Series(
+    series = ResidualSeries(
         accelerometer="Qx",
         run="slow",
         trajectory=run.trajectory,
@@ -245,7 +245,7 @@ def strobed_series():
         observable="displacement",
         attitude=run.attitude,
         time=strobes.time,
-        spread=np.zeros_like(strobes.time),
+        time_sd=np.zeros_like(strobes.time),
         count=strobes.noise_factor**-2.0,
         spacing=2.0,
         error=strobes.error,
@@ -273,14 +273,14 @@ def resolved(priors):
 
 
 def held_to_the_runs(second):
-    relaxed = relax(second.fit)
+    relaxed = estimate_considered(second.fit)
     some = [
         other
-        for other in of_priors(relaxed)
-        if all(relaxed.model.unknowns[place].prior[1] > 0.0 for place in other.priors)
+        for other in prior_alternatives(relaxed)
+        if all(relaxed.model.unknowns[place].prior[1] > 0.0 for place in other.prior_shifts)
     ]
-    found = scores(relaxed, some, noise_given=True)
-    each = zip(found.value, found.u, found.size, strict=True)
+    found = run_score_tests(relaxed, some, noise_given=True)
+    each = zip(found.value, found.u, found.z, strict=True)
     return {other.name: line for other, line in zip(some, each, strict=True)}
 
 

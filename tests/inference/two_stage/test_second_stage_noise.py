@@ -7,11 +7,15 @@ import pytest
 
 from counterspin.inference.joint.budget import budget
 from counterspin.inference.noise.model import WALK_UNIT, Noise
-from counterspin.inference.noise.search import FoundNoise, effective_dof
-from counterspin.inference.noise.unseen_noise import Unseen, lengthened
+from counterspin.inference.noise.search import NoiseEstimate, effective_dof
+from counterspin.inference.noise.undetected_walk import UndetectedWalk, marginal_walk
 from counterspin.inference.two_stage.first_stage import Strobes
 from counterspin.inference.two_stage.model import TwoStageRequest
-from counterspin.inference.two_stage.second_stage import StrobedRun, second_stage, with_found_noise
+from counterspin.inference.two_stage.second_stage import (
+    StrobedRun,
+    second_stage,
+    with_estimated_noise,
+)
 from counterspin.physics.accelerometer import QX
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Spindle
@@ -25,7 +29,7 @@ def found(white, walk, *, estimated=("white", "random_walk"), unseen=None):
     covariance = np.diag([1e-11, 0.0, 0.0, 0.0])
     if walk:
         covariance[:2, :2] = [[1e-11, -2e-13], [-2e-13, 4e-14]]
-    return FoundNoise(
+    return NoiseEstimate(
         noise=Noise(white, walk),
         covariance=covariance,
         estimated=estimated,
@@ -33,7 +37,7 @@ def found(white, walk, *, estimated=("white", "random_walk"), unseen=None):
         log_likelihoods={},
         degrees_of_freedom=100.0,
         evaluations=1,
-        unseen=unseen,
+        undetected_walk=unseen,
     )
 
 
@@ -52,7 +56,7 @@ def resolved(noise):
 def test_degrees_of_freedom_are_those_of_resolving_with_other_noise():
     components = found(0.01, 1e-3)
     _, second = resolved(components.noise)
-    wider = with_found_noise(second, components.noise, components)
+    wider = with_estimated_noise(second, components.noise, components)
 
     def variance(white=1.0, walk=1.0):
         level = Noise(0.01 * math.sqrt(white), 1e-3 * math.sqrt(walk))
@@ -67,14 +71,14 @@ def test_degrees_of_freedom_are_those_of_resolving_with_other_noise():
     expected = effective_dof(variance(), slopes, components.covariance[:2, :2])
     np.testing.assert_allclose(wider.dof, expected, rtol=1e-3)
     assert np.isfinite(wider.dof).all()
-    assert wider.fit.solution.covariance_unseen is None
+    assert wider.fit.solution.covariance_undetected is None
 
 
 def test_a_walk_that_does_not_show_adds_what_it_adds_to_the_same_weights():
-    unseen = Unseen(np.array([1e-8, 1e-7, 1e-6]), np.array([0.5, 0.3, 0.2]))
+    unseen = UndetectedWalk(np.array([1e-8, 1e-7, 1e-6]), np.array([0.5, 0.3, 0.2]))
     components = found(0.01, 0.0, estimated=("white",), unseen=unseen)
     runs, second = resolved(components.noise)
-    wider = with_found_noise(second, components.noise, components)
+    wider = with_estimated_noise(second, components.noise, components)
     # The same gains on strobes with the walk's covariance, an integral over the white noise.
     slope = np.zeros((2, 2))
     for place, run in enumerate(runs):
@@ -86,8 +90,8 @@ def test_a_walk_that_does_not_show_adds_what_it_adds_to_the_same_weights():
         slope += (
             curvature @ walk @ curvature * np.outer(second.gain[:, place], second.gain[:, place])
         )
-    level, _ = lengthened(unseen, np.diag(second.fit.solution.covariance), np.diag(slope))
-    np.testing.assert_allclose(wider.fit.solution.covariance_unseen, level * slope, rtol=1e-3)
+    level, _ = marginal_walk(unseen, np.diag(second.fit.solution.covariance), np.diag(slope))
+    np.testing.assert_allclose(wider.fit.solution.covariance_undetected, level * slope, rtol=1e-3)
     before = np.diag(second.fit.solution.covariance)
     after = np.diag(wider.fit.solution.covariance)
     np.testing.assert_allclose(after, before + level * np.diag(slope), rtol=1e-3)
@@ -99,13 +103,13 @@ def test_a_walk_that_does_not_show_adds_what_it_adds_to_the_same_weights():
 
 
 def test_an_unknown_that_is_known_exactly_stays_so():
-    unseen = Unseen(np.array([1e-7]), np.array([1.0]))
+    unseen = UndetectedWalk(np.array([1e-7]), np.array([1.0]))
     components = found(0.01, 0.0, estimated=("white",), unseen=unseen)
     request = TwoStageRequest(priors={"K_II": (2e-5, 0.0)}, random_walk=None)
     request = request.with_noise(components.noise)
     runs, _ = resolved(components.noise)
     second = second_stage(runs, QX, request)
-    wider = with_found_noise(second, components.noise, components)
+    wider = with_estimated_noise(second, components.noise, components)
     assert wider.estimate("K_II") == (2e-5, 0.0)
     assert wider.estimate("K_F")[1] > 0.0
 

@@ -14,9 +14,13 @@ from counterspin.calibration.model import stated_inputs
 from counterspin.calibration.result_parts import Finding
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
-from counterspin.inference.diagnostics import agreement_of, normal_equivalent
-from counterspin.inference.joint.alternatives import Alternative, of_priors, scores
-from counterspin.inference.joint.fit import JointFit, relax
+from counterspin.inference.diagnostics import agreement_limit, normal_equivalent
+from counterspin.inference.joint.alternatives import (
+    Alternative,
+    prior_alternatives,
+    run_score_tests,
+)
+from counterspin.inference.joint.fit import JointFit, estimate_considered
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.physics.terms import INPUTS
 from counterspin.reports.numbers import field_unit, format_estimate
@@ -47,22 +51,22 @@ _RATIO_TOLERANCE: Final = 0.02
 
 def find_prior_conflict(view: AccelerometerView) -> Iterator[Finding]:
     """Yield the finding on the prior that the data contradict most, beyond chance."""
-    relaxed = relax(view.fit)
+    relaxed = estimate_considered(view.fit)
     unknowns = relaxed.model.unknowns
     priors = [
         alternative
-        for alternative in of_priors(relaxed)
+        for alternative in prior_alternatives(relaxed)
         # What is stated as exact is no prior that could give way.
-        if all(unknowns[best].prior[1] > 0.0 for best in alternative.priors)
+        if all(unknowns[best].prior[1] > 0.0 for best in alternative.prior_shifts)
     ]
     if not priors:
         return
-    noise_known = not view.estimate.components and bool(np.isinf(view.estimate.dof).all())
-    tests = scores(relaxed, priors, noise_given=noise_known)
-    sizes = tests.size
+    noise_known = not view.estimate.estimated_noise and bool(np.isinf(view.estimate.dof).all())
+    tests = run_score_tests(relaxed, priors, noise_given=noise_known)
+    sizes = tests.z
     best = int(np.flatnonzero(sizes >= (1.0 - _TIE_TOLERANCE) * sizes.max())[0])
     size = normal_equivalent(float(sizes[best]), None if noise_known else tests.dof)
-    if size <= agreement_of(tests.tested):
+    if size <= agreement_limit(tests.test_count):
         return
     value, u = float(tests.value[best]), float(tests.u[best])
     finding_text = PriorExplanation(view.campaign, relaxed, priors[best], value, u).describe()
@@ -111,7 +115,7 @@ class PriorExplanation:
     def _describe_prior(self) -> FindingText:
         if self.alternative.symbol in INPUTS:
             return self._describe_input()
-        (index,) = self.alternative.priors
+        (index,) = self.alternative.prior_shifts
         stated, prior_sd = self.fit.model.unknowns[index].prior
         name, unit = self.alternative.name, unit_of(self.alternative.symbol)
         estimate = stated + self.value
@@ -124,7 +128,7 @@ class PriorExplanation:
 
     def _describe_common_prior(self) -> FindingText:
         symbol = self.alternative.symbol
-        unit = unit_of(self.fit.model.unknowns[next(iter(self.alternative.priors))].symbol)
+        unit = unit_of(self.fit.model.unknowns[next(iter(self.alternative.prior_shifts))].symbol)
         text = (
             f"{symbol} differs from its stated value in the same way in all runs: the records "
             f"shift it by "

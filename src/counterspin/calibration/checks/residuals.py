@@ -11,8 +11,8 @@ from counterspin.calibration.findings import equivalent_deviations, lack_of_fit_
 from counterspin.calibration.outcome import estimated_timing_noise, residual
 from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import FALSE_ALARMS
-from counterspin.inference.joint.agreement import slow_parts
-from counterspin.inference.joint.fit import relax
+from counterspin.inference.joint.agreement import compare_slow_residuals
+from counterspin.inference.joint.fit import estimate_considered
 from counterspin.reports.numbers import format_number
 
 #: Share of u^2 above which noise that the records do not show is mentioned.
@@ -32,11 +32,13 @@ def residual_findings(view: AccelerometerView) -> list[Finding]:
 
 def _compare_run_noise(view: AccelerometerView) -> list[Finding]:
     """Return a finding where one run shows more of the noise that was found than the others."""
-    components = view.estimate.components.get(view.name)
+    components = view.estimate.estimated_noise.get(view.name)
     if components is None or "random_walk" not in components.estimated:
         return []
     # What nobody asks for need not be apart.
-    parts = slow_parts(relax(view.estimate.core or view.fit), view.name)
+    parts = compare_slow_residuals(
+        estimate_considered(view.estimate.compressed_fit or view.fit), view.name
+    )
     worst = min(parts, key=lambda part: part.p, default=None)
     tests = len(parts) * len(view.campaign.accelerometers)
     if worst is None or worst.p * tests >= FALSE_ALARMS:
@@ -66,13 +68,15 @@ def _compare_run_noise(view: AccelerometerView) -> list[Finding]:
 def noise_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
     """Yield remarks on noise that is not independent, or uneven: rows and weights follow it."""
     for view in views:
-        if thinned := {series.run: series.every for series in view.series if series.every > 1}:
+        if thinned := {
+            series.run: series.thinning for series in view.series if series.thinning > 1
+        }:
             strides = ", ".join(f"one in {stride} of {run}" for run, stride in thinned.items())
             yield (
                 f"{view.name}: adjacent rows have nearly the same error, as after a filter in the "
                 f"recorder or with a coarse resolution. Only independent rows are used: {strides}."
             )
-        sizes = {series.run: math.sqrt(series.relative) for series in view.series}
+        sizes = {series.run: math.sqrt(series.variance_ratio) for series in view.series}
         quietest, noisiest = (
             select(sizes, key=sizes.__getitem__, default="") for select in (min, max)
         )
@@ -85,7 +89,7 @@ def noise_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
             )
         if timing := estimated_timing_noise(view):
             symptom, action = "the noise follows the slope of the signal", "Rows are weighted"
-            if any(series.share > 0.0 for series in view.series):
+            if any(series.corrected_fraction > 0.0 for series in view.series):
                 symptom, action = (
                     "angle and signal err together",
                     "Times are corrected by the angle",
@@ -105,9 +109,9 @@ def undetected_walk_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]
     """
     for view in views:
         index, name = view.k_ii, view.name
-        if index is None or name not in view.fit.unseen:
+        if index is None or name not in view.fit.undetected_walks:
             continue
-        variance = float(view.fit.unseen[name][1][index, index])
+        variance = float(view.fit.undetected_walks[name][1][index, index])
         share = variance / float(view.fit.solution.u[index]) ** 2
         if share > _MAX_UNDETECTED_SHARE:
             yield (

@@ -35,7 +35,7 @@ class Explanation(PriorExplanation):
         return describe_kind()
 
     def _describe_term(self) -> FindingText:
-        name, limit = self.alternative.name, self.alternative.between[1]
+        name, limit = self.alternative.name, self.alternative.credible_range[1]
         if not self.alternative.owner and term(self.alternative.symbol).per_run:
             name += " in all runs"
         text = (
@@ -62,7 +62,7 @@ class Explanation(PriorExplanation):
     @property
     def _record_names(self) -> str:
         """Records to which the alternative applies."""
-        parts = [self.fit.prepared[i] for i in self.alternative.columns]
+        parts = [self.fit.design_blocks[i] for i in self.alternative.columns]
         if len(parts) == 1:
             return f"{parts[0].accelerometer} in {parts[0].run}"
         return self.alternative.owner
@@ -79,7 +79,7 @@ class Explanation(PriorExplanation):
 
     def _describe_response(self) -> FindingText:
         rates = (
-            abs(self.fit.prepared[index].series.trajectory.spindle.rate)
+            abs(self.fit.design_blocks[index].series.trajectory.spindle.rate)
             for index in self.alternative.columns
         )
         fastest = max(rates)
@@ -168,7 +168,7 @@ class Explanation(PriorExplanation):
         text = (
             f"{self._record_names} would fit with a bias that changes by "
             f"{self._format_estimate('g')} at about "
-            f"{self.alternative.at:.4g} s: switching on, warm-up or another slow "
+            f"{self.alternative.time:.4g} s: switching on, warm-up or another slow "
             "error. Leave out the part before that time, or the whole run."
         )
         return FindingText(
@@ -180,8 +180,8 @@ class Explanation(PriorExplanation):
 
     def _describe_step(self) -> FindingText:
         (i,) = self.alternative.columns
-        unit = OBSERVABLES[self.fit.prepared[i].series.observable]
-        at = f"about {self.alternative.at:.4g} s"
+        unit = OBSERVABLES[self.fit.design_blocks[i].series.observable]
+        at = f"about {self.alternative.time:.4g} s"
         if self.alternative.kind == mistakes.JUMP:
             quantity, change_text = "level", f"jumps by {self._format_estimate(unit)} at {at}"
         else:

@@ -13,7 +13,7 @@ from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE, SIGNIFICANCE
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import solve_joint
-from counterspin.inference.joint.uneven_noise import noise_by_run
+from counterspin.inference.joint.heteroscedasticity import noise_by_run
 from counterspin.reports.numbers import format_number
 
 #: Noise of a run that is so many times the stated one, or less by as much, is another one.
@@ -33,15 +33,17 @@ def reweight_runs(
     differences, in which nothing else shows.
     """
     stated = [
-        view.name for view in views if view.has_records and not view.problem.noise[view.name].wanted
+        view.name
+        for view in views
+        if view.has_records and not view.problem.noise[view.name].to_estimate
     ]
     sizes = {name: noise_by_run(estimate.fit, name) for name in stated}
     sizes = {name: runs for name, runs in sizes.items() if _deviating_runs(runs)}
     if not sizes:
         return estimate, []
     reweighted = [
-        replace(part, series=part.series.louder(sizes.get(part.accelerometer, {})))
-        for part in estimate.fit.prepared
+        replace(part, series=part.series.scale_noise(sizes.get(part.accelerometer, {})))
+        for part in estimate.fit.design_blocks
     ]
     others = estimate.fit.observations[len(reweighted) :]
     fit = solve_joint((*reweighted, *others), estimate.fit.model, estimate.fit.noise)

@@ -11,7 +11,7 @@ import numpy as np
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.joint import mistakes
-from counterspin.inference.joint.alternatives import Alternative, Scores, scores
+from counterspin.inference.joint.alternatives import Alternative, ScoreTests, run_score_tests
 from counterspin.inference.joint.estimation import Estimate
 
 #: Share of good campaigns in which a prior, or another alternative, is blamed all the same.
@@ -60,16 +60,19 @@ def find_best(
 ) -> BestExplanation | None:
     """Return the best explanation; None if no explanation is significant."""
     candidates = (*priors, *alternatives)
-    tests = scores(estimate.fit, candidates, noise_given=noise_known)
+    tests = run_score_tests(estimate.fit, candidates, noise_given=noise_known)
     index = _best_index(tests)
     if tests.alternatives[index].kind in _TIMED_KINDS:
         # Now that it is known where about it is, where exactly?
         approximate = tests.alternatives[index]
         (record_index,) = approximate.columns
-        time = estimate.fit.prepared[record_index].series.time
+        time = estimate.fit.design_blocks[record_index].series.time
         cell = float(time[-1] - time[0]) / STEPS
-        candidates = (*candidates, *mistakes.jumps(estimate.fit, 2 * STEPS, approximate, cell))
-        tests = scores(estimate.fit, candidates, noise_given=noise_known)
+        candidates = (
+            *candidates,
+            *mistakes.changepoints(estimate.fit, 2 * STEPS, approximate, cell),
+        )
+        tests = run_score_tests(estimate.fit, candidates, noise_given=noise_known)
         index = _best_index(tests)
     if not _is_significant(tests, index):
         # The priors have fewer tests, and so a lower threshold.
@@ -79,23 +82,23 @@ def find_best(
     return _rank_rivals(tests, _prefer_outsized(tests, index), noise_known)
 
 
-def _prefer_outsized(tests: Scores, index: int) -> int:
+def _prefer_outsized(tests: ScoreTests, index: int) -> int:
     """Return the term larger than credible that explains more than the best one, or that one.
 
     It is asked only where the best credible one is more than chance, so that nothing is blamed in
     more good campaigns.
     """
-    sizes = [size if _is_outsized(tests, i) else 0.0 for i, size in enumerate(tests.size.tolist())]
+    sizes = [size if _is_outsized(tests, i) else 0.0 for i, size in enumerate(tests.z.tolist())]
     largest = int(np.argmax(sizes))
-    return largest if min_equal_gain(sizes[largest] ** 2) > tests.size[index] ** 2 else index
+    return largest if min_equal_gain(sizes[largest] ** 2) > tests.z[index] ** 2 else index
 
 
-def _is_outsized(tests: Scores, index: int) -> bool:
+def _is_outsized(tests: ScoreTests, index: int) -> bool:
     alternative = tests.alternatives[index]
     size = abs(float(tests.value[index]))
     return (
         alternative.kind == "term"
-        and alternative.between[1] < size <= _MAX_OUTSIZE * alternative.between[1]
+        and alternative.credible_range[1] < size <= _MAX_OUTSIZE * alternative.credible_range[1]
     )
 
 
@@ -104,22 +107,22 @@ def min_equal_gain(best: float) -> float:
     return max(best * (1.0 - _DECISIVE_FRACTION) - _DECISIVE_CHI2, 0.0)
 
 
-def _best_index(tests: Scores, kinds: Sequence[str] = ()) -> int:
+def _best_index(tests: ScoreTests, kinds: Sequence[str] = ()) -> int:
     """Return which credible alternative, of some kinds or of any, explains most."""
     sizes = [
         size if (not kinds or alternative.kind in kinds) and _is_credible(tests, i) else -1.0
         for i, (alternative, size) in enumerate(
-            zip(tests.alternatives, tests.size.tolist(), strict=True)
+            zip(tests.alternatives, tests.z.tolist(), strict=True)
         )
     ]
     return int(np.argmax(sizes))
 
 
-def _is_significant(tests: Scores, index: int) -> bool:
+def _is_significant(tests: ScoreTests, index: int) -> bool:
     return tests.p(index) * _test_count(tests, index) < FALSE_ALARMS
 
 
-def _test_count(score_tests: Scores, index: int) -> int:
+def _test_count(score_tests: ScoreTests, index: int) -> int:
     """Return how many alternatives share the significance of one of them."""
     is_prior = score_tests.alternatives[index].kind in _PRIOR_KINDS
     tests = sum(
@@ -130,31 +133,29 @@ def _test_count(score_tests: Scores, index: int) -> int:
     return max(tests, 1)
 
 
-def _rank_rivals(tests: Scores, index: int, noise_known: bool) -> BestExplanation:
+def _rank_rivals(tests: ScoreTests, index: int, noise_known: bool) -> BestExplanation:
     alternatives = tests.alternatives
-    min_gain = min_equal_gain(float(tests.size[index]) ** 2)
+    min_gain = min_equal_gain(float(tests.z[index]) ** 2)
     equal = [
         k
         for k in range(len(alternatives))
-        if tests.size[k] ** 2 > min_gain and (_is_credible(tests, k) or _is_outsized(tests, k))
+        if tests.z[k] ** 2 > min_gain and (_is_credible(tests, k) or _is_outsized(tests, k))
     ]
     # Steps differ by where they are only: the best one stands for those of its record.
     equal = [k for k in equal if k == index or alternatives[k].kind not in _TIMED_KINDS] or [index]
 
-    slack = float(tests.size[index]) ** 2 - min_gain
+    slack = float(tests.z[index]) ** 2 - min_gain
 
     def plausible(k: int) -> tuple[bool, bool, bool, float, bool, int]:
         # What is short of the best by all that is allowed is short of it by a decisive chi-square.
-        shortfall = (
-            _DECISIVE_CHI2 * (float(tests.size[index]) ** 2 - float(tests.size[k]) ** 2) / slack
-        )
+        shortfall = _DECISIVE_CHI2 * (float(tests.z[index]) ** 2 - float(tests.z[k]) ** 2) / slack
         evidence = (
-            mistakes.log_evidence(alternatives[k], float(tests.value[k]), float(tests.u[k]))
+            mistakes.log_bayes_factor(alternatives[k], float(tests.value[k]), float(tests.u[k]))
             - 0.5 * shortfall
         )
         # Of what rounding alone tells apart, what the whole campaign has comes first.
         weight, has_owner = round(-evidence, 6), bool(alternatives[k].owner)
-        doubtful = alternatives[k].farfetched(float(tests.value[k]))
+        doubtful = alternatives[k].is_implausible(float(tests.value[k]))
         return (
             _is_outsized(tests, k),
             doubtful,
@@ -169,7 +170,7 @@ def _rank_rivals(tests: Scores, index: int, noise_known: bool) -> BestExplanatio
         alternatives[leader],
         float(tests.value[leader]),
         float(tests.u[leader]),
-        float(tests.size[leader]),
+        float(tests.z[leader]),
         tuple((alternatives[k], float(tests.value[k])) for k in rivals),
         _test_count(tests, leader),
         None if noise_known else tests.dof,
@@ -177,6 +178,6 @@ def _rank_rivals(tests: Scores, index: int, noise_known: bool) -> BestExplanatio
     )
 
 
-def _is_credible(tests: Scores, index: int) -> bool:
+def _is_credible(tests: ScoreTests, index: int) -> bool:
     """Return whether an alternative would be no larger than it may credibly be."""
-    return tests.alternatives[index].credible(float(tests.value[index]))
+    return tests.alternatives[index].is_credible(float(tests.value[index]))

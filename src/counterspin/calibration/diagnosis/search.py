@@ -54,14 +54,14 @@ from counterspin.inference.diagnostics import (
 from counterspin.inference.joint import mistakes
 from counterspin.inference.joint.alternatives import (
     Alternative,
-    Scores,
-    of_priors,
-    of_unstated,
-    scores,
+    ScoreTests,
+    default_prior_alternatives,
+    prior_alternatives,
+    run_score_tests,
 )
-from counterspin.inference.joint.estimation import Estimate, estimate_again
-from counterspin.inference.joint.fit import JointFit, extended, relax
-from counterspin.inference.joint.found_noise import unseen_covariance
+from counterspin.inference.joint.estimated_noise import undetected_walk_covariance
+from counterspin.inference.joint.estimation import Estimate, reestimate
+from counterspin.inference.joint.fit import JointFit, augment, estimate_considered
 from counterspin.inference.joint.series import TIMING
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import NO_PRIOR
@@ -117,25 +117,30 @@ def find_causes(
     """
     estimate = views[0].estimate
     groups = [group for view in views for group in view.groups]
-    noise_known = not estimate.components and all(group.has_external_noise for group in groups)
-    relaxed = replace(estimate, fit=relax(estimate.fit), core=None, lost={})
-    priors = of_priors(relaxed.fit)
+    noise_known = not estimate.estimated_noise and all(group.has_external_noise for group in groups)
+    relaxed = replace(
+        estimate, fit=estimate_considered(estimate.fit), compressed_fit=None, information_losses={}
+    )
+    priors = prior_alternatives(relaxed.fit)
     mounting = find_better_mounting(mountings)
     # Beside readings alone, what nothing states is held to them at no cost too.
-    tested = priors if relaxed.fit.prepared else (*priors, *of_unstated(relaxed.fit))
+    tested = (
+        priors if relaxed.fit.design_blocks else (*priors, *default_prior_alternatives(relaxed.fit))
+    )
     if (
         not _is_suspicious(views, results)
         and mounting is None
         and (
             not tested
-            or _smallest_p(scores(relaxed.fit, tested, noise_given=noise_known)) > _SUSPICION_P
+            or _smallest_p(run_score_tests(relaxed.fit, tested, noise_given=noise_known))
+            > _SUSPICION_P
         )
     ):
         return ()
     alternatives = (
         tuple(_alternative_hypotheses(views, relaxed))
-        if relaxed.fit.prepared
-        else of_unstated(relaxed.fit)
+        if relaxed.fit.design_blocks
+        else default_prior_alternatives(relaxed.fit)
     )
     priors, alternatives = (
         _with_input_ranges(views[0].campaign, candidates) for candidates in (priors, alternatives)
@@ -190,7 +195,7 @@ def _search_causes(
                 corrected, explanation = _correct_cause(estimate, other_explanation, views)
             if not _is_robust(estimate, explanation):
                 break
-        if not explanation.outsized and not explanation.alternative.credible(explanation.value):
+        if not explanation.outsized and not explanation.alternative.is_credible(explanation.value):
             # At its own size, beyond first order, it is not what it seemed to be.
             alternatives = [
                 alternative
@@ -216,11 +221,11 @@ def _search_causes(
 # Whether to look for causes at all
 
 
-def _smallest_p(tests: Scores) -> float:
+def _smallest_p(tests: ScoreTests) -> float:
     """Return the smallest probability of the tests, all of them counted."""
-    if not tests.tested:
+    if not tests.test_count:
         return 1.0
-    return min(1.0, tests.tested * tests.p(int(np.argmax(tests.size))))
+    return min(1.0, tests.test_count * tests.p(int(np.argmax(tests.z))))
 
 
 def _is_suspicious(
@@ -248,7 +253,7 @@ def _run_p_values(view: AccelerometerView) -> Iterator[float]:
     tests = view.diagnostics.runs
     for _, prepared, residuals in view.records():
         test = tests[prepared.run]
-        yield 3.0 * mistakes.window_excess(residuals.whitened)
+        yield 3.0 * mistakes.window_test_p(residuals.whitened)
         deviation = (test.chi2 - test.dof) / math.sqrt(2.0 * test.dof)
         yield 3.0 * math.erfc(abs(deviation) / math.sqrt(2.0))
         yield 3.0 * _harmonic_p(
@@ -299,12 +304,12 @@ def _with_input_ranges(
     return tuple(
         replace(
             alternative,
-            between=deviation_ranges[alternative.name],
-            but_between=excluded
+            credible_range=deviation_ranges[alternative.name],
+            excluded_range=excluded
             if alternative.name == "site.latitude"
-            else alternative.but_between,
-            likely=(0.0, -2.0 * latitude) if alternative.name == "site.latitude" else (),
-            likely_within=_LATITUDE,
+            else alternative.excluded_range,
+            likely_values=(0.0, -2.0 * latitude) if alternative.name == "site.latitude" else (),
+            likely_tolerance=_LATITUDE,
             stated=inputs[alternative.name].value != 0.0,
         )
         if alternative.name in deviation_ranges
@@ -319,25 +324,25 @@ def _alternative_hypotheses(
     campaign, fit = views[0].campaign, estimate.fit
     model = views[0].problem.model
     angle = campaign.angle is not None
-    yield from of_unstated(fit)
+    yield from default_prior_alternatives(fit)
     # Of what acts on readings too, the records alone tell half of it.
     inputs = {
         s: campaign.typical_of(s)
         for s in exact_inputs(campaign)
         if s == TIMING or not campaign.readings
     }
-    yield from mistakes.of_inputs(fit, inputs)
+    yield from mistakes.input_mistakes(fit, inputs)
     trends = {view.name: campaign.typical_of("K_F.trend", view.name) for view in views}
-    yield from mistakes.of_records(fit, trends, angle_recorded=angle)
-    yield from mistakes.of_coriolis(fit, own_velocity=campaign.own_velocity)
+    yield from mistakes.record_mistakes(fit, trends, angle_recorded=angle)
+    yield from mistakes.coriolis_mistakes(fit, own_velocity=campaign.own_velocity)
     terms = {
         unknown: campaign.typical_of(unknown.symbol, unknown.owner)
         for view in views
         for unknown in fixed_terms(campaign, model, view.name)
         if not (campaign.readings and unknown.symbol in ACCELEROMETER_TERMS)
     }
-    yield from mistakes.of_terms(fit, terms)
-    yield from mistakes.jumps(fit, STEPS)
+    yield from mistakes.term_mistakes(fit, terms)
+    yield from mistakes.changepoints(fit, STEPS)
 
 
 def _is_robust(estimate: Estimate, explanation: BestExplanation) -> bool:
@@ -347,10 +352,12 @@ def _is_robust(estimate: Estimate, explanation: BestExplanation) -> bool:
         # Of a column the fit with it has said so already. The shift of priors is the sum of their
         # distances from the estimates, each weighted with the inverse of its own variance.
         gain = np.zeros(len(estimate.fit.model.unknowns))
-        for index, step in explanation.alternative.priors.items():
+        for index, step in explanation.alternative.prior_shifts.items():
             prior_sd = estimate.fit.model.unknowns[index].prior[1]
             gain[index] = step * variance / prior_sd**2 if prior_sd > 0.0 else 0.0
-        variance += float(gain @ unseen_covariance(estimate.fit, estimate.components) @ gain)
+        variance += float(
+            gain @ undetected_walk_covariance(estimate.fit, estimate.estimated_noise) @ gain
+        )
     size = abs(explanation.value) / math.sqrt(variance)
     return math.erfc(size / math.sqrt(2.0)) * explanation.tests < FALSE_ALARMS
 
@@ -363,7 +370,7 @@ def _correct_cause(
     alternative = explanation.alternative
     if not alternative.columns:
         unknowns = list(estimate.fit.model.unknowns)
-        for index, step in alternative.priors.items():
+        for index, step in alternative.prior_shifts.items():
             value, u = unknowns[index].prior
             unknowns[index] = replace(unknowns[index], prior=(value + step * explanation.value, u))
         model = replace(estimate.fit.model, unknowns=tuple(unknowns))
@@ -375,10 +382,10 @@ def _correct_cause(
         limit = 10.0 * math.hypot(value, explanation.u)
         added_unknown = Unknown("", alternative.name, NO_PRIOR, limit)
         corrected = replace(
-            estimate, fit=extended(estimate.fit, [added_unknown], [alternative.columns])
+            estimate, fit=augment(estimate.fit, [added_unknown], [alternative.columns])
         )
         value = float(corrected.fit.solution.estimate[-1])
-        refined = mistakes.at_size(corrected.fit, alternative, value)
+        refined = mistakes.at_value(corrected.fit, alternative, value)
         if refined is alternative:
             break
         alternative = refined
@@ -391,10 +398,10 @@ def _correct_cause(
 
 
 def _reestimate(estimate: Estimate, fit: JointFit, requests: Mapping[str, Noise]) -> Estimate:
-    if not estimate.components:
+    if not estimate.estimated_noise:
         dof = np.full(len(fit.model.unknowns), math.inf)
-        return replace(estimate, fit=fit, dof=dof, core=None, lost={})
-    return estimate_again(estimate, fit, requests)
+        return replace(estimate, fit=fit, dof=dof, compressed_fit=None, information_losses={})
+    return reestimate(estimate, fit, requests)
 
 
 # What is said
@@ -461,7 +468,7 @@ def _affected_accelerometers(
     names = [view.name for view in views]
     if alternative.columns:
         affected = {
-            estimate.fit.prepared[index].accelerometer
+            estimate.fit.design_blocks[index].accelerometer
             for index, column in alternative.columns.items()
             if column.any()
         }

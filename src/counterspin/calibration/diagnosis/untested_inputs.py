@@ -29,10 +29,10 @@ from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import SIGNIFICANCE, normal_equivalent
 from counterspin.inference.distributions import normal_quantile
-from counterspin.inference.joint.alternatives import of_priors
+from counterspin.inference.joint.alternatives import prior_alternatives
 from counterspin.inference.joint.estimation import Estimate
-from counterspin.inference.joint.fit import JointFit, relax
-from counterspin.inference.joint.mistakes import ACROSS, turned, with_turned
+from counterspin.inference.joint.fit import JointFit, estimate_considered
+from counterspin.inference.joint.mistakes import ACROSS, rotate_mounting, with_rotated_mounting
 from counterspin.inference.joint.series import CLOCK
 from counterspin.reports.numbers import format_number
 
@@ -71,7 +71,7 @@ class AlternativeMounting:
         """Where the pendulous axis is stated to point, and where it would."""
         stated = self.view.accelerometer.mounting
         return _describe_direction(stated.matrix[1]), _describe_direction(
-            turned(stated, self.quarter_turns).matrix[1]
+            rotate_mounting(stated, self.quarter_turns).matrix[1]
         )
 
     def apply_to(self, view: AccelerometerView) -> AccelerometerView:
@@ -99,7 +99,7 @@ def fit_alternative_mountings(
     """Return the other mountings of those accelerometers whose stated terms rest on them."""
     mountings = []
     estimate = views[0].estimate
-    relaxed = replace(estimate, fit=relax(estimate.fit), core=None)
+    relaxed = replace(estimate, fit=estimate_considered(estimate.fit), compressed_fit=None)
     groups = tuple({id(group): group for view in views for group in view.groups}.values())
     for view in views:
         if not _stated_cross_terms(view):
@@ -120,12 +120,16 @@ def _fit_rotated(
     view: AccelerometerView, relaxed: Estimate, groups: Sequence[FittedGroup], quarter_turns: int
 ) -> tuple[JointFit, tuple[FittedGroup, ...]]:
     """Return a relaxed fit with an accelerometer turned, its readings with the noise they have."""
-    fit = with_turned(relaxed.fit, view.name, quarter_turns) if quarter_turns else relaxed.fit
+    fit = (
+        with_rotated_mounting(relaxed.fit, view.name, quarter_turns)
+        if quarter_turns
+        else relaxed.fit
+    )
     # The degrees of freedom are not asked for.
     dof = np.full(len(fit.model.unknowns), np.inf)
     estimate = replace(relaxed, fit=fit, dof=dof)
     return view.data.fit_rotated_mounting(
-        estimate, groups, view.name, partial(turned, quarters=quarter_turns)
+        estimate, groups, view.name, partial(rotate_mounting, quarters=quarter_turns)
     )
 
 
@@ -233,7 +237,7 @@ class _UntestedInput:
 
 def untested_input_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
     """Yield for each accelerometer what it rests on that its data cannot check."""
-    fit = relax(views[0].fit)
+    fit = estimate_considered(views[0].fit)
     inputs = [*_stated_priors(views[0].campaign, fit), *_run_clocks(fit)]
     if not inputs:
         return
@@ -241,12 +245,12 @@ def untested_input_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
         np.column_stack(rows)
         for rows in zip(*((item.data, item.priors) for item in inputs), strict=True)
     )
-    residual_norms = np.linalg.norm(fit.solution.unexplained(data, priors), axis=0)
+    residual_norms = np.linalg.norm(fit.solution.project_out(data, priors), axis=0)
     typical = np.array([item.typical for item in inputs])
     size = np.minimum(
         typical, _DETECTABLE_SIGMAS / np.maximum(residual_norms, _DETECTABLE_SIGMAS / typical)
     )
-    shifts = size * fit.solution.taken_up(data, priors)
+    shifts = size * fit.solution.undetected_shifts(data, priors)
     for view in views:
         remarks = []
         for index, item in enumerate(inputs):
@@ -272,11 +276,11 @@ def _stated_priors(campaign: Campaign, fit: JointFit) -> Iterator[_UntestedInput
     """Yield each stated value that has an uncertainty; those that all runs have alike, together."""
     sd = fit.solution.prior_sd
     rows = sum(block.factor.shape[0] for block in fit.blocks)
-    for alternative in of_priors(fit):
-        indices = tuple(index for index in alternative.priors if sd[index] > 0.0)
+    for alternative in prior_alternatives(fit):
+        indices = tuple(index for index in alternative.prior_shifts if sd[index] > 0.0)
         priors = np.zeros(sd.size)
-        priors[list(indices)] = [-alternative.priors[index] / sd[index] for index in indices]
-        symbol = fit.model.unknowns[next(iter(alternative.priors))].symbol
+        priors[list(indices)] = [-alternative.prior_shifts[index] / sd[index] for index in indices]
+        symbol = fit.model.unknowns[next(iter(alternative.prior_shifts))].symbol
         typical = campaign.typical_of(symbol, alternative.owner)
         yield _UntestedInput(
             f"the stated value of {alternative.name}",

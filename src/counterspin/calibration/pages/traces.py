@@ -46,10 +46,10 @@ def traces(view: AccelerometerView) -> dict[str, Trace]:
 
 
 def _trace(view: AccelerometerView, index: int, run: ObservedRun) -> Trace:
-    kept = view.fit.prepared[index].series
-    residual, whitened = view.fit.residuals[index].plain, view.fit.residuals[index].whitened
+    kept = view.fit.design_blocks[index].series
+    residual, whitened = view.fit.residuals[index].unweighted, view.fit.residuals[index].whitened
     periodogram = view.diagnostics.runs[kept.run].periodogram
-    share = _ALL_STRETCHES // len(view.fit.prepared)
+    share = _ALL_STRETCHES // len(view.fit.design_blocks)
     count = min(max(share, _FEWEST_STRETCHES), _MOST_STRETCHES)
     time, low, high = stretches(kept.time, residual, count)
     angle = kept.trajectory.spindle.angle(kept.time)
@@ -82,7 +82,7 @@ def _left_out(view: AccelerometerView, index: int, run: ObservedRun) -> list[tup
     The model there is that of the neighbours: once the reference is taken away it is smooth.
     """
     series, outliers = view.estimate.series[index], view.estimate.outliers[index]
-    kept, residual = view.fit.prepared[index].series, view.fit.residuals[index].plain
+    kept, residual = view.fit.design_blocks[index].series, view.fit.residuals[index].unweighted
     column = view.accelerometer.channel.name
     listed = [outlier for outlier in run.record.report.listed if outlier.column == column]
     while_reading = np.array([outlier.time - run.record.start_time for outlier in listed])

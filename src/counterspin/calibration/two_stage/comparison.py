@@ -26,7 +26,7 @@ def compare_k_ii(view: AccelerometerView) -> Comparison | None:
     index = view.k_ii
     if index is None:
         return None
-    components = {} if walk_is_stated(view.problem.noise) else view.estimate.components
+    components = {} if walk_is_stated(view.problem.noise) else view.estimate.estimated_noise
     determined = _determined_values(view.fit)
     try:
         stage_view, _ = two_stage_view(
@@ -121,7 +121,7 @@ def _determined_values(fit: JointFit) -> dict[tuple[str, str], tuple[float, floa
         for unknown, value, u in zip(
             fit.model.unknowns, fit.solution.estimate, fit.solution.u, strict=True
         )
-        if unknown.asked and math.isinf(unknown.prior[1]) and u < unknown.limit
+        if unknown.is_of_interest and math.isinf(unknown.prior[1]) and u < unknown.limit
     }
 
 

@@ -147,14 +147,14 @@ def _check_run_agreement(name: str, second: SecondStage) -> list[Finding]:
     fit = second.fit
     dof = len(fit.blocks) - int(np.sum(np.isinf(fit.solution.prior_sd)))
     # What is held may be off by as much as is stated of it, or is typical.
-    chi2 = fit.relaxed.chi2 - sum(block.rss for block in fit.blocks)
+    chi2 = fit.solution_with_considered.chi2 - sum(block.rss for block in fit.blocks)
     # Without weights the sum of squares is not distributed like chi-square.
     if dof < 1 or not second.weighted or chi2 <= 0.0:
         return []
     probability = chi_square_tail(dof, chi2)
     if probability > _SMALLEST_P:
         return []
-    worst = fit.prepared[int(np.argmax(np.abs(second.misfit)))].run
+    worst = fit.design_blocks[int(np.argmax(np.abs(second.misfit)))].run
     size = equivalent_deviations(probability)
     text = (
         f"The runs do not agree with the model (chi-square {chi2:.1f} with {dof} "

@@ -49,13 +49,18 @@ from counterspin.inference.identifiability import assess
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.budget import budget, what_if
 from counterspin.inference.joint.estimation import Estimate, correct_series, estimate
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns, unit_of
 from counterspin.inference.noise.model import Noise
-from counterspin.inference.noise.search import FoundNoise
+from counterspin.inference.noise.search import NoiseEstimate
 from counterspin.inference.two_stage.first_stage import Parabola, strobe_angle
-from counterspin.inference.two_stage.model import DRIFT, TwoStageRequest, strobed, two_stage_model
-from counterspin.inference.two_stage.second_stage import SecondStage, resolve, with_found_noise
+from counterspin.inference.two_stage.model import (
+    DRIFT,
+    TwoStageRequest,
+    select_strobes,
+    two_stage_model,
+)
+from counterspin.inference.two_stage.second_stage import SecondStage, resolve, with_estimated_noise
 from counterspin.physics.terms import ACCELEROMETER_TERMS, SHARED_TERMS, TERMS
 
 #: What the second stage estimates of an accelerometer.
@@ -76,8 +81,8 @@ def calibrate_accelerometer(
     problem: JointProblem,
     accelerometer: Accelerometer,
     options: TwoStageOptions,
-    noise_components: Mapping[str, FoundNoise],
-    corrected_series: Sequence[Series],
+    noise_components: Mapping[str, NoiseEstimate],
+    corrected_series: Sequence[ResidualSeries],
 ) -> TwoStageOutcome:
     """Apply the two-stage method to one accelerometer; arguments as of `two_stage_view`."""
     view, second = two_stage_view(
@@ -100,7 +105,7 @@ def calibrate_accelerometer(
         if coefficients[unknown.symbol].estimated
     }
     budgets = {symbol: budget(second.fit, index, name) for symbol, index in places.items()}
-    residual_size = _residual(second.parabolas, view.estimate.components.get(name))
+    residual_size = _residual(second.parabolas, view.estimate.estimated_noise.get(name))
     result = AccelerometerResult(
         coefficients={k: v for k, v in coefficients.items() if k not in (DRIFT, RIPPLE)},
         second_unknown={k: v for k, v in coefficients.items() if k in (DRIFT, RIPPLE)},
@@ -123,7 +128,7 @@ def calibrate_accelerometer(
     )
     parabolas = {
         prepared.run: _parabola(parabola)
-        for prepared, parabola in zip(second.fit.prepared, second.parabolas, strict=True)
+        for prepared, parabola in zip(second.fit.design_blocks, second.parabolas, strict=True)
     }
     return TwoStageOutcome(result, parabolas, second, view)
 
@@ -158,8 +163,8 @@ def two_stage_view(
     problem: JointProblem,
     accelerometer: Accelerometer,
     options: TwoStageOptions,
-    noise_components: Mapping[str, FoundNoise],
-    corrected_series: Sequence[Series],
+    noise_components: Mapping[str, NoiseEstimate],
+    corrected_series: Sequence[ResidualSeries],
     known_values: Mapping[tuple[str, str], tuple[float, float]] | None = None,
 ) -> tuple[AccelerometerView, SecondStage]:
     """Return what the method estimates, as a joint fit of one accelerometer, and its stages.
@@ -173,22 +178,26 @@ def two_stage_view(
     request = make_request(problem, accelerometer, options, components)
     # Rows that the joint fit leaves out are not correlated a revolution apart.
     records = [
-        record.corrected(corrected.share).with_timing(corrected.timing)
+        record.correct_times(corrected.corrected_fraction).with_timestamp_noise(
+            corrected.timestamp_sd
+        )
         for record, corrected in zip(problem.series, corrected_series, strict=True)
         if record.accelerometer == name
     ]
-    series, strobes = zip(*map(strobed, records), strict=True)
+    series, strobes = zip(*map(select_strobes, records), strict=True)
     parabolas = [
-        request.first_stage(record_strobes, record.trajectory, record.timing)
+        request.first_stage(record_strobes, record.trajectory, record.timestamp_sd)
         for record_strobes, record in zip(strobes, series, strict=True)
     ]
     joint_model = _with_priors(problem.campaign, problem.model, name, known_values)
     # Time stamps that scatter leave the rotation less certain than the strobes' noise tells.
-    rotation = encoder.considered([record for record in series if record.share > 0.0])
+    rotation = encoder.considered_terms(
+        [record for record in series if record.corrected_fraction > 0.0]
+    )
     joint_model = replace(joint_model, considered=(*joint_model.considered, *rotation))
     model = two_stage_model(joint_model, request, series)
     second = resolve(series, parabolas, model, request)
-    second = with_found_noise(second, problem.noise[name], components)
+    second = with_estimated_noise(second, problem.noise[name], components)
     assessment = assess(second.fit.solution, [unstated.name for unstated in model.unknowns])
     # Asked to tell it from a term that acts exactly alike, the records say nothing.
     unstated = unstated_considered(problem.campaign, name, second)
@@ -227,7 +236,7 @@ def _with_priors(
             prior = (known_values or {}).get(
                 (parameter.owner, parameter.symbol), (parameter.nominal, typical)
             )
-            unknowns.append(replace(parameter, prior=prior, unstated=True))
+            unknowns.append(replace(parameter, prior=prior, has_default_prior=True))
         else:
             unknowns.append(parameter)
     present = {
@@ -253,7 +262,7 @@ def _prior_coefficient(accelerometer: Accelerometer, symbol: str) -> Coefficient
     )
 
 
-def _harmonic_scale_factor(records: Iterable[Series]) -> Coefficient:
+def _harmonic_scale_factor(records: Iterable[ResidualSeries]) -> Coefficient:
     """Return the K_I of the records' waves, which strobes at whole revolutions do not see.
 
     Other terms add some 1e-5 to a wave: it is near enough to tell whether it is credible.
@@ -271,7 +280,7 @@ def _harmonic_scale_factor(records: Iterable[Series]) -> Coefficient:
     return Coefficient(value=value, u=u, unit=unit_of("K_I"), estimated=True)
 
 
-def _residual(parabolas: Sequence[Parabola], components: FoundNoise | None) -> Residual:
+def _residual(parabolas: Sequence[Parabola], components: NoiseEstimate | None) -> Residual:
     weighted = [p.residuals / p.strobes.noise_factor for p in parabolas]
     dof = sum(p.dof for p in parabolas)
     rms = math.sqrt(sum(float(np.sum(w**2)) for w in weighted) / dof)
@@ -283,7 +292,7 @@ def _residual(parabolas: Sequence[Parabola], components: FoundNoise | None) -> R
 
 def _noise_lines(parabolas: Sequence[Parabola], view: AccelerometerView) -> dict[str, NoiseLine]:
     estimated = parabolas[0].sigma_from_residuals
-    components = view.estimate.components.get(view.name)
+    components = view.estimate.estimated_noise.get(view.name)
     if components is not None and not estimated:
         return record_noise(components.noise, components, "displacement")
     dof = sum(p.dof for p in parabolas)
@@ -320,7 +329,7 @@ def make_request(
     problem: JointProblem,
     accelerometer: Accelerometer,
     options: TwoStageOptions,
-    components: FoundNoise | None = None,
+    components: NoiseEstimate | None = None,
 ) -> TwoStageRequest:
     """Return what a campaign asks of the two-stage method for one accelerometer.
 
@@ -359,7 +368,7 @@ def make_request(
         weighted=options.weighted,
         sigma=None if options.from_residuals else _sigma(stated),
         from_residuals=options.from_residuals,
-        random_walk=None if "random_walk" in noise.wanted else noise.random_walk,
+        random_walk=None if "random_walk" in noise.to_estimate else noise.random_walk,
         timing=_stated_size(stated, "timing") or 0.0,
         u_radius=campaign.radius.u / campaign.radius.value,
         u_gravity=campaign.gravity.u / campaign.gravity.value,
@@ -390,12 +399,12 @@ def walk_is_stated(noises: Mapping[str, Noise]) -> bool:
     It is where [noise] states it, zero included; a [noise] that states no noise at all leaves
     all of it to be found.
     """
-    return not any("random_walk" in noise.wanted for noise in noises.values())
+    return not any("random_walk" in noise.to_estimate for noise in noises.values())
 
 
 def estimate_noise(
     problem: JointProblem,
-) -> tuple[Mapping[str, FoundNoise], Sequence[Series]]:
+) -> tuple[Mapping[str, NoiseEstimate], Sequence[ResidualSeries]]:
     """Return each accelerometer's noise where the random walk is not stated, and all records.
 
     One sample a revolution tells little of the noise: it is that of the joint fit, from all
@@ -404,4 +413,4 @@ def estimate_noise(
     if walk_is_stated(problem.noise):
         return {}, correct_series(problem.series, problem.model, problem.noise)
     estimated = estimate(problem.series, problem.model, problem.noise)
-    return estimated.components, estimated.series
+    return estimated.estimated_noise, estimated.series

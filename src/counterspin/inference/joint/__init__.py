@@ -2,16 +2,16 @@
 
 - `unknowns`: what a joint fit estimates and holds, and what an observation is to it
 - `series`: one accelerometer's output in one run, what uncertain inputs change, its whitening
-- `prepared`: the columns of each record, computed once; those of what nobody asks for condensed
+- `design_blocks`: the columns of each record, computed once; nuisance parameters compressed
 - `encoder`: what the encoder's noise leaves open of each run's rotation
 - `fit`: one weighted fit of everything; the same with what is held, or with further columns
 - `estimation`: the joint estimate, stage by stage
 - `rotation`: how runs without angles turned
-- `used_rows`: samples that noise does not explain, left out round by round, and rows that are not
-  independent
-- `found_noise`: noise found in the records, and what its own uncertainty leaves open
+- `outlier_rejection`: rejection of outliers, and thinning of rows with correlated errors
+- `estimated_noise`: noise estimated from the records, and the effect of its uncertainty
 - `time_stamps`: errors of time stamps, from what angle and output leave
-- `uneven_noise`: white noise that differs from run to run, or follows the slope of the signal
+- `heteroscedasticity`: white noise that differs from run to run, or follows the slope of the
+  signal
 - `budget`: where the uncertainty of a coefficient comes from, what it would be if that were known
   better
 - `summary`: numbers of a joint fit that a result states

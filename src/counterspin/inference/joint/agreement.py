@@ -23,65 +23,71 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.distributions import countable
-from counterspin.inference.joint.alternatives import Alternative, beside_fit
+from counterspin.inference.distributions import finite_dof
+from counterspin.inference.joint.alternatives import Alternative, project_columns
+from counterspin.inference.joint.design_blocks import DesignBlock
+from counterspin.inference.joint.estimated_noise import information_losses, noise_covariances
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.found_noise import losses, uncertain
-from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.summary import Jackknife
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import COMPONENTS
 from counterspin.inference.noise.search import effective_dof
-from counterspin.inference.noise.unseen_noise import Unseen, lengthened
+from counterspin.inference.noise.undetected_walk import UndetectedWalk, marginal_walk
 
 #: Part of an unknown's u below which a shift's own uncertainty is rounding.
-_LEAST_SHARE: Final = 1e-6
+_MIN_RELATIVE_U: Final = 1e-6
 
 
-def leave_out(estimated: Estimate, index: int) -> list[Jackknife]:
+def jackknife_runs(estimated: Estimate, index: int) -> list[Jackknife]:
     """Leave each run out in turn, where there are several, for one accelerometer's unknown."""
     unknown, u = estimated.fit.model.unknowns[index], float(estimated.fit.solution.u[index])
-    every = list(dict.fromkeys(prepared.run for prepared in estimated.fit.prepared))
-    found = {run: Jackknife(run) for run in every}
+    run_names = list(dict.fromkeys(prepared.run for prepared in estimated.fit.design_blocks))
+    shifts = {run: Jackknife(run) for run in run_names}
     # What nobody asks for need not be apart.
-    fit = estimated.core or estimated.fit
+    fit = estimated.compressed_fit or estimated.fit
     runs = [
         run
-        for run in every
+        for run in run_names
         if (without := fit.without_run(run)) is not None and float(without.u[index]) < unknown.limit
     ]
-    variance, dof = _spread(estimated, fit, runs, index)
-    for run, square, freedom in zip(runs, variance.tolist(), dof.tolist(), strict=True):
+    variance, dof = _shift_variances(estimated, fit, runs, index)
+    for run, variance_of_shift, dof_of_shift in zip(
+        runs, variance.tolist(), dof.tolist(), strict=True
+    ):
         value = float(_solution_without(fit, run).estimate[index])
         shift = value - float(fit.solution.estimate[index])
-        compared = square > (_LEAST_SHARE * u) ** 2
-        found[run] = Jackknife(
+        is_resolved = variance_of_shift > (_MIN_RELATIVE_U * u) ** 2
+        shifts[run] = Jackknife(
             run,
             value,
             shift,
-            shift / math.sqrt(square) if compared else None,
-            countable(freedom) if compared else None,
+            shift / math.sqrt(variance_of_shift) if is_resolved else None,
+            finite_dof(dof_of_shift) if is_resolved else None,
         )
-    return list(found.values()) if len(every) > 1 else []
+    return list(shifts.values()) if len(run_names) > 1 else []
 
 
-def _spread(
+def _shift_variances(
     estimated: Estimate, fit: JointFit, runs: Sequence[str], index: int
 ) -> tuple[Array, Array]:
     """Return the variance of each run's shift and its degrees of freedom, shapes (runs,)."""
-    variance = _variances(fit, runs, index)
+    variance = _base_variances(fit, runs, index)
     inverse = np.zeros(len(runs))
     owner = fit.model.unknowns[index].owner
-    found = estimated.components.get(owner)
-    covariance = uncertain(estimated.fit.noise, estimated.components).get(owner)
+    estimate = estimated.estimated_noise.get(owner)
+    covariance = noise_covariances(estimated.fit.noise, estimated.estimated_noise).get(owner)
     if covariance is not None and runs:
-        lost = estimated.lost.get(owner)
-        slopes = growth(fit, losses(fit, owner) if lost is None else lost, runs, index)
+        lost = estimated.information_losses.get(owner)
+        slopes = shift_variance_sensitivities(
+            fit, information_losses(fit, owner) if lost is None else lost, runs, index
+        )
         inverse = 1.0 / effective_dof(variance, slopes, covariance)
-        if found is not None and found.unseen is not None:
+        if estimate is not None and estimate.undetected_walk is not None:
             slope = slopes[:, COMPONENTS.index("random_walk")]
-            variance, inverse = _with_unseen(found.unseen, variance, slope, inverse)
+            variance, inverse = _add_undetected_walk(
+                estimate.undetected_walk, variance, slope, inverse
+            )
     with np.errstate(divide="ignore"):
         return variance, 1.0 / inverse
 
@@ -93,53 +99,58 @@ def _solution_without(fit: JointFit, run: str) -> Solution:
     return solution
 
 
-def _variances(fit: JointFit, runs: Sequence[str], index: int) -> Array:
+def _base_variances(fit: JointFit, runs: Sequence[str], index: int) -> Array:
     """Return the variance of each run's shift, by noise that shows and by what is considered."""
-    whole = fit.solution
+    full = fit.solution
     variances = np.zeros(len(runs))
     for k, run in enumerate(runs):
         without = _solution_without(fit, run)
-        parts = [s.covariance_noise + s.covariance_prior for s in (without, whole)]
+        parts = [s.covariance_noise + s.covariance_prior for s in (without, full)]
         # What is considered moves both, and the shift by the difference.
-        sensitivities = [s.sensitivity_considered[index] for s in (without, whole)]
-        moved = (sensitivities[0] - sensitivities[1]) * whole.considered_sd
-        spread = float(parts[0][index, index] - parts[1][index, index])
-        variances[k] = max(spread, 0.0) + float(moved @ moved)
+        sensitivities = [s.sensitivity_considered[index] for s in (without, full)]
+        considered_shift = (sensitivities[0] - sensitivities[1]) * full.considered_sd
+        difference = float(parts[0][index, index] - parts[1][index, index])
+        variances[k] = max(difference, 0.0) + float(considered_shift @ considered_shift)
     return variances
 
 
-def growth(fit: JointFit, lost: Array, runs: Sequence[str], index: int) -> Array:
+def shift_variance_sensitivities(
+    fit: JointFit, lost: Array, runs: Sequence[str], index: int
+) -> Array:
     """Return the change of each shift's variance per unit of each noise variance, (runs, 4).
 
     Both estimates keep their weights. With C the covariance, and L what the information loses, the
     whole estimate's grows by C L C, that without the run by its own, and their covariance by the
     mixed product; the run itself has no part in the latter two.
 
-    lost: `found_noise.losses` of the fit.
+    lost: `estimated_noise.information_losses` of the fit.
     """
-    whole = fit.solution
+    full = fit.solution
     unit = np.eye(len(fit.model.unknowns))
-    mine = whole.root_of(unit[index : index + 1])[0]
-    grown = np.zeros((len(runs), lost.shape[1]))
+    full_root = full.covariance_root(unit[index : index + 1])[0]
+    sensitivities = np.zeros((len(runs), lost.shape[1]))
     for k, run in enumerate(runs):
         without = _solution_without(fit, run)
         # In the coordinates of the losses, in which the whole's own information is the identity.
-        theirs = whole.in_rows(without.least_covariance[index])
-        rest = lost[[part.run != run for part in fit.prepared]].sum(axis=0)
-        away = theirs - mine
-        grown[k] = away @ rest @ away + mine @ (lost.sum(axis=0) - rest) @ mine
-    return grown
+        root_without = full.whiten_unknowns(without.weighted_covariance[index])
+        other_losses = lost[[part.run != run for part in fit.design_blocks]].sum(axis=0)
+        root_change = root_without - full_root
+        sensitivities[k] = (
+            root_change @ other_losses @ root_change
+            + full_root @ (lost.sum(axis=0) - other_losses) @ full_root
+        )
+    return sensitivities
 
 
-def _with_unseen(
-    unseen: Unseen, variance: Array, slope: Array, inverse: Array
+def _add_undetected_walk(
+    unseen: UndetectedWalk, variance: Array, slope: Array, inverse: Array
 ) -> tuple[Array, Array]:
     """Return variances of shifts and inverse degrees of freedom with a walk that does not show."""
     moved = (variance > 0.0) & (slope > 0.0)
     if not moved.any():
         return variance, inverse
     variance, inverse = variance.copy(), inverse.copy()
-    level, inverse[moved] = lengthened(unseen, variance[moved], slope[moved], inverse[moved])
+    level, inverse[moved] = marginal_walk(unseen, variance[moved], slope[moved], inverse[moved])
     variance[moved] += level * slope[moved]
     return variance, inverse
 
@@ -155,7 +166,7 @@ _RANK_TOLERANCE: Final = 1e-4
 
 
 @frozen
-class SlowPart:
+class SlowResiduals:
     """The slow part of one run's residuals, against those of the other runs."""
 
     run: str  #: The run.
@@ -163,43 +174,43 @@ class SlowPart:
     p: float  #: Probability of as large a ratio or a larger one by chance, for this run alone.
 
 
-def slow_parts(fit: JointFit, accelerometer: str) -> list[SlowPart]:
+def compare_slow_residuals(fit: JointFit, accelerometer: str) -> list[SlowResiduals]:
     """Compare the slow residuals of each run of an accelerometer with those of its others."""
-    places = [i for i, part in enumerate(fit.prepared) if part.accelerometer == accelerometer]
+    places = [i for i, part in enumerate(fit.design_blocks) if part.accelerometer == accelerometer]
     cosines = [
         Alternative("cosine", str(i), "cosine", {i: column})
         for i in places
-        for column in _cosines(fit, fit.prepared[i])
+        for column in _cosines(fit, fit.design_blocks[i])
     ]
     if len(places) < 2:
         return []
-    held = beside_fit(fit, cosines)
-    columns = held.columns / np.sqrt(held.before)
-    found = []
+    projected = project_columns(fit, cosines)
+    columns = projected.columns / np.sqrt(projected.squared_norms)
+    energies = []
     for i in places:
-        own = columns[:, [other.owner == str(i) for other in cosines]]
-        left, sizes, _ = np.linalg.svd(own, full_matrices=False)
-        basis = left[:, sizes > _RANK_TOLERANCE]
-        found.append((float(np.sum((basis.T @ held.residual) ** 2)), basis.shape[1]))
-    return [_against(fit.prepared[i], found, k) for k, i in enumerate(places)]
+        run_columns = columns[:, [cosine.owner == str(i) for cosine in cosines]]
+        left_vectors, singular_values, _ = np.linalg.svd(run_columns, full_matrices=False)
+        basis = left_vectors[:, singular_values > _RANK_TOLERANCE]
+        energies.append((float(np.sum((basis.T @ projected.residual) ** 2)), basis.shape[1]))
+    return [_f_test(fit.design_blocks[i], energies, k) for k, i in enumerate(places)]
 
 
-def _against(prepared: Prepared, found: list[tuple[float, int]], k: int) -> SlowPart:
+def _f_test(prepared: DesignBlock, energies: list[tuple[float, int]], k: int) -> SlowResiduals:
     from scipy.special import fdtrc
 
-    own, freedom = found[k]
-    rest = sum(energy for energy, _ in found) - own
-    others = sum(count for _, count in found) - freedom
-    if not freedom or not others or not rest > 0.0:
-        return SlowPart(prepared.run, 1.0, 1.0)
-    ratio = own / freedom / (rest / others)
-    return SlowPart(prepared.run, ratio, float(fdtrc(freedom, others, ratio)))
+    run_energy, run_dof = energies[k]
+    other_energy = sum(energy for energy, _ in energies) - run_energy
+    other_dof = sum(count for _, count in energies) - run_dof
+    if not run_dof or not other_dof or not other_energy > 0.0:
+        return SlowResiduals(prepared.run, 1.0, 1.0)
+    ratio = run_energy / run_dof / (other_energy / other_dof)
+    return SlowResiduals(prepared.run, ratio, float(fdtrc(run_dof, other_dof, ratio)))
 
 
-def _cosines(fit: JointFit, prepared: Prepared) -> list[Array]:
+def _cosines(fit: JointFit, prepared: DesignBlock) -> list[Array]:
     """Return cosines of half periods in a record, up to where its own noise is the larger one."""
     series = prepared.series
-    noise = series.total(fit.noise[series.accelerometer])
+    noise = series.total_noise(fit.noise[series.accelerometer])
     length = float(series.time[-1] - series.time[0])
     per_sample = length / float(np.sum(series.count))
     white = math.sqrt(noise.sample_variance * per_sample)

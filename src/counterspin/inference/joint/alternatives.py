@@ -22,10 +22,10 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.diagnostics import LEAST_PART_LEFT
+from counterspin.inference.diagnostics import MIN_RESIDUAL_FRACTION
 from counterspin.inference.distributions import student_cdf
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint.fit import JointFit, solve_blocks, widened
+from counterspin.inference.joint.fit import JointFit, augment_blocks, solve_blocks
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import Block, Solution
 from counterspin.physics.terms import INPUTS, mounting_of
@@ -36,7 +36,7 @@ RADIUS: Final = "centrifuge.radius"
 
 @frozen
 class Alternative:
-    """One parameter that a fit holds at nothing."""
+    """Alternative hypothesis: one parameter that a fit fixes at zero."""
 
     kind: str  #: What kind of thing it is, for words.
     owner: str  #: An accelerometer, a run, or empty: the campaign.
@@ -44,28 +44,28 @@ class Alternative:
     #: Place of an observation -> what it shows of one unit, in its own unit, shape (n,).
     columns: Mapping[int, Array] = field(default_factory=dict, repr=False, compare=False)
     #: Place of an unknown -> by how much one unit moves its prior.
-    priors: Mapping[int, float] = field(default_factory=dict, compare=False)
-    at: float | None = None  #: Where in a run, s; None where it has no place.
+    prior_shifts: Mapping[int, float] = field(default_factory=dict, compare=False)
+    time: float | None = None  #: Where in a run, s; None where it has no place.
     #: Between which sizes the parameter is credible.
-    between: tuple[float, float] = (-math.inf, math.inf)
+    credible_range: tuple[float, float] = (-math.inf, math.inf)
     #: Between which, within these, it is not; empty unless the second is the larger one.
-    but_between: tuple[float, float] = (0.0, 0.0)
+    excluded_range: tuple[float, float] = (0.0, 0.0)
     #: Sizes about which alone it is likely, and how far from one; empty: any size.
-    likely: tuple[float, ...] = ()
-    likely_within: float = math.inf
+    likely_values: tuple[float, ...] = ()
+    likely_tolerance: float = math.inf
     #: Its typical size; None of a mistake, which is of any size.
-    typical: float | None = None
+    default_sd: float | None = None
     stated: bool = False  #: Whether a value of it was written down, perhaps by mistake.
 
-    def credible(self, value: float) -> bool:
+    def is_credible(self, value: float) -> bool:
         """Return whether the parameter may be as large as that."""
-        (least, most), (low, high) = self.between, self.but_between
-        return least <= value <= most and not low < value < high
+        (lowest, highest), (low, high) = self.credible_range, self.excluded_range
+        return lowest <= value <= highest and not low < value < high
 
-    def farfetched(self, value: float) -> bool:
+    def is_implausible(self, value: float) -> bool:
         """Return whether the parameter is credible, but far from every likely size."""
-        far = min((abs(value - size) for size in self.likely), default=0.0)
-        return far > self.likely_within
+        distance = min((abs(value - size) for size in self.likely_values), default=0.0)
+        return distance > self.likely_tolerance
 
     @property
     def name(self) -> str:
@@ -74,8 +74,8 @@ class Alternative:
 
 
 @frozen
-class Scores:
-    """Alternatives held against a fit, m of them."""
+class ScoreTests:
+    """Score tests of m alternatives."""
 
     alternatives: tuple[Alternative, ...]  #: The alternatives.
     #: Estimate of each parameter and its standard uncertainty, shape (m,); u is infinite where the
@@ -84,49 +84,60 @@ class Scores:
     u: Array
     #: Distance from nothing in standard deviations, the residuals' own scale being allowed for
     #: (shape (m,)); 0 where it cannot be told.
-    size: Array
+    z: Array
     dof: float  #: Degrees of freedom of that scale.
 
-    def p(self, place: int) -> float:
+    def p(self, index: int) -> float:
         """Probability of as large a size or a larger one by chance, for one test alone."""
-        return 2.0 * student_cdf(max(self.dof, 1.0), -float(self.size[place]))
+        return 2.0 * student_cdf(max(self.dof, 1.0), -float(self.z[index]))
 
     @property
-    def tested(self) -> int:
+    def test_count(self) -> int:
         """Number of alternatives that the records can distinguish."""
         return int(np.count_nonzero(np.isfinite(self.u)))
 
 
-def of_priors(fit: JointFit) -> tuple[Alternative, ...]:
+def prior_alternatives(fit: JointFit) -> tuple[Alternative, ...]:
     """Return the alternatives that a relaxed fit has in itself: one prior is wrong, or several.
 
     One for each unknown of which something is stated; one for each term that several runs have
     anew, one for all its components, and one for the radius of several mountings: they are off
     alike if one mistake made them so.
     """
-    known = [(place, unknown) for place, unknown in _known(fit) if not unknown.unstated]
+    known = [
+        (place, unknown)
+        for place, unknown in _unknowns_with_prior(fit)
+        if not unknown.has_default_prior
+    ]
     single = (
-        Alternative("prior", *_named(u), priors={k: 1.0}, between=_reach(u)) for k, u in known
+        Alternative(
+            "prior", *_owner_and_symbol(u), prior_shifts={k: 1.0}, credible_range=_credible_range(u)
+        )
+        for k, u in known
     )
-    return (*single, *_together(fit, known))
+    return (*single, *_shared_alternatives(fit, known))
 
 
-def of_unstated(fit: JointFit) -> tuple[Alternative, ...]:
+def default_prior_alternatives(fit: JointFit) -> tuple[Alternative, ...]:
     """Return likewise the alternatives that something unstated is far from its typical size."""
-    known = [(place, unknown) for place, unknown in _known(fit) if unknown.unstated]
+    known = [
+        (place, unknown)
+        for place, unknown in _unknowns_with_prior(fit)
+        if unknown.has_default_prior
+    ]
     return tuple(
         Alternative(
             "input" if u.symbol in INPUTS else "term",
-            *_named(u),
-            priors={k: 1.0},
-            between=_reach(u),
-            typical=u.prior[1],
+            *_owner_and_symbol(u),
+            prior_shifts={k: 1.0},
+            credible_range=_credible_range(u),
+            default_sd=u.prior[1],
         )
         for k, u in known
     )
 
 
-def _known(fit: JointFit) -> list[tuple[int, Unknown]]:
+def _unknowns_with_prior(fit: JointFit) -> list[tuple[int, Unknown]]:
     """Return places and unknowns of which something is known beforehand, but for encoders'."""
     return [
         (place, unknown)
@@ -135,148 +146,156 @@ def _known(fit: JointFit) -> list[tuple[int, Unknown]]:
     ]
 
 
-def _named(unknown: Unknown) -> tuple[str, str]:
+def _owner_and_symbol(unknown: Unknown) -> tuple[str, str]:
     return unknown.owner, unknown.symbol
 
 
-def _reach(unknown: Unknown) -> tuple[float, float]:
+def _credible_range(unknown: Unknown) -> tuple[float, float]:
     """Return how far from its prior an unknown may credibly be, below and above."""
     mean, limit = unknown.prior_mean, unknown.limit
     limit += abs(mean) if abs(mean) > limit else 0.0  # what is stated counts as credible
     return -limit - mean, limit - mean
 
 
-def _together(fit: JointFit, known: Sequence[tuple[int, Unknown]]) -> Iterator[Alternative]:
+def _shared_alternatives(
+    fit: JointFit, known: Sequence[tuple[int, Unknown]]
+) -> Iterator[Alternative]:
     """Yield one alternative for each term, and each family of terms, that several runs have.
 
     And one for the radius that several mountings have by one statement.
     """
-    runs = {part.run for part in fit.prepared}
-    together: dict[str, dict[int, float]] = {}
+    runs = {part.run for part in fit.design_blocks}
+    groups: dict[str, dict[int, float]] = {}
     for place, unknown in known:
         if unknown.owner in runs:
-            whole, _, _ = unknown.symbol.rpartition(".")
-            for name in (unknown.symbol, whole) if whole else (unknown.symbol,):
-                together.setdefault(name, {})[place] = 1.0
+            family, _, _ = unknown.symbol.rpartition(".")
+            for name in (unknown.symbol, family) if family else (unknown.symbol,):
+                groups.setdefault(name, {})[place] = 1.0
         elif unknown.symbol == f"{RADIUS}.{mounting_of(unknown.symbol)}":
-            together.setdefault(RADIUS, {})[place] = 1.0
-    said: list[Mapping[int, float]] = []
-    for symbol, places in together.items():
-        if len(places) > 1 and places not in said:
-            said.append(places)
+            groups.setdefault(RADIUS, {})[place] = 1.0
+    yielded: list[Mapping[int, float]] = []
+    for symbol, places in groups.items():
+        if len(places) > 1 and places not in yielded:
+            yielded.append(places)
             limit = min(fit.model.unknowns[place].limit for place in places)
             kind = "prior" if symbol == RADIUS else "priors"  # one statement, or one a run
-            yield Alternative(kind, "", symbol, priors=places, between=(-limit, limit))
+            yield Alternative(kind, "", symbol, prior_shifts=places, credible_range=(-limit, limit))
 
 
-def scores(fit: JointFit, alternatives: Sequence[Alternative], *, noise_given: bool) -> Scores:
-    """Hold alternatives against a fit.
+def run_score_tests(
+    fit: JointFit, alternatives: Sequence[Alternative], *, noise_given: bool
+) -> ScoreTests:
+    """Run a score test of each alternative against a fit.
 
     The residuals' own scale is that which they would have with the alternative (an F test). It
     counts where it is larger than the noise, and where the noise was estimated from them.
 
     noise_given: Whether the noise was given.
     """
-    held = beside_fit(fit, alternatives)
-    columns, residual = held.columns, held.residual
+    projected = project_columns(fit, alternatives)
+    columns, residual = projected.columns, projected.residual
     norms = np.sum(columns**2, axis=0)
-    there = norms > LEAST_PART_LEFT * held.before
-    norms = np.where(there, norms, np.inf)
+    is_testable = norms > MIN_RESIDUAL_FRACTION * projected.squared_norms
+    norms = np.where(is_testable, norms, np.inf)
     product = columns.T @ residual
     gain = product**2 / norms
-    dof = max(held.dof - 1.0, 1.0)
-    rest = held.rss + float(residual @ residual)
-    scale = np.maximum(rest - gain, 0.0) / dof
+    dof = max(projected.dof - 1.0, 1.0)
+    residual_rss = projected.rss + float(residual @ residual)
+    scale = np.maximum(residual_rss - gain, 0.0) / dof
     if noise_given:
         scale = np.maximum(scale, 1.0)
-    u = np.where(there, np.sqrt(scale / np.where(there, norms, 1.0)), np.inf)
+    u = np.where(is_testable, np.sqrt(scale / np.where(is_testable, norms, 1.0)), np.inf)
     size = np.sqrt(gain / np.maximum(scale, np.finfo(float).tiny))
-    return Scores(tuple(alternatives), product / norms, u, size, dof)
+    return ScoreTests(tuple(alternatives), product / norms, u, size, dof)
 
 
 @frozen
-class Beside:
-    """Columns of alternatives beside a fit, what its unknowns can follow being taken away."""
+class ProjectedColumns:
+    """Columns of alternatives, projected onto the residual space of a fit."""
 
     columns: Array  #: Of m alternatives in the rows of blocks and priors, shape (rows, m).
     residual: Array  #: The fit's, in these rows, shape (rows,).
     rss: float  #: Sum of squares of what these rows do not hold of the residuals.
-    before: Array  #: Sums of squares of the columns before anything was taken away, shape (m,).
+    squared_norms: (
+        Array  #: Sums of squares of the columns before anything was taken away, shape (m,).
+    )
     dof: float  #: Degrees of freedom of the fit.
-    places: tuple[slice, ...]  #: Which rows are those of each observation.
+    row_slices: tuple[slice, ...]  #: Which rows are those of each observation.
 
 
-def beside_fit(fit: JointFit, alternatives: Sequence[Alternative]) -> Beside:
-    """Put alternatives beside a fit; arguments as of `scores`."""
-    blocks, solution, beside = _in_rows_of(fit, [a for a in alternatives if a.columns])
-    data, priors = _columns(alternatives, blocks, solution, beside)
+def project_columns(fit: JointFit, alternatives: Sequence[Alternative]) -> ProjectedColumns:
+    """Project alternatives off a fit; arguments as of `run_score_tests`."""
+    blocks, solution, augmented = _augment_rows(fit, [a for a in alternatives if a.columns])
+    data, priors = _columns(alternatives, blocks, solution, augmented)
     target = np.concatenate([block.target for block in blocks])
     known = solution.prior_sd == 0.0
     factor = np.vstack([block.factor for block in blocks])
     target = target - factor[:, known] @ solution.prior_mean[known]
-    held = np.divide(solution.prior_mean, solution.prior_sd, where=~known, out=np.zeros(known.size))
-    residual = solution.unexplained(target[:, None], held[:, None])[:, 0]
-    columns = solution.unexplained(data, priors)
-    return Beside(
+    prior_targets = np.divide(
+        solution.prior_mean, solution.prior_sd, where=~known, out=np.zeros(known.size)
+    )
+    residual = solution.project_out(target[:, None], prior_targets[:, None])[:, 0]
+    columns = solution.project_out(data, priors)
+    return ProjectedColumns(
         columns,
         residual,
         rss=sum(block.rss for block in blocks),
-        before=np.sum(data**2, axis=0) + np.sum(priors**2, axis=0),
+        squared_norms=np.sum(data**2, axis=0) + np.sum(priors**2, axis=0),
         dof=solution.dof,
-        places=_places(blocks),
+        row_slices=_row_slices(blocks),
     )
 
 
-def effects_of(fit: JointFit, alternatives: Sequence[Alternative]) -> tuple[Array, Array]:
+def undetected_effects(fit: JointFit, alternatives: Sequence[Alternative]) -> tuple[Array, Array]:
     """Return the effect of one unit of each alternative outside the space of the fit.
 
     Returns: the size of what it leaves in the residuals, in standard deviations, shape (m,), and by
         how much it moves the unknowns, shape (p, m).
     """
-    blocks, solution, beside = _in_rows_of(fit, [a for a in alternatives if a.columns])
-    data, priors = _columns(alternatives, blocks, solution, beside)
-    left = np.linalg.norm(solution.unexplained(data, priors), axis=0)
-    return left, solution.taken_up(data, priors)
+    blocks, solution, augmented = _augment_rows(fit, [a for a in alternatives if a.columns])
+    data, priors = _columns(alternatives, blocks, solution, augmented)
+    effects = np.linalg.norm(solution.project_out(data, priors), axis=0)
+    return effects, solution.undetected_shifts(data, priors)
 
 
-def _places(blocks: Sequence[Block]) -> tuple[slice, ...]:
+def _row_slices(blocks: Sequence[Block]) -> tuple[slice, ...]:
     ends = np.cumsum([block.factor.shape[0] for block in blocks]).tolist()
     return tuple(map(slice, [0, *ends], ends))
 
 
-def _in_rows_of(
-    fit: JointFit, shown: Sequence[Alternative]
+def _augment_rows(
+    fit: JointFit, with_columns: Sequence[Alternative]
 ) -> tuple[Sequence[Block], Solution, Array]:
     """Return blocks and solution of a fit in rows that hold further columns, and these columns."""
-    if not shown:
+    if not with_columns:
         return fit.blocks, fit.solution, np.empty((0, 0))
     p = len(fit.model.unknowns)
-    _, wide = widened(fit, [other.columns for other in shown])
-    blocks = [replace(block, factor=block.factor[:, :p]) for block in wide]
-    beside = np.vstack([block.factor[:, p:] for block in wide])
-    return blocks, solve_blocks(blocks, fit.model), beside
+    _, wide_blocks = augment_blocks(fit, [alternative.columns for alternative in with_columns])
+    blocks = [replace(block, factor=block.factor[:, :p]) for block in wide_blocks]
+    augmented = np.vstack([block.factor[:, p:] for block in wide_blocks])
+    return blocks, solve_blocks(blocks, fit.model), augmented
 
 
 def _columns(
     alternatives: Sequence[Alternative],
     blocks: Sequence[Block],
     solution: Solution,
-    beside: Array,
+    augmented: Array,
 ) -> tuple[Array, Array]:
     """Return the columns in the blocks' rows and in those of the priors, (rows, m) and (p, m)."""
     rows = sum(block.factor.shape[0] for block in blocks)
     data = np.zeros((rows, len(alternatives)))
     priors = np.zeros((solution.estimate.size, len(alternatives)))
-    shown = iter(beside.T)
-    for k, other in enumerate(alternatives):
-        if other.columns:
-            data[:, k] = next(shown)
-        for place, moved in other.priors.items():
+    remaining = iter(augmented.T)
+    for k, alternative in enumerate(alternatives):
+        if alternative.columns:
+            data[:, k] = next(remaining)
+        for place, shift in alternative.prior_shifts.items():
             sd = float(solution.prior_sd[place])
             if sd > 0.0:
                 # A prior that is too large by 1 has a row whose target is too large by 1/sd.
-                priors[place, k] = -moved / sd
+                priors[place, k] = -shift / sd
             else:
                 # What is known exactly is no unknown: the records show how it is otherwise.
-                data[:, k] += moved * np.concatenate([block.factor[:, place] for block in blocks])
+                data[:, k] += shift * np.concatenate([block.factor[:, place] for block in blocks])
     return data, priors

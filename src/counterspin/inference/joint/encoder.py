@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics import observation, quadrature
@@ -39,7 +39,7 @@ _ESTIMATED_NORM_SQUARED: Final = 1e-2
 _LIMIT_SDS: Final = 10.0
 
 
-def part_of(symbol: str) -> str:
+def rotation_component(symbol: str) -> str:
     """Return which part of the rotation a term belongs to: angle, rate, drift, ripple1, ..."""
     return symbol.split(".")[1]
 
@@ -49,7 +49,9 @@ def _symbols(error: AngleError) -> tuple[str, ...]:
     return SYMBOLS[: len(SLOW)] + tuple(r + phase for r in ripples for phase in ("cos", "sin"))
 
 
-def columns(series: Series, symbols: Sequence[str], coefficients: Mapping[str, float]) -> Array:
+def columns(
+    series: ResidualSeries, symbols: Sequence[str], coefficients: Mapping[str, float]
+) -> Array:
     """Return the effect of one standard deviation of each term on a record.
 
     By the chain rule: the angle's error changes the reference, and through each coefficient what
@@ -83,9 +85,9 @@ def columns(series: Series, symbols: Sequence[str], coefficients: Mapping[str, f
         for row, value in rows.items()
         if row.is_linear
     )
-    curved = {row: value for row, value in rows.items() if not row.is_linear}
+    products = {row: value for row, value in rows.items() if not row.is_linear}
 
-    def changed(t: Array, order: int) -> Array:
+    def displacement_change(t: Array, order: int) -> Array:
         spindle = motion.spindle
         rotation = spindle.angle(t), spindle.angular_rate(t), spindle.angular_acceleration(t)
         change = np.zeros((t.size, error.deviation.size, 3))
@@ -94,47 +96,51 @@ def columns(series: Series, symbols: Sequence[str], coefficients: Mapping[str, f
         )
         return change
 
-    def force(t: Array) -> Array:
+    def force_change(t: Array) -> Array:
         # Only where the force itself is recorded, or squared, its Coriolis part is not lost.
-        turning = 2.0 * np.cross(motion.site.earth_rotation, changed(t, 1))
-        total: Array = changed(t, 0) + turning
+        coriolis = 2.0 * np.cross(motion.site.earth_rotation, displacement_change(t, 1))
+        total: Array = displacement_change(t, 0) + coriolis
         return total
 
-    def of_products(t: Array) -> Array:
-        slope = _slope(curved, matrix @ motion.specific_force(t).T / motion.site.gravity)
-        return np.asarray(np.einsum("nmc,cn->mn", force(t), matrix.T @ slope))
+    def product_effect(t: Array) -> Array:
+        slope = _product_derivatives(
+            products, matrix @ motion.specific_force(t).T / motion.site.gravity
+        )
+        return np.asarray(np.einsum("nmc,cn->mn", force_change(t), matrix.T @ slope))
 
-    def seen(t: Array) -> Array:
-        total = (force(t) if order == 0 else changed(t, order)) @ linear
-        if curved and order == 0:
-            total += of_products(t).T
-        elif curved:
+    def effect(t: Array) -> Array:
+        total = (force_change(t) if order == 0 else displacement_change(t, order)) @ linear
+        if products and order == 0:
+            total += product_effect(t).T
+        elif products:
             edges = quadrature.panel_edges(motion.spindle, float(t.max()))
-            if any(row.has_kink for row in curved):
+            if any(row.has_kink for row in products):
                 kinks = quadrature.sign_changes(
                     lambda s: motion.specific_force(s) @ matrix[0], edges
                 )
                 edges = quadrature.panel_edges(motion.spindle, float(t.max()), kinks)
-            total += quadrature.integrate(of_products, edges, t, order)
+            total += quadrature.integrate(product_effect, edges, t, order)
         return np.asarray(total @ error.root[:, places])
 
-    shown = observation.block_average(seen, series.time, series.spread)
-    if series.share == 0.0:
-        return shown
-    turned = motion.spindle.angle_functions(error, series.time)[0] @ error.root[:, places]
+    averaged = observation.block_average(effect, series.time, series.time_sd)
+    if series.corrected_fraction == 0.0:
+        return averaged
+    angle_change = motion.spindle.angle_functions(error, series.time)[0] @ error.root[:, places]
     known = {symbol: value for symbol, value in coefficients.items() if value != 0.0}
     slope = sum(series.slopes(known)) / motion.spindle.angular_rate(series.time)
-    return np.asarray(shown - series.share * slope[:, None] * turned)
+    return np.asarray(averaged - series.corrected_fraction * slope[:, None] * angle_change)
 
 
-def _slope(rows: Mapping[SpecificForceProduct, float], a_ipo: Array) -> Array:
+def _product_derivatives(rows: Mapping[SpecificForceProduct, float], a_ipo: Array) -> Array:
     """Return the derivative of the sum of coefficient x product along I, P, O, shape (3, n)."""
     return np.stack(
         [sum(value * row.slope(a_ipo, axis) for row, value in rows.items()) for axis in "IPO"]
     )
 
 
-def with_encoder(model: Unknowns, series: Sequence[Series], noise: Mapping[str, Noise]) -> Unknowns:
+def add_encoder_terms(
+    model: Unknowns, series: Sequence[ResidualSeries], noise: Mapping[str, Noise]
+) -> Unknowns:
     """Return a model that holds what the encoder leaves open; itself if that is negligible.
 
     A disturbance of the records moves no coefficient by more than u_noise times its own norm, the
@@ -146,20 +152,25 @@ def with_encoder(model: Unknowns, series: Sequence[Series], noise: Mapping[str, 
     unknowns: list[Unknown] = []
     considered: list[Considered] = []
     for run in dict.fromkeys(record.run for record in series):
-        own = [record for record in series if record.run == run]
-        error = own[0].angle_error
+        run_series = [record for record in series if record.run == run]
+        error = run_series[0].angle_error
         if error is None:
             continue
         norms = np.max(
-            [_norms(record, error, noise[record.accelerometer]) for record in own], axis=0
+            [_squared_norms(record, error, noise[record.accelerometer]) for record in run_series],
+            axis=0,
         )
         values = error.standardised.tolist()
         for symbol, value, norm in zip(_symbols(error), values, norms.tolist(), strict=True):
             # What a harmonic left out is thought to be counts like its uncertainty.
             if norm > _ESTIMATED_NORM_SQUARED:
-                unknowns.append(Unknown(run, symbol, (value, 1.0), _LIMIT_SDS, asked=False))
+                unknowns.append(
+                    Unknown(run, symbol, (value, 1.0), _LIMIT_SDS, is_of_interest=False)
+                )
             elif norm * (1.0 + value**2) > _CONSIDERED_NORM_SQUARED:
-                considered.append(Considered(run, symbol, (value, 1.0), _LIMIT_SDS, asked=False))
+                considered.append(
+                    Considered(run, symbol, (value, 1.0), _LIMIT_SDS, is_of_interest=False)
+                )
     if not unknowns and not considered:
         return model
     return replace(
@@ -169,13 +180,13 @@ def with_encoder(model: Unknowns, series: Sequence[Series], noise: Mapping[str, 
     )
 
 
-def deviation_of(error: AngleError, estimates: Mapping[str, float]) -> Array:
+def angle_deviation(error: AngleError, estimates: Mapping[str, float]) -> Array:
     """Return the coefficients of an error's functions from estimates of terms, shape (m,)."""
     values = np.array([estimates.get(symbol, 0.0) for symbol in _symbols(error)])
     return np.asarray(error.root @ values)
 
 
-def renew_priors(model: Unknowns, errors: Mapping[str, AngleError]) -> Unknowns:
+def update_priors(model: Unknowns, errors: Mapping[str, AngleError]) -> Unknowns:
     """Return a model whose terms have the priors of these errors of each run's angle."""
     priors = {
         (run, symbol): (value, 1.0)
@@ -195,26 +206,26 @@ def renew_priors(model: Unknowns, errors: Mapping[str, AngleError]) -> Unknowns:
     )
 
 
-def considered(series: Sequence[Series]) -> tuple[Considered, ...]:
+def considered_terms(series: Sequence[ResidualSeries]) -> tuple[Considered, ...]:
     """Return all that the encoder leaves open of the runs of one accelerometer, as considered."""
     return tuple(
-        Considered(record.run, symbol, (value, 1.0), _LIMIT_SDS, asked=False)
+        Considered(record.run, symbol, (value, 1.0), _LIMIT_SDS, is_of_interest=False)
         for record in series
         if (error := record.angle_error) is not None
         for symbol, value in zip(_symbols(error), error.standardised.tolist(), strict=True)
     )
 
 
-def _norms(series: Series, error: AngleError, noise: Noise) -> Array:
+def _squared_norms(series: ResidualSeries, error: AngleError, noise: Noise) -> Array:
     """Return the squares of the terms' norms in a record, or bounds that are negligible, (m,)."""
     # In a record of specific force the accelerometer's noise is white too.
-    walk = noise.random_walk**2 / series.block_spacing if series.order == 0 else 0.0
-    variance = series.total(noise).sample_variance + walk
+    random_walk_variance = noise.random_walk**2 / series.block_spacing if series.order == 0 else 0.0
+    variance = series.total_noise(noise).sample_variance + random_walk_variance
     weight = series.count / np.maximum(variance, np.finfo(float).tiny)
     if series.order == 2:
         angle = error.largest @ np.abs(error.root)
         bound = np.sum(weight) * (series.trajectory.radius * angle) ** 2
         if np.all(bound * (1.0 + error.standardised**2) < _CONSIDERED_NORM_SQUARED):
             return np.asarray(bound)
-    shown = columns(series, _symbols(error), {})
-    return np.asarray(weight @ shown**2)
+    effects = columns(series, _symbols(error), {})
+    return np.asarray(weight @ effects**2)

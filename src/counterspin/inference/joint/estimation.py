@@ -1,8 +1,8 @@
 """The joint estimate as a list of stages, from the records to degrees of freedom.
 
-Each stage takes the state of the estimate and returns it with what it found. Between them what
-nobody asks for is in as few columns as tell the same (`counterspin.inference.joint.prepared`); the
-last fit has all.
+Each stage takes the state of the estimate and returns it updated. Between stages, nuisance
+parameters are compressed to a few equivalent columns (`counterspin.inference.joint.design_blocks`);
+the last fit has all of them.
 """
 
 from __future__ import annotations
@@ -16,46 +16,49 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.joint import encoder, rotation, used_rows
+from counterspin.inference.joint import encoder, outlier_rejection, rotation
+from counterspin.inference.joint.design_blocks import (
+    DesignBlock,
+    build_design_blocks,
+    compress_nuisance,
+    estimate_white_noise,
+    update_design_blocks,
+)
+from counterspin.inference.joint.estimated_noise import (
+    covariance_sensitivities,
+    estimate_noise_by_accelerometer,
+    inflate_covariance,
+    information_losses,
+    noise_covariances,
+)
 from counterspin.inference.joint.fit import JointFit, solve_joint
-from counterspin.inference.joint.found_noise import (
-    growth_of,
-    losses,
-    noise_of,
-    uncertain,
-    widened,
+from counterspin.inference.joint.heteroscedasticity import (
+    VarianceModel,
+    estimate_heteroscedasticity,
 )
-from counterspin.inference.joint.prepared import (
-    Prepared,
-    condense,
-    prepare_columns,
-    prepared_for,
-    white_level,
-)
-from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.time_stamps import find_shares
-from counterspin.inference.joint.uneven_noise import Uneven, uneven_noise
+from counterspin.inference.joint.outlier_rejection import RowMasks, thin_rows
+from counterspin.inference.joint.series import ResidualSeries
+from counterspin.inference.joint.time_stamps import estimate_timestamp_fractions
 from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
-from counterspin.inference.joint.used_rows import Rows, independent
 from counterspin.inference.noise.model import Noise
-from counterspin.inference.noise.search import FoundNoise
+from counterspin.inference.noise.search import NoiseEstimate
 
 #: A change of K_I by less than this changes no platform column noticeably.
 _SCALE_TOLERANCE: Final = 1e-4
 
 #: A change of a coefficient by so many of its standard uncertainties changes no input's column
 #: noticeably: of its effect it changes a part as large as the input's own uncertainty.
-_FAR: Final = 20.0
+_MAX_SHIFT_SDS: Final = 20.0
 
 #: How often weights of uneven noise are looked for: noise of the time stamps, then that of the
 #: runs beside it, and both once more.
-_ROUNDS_OF_WEIGHTS: Final = 3
+_WEIGHTING_ROUNDS: Final = 3
 
 #: How often the times of the rows are corrected.
-_ROUNDS_OF_STAMPS: Final = 3
+_TIMESTAMP_ROUNDS: Final = 3
 
 #: How often the rotation is taken from the fit: each time the error that is left is squared.
-_ROUNDS_OF_ROTATION: Final = 6
+_ROTATION_ROUNDS: Final = 6
 
 
 @frozen
@@ -64,78 +67,85 @@ class Estimate:
 
     fit: JointFit  #: The solved problem.
     #: Accelerometer -> its estimated noise; without those whose noise was given.
-    components: Mapping[str, FoundNoise]
+    estimated_noise: Mapping[str, NoiseEstimate]
     #: Effective degrees of freedom of each unknown, shape (p,); infinite where noise is exact.
     dof: Array
-    outliers: Rows = ()  #: For each series, which of its rows were left out, bool.
+    outliers: RowMasks = ()  #: For each series, which of its rows were left out, bool.
     #: The data with these rows, about the rotation that was found where none was recorded.
-    series: tuple[Series, ...] = ()
-    #: The same fit with what nobody asks for condensed; None where there was nothing to condense.
-    core: JointFit | None = None
-    #: Accelerometer whose noise is not exact -> `found_noise.losses` of the core.
-    lost: Mapping[str, Array] = field(default_factory=dict)
+    series: tuple[ResidualSeries, ...] = ()
+    #: The same fit with nuisance parameters compressed; None where there are none.
+    compressed_fit: JointFit | None = None
+    #: Accelerometer whose noise is not exact -> `estimated_noise.information_losses` of
+    #: `compressed_fit`.
+    information_losses: Mapping[str, Array] = field(default_factory=dict)
 
 
 @frozen
-class _State:
-    """An estimate on its way."""
+class _EstimationState:
+    """Intermediate state of an estimate."""
 
     requests: Mapping[str, Noise]  # noise as it is given or wanted
-    series: tuple[Series, ...]  # all rows, about the rotation as far as it is known
+    series: tuple[ResidualSeries, ...]  # all rows, about the rotation as far as it is known
     model: Unknowns  # what is estimated, with what the encoder leaves open as soon as it is known
     scale_factors: Mapping[str, float]  # K_I of each accelerometer in the platform's columns
-    at: Mapping[Unknown, float]  # estimates, less nominal, at which inputs' derivatives are taken
-    prepared: tuple[Prepared, ...]  # the model's columns of the rows that are not left out
-    outliers: Rows
+    linearization_point: Mapping[
+        Unknown, float
+    ]  # estimates, less nominal, at which inputs' derivatives are taken
+    design_blocks: tuple[DesignBlock, ...]  # the model's columns of the rows that are not left out
+    outliers: RowMasks
     fit: JointFit  # condensed
-    found: Mapping[str, FoundNoise] = field(default_factory=dict)
-    anew: bool = False  # whether the columns are others than when outliers were left out
+    noise_estimates: Mapping[str, NoiseEstimate] = field(default_factory=dict)
+    columns_changed: bool = False  # whether the columns are others than when outliers were left out
 
     @property
     def values(self) -> dict[Unknown, float]:
         """Estimates of the unknowns minus their nominal values."""
         return dict(zip(self.fit.model.unknowns, self.fit.solution.estimate.tolist(), strict=True))
 
-    def with_model(self, model: Unknowns, scale_factors: Mapping[str, float]) -> _State:
+    def with_model(self, model: Unknowns, scale_factors: Mapping[str, float]) -> _EstimationState:
         """Return the state with another model or other scale factors, fitted."""
         at = self.values
-        prepared = prepared_for(self.prepared, self.model, model, scale_factors, at)
+        prepared = update_design_blocks(self.design_blocks, self.model, model, scale_factors, at)
         noise = self.fit.noise
-        fit = solve_joint(*condense(prepared, model, _white(noise)), noise)
+        fit = solve_joint(*compress_nuisance(prepared, model, _white_noise(noise)), noise)
         return replace(
             self,
             model=model,
             scale_factors=scale_factors,
-            at=at,
-            prepared=prepared,
+            linearization_point=at,
+            design_blocks=prepared,
             fit=fit,
-            anew=True,
+            columns_changed=True,
         )
 
-    def with_uneven(self, uneven: Mapping[str, Uneven]) -> _State:
-        """Return the state with noise of the records that differs; nothing is fitted anew."""
+    def with_variance_models(self, uneven: Mapping[str, VarianceModel]) -> _EstimationState:
+        """Return the state with heteroscedastic noise, without a refit."""
         series = tuple(
-            uneven[one.accelerometer].of(one) if one.accelerometer in uneven else one
-            for one in self.series
+            uneven[record.accelerometer].apply_to(record)
+            if record.accelerometer in uneven
+            else record
+            for record in self.series
         )
 
-        def noisy(prepared: Sequence[Prepared]) -> tuple[Prepared, ...]:
+        def reweight(prepared: Sequence[DesignBlock]) -> tuple[DesignBlock, ...]:
             return tuple(
-                replace(part, series=part.series.as_noisy_as(whole.without(mask)))
-                for part, whole, mask in zip(prepared, series, self.outliers, strict=True)
+                replace(part, series=part.series.with_noise_of(record.drop_rows(mask)))
+                for part, record, mask in zip(prepared, series, self.outliers, strict=True)
             )
 
-        fit = replace(self.fit, observations=noisy(self.fit.prepared))
-        return replace(self, series=series, prepared=noisy(self.prepared), fit=fit)
+        fit = replace(self.fit, observations=reweight(self.fit.design_blocks))
+        return replace(self, series=series, design_blocks=reweight(self.design_blocks), fit=fit)
 
-    def with_noise(self) -> _State:
-        """Return the state with noise found in what the fit leaves, where it is not given."""
-        noise, found = noise_of(self.fit.prepared, self.fit.model, self.requests)
-        return replace(self, fit=self.fit.with_noise(noise), found=found)
+    def with_noise(self) -> _EstimationState:
+        """Return the state with noise estimated from the residuals, where it is not given."""
+        noise, estimates = estimate_noise_by_accelerometer(
+            self.fit.design_blocks, self.fit.model, self.requests
+        )
+        return replace(self, fit=self.fit.with_noise(noise), noise_estimates=estimates)
 
 
 def estimate(
-    series: Sequence[Series],
+    series: Sequence[ResidualSeries],
     model: Unknowns,
     requests: Mapping[str, Noise],
     *,
@@ -147,69 +157,79 @@ def estimate(
     """
     state = first_fit(find_rotation(tuple(series), model, requests), model, requests)
     for stage in STAGES:
-        if reject or stage not in (reject_outliers, take_back_outliers):
+        if reject or stage not in (reject_outliers, reinstate_outliers):
             state = stage(state)
-    whole = solve_joint(state.prepared, state.model, state.fit.noise)
-    return _finished(whole, state.fit, state.found, state.outliers, state.series)
+    full_fit = solve_joint(state.design_blocks, state.model, state.fit.noise)
+    return _finish(full_fit, state.fit, state.noise_estimates, state.outliers, state.series)
 
 
 def correct_series(
-    series: Sequence[Series], model: Unknowns, requests: Mapping[str, Noise]
-) -> tuple[Series, ...]:
+    series: Sequence[ResidualSeries], model: Unknowns, requests: Mapping[str, Noise]
+) -> tuple[ResidualSeries, ...]:
     """Return the series at the times that their angles correct; as they are without an angle."""
-    if all(one.stamps is None for one in series):
+    if all(record.timestamp_errors is None for record in series):
         return tuple(series)
     state = first_fit(find_rotation(tuple(series), model, requests), model, requests)
-    for stage in (reject_outliers, correct_time_stamps, find_noise, weigh_uneven_noise):
+    for stage in (reject_outliers, correct_time_stamps, find_noise, model_heteroscedasticity):
         state = stage(state)
     return state.series
 
 
-def estimate_again(before: Estimate, fit: JointFit, requests: Mapping[str, Noise]) -> Estimate:
-    """Return the estimate of another fit to the same rows, the noise of its records found anew."""
-    core = solve_joint(*condense(fit.prepared, fit.model, _white(fit.noise)), fit.noise)
-    noise, found = noise_of(core.prepared, core.model, requests)
-    core = core.with_noise(noise)
-    return _finished(fit.with_noise(noise), core, found, before.outliers, before.series)
+def reestimate(previous: Estimate, fit: JointFit, requests: Mapping[str, Noise]) -> Estimate:
+    """Return the estimate of another fit to the same rows, with the noise estimated again."""
+    compressed = solve_joint(
+        *compress_nuisance(fit.design_blocks, fit.model, _white_noise(fit.noise)), fit.noise
+    )
+    noise, noise_estimates = estimate_noise_by_accelerometer(
+        compressed.design_blocks, compressed.model, requests
+    )
+    compressed = compressed.with_noise(noise)
+    return _finish(
+        fit.with_noise(noise), compressed, noise_estimates, previous.outliers, previous.series
+    )
 
 
 # The stages -----------------------------------------------------------------------------------
 
 
 def find_rotation(
-    series: tuple[Series, ...], model: Unknowns, requests: Mapping[str, Noise]
-) -> tuple[Series, ...]:
+    series: tuple[ResidualSeries, ...], model: Unknowns, requests: Mapping[str, Noise]
+) -> tuple[ResidualSeries, ...]:
     """Find how runs turned whose angle nobody recorded: columns are taken along the rotation."""
     if not any(unknown.symbol in ROTATION for unknown in model.unknowns):
         return series
     plain = model.without_inputs()
     known = _scale_factors(series, plain, None)
-    return rotation.find_rotation(series, plain, known, _rough(requests))
+    return rotation.find_rotation(series, plain, known, _unit_noise(requests))
 
 
-def first_fit(series: tuple[Series, ...], model: Unknowns, requests: Mapping[str, Noise]) -> _State:
-    """Fit all rows with equal weights, derivatives being taken where what is asked for lies.
+def first_fit(
+    series: tuple[ResidualSeries, ...], model: Unknowns, requests: Mapping[str, Noise]
+) -> _EstimationState:
+    """Fit all rows with equal weights; linearize at estimates of the parameters of interest.
 
-    What nobody asks for moves that by no more than the uncertainties that it brings.
+    Nuisance parameters move that point by no more than the uncertainties that they add.
     """
     known = _scale_factors(series, model, None)
     at: dict[Unknown, float] = {}
     if model.has_inputs:
-        asked = Unknowns(model.asked)
-        alone = solve_joint(prepare_columns(series, asked, known), asked, _rough(requests))
-        known = _scale_factors(series, model, alone)
-        at = dict(zip(asked.unknowns, alone.solution.estimate.tolist(), strict=True))
-        prepared = prepared_for(alone.prepared, asked, model, known, at)
+        of_interest = Unknowns(model.of_interest)
+        interest_fit = solve_joint(
+            build_design_blocks(series, of_interest, known), of_interest, _unit_noise(requests)
+        )
+        known = _scale_factors(series, model, interest_fit)
+        at = dict(zip(of_interest.unknowns, interest_fit.solution.estimate.tolist(), strict=True))
+        prepared = update_design_blocks(interest_fit.design_blocks, of_interest, model, known, at)
     else:
-        prepared = prepare_columns(series, model, known)
-    white = _white({name: request.known for name, request in requests.items()})
-    fit = solve_joint(*condense(prepared, model, white), _rough(requests))
-    none = used_rows.nothing_left_out(series)
-    return _State(requests, series, model, known, at, prepared, none, fit)
+        prepared = build_design_blocks(series, model, known)
+    white = _white_noise({name: request.known for name, request in requests.items()})
+    fit = solve_joint(*compress_nuisance(prepared, model, white), _unit_noise(requests))
+    none = outlier_rejection.no_outliers(series)
+    return _EstimationState(requests, series, model, known, at, prepared, none, fit)
 
 
 def locate_input(
-    series: tuple[Series, ...], model: Unknowns, requests: Mapping[str, Noise], symbol: str
+    series: tuple[ResidualSeries, ...], model: Unknowns, requests: Mapping[str, Noise], symbol: str
 ) -> float:
     """Return the estimate of an input by a first fit with white noise, less nominal.
 
@@ -217,216 +237,244 @@ def locate_input(
     """
     state = first_fit(series, model, requests)
     levels: dict[str, float] = {}
-    for part in state.prepared:
+    for part in state.design_blocks:
         stated = math.sqrt(requests[part.accelerometer].known.sample_variance)
-        level = stated or white_level(part) or 1.0
+        level = stated or estimate_white_noise(part) or 1.0
         levels[part.accelerometer] = max(level, levels.get(part.accelerometer, 0.0))
     noise = {name: Noise(level) for name, level in levels.items()}
-    fit = solve_joint(state.prepared, state.model, noise)
+    fit = solve_joint(state.design_blocks, state.model, noise)
     place = [unknown.symbol for unknown in model.unknowns].index(symbol)
     return float(fit.solution.estimate[place])
 
 
-def reject_outliers(state: _State) -> _State:
-    """Leave out what the noise of its neighbours does not explain, before it is taken for noise."""
-    fit, outliers = used_rows.reject(state.fit, state.series, state.requests, state.outliers)
+def reject_outliers(state: _EstimationState) -> _EstimationState:
+    """Reject outliers before the noise is estimated."""
+    fit, outliers = outlier_rejection.reject_outliers(
+        state.fit, state.series, state.requests, state.outliers
+    )
     return replace(
-        state, fit=fit, outliers=outliers, prepared=used_rows.kept(state.prepared, outliers)
+        state,
+        fit=fit,
+        outliers=outliers,
+        design_blocks=outlier_rejection.select_rows(state.design_blocks, outliers),
     )
 
 
-def correct_time_stamps(state: _State) -> _State:
+def correct_time_stamps(state: _EstimationState) -> _EstimationState:
     """Correct the times of the rows by their angles, where the output shows that the stamps err.
 
     Twice: the output is a curve, and the first time along slopes at the wrong times.
     """
-    for _ in range(_ROUNDS_OF_STAMPS):
-        shares = find_shares(state.fit)
+    for _ in range(_TIMESTAMP_ROUNDS):
+        shares = estimate_timestamp_fractions(state.fit)
         if not shares:
             break
-        series = tuple(one.corrected(shares.get(one.run, one.share)) for one in state.series)
+        series = tuple(
+            record.correct_times(shares.get(record.run, record.corrected_fraction))
+            for record in state.series
+        )
         rejected = any(mask.any() for mask in state.outliers)
         state = first_fit(series, state.model, state.requests)
         state = reject_outliers(state) if rejected else state
     return state
 
 
-def leave_correlated_rows(state: _State) -> _State:
-    """Fit anew without rows that tell nothing which those beside them do not tell."""
-    kept = tuple(one.without(mask) for one, mask in zip(state.series, state.outliers, strict=True))
-    series = independent(state.fit, kept)
-    if all(one is before for one, before in zip(series, kept, strict=True)):
+def thin_correlated_rows(state: _EstimationState) -> _EstimationState:
+    """Thin rows whose errors are correlated, then refit."""
+    kept = tuple(
+        record.drop_rows(mask) for record, mask in zip(state.series, state.outliers, strict=True)
+    )
+    series = thin_rows(state.fit, kept)
+    if all(record is unthinned for record, unthinned in zip(series, kept, strict=True)):
         return state
     return first_fit(series, state.model, state.requests)
 
 
-def find_noise(state: _State) -> _State:
-    """Weigh the records."""
+def find_noise(state: _EstimationState) -> _EstimationState:
+    """Estimate the noise, which weights the records."""
     return state.with_noise()
 
 
-def weigh_uneven_noise(state: _State) -> _State:
-    """Weigh each run by its own white noise, and rows by that of their time stamps, where found."""
-    for _ in range(_ROUNDS_OF_WEIGHTS):
-        uneven = uneven_noise(state.fit, state.series, state.requests)
+def model_heteroscedasticity(state: _EstimationState) -> _EstimationState:
+    """Weight each run by its white noise, and rows by the noise of their time stamps."""
+    for _ in range(_WEIGHTING_ROUNDS):
+        uneven = estimate_heteroscedasticity(state.fit, state.series, state.requests)
         if not uneven:
             break
-        state = state.with_uneven(uneven).with_noise()
+        state = state.with_variance_models(uneven).with_noise()
     return state
 
 
-def find_encoder_waves(state: _State) -> _State:
-    """Take along what the encoder has not shown of the rotation, where the weights let it count."""
-    series = [part.series for part in state.prepared]
-    model = encoder.with_encoder(state.model, series, state.fit.noise)
+def add_encoder_terms(state: _EstimationState) -> _EstimationState:
+    """Add rotation errors due to encoder noise to the model, where they are not negligible."""
+    series = [part.series for part in state.design_blocks]
+    model = encoder.add_encoder_terms(state.model, series, state.fit.noise)
     if model is state.model:
         return state
-    # It is in the residuals until then.
+    # Until now these errors were in the residuals.
     return find_noise(state.with_model(model, state.scale_factors))
 
 
-def rescale(state: _State) -> _State:
-    """Take the columns of inputs and of the platform again, where the fit is far from theirs."""
-    found = _scale_factors(state.series, state.model, state.fit)
-    moved = any(abs(found[a] - k) > _SCALE_TOLERANCE for a, k in state.scale_factors.items())
-    if not moved and not (state.model.has_inputs and _far(state)):
+def relinearise_inputs(state: _EstimationState) -> _EstimationState:
+    """Recompute columns of inputs and the platform if the estimate moved far from their point."""
+    scale_factors = _scale_factors(state.series, state.model, state.fit)
+    has_changed = any(
+        abs(scale_factors[a] - k) > _SCALE_TOLERANCE for a, k in state.scale_factors.items()
+    )
+    if not has_changed and not (state.model.has_inputs and _is_far(state)):
         return state
-    return state.with_model(state.model, found).with_noise()
+    return state.with_model(state.model, scale_factors).with_noise()
 
 
-def _far(state: _State) -> bool:
-    """Return whether what is asked for is far from where derivatives were taken."""
+def _is_far(state: _EstimationState) -> bool:
+    """Return whether parameters of interest are far from the linearization point."""
     if any(unknown.symbol in encoder.SYMBOLS for unknown in state.model.unknowns):
         return True  # they were taken where the estimate was without what the encoder leaves open
     solution, now = state.fit.solution, state.values
     moves = [
-        abs(value - state.at.get(unknown, 0.0)) / u
+        abs(value - state.linearization_point.get(unknown, 0.0)) / u
         for (unknown, value), u in zip(now.items(), solution.u.tolist(), strict=True)
-        if unknown.asked and 0.0 < u < unknown.limit
+        if unknown.is_of_interest and 0.0 < u < unknown.limit
     ]
-    return max(moves, default=0.0) > _FAR
+    return max(moves, default=0.0) > _MAX_SHIFT_SDS
 
 
-def relinearise_rotation(state: _State) -> _State:
+def relinearise_rotation(state: _EstimationState) -> _EstimationState:
     """Take everything along the rotation that the fit found, where that is not only linear.
 
     Noise that seemed to be there along the first rotation is looked for again.
     """
-    if not rotation.may_bend(state.prepared, state.model, state.fit.noise):
+    if not rotation.may_be_nonlinear(state.design_blocks, state.model, state.fit.noise):
         return state
-    before = state
-    for _ in range(_ROUNDS_OF_ROTATION):
+    initial = state
+    for _ in range(_ROTATION_ROUNDS):
         noise = state.fit.noise
-        whole = solve_joint(state.prepared, state.model, noise)
-        turned = rotation.turn_to_estimate(whole, state.series)
-        if turned is None:
+        full_fit = solve_joint(state.design_blocks, state.model, noise)
+        rotated = rotation.rotate_to_estimate(full_fit, state.series)
+        if rotated is None:
             break
-        series, model = turned
+        series, model = rotated
         values = np.where(
             [unknown.symbol in encoder.SYMBOLS for unknown in model.unknowns],
             0.0,
-            whole.solution.estimate,
+            full_fit.solution.estimate,
         )
-        kept = [s.without(mask) for s, mask in zip(series, state.outliers, strict=True)]
-        prepared = prepare_columns(kept, model, state.scale_factors, values)
-        fit = solve_joint(*condense(prepared, model, _white(noise)), noise)
+        kept = [s.drop_rows(mask) for s, mask in zip(series, state.outliers, strict=True)]
+        prepared = build_design_blocks(kept, model, state.scale_factors, values)
+        fit = solve_joint(*compress_nuisance(prepared, model, _white_noise(noise)), noise)
         at = dict(zip(model.unknowns, values.tolist(), strict=True))
         state = replace(
-            state, series=series, model=model, at=at, prepared=prepared, fit=fit, anew=True
+            state,
+            series=series,
+            model=model,
+            linearization_point=at,
+            design_blocks=prepared,
+            fit=fit,
+            columns_changed=True,
         )
-    return state if state is before else weigh_uneven_noise(find_noise(state))
+    return state if state is initial else model_heteroscedasticity(find_noise(state))
 
 
-def take_back_outliers(state: _State) -> _State:
-    """Leave out what stands out of this model alone, and take back what only the first made do so.
+def reinstate_outliers(state: _EstimationState) -> _EstimationState:
+    """Reject outliers of the final model, and reinstate rows that are not outliers of it.
 
-    For a model that has become another since outliers were left out.
+    Only if the columns changed since outliers were rejected.
     """
-    if not state.anew:
+    if not state.columns_changed:
         return state
     fit, outliers, now = state.fit, state.outliers, state.values
     values = np.array([now.get(unknown, 0.0) for unknown in state.model.unknowns])
 
-    def columns() -> tuple[Prepared, ...]:
-        return prepare_columns(state.series, state.model, state.scale_factors, values)
+    def columns() -> tuple[DesignBlock, ...]:
+        return build_design_blocks(state.series, state.model, state.scale_factors, values)
 
-    if used_rows.many(outliers):
-        everything = condense(columns(), state.model, _white(fit.noise))
-        fit, outliers = used_rows.taken_back(
+    if outlier_rejection.has_many_outliers(outliers):
+        everything = compress_nuisance(columns(), state.model, _white_noise(fit.noise))
+        fit, outliers = outlier_rejection.reinstate_rows(
             fit, everything, state.series, state.requests, outliers
         )
-    fit, outliers = used_rows.reject(fit, state.series, state.requests, outliers)
+    fit, outliers = outlier_rejection.reject_outliers(fit, state.series, state.requests, outliers)
     if fit is state.fit:
         return state
-    kept = used_rows.kept(columns(), outliers)
-    return replace(state, fit=fit, outliers=outliers, prepared=kept).with_noise()
+    kept = outlier_rejection.select_rows(columns(), outliers)
+    return replace(state, fit=fit, outliers=outliers, design_blocks=kept).with_noise()
 
 
 STAGES: Final = (
     reject_outliers,
     correct_time_stamps,
-    leave_correlated_rows,
+    thin_correlated_rows,
     find_noise,
-    weigh_uneven_noise,
-    find_encoder_waves,
-    rescale,
+    model_heteroscedasticity,
+    add_encoder_terms,
+    relinearise_inputs,
     relinearise_rotation,
-    take_back_outliers,
+    reinstate_outliers,
 )
 
 
-def _finished(
+def _finish(
     fit: JointFit,
     core: JointFit,
-    found: Mapping[str, FoundNoise],
-    outliers: Rows,
-    series: tuple[Series, ...],
+    noise_estimates: Mapping[str, NoiseEstimate],
+    outliers: RowMasks,
+    series: tuple[ResidualSeries, ...],
 ) -> Estimate:
-    """Widen a fit by noise that does not show, and count degrees of freedom.
+    """Add undetected noise to a covariance, and count degrees of freedom.
 
-    core: The same fit, condensed.
+    core: The same fit, compressed.
     """
     model = fit.model
-    lost = {name: losses(core, name) for name in uncertain(core.noise, found)}
-    core, dof = widened(core, growth_of(core, lost), core.noise, found)
-    # In the condensed fit what is asked for comes first; one that has nothing condensed is whole.
-    places = [place for place, unknown in enumerate(model.unknowns) if unknown.asked]
+    lost = {
+        name: information_losses(core, name)
+        for name in noise_covariances(core.noise, noise_estimates)
+    }
+    core, dof = inflate_covariance(
+        core, covariance_sensitivities(core, lost), core.noise, noise_estimates
+    )
+    # Parameters of interest come first in the compressed fit; uncompressed, it has all unknowns.
+    places = [place for place, unknown in enumerate(model.unknowns) if unknown.is_of_interest]
     if core.model.unknowns == model.unknowns:
         places = list(range(len(model.unknowns)))
-    every = np.full(len(model.unknowns), math.inf)
-    every[places] = dof[: len(places)]
+    full_dof = np.full(len(model.unknowns), math.inf)
+    full_dof[places] = dof[: len(places)]
 
-    def embedded(covariance: Array) -> Array:
-        whole = np.zeros((every.size, every.size))
-        whole[np.ix_(places, places)] = covariance[: len(places), : len(places)]
-        return whole
+    def embed(covariance: Array) -> Array:
+        matrix = np.zeros((full_dof.size, full_dof.size))
+        matrix[np.ix_(places, places)] = covariance[: len(places), : len(places)]
+        return matrix
 
-    added = core.solution.covariance_unseen
+    added = core.solution.covariance_undetected
     if added is not None:
-        solution = replace(fit.solution, covariance_unseen=embedded(added))
-        unseen = {name: (level, embedded(one)) for name, (level, one) in core.unseen.items()}
-        fit = replace(fit, solution=solution, unseen=unseen)
-    return Estimate(fit, found, every, outliers, series, core, lost)
+        solution = replace(fit.solution, covariance_undetected=embed(added))
+        unseen = {
+            name: (level, embed(covariance))
+            for name, (level, covariance) in core.undetected_walks.items()
+        }
+        fit = replace(fit, solution=solution, undetected_walks=unseen)
+    return Estimate(fit, noise_estimates, full_dof, outliers, series, core, lost)
 
 
-def _rough(requests: Mapping[str, Noise]) -> dict[str, Noise]:
+def _unit_noise(requests: Mapping[str, Noise]) -> dict[str, Noise]:
     return {name: Noise(1.0) for name in requests}
 
 
-def _white(noise: Mapping[str, Noise]) -> dict[str, float | None]:
+def _white_noise(noise: Mapping[str, Noise]) -> dict[str, float | None]:
     """Return the least white noise of a sample, as far as it is known."""
-    return {name: math.sqrt(one.sample_variance) or None for name, one in noise.items()}
+    return {name: math.sqrt(component.sample_variance) or None for name, component in noise.items()}
 
 
 def _scale_factors(
-    series: Sequence[Series], model: Unknowns, fit: JointFit | None
+    series: Sequence[ResidualSeries], model: Unknowns, fit: JointFit | None
 ) -> dict[str, float]:
     """Return K_I of each accelerometer: estimated, or known beforehand, or 1."""
     factors = {record.accelerometer: 1.0 for record in series}
-    found = {} if fit is None else {other: k for k, other in enumerate(fit.model.unknowns)}
+    places_of_unknowns = (
+        {} if fit is None else {fitted: k for k, fitted in enumerate(fit.model.unknowns)}
+    )
     for unknown in model.unknowns:
         if unknown.symbol == "K_I":
-            place = found.get(unknown)
+            place = places_of_unknowns.get(unknown)
             if fit is not None and place is not None and fit.solution.u[place] < unknown.limit:
                 factors[unknown.owner] = 1.0 + float(fit.solution.estimate[place])
             elif math.isfinite(unknown.prior[1]):

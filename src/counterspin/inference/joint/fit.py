@@ -1,13 +1,13 @@
-"""Joint estimation from all that was measured, in one fit.
+"""Joint estimation from all observations, in one fit.
 
 Each observation, such as the record of one accelerometer in one run, is whitened and reduced to a
 block of square-root information about the shared unknowns. All blocks are solved together with the
 priors and the considered terms. Whatever is asked next (another noise level, a run left out, one
 more considered input) starts from the prepared columns or the blocks, not from the records.
 
-What a model assumes can only be held to the records where it may give way. Hence a fit in which
-what is considered is estimated, its prior being one more observation; and one that has further
-columns, such as those of a mistake that somebody may have made.
+To test an assumption against the data, it must be estimated. Hence a fit in which considered terms
+are estimated, with their priors as observations, and a fit with further columns, such as those of a
+possible mistake.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference import least_squares
 from counterspin.inference.identifiability import Assessment, assess
-from counterspin.inference.joint.prepared import Prepared
+from counterspin.inference.joint.design_blocks import DesignBlock
 from counterspin.inference.joint.unknowns import Observation, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR, Block, Solution
 from counterspin.inference.noise.model import Noise
@@ -33,7 +33,7 @@ from counterspin.inference.noise.model import Noise
 class Residuals:
     """Residuals of one series."""
 
-    plain: Array  #: In the series' own unit, shape (n,).
+    unweighted: Array  #: In the series' own unit, shape (n,).
     #: In rows of unit variance, shape (m,), m <= n: differences belong to the later rows.
     whitened: Array
 
@@ -50,24 +50,26 @@ class JointFit:
     noise: Mapping[str, Noise]  #: By accelerometer, or group of readings whose noise was found.
     #: By accelerometer, where there is any: a random walk that the records do not show, N in
     #: (m/s^2)/Hz^0.5, and what it adds to the covariance, shape (p, p).
-    unseen: Mapping[str, tuple[float, Array]] = field(default_factory=dict)
+    undetected_walks: Mapping[str, tuple[float, Array]] = field(default_factory=dict)
 
     @cached_property
-    def prepared(self) -> tuple[Prepared, ...]:
-        """The records among what was measured: the first of it."""
-        return tuple(one for one in self.observations if isinstance(one, Prepared))
+    def design_blocks(self) -> tuple[DesignBlock, ...]:
+        """The records among the observations, which come first."""
+        return tuple(
+            observation for observation in self.observations if isinstance(observation, DesignBlock)
+        )
 
     def with_noise(self, noise: Mapping[str, Noise]) -> JointFit:
-        """Return the fit with other noise; what keeps its noise remains as it is reduced."""
-        every = {**self.noise, **noise}
+        """Return the fit with other noise; blocks whose noise does not change are reused."""
+        all_noise = {**self.noise, **noise}
         blocks = tuple(
-            one.block_in(self.model, every) if one.source in noise else block
-            for block, one in zip(self.blocks, self.observations, strict=True)
+            observation.block_in(self.model, all_noise) if observation.source in noise else block
+            for block, observation in zip(self.blocks, self.observations, strict=True)
         )
         solution = solve_blocks(blocks, self.model)
-        return replace(self, solution=solution, blocks=blocks, noise=every, unseen={})
+        return replace(self, solution=solution, blocks=blocks, noise=all_noise, undetected_walks={})
 
-    def only(self, kept: Sequence[bool]) -> JointFit:
+    def subset(self, kept: Sequence[bool]) -> JointFit:
         """Return the fit of some of the observations."""
         blocks = tuple(compress(self.blocks, kept))
         return replace(
@@ -75,24 +77,24 @@ class JointFit:
             observations=tuple(compress(self.observations, kept)),
             blocks=blocks,
             solution=solve_blocks(blocks, self.model),
-            unseen={},
+            undetected_walks={},
         )
 
     def without_run(self, run: str) -> Solution | None:
         """Return the solution without one run; None if nothing is left."""
-        if run not in self._without:
-            every = zip(self.blocks, self.observations, strict=True)
-            kept = [block for block, one in every if one.run != run]
-            self._without[run] = solve_blocks(kept, self.model) if kept else None
-        return self._without[run]
+        if run not in self._leave_one_out_cache:
+            pairs = zip(self.blocks, self.observations, strict=True)
+            kept = [block for block, observation in pairs if observation.run != run]
+            self._leave_one_out_cache[run] = solve_blocks(kept, self.model) if kept else None
+        return self._leave_one_out_cache[run]
 
     @cached_property
-    def _without(self) -> dict[str, Solution | None]:
-        """The solutions that were asked for: all accelerometers ask for the same."""
+    def _leave_one_out_cache(self) -> dict[str, Solution | None]:
+        """Cache: every accelerometer requests the same leave-one-out solutions."""
         return {}
 
     @cached_property
-    def relaxed(self) -> Solution:
+    def solution_with_considered(self) -> Solution:
         """The solution with considered terms estimated too, each held by its prior.
 
         Its unknowns are those of the model, then the considered ones. It is what the records and
@@ -101,39 +103,47 @@ class JointFit:
         """
         if not self.model.considered:
             return self.solution
-        return solve_relaxed(self.blocks, self.model)
+        return solve_with_considered(self.blocks, self.model)
 
     @cached_property
     def assessment(self) -> Assessment:
         """Mask of the parameters of interest that are determined."""
-        asked = self.model.asked
+        of_interest = self.model.of_interest
         assessment = assess(
             self.solution,
-            [unknown.name for unknown in asked],
-            nominal=[unknown.nominal for unknown in asked],
+            [unknown.name for unknown in of_interest],
+            nominal=[unknown.nominal for unknown in of_interest],
         )
-        not_determined = {unknown.name: False for unknown in asked if unknown.defaulted}
+        not_determined = {
+            unknown.name: False for unknown in of_interest if unknown.uses_fallback_prior
+        }
         return replace(assessment, determined=assessment.determined | not_determined)
 
     @cached_property
     def residuals(self) -> tuple[Residuals, ...]:
         """Residuals of each series, with considered terms at their estimates."""
-        return tuple(self._residuals_of(prepared) for prepared in self.prepared)
+        return tuple(self._block_residuals(prepared) for prepared in self.design_blocks)
 
-    def _residuals_of(self, prepared: Prepared) -> Residuals:
-        series, estimate, p = prepared.series, self.relaxed.estimate, len(self.model.unknowns)
-        left = series.error - prepared.design @ estimate[list(prepared.unknowns)]
-        left = left - prepared.fixed @ estimate[[p + place for place in prepared.considered]]
+    def _block_residuals(self, prepared: DesignBlock) -> Residuals:
+        series, estimate, p = (
+            prepared.series,
+            self.solution_with_considered.estimate,
+            len(self.model.unknowns),
+        )
+        residuals = series.error - prepared.design @ estimate[list(prepared.unknowns)]
+        residuals = (
+            residuals - prepared.fixed @ estimate[[p + place for place in prepared.considered]]
+        )
         whiten = series.whitener(self.noise[series.accelerometer])
         if whiten.polynomials == 0:
             # The differences have removed the start errors; the plain residuals need them back.
-            own = series.polynomials(series.order)
-            start = np.linalg.lstsq(own, left, rcond=None)[0]
-            return Residuals(left - own @ start, whiten.apply(left))
-        own = series.polynomials(whiten.polynomials)
-        rows = whiten.apply(np.column_stack([own, left]))
+            polynomials = series.polynomials(series.order)
+            start = np.linalg.lstsq(polynomials, residuals, rcond=None)[0]
+            return Residuals(residuals - polynomials @ start, whiten.apply(residuals))
+        polynomials = series.polynomials(whiten.polynomials)
+        rows = whiten.apply(np.column_stack([polynomials, residuals]))
         start = np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=None)[0]
-        return Residuals(left - own @ start, rows[:, -1] - rows[:, :-1] @ start)
+        return Residuals(residuals - polynomials @ start, rows[:, -1] - rows[:, :-1] @ start)
 
     @cached_property
     def degrees_of_freedom(self) -> tuple[float, ...]:
@@ -142,11 +152,11 @@ class JointFit:
         Rows less its own unknowns, less what the fit of all observations and priors follows.
         """
         ends = np.cumsum([block.factor.shape[0] for block in self.blocks])
-        leverages = self.relaxed.leverages[: ends[-1]]
-        followed = np.add.reduceat(leverages, np.append(0, ends[:-1]))
+        leverages = self.solution_with_considered.leverages[: ends[-1]]
+        fitted_dof = np.add.reduceat(leverages, np.append(0, ends[:-1]))
         return tuple(
             block.rows - block.nuisance - float(part)
-            for block, part in zip(self.blocks, followed, strict=True)
+            for block, part in zip(self.blocks, fitted_dof, strict=True)
         )
 
 
@@ -154,7 +164,7 @@ def solve_joint(
     observations: Sequence[Observation], model: Unknowns, noise: Mapping[str, Noise]
 ) -> JointFit:
     """Solve a prepared problem for given noise."""
-    blocks = tuple(one.block_in(model, noise) for one in observations)
+    blocks = tuple(observation.block_in(model, noise) for observation in observations)
     return JointFit(model, solve_blocks(blocks, model), tuple(observations), blocks, noise)
 
 
@@ -165,12 +175,12 @@ def solve_blocks(blocks: Sequence[Block], model: Unknowns) -> Solution:
         prior_mean=[unknown.prior_mean for unknown in model.unknowns],
         prior_sd=[unknown.prior[1] for unknown in model.unknowns],
         considered_mean=model.considered_means,
-        considered_sd=model.considered_sizes,
+        considered_sd=model.considered_sds,
         limits=[unknown.limit for unknown in model.unknowns],
     )
 
 
-def relaxed_block(block: Block) -> Block:
+def estimate_considered_in_block(block: Block) -> Block:
     """Return a block whose considered terms are unknowns, after the others."""
     return replace(
         block,
@@ -179,11 +189,11 @@ def relaxed_block(block: Block) -> Block:
     )
 
 
-def solve_relaxed(blocks: Sequence[Block], model: Unknowns) -> Solution:
-    """Solve blocks with considered terms estimated too, as `JointFit.relaxed`."""
+def solve_with_considered(blocks: Sequence[Block], model: Unknowns) -> Solution:
+    """Solve blocks with considered terms estimated too, as `JointFit.solution_with_considered`."""
     unknowns = (*model.unknowns, *model.considered)
     return least_squares.solve(
-        [relaxed_block(block) for block in blocks],
+        [estimate_considered_in_block(block) for block in blocks],
         prior_mean=[unknown.prior_mean for unknown in unknowns],
         prior_sd=[unknown.prior[1] for unknown in unknowns],
         limits=[unknown.limit for unknown in unknowns],
@@ -193,35 +203,44 @@ def solve_relaxed(blocks: Sequence[Block], model: Unknowns) -> Solution:
 # More unknowns ---------------------------------------------------------------------------------
 
 
-def relax(fit: JointFit) -> JointFit:
-    """Return the fit with all that is considered as unknowns, each with its prior.
+def estimate_considered(fit: JointFit) -> JointFit:
+    """Return the fit with all considered terms as unknowns, each with its prior.
 
     The unknowns of the model come first, in their order, then the considered ones. Noise that
     the records do not show is left out.
     """
     model = fit.model
     if not model.considered:
-        return replace(fit, unseen={})
+        return replace(fit, undetected_walks={})
     p = len(model.unknowns)
     considered = [
-        Unknown(other.owner, other.symbol, other.prior, other.limit, other.asked, other.unstated)
-        for other in model.considered
+        Unknown(
+            term.owner,
+            term.symbol,
+            term.prior,
+            term.limit,
+            term.is_of_interest,
+            term.has_default_prior,
+        )
+        for term in model.considered
     ]
-    whole = Unknowns((*model.unknowns, *considered))
+    all_unknowns = Unknowns((*model.unknowns, *considered))
     return replace(
         fit,
-        model=whole,
-        solution=fit.relaxed,
-        observations=tuple(one.relaxed(p) for one in fit.observations),
-        blocks=tuple(relaxed_block(block) for block in fit.blocks),
-        unseen={},
+        model=all_unknowns,
+        solution=fit.solution_with_considered,
+        observations=tuple(
+            observation.with_considered_estimated(p) for observation in fit.observations
+        ),
+        blocks=tuple(estimate_considered_in_block(block) for block in fit.blocks),
+        undetected_walks={},
     )
 
 
-def widened(
+def augment_blocks(
     fit: JointFit, columns: Sequence[Mapping[int, Array]]
 ) -> tuple[tuple[Observation, ...], tuple[Block, ...]]:
-    """Return observations and blocks of a relaxed fit with further columns, behind the unknowns'.
+    """Append columns to observations and blocks of a fit whose considered terms are estimated.
 
     columns: Of each: the place of an observation -> what it shows of one unit, shape (n,); one
         that is not named shows nothing.
@@ -230,22 +249,24 @@ def widened(
     added = [Unknown("", str(place), NO_PRIOR, 1.0) for place in range(m)]
     model = replace(fit.model, unknowns=(*fit.model.unknowns, *added))
     observations, blocks = [], []
-    for i, (one, block) in enumerate(zip(fit.observations, fit.blocks, strict=True)):
-        shown = {p + k: column[i] for k, column in enumerate(columns) if i in column}
-        observations.append(one.with_columns(tuple(shown), tuple(shown.values())))
+    for i, (observation, block) in enumerate(zip(fit.observations, fit.blocks, strict=True)):
+        added_columns = {p + k: column[i] for k, column in enumerate(columns) if i in column}
+        observations.append(
+            observation.with_columns(tuple(added_columns), tuple(added_columns.values()))
+        )
         blocks.append(
             observations[-1].block_in(model, fit.noise)
-            if shown
+            if added_columns
             else replace(block, factor=np.pad(block.factor, ((0, 0), (0, m))))
         )
     return tuple(observations), tuple(blocks)
 
 
-def extended(
+def augment(
     fit: JointFit, unknowns: Sequence[Unknown], columns: Sequence[Mapping[int, Array]]
 ) -> JointFit:
-    """Return a relaxed fit with further unknowns; columns as of `widened`."""
-    observations, blocks = widened(fit, columns)
+    """Add unknowns to a fit with considered terms estimated; columns as of `augment_blocks`."""
+    observations, blocks = augment_blocks(fit, columns)
     model = replace(fit.model, unknowns=(*fit.model.unknowns, *unknowns))
     solution = solve_blocks(blocks, model)
     return replace(fit, model=model, solution=solution, observations=observations, blocks=blocks)

@@ -18,8 +18,8 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.inference.distributions import normal_cdf
 from counterspin.inference.joint.alternatives import Alternative
+from counterspin.inference.joint.design_blocks import DesignBlock
 from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.series import (
     CLOCK,
     TIMING,
@@ -66,10 +66,10 @@ _WINDOWS: Final = (4, 16, 64, 256)
 _DECADES: Final = 6.0 * math.log(10.0)
 
 #: Part of the stated values that are off which are mistaken, rather than off by what is typical.
-_MISTAKEN: Final = 0.5
+_MISTAKE_PROBABILITY: Final = 0.5
 
 #: How likely a mistake of some kind is beside one of the whole campaign.
-_RARER: Final[Mapping[str, float]] = {
+_PRIOR_ODDS: Final[Mapping[str, float]] = {
     "priors": 0.3,  # several statements, all off by as much
     RUN_SCALE: 0.1,
     BIAS: 0.1,
@@ -80,7 +80,7 @@ _RARER: Final[Mapping[str, float]] = {
 }
 
 
-def of_records(
+def record_mistakes(
     fit: JointFit, trends: Mapping[str, float], *, angle_recorded: bool
 ) -> Iterator[Alternative]:
     """Yield what may be otherwise in the records of an accelerometer, of a run, or of all.
@@ -89,132 +89,146 @@ def of_records(
     angle_recorded: Whether the spindle's angle was; else its zero is found and nothing can be wrong
         with it.
     """
-    parts = fit.prepared
-    outputs = {i: _output(fit, i) for i in range(len(parts))}
+    parts = fit.design_blocks
+    outputs = {i: _fitted_output(fit, i) for i in range(len(parts))}
     accelerometers = list(dict.fromkeys(part.accelerometer for part in parts))
     runs = list(dict.fromkeys(part.run for part in parts))
-    limits = {(other.owner, other.symbol): other.limit for other in fit.model.unknowns}
+    limits = {(unknown.owner, unknown.symbol): unknown.limit for unknown in fit.model.unknowns}
     for name in accelerometers:
-        own = {i: outputs[i] for i, part in enumerate(parts) if part.accelerometer == name}
-        yield Alternative(SCALE, name, SCALE, own, between=_SCALE_RANGE)
-        if len(own) > 1:
-            yield _drift(fit, list(own), name, trends[name])
+        columns = {i: outputs[i] for i, part in enumerate(parts) if part.accelerometer == name}
+        yield Alternative(SCALE, name, SCALE, columns, credible_range=_SCALE_RANGE)
+        if len(columns) > 1:
+            yield _bias_drift(fit, list(columns), name, trends[name])
     if len(runs) > 1:
-        yield from _responses(fit, accelerometers)
+        yield from _low_pass_alternatives(fit, accelerometers)
     for run in runs if len(runs) > 1 else ():
-        own = {i: outputs[i] for i, part in enumerate(parts) if part.run == run}
-        yield Alternative(RUN_SCALE, run, SCALE, own, between=_SCALE_RANGE)
+        columns = {i: outputs[i] for i, part in enumerate(parts) if part.run == run}
+        yield Alternative(RUN_SCALE, run, SCALE, columns, credible_range=_SCALE_RANGE)
     for i, part in enumerate(parts):
         owner = f"{part.run}.{part.accelerometer}"
         if len(accelerometers) > 1 and len(runs) > 1:
-            one = {i: outputs[i]}
-            yield Alternative(RUN_SCALE, owner, SCALE, one, between=_SCALE_RANGE)
-        fallen = _fallen(fit, i, 0)
+            column = {i: outputs[i]}
+            yield Alternative(RUN_SCALE, owner, SCALE, column, credible_range=_SCALE_RANGE)
+        integrated = _integrated_bias(fit, i, 0)
         limit = limits.get((part.accelerometer, "K_F"), TERMS["K_F"].limit)
-        yield Alternative(BIAS, owner, BIAS, {i: fallen}, between=(-limit, limit))
-        yield _drift(fit, [i], owner, trends[part.accelerometer])
+        yield Alternative(BIAS, owner, BIAS, {i: integrated}, credible_range=(-limit, limit))
+        yield _bias_drift(fit, [i], owner, trends[part.accelerometer])
     if angle_recorded:
-        turned = {i: rotation_column(part.series, ROTATION[0]) for i, part in enumerate(parts)}
-        yield Alternative(ANGLE, "", "records.angle", turned, between=_ANGLE_RANGE)
+        angle_columns = {
+            i: rotation_column(part.series, ROTATION[0]) for i, part in enumerate(parts)
+        }
+        yield Alternative(ANGLE, "", "records.angle", angle_columns, credible_range=_ANGLE_RANGE)
         for run in runs if len(runs) > 1 else ():
-            own = {i: turned[i] for i, part in enumerate(parts) if part.run == run}
-            yield Alternative(ANGLE, run, ANGLE, own, between=_ANGLE_RANGE)
+            columns = {i: angle_columns[i] for i, part in enumerate(parts) if part.run == run}
+            yield Alternative(ANGLE, run, ANGLE, columns, credible_range=_ANGLE_RANGE)
 
 
-def _responses(fit: JointFit, accelerometers: Sequence[str]) -> Iterator[Alternative]:
+def _low_pass_alternatives(fit: JointFit, accelerometers: Sequence[str]) -> Iterator[Alternative]:
     """Yield for each accelerometer that its gain depends on the frequency.
 
     A first-order low pass of time constant tau has the gain 1 - (w tau)^2/2: it adds tau^2/2 times
     the second derivative of what is recorded. It also delays by tau, as a late angle does.
     """
-    parts = fit.prepared
+    parts = fit.design_blocks
     fastest = max(abs(part.series.trajectory.spindle.rate) for part in parts)
-    step, most = _RESPONSE_STEP / fastest, 2.0 * _LARGEST_RESPONSE / fastest**2
+    step, limit = _RESPONSE_STEP / fastest, 2.0 * _LARGEST_RESPONSE / fastest**2
     for name in accelerometers:
         columns = {}
         for i, part in enumerate(parts):
             if part.accelerometer == name:
-                before, now, after = (part.series.reference(later=by) for by in (-step, 0.0, step))
-                columns[i] = 0.5 * (before - 2.0 * now + after) / step**2
-        yield Alternative(RESPONSE, name, RESPONSE, columns, between=(-most, most))
+                before, at_sample, after = (
+                    part.series.reference(delay=delay) for delay in (-step, 0.0, step)
+                )
+                columns[i] = 0.5 * (before - 2.0 * at_sample + after) / step**2
+        yield Alternative(RESPONSE, name, RESPONSE, columns, credible_range=(-limit, limit))
 
 
-def _fallen(fit: JointFit, i: int, power: int, since: float | None = None) -> Array:
+def _integrated_bias(fit: JointFit, i: int, power: int, start: float | None = None) -> Array:
     """Return the effect of a bias of t^power on a record, in g and s from a time or its start."""
-    series = fit.prepared[i].series
+    series = fit.design_blocks[i].series
     total = power + series.order
-    fallen: Array = (series.time - (series.time[0] if since is None else since)) ** total
-    return fallen * (series.trajectory.site.gravity * math.factorial(power) / math.factorial(total))
+    integrated: Array = (series.time - (series.time[0] if start is None else start)) ** total
+    return integrated * (
+        series.trajectory.site.gravity * math.factorial(power) / math.factorial(total)
+    )
 
 
-def _drift(fit: JointFit, places: Sequence[int], owner: str, typical: float) -> Alternative:
-    """Return that a bias drifts in some records, in each from its start."""
-    columns = {i: _fallen(fit, i, 1) for i in places}
-    longest = max(float(np.ptp(fit.prepared[i].series.time)) for i in places)
+def _bias_drift(fit: JointFit, places: Sequence[int], owner: str, typical: float) -> Alternative:
+    """Return the alternative of a bias drift in some records, in each from its start."""
+    columns = {i: _integrated_bias(fit, i, 1) for i in places}
+    longest = max(float(np.ptp(fit.design_blocks[i].series.time)) for i in places)
     steepest = TERMS["K_F"].limit / longest
     return Alternative(
         BIAS_DRIFT,
         owner,
         BIAS_DRIFT,
         columns,
-        between=(-steepest, steepest),
-        typical=typical,
+        credible_range=(-steepest, steepest),
+        default_sd=typical,
     )
 
 
-def _output(fit: JointFit, i: int) -> Array:
+def _fitted_output(fit: JointFit, i: int) -> Array:
     """Return the fitted output. The recorded output would correlate with its own noise."""
-    series = fit.prepared[i].series
-    return series.reference() + series.error - fit.residuals[i].plain
+    series = fit.design_blocks[i].series
+    return series.reference() + series.error - fit.residuals[i].unweighted
 
 
-def of_coriolis(fit: JointFit, *, own_velocity: bool) -> Iterator[Alternative]:
+def coriolis_mistakes(fit: JointFit, *, own_velocity: bool) -> Iterator[Alternative]:
     """Yield that the navigation computers took the other velocity for the Coriolis acceleration.
 
     own_velocity: Whether they are said to take their own; else the platform's.
     """
     columns: dict[int, Array] = {}
-    for run in dict.fromkeys(part.run for part in fit.prepared):
-        places = [i for i, part in enumerate(fit.prepared) if part.run == run]
+    for run in dict.fromkeys(part.run for part in fit.design_blocks):
+        places = [i for i, part in enumerate(fit.design_blocks) if part.run == run]
         errors = []
         for i in places:
-            series = fit.prepared[i].series
+            series = fit.design_blocks[i].series
             site, axis = series.trajectory.site, series.mounting.turned(series.attitude).input_axis
-            left = observation.residual_gravity(site, axis, series.time, series.observable)
-            errors.append(AxisError(axis, series.observable, series.time, series.error + left))
+            residual_gravity = observation.residual_gravity(
+                site, axis, series.time, series.observable
+            )
+            errors.append(
+                AxisError(axis, series.observable, series.time, series.error + residual_gravity)
+            )
         for i, part in zip(places, taken(site, errors), strict=True):
             if part.any():
                 columns[i] = part if own_velocity else -part
     if columns:
-        yield Alternative(CORIOLIS, "", "records.reference", columns, between=_WHOLE_VELOCITY)
+        yield Alternative(
+            CORIOLIS, "", "records.reference", columns, credible_range=_WHOLE_VELOCITY
+        )
 
 
-def at_size(fit: JointFit, other: Alternative, value: float) -> Alternative:
+def at_value(fit: JointFit, alternative: Alternative, value: float) -> Alternative:
     """Return an alternative with the columns that it has where it is as large as `value`.
 
     A turned angle is no longer a first-order matter from a degree on, and what a record is a
     multiple of is known only once its scale is.
 
-    other: One of this module's.
+    alternative: One of this module's.
     """
-    if other.kind in (SCALE, RUN_SCALE):
-        return replace(other, columns={i: _output(fit, i) for i in other.columns})
-    if other.kind == ANGLE or other.symbol == TIMING:
+    if alternative.kind in (SCALE, RUN_SCALE):
+        return replace(
+            alternative, columns={i: _fitted_output(fit, i) for i in alternative.columns}
+        )
+    if alternative.kind == ANGLE or alternative.symbol == TIMING:
         columns = {}
-        for i in other.columns:
-            series = fit.prepared[i].series
-            if other.kind == ANGLE:
+        for i in alternative.columns:
+            series = fit.design_blocks[i].series
+            if alternative.kind == ANGLE:
                 spindle = series.trajectory.spindle
-                turned = replace(spindle, start_angle=spindle.start_angle + value)
-                there = series.reference(replace(series.trajectory, spindle=turned))
+                rotated = replace(spindle, start_angle=spindle.start_angle + value)
+                changed = series.reference(replace(series.trajectory, spindle=rotated))
             else:
-                there = series.reference(later=-value)
-            columns[i] = (there - series.reference()) / value
-        return replace(other, columns=columns)
-    return other
+                changed = series.reference(delay=-value)
+            columns[i] = (changed - series.reference()) / value
+        return replace(alternative, columns=columns)
+    return alternative
 
 
-def jumps(
+def changepoints(
     fit: JointFit, count: int, about: Alternative | None = None, within: float = 0.0
 ) -> Iterator[Alternative]:
     """Yield steps and bends of each record at evenly spaced times, or of one about a time.
@@ -225,36 +239,50 @@ def jumps(
     about: One that has been found; None: all records, over their whole length.
     within: s, how far from it.
     """
-    for i, part in enumerate(fit.prepared):
+    for i, part in enumerate(fit.design_blocks):
         owner, time = f"{part.run}.{part.accelerometer}", part.series.time
         low, high = float(time[0]), float(time[-1])
-        last, swing = high, float(np.ptp(_output(fit, i)))  # no step exceeds what is recorded
+        last, output_range = (
+            high,
+            float(np.ptp(_fitted_output(fit, i))),
+        )  # no step exceeds what is recorded
         if about is not None:
-            if about.owner != owner or about.at is None:
+            if about.owner != owner or about.time is None:
                 continue
-            low, high = max(low, about.at - within), min(high, about.at + within)
+            low, high = max(low, about.time - within), min(high, about.time + within)
         for at in np.linspace(low, high, count + 2)[1:-1].tolist():
             step = (time > at).astype(float)
             if not 0.0 < step.sum() < step.size:
                 continue
             if about is None or about.kind == JUMP:
-                yield Alternative(JUMP, owner, JUMP, {i: step}, at=at, between=(-swing, swing))
+                yield Alternative(
+                    JUMP,
+                    owner,
+                    JUMP,
+                    {i: step},
+                    time=at,
+                    credible_range=(-output_range, output_range),
+                )
             if about is None or about.kind == SLOPE:
-                ramp, steepest = {i: step * (time - at)}, swing / (last - at)
-                yield Alternative(SLOPE, owner, SLOPE, ramp, at=at, between=(-steepest, steepest))
+                ramp, steepest = {i: step * (time - at)}, output_range / (last - at)
+                yield Alternative(
+                    SLOPE, owner, SLOPE, ramp, time=at, credible_range=(-steepest, steepest)
+                )
             if part.series.order == 2 and (about is None or about.kind == BIAS_STEP):
-                fallen, most = {i: step * _fallen(fit, i, 0, at)}, TERMS["K_F"].limit
-                yield Alternative(BIAS_STEP, owner, BIAS_STEP, fallen, at=at, between=(-most, most))
+                integrated, limit = {i: step * _integrated_bias(fit, i, 0, at)}, TERMS["K_F"].limit
+                yield Alternative(
+                    BIAS_STEP, owner, BIAS_STEP, integrated, time=at, credible_range=(-limit, limit)
+                )
 
 
-def of_inputs(fit: JointFit, inputs: Mapping[str, float]) -> Iterator[Alternative]:
+def input_mistakes(fit: JointFit, inputs: Mapping[str, float]) -> Iterator[Alternative]:
     """Yield inputs that are stated as exact.
 
     inputs: Symbol -> typical size.
     """
     for name, typical in inputs.items():
-        shown = {}
-        for i, part in enumerate(fit.prepared):
+        columns = {}
+        for i, part in enumerate(fit.design_blocks):
             # What the errors found so far are of depends on the inputs too.
             table = {
                 symbol: column
@@ -267,41 +295,48 @@ def of_inputs(fit: JointFit, inputs: Mapping[str, float]) -> Iterator[Alternativ
                 if (symbol := fit.model.unknowns[place].symbol) in table
             }
             now = expected_output(part.series, known, table)
-            shown[i] = input_column(part.series, name, part.scale_factor, known, now)
+            columns[i] = input_column(part.series, name, part.scale_factor, known, now)
         by_owner: dict[str, dict[int, Array]] = {}
-        for i, column in shown.items():
-            owner = fit.prepared[i].series.recorder if name == CLOCK else ""
+        for i, column in columns.items():
+            owner = fit.design_blocks[i].series.recorder if name == CLOCK else ""
             by_owner.setdefault(owner, {})[i] = column
-        for owner, own in by_owner.items():
-            yield Alternative("input", owner, name, own, typical=typical)
+        for owner, known_values in by_owner.items():
+            yield Alternative("input", owner, name, known_values, default_sd=typical)
 
 
-def of_terms(fit: JointFit, terms: Mapping[Considered, float]) -> Iterator[Alternative]:
+def term_mistakes(fit: JointFit, terms: Mapping[Considered, float]) -> Iterator[Alternative]:
     """Yield terms that the model leaves out; of those that every run has anew, all alike too.
 
     terms: Term -> typical size.
     """
     together: dict[str, list[Alternative]] = {}
-    for other, typical in terms.items():
-        shown = {
-            i: part.series.columns([other.symbol], part.scale_factor)[:, 0]
-            for i, part in enumerate(fit.prepared)
-            if other.concerns(part.series)
+    for alternative_term, typical in terms.items():
+        columns = {
+            i: part.series.columns([alternative_term.symbol], part.scale_factor)[:, 0]
+            for i, part in enumerate(fit.design_blocks)
+            if alternative_term.affects(part.series)
         }
-        between = -other.limit, other.limit
-        one = Alternative(
-            "term", other.owner, other.symbol, shown, between=between, typical=typical
+        between = -alternative_term.limit, alternative_term.limit
+        alternative = Alternative(
+            "term",
+            alternative_term.owner,
+            alternative_term.symbol,
+            columns,
+            credible_range=between,
+            default_sd=typical,
         )
-        yield one
-        if term(other.symbol).per_run:
-            together.setdefault(other.symbol, []).append(one)
-    for alike in together.values():
-        if len(alike) > 1:
-            everywhere = {i: column for one in alike for i, column in one.columns.items()}
-            yield replace(alike[0], owner="", columns=everywhere)
+        yield alternative
+        if term(alternative_term.symbol).per_run:
+            together.setdefault(alternative_term.symbol, []).append(alternative)
+    for same_term in together.values():
+        if len(same_term) > 1:
+            everywhere = {
+                i: column for alternative in same_term for i, column in alternative.columns.items()
+            }
+            yield replace(same_term[0], owner="", columns=everywhere)
 
 
-def window_excess(whitened: Array) -> float:
+def window_test_p(whitened: Array) -> float:
     """Return the probability that no neighbours would be as far off together by chance.
 
     The largest sum of neighbouring residuals, over windows of several lengths, against its
@@ -322,7 +357,7 @@ def window_excess(whitened: Array) -> float:
     return min(1.0, 2.0 * max(tests, 1) * normal_cdf(-largest))
 
 
-def log_evidence(other: Alternative, value: float, u: float) -> float:
+def log_bayes_factor(alternative: Alternative, value: float, u: float) -> float:
     """Return ln of the evidence for an alternative, but for what all have and for how it fits.
 
     For a parameter that fits as v with the standard uncertainty u it goes as u p(v), where p is
@@ -332,14 +367,18 @@ def log_evidence(other: Alternative, value: float, u: float) -> float:
     """
     if not (math.isfinite(u) and u > 0.0 and value != 0.0):
         return -math.inf
-    rarer = _RARER.get(other.kind, 1.0)
-    of_mistake = rarer / (abs(value) * _DECADES)
-    if other.typical is None or not other.typical > 0.0:
-        return math.log(u * of_mistake)
-    known = rarer / (math.pi * other.typical * (1.0 + (value / other.typical) ** 2))
-    if other.stated:
-        known = _MISTAKEN * of_mistake + (1.0 - _MISTAKEN) * known
-    return math.log(u * known)
+    prior_odds = _PRIOR_ODDS.get(alternative.kind, 1.0)
+    mistake_density = prior_odds / (abs(value) * _DECADES)
+    if alternative.default_sd is None or not alternative.default_sd > 0.0:
+        return math.log(u * mistake_density)
+    prior_density = prior_odds / (
+        math.pi * alternative.default_sd * (1.0 + (value / alternative.default_sd) ** 2)
+    )
+    if alternative.stated:
+        prior_density = (
+            _MISTAKE_PROBABILITY * mistake_density + (1.0 - _MISTAKE_PROBABILITY) * prior_density
+        )
+    return math.log(u * prior_density)
 
 
 # Turned about the input axis -------------------------------------------------------------------
@@ -350,7 +389,7 @@ ACROSS: Final = tuple(
 )
 
 
-def turned(mounting: Mounting, quarters: int) -> Mounting:
+def rotate_mounting(mounting: Mounting, quarters: int) -> Mounting:
     """Return a mounting after quarter turns about its input axis, from P towards O."""
     along, pendulous, output = mounting.matrix
     for _ in range(quarters % 4):
@@ -358,24 +397,24 @@ def turned(mounting: Mounting, quarters: int) -> Mounting:
     return Mounting.from_axes(along.tolist(), pendulous.tolist(), output.tolist())
 
 
-def with_turned(fit: JointFit, accelerometer: str, quarters: int) -> JointFit:
+def with_rotated_mounting(fit: JointFit, accelerometer: str, quarters: int) -> JointFit:
     """Return a relaxed fit with an accelerometer turned; what was stated is of its axes then."""
     observations = tuple(
-        _with_columns(fit, one, quarters)
-        if isinstance(one, Prepared) and one.accelerometer == accelerometer
-        else one
-        for one in fit.observations
+        _recompute_columns(fit, observation, quarters)
+        if isinstance(observation, DesignBlock) and observation.accelerometer == accelerometer
+        else observation
+        for observation in fit.observations
     )
     fit = replace(fit, observations=observations)
     return fit.with_noise({name: fit.noise[name] for name in fit.noise if name == accelerometer})
 
 
-def _with_columns(fit: JointFit, part: Prepared, quarters: int) -> Prepared:
+def _recompute_columns(fit: JointFit, part: DesignBlock, quarters: int) -> DesignBlock:
     symbols = [fit.model.unknowns[place].symbol for place in part.unknowns]
     places = [k for k, symbol in enumerate(symbols) if symbol in ACROSS]
-    series = replace(part.series, mounting=turned(part.series.mounting, quarters))
+    series = replace(part.series, mounting=rotate_mounting(part.series.mounting, quarters))
     design = part.design.copy()
     if places:
-        shown = series.columns([symbols[k] for k in places], part.scale_factor)
-        design[:, places] = np.asarray(shown)
+        columns = series.columns([symbols[k] for k in places], part.scale_factor)
+        design[:, places] = np.asarray(columns)
     return replace(part, series=series, design=design)

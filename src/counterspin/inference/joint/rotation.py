@@ -16,9 +16,9 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
 from counterspin.inference.joint import encoder
+from counterspin.inference.joint.design_blocks import DesignBlock, build_design_blocks
 from counterspin.inference.joint.fit import JointFit, solve_joint
-from counterspin.inference.joint.prepared import Prepared, prepare_columns
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 
@@ -34,41 +34,41 @@ _NEGLIGIBLE_NORM_SQUARED: Final = 1e-3
 _SDS: Final = 3.0
 
 #: Fewest samples of a stretch from which a phase is taken: five functions are fitted to them.
-_STRETCH_SAMPLES: Final = 8
+_MIN_REVOLUTION_SAMPLES: Final = 8
 
 #: Horizontal part of an input axis from which the rotation can be seen.
 _HORIZONTAL_PART: Final = 0.1
 
 
 def find_rotation(
-    series: Sequence[Series],
+    series: Sequence[ResidualSeries],
     model: Unknowns,
     scale_factors: Mapping[str, float],
-    rough: Mapping[str, Noise],
-) -> tuple[Series, ...]:
+    noise: Mapping[str, Noise],
+) -> tuple[ResidualSeries, ...]:
     """Find start angle, rate and drift of each run.
 
     The phase of each revolution against the nominal rate gives a first guess, whatever the start
     angle, for rates that are off by up to a tenth; the joint fit of all series is then iterated
     about it (Gauss and Newton).
     """
-    turned = _guessed(series)
+    rotated = _initial_rotations(series)
     # What turns the output by a right angle, such as a misalignment of which nothing is known, is
     # as good as a start angle; a step to any size of it would not be small.
-    held = replace(model, unknowns=tuple(map(_credible, model.unknowns)))
+    bounded = replace(model, unknowns=tuple(map(_with_credible_prior, model.unknowns)))
     for _ in range(_ROUNDS):
-        prepared = prepare_columns(turned, held, scale_factors)
-        solution = solve_joint(prepared, held, rough).solution
+        prepared = build_design_blocks(rotated, bounded, scale_factors)
+        solution = solve_joint(prepared, bounded, noise).solution
         change: dict[str, dict[str, float]] = {}
         for unknown, value in zip(model.unknowns, solution.estimate, strict=True):
             if unknown.symbol in ROTATION:
                 change.setdefault(unknown.owner, {})[unknown.symbol] = float(value)
-        turned = tuple(
-            _turned(record, *(change[record.run][symbol] for symbol in ROTATION))
-            for record in turned
+        rotated = tuple(
+            _rotate_series(record, *(change[record.run][symbol] for symbol in ROTATION))
+            for record in rotated
         )
-        if all(_end_angle(record, change[record.run]) < _ANGLE_TOLERANCE for record in turned):
-            return turned
+        if all(_end_angle(record, change[record.run]) < _ANGLE_TOLERANCE for record in rotated):
+            return rotated
     raise ConvergenceError(
         "the rotation could not be found from the displacement: the nominal rate is too "
         "inaccurate; "
@@ -76,18 +76,20 @@ def find_rotation(
     )
 
 
-def may_bend(prepared: Sequence[Prepared], model: Unknowns, noise: Mapping[str, Noise]) -> bool:
+def may_be_nonlinear(
+    prepared: Sequence[DesignBlock], model: Unknowns, noise: Mapping[str, Noise]
+) -> bool:
     """Return whether what the encoder leaves open may move a record beyond the first order."""
     runs = {unknown.owner for unknown in model.unknowns if unknown.symbol in encoder.SYMBOLS}
     for part in prepared:
         if part.run in runs:
-            most = np.full(part.series.time.size, second_order_bound(part.series))
-            if _norm_squared(part.series, most, noise) > _NEGLIGIBLE_NORM_SQUARED:
+            bound = np.full(part.series.time.size, second_order_bound(part.series))
+            if _norm_squared(part.series, bound, noise) > _NEGLIGIBLE_NORM_SQUARED:
                 return True
     return False
 
 
-def second_order_bound(series: Series) -> float:
+def second_order_bound(series: ResidualSeries) -> float:
     """Return the largest change of a row by an error of the angle beyond the first order.
 
     An angle ahead by q, at times behind by q/w, changes the specific force, R w^2 e^(i theta), by
@@ -106,9 +108,9 @@ def second_order_bound(series: Series) -> float:
     return scale * (b**2 + 13.0 * a * d)
 
 
-def turn_to_estimate(
-    fit: JointFit, series: Sequence[Series]
-) -> tuple[tuple[Series, ...], Unknowns] | None:
+def rotate_to_estimate(
+    fit: JointFit, series: Sequence[ResidualSeries]
+) -> tuple[tuple[ResidualSeries, ...], Unknowns] | None:
     """Return the series about the rotation that a fit found, and the model with renewed priors.
 
     A fit is linear in the error of the angle, and the records are not. By Cauchy and Schwarz, what
@@ -124,11 +126,11 @@ def turn_to_estimate(
         if unknown.symbol in encoder.SYMBOLS:
             estimates.setdefault(unknown.owner, {})[unknown.symbol] = value
     steps = {
-        part.run: encoder.deviation_of(part.series.angle_error, estimates[part.run])
-        for part in fit.prepared
+        part.run: encoder.angle_deviation(part.series.angle_error, estimates[part.run])
+        for part in fit.design_blocks
         if part.run in estimates and part.series.angle_error is not None
     }
-    if not any(_bends(part.series, steps, fit.noise) for part in fit.prepared):
+    if not any(_exceeds_linear(part.series, steps, fit.noise) for part in fit.design_blocks):
         return None
     turned = []
     for record in series:
@@ -137,49 +139,55 @@ def turn_to_estimate(
             return None
         turned.append(ahead)
     errors = {part.run: part.angle_error for part in turned if part.angle_error is not None}
-    return tuple(turned), encoder.renew_priors(fit.model, errors)
+    return tuple(turned), encoder.update_priors(fit.model, errors)
 
 
-def _bends(series: Series, steps: Mapping[str, Array], noise: Mapping[str, Noise]) -> bool:
+def _exceeds_linear(
+    series: ResidualSeries, steps: Mapping[str, Array], noise: Mapping[str, Noise]
+) -> bool:
     """Return whether an error of the angle moves a record beyond the first order."""
     if series.run not in steps:
         return False
     step = steps[series.run]
-    once, twice = series.add_angle(step), series.add_angle(2.0 * step)
-    if once is None or twice is None:
+    change, double_change = series.add_angle(step), series.add_angle(2.0 * step)
+    if change is None or double_change is None:
         return False
-    second = 0.5 * (series.error - 2.0 * once.error + twice.error)
+    second = 0.5 * (series.error - 2.0 * change.error + double_change.error)
     return _norm_squared(series, second, noise) > _NEGLIGIBLE_NORM_SQUARED
 
 
-def _norm_squared(series: Series, change: Array, noise: Mapping[str, Noise]) -> float:
+def _norm_squared(series: ResidualSeries, change: Array, noise: Mapping[str, Noise]) -> float:
     """Return the square of a change's norm, rows being counted in units of their noise."""
-    variance = series.total(noise[series.accelerometer]).sample_variance
+    variance = series.total_noise(noise[series.accelerometer]).sample_variance
     return float(change**2 @ series.count) / max(variance, float(np.finfo(float).tiny))
 
 
-def _credible(unknown: Unknown) -> Unknown:
+def _with_credible_prior(unknown: Unknown) -> Unknown:
     """Return an unknown of which nothing is known with its largest credible size for a prior."""
     if unknown.symbol in ROTATION or math.isfinite(unknown.prior[1]):
         return unknown
     return replace(unknown, prior=(unknown.nominal, unknown.limit))
 
 
-def _guessed(series: Sequence[Series]) -> tuple[Series, ...]:
+def _initial_rotations(series: Sequence[ResidualSeries]) -> tuple[ResidualSeries, ...]:
     """Return the series about a first guess of each run's rotation."""
     guesses = {}
     for run in dict.fromkeys(record.run for record in series):
-        own = [record for record in series if record.run == run]
+        run_series = [record for record in series if record.run == run]
         horizontal = [
             float(np.linalg.norm(record.mounting.turned(record.attitude).input_axis[:2]))
-            for record in own
+            for record in run_series
         ]
         best = int(np.argmax(horizontal))
-        guesses[run] = _guess(own[best]) if horizontal[best] > _HORIZONTAL_PART else (0.0, 0.0, 0.0)
-    return tuple(_turned(record, *guesses[record.run]) for record in series)
+        guesses[run] = (
+            _estimate_rotation(run_series[best])
+            if horizontal[best] > _HORIZONTAL_PART
+            else (0.0, 0.0, 0.0)
+        )
+    return tuple(_rotate_series(record, *guesses[record.run]) for record in series)
 
 
-def _guess(series: Series) -> tuple[float, float, float]:
+def _estimate_rotation(series: ResidualSeries) -> tuple[float, float, float]:
     """Return changes of start angle, rate and drift from the phases of the revolutions."""
     spindle = series.trajectory.spindle
     ahead = replace(
@@ -187,32 +195,36 @@ def _guess(series: Series) -> tuple[float, float, float]:
         spindle=replace(spindle, start_angle=spindle.start_angle + math.pi / 2.0),
     )
     output = series.error + series.reference()
-    waves = np.column_stack([series.reference(), series.reference(ahead)])
+    harmonics = np.column_stack([series.reference(), series.reference(ahead)])
     turn = 2.0 * math.pi / abs(spindle.rate)
-    places = np.floor((series.time - series.time[0]) / turn).astype(int)
+    revolutions = np.floor((series.time - series.time[0]) / turn).astype(int)
     times, phases = [], []
-    for place in range(places[-1] + 1):
-        rows = places == place
-        if np.count_nonzero(rows) < _STRETCH_SAMPLES:
+    for revolution in range(revolutions[-1] + 1):
+        rows = revolutions == revolution
+        if np.count_nonzero(rows) < _MIN_REVOLUTION_SAMPLES:
             continue
         middle = float(series.time[rows].mean())
         # Over one revolution all else that the output does is a parabola.
-        slow = np.vander((series.time[rows] - middle) / turn, 3)
-        size = np.linalg.lstsq(np.column_stack([waves[rows], slow]), output[rows], rcond=None)[0]
+        parabola = np.vander((series.time[rows] - middle) / turn, 3)
+        size = np.linalg.lstsq(
+            np.column_stack([harmonics[rows], parabola]), output[rows], rcond=None
+        )[0]
         times.append(middle)
         phases.append(math.atan2(size[1], size[0]))
     if not times:
         return (0.0, 0.0, 0.0)
     degree = min(2, len(times) - 1)
     lag = np.polynomial.Polynomial.fit(times, np.unwrap(phases), degree).convert().coef
-    start, rate, bend = (*lag, 0.0, 0.0)[:3]
-    return (float(start), float(rate), float(2.0 * bend / (spindle.rate + rate)))
+    start, rate, curvature = (*lag, 0.0, 0.0)[:3]
+    return (float(start), float(rate), float(2.0 * curvature / (spindle.rate + rate)))
 
 
-def _turned(series: Series, start_angle: float, rate: float, drift: float) -> Series:
+def _rotate_series(
+    series: ResidualSeries, start_angle: float, rate: float, drift: float
+) -> ResidualSeries:
     """Return the series about the reference of a rotation changed by the given steps."""
     spindle = series.trajectory.spindle
-    moved = replace(
+    rotated = replace(
         series.trajectory,
         spindle=replace(
             spindle,
@@ -222,10 +234,10 @@ def _turned(series: Series, start_angle: float, rate: float, drift: float) -> Se
         ),
     )
     output = series.error + series.reference()
-    return replace(series, trajectory=moved, error=output - series.reference(moved))
+    return replace(series, trajectory=rotated, error=output - series.reference(rotated))
 
 
-def _end_angle(series: Series, change: Mapping[str, float]) -> float:
+def _end_angle(series: ResidualSeries, change: Mapping[str, float]) -> float:
     """Return how far the last sample has turned, at most, by a change of the rotation, rad."""
     end = float(series.time[-1])
     sizes = (1.0, end, abs(series.trajectory.spindle.rate) * end**2)

@@ -16,8 +16,8 @@ from counterspin.frozen import frozen
 Kind = Literal["noise", "stated", "unstated", "held"]
 NOISE: Final = "noise"
 STATED: Final = "stated"
-UNSTATED: Final = "unstated"
-HELD: Final = "held"
+DEFAULT_PRIOR: Final = "unstated"
+CONSIDERED: Final = "held"
 
 
 @frozen
@@ -83,16 +83,18 @@ class WhatIf:
             raise ValueError(f"there is no prior for {', '.join(unknown)}")
         if not all(u > 0.0 and math.isfinite(u) for u in known.values()):
             raise ValueError("a standard uncertainty is a number above 0")
-        least = np.array(self.weighed)
-        beside = np.array(self.beside) if self.beside else np.zeros_like(least)
+        weighted = np.array(self.weighed)
+        beside = np.array(self.beside) if self.beside else np.zeros_like(weighted)
         weighed = {source: u for source, u in known.items() if source not in self.held}
-        here = [self.names.index(source) for source in weighed]
-        change = np.diag([u**-2 - self.known[source] ** -2 for source, u in weighed.items()])
-        inner = np.eye(len(here)) + least[np.ix_(here, here)] @ change
-        moved = np.eye(len(least))
-        moved[:, here] -= least[:, here] @ change @ np.linalg.inv(inner)
-        row = moved[self.names.index(name)]
-        covariances = row @ least  # with every name
+        places = [self.names.index(source) for source in weighed]
+        information_change = np.diag(
+            [u**-2 - self.known[source] ** -2 for source, u in weighed.items()]
+        )
+        inner = np.eye(len(places)) + weighted[np.ix_(places, places)] @ information_change
+        transform = np.eye(len(weighted))
+        transform[:, places] -= weighted[:, places] @ information_change @ np.linalg.inv(inner)
+        row = transform[self.names.index(name)]
+        covariances = row @ weighted  # with every name
         variance = float(covariances[self.names.index(name)] + row @ beside @ row)
         parts = {}
         for source, u in (self.known | dict(known)).items():

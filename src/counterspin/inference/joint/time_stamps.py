@@ -19,23 +19,23 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.series import StampErrors
-from counterspin.inference.joint.used_rows import without_waves
+from counterspin.inference.joint.outlier_rejection import remove_harmonics
+from counterspin.inference.joint.series import TimestampErrors
 from counterspin.physics.spindle import Spindle, SpindleFit
 
 #: Order of the differences, and the sum of the squares of their correlations: so many of them tell
 #: as much as one independent row.
 ORDER: Final = 3
-ALIKE: Final = 1.0 + 2.0 * (0.75**2 + 0.3**2 + 0.05**2)
+CORRELATION_FACTOR: Final = 1.0 + 2.0 * (0.75**2 + 0.3**2 + 0.05**2)
 
 #: Fewest rows of a run from which anything is told.
-FEWEST_ROWS: Final = 43
+MIN_ROWS: Final = 43
 
 #: Probability at which errors of time stamps of which nothing is stated are taken for chance.
-_P: Final = 1e-6
+_SIGNIFICANCE: Final = 1e-6
 
 #: A chi-square that has this probability with one degree of freedom is larger.
-_LEAST_CHI2: Final = 23.0
+_MIN_CHI2: Final = 23.0
 
 
 class _Regression(NamedTuple):
@@ -52,19 +52,19 @@ def find_stamp_errors(
     count: Array,
     stated: tuple[float, float],
     widening: Array | None = None,
-) -> StampErrors | None:
+) -> TimestampErrors | None:
     """Return the errors of time stamps that a recorded angle shows; None of fewer than 43 rows.
 
     rotation: As the angle shows it.
     time, count: Of the rows, s, and the samples in each, shape (n,).
     stated: Noise of the time stamps, s, and of the encoder, rad; 0: not stated.
-    widening: As `StampErrors.widening`; None: zero.
+    widening: As `TimestampErrors.variance_change`; None: zero.
     """
-    if time.size < FEWEST_ROWS:
+    if time.size < MIN_ROWS:
         return None
     spindle, (timing, encoder_noise) = rotation.spindle, stated
     rate = abs(spindle.rate)
-    return StampErrors(
+    return TimestampErrors(
         _find_delays(spindle, time, rotation.residuals),
         rotation.rms * math.sqrt(float(np.mean(count))) / rate,
         rotation.dof,
@@ -74,72 +74,72 @@ def find_stamp_errors(
     )
 
 
-def _find_delays(spindle: Spindle, time: Array, ahead: Array) -> Array:
+def _find_delays(spindle: Spindle, time: Array, angles: Array) -> Array:
     """Return the times in which the spindle turns by angles, from these times on, s, shape (n,).
 
     Newton's iteration of two steps: the rate hardly changes in such times.
     """
-    delay = ahead / spindle.angular_rate(time)
-    turned = spindle.angle(time + delay) - spindle.angle(time)
-    return delay - (turned - ahead) / spindle.angular_rate(time + delay)
+    delay = angles / spindle.angular_rate(time)
+    turned_angles = spindle.angle(time + delay) - spindle.angle(time)
+    return delay - (turned_angles - angles) / spindle.angular_rate(time + delay)
 
 
-def find_shares(fit: JointFit) -> Mapping[str, float]:
+def estimate_timestamp_fractions(fit: JointFit) -> Mapping[str, float]:
     """Return the share of the time stamps in the delays of each run; empty where there are none.
 
     Of what is stated the share is found beside its prior. Of what is not, it counts where the
     records show it beyond chance.
     """
-    found: dict[str, list[_Regression]] = {}
+    regressions_by_run: dict[str, list[_Regression]] = {}
     priors: dict[str, tuple[float, float]] = {}
-    now: dict[str, float] = {}
-    for i, part in enumerate(fit.prepared):
-        stamps = part.series.stamps
-        if stamps is None or stamps.prior[1] == 0.0 or part.series.time.size < FEWEST_ROWS:
+    current_fractions: dict[str, float] = {}
+    for i, part in enumerate(fit.design_blocks):
+        stamps = part.series.timestamp_errors
+        if stamps is None or stamps.prior[1] == 0.0 or part.series.time.size < MIN_ROWS:
             continue
         regression = _regression(fit, i)
         if regression is None:
             continue
-        found.setdefault(part.run, []).append(regression)
-        priors[part.run], now[part.run] = stamps.prior, stamps.share
-    shares, beyond = {}, 0.0
-    for run, regressions in found.items():
+        regressions_by_run.setdefault(part.run, []).append(regression)
+        priors[part.run], current_fractions[part.run] = stamps.prior, stamps.fraction
+    fractions, chi2 = {}, 0.0
+    for run, regressions in regressions_by_run.items():
         information, product, variance = np.sum(regressions, axis=0).tolist()
         step, u = product / information, math.sqrt(variance) / information
-        beyond += (step / u) ** 2
+        chi2 += (step / u) ** 2
         value, u_prior = priors[run]
-        best = now[run] + step
+        best = current_fractions[run] + step
         if math.isfinite(u_prior):
             best = (best * u_prior**2 + value * u**2) / (u_prior**2 + u**2)
-        shares[run] = min(max(best, 0.0), 1.0)
-    known = any(now.values()) or any(math.isfinite(u) for _, u in priors.values())
-    return shares if known or _is_beyond_chance(beyond, len(shares)) else {}
+        fractions[run] = min(max(best, 0.0), 1.0)
+    known = any(current_fractions.values()) or any(math.isfinite(u) for _, u in priors.values())
+    return fractions if known or _is_beyond_chance(chi2, len(fractions)) else {}
 
 
 def _is_beyond_chance(chi2: float, count: int) -> bool:
     """Return whether chi-square of so many shares is larger than chance makes it."""
-    if chi2 < _LEAST_CHI2:
+    if chi2 < _MIN_CHI2:
         return False  # without SciPy, which takes as long to load as a fit takes
     from scipy.special import chdtri
 
-    return chi2 > float(chdtri(count, _P))
+    return chi2 > float(chdtri(count, _SIGNIFICANCE))
 
 
 def _regression(fit: JointFit, index: int) -> _Regression | None:
     """Return the regression of one record's residuals on those of its angle."""
-    series = fit.prepared[index].series
-    assert series.stamps is not None
-    weight = np.sqrt(series.count / series.relative)
-    moved = sum(series.slopes()) * series.stamps.delay * weight
-    output = fit.residuals[index].plain * weight
-    x, y = (np.diff(without_waves(series, rows), ORDER) for rows in (moved, output))
+    series = fit.design_blocks[index].series
+    assert series.timestamp_errors is not None
+    weight = np.sqrt(series.count / series.variance_ratio)
+    angle_residuals = sum(series.slopes()) * series.timestamp_errors.delay * weight
+    output = fit.residuals[index].unweighted * weight
+    x, y = (np.diff(remove_harmonics(series, rows), ORDER) for rows in (angle_residuals, output))
     strength = float(x @ x)
     if strength == 0.0:
         return None
-    share = float(x @ y) / strength
-    left = (y - share * x) ** 2
-    level = float(np.mean(left))
+    slope = float(x @ y) / strength
+    squared_residuals = (y - slope * x) ** 2
+    level = float(np.mean(squared_residuals))
     if level == 0.0:
         return None
-    variance = ALIKE * float(x**2 @ left) / level**2
+    variance = CORRELATION_FACTOR * float(x**2 @ squared_residuals) / level**2
     return _Regression(strength / level, float(x @ y) / level, variance)

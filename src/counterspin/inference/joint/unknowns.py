@@ -1,6 +1,6 @@
 """A linear model: what a fit estimates or holds, and observations whose rows are linear in that.
 
-Observations are records (`counterspin.inference.joint.prepared`), or readings and poses
+Observations are records (`counterspin.inference.joint.design_blocks`), or readings and poses
 (`counterspin.readings.linear`). Whatever is asked of a fit, such as another noise, a run
 left out or one more column, is asked of its observations alike.
 """
@@ -17,7 +17,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.joint.series import Series, concerns
+from counterspin.inference.joint.series import ResidualSeries, input_affects
 from counterspin.inference.least_squares import REGULARISATION, Block, Solution
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import (
@@ -56,18 +56,18 @@ class Unknown:
     prior: tuple[float, float]
     limit: float  #: Largest credible size.
     #: Whether anybody wants to know it; else it is there because others depend on it.
-    asked: bool = True
+    is_of_interest: bool = True
     #: Whether the description does not state the prior's uncertainty, which then is the typical one
     #: of the table of terms.
-    unstated: bool = False
+    has_default_prior: bool = False
     #: Default standard uncertainty of a requested parameter without a prior, which it gets if the
     #: directions of a triad's poses do not determine it; infinite: none.
-    default: float = math.inf
+    default_sd: float = math.inf
 
     @property
-    def defaulted(self) -> bool:
+    def uses_fallback_prior(self) -> bool:
         """True for a requested parameter that is not determined and has its default prior."""
-        return self.asked and self.unstated and self.prior[1] == self.default
+        return self.is_of_interest and self.has_default_prior and self.prior[1] == self.default_sd
 
     @property
     def unit(self) -> str:
@@ -85,7 +85,7 @@ class Unknown:
         return self.prior[0] - self.nominal if math.isfinite(self.prior[1]) else 0.0
 
     @property
-    def spread(self) -> float:
+    def prior_sd(self) -> float:
         """The prior's u; where nothing is known, that of the solver's numerical regularisation."""
         return self.prior[1] if math.isfinite(self.prior[1]) else REGULARISATION * self.limit
 
@@ -94,12 +94,12 @@ class Unknown:
         """Owner and symbol in one word."""
         return f"{self.owner}.{self.symbol}" if self.owner else self.symbol
 
-    def concerns(self, series: Series) -> bool:
+    def affects(self, series: ResidualSeries) -> bool:
         """Return whether the unknown can show in a series."""
         if self.symbol in ACCELEROMETER_TERMS:
             return self.owner == series.accelerometer
         if self.symbol in INPUTS:
-            return concerns(series, self.symbol, self.owner)
+            return input_affects(series, self.symbol, self.owner)
         if self.symbol not in SHARED_TERMS and shown_by_readings(self.symbol):
             return False
         return self.owner in ("", series.run)
@@ -120,16 +120,18 @@ class Unknowns:
     considered: tuple[Considered, ...] = ()
 
     @property
-    def asked(self) -> tuple[Unknown, ...]:
+    def of_interest(self) -> tuple[Unknown, ...]:
         """Parameters of interest: the first of the unknowns."""
-        return tuple(unknown for unknown in self.unknowns if unknown.asked)
+        return tuple(unknown for unknown in self.unknowns if unknown.is_of_interest)
 
     def with_default_priors(self, chosen: Collection[Unknown]) -> Unknowns:
         """Return the model with the default priors of some requested parameters."""
         return replace(
             self,
             unknowns=tuple(
-                replace(unknown, prior=(unknown.nominal, unknown.default), unstated=True)
+                replace(
+                    unknown, prior=(unknown.nominal, unknown.default_sd), has_default_prior=True
+                )
                 if unknown in chosen
                 else unknown
                 for unknown in self.unknowns
@@ -139,7 +141,7 @@ class Unknowns:
     @property
     def has_inputs(self) -> bool:
         """True if an input is among the estimated or considered unknowns."""
-        return any(other.symbol in INPUTS for other in (*self.unknowns, *self.considered))
+        return any(unknown.symbol in INPUTS for unknown in (*self.unknowns, *self.considered))
 
     def without_inputs(self) -> Unknowns:
         """Return the model with every input as the description states it."""
@@ -149,23 +151,23 @@ class Unknowns:
         """Return the model with terms and inputs of these symbols as they should be."""
         return Unknowns(
             tuple(unknown for unknown in self.unknowns if unknown.symbol not in symbols),
-            tuple(other for other in self.considered if other.symbol not in symbols),
+            tuple(term for term in self.considered if term.symbol not in symbols),
         )
 
     @property
     def considered_names(self) -> tuple[str, ...]:
         """Names of the solution's considered columns."""
-        return tuple(other.name for other in self.considered)
+        return tuple(term.name for term in self.considered)
 
     @property
     def considered_means(self) -> list[float]:
         """Assumed values of the solution's considered columns, less nominal."""
-        return [other.prior_mean for other in self.considered]
+        return [term.prior_mean for term in self.considered]
 
     @property
-    def considered_sizes(self) -> list[float]:
+    def considered_sds(self) -> list[float]:
         """Standard uncertainties of the solution's considered columns."""
-        return [other.prior[1] for other in self.considered]
+        return [term.prior[1] for term in self.considered]
 
 
 @frozen
@@ -210,11 +212,11 @@ class Observation(ABC):
         """Relative standard uncertainties of its rates: stated, and default; else 0, shape (n,)."""
         return np.zeros(0), np.zeros(0)
 
-    def relaxed(self, count: int) -> Self:
+    def with_considered_estimated(self, count: int) -> Self:
         """Return it with what is considered among the unknowns, behind `count` others."""
         places = tuple(count + place for place in self.considered)
-        whole = self.with_columns(places, self.fixed.T)
-        return replace(whole, considered=(), fixed=self.fixed[:, :0])
+        extended = self.with_columns(places, self.fixed.T)
+        return replace(extended, considered=(), fixed=self.fixed[:, :0])
 
     def with_columns(self, places: Sequence[int], columns: Sequence[Array] | Array) -> Self:
         """Return it with further unknowns: their places and what each shows, shape (n,)."""

@@ -2,12 +2,12 @@
 
 - `model`, `riccati`: models of a record's noise, whitening with them, and what more noise takes
   from what a record says
-- `wander`: flicker and random walk of the bias
+- `bias_instability`: flicker and random walk of the bias
 - `likelihood`: records reduced to what the restricted likelihood of their noise needs, and it;
-  `even`: of an even record at rest, by its cosine transform
+  `even_sampling`: of an even record at rest, by its cosine transform
 - `search`: the noise's size, estimated from the records
-- `rest`: a record at rest, cleaned; its noise, each component with an interval
+- `static_noise`: a record at rest, cleaned; its noise, each component with an interval
 - `samples`: the samples of a sensor in a record at rest, where its log repeats values or stamps
 - `spectrum`: its spectrum, the lines in it, and its Allan deviation
-- `unseen_noise`: what noise that the records do not show may add to the uncertainty
+- `undetected_walk`: uncertainty from a random walk that the records do not show
 """

@@ -4,9 +4,10 @@ Differencing removes start offset and velocity, whitening for trial ratios of th
 QR leave a triangle that serves every scale of the noise (Patterson and Thompson, Biometrika 58
 (1971) 545; Harville, JASA 72 (1977) 320).
 
-Wherever a bias wanders, its cosines (`counterspin.inference.noise.wander`) and the record's own
-columns are reduced to one triangle, once for each ratio of the noise beside the wander. Trial sizes
-of the wander then cost what the triangle's few hundred rows cost, however long the record is.
+For coloured bias noise, its cosines (`counterspin.inference.noise.bias_instability`) and the
+record's columns are reduced to one triangle, once for each ratio of the white noise.
+Trial variances of the bias noise then cost what the triangle's few hundred rows cost, however long
+the record is.
 """
 
 from __future__ import annotations
@@ -22,25 +23,25 @@ from numpy.typing import ArrayLike, NDArray
 from counterspin.arrays import Array, in_parts, median, triangle_of
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.inference.noise.even import EvenData, EvenRecord
+from counterspin.inference.noise.bias_instability import (
+    Variances,
+    basis_length,
+    basis_size,
+    coefficient_covariance,
+    integrated_cosines,
+)
+from counterspin.inference.noise.even_sampling import EvenlySampledData, TransformedRecord
 from counterspin.inference.noise.model import (
     SPECIFIC_FORCE,
     Differences,
     solve_banded_factor,
-)
-from counterspin.inference.noise.wander import (
-    Variances,
-    coefficient_covariance,
-    functions_needed,
-    integrated_cosines,
-    spanned,
 )
 
 #: White noise alone.
 WHITE: Final = (1.0, 0.0, 0.0, 0.0)
 
 #: Rows less what the unknowns follow of them, below which rounding is all that is left.
-_LEAST_FREEDOM: Final = 1e-9
+_MIN_DOF: Final = 1e-9
 
 
 @frozen
@@ -58,19 +59,21 @@ class RecordData:
     spacing: ArrayLike | None = None
     #: (k,) which of the p unknowns of all records the columns belong to; absent: all of them.
     places: ArrayLike | None = None
-    before: float = 0.0  #: For how long a bias had walked when the record began, s.
+    walk_duration: float = 0.0  #: For how long a bias had walked when the record began, s.
     #: (n,) or a number: a variance of each row's samples that is known, beside what is estimated.
-    added: float | Array = 0.0
-    relative: float = 1.0  #: Its white variance over that of records that are alike.
+    added_variance: float | Array = 0.0
+    variance_ratio: float = 1.0  #: Its white variance over that of records that are alike.
 
-    def reduced(self) -> DifferencedRecord:
+    def reduce(self) -> DifferencedRecord:
         """Return its differences."""
         differences = Differences.of(
-            self.times, self.order, self.count, self.spacing, self.relative
+            self.times, self.order, self.count, self.spacing, self.variance_ratio
         )
         rows = [np.asarray(self.design, float), np.asarray(self.observations, float)]
         stack = differences.apply(np.column_stack(rows))
-        return DifferencedRecord(differences, stack, self.order, self.before, self.added)
+        return DifferencedRecord(
+            differences, stack, self.order, self.walk_duration, self.added_variance
+        )
 
 
 @dataclass
@@ -80,8 +83,8 @@ class DifferencedRecord:
     differences: Differences
     stack: Array  #: Differenced [design | observations], (m, k + 1).
     order: int
-    before: float
-    added: float | Array
+    walk_duration: float
+    added_variance: float | Array
     triangles: dict[Any, tuple[Array, float]] = field(default_factory=dict)
 
     @property
@@ -110,29 +113,33 @@ class DifferencedRecord:
         stack = np.asfortranarray(self.stack[:, np.append(kept, True)])
         return replace(self, stack=stack, triangles={})
 
-    def without_added(self) -> DifferencedRecord:
+    def without_added_variance(self) -> DifferencedRecord:
         """Return it with all of the samples' white variance to be estimated."""
-        return replace(self, added=0.0, triangles={}) if np.any(self.added) else self
+        if not np.any(self.added_variance):
+            return self
+        return replace(self, added_variance=0.0, triangles={})
 
-    def whitened(self, unit: Variances) -> tuple[Array, float]:
+    def whitened(self, ratios: Variances) -> tuple[Array, float]:
         """Return rows whitened at these variances, or as many as say the same of the unknowns.
 
         Returns: Rows; log-determinant of the covariance of the differences.
         """
-        if not any(unit[2:]):
-            bands, log_det = self.differences.factor(unit[0] + self.added, unit[1])
+        if not any(ratios[2:]):
+            bands, log_det = self.differences.factor(ratios[0] + self.added_variance, ratios[1])
             return solve_banded_factor(bands, self.stack), log_det
-        beside = float(unit[0] + np.mean(self.added)) * self.differences.relative
-        length = spanned(self.length)
-        count = functions_needed((beside, *unit[1:]), self.spacing, length, self.order)
-        scale = self._scale(unit)
-        triangle, log_det = self._triangle(unit[0] / scale, unit[1] / scale, count)
-        covariance = coefficient_covariance(unit, count, length, self.before) / scale
-        shown = triangle[:count, :count]
+        white_variance = (
+            float(ratios[0] + np.mean(self.added_variance)) * self.differences.variance_ratio
+        )
+        length = basis_length(self.length)
+        count = basis_size((white_variance, *ratios[1:]), self.spacing, length, self.order)
+        scale = self._scale(ratios)
+        triangle, log_det = self._triangle(ratios[0] / scale, ratios[1] / scale, count)
+        covariance = coefficient_covariance(ratios, count, length, self.walk_duration) / scale
+        cosines = triangle[:count, :count]
         rows = triangle[:, count:] / math.sqrt(scale)
-        inside = shown @ covariance @ shown.T
-        inside.flat[:: len(inside) + 1] += 1.0
-        factor = np.linalg.cholesky(inside)
+        inner = cosines @ covariance @ cosines.T
+        inner.flat[:: len(inner) + 1] += 1.0
+        factor = np.linalg.cholesky(inner)
         from scipy.linalg import solve_triangular
 
         rows[:count] = solve_triangular(factor, rows[:count], lower=True, check_finite=False)
@@ -140,47 +147,47 @@ class DifferencedRecord:
         return rows, log_det
 
     @property
-    def _uneven(self) -> bool:
+    def _is_heteroscedastic(self) -> bool:
         """True if its white noise is not proportional to the other white noise of a sample."""
-        return bool(np.any(self.added)) or self.differences.relative != 1.0
+        return bool(np.any(self.added_variance)) or self.differences.variance_ratio != 1.0
 
-    def _scale(self, unit: Variances) -> float:
+    def _scale(self, ratios: Variances) -> float:
         """Return a size of the noise beside a wander, by which it becomes one of few."""
-        if self._uneven:
+        if self._is_heteroscedastic:
             return 1.0
         spacing = self.differences.spacing
         if self.order == SPECIFIC_FORCE and np.ptp(spacing) == 0.0:
-            return float(unit[0] + unit[1] / spacing[0])
-        return unit[0] or unit[1]
+            return float(ratios[0] + ratios[1] / spacing[0])
+        return ratios[0] or ratios[1]
 
     def _triangle(self, white: float, walk: float, count: int) -> tuple[Array, float]:
         """Triangle of [cosines | stack], whitened without the wander, and the log-determinant."""
         even = self.order == SPECIFIC_FORCE and np.ptp(self.differences.spacing) == 0.0
-        if even and not self._uneven:
+        if even and not self._is_heteroscedastic:
             white, walk = 1.0, 0.0  # what is white in a sample cannot be told from it
         key = (white, walk, count)
         if key not in self.triangles:
-            blocks, length = self.differences.blocks, spanned(self.length)
-            shown = self.differences.apply(
+            blocks, length = self.differences.blocks, basis_length(self.length)
+            cosines = self.differences.apply(
                 integrated_cosines(
                     blocks.time, blocks.count, self.differences.spacing, self.order, count, length
                 )
             )
-            bands, log_det = self.differences.factor(white + self.added, walk)
-            rows = solve_banded_factor(bands, np.column_stack([shown, self.stack]))
+            bands, log_det = self.differences.factor(white + self.added_variance, walk)
+            rows = solve_banded_factor(bands, np.column_stack([cosines, self.stack]))
             self.triangles[key] = triangle_of(in_parts(rows)), log_det
         return self.triangles[key]
 
 
 @dataclass
 class RestrictedLikelihood:
-    """The restricted likelihood of noise of variances exp(log scale) x unit, and of priors.
+    """The restricted likelihood of noise of variances exp(log scale) x ratios, and priors.
 
-    Whitened rows are reduced to a triangle that is kept for each unit. Where records have a known
-    variance beside it, the unit is the noise itself, and the scale 1.
+    Whitened rows are reduced to a triangle that is kept for each set of ratios. Where records
+    have a known additional variance, the ratios are the variances themselves, and the scale is 1.
     """
 
-    records: list[DifferencedRecord | EvenRecord]
+    records: list[DifferencedRecord | TransformedRecord]
     places: list[NDArray[np.intp]]  # of each record's columns among all unknowns
     prior: Array  # [rows | values]
     triangles: dict[Variances, tuple[Array, float]] = field(default_factory=dict)
@@ -189,15 +196,15 @@ class RestrictedLikelihood:
     @classmethod
     def of(
         cls,
-        records: Sequence[RecordData | EvenData],
+        records: Sequence[RecordData | EvenlySampledData],
         prior_rows: ArrayLike | None,
         prior_values: ArrayLike | None,
     ) -> RestrictedLikelihood:
-        """Difference the records; arguments as of `search.find_noise`."""
+        """Difference the records; arguments as of `search.estimate_noise`."""
         if not records:
             raise ValueError("noise cannot be estimated from no records")
         rows = [np.asarray(r.design, float) for r in records]
-        reduced = [r.reduced() for r in records]
+        reduced = [r.reduce() for r in records]
         if len({record.order for record in reduced}) > 1:
             raise ValueError("records of different observables do not share noise components")
         places = [
@@ -205,42 +212,47 @@ class RestrictedLikelihood:
             for r, design in zip(records, rows, strict=True)
         ]
         p = 1 + max((int(place.max()) for place in places if place.size), default=-1)
-        known = np.zeros((0, p)) if prior_rows is None else np.asarray(prior_rows, float)
-        values = np.zeros(len(known)) if prior_values is None else np.asarray(prior_values, float)
-        likelihood = cls(reduced, places, np.column_stack([known, values]))
+        prior_factor = np.zeros((0, p)) if prior_rows is None else np.asarray(prior_rows, float)
+        values = (
+            np.zeros(len(prior_factor)) if prior_values is None else np.asarray(prior_values, float)
+        )
+        likelihood = cls(reduced, places, np.column_stack([prior_factor, values]))
         # What differencing leaves of a start error in the design is rounding, not an unknown.
-        before, after = np.zeros(known.shape[1]), np.zeros(known.shape[1])
-        for total, part in ((before, rows), (after, [one.stack[:, :-1] for one in reduced])):
-            for place, design in zip(places, part, strict=True):
-                total[place] += np.square(design).sum(axis=0)
-        seen = (after > 1e-28 * before) | (known != 0).any(axis=0)
-        likelihood._keep(np.flatnonzero(seen))
-        likelihood._keep(likelihood._independent())
+        before, after = np.zeros(prior_factor.shape[1]), np.zeros(prior_factor.shape[1])
+        for squared_norms, designs in (
+            (before, rows),
+            (after, [record.stack[:, :-1] for record in reduced]),
+        ):
+            for place, design in zip(places, designs, strict=True):
+                squared_norms[place] += np.square(design).sum(axis=0)
+        is_visible = (after > 1e-28 * before) | (prior_factor != 0).any(axis=0)
+        likelihood._select_unknowns(np.flatnonzero(is_visible))
+        likelihood._select_unknowns(likelihood._independent_unknowns())
         unknowns = likelihood.prior.shape[1] - 1
-        if likelihood.rows + len(known) <= unknowns:
+        if likelihood.rows + len(prior_factor) <= unknowns:
             raise NotIdentifiableError(
                 f"{likelihood.rows} differenced rows are too few to estimate noise "
                 f"together with {unknowns} unknowns; state the noise, or give longer records"
             )
         return likelihood
 
-    def _keep(self, unknowns: NDArray[np.intp]) -> None:
-        renamed = np.full(self.prior.shape[1] - 1, -1)
-        renamed[unknowns] = np.arange(unknowns.size)
+    def _select_unknowns(self, unknowns: NDArray[np.intp]) -> None:
+        new_places = np.full(self.prior.shape[1] - 1, -1)
+        new_places[unknowns] = np.arange(unknowns.size)
         for index, place in enumerate(self.places):
-            kept = renamed[place] >= 0
-            self.places[index] = renamed[place[kept]]
+            kept = new_places[place] >= 0
+            self.places[index] = new_places[place[kept]]
             self.records[index] = self.records[index].with_columns(kept)
         self.prior = self.prior[:, np.append(unknowns, self.prior.shape[1] - 1)]
         self.triangles.clear()
         self.scales.clear()
 
-    def _independent(self) -> NDArray[np.intp]:
+    def _independent_unknowns(self) -> NDArray[np.intp]:
         """Unknowns that span what can be told; the likelihood depends on their span only."""
         from scipy.linalg import qr
 
-        joined = np.vstack([self._triangle(WHITE)[0], self.prior])[:, :-1]
-        scaled = joined / np.linalg.norm(joined, axis=0)
+        rows = np.vstack([self._triangle(WHITE)[0], self.prior])[:, :-1]
+        scaled = rows / np.linalg.norm(rows, axis=0)
         factor, order = qr(scaled, mode="r", pivoting=True)
         return np.sort(order[: factor.shape[0]][np.abs(np.diagonal(factor)) > 1e-11])
 
@@ -265,12 +277,12 @@ class RestrictedLikelihood:
         return max(record.length for record in self.records)
 
     @property
-    def added(self) -> list[float | Array]:
+    def added_variances(self) -> list[float | Array]:
         """Known white variance of each record, in addition to the estimated variance."""
-        return [record.added for record in self.records]
+        return [record.added_variance for record in self.records]
 
     @property
-    def least_walk(self) -> float:
+    def log_walk_floor(self) -> float:
         """Log of the ratio of N^2 to the white variance that the longest record cannot show."""
         steps, counts = map(
             np.concatenate, zip(*(record.row_steps for record in self.records), strict=True)
@@ -287,54 +299,54 @@ class RestrictedLikelihood:
     def _longest(self) -> int:
         return max(record.rows for record in self.records)
 
-    def without_added(self) -> RestrictedLikelihood:
+    def without_added_variance(self) -> RestrictedLikelihood:
         """Return the likelihood with all of the samples' white variance to be estimated."""
-        if not any(map(np.any, self.added)):
+        if not any(map(np.any, self.added_variances)):
             return self
-        records = [record.without_added() for record in self.records]
+        records = [record.without_added_variance() for record in self.records]
         return replace(self, records=records, triangles={}, scales={})
 
-    def value(self, log_scale: float, unit: Variances) -> float:
+    def value(self, log_scale: float, ratios: Variances) -> float:
         """Restricted log-likelihood, but for a constant of the records."""
-        joined, _ = self._joined(log_scale, unit)
-        log_det = self._triangle(unit)[1] + self.rows * log_scale
-        log_information = 2 * float(np.log(np.abs(np.diagonal(joined)[:-1])).sum())
-        return -(log_det + log_information + float(joined[-1, -1]) ** 2) / 2
+        triangle, _ = self._joint_triangle(log_scale, ratios)
+        log_det = self._triangle(ratios)[1] + self.rows * log_scale
+        log_information = 2 * float(np.log(np.abs(np.diagonal(triangle)[:-1])).sum())
+        return -(log_det + log_information + float(triangle[-1, -1]) ** 2) / 2
 
-    def slope(self, log_scale: float, unit: Variances) -> float:
+    def slope(self, log_scale: float, ratios: Variances) -> float:
         """Differentiate `value` by the log scale."""
-        freedom, rss = self._freedom_and_rss(log_scale, unit)
+        freedom, rss = self._dof_and_rss(log_scale, ratios)
         return (rss - freedom) / 2
 
-    def freedom(self, log_scale: float, unit: Variances) -> float:
+    def dof(self, log_scale: float, ratios: Variances) -> float:
         """Rows less the unknowns that the rows themselves determine."""
-        return self._freedom_and_rss(log_scale, unit)[0]
+        return self._dof_and_rss(log_scale, ratios)[0]
 
-    def estimate(self, log_scale: float, unit: Variances) -> tuple[Array, Array]:
+    def estimate(self, log_scale: float, ratios: Variances) -> tuple[Array, Array]:
         """Return the unknowns at a noise, those kept in their order, and their covariance."""
-        joined, _ = self._joined(log_scale, unit)
-        inverse = np.linalg.inv(joined[:-1, :-1])
-        return inverse @ joined[:-1, -1], inverse @ inverse.T
+        triangle, _ = self._joint_triangle(log_scale, ratios)
+        inverse = np.linalg.inv(triangle[:-1, :-1])
+        return inverse @ triangle[:-1, -1], inverse @ inverse.T
 
-    def best_scale(self, unit: Variances) -> float:
+    def best_scale(self, ratios: Variances) -> float:
         """Log scale at which `slope` is zero."""
-        if unit not in self.scales:
-            self.scales[unit] = self._best_scale(unit)
-        return self.scales[unit]
+        if ratios not in self.scales:
+            self.scales[ratios] = self._best_scale(ratios)
+        return self.scales[ratios]
 
-    def _best_scale(self, unit: Variances) -> float:
-        values = self._triangle(unit)[0][:, -1]
-        left = self.rows - self.prior.shape[1] + 1
+    def _best_scale(self, ratios: Variances) -> float:
+        values = self._triangle(ratios)[0][:, -1]
+        dof = self.rows - self.prior.shape[1] + 1
         # Where unknowns can follow all rows, only their priors leave anything: from above.
-        rss = float(values[-1]) ** 2 if left > 0 else float(values @ values)
+        rss = float(values[-1]) ** 2 if dof > 0 else float(values @ values)
         if rss == 0:
             raise NotIdentifiableError(
                 "the residuals are all zero, so no noise can be estimated; state the noise"
             )
-        log_scale = math.log(rss / (left if left > 0 else self.rows))
+        log_scale = math.log(rss / (dof if dof > 0 else self.rows))
         for _ in range(100 if len(self.prior) else 0):
-            freedom, scaled = self._freedom_and_rss(log_scale, unit)
-            if freedom <= _LEAST_FREEDOM * self.rows or scaled <= 0.0:
+            freedom, scaled = self._dof_and_rss(log_scale, ratios)
+            if freedom <= _MIN_DOF * self.rows or scaled <= 0.0:
                 raise NotIdentifiableError(
                     f"the unknowns fit all of {self.rows} rows exactly, so that no noise "
                     "can be estimated; state the noise, or give longer records"
@@ -345,8 +357,8 @@ class RestrictedLikelihood:
                 break
         return log_scale
 
-    def _freedom_and_rss(self, log_scale: float, unit: Variances) -> tuple[float, float]:
-        joined, data = self._joined(log_scale, unit)
+    def _dof_and_rss(self, log_scale: float, ratios: Variances) -> tuple[float, float]:
+        joined, data = self._joint_triangle(log_scale, ratios)
         if len(self.prior) == 0:
             return self.rows - data.shape[1] + 1.0, float(data[-1, -1]) ** 2
         inverse = np.linalg.inv(joined[:-1, :-1])
@@ -354,24 +366,24 @@ class RestrictedLikelihood:
         residual = data[:, -1] - leverage @ joined[:-1, -1]
         return self.rows - float(np.sum(leverage**2)), float(residual @ residual)
 
-    def _joined(self, log_scale: float, unit: Variances) -> tuple[Array, Array]:
+    def _joint_triangle(self, log_scale: float, ratios: Variances) -> tuple[Array, Array]:
         """Triangle of [unknowns | observations] with and without the priors' rows."""
-        data = self._triangle(unit)[0] * math.exp(-log_scale / 2)
+        data = self._triangle(ratios)[0] * math.exp(-log_scale / 2)
         return (triangle_of(np.vstack([data, self.prior])) if len(self.prior) else data), data
 
-    def _triangle(self, unit: Variances) -> tuple[Array, float]:
+    def _triangle(self, ratios: Variances) -> tuple[Array, float]:
         """Triangle of the whitened rows at unit scale, and the log-determinant of their noise."""
-        if unit not in self.triangles:
+        if ratios not in self.triangles:
             width = self.prior.shape[1]
             log_det, parts = 0.0, [np.zeros((width, width))]
             for record, place in zip(self.records, self.places, strict=True):
-                rows, part = record.whitened(unit)
+                rows, part = record.whitened(ratios)
                 log_det += part
                 # The triangle of all, of one record or of many, is taken at the end.
-                own = in_parts(rows)
-                own = triangle_of(own) if len(self.records) > 1 else own
-                whole = np.zeros((own.shape[0], width))
-                whole[:, np.append(place, width - 1)] = own
-                parts.append(whole)
-            self.triangles[unit] = triangle_of(np.vstack(parts)), log_det
-        return self.triangles[unit]
+                triangle = in_parts(rows)
+                triangle = triangle_of(triangle) if len(self.records) > 1 else triangle
+                stacked = np.zeros((triangle.shape[0], width))
+                stacked[:, np.append(place, width - 1)] = triangle
+                parts.append(stacked)
+            self.triangles[ratios] = triangle_of(np.vstack(parts)), log_det
+        return self.triangles[ratios]

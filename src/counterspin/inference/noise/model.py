@@ -1,7 +1,7 @@
 """Noise of a record, and whitening: rows go in correlated, and come out with unit covariance.
 
 Three sources, each given per sample, and wander of the bias beside them
-(`counterspin.inference.noise.wander`):
+(`counterspin.inference.noise.bias_instability`):
 
 - white noise of standard deviation `white` in the observable;
 - quantisation of step q, which adds q^2/12 and cannot be told from white noise;
@@ -33,33 +33,33 @@ from numpy.typing import ArrayLike
 
 from counterspin.arrays import Array, median
 from counterspin.frozen import frozen
-from counterspin.inference.noise.riccati import BlockSpans, filter_walk
-from counterspin.inference.noise.wander import (
-    LowRank,
+from counterspin.inference.noise.bias_instability import (
+    LowRankWhitener,
     Variances,
+    basis_length,
+    basis_size,
     coefficient_root,
-    functions_needed,
     integrated_cosines,
-    spanned,
 )
+from counterspin.inference.noise.riccati import BlockSpans, filter_walk
 
 DISPLACEMENT, VELOCITY, SPECIFIC_FORCE = 2, 1, 0
 
 WALK_UNIT: Final = "m/s^2/Hz^0.5"  #: of `Noise.random_walk`
 
 
-class _Wanted(float):
+class _Estimate(float):
     """A size that is to be estimated: no number, and one object in every process."""
 
     def __repr__(self) -> str:
-        return "WANTED"
+        return "ESTIMATE"
 
     def __reduce__(self) -> str:
-        return "WANTED"
+        return "ESTIMATE"
 
 
 #: In place of a size of `Noise`: to be estimated from the records.
-WANTED: Final = _Wanted("nan")
+ESTIMATE: Final = _Estimate("nan")
 
 #: What noise may consist of, in the order of `Noise.variances`.
 COMPONENTS: Final = ("white", "random_walk", "flicker", "bias_walk")
@@ -67,13 +67,13 @@ COMPONENTS: Final = ("white", "random_walk", "flicker", "bias_walk")
 
 @frozen
 class Noise:
-    """Noise of one accelerometer's records; each of `COMPONENTS` is a number or `WANTED`."""
+    """Noise of one accelerometer's records; each of `COMPONENTS` is a number or `ESTIMATE`."""
 
     white: float  #: Standard deviation per sample, in the observable's unit (m, m/s or m/s^2).
     random_walk: float = 0.0  #: N, (m/s^2)/Hz^0.5: velocity variance N^2 t.
     quantisation: float = 0.0  #: Step of the recorded observable, same unit as `white`; a number.
     #: Bias instability B, m/s^2, and random walk K of the bias, m/s^2/s^0.5; see
-    #: `counterspin.inference.noise.wander`.
+    #: `counterspin.inference.noise.bias_instability`.
     flicker: float = 0.0
     bias_walk: float = 0.0
     #: Of the variances, 4 by 4, of given sizes that another record said; empty: they are exact.
@@ -82,20 +82,20 @@ class Noise:
     def __post_init__(self) -> None:
         for name in (*COMPONENTS, "quantisation"):
             value = getattr(self, name)
-            if value is WANTED and name in COMPONENTS:
+            if value is ESTIMATE and name in COMPONENTS:
                 continue
             if not (np.isfinite(value) and value >= 0):
                 raise ValueError(f"noise: {name} is {value}; it must be zero or positive")
 
     @property
-    def wanted(self) -> tuple[str, ...]:
+    def to_estimate(self) -> tuple[str, ...]:
         """Components to be estimated."""
-        return tuple(name for name in COMPONENTS if getattr(self, name) is WANTED)
+        return tuple(name for name in COMPONENTS if getattr(self, name) is ESTIMATE)
 
     @property
     def known(self) -> Noise:
         """The same without what is to be estimated."""
-        return self.with_sizes(dict.fromkeys(self.wanted, 0.0))
+        return self.with_sizes(dict.fromkeys(self.to_estimate, 0.0))
 
     @property
     def sample_variance(self) -> float:
@@ -103,7 +103,7 @@ class Noise:
         return self.white**2 + self.quantisation**2 / 12
 
     @property
-    def wanders(self) -> bool:
+    def has_bias_instability(self) -> bool:
         """True if the bias wanders, or may wander."""
         return self.flicker != 0.0 or self.bias_walk != 0.0
 
@@ -117,7 +117,7 @@ class Noise:
         """Return the noise with what is to be estimated as the variances say."""
         white = max(variances[0] - self.quantisation**2 / 12, 0.0)
         sizes = dict(zip(COMPONENTS, map(math.sqrt, (white, *variances[1:])), strict=True))
-        return self.with_sizes({name: sizes[name] for name in self.wanted})
+        return self.with_sizes({name: sizes[name] for name in self.to_estimate})
 
     def with_sizes(self, sizes: Mapping[str, float]) -> Noise:
         """Return the noise with other sizes of some of `COMPONENTS`."""
@@ -133,7 +133,7 @@ class Differences:
     blocks: BlockSpans  #: The samples of each row.
     spacing: Array  #: (n,) time between the samples of a block, s.
     #: Variance of this record's white noise over that of the accelerometer's.
-    relative: float = 1.0
+    variance_ratio: float = 1.0
 
     @classmethod
     def of(
@@ -193,34 +193,34 @@ class Differences:
         # Steps first: the weights then multiply small numbers, and lose fewer digits.
         return np.asfortranarray(second * steps[1:] - first * steps[:-1])
 
-    def back(self, rows: Array) -> Array:
+    def apply_transposed(self, rows: Array) -> Array:
         """(n - order, k) rows -> (n, k): `apply` transposed."""
         if self.order == 0:
             return rows
-        whole = np.zeros((len(self.blocks.time), rows.shape[1]))
+        transposed = np.zeros((len(self.blocks.time), rows.shape[1]))
         first, second = (1.0, 1.0) if self.order == 1 else (w[:, None] for w in self._weights())
-        whole[self.order :] += second * rows
-        whole[: -self.order] += first * rows * (-1.0) ** self.order
+        transposed[self.order :] += second * rows
+        transposed[: -self.order] += first * rows * (-1.0) ** self.order
         if self.order == DISPLACEMENT:
-            whole[1:-1] -= 2.0 * rows
-        return whole
+            transposed[1:-1] -= 2.0 * rows
+        return transposed
 
-    def wander(self, order: int, variances: Variances, before: float) -> list[Array]:
+    def bias_columns(self, order: int, variances: Variances, walk_duration: float) -> list[Array]:
         """Return differences of what the rows show of a wandering bias, one column a direction.
 
         Of all wander together, and of flicker of B = 1 and a walk of K = 1 by the same cosines.
 
-        before: For how long the bias had walked when the record began, s.
+        walk_duration: For how long the bias had walked when the record began, s.
         """
-        length = spanned(float(self.blocks.time[-1]))
-        count = functions_needed(variances, median(self.spacing), length, order)
-        shown = self.apply(
+        length = basis_length(float(self.blocks.time[-1]))
+        count = basis_size(variances, median(self.spacing), length, order)
+        cosines = self.apply(
             integrated_cosines(
                 self.blocks.time, self.blocks.count, self.spacing, order, count, length
             )
         )
         sizes = (variances, (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-        return [shown @ coefficient_root(size, count, length, before) for size in sizes]
+        return [cosines @ coefficient_root(size, count, length, walk_duration) for size in sizes]
 
     def _weights(self) -> tuple[Array, Array]:
         """(n-2,) weights of the earliest and latest of three rows; the middle one has -2."""
@@ -234,7 +234,7 @@ class Differences:
         white: Variance per sample where records are alike: this one has `relative` times as much.
         walk: N^2; not both zero.
         """
-        white = white * self.relative
+        white = white * self.variance_ratio
         if self.order == SPECIFIC_FORCE:
             # A sample is taken as the mean over its own spacing: variance N^2/h.
             bands = np.sqrt((white + walk / self.spacing) / self.blocks.count)[None, :]
@@ -257,17 +257,21 @@ class Differences:
         return np.asarray(bands)
 
     def _displacement_factor(self, white: float | Array, walk: float) -> Array:
-        seen = filter_walk(self.blocks, white, walk)
+        innovations = filter_walk(self.blocks, white, walk)
         first, second = self._weights()
-        spread = np.sqrt(seen.variance)
-        position, velocity = seen.gain
+        spread = np.sqrt(innovations.variance)
+        position, velocity = innovations.gain
         bands = np.zeros((3, self.rows))
         bands[0] = second * spread
         # What a row's innovation leaves in the next two differences.
-        one = position[:-1] + seen.ahead[3:] * velocity[:-1]
-        two = position[:-2] + (seen.step[3:-1] + seen.ahead[4:]) * velocity[:-2]
-        bands[1, :-1] = (second[1:] * one - 2) * spread[:-1]
-        bands[2, :-2] = (second[2:] * two - 2 * one[:-1] + first[2:]) * spread[:-2]
+        first_effect = position[:-1] + innovations.ahead[3:] * velocity[:-1]
+        second_effect = (
+            position[:-2] + (innovations.step[3:-1] + innovations.ahead[4:]) * velocity[:-2]
+        )
+        bands[1, :-1] = (second[1:] * first_effect - 2) * spread[:-1]
+        bands[2, :-2] = (second[2:] * second_effect - 2 * first_effect[:-1] + first[2:]) * spread[
+            :-2
+        ]
         return bands
 
 
@@ -283,7 +287,7 @@ class Whitener:
     #: 0 with one (the differences have removed them).
     polynomials: int
     #: Whitens what is then left of a wandering bias; None without one.
-    wander: LowRank | None = None
+    bias_whitener: LowRankWhitener | None = None
 
     @property
     def rows(self) -> int:
@@ -293,7 +297,7 @@ class Whitener:
     def apply(self, rows: ArrayLike) -> Array:
         """Whiten (n,) or (n, k) rows, each column a record; (m,) or (m, k), m = `rows`."""
         white = solve_banded_factor(self.bands, self.differences.apply(rows))
-        return white if self.wander is None else self.wander.apply(white)
+        return white if self.bias_whitener is None else self.bias_whitener.apply(white)
 
 
 def solve_banded_factor(bands: Array, rows: Array, transposed: bool = False) -> Array:
@@ -315,8 +319,8 @@ def make_whitener(
     noise: Noise,
     count: ArrayLike | None = None,
     sample_spacing: ArrayLike | None = None,
-    before: float = 0.0,
-    added: float | Array = 0.0,
+    walk_duration: float = 0.0,
+    added_variance: float | Array = 0.0,
 ) -> Whitener:
     """Whitener of one record of one observable.
 
@@ -326,20 +330,26 @@ def make_whitener(
     count: (n,) or a number: how many evenly spaced samples a row is the mean of; absent: 1.
     sample_spacing: s, (n,) or a number: time between the samples of a block; absent: what makes
         most blocks adjoin.
-    before, added: As of `whitener_of`.
+    walk_duration, added_variance: As of `build_whitener`.
     """
-    return whitener_of(Differences.of(times, order, count, sample_spacing), noise, before, added)
+    return build_whitener(
+        Differences.of(times, order, count, sample_spacing), noise, walk_duration, added_variance
+    )
 
 
-def whitener_of(
-    differences: Differences, noise: Noise, before: float = 0.0, added: float | Array = 0.0
+def build_whitener(
+    differences: Differences,
+    noise: Noise,
+    walk_duration: float = 0.0,
+    added_variance: float | Array = 0.0,
 ) -> Whitener:
     """Whitener of one record.
 
-    before: For how long the bias had walked when the record began, s.
-    added: White variance of the samples beside that of the noise, of all or of each row, (n,).
+    walk_duration: For how long the bias had walked when the record began, s.
+    added_variance: White variance of the samples in addition to the noise, of all or each row,
+        (n,).
     """
-    white, walk = noise.sample_variance + added, noise.random_walk**2
+    white, walk = noise.sample_variance + added_variance, noise.random_walk**2
     if np.any(white + walk == 0):
         raise ValueError("noise: all components are zero, so rows cannot be weighted")
     order, polynomials = differences.order, 0
@@ -347,20 +357,20 @@ def whitener_of(
         polynomials = order
         differences = replace(differences, order=SPECIFIC_FORCE)
     bands, log_det = differences.factor(white, walk)
-    if not noise.wanders:
+    if not noise.has_bias_instability:
         return Whitener(differences, bands, log_det, polynomials)
-    variances = (float(np.mean(white)) * differences.relative, *noise.variances[1:])
-    shown = differences.wander(order, variances, before)[0]
-    wander = LowRank.of(solve_banded_factor(bands, shown))
-    return Whitener(differences, bands, log_det + wander.log_det, polynomials, wander)
+    variances = (float(np.mean(white)) * differences.variance_ratio, *noise.variances[1:])
+    columns = differences.bias_columns(order, variances, walk_duration)[0]
+    bias_whitener = LowRankWhitener.of(solve_banded_factor(bands, columns))
+    return Whitener(differences, bands, log_det + bias_whitener.log_det, polynomials, bias_whitener)
 
 
-def information_lost(
+def information_loss(
     differences: Differences,
     columns: Array,
     noise: Noise,
-    before: float = 0.0,
-    added: float | Array = 0.0,
+    walk_duration: float = 0.0,
+    added_variance: float | Array = 0.0,
 ) -> Array:
     """Return the loss of a record's information per unit of each of `COMPONENTS`, (4, m, m).
 
@@ -371,31 +381,33 @@ def information_lost(
     theorem). Each part is positive semi-definite; those of a wander are zero where there is none.
 
     columns: (n, m).
-    before, added: As in `make_whitener`.
+    walk_duration, added_variance: As in `make_whitener`.
     """
-    white, walk = noise.sample_variance + added, noise.random_walk**2
+    white, walk = noise.sample_variance + added_variance, noise.random_walk**2
     bands, _ = differences.factor(white, walk)
     rows = solve_banded_factor(bands, differences.apply(columns))
-    shown: list[Array] = []
-    if noise.wanders:
-        variances = (float(np.mean(white)) * differences.relative, *noise.variances[1:])
-        every, *shown = differences.wander(differences.order, variances, before)
-        wander = LowRank.of(solve_banded_factor(bands, every))
-        rows = wander.apply(wander.apply(rows))
+    bias_columns: list[Array] = []
+    if noise.has_bias_instability:
+        variances = (float(np.mean(white)) * differences.variance_ratio, *noise.variances[1:])
+        combined, *bias_columns = differences.bias_columns(
+            differences.order, variances, walk_duration
+        )
+        bias_whitener = LowRankWhitener.of(solve_banded_factor(bands, combined))
+        rows = bias_whitener.apply(bias_whitener.apply(rows))
     weighted = solve_banded_factor(bands, rows, transposed=True)
-    size = np.sqrt(differences.relative / differences.blocks.count)
-    sample = differences.back(weighted) * size[:, None]
-    parts = [sample, _upper(differences.factor(0.0, 1.0)[0], weighted)]
-    parts += [one.T @ weighted for one in shown]
-    lost = np.zeros((len(COMPONENTS), columns.shape[1], columns.shape[1]))
+    size = np.sqrt(differences.variance_ratio / differences.blocks.count)
+    sample = differences.apply_transposed(weighted) * size[:, None]
+    parts = [sample, _multiply_transposed(differences.factor(0.0, 1.0)[0], weighted)]
+    parts += [columns_of_component.T @ weighted for columns_of_component in bias_columns]
+    losses = np.zeros((len(COMPONENTS), columns.shape[1], columns.shape[1]))
     for place, part in enumerate(parts):
-        lost[place] = part.T @ part
-    return lost
+        losses[place] = part.T @ part
+    return losses
 
 
-def _upper(bands: Array, rows: Array) -> Array:
+def _multiply_transposed(bands: Array, rows: Array) -> Array:
     """Return L' rows for a lower banded L."""
     product = bands[0][:, None] * rows
-    for away in range(1, len(bands)):
-        product[:-away] += bands[away, :-away, None] * rows[away:]
+    for offset in range(1, len(bands)):
+        product[:-offset] += bands[offset, :-offset, None] * rows[offset:]
     return np.asarray(product)

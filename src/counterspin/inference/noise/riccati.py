@@ -32,10 +32,10 @@ FEW_ROWS: Final = 1000
 
 #: Fewest rows alike that are taken as such: one, so many times doubled.
 _DOUBLINGS: Final = 6
-_STRETCH: Final = 2**_DOUBLINGS
+_MIN_SEGMENT_ROWS: Final = 2**_DOUBLINGS
 
 #: Steps and blocks are alike to this part: times have been rounded.
-_ALIKE: Final = 1e-9
+_RELATIVE_TOLERANCE: Final = 1e-9
 
 #: The covariance has settled when a stretch changes it by less than this part.
 _SETTLED: Final = 1e-15
@@ -73,12 +73,12 @@ class BlockSpans:
         return self.time - before, last - before
 
     @cached_property
-    def unlike(self) -> NDArray[np.bool_]:
+    def changes(self) -> NDArray[np.bool_]:
         """Mask of the rows from the second on that differ from the previous row, (n-1,)."""
         _, step = self.since_last
         new: NDArray[np.bool_] = np.diff(self.count) != 0.0
         for part in (step, self.half):
-            new |= np.abs(np.diff(part)) > _ALIKE * step[1:]
+            new |= np.abs(np.diff(part)) > _RELATIVE_TOLERANCE * step[1:]
         new[:2] = True
         return new
 
@@ -103,12 +103,14 @@ def filter_walk(
     walk: Square of the random-walk coefficient, N^2, (m/s^2)^2/Hz; not both zero.
     """
     ahead, step = blocks.since_last
-    own = white / blocks.count
+    row_variance = white / blocks.count
     # Each of the first two rows is a stretch of its own.
-    new = blocks.unlike if np.ndim(white) == 0 else blocks.unlike | (np.diff(own) != 0.0)
-    starts = np.append(0, 1 + np.flatnonzero(new))
+    changes = (
+        blocks.changes if np.ndim(white) == 0 else blocks.changes | (np.diff(row_variance) != 0.0)
+    )
+    starts = np.append(0, 1 + np.flatnonzero(changes))
     sizes = np.diff(starts, append=step.size)
-    scanned = sizes[sizes < _STRETCH].sum() > few_rows
+    scanned = sizes[sizes < _MIN_SEGMENT_ROWS].sum() > few_rows
     if scanned:
         starts, sizes = np.arange(step.size), np.ones(step.size, dtype=np.intp)
     first, final = starts, starts + sizes - 1
@@ -118,7 +120,7 @@ def filter_walk(
     # E z(s) z(s') = [|s - s'|^3 - s^3 - s'^3 + 3 s s' (s + s')]/12, averaged over the block.
     spread = blocks.variance[first]
     second_moment = d**2 + spread
-    noise = own[first] + walk * (d**3 / 3 + blocks.mean_cube[first] / 12)
+    noise = row_variance[first] + walk * (d**3 / 3 + blocks.mean_cube[first] / 12)
     cross_position = walk * (s * second_moment / 2 - d**3 / 6 - d * spread / 2)
     cross_velocity = walk * second_moment / 2
     if not noise[0] > 0:  # a single first sample without white noise tells its position exactly
@@ -126,17 +128,19 @@ def filter_walk(
 
     # What the walk adds to position and velocity over the step.
     added = (walk * s**3 / 3, walk * s**2 / 2, walk * s)
-    given = np.stack([d, s, noise, cross_position, cross_velocity, *added])
+    parameters = np.stack([d, s, noise, cross_position, cross_velocity, *added])
     if scanned:
-        states = _covariance(_prefix(np.stack(_elements(*given)))[:, 1:-1])
-        return Innovations(*_seen(states, list(given[:5, 2:])), ahead, step)
-    state = _covariance(_combine(_elements(*given[:, 0]), _elements(*given[:, 1]))).tolist()
-    states = _before_each(state, given.T[2:].tolist(), sizes[2:].tolist())
-    seen = _seen(states, list(np.repeat(given[:5, 2:], sizes[2:], axis=1)))
-    return Innovations(*seen, ahead, step)
+        states = _covariance(_prefix(np.stack(_elements(*parameters)))[:, 1:-1])
+        return Innovations(*_innovations(states, list(parameters[:5, 2:])), ahead, step)
+    state = _covariance(
+        _combine(_elements(*parameters[:, 0]), _elements(*parameters[:, 1]))
+    ).tolist()
+    states = _predicted_covariances(state, parameters.T[2:].tolist(), sizes[2:].tolist())
+    innovations = _innovations(states, list(np.repeat(parameters[:5, 2:], sizes[2:], axis=1)))
+    return Innovations(*innovations, ahead, step)
 
 
-def _seen(states: Array, row: Sequence[Any]) -> tuple[Array, Array]:
+def _innovations(states: Array, row: Sequence[Any]) -> tuple[Array, Array]:
     """Return variances and gains of rows, from the covariance before each of them."""
     p11, p12, p22 = states
     d, s, noise, cross_position, cross_velocity = row
@@ -182,7 +186,7 @@ def _covariance(running: Any) -> Array:
     )
 
 
-def _before_each(state: list[float], rows: list[list[float]], sizes: list[int]) -> Array:
+def _predicted_covariances(state: list[float], rows: list[list[float]], sizes: list[int]) -> Array:
     """Return the covariance before each row of stretches of rows alike, (3, n).
 
     state: Before the first row.
@@ -190,20 +194,20 @@ def _before_each(state: list[float], rows: list[list[float]], sizes: list[int]) 
     sizes: How many rows each stretch has.
     """
     parts: list[Array] = []
-    few: list[list[float]] = []
+    pending: list[list[float]] = []
     for row, size in zip(rows, sizes, strict=True):
-        if size <= _STRETCH:
-            several = _in_turn(state, row, size)
-            state = several.pop()
-            few += several
+        if size <= _MIN_SEGMENT_ROWS:
+            stepwise = _stepwise_covariances(state, row, size)
+            state = stepwise.pop()
+            pending += stepwise
         else:
-            many = _alike(state, row, size)
-            parts += [np.reshape(few, (-1, 3)).T, many[:, :-1]]
-            few, state = [], many[:, -1].tolist()
-    return np.hstack([*parts, np.reshape(few, (-1, 3)).T])
+            repeated = _repeated_covariances(state, row, size)
+            parts += [np.reshape(pending, (-1, 3)).T, repeated[:, :-1]]
+            pending, state = [], repeated[:, -1].tolist()
+    return np.hstack([*parts, np.reshape(pending, (-1, 3)).T])
 
 
-def _alike(state: list[float], row: list[float], size: int) -> Array:
+def _repeated_covariances(state: list[float], row: list[float], size: int) -> Array:
     """Return the covariance before each of many rows alike, and after them, (3, size + 1).
 
     Of the first rows one by one, then of as many more at once as there are.
@@ -211,23 +215,25 @@ def _alike(state: list[float], row: list[float], size: int) -> Array:
     row: What `_elements` takes.
     """
     states = np.empty((3, size + 1))
-    states[:, : _STRETCH + 1] = np.transpose(_in_turn(state, row, _STRETCH))
-    stretch, done = _elements(*row), _STRETCH
+    states[:, : _MIN_SEGMENT_ROWS + 1] = np.transpose(
+        _stepwise_covariances(state, row, _MIN_SEGMENT_ROWS)
+    )
+    stretch, done = _elements(*row), _MIN_SEGMENT_ROWS
     for _ in range(_DOUBLINGS):
         stretch = _combine(stretch, stretch)
     while done <= size:
-        more = min(done, size + 1 - done)
-        states[:, done : done + more] = _through(states[:, :more], stretch)
-        done += more
-        now, before = states[:, done - 1], states[:, done - more]
-        if np.all(np.abs(now - before) <= _SETTLED * np.abs(now)):
-            states[:, done:] = now[:, None]
+        count = min(done, size + 1 - done)
+        states[:, done : done + count] = _propagate(states[:, :count], stretch)
+        done += count
+        current, previous = states[:, done - 1], states[:, done - count]
+        if np.all(np.abs(current - previous) <= _SETTLED * np.abs(current)):
+            states[:, done:] = current[:, None]
             break
         stretch = _combine(stretch, stretch)
     return states
 
 
-def _in_turn(state: list[float], row: list[float], size: int) -> list[list[float]]:
+def _stepwise_covariances(state: list[float], row: list[float], size: int) -> list[list[float]]:
     """Return the covariance before each of some rows alike, and after them, one by one.
 
     In numbers of Python, which are quicker than arrays of a few.
@@ -239,11 +245,11 @@ def _in_turn(state: list[float], row: list[float], size: int) -> list[list[float
         seen_position = p11 + d * p12
         seen_velocity = p12 + d * p22
         variance = seen_position + d * seen_velocity + noise
-        of_position = (seen_position + s * seen_velocity + cross_position) / variance
-        of_velocity = (seen_velocity + cross_velocity) / variance
-        p11 += s * (2.0 * p12 + s * p22) + q11 - of_position**2 * variance
-        p12 += s * p22 + q12 - of_position * of_velocity * variance
-        p22 += q22 - of_velocity**2 * variance
+        position_gain = (seen_position + s * seen_velocity + cross_position) / variance
+        velocity_gain = (seen_velocity + cross_velocity) / variance
+        p11 += s * (2.0 * p12 + s * p22) + q11 - position_gain**2 * variance
+        p12 += s * p22 + q12 - position_gain * velocity_gain * variance
+        p22 += q22 - velocity_gain**2 * variance
         states.append([p11, p12, p22])
     return states
 
@@ -293,14 +299,14 @@ def _combine(early: Any, late: Any) -> list[Any]:
         e11 * a12 + e12 * a22,
         e21 * a11 + e22 * a21,
         e21 * a12 + e22 * a22,
-        *_through(early[4:7], late),
+        *_propagate(early[4:7], late),
         j11 + a11 * (a11 * g11 + 2 * a21 * g12) + a21**2 * g22,
         j12 + a12 * (a11 * g11 + a21 * g12) + a22 * (a11 * g12 + a21 * g22),
         j22 + a12 * (a12 * g11 + 2 * a22 * g12) + a22**2 * g22,
     ]
 
 
-def _through(states: Any, stretch: Any) -> list[Any]:
+def _propagate(states: Any, stretch: Any) -> list[Any]:
     """Return covariances of the state as they are a stretch later: A (P^-1 + J)^-1 A' + C."""
     p11, p12, p22 = states
     a11, a12, a21, a22, c11, c12, c22, j11, j12, j22 = stretch

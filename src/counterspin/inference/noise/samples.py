@@ -15,7 +15,7 @@ _DIFFERING_PART: Final = 1e-3
 
 
 @frozen(eq=False)
-class Samples:
+class SensorSamples:
     """The samples of a sensor in a record."""
 
     time: Array  #: Their times, s, counted where stamps or values repeat, shape (m,).
@@ -24,7 +24,7 @@ class Samples:
     restamped: int  #: Rows that repeat the time of the row before with another value.
 
     @classmethod
-    def of(cls, time: Array, values: Array) -> Samples:
+    def of(cls, time: Array, values: Array) -> SensorSamples:
         """Return the samples in rows; ValueError if their times cannot be told.
 
         time: s, shape (n,), never falling.
@@ -35,7 +35,7 @@ class Samples:
         time, values = time[~again], values[~again]
         restamped = int(np.sum(np.diff(time) == 0.0))
         if restamped > _DIFFERING_PART * time.size:
-            time = _counted(time, restamped)
+            time = _times_by_count(time, restamped)
         else:
             keep = np.append(True, np.diff(time) > 0.0)
             time, values = time[keep], values[keep]
@@ -46,11 +46,11 @@ class Samples:
         repeated = int(np.isfinite(values).sum() - new.sum())
         time, values = time[new], values[new]
         if not holding.period:
-            time = _even(time, holding.rows)
+            time = _times_at_even_steps(time, holding.rows)
         return cls(time, values, repeated, restamped)
 
 
-def _counted(time: Array, restamped: int) -> Array:
+def _times_by_count(time: Array, restamped: int) -> Array:
     """Return the times of rows whose stamps repeat: rows are even where none is lost."""
     bounds = np.append(np.flatnonzero(np.append(True, np.diff(time) > 0.0)), time.size)
     burst = float(np.quantile(np.diff(bounds), 0.999)) + 1.0
@@ -59,14 +59,14 @@ def _counted(time: Array, restamped: int) -> Array:
     step = median(spans) / lag
     # Where rows are lost, and so the record is cut.
     cuts = np.flatnonzero(np.diff(time) > (burst + 1.5) * step) + 1
-    whole = np.split(time, cuts)
-    rows = sum(part.size - 1 for part in whole)
-    step = sum(float(part[-1] - part[0]) for part in whole) / max(rows, 1)
+    pieces = np.split(time, cuts)
+    rows = sum(part.size - 1 for part in pieces)
+    step = sum(float(part[-1] - part[0]) for part in pieces) / max(rows, 1)
     parts = []
-    for part in whole:
+    for part in pieces:
         size = min(lag, part.size - 1)
-        away = part[size:] - part[: part.size - size] - size * step
-        if size > 0 and np.abs(away).max() > (burst + 1.0) * step:
+        deviation = part[size:] - part[: part.size - size] - size * step
+        if size > 0 and np.abs(deviation).max() > (burst + 1.0) * step:
             raise ValueError(
                 f"{restamped} of {time.size} rows repeat the time of the row before with other "
                 "values, and samples are missing among them, so that rows cannot be counted; "
@@ -78,7 +78,7 @@ def _counted(time: Array, restamped: int) -> Array:
     return np.concatenate(parts)
 
 
-def _even(time: Array, rows: float) -> Array:
+def _times_at_even_steps(time: Array, rows: float) -> Array:
     """Return the times of samples that a faster log saw at its next row, within one row."""
     steps = np.diff(time)
     usual = float(np.mean(steps[steps < 2.0 * median(steps)]))

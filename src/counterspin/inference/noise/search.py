@@ -28,10 +28,15 @@ from numpy.typing import ArrayLike
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
+from counterspin.inference.noise.bias_instability import Variances
 from counterspin.inference.noise.likelihood import WHITE, RecordData, RestrictedLikelihood
 from counterspin.inference.noise.model import COMPONENTS, Noise
-from counterspin.inference.noise.unseen_noise import POWER, Unseen, lengthened, unseen_walk
-from counterspin.inference.noise.wander import Variances
+from counterspin.inference.noise.undetected_walk import (
+    PRIOR_EXPONENT,
+    UndetectedWalk,
+    marginal_walk,
+    walk_posterior,
+)
 
 #: Least gain in 2 log L that keeps a component: the upper 5 % point of its law at zero.
 KEEPING_GAIN: Final = 2.705543454095404
@@ -48,27 +53,27 @@ _SCAN_STEP: Final = 6.0
 # ratios and by scale.
 _LARGEST_STEP: Final = 3.0
 _LAST_STEP: Final = 0.02
-_STEP: Final = 0.05
-_SMALL: Final = 1e-4
+_LOG_RATIO_STEP: Final = 0.05
+_LOG_SCALE_STEP: Final = 1e-4
 
 #: Most of Newton's steps, and the gain in log-likelihood of the last: what is next to nothing could
 #: go on towards zero.
-_MOST_STEPS: Final = 20
+_MAX_STEPS: Final = 20
 _LAST_GAIN: Final = 1e-3
 
 #: Least curvature that counts: in a direction of less a variance is known to a factor of e^2.
-_LEAST_CURVATURE: Final = 0.25
+_MIN_CURVATURE: Final = 0.25
 
 #: Sizes over which a wander is averaged, about the largest of estimate and first guess: e-folds of
 #: the variance.
-_SIZES: Final = np.arange(-12.0, 9.1, 1.0)
+_LOG_VARIANCE_OFFSETS: Final = np.arange(-12.0, 9.1, 1.0)
 
 #: A wander that begins to show is the other noise at this many times a record's lowest frequency.
 _ONSET_RATIO: Final = 3.0
 
 
 @frozen
-class FoundNoise:
+class NoiseEstimate:
     """Estimated noise, and how well it is known."""
 
     noise: Noise  #: The estimate, beside what was given.
@@ -83,38 +88,44 @@ class FoundNoise:
     degrees_of_freedom: float
     evaluations: int  #: How often all rows were whitened.
     #: Of a dropped random walk, the sizes that the records allow; else None.
-    unseen: Unseen | None = None
+    undetected_walk: UndetectedWalk | None = None
 
 
-def find_noise(
+def estimate_noise(
     records: Sequence[RecordData],
     noise: Noise,
     prior_rows: ArrayLike | None = None,
     prior_values: ArrayLike | None = None,
-) -> FoundNoise:
+) -> NoiseEstimate:
     """Estimate what is wanted of the noise that records share.
 
     prior_rows, prior_values: (m, p) and (m,): what is known of the unknowns, in rows of unit
         variance.
     """
     likelihood = RestrictedLikelihood.of(records, prior_rows, prior_values)
-    wanted, base = noise.wanted, None
-    if noise.wanders:
-        base, _ = _best(likelihood, replace(noise, flicker=0.0, bias_walk=0.0), None)
-    best, log_likelihoods = _best(likelihood, noise, base)
-    variances, covariance = _averaged(likelihood, best, _first_guess(likelihood, noise, base))
+    wanted, base = noise.to_estimate, None
+    if noise.has_bias_instability:
+        base, _ = _select_components(likelihood, replace(noise, flicker=0.0, bias_walk=0.0), None)
+    best, log_likelihoods = _select_components(likelihood, noise, base)
+    variances, covariance = _average_bias_noise(
+        likelihood, best, _first_guess(likelihood, noise, base)
+    )
     unseen = None
-    if "random_walk" in wanted and "random_walk" not in best.names and not noise.wanders:
-        unseen = _unseen(likelihood, noise, best)
-    return FoundNoise(
+    if (
+        "random_walk" in wanted
+        and "random_walk" not in best.names
+        and not noise.has_bias_instability
+    ):
+        unseen = _dropped_walk(likelihood, noise, best)
+    return NoiseEstimate(
         noise=noise.with_variances(variances),
         covariance=covariance,
         estimated=best.names,
         dropped=tuple(name for name in wanted if name not in best.names),
         log_likelihoods=log_likelihoods,
-        degrees_of_freedom=likelihood.freedom(best.log_scale, best.unit),
+        degrees_of_freedom=likelihood.dof(best.log_scale, best.ratios),
         evaluations=likelihood.evaluations,
-        unseen=unseen,
+        undetected_walk=unseen,
     )
 
 
@@ -138,41 +149,43 @@ class Maximum:
 
     names: tuple[str, ...]  #: What was varied.
     log_scale: float
-    unit: Variances
+    ratios: Variances
     value: float
     covariance: Array  #: Of the variances, (4, 4).
 
     @property
     def variances(self) -> Variances:
         """Where it is."""
-        return _times(math.exp(self.log_scale), self.unit)
+        return _scale_variances(math.exp(self.log_scale), self.ratios)
 
 
-def _best(
+def _select_components(
     likelihood: RestrictedLikelihood, noise: Noise, base: Maximum | None
 ) -> tuple[Maximum, dict[tuple[str, ...], float]]:
     """Return the best choice of components, and the likelihoods of all.
 
     base: The best without a wander; None where nothing wanders.
     """
-    wanted = noise.wanted
-    always = [name for name in wanted if base is not None and name == "white"]
-    always += [name for name in wanted if name in COMPONENTS[2:]][:1]
-    others = [name for name in wanted if name not in always]
-    chosen = [
-        Choice(likelihood, noise, tuple(n for n in COMPONENTS if n in (*always, *some)))
-        for size in range(len(others), -1, -1)
-        for some in combinations(others, size)
+    wanted = noise.to_estimate
+    required = [name for name in wanted if base is not None and name == "white"]
+    required += [name for name in wanted if name in COMPONENTS[2:]][:1]
+    optional = [name for name in wanted if name not in required]
+    candidates = [
+        NoiseModelCandidate(
+            likelihood, noise, tuple(n for n in COMPONENTS if n in (*required, *subset))
+        )
+        for size in range(len(optional), -1, -1)
+        for subset in combinations(optional, size)
     ]
-    maxima = [choice.maximum(base) for choice in chosen if choice.possible]
+    maxima = [choice.maximum(base) for choice in candidates if choice.is_possible]
     if not maxima:
         raise ValueError("noise: all components are given as zero, so rows cannot be weighted")
-    best = max(maxima, key=lambda one: one.value - KEEPING_GAIN / 2 * len(one.names))
-    return best, {one.names: one.value for one in maxima}
+    best = max(maxima, key=lambda maximum: maximum.value - KEEPING_GAIN / 2 * len(maximum.names))
+    return best, {maximum.names: maximum.value for maximum in maxima}
 
 
 @frozen(eq=False)
-class Choice:
+class NoiseModelCandidate:
     """The restricted likelihood of some variances, what else is wanted being zero."""
 
     likelihood: RestrictedLikelihood
@@ -180,101 +193,111 @@ class Choice:
     names: tuple[str, ...]
 
     @property
-    def possible(self) -> bool:
+    def is_possible(self) -> bool:
         """True if every record has noise."""
-        added = all(np.all(part) for part in self.likelihood.added)
+        added = all(np.all(part) for part in self.likelihood.added_variances)
         return added or bool(self.names) or any(self.noise.known.variances)
 
     @cached_property
-    def free(self) -> bool:
+    def has_free_scale(self) -> bool:
         """True if all noise has one unknown scale: others are ratios to the first."""
         known = dict(zip(COMPONENTS, self.noise.known.variances, strict=True))
         rest = [size for name, size in known.items() if name not in self.names]
-        return bool(self.names) and not any(rest) and not _added(self.likelihood)
+        return bool(self.names) and not any(rest) and not _mean_added_variance(self.likelihood)
 
-    def point(self, x: Array) -> tuple[float, Variances]:
+    def scale_and_ratios(self, x: Array) -> tuple[float, Variances]:
         """Return log scale and unit where the logarithms searched are these."""
         sizes = list(self.noise.known.variances)
         least = sizes[0]
-        logs = [0.0, *x] if self.free else x
+        logs = [0.0, *x] if self.has_free_scale else x
         for name, size in zip(self.names, np.exp(logs).tolist(), strict=True):
             sizes[COMPONENTS.index(name)] = size
-        if not self.free:
-            return _point(self.likelihood, (max(sizes[0], least), *sizes[1:]))
-        unit = tuple(sizes)
-        scale = self.likelihood.best_scale(unit)
-        return max(scale, math.log(least)) if least > 0.0 else scale, unit
+        if not self.has_free_scale:
+            return _normalise(self.likelihood, (max(sizes[0], least), *sizes[1:]))
+        ratios = tuple(sizes)
+        scale = self.likelihood.best_scale(ratios)
+        return max(scale, math.log(least)) if least > 0.0 else scale, ratios
 
     def value(self, x: Array) -> float:
         """Return the likelihood there."""
-        return self.likelihood.value(*self.point(x))
+        return self.likelihood.value(*self.scale_and_ratios(x))
 
-    def greatest(self, start: Variances) -> tuple[float, Variances]:
+    def maximize(self, start: Variances) -> tuple[float, Variances]:
         """Return the greatest likelihood, climbed to from a start, and the variances there."""
-        x = self._climbed(self._logs(start))
-        log_scale, unit = self.point(x)
-        return self.likelihood.value(log_scale, unit), _times(math.exp(log_scale), unit)
+        x = self._ascend(self._logs(start))
+        log_scale, ratios = self.scale_and_ratios(x)
+        return self.likelihood.value(log_scale, ratios), _scale_variances(
+            math.exp(log_scale), ratios
+        )
 
     def maximum(self, base: Maximum | None, start: Variances | None = None) -> Maximum:
         """Return where the likelihood is greatest.
 
         start: Where to climb from, if that is known.
         """
-        x = self._climbed(self._start(base) if start is None else self._logs(start))
+        x = self._ascend(self._initial_logs(base) if start is None else self._logs(start))
         covariance = self._covariance(x)
         if x.size:
-            x = _polished(self.value, x)
-        log_scale, unit = self.point(x)
-        value = self.likelihood.value(log_scale, unit)
-        return Maximum(self.names, log_scale, unit, value, covariance)
+            x = _refine(self.value, x)
+        log_scale, ratios = self.scale_and_ratios(x)
+        value = self.likelihood.value(log_scale, ratios)
+        return Maximum(self.names, log_scale, ratios, value, covariance)
 
-    def _start(self, base: Maximum | None) -> Array:
+    def _initial_logs(self, base: Maximum | None) -> Array:
         """Return where to climb from: by a scan of a walk's size where nothing is known of it."""
         first = _first_guess(self.likelihood, self.noise, base)
-        only = self._logs(first)
-        if "random_walk" not in self.names or base is not None or not only.size:
-            return only
+        guess = self._logs(first)
+        if "random_walk" not in self.names or base is not None or not guess.size:
+            return guess
         # From what cannot show, at which none is as likely, to what hides all white noise.
         steps = np.arange(-_SCAN_STEP, self.likelihood.walk_range, _SCAN_STEP)
         points = [(first[0], size, *first[2:]) for size in (first[1] * np.exp(steps)).tolist()]
         if "white" not in self.names:
             return max(map(self._logs, points), key=self.value)
         # Each with the scale that is best for it, all white noise being of one kind.
-        plain, added = self.likelihood.without_added(), _added(self.likelihood)
-        likely = []
+        likelihood, added = (
+            self.likelihood.without_added_variance(),
+            _mean_added_variance(self.likelihood),
+        )
+        scanned = []
         for white, walk, *rest in points:
-            unit = (1.0, walk / (white + added), 0.0, 0.0)
-            scale = plain.best_scale(unit)
+            ratios = (1.0, walk / (white + added), 0.0, 0.0)
+            scale = likelihood.best_scale(ratios)
             total = math.exp(scale)
-            point = (max(total - added, 0.1 * total), total * unit[1], *rest)
-            likely.append((plain.value(scale, unit), point))
-        return self._logs(max(likely)[1])
+            point = (max(total - added, 0.1 * total), total * ratios[1], *rest)
+            scanned.append((likelihood.value(scale, ratios), point))
+        return self._logs(max(scanned)[1])
 
     def _logs(self, sizes: Variances) -> Array:
         """Return the logarithms searched where the variances are these."""
         x = np.log([sizes[COMPONENTS.index(name)] for name in self.names])
-        return x[1:] - x[0] if self.free else x
+        return x[1:] - x[0] if self.has_free_scale else x
 
-    def _climbed(self, x: Array) -> Array:
+    def _ascend(self, x: Array) -> Array:
         """Return where Newton's steps uphill end."""
-        for _ in range(_MOST_STEPS if x.size else 0):
-            before, (x, gain) = x, _step(self.value, x)
+        for _ in range(_MAX_STEPS if x.size else 0):
+            before, (x, gain) = x, _newton_step(self.value, x)
             if np.abs(x - before).max() < _LAST_STEP or gain < _LAST_GAIN:
                 break
         return x
 
     def _covariance(self, x: Array) -> Array:
         """Return the variances' covariance, (4, 4): the inverse observed information."""
-        log_scale, unit = self.point(x)
+        log_scale, variance_ratios = self.scale_and_ratios(x)
         covariance = np.zeros((len(COMPONENTS), len(COMPONENTS)))
         if not self.names:
             return covariance
-        if self.free:
+        if self.has_free_scale:
             hessian = np.zeros((len(self.names), len(self.names)))
-            more, less = (self.likelihood.slope(log_scale + d, unit) for d in (_SMALL, -_SMALL))
-            hessian[0, 0] = (more - less) / (2.0 * _SMALL)
-            hessian[0, 1:] = hessian[1:, 0] = self._at(self.likelihood.slope, log_scale, x)[1]
-            hessian[1:, 1:] = self._at(self.likelihood.value, log_scale, x)[2]
+            slope_above, slope_below = (
+                self.likelihood.slope(log_scale + d, variance_ratios)
+                for d in (_LOG_SCALE_STEP, -_LOG_SCALE_STEP)
+            )
+            hessian[0, 0] = (slope_above - slope_below) / (2.0 * _LOG_SCALE_STEP)
+            hessian[0, 1:] = hessian[1:, 0] = self._partial_derivatives(
+                self.likelihood.slope, log_scale, x
+            )[1]
+            hessian[1:, 1:] = self._partial_derivatives(self.likelihood.value, log_scale, x)[2]
             # From the first and the ratios to it to all of them.
             ratios = np.eye(len(self.names))
             ratios[1:, 0] = -1.0
@@ -282,62 +305,62 @@ class Choice:
         else:
             hessian = _derivatives(self.value, x)[2]
         values, vectors = np.linalg.eigh(-hessian)
-        inverse = vectors / np.maximum(values, _LEAST_CURVATURE) @ vectors.T
+        inverse = vectors / np.maximum(values, _MIN_CURVATURE) @ vectors.T
         places = [COMPONENTS.index(name) for name in self.names]
-        levels = np.array(_times(math.exp(log_scale), unit))[places]
+        levels = np.array(_scale_variances(math.exp(log_scale), variance_ratios))[places]
         covariance[np.ix_(places, places)] = inverse * np.outer(levels, levels)
         return covariance
 
-    def _at(
+    def _partial_derivatives(
         self, function: Callable[[float, Variances], float], log_scale: float, x: Array
     ) -> tuple[float, Array, Array]:
-        """Return the derivatives of a function of scale and unit, the scale being what it is."""
-        return _derivatives(lambda near: function(log_scale, self.point(near)[1]), x)
+        """Return the derivatives of a function of scale and ratios at a fixed scale."""
+        return _derivatives(lambda near: function(log_scale, self.scale_and_ratios(near)[1]), x)
 
 
-def _added(likelihood: RestrictedLikelihood) -> float:
+def _mean_added_variance(likelihood: RestrictedLikelihood) -> float:
     """Return the mean variance that the records' samples have beside what is estimated."""
-    return float(np.mean([np.mean(added) for added in likelihood.added]))
+    return float(np.mean([np.mean(added) for added in likelihood.added_variances]))
 
 
-def _times(factor: float, variances: Variances) -> Variances:
+def _scale_variances(factor: float, variances: Variances) -> Variances:
     return tuple(factor * size for size in variances)
 
 
-def _point(likelihood: RestrictedLikelihood, variances: Variances) -> tuple[float, Variances]:
+def _normalise(likelihood: RestrictedLikelihood, variances: Variances) -> tuple[float, Variances]:
     """Return log scale and unit of a noise."""
-    if _added(likelihood):
+    if _mean_added_variance(likelihood):
         return 0.0, variances
     scale = variances[0] or variances[1]
     if scale <= 0.0:
         raise ValueError("noise: a wandering bias needs white noise too; state its size")
-    return math.log(scale), _times(1.0 / scale, variances)
+    return math.log(scale), _scale_variances(1.0 / scale, variances)
 
 
 def _first_guess(likelihood: RestrictedLikelihood, noise: Noise, base: Maximum | None) -> Variances:
     """Return variances to begin with: slow noise as it begins to show beside what is faster."""
-    added, (white, walk, *_) = _added(likelihood), noise.known.variances
+    added, (white, walk, *_) = _mean_added_variance(likelihood), noise.known.variances
     if base is not None:
         white, walk, *_ = base.variances
-    elif "white" in noise.wanted:
+    elif "white" in noise.to_estimate:
         total = math.exp(likelihood.best_scale(WHITE))
         white = max(total - added, 0.1 * total)
-    if base is None and "random_walk" in noise.wanted:
-        walk = (white + added) * math.exp(likelihood.least_walk + _DETECTION_LOG_RATIO)
+    if base is None and "random_walk" in noise.to_estimate:
+        walk = (white + added) * math.exp(likelihood.log_walk_floor + _DETECTION_LOG_RATIO)
     order, spacing = likelihood.order, likelihood.records[0].spacing
     w = 2.0 * math.pi * _ONSET_RATIO / likelihood.length
     density = max(white + added, 1e-30) * spacing * w ** (2 * order) + walk
     return white, walk or 0.1 * density, density * w, density * w**2
 
 
-def _averaged(
+def _average_bias_noise(
     likelihood: RestrictedLikelihood, best: Maximum, first: Variances
 ) -> tuple[Variances, Array]:
     """Return variances, those of a wander averaged over what the records allow, and covariance.
 
     A wander moves the runs' biases against each other, and few runs tell little of that: the
     most likely size is often none. It is averaged as a walk is that does not show
-    (`counterspin.inference.noise.unseen_noise`): Student's distribution of this variance and
+    (`counterspin.inference.noise.undetected_walk`): Student's distribution of this variance and
     of the degrees of freedom that its own variance says (Satterthwaite) has the quantiles of
     the mixture.
     """
@@ -347,38 +370,38 @@ def _averaged(
         if place < 2:
             continue
         middle = max(variances[place], first[place])
-        sizes = middle * np.exp(_SIZES)
+        sizes = middle * np.exp(_LOG_VARIANCE_OFFSETS)
         values = []
         for size in sizes.tolist():
             variances[place] = size
-            values.append(likelihood.value(*_point(likelihood, tuple(variances))))
+            values.append(likelihood.value(*_normalise(likelihood, tuple(variances))))
         # The sizes are even in the logarithm, and so is the density.
-        weights = np.exp(np.array(values) - max(values)) * (sizes / middle) ** POWER
-        allowed = Unseen(sizes, weights / weights.sum())
-        nothing = np.array([1e-9 * middle * math.exp(_SIZES[0])])
-        variances[place], inverse = lengthened(allowed, nothing, np.ones(1))
+        weights = np.exp(np.array(values) - max(values)) * (sizes / middle) ** PRIOR_EXPONENT
+        allowed = UndetectedWalk(sizes, weights / weights.sum())
+        negligible = np.array([1e-9 * middle * math.exp(_LOG_VARIANCE_OFFSETS[0])])
+        variances[place], inverse = marginal_walk(allowed, negligible, np.ones(1))
         covariance[place], covariance[:, place] = 0.0, 0.0
         covariance[place, place] = 2.0 * variances[place] ** 2 * float(inverse[0])
     return tuple(variances), covariance
 
 
-def _unseen(likelihood: RestrictedLikelihood, noise: Noise, best: Maximum) -> Unseen:
+def _dropped_walk(likelihood: RestrictedLikelihood, noise: Noise, best: Maximum) -> UndetectedWalk:
     """Return the sizes of the walk that was dropped, the white noise as it would be beside it."""
-    choice = Choice(likelihood, noise, (*best.names, "random_walk"))
+    candidate = NoiseModelCandidate(likelihood, noise, (*best.names, "random_walk"))
     white = best.variances[0]
 
-    def at(log_ratio: float) -> tuple[float, float]:
-        if choice.free:
-            log_scale, unit = choice.point(np.array([log_ratio]))
-            return likelihood.value(log_scale, unit), log_scale + log_ratio
-        log_level = math.log(white + _added(likelihood)) + log_ratio
-        beside = [math.log(white)] if best.names else []
-        return choice.value(np.array([*beside, log_level])), log_level
+    def profile(log_ratio: float) -> tuple[float, float]:
+        if candidate.has_free_scale:
+            log_scale, ratios = candidate.scale_and_ratios(np.array([log_ratio]))
+            return likelihood.value(log_scale, ratios), log_scale + log_ratio
+        log_level = math.log(white + _mean_added_variance(likelihood)) + log_ratio
+        log_white = [math.log(white)] if best.names else []
+        return candidate.value(np.array([*log_white, log_level])), log_level
 
-    return unseen_walk(at, likelihood.least_walk + _DETECTION_LOG_RATIO, best.value)
+    return walk_posterior(profile, likelihood.log_walk_floor + _DETECTION_LOG_RATIO, best.value)
 
 
-def _step(function: Callable[[Array], float], x: Array) -> tuple[Array, float]:
+def _newton_step(function: Callable[[Array], float], x: Array) -> tuple[Array, float]:
     """Return x a step of Newton's further uphill, and the gain that slope and curvature promise.
 
     Curvatures are taken as they are, however small: near zero a variance's effect goes with e^x,
@@ -387,32 +410,44 @@ def _step(function: Callable[[Array], float], x: Array) -> tuple[Array, float]:
     middle, gradient, hessian = _derivatives(function, x)
     curvatures, vectors = np.linalg.eigh(-hessian)
     slopes = vectors.T @ gradient
-    near = curvatures * _LARGEST_STEP > np.abs(slopes)
+    is_concave = curvatures * _LARGEST_STEP > np.abs(slopes)
     steps = np.sign(slopes) * _LARGEST_STEP
-    steps[near] = slopes[near] / curvatures[near]
+    steps[is_concave] = slopes[is_concave] / curvatures[is_concave]
     step, gain = vectors @ steps, float(slopes @ steps) / 2.0
     while np.abs(step).max() >= _LAST_STEP and function(x + step) < middle:
         step = step / 4.0
     return np.asarray(x + step), gain
 
 
-def _polished(function: Callable[[Array], float], x: Array) -> Array:
+def _refine(function: Callable[[Array], float], x: Array) -> Array:
     """Return x a last step further, with slopes from two neighbours on either side."""
-    _, near, hessian = _derivatives(function, x)
-    wide = [function(x + sign * one) for sign in (2.0, -2.0) for one in _STEP * np.eye(x.size)]
-    far = (np.array(wide[: x.size]) - np.array(wide[x.size :])) / (4.0 * _STEP)
-    if np.linalg.eigvalsh(-hessian)[0] < _LEAST_CURVATURE:
+    _, inner_gradient, hessian = _derivatives(function, x)
+    outer_values = [
+        function(x + sign * offset)
+        for sign in (2.0, -2.0)
+        for offset in _LOG_RATIO_STEP * np.eye(x.size)
+    ]
+    outer_gradient = (np.array(outer_values[: x.size]) - np.array(outer_values[x.size :])) / (
+        4.0 * _LOG_RATIO_STEP
+    )
+    if np.linalg.eigvalsh(-hessian)[0] < _MIN_CURVATURE:
         return x
-    step = np.linalg.solve(-hessian, (4.0 * near - far) / 3.0)
+    step = np.linalg.solve(-hessian, (4.0 * inner_gradient - outer_gradient) / 3.0)
     return np.asarray(x + step) if np.abs(step).max() < _LAST_STEP else x
 
 
 def _derivatives(function: Callable[[Array], float], x: Array) -> tuple[float, Array, Array]:
     """Return a function's value, gradient and second derivatives, by central differences."""
-    middle, unit = function(x), _STEP * np.eye(x.size)
-    more, less = (np.array([function(x + sign * one) for one in unit]) for sign in (1.0, -1.0))
-    hessian = np.diag(more + less - 2.0 * middle)
+    middle, offsets = function(x), _LOG_RATIO_STEP * np.eye(x.size)
+    upper, lower = (
+        np.array([function(x + sign * offset) for offset in offsets]) for sign in (1.0, -1.0)
+    )
+    hessian = np.diag(upper + lower - 2.0 * middle)
     for i, j in combinations(range(x.size), 2):
-        both = function(x + unit[i] + unit[j]) + function(x - unit[i] - unit[j]) - 2.0 * middle
-        hessian[i, j] = hessian[j, i] = (both - hessian[i, i] - hessian[j, j]) / 2.0
-    return middle, (more - less) / (2.0 * _STEP), hessian / _STEP**2
+        cross_sum = (
+            function(x + offsets[i] + offsets[j])
+            + function(x - offsets[i] - offsets[j])
+            - 2.0 * middle
+        )
+        hessian[i, j] = hessian[j, i] = (cross_sum - hessian[i, i] - hessian[j, j]) / 2.0
+    return middle, (upper - lower) / (2.0 * _LOG_RATIO_STEP), hessian / _LOG_RATIO_STEP**2

@@ -22,11 +22,11 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.noise.even import SampleKind, sample_spectrum
-from counterspin.inference.noise.wander import Variances
+from counterspin.inference.noise.bias_instability import Variances
+from counterspin.inference.noise.even_sampling import Sampling, sample_spectrum
 
 #: Values of the spectrum, a decade.
-_A_DECADE: Final = 12.0
+_BINS_PER_DECADE: Final = 12.0
 
 #: Segments of the record, without overlap, for the lowest frequencies.
 _SEGMENTS: Final = 6
@@ -35,7 +35,7 @@ _SEGMENTS: Final = 6
 #: that the window leaves apart from zero, in steps, and the fewest samples of one.
 _SHORTER: Final = 4
 _FIRST: Final = 3
-_FEWEST_IN_SEGMENT: Final = 64
+_MIN_SEGMENT_SAMPLES: Final = 64
 
 #: Independent values of a Hann window's spectrum, of two neighbouring ones.
 _INDEPENDENT: Final = 0.66
@@ -44,7 +44,7 @@ _INDEPENDENT: Final = 0.66
 _FALSE_ALARM: Final = 1e-3
 
 #: Most lines that are looked for, and neighbours on either side whose median is the noise there.
-_MOST_LINES: Final = 20
+_MAX_LINES: Final = 20
 _NEIGHBOURS: Final = 64
 
 #: A window of Hann's has its maximum over this many values: none of them is another line.
@@ -56,14 +56,14 @@ _AMPLITUDE_LOSS: Final = 1.5
 _FREQUENCY_LOSS: Final = 2.341
 
 #: Fewest samples in which lines are looked for.
-_FEWEST: Final = 256
+_MIN_SAMPLES: Final = 256
 
 #: Lines slower than so many of a record's periods are its wander.
-_FEWEST_PERIODS: Final = 8
+_MIN_PERIODS: Final = 8
 
 #: Averaging times an octave, and the part of a record that the longest is, at most.
-_AN_OCTAVE: Final = 2
-_LONGEST_PART: Final = 1.0 / 3.0
+_TAUS_PER_OCTAVE: Final = 2
+_MAX_TAU_FRACTION: Final = 1.0 / 3.0
 
 _LOW, _HIGH = 0.025, 0.975
 
@@ -93,7 +93,7 @@ class SpectralLine:
 
 
 def spectrum(
-    force: Array, step: float, kind: SampleKind, variances: Variances
+    force: Array, step: float, kind: Sampling, variances: Variances
 ) -> list[SpectrumValue]:
     """Return the spectrum of a record, from its lowest frequencies to half the sampling rate.
 
@@ -102,28 +102,30 @@ def spectrum(
     from scipy.signal import welch
     from scipy.stats import chi2
 
-    length = max(_FEWEST_IN_SEGMENT, force.size // _SEGMENTS)
+    length = max(_MIN_SEGMENT_SAMPLES, force.size // _SEGMENTS)
     values: list[SpectrumValue] = []
     above = 0.0
     # Shorter segments, of which there are more, serve higher frequencies.
-    while length >= _FEWEST_IN_SEGMENT:
+    while length >= _MIN_SEGMENT_SAMPLES:
         frequency, density = welch(
             force, 1.0 / step, nperseg=min(length, force.size), scaling="density"
         )
-        last = length // _SHORTER < _FEWEST_IN_SEGMENT
+        last = length // _SHORTER < _MIN_SEGMENT_SAMPLES
         inside = frequency >= max(above, _FIRST * frequency[1])
         upper = frequency[-1] if last else _SHORTER * _FIRST * frequency[1]
         # Not half the sampling rate itself, whose density is one-sided as it stands.
         inside &= frequency < upper
         count = max(1.0, 2.0 * force.size / length - 1.0)
-        each = 36.0 * count**2 / (19.0 * count - 1.0) if count > 1.0 else 2.0
-        number = np.floor(_A_DECADE * np.log10(frequency[inside] * force.size * step)).astype(int)
+        dof_per_line = 36.0 * count**2 / (19.0 * count - 1.0) if count > 1.0 else 2.0
+        number = np.floor(
+            _BINS_PER_DECADE * np.log10(frequency[inside] * force.size * step)
+        ).astype(int)
         for bin_number in np.unique(number):
-            own = number == bin_number
-            mean = 0.5 * float(np.mean(density[inside][own]))
-            dof = each * max(1.0, _INDEPENDENT * np.count_nonzero(own))
+            in_bin = number == bin_number
+            mean = 0.5 * float(np.mean(density[inside][in_bin]))
+            dof = dof_per_line * max(1.0, _INDEPENDENT * np.count_nonzero(in_bin))
             low, high = (float(mean * dof / chi2.ppf(part, dof)) for part in (0.975, 0.025))
-            middle = float(np.exp(np.mean(np.log(frequency[inside][own]))))
+            middle = float(np.exp(np.mean(np.log(frequency[inside][in_bin]))))
             angle = np.array([2.0 * math.pi * step * middle])
             expected = step * float((np.asarray(variances) @ sample_spectrum(angle, step, kind))[0])
             values.append(SpectrumValue(middle, mean, low, high, dof, expected))
@@ -136,43 +138,43 @@ def spectrum(
 def find_lines(force: Array, step: float) -> tuple[list[SpectralLine], Array]:
     """Return the lines of a record, the largest against its noise first, and it without them."""
     n = force.size
-    if n < _FEWEST:
+    if n < _MIN_SAMPLES:
         return [], force
     window = np.hanning(n + 2)[1:-1]
-    found: list[float] = []
-    rest = force - force.mean()
-    background = _background(np.abs(np.fft.rfft(window * rest)) ** 2)
+    frequencies: list[float] = []
+    remainder = force - force.mean()
+    background = _noise_floor(np.abs(np.fft.rfft(window * remainder)) ** 2)
     limit = math.log(0.5 * n / _FALSE_ALARM)
     waves: list[complex] = []
-    while len(found) < _MOST_LINES:
-        power = np.abs(np.fft.rfft(window * rest)) ** 2
+    while len(frequencies) < _MAX_LINES:
+        power = np.abs(np.fft.rfft(window * remainder)) ** 2
         ratio = power / background
-        ratio[:_FEWEST_PERIODS] = ratio[-_WIDTH:] = 0.0
-        top = int(np.argmax(ratio))
-        if ratio[top] < limit:
+        ratio[:_MIN_PERIODS] = ratio[-_WIDTH:] = 0.0
+        peak = int(np.argmax(ratio))
+        if ratio[peak] < limit:
             break
         # The logarithm of a Hann window's maximum is a parabola to a hundredth of a step.
-        left, middle, right = np.log(power[top - 1 : top + 2])
-        shift = 0.5 * (left - right) / (left - 2.0 * middle + right)
-        near = (top + float(np.clip(shift, -0.5, 0.5))) / (n * step)
-        if any(abs(near - other) * n * step < _WIDTH for other in found):
+        below, middle, above = np.log(power[peak - 1 : peak + 2])
+        offset = 0.5 * (below - above) / (below - 2.0 * middle + above)
+        peak_frequency = (peak + float(np.clip(offset, -0.5, 0.5))) / (n * step)
+        if any(abs(peak_frequency - known) * n * step < _WIDTH for known in frequencies):
             break  # what is left of a line that is none of constant frequency
-        found, waves, rest = _fitted(force, step, [*found, near])
-    if not found:
+        frequencies, waves, remainder = _fit_lines(force, step, [*frequencies, peak_frequency])
+    if not frequencies:
         return [], force
-    background = _background(np.abs(np.fft.rfft(window * rest)) ** 2) / float(window @ window)
+    background = _noise_floor(np.abs(np.fft.rfft(window * remainder)) ** 2) / float(window @ window)
     lines = []
-    for frequency, wave in zip(found, waves, strict=True):
+    for frequency, wave in zip(frequencies, waves, strict=True):
         place = min(round(frequency * n * step), background.size - 1)
         spread = math.sqrt(float(background[place]) / n)
         # Rife and Boorstyn, IEEE Trans. Inf. Theory 20 (1974) 591, for the window's weights.
         u = math.sqrt(2.0 * _AMPLITUDE_LOSS) * spread
         u_frequency = math.sqrt(6.0 * _FREQUENCY_LOSS) * spread / (math.pi * n * step * abs(wave))
         lines.append(SpectralLine(frequency, u_frequency, abs(wave), u))
-    return lines, rest + force.mean()
+    return lines, remainder + force.mean()
 
 
-def _fitted(
+def _fit_lines(
     force: Array, step: float, frequencies: list[float]
 ) -> tuple[list[float], list[complex], Array]:
     """Return waves of a record, their frequencies one of Newton's steps better, and what is left.
@@ -192,15 +194,15 @@ def _fitted(
         if not last:
             a, b = sizes[1 : 1 + count], sizes[1 + count :]
             change = 2.0 * math.pi * time[:, None] * (b * cosine - a * sine)
-            moved = np.column_stack([columns, change]) * root[:, None]
-            shift = np.linalg.lstsq(moved, force * root, rcond=None)[0][-count:]
-            most = 0.5 / (n * step)
-            frequencies = (np.asarray(frequencies) + np.clip(shift, -most, most)).tolist()
+            derivative_columns = np.column_stack([columns, change]) * root[:, None]
+            shift = np.linalg.lstsq(derivative_columns, force * root, rcond=None)[0][-count:]
+            limit = 0.5 / (n * step)
+            frequencies = (np.asarray(frequencies) + np.clip(shift, -limit, limit)).tolist()
     waves = [complex(a, b) for a, b in zip(sizes[1 : 1 + count], sizes[1 + count :], strict=True)]
     return frequencies, waves, force - columns @ sizes
 
 
-def _background(power: Array) -> Array:
+def _noise_floor(power: Array) -> Array:
     """Return the noise floor of a spectrum: its running median over ln 2."""
     from scipy.ndimage import median_filter
 
@@ -236,7 +238,7 @@ def allan_deviation(velocity: Array, step: float, count: int) -> float:
 
 
 def allan_values(
-    velocity: Array, step: float, kind: SampleKind, variances: Variances
+    velocity: Array, step: float, kind: Sampling, variances: Variances
 ) -> list[AllanValue]:
     """Return the deviation at averaging times up to a third of a record.
 
@@ -245,19 +247,19 @@ def allan_values(
     from scipy.stats import chi2
 
     n = velocity.size - 1
-    longest = max(1, math.floor(_LONGEST_PART * n))
-    counts = 2.0 ** (np.arange(_AN_OCTAVE * math.log2(longest) + 1e-9) / _AN_OCTAVE)
+    longest = max(1, math.floor(_MAX_TAU_FRACTION * n))
+    counts = 2.0 ** (np.arange(_TAUS_PER_OCTAVE * math.log2(longest) + 1e-9) / _TAUS_PER_OCTAVE)
     points = []
     for count in np.unique(np.round(counts).astype(int)).tolist():
         deviation = allan_deviation(velocity, step, count)
-        expected, dof = moments(n, step, kind, variances, count)
+        expected, dof = allan_moments(n, step, kind, variances, count)
         low, high = (deviation * math.sqrt(dof / chi2.ppf(part, dof)) for part in (_HIGH, _LOW))
         points.append(AllanValue(count * step, deviation, low, high, dof, expected))
     return points
 
 
-def moments(
-    samples: int, step: float, kind: SampleKind, variances: Variances, count: int
+def allan_moments(
+    samples: int, step: float, kind: Sampling, variances: Variances, count: int
 ) -> tuple[float, float]:
     """Return the Allan deviation that a noise lets expect, and its equivalent degrees of freedom.
 

@@ -98,9 +98,9 @@ def by_angle(
     target = np.arange(first, last + 1.0)
     # A noisy angle may pass a strobe to and fro: the first time counts.
     reached = np.searchsorted(np.maximum.accumulate(turns), target)
-    left = np.clip(reached, 1, turns.size - 1) - 1
-    share = (target - turns[left]) / (turns[left + 1] - turns[left])
-    return _interpolate(time, error, left, share, count)
+    row_before = np.clip(reached, 1, turns.size - 1) - 1
+    share = (target - turns[row_before]) / (turns[row_before + 1] - turns[row_before])
+    return _interpolate(time, error, row_before, share, count)
 
 
 def by_nominal_rate(
@@ -128,26 +128,26 @@ def by_nominal_rate(
 
 
 def _interpolate(
-    time: Array, error: Array, left: npt.NDArray[np.intp], share: Array, count: Array | None
+    time: Array, error: Array, row_before: npt.NDArray[np.intp], share: Array, count: Array | None
 ) -> Strobes:
     spacing = np.diff(time)
     # Across a gap a straight line is no interpolation any more.
-    whole = spacing[left] <= 1.5 * median(spacing)
+    is_inside = spacing[row_before] <= 1.5 * median(spacing)
     # On a sample the other neighbour does not matter, even if it is missing or far away.
     share = np.where(np.abs(share) < _ROUNDING, 0.0, share)
     share = np.where(np.abs(share - 1.0) < _ROUNDING, 1.0, share)
-    before, after = error[left], error[left + 1]
+    before, after = error[row_before], error[row_before + 1]
     value = np.where(share == 0.0, before, (1.0 - share) * before + share * after)
     value = np.where(share == 1.0, after, value)
     samples = np.ones(time.size) if count is None else count
-    variance = (1.0 - share) ** 2 / samples[left] + share**2 / samples[left + 1]
-    keep = (whole | (share == 0.0) | (share == 1.0)) & np.isfinite(value)
+    variance = (1.0 - share) ** 2 / samples[row_before] + share**2 / samples[row_before + 1]
+    keep = (is_inside | (share == 0.0) | (share == 1.0)) & np.isfinite(value)
     if np.count_nonzero(keep) < FEWEST_STROBES:
         raise RecordError(
             f"only {np.count_nonzero(keep)} of the {FEWEST_STROBES} strobes that the parabola of "
             "the first stage needs could be read: record more revolutions or fill the gaps"
         )
-    at = time[left] + share * spacing[left]
+    at = time[row_before] + share * spacing[row_before]
     return Strobes(at[keep], value[keep], np.sqrt(variance[keep]), int(np.sum(~keep)))
 
 
@@ -262,8 +262,8 @@ def first_stage(strobes: Strobes, sigma: float | None = None, random_walk: float
         line = powers[:2, None] * _gain(scaled[:, :2], weight)
         gain = np.vstack([line @ (np.eye(m) - np.outer(strobes.time**2, b2_gain)), b2_gain])
         residuals = strobes.error - np.vander(strobes.time, 3, True) @ (gain @ strobes.error)
-        left = whiten.apply(strobes.error - strobes.time**2 * (b2_gain @ strobes.error))
-        chi2 = float(left @ left)
+        residuals_b2 = whiten.apply(strobes.error - strobes.time**2 * (b2_gain @ strobes.error))
+        chi2 = float(residuals_b2 @ residuals_b2)
     spread = gain * (used * strobes.noise_factor)
     covariance = spread @ spread.T
     if random_walk > 0.0:

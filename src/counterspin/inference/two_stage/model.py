@@ -18,9 +18,13 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
+from counterspin.inference.joint.design_blocks import (
+    DesignBlock,
+    build_design_blocks,
+    update_design_blocks,
+)
 from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.prepared import Prepared, prepare_columns, prepared_for
-from counterspin.inference.joint.series import Series, rotation_column
+from counterspin.inference.joint.series import ResidualSeries, rotation_column
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR, Block
 from counterspin.inference.noise.model import Noise
@@ -160,7 +164,7 @@ class TwoStageRequest:
 LEAST_SIGMA: Final = np.finfo(float).tiny ** 0.25
 
 
-def strobed(series: Series) -> tuple[Series, Strobes]:
+def select_strobes(series: ResidualSeries) -> tuple[ResidualSeries, Strobes]:
     """Return a record at its strobes, each for as many samples as its noise allows, and these."""
     phase = strobe_angle(series.mounting.turned(series.attitude).input_axis)
     angle = series.trajectory.spindle.angle(series.time)
@@ -168,22 +172,22 @@ def strobed(series: Series) -> tuple[Series, Strobes]:
     def at_strobes(values: Array) -> Strobes:
         return by_angle(series.time, angle, values, phase, series.count)
 
-    found, changing = at_strobes(series.error), series.by_latitude
-    by_latitude = None if changing is None else at_strobes(changing).error
+    strobes, sensitivity = at_strobes(series.error), series.latitude_sensitivity
+    by_latitude = None if sensitivity is None else at_strobes(sensitivity).error
     record = replace(
         series,
-        time=found.time,
-        spread=np.zeros_like(found.time),
-        count=found.noise_factor**-2.0,
-        error=found.error,
-        by_latitude=by_latitude,
-        until=float(np.max(series.time + series.spread)),  # as all of it was
+        time=strobes.time,
+        time_sd=np.zeros_like(strobes.time),
+        count=strobes.noise_factor**-2.0,
+        error=strobes.error,
+        latitude_sensitivity=by_latitude,
+        integration_end=float(np.max(series.time + series.time_sd)),  # as all of it was
     )
-    return record, found
+    return record, strobes
 
 
-def held(
-    model: Unknowns, estimated: Collection[str], series: Sequence[Series]
+def considered_terms(
+    model: Unknowns, estimated: Collection[str], series: Sequence[ResidualSeries]
 ) -> tuple[Considered, ...]:
     """Return all terms of a model but those estimated as held: as known, or exactly ideal.
 
@@ -192,49 +196,51 @@ def held(
     """
     return tuple(
         Considered(
-            other.owner,
-            other.symbol,
-            other.prior if math.isfinite(other.prior[1]) else (other.nominal, 0.0),
-            other.limit,
-            asked=False,
-            unstated=other.unstated,
+            term.owner,
+            term.symbol,
+            term.prior if math.isfinite(term.prior[1]) else (term.nominal, 0.0),
+            term.limit,
+            is_of_interest=False,
+            has_default_prior=term.has_default_prior,
         )
-        for other in (*model.unknowns, *model.considered)
-        if other.symbol not in (*estimated, *ROTATION)
-        and any(other.concerns(record) for record in series)
+        for term in (*model.unknowns, *model.considered)
+        if term.symbol not in (*estimated, *ROTATION)
+        and any(term.affects(record) for record in series)
     )
 
 
 def two_stage_model(
-    model: Unknowns, request: TwoStageRequest, series: Sequence[Series]
+    model: Unknowns, request: TwoStageRequest, series: Sequence[ResidualSeries]
 ) -> Unknowns:
     """Return a joint model as one accelerometer's two stages have it: the rest is held."""
     owner = series[0].accelerometer
-    known = {other.symbol: other for other in model.unknowns if other.owner in ("", owner)}
+    known = {unknown.symbol: unknown for unknown in model.unknowns if unknown.owner in ("", owner)}
     estimated = tuple(
         Unknown(
             owner if symbol in TERMS else "",
             symbol,
             prior,
             known[symbol].limit if symbol in known else request.limit_of(symbol),
-            unstated=symbol in known and known[symbol].unstated,
+            has_default_prior=symbol in known and known[symbol].has_default_prior,
         )
         for symbol, prior in request.unknowns.items()
     )
-    return Unknowns(estimated, held(model, request.unknowns, series))
+    return Unknowns(estimated, considered_terms(model, request.unknowns, series))
 
 
 @frozen
-class Curvature(Prepared):
+class Curvature(DesignBlock):
     """A record at its strobes, of which only the curvature counts."""
 
     parabola: Parabola  #: Through the strobes.
 
     @classmethod
-    def of(cls, prepared: Prepared, parabola: Parabola) -> Curvature:
+    def of(cls, prepared: DesignBlock, parabola: Parabola) -> Curvature:
         """Return the curvature of prepared strobes."""
-        own = {each.name: getattr(prepared, each.name) for each in fields(prepared)}
-        return cls(**own, parabola=parabola)
+        values = {
+            attribute.name: getattr(prepared, attribute.name) for attribute in fields(prepared)
+        }
+        return cls(**values, parabola=parabola)
 
     def block(self, noises: Mapping[str, Noise]) -> Block:  # noqa: ARG002 -- it has its own
         """Return the strobes' information as one row of unit variance, and their residuals."""
@@ -248,8 +254,8 @@ class Curvature(Prepared):
 
 
 def exact_columns(
-    series: Sequence[Series], model: Unknowns, fit: JointFit | None
-) -> Sequence[Prepared]:
+    series: Sequence[ResidualSeries], model: Unknowns, fit: JointFit | None
+) -> Sequence[DesignBlock]:
     """Return the columns; those that depend on the estimate where a fit has it.
 
     K_II grows with the rate's fourth power, and so along a drift that is known by then. The drift
@@ -260,13 +266,13 @@ def exact_columns(
     places = [i for i, unknown in enumerate(model.unknowns) if unknown.symbol == DRIFT]
     if not places:
         if fit is None:
-            return prepare_columns(series, model, scale_factors)
-        found = dict(zip(fit.model.unknowns, fit.solution.estimate.tolist(), strict=True))
-        return prepared_for(fit.prepared, fit.model, model, scale_factors, found)
+            return build_design_blocks(series, model, scale_factors)
+        estimates = dict(zip(fit.model.unknowns, fit.solution.estimate.tolist(), strict=True))
+        return update_design_blocks(fit.design_blocks, fit.model, model, scale_factors, estimates)
     estimate = None if fit is None else fit.solution.estimate
     drift = 0.0 if estimate is None else float(estimate[places[0]])
-    moved = [_drifting(record, drift) for record in series]
-    prepared = prepare_columns(moved, model, scale_factors, estimate)
+    drifting = [_with_drift(record, drift) for record in series]
+    prepared = build_design_blocks(drifting, model, scale_factors, estimate)
     for part, record in zip(prepared, series, strict=True):
         part.design[:, part.unknowns.index(places[0])] = scale_factor * rotation_column(
             record, DRIFT
@@ -274,14 +280,17 @@ def exact_columns(
     return prepared
 
 
-def _drifting(series: Series, drift: float) -> Series:
+def _with_drift(series: ResidualSeries, drift: float) -> ResidualSeries:
     spindle = replace(series.trajectory.spindle, drift=drift)
     return replace(series, trajectory=replace(series.trajectory, spindle=spindle))
 
 
 def printed_columns(
-    series: Series, model: Unknowns, ripple: as_printed.RippleModel, fit: JointFit | None = None
-) -> Prepared:
+    series: ResidualSeries,
+    model: Unknowns,
+    ripple: as_printed.RippleModel,
+    fit: JointFit | None = None,
+) -> DesignBlock:
     """Return the columns of Eq. 26 and the K_F of Eq. 19; all else has no t^2 there.
 
     Of uncertain inputs the derivatives, where a fit has the estimate.
@@ -292,16 +301,18 @@ def printed_columns(
     sizes = {"K_II": float(columns[0]), RIPPLE: float(columns[1]), "K_F": 0.5 * g}
     symbols = [unknown.symbol for unknown in model.unknowns]
     if fit is not None:
-        found = {s: v * sizes[s] for s, v in zip(symbols, fit.solution.estimate, strict=True)}
-        sizes["centrifuge.radius"] = (2.0 * found["K_II"] + found[RIPPLE]) / radius
-        sizes["site.gravity"] = -found["K_II"] / g
-    others = [other.symbol for other in model.considered]
+        contributions = {
+            s: v * sizes[s] for s, v in zip(symbols, fit.solution.estimate, strict=True)
+        }
+        sizes["centrifuge.radius"] = (2.0 * contributions["K_II"] + contributions[RIPPLE]) / radius
+        sizes["site.gravity"] = -contributions["K_II"] / g
+    considered_symbols = [term.symbol for term in model.considered]
     square = series.time**2
-    return Prepared(
+    return DesignBlock(
         tuple(range(len(symbols))),
         np.outer(square, [sizes[symbol] for symbol in symbols]),
-        tuple(range(len(others))),
-        np.outer(square, [sizes.get(symbol, 0.0) for symbol in others]),
+        tuple(range(len(considered_symbols))),
+        np.outer(square, [sizes.get(symbol, 0.0) for symbol in considered_symbols]),
         series,
         scale_factor,
     )

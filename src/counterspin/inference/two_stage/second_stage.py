@@ -22,14 +22,14 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.inference.identifiability import NEAR_COLLINEAR, TWIN_AGREEMENT
+from counterspin.inference.identifiability import COLLINEAR_CORRELATION, NEAR_COLLINEAR
+from counterspin.inference.joint.design_blocks import DesignBlock
+from counterspin.inference.joint.estimated_noise import inflate_covariance
 from counterspin.inference.joint.fit import JointFit, solve_blocks, solve_joint
-from counterspin.inference.joint.found_noise import widened
-from counterspin.inference.joint.prepared import Prepared
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.unknowns import RIPPLE, Considered, Unknowns
 from counterspin.inference.noise.model import COMPONENTS, Noise
-from counterspin.inference.noise.search import FoundNoise
+from counterspin.inference.noise.search import NoiseEstimate
 from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.model import (
     DRIFT,
@@ -110,7 +110,7 @@ class SecondStage:
         """The runs, along the rotation that was found."""
         return tuple(
             StrobedRun(part.run, part.series.trajectory, parabola, part.series.attitude)
-            for part, parabola in zip(self.fit.prepared, self.parabolas, strict=True)
+            for part, parabola in zip(self.fit.design_blocks, self.parabolas, strict=True)
         )
 
     def estimate(self, symbol: str) -> tuple[float, float]:
@@ -172,17 +172,19 @@ class SecondStage:
             their largest credible size are left out.
         """
         rows = np.vstack([block.factor for block in self.fit.blocks])
-        held = np.vstack([block.considered for block in self.fit.blocks])
+        considered = np.vstack([block.considered for block in self.fit.blocks])
         column = rows[:, self.symbols.index(symbol)]
         alike = {}
-        for other in others:
-            places = self._places(other)
-            effect = held[:, places].sum(axis=1)
-            size, along = float(np.linalg.norm(effect)), float(column @ effect)
+        for considered_symbol in others:
+            places = self._places(considered_symbol)
+            effect = considered[:, places].sum(axis=1)
+            size, inner_product = float(np.linalg.norm(effect)), float(column @ effect)
             limit = max((self.fit.model.considered[k].limit for k in places), default=0.0)
-            seen = size * limit > _SMALLEST_VISIBLE
-            if seen and abs(along) > TWIN_AGREEMENT * size * float(np.linalg.norm(column)):
-                alike[other] = along / float(column @ column)
+            is_visible = size * limit > _SMALLEST_VISIBLE
+            if is_visible and abs(inner_product) > COLLINEAR_CORRELATION * size * float(
+                np.linalg.norm(column)
+            ):
+                alike[considered_symbol] = inner_product / float(column @ column)
         return alike
 
     def shift(self, symbol: str) -> Array:
@@ -190,16 +192,20 @@ class SecondStage:
 
         Of a term that every run has anew, the runs' effects are combined as independent ones.
         """
-        moved = -self.fit.solution.sensitivity_considered[:, self._places(symbol)]
-        return np.asarray(moved[:, 0] if moved.shape[1] == 1 else np.linalg.norm(moved, axis=1))
+        sensitivities = -self.fit.solution.sensitivity_considered[:, self._places(symbol)]
+        return np.asarray(
+            sensitivities[:, 0]
+            if sensitivities.shape[1] == 1
+            else np.linalg.norm(sensitivities, axis=1)
+        )
 
     def _places(self, symbol: str) -> list[int]:
         considered = self.fit.model.considered
-        return [place for place, other in enumerate(considered) if other.symbol == symbol]
+        return [place for place, term in enumerate(considered) if term.symbol == symbol]
 
 
 def resolve(
-    series: Sequence[Series],
+    series: Sequence[ResidualSeries],
     parabolas: Sequence[Parabola],
     model: Unknowns,
     request: TwoStageRequest,
@@ -211,7 +217,7 @@ def resolve(
     _check_rates(series, model, {DRIFT, RIPPLE} if request.ripple == "amplitude" else {DRIFT})
     noise = {series[0].accelerometer: Noise(parabolas[0].sigma, request.random_walk or 0.0)}
 
-    def solved(prepared: Sequence[Prepared], model: Unknowns) -> JointFit:
+    def solved(prepared: Sequence[DesignBlock], model: Unknowns) -> JointFit:
         rows = map(Curvature.of, prepared, parabolas)
         fit = solve_joint(tuple(rows), model, noise)
         if request.weighted:
@@ -219,11 +225,13 @@ def resolve(
         # Rows of one common variance, and then the uncertainty of the actual b2.
         sigma = _sigma(parabolas)
         ratios = sigma / math.sqrt(np.mean(sigma**2))
-        even = [block.scaled(ratio) for block, ratio in zip(fit.blocks, ratios, strict=True)]
-        solution = solve_blocks(even, model).with_row_noise(ratios)
+        equal_weights = [
+            block.scaled(ratio) for block, ratio in zip(fit.blocks, ratios, strict=True)
+        ]
+        solution = solve_blocks(equal_weights, model).with_row_noise(ratios)
         return replace(fit, solution=replace(solution, information=fit.solution.information))
 
-    def columns(fit: JointFit | None, model: Unknowns) -> Sequence[Prepared]:
+    def columns(fit: JointFit | None, model: Unknowns) -> Sequence[DesignBlock]:
         if request.model == "as-printed":
             return [printed_columns(record, model, request.ripple, fit) for record in series]
         return exact_columns(series, model, fit)
@@ -234,20 +242,22 @@ def resolve(
     return SecondStage(fit, tuple(parabolas), _effective_dof(fit, parabolas), request.weighted)
 
 
-def with_found_noise(second: SecondStage, noise: Noise, found: FoundNoise | None) -> SecondStage:
+def with_estimated_noise(
+    second: SecondStage, noise: Noise, noise_estimate: NoiseEstimate | None
+) -> SecondStage:
     """Return the second stage with what is left open of its accelerometer's noise.
 
-    found: How well it is known, if it was estimated.
+    noise_estimate: How well it is known, if it was estimated.
     """
     gain, by_noise = second.gain, np.array([parabola.by_noise for parabola in second.parabolas])
     if second.parabolas[0].sigma_from_residuals:
         # The white noise has the degrees of freedom of the strobes' own residuals.
         by_noise[:, 0] = 0.0
     growth = np.zeros((len(COMPONENTS), len(gain), len(gain)))
-    growth[: by_noise.shape[1]] = [(gain * own) @ gain.T for own in by_noise.T]
-    name = second.fit.prepared[0].accelerometer
-    own = {} if found is None else {name: found}
-    fit, dof = widened(second.fit, {name: growth}, {name: noise}, own, second.dof)
+    growth[: by_noise.shape[1]] = [(gain * variances) @ gain.T for variances in by_noise.T]
+    name = second.fit.design_blocks[0].accelerometer
+    estimates = {} if noise_estimate is None else {name: noise_estimate}
+    fit, dof = inflate_covariance(second.fit, {name: growth}, {name: noise}, estimates, second.dof)
     return replace(second, fit=fit, dof=dof)
 
 
@@ -287,7 +297,7 @@ def second_stage(
     names = [run.name for run in runs]
     names = [n if names.count(n) == 1 else f"{n} ({i + 1})" for i, n in enumerate(names)]
     series = [
-        Series(
+        ResidualSeries(
             accelerometer="",
             run=name,
             trajectory=run.trajectory,
@@ -295,7 +305,7 @@ def second_stage(
             observable="displacement",
             attitude=run.attitude,
             time=run.parabola.strobes.time,
-            spread=np.zeros_like(run.parabola.strobes.time),
+            time_sd=np.zeros_like(run.parabola.strobes.time),
             count=run.parabola.strobes.noise_factor**-2.0,
             spacing=TURN / abs(run.trajectory.spindle.rate),
             error=run.parabola.strobes.error,
@@ -317,27 +327,32 @@ def second_stage(
     return resolve(series, [run.parabola for run in runs], model, request)
 
 
-def _check_rates(series: Sequence[Series], model: Unknowns, odd: Collection[str]) -> None:
-    """Refuse what cannot be solved; `odd` are the unknowns that change sign with the sense."""
+def _check_rates(
+    series: Sequence[ResidualSeries], model: Unknowns, sense_dependent: Collection[str]
+) -> None:
+    """Raise if the rates do not determine the unknowns.
+
+    sense_dependent: Unknowns that change sign with the sense.
+    """
     free = [u.symbol for u in model.unknowns if math.isinf(u.prior[1])]
-    even = [symbol for symbol in free if symbol not in odd]
+    even = [symbol for symbol in free if symbol not in sense_dependent]
     rates = [record.trajectory.spindle.rate for record in series]
-    for needed, different, words in (
-        (even, _different([abs(rate) for rate in rates]), "rates, in either sense"),
-        (free, _different(rates), "rates"),
+    for needed, different, description in (
+        (even, _distinct_rates([abs(rate) for rate in rates]), "rates, in either sense"),
+        (free, _distinct_rates(rates), "rates"),
     ):
         if different < len(needed):
             raise NotIdentifiableError(
                 f"{len(needed)} unknowns without a prior ({', '.join(needed)}) need at least "
-                f"{len(needed)} different {words}; the campaign has {different}: add runs at other "
-                "rates, or give priors"
+                f"{len(needed)} different {description}; the campaign has {different}: "
+                "add runs at other rates, or give priors"
             )
 
 
-def _different(rates: Sequence[float]) -> int:
+def _distinct_rates(rates: Sequence[float]) -> int:
     kept: list[float] = []
     for rate in rates:
-        if all(abs(rate - other) > _SAME_RATE_WITHIN * abs(other) for other in kept):
+        if all(abs(rate - distinct) > _SAME_RATE_WITHIN * abs(distinct) for distinct in kept):
             kept.append(rate)
     return len(kept)
 

@@ -1,12 +1,12 @@
-"""Wander of an accelerometer's bias: flicker (bias instability) and a random walk.
+"""Coloured noise of an accelerometer's bias: flicker (bias instability) and a random walk.
 
 The bias has two-sided spectral densities B^2/(2 pi f) and K^2/(2 pi f)^2, those of IEEE Std 952:
 the Allan deviation has a floor of 0.664 B, and the variance of the walk grows by K^2 a second.
-Flicker slower than `LOWEST` counts as the bias itself. A run's wander has nothing to do with that
-of another run; the walk begins as wide as it has become since the beginning of the campaign.
+Flicker slower than `MIN_FLICKER_FREQUENCY` counts as the bias itself. The noise of different
+runs is independent; the walk starts with its variance accumulated since the start of the campaign.
 
 Over a record of length T the bias is a sum of cosines, cos(k pi t/T), k < r: what is left out lies
-above r/(2T), where the other noise covers it a thousandfold (`functions_needed`). Their
+above r/(2T), where the other noise covers it a thousandfold (`basis_size`). Their
 covariance is that of the process on a grid four times as fine, with the exact autocovariance
 of a spectrum 1/f between two frequencies, a difference of cosine integrals. Integrated as often as
 the record is, the cosines add a covariance U U' of low rank to whitened rows, and
@@ -26,19 +26,19 @@ from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import SLOWEST_FLICKER
 
 #: Flicker below this frequency is bias, Hz.
-LOWEST: Final = SLOWEST_FLICKER
+MIN_FLICKER_FREQUENCY: Final = SLOWEST_FLICKER
 
 #: At the highest frequency that is taken along, the wander is this part of the other noise.
-_LEAST_WANDER_PART: Final = 1e-3
+_MIN_RELATIVE_DENSITY: Final = 1e-3
 
 #: Fewest and most functions.
-_FUNCTION_RANGE: Final = (12, 256)
+_BASIS_SIZE_RANGE: Final = (12, 256)
 
 #: Grid points for each function.
 _POINTS_PER_FUNCTION: Final = 4
 
 #: The cosines are level at both ends: these lie beyond the record by this part of it.
-_OVERHANG_PART: Final = 0.02
+_OVERHANG_FRACTION: Final = 0.02
 
 #: Shares of a whitened direction below this are rounding.
 _ROUNDING: Final = 1e-9
@@ -60,36 +60,36 @@ def flicker_autocovariance(lag: Array, low: float, high: float) -> Array:
     """
     from scipy.special import sici
 
-    away = np.where(lag > 0.0, lag, 1.0)
-    _, upper = sici(2.0 * math.pi * high * away)
-    _, lower = sici(2.0 * math.pi * low * away)
+    positive_lag = np.where(lag > 0.0, lag, 1.0)
+    _, upper = sici(2.0 * math.pi * high * positive_lag)
+    _, lower = sici(2.0 * math.pi * low * positive_lag)
     return np.where(lag > 0.0, upper - lower, math.log(high / low)) / math.pi
 
 
-def spanned(last: float) -> float:
+def basis_length(last: float) -> float:
     """Return the length over which the cosines run, of a record whose last row is at `last` s."""
-    return (1.0 + _OVERHANG_PART) * last
+    return (1.0 + _OVERHANG_FRACTION) * last
 
 
-def functions_needed(variances: Variances, spacing: float, length: float, order: int) -> int:
+def basis_size(variances: Variances, spacing: float, length: float, order: int) -> int:
     """Return how many cosines show the wander wherever the other noise does not cover it.
 
     spacing: Time between samples, s.
     length: Of the record, s.
     """
-    fewest, most = _FUNCTION_RANGE
-    white, other, flicker, bias_walk = variances
+    lower_limit, upper_limit = _BASIS_SIZE_RANGE
+    white, white_force, flicker, bias_walk = variances
     # No more than the samples can show.
-    most = max(fewest, min(most, math.floor(0.9 * length / spacing)))
-    count = fewest
-    while count < most:
+    upper_limit = max(lower_limit, min(upper_limit, math.floor(0.9 * length / spacing)))
+    count = lower_limit
+    while count < upper_limit:
         w = math.pi * count / length
         wander = flicker / w + bias_walk / w**2
-        if wander <= _LEAST_WANDER_PART * (white * spacing * w ** (2 * order) + other):
+        if wander <= _MIN_RELATIVE_DENSITY * (white * spacing * w ** (2 * order) + white_force):
             break
         # Few different numbers: what was worked out for one of them serves again.
         count = math.ceil(1.25 * count)
-    return min(count, most)
+    return min(count, upper_limit)
 
 
 def integrated_cosines(
@@ -105,14 +105,14 @@ def integrated_cosines(
     rows = np.empty((times.size, count))
     rows[:, 0] = times**order / max(order, 1)
     # The mean of a cosine over the samples of a block.
-    half = 0.5 * spacing[:, None] * w
-    shown = np.sin(samples[:, None] * half) / (samples[:, None] * np.sin(half))
+    half_angle = 0.5 * spacing[:, None] * w
+    averaging_gain = np.sin(samples[:, None] * half_angle) / (samples[:, None] * np.sin(half_angle))
     if order == 0:
-        rows[:, 1:] = shown * np.cos(phase)
+        rows[:, 1:] = averaging_gain * np.cos(phase)
     elif order == 1:
-        rows[:, 1:] = shown * np.sin(phase) / w
+        rows[:, 1:] = averaging_gain * np.sin(phase) / w
     else:
-        rows[:, 1:] = (1.0 - shown * np.cos(phase)) / w**2
+        rows[:, 1:] = (1.0 - averaging_gain * np.cos(phase)) / w**2
     return rows
 
 
@@ -120,38 +120,44 @@ def integrated_cosines(
 def _coefficient_covariances(count: int, length: float) -> tuple[Array, Array]:
     """Return the cosines' covariances for B = 1 and for a walk of K = 1 from 0, (count, count)."""
     points = _POINTS_PER_FUNCTION * count
-    place = (np.arange(points) + 0.5) / points
-    project = 2.0 / points * np.cos(math.pi * np.outer(np.arange(count), place))
+    positions = (np.arange(points) + 0.5) / points
+    project = 2.0 / points * np.cos(math.pi * np.outer(np.arange(count), positions))
     project[0] *= 0.5
-    times = length * place
+    times = length * positions
     high = points / (2.0 * length)
-    lags = flicker_autocovariance(times - times[0], min(LOWEST, 0.1 * high), high)
+    lags = flicker_autocovariance(times - times[0], min(MIN_FLICKER_FREQUENCY, 0.1 * high), high)
     index = np.arange(points)
     flicker = lags[np.abs(index[:, None] - index)]
     walk = np.minimum(times[:, None], times)
     return project @ flicker @ project.T, project @ walk @ project.T
 
 
-def coefficient_covariance(variances: Variances, count: int, length: float, before: float) -> Array:
+def coefficient_covariance(
+    variances: Variances, count: int, length: float, walk_duration: float
+) -> Array:
     """Return the cosines' covariance, shape (count, count).
 
-    before: For how long the bias had walked when the record began, s.
+    walk_duration: For how long the bias had walked when the record began, s.
     """
     flicker, walk = _coefficient_covariances(count, length)
     covariance: Array = variances[2] * flicker + variances[3] * walk
-    covariance[0, 0] += variances[3] * before
+    covariance[0, 0] += variances[3] * walk_duration
     return covariance
 
 
-def coefficient_root(variances: Variances, count: int, length: float, before: float) -> Array:
+def coefficient_root(
+    variances: Variances, count: int, length: float, walk_duration: float
+) -> Array:
     """Return a square root of `coefficient_covariance`."""
-    values, vectors = np.linalg.eigh(coefficient_covariance(variances, count, length, before))
+    values, vectors = np.linalg.eigh(
+        coefficient_covariance(variances, count, length, walk_duration)
+    )
     root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
     return root
 
 
 @frozen(eq=False)
-class LowRank:
+class LowRankWhitener:
     """The inverse square root of 1 + U U', as rows are multiplied with it."""
 
     directions: Array  #: U V, where U' U = V diag(size) V', shape (m, q).
@@ -159,13 +165,15 @@ class LowRank:
     log_det: float  #: Log-determinant of 1 + U U'.
 
     @classmethod
-    def of(cls, added: Array) -> LowRank:
+    def of(cls, root: Array) -> LowRankWhitener:
         """Return it for U, shape (m, r)."""
-        size, vectors = np.linalg.eigh(added.T @ added)
-        counts = size > _ROUNDING
-        size, vectors = size[counts], vectors[:, counts]
-        spread = np.sqrt(1.0 + size)
-        return cls(added @ vectors, -1.0 / (spread * (1.0 + spread)), float(np.log1p(size).sum()))
+        eigenvalues, vectors = np.linalg.eigh(root.T @ root)
+        is_significant = eigenvalues > _ROUNDING
+        eigenvalues, vectors = eigenvalues[is_significant], vectors[:, is_significant]
+        roots = np.sqrt(1.0 + eigenvalues)
+        return cls(
+            root @ vectors, -1.0 / (roots * (1.0 + roots)), float(np.log1p(eigenvalues).sum())
+        )
 
     def apply(self, rows: Array) -> Array:
         """Return the rows, (m,) or (m, k), with unit covariance."""

@@ -20,58 +20,60 @@ import numpy as np
 from counterspin.arrays import Array, median
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.frozen import frozen
-from counterspin.inference.noise.even import EvenData, EvenRecord, SampleKind
+from counterspin.inference.noise.bias_instability import Variances
+from counterspin.inference.noise.even_sampling import EvenlySampledData, Sampling, TransformedRecord
 from counterspin.inference.noise.likelihood import RestrictedLikelihood
-from counterspin.inference.noise.model import COMPONENTS, SPECIFIC_FORCE, WANTED, Noise
-from counterspin.inference.noise.samples import Samples
-from counterspin.inference.noise.search import KEEPING_GAIN, Choice, Maximum
+from counterspin.inference.noise.model import COMPONENTS, ESTIMATE, SPECIFIC_FORCE, Noise
+from counterspin.inference.noise.samples import SensorSamples
+from counterspin.inference.noise.search import KEEPING_GAIN, Maximum, NoiseModelCandidate
 from counterspin.inference.noise.spectrum import SpectralLine, find_lines
-from counterspin.inference.noise.wander import Variances
 from counterspin.records.outliers import detect_outliers
 
 #: Most samples missing in a row within a part; more are a gap. Where many samples are lost, more in
 #: a row are, up to a number that a record of so many exceeds with a small probability.
-_MOST_MISSING: Final = 3
-_MOST_LOST: Final = 30
+_MAX_MISSING: Final = 3
+_MAX_LOST: Final = 30
 _FAR_PROBABILITY: Final = 0.01
 #: Part of the samples that may be lost, and still be no gaps.
-_MOST_LOST_PART: Final = 0.35
+_MAX_LOST_FRACTION: Final = 0.35
 #: Missing samples are put in from their neighbours if that changes N by less than this part of its
 #: standard uncertainty; where more are missing, the samples that were recorded follow one another.
-_FILLING_PART: Final = 0.2
+_MAX_FILLING_EFFECT: Final = 0.2
 
 #: Part of a step by which a sample may stand off from an even clock.
-_OFF_CLOCK: Final = 0.3
+_MAX_CLOCK_DEVIATION: Final = 0.3
 
 #: Fewest samples of a stretch that is used.
-_FEWEST: Final = 32
+_MIN_SAMPLES: Final = 32
 
 #: Most samples that the noise is looked for in: of longer records velocities at longer steps.
-MOST_SAMPLES: Final = 300_000
+MAX_SAMPLES: Final = 300_000
 
 #: Changes of 2 log L at the ends of a 95 % interval, and at the upper limit of what is not seen.
 _TWO_SIDED: Final = 3.841458820694124
 _ONE_SIDED: Final = KEEPING_GAIN
 
 #: Passes in which first sizes are found, and steps in which an end of an interval is.
-_PASSES: Final = 60
+_MULTIPLICATIVE_STEPS: Final = 60
 _END_STEPS: Final = 12
 
 #: Part of sqrt(2 log L) to which an end is found.
 _END_TOLERANCE: Final = 0.05
 
 #: Bands of the spectrum, a decade, in which the noise found is held against the record.
-_BANDS_A_DECADE: Final = 4.0
+_BANDS_PER_DECADE: Final = 4.0
 
 
 @frozen(eq=False)
-class Stretches:
+class Segments:
     """The parts of a record between its gaps."""
 
     step: float  #: Mean time from sample to sample in the parts, s.
-    share: float  #: Part of the samples that was recorded, where none is put in; otherwise 1.
+    recorded_fraction: (
+        float  #: Part of the samples that was recorded, where none is put in; otherwise 1.
+    )
     #: Of each: the time of its first sample, s, and its samples, SI.
-    parts: tuple[tuple[float, Array], ...]
+    segments: tuple[tuple[float, Array], ...]
     rows: int  #: Of the record.
     outliers: int  #: Left out.
     filled: int  #: Samples missing in the parts, outliers among them.
@@ -82,30 +84,30 @@ class Stretches:
     restamped: int = 0  #: Rows that repeat the time of the row before with another value.
 
     @property
-    def clock(self) -> float:
+    def sample_interval(self) -> float:
         """The time from one sample of the sensor to the next, s."""
-        return self.step * self.share
+        return self.step * self.recorded_fraction
 
     @property
     def longest(self) -> tuple[float, Array]:
         """The longest part."""
-        return max(self.parts, key=lambda part: part[1].size)
+        return max(self.segments, key=lambda part: part[1].size)
 
 
 @frozen(eq=False)
-class RestAnalysis:
+class StaticAnalysis:
     """Noise estimates from a record."""
 
-    noise: RestNoise
-    recorded: Variances  #: Variances of the series of recorded samples, as of `RestNoise`.
+    noise: StaticNoise
+    recorded: Variances  #: Variances of the series of recorded samples, as of `StaticNoise`.
     lines: tuple[SpectralLine, ...]
     step: float  #: Of the samples that it rests on, s.
     velocity: Array  #: Integral of the specific force of the longest part, without lines, m/s.
-    kind: SampleKind
+    kind: Sampling
 
 
 @frozen(eq=False)
-class RestSignal:
+class StaticSignal:
     """One column of a record at rest."""
 
     name: str  #: Of the accelerometer, or of the column.
@@ -118,94 +120,104 @@ class RestSignal:
 
 
 @frozen(eq=False)
-class RestRecord:
+class StaticRecord:
     """Noise estimates from one column."""
 
-    signal: RestSignal
-    stretches: Stretches
-    analysis: RestAnalysis
+    signal: StaticSignal
+    segments: Segments
+    analysis: StaticAnalysis
 
 
-def at_rest(record: object, signal: RestSignal) -> RestRecord:
+def analyse_static_record(record: object, signal: StaticSignal) -> StaticRecord:
     """Return the noise estimates from a column; RecordError if they are not possible.
 
     record: What messages call the record.
     """
     try:
-        stretches = stretches_of(signal.time, signal.values)
+        stretches = split_segments(signal.time, signal.values)
         if np.ptp(stretches.longest[1]) == 0.0:
             raise ValueError("all its samples are equal: nothing was recorded")
         analysis = analyse(stretches, signal.order)
     except (ValueError, NotIdentifiableError) as error:
         raise RecordError(f"{record}: column '{signal.column}': {error}.") from error
-    return RestRecord(signal, stretches, analysis)
+    return StaticRecord(signal, stretches, analysis)
 
 
-def stretches_of(time: Array, values: Array) -> Stretches:
+def split_segments(time: Array, values: Array) -> Segments:
     """Return a record without outliers, cut where samples are missing.
 
     time, values: s and SI, NaN where there is none, shape (n,).
     """
     rows = time.size
-    there = np.isfinite(time)
-    time, values = time[there], values[there]
+    is_finite = np.isfinite(time)
+    time, values = time[is_finite], values[is_finite]
     if (np.diff(time) < 0.0).any():
         raise ValueError("its time runs backwards")
-    samples = Samples.of(time, values)
+    samples = SensorSamples.of(time, values)
     time, values = samples.time, samples.values
-    if time.size < _FEWEST:
-        raise ValueError(f"{time.size} samples are too few: {_FEWEST} are needed")
+    if time.size < _MIN_SAMPLES:
+        raise ValueError(f"{time.size} samples are too few: {_MIN_SAMPLES} are needed")
     steps = np.diff(time)
     step = median(steps)
     # The median of rounded times is off; their mean over steps that are one is not.
     single = steps < 1.5 * step
     step = float(steps[single].mean())
-    spikes = detect_outliers(time, values, 0.0, step, float(steps[single].std() / step))
-    spikes = spikes[np.isfinite(values[spikes])]
+    outliers = detect_outliers(time, values, 0.0, step, float(steps[single].std() / step))
+    outliers = outliers[np.isfinite(values[outliers])]
     clean = values.copy()
-    clean[spikes] = np.nan
+    clean[outliers] = np.nan
     good = np.isfinite(clean)
-    at, kept = time[good], clean[good]
-    if kept.size < _FEWEST:
-        raise ValueError(f"{kept.size} samples are too few: {_FEWEST} are needed")
-    ahead = np.diff(at) / step
-    cuts = np.flatnonzero(ahead > _most_missing(ahead) + 1.5) + 1
+    good_times, kept = time[good], clean[good]
+    if kept.size < _MIN_SAMPLES:
+        raise ValueError(f"{kept.size} samples are too few: {_MIN_SAMPLES} are needed")
+    relative_steps = np.diff(good_times) / step
+    cuts = np.flatnonzero(relative_steps > _max_missing(relative_steps) + 1.5) + 1
     parts: list[tuple[float, Array, Array]] = []
     unused = 0
-    for own_time, own in zip(np.split(at, cuts), np.split(kept, cuts), strict=True):
-        if own.size < _FEWEST:
-            unused += own.size
+    for own_time, segment_values in zip(
+        np.split(good_times, cuts), np.split(kept, cuts), strict=True
+    ):
+        if segment_values.size < _MIN_SAMPLES:
+            unused += segment_values.size
             continue
         place = np.round(np.concatenate([[0.0], np.cumsum(np.diff(own_time) / step)]))
         span = own_time[-1] - own_time[0]
         # Each part has a clock of its own: over many rows a step that is off a little adds up.
-        number = np.round((own_time - own_time[0]) / (span / place[-1]))
-        away = (own_time - own_time[0]) / (span / place[-1]) - number
-        if np.abs(away).max() > _OFF_CLOCK or (np.diff(number) < 1.0).any():
+        sample_index = np.round((own_time - own_time[0]) / (span / place[-1]))
+        clock_deviation = (own_time - own_time[0]) / (span / place[-1]) - sample_index
+        if (
+            np.abs(clock_deviation).max() > _MAX_CLOCK_DEVIATION
+            or (np.diff(sample_index) < 1.0).any()
+        ):
             raise ValueError(
                 "its samples are not evenly spaced, which the noise "
                 "analysis needs; resample the record, or name another time column"
             )
-        parts.append((float(own_time[0]), number, own))
+        parts.append((float(own_time[0]), sample_index, segment_values))
     if not parts:
-        raise ValueError(f"no {_FEWEST} successive samples are without a gap")
-    count = sum(int(number[-1]) + 1 for _, number, _ in parts)
-    recorded = sum(own.size for _, _, own in parts)
+        raise ValueError(f"no {_MIN_SAMPLES} successive samples are without a gap")
+    count = sum(int(sample_index[-1]) + 1 for _, sample_index, _ in parts)
+    recorded = sum(segment_values.size for _, _, segment_values in parts)
     share = recorded / count
-    fills = (1.0 - share) * math.sqrt(2.0 * recorded) < _FILLING_PART
+    fills = (1.0 - share) * math.sqrt(2.0 * recorded) < _MAX_FILLING_EFFECT
     series = [
-        (start, np.interp(np.arange(number[-1] + 1), number, own) if fills else own)
-        for start, number, own in parts
+        (
+            start,
+            np.interp(np.arange(sample_index[-1] + 1), sample_index, segment_values)
+            if fills
+            else segment_values,
+        )
+        for start, sample_index, segment_values in parts
     ]
     share = 1.0 if fills else share
     different = np.diff(np.unique(kept[:4096]))
     resolution = float(different.min()) if different.size else 0.0
-    return Stretches(
+    return Segments(
         step=step / share,
-        share=share,
-        parts=tuple(series),
+        recorded_fraction=share,
+        segments=tuple(series),
         rows=rows,
-        outliers=spikes.size,
+        outliers=outliers.size,
         filled=count - recorded,
         gaps=len(series) - 1,
         unused=unused,
@@ -215,60 +227,64 @@ def stretches_of(time: Array, values: Array) -> Stretches:
     )
 
 
-def _most_missing(ahead: Array) -> int:
+def _max_missing(ahead: Array) -> int:
     """Return the number of missing samples in a row beyond which a record is cut.
 
     ahead: Steps of the clock from one sample to the next.
     """
-    near = ahead[ahead < _MOST_LOST + 1.5]
+    near = ahead[ahead < _MAX_LOST + 1.5]
     lost = 1.0 - near.size / max(float(np.round(near).sum()), 1.0)
-    if not 0.0 < lost < _MOST_LOST_PART:
-        return _MOST_MISSING
+    if not 0.0 < lost < _MAX_LOST_FRACTION:
+        return _MAX_MISSING
     far = math.ceil(math.log(_FAR_PROBABILITY / near.size) / math.log(lost))
-    return min(max(far, _MOST_MISSING), _MOST_LOST)
+    return min(max(far, _MAX_MISSING), _MAX_LOST)
 
 
-def analyse(stretches: Stretches, order: int) -> RestAnalysis:
+def analyse(segments: Segments, order: int) -> StaticAnalysis:
     """Return the noise of a record at rest.
 
     order: 2 displacement, 1 velocity, 0 specific force.
     """
-    step = stretches.step
-    _, longest = stretches.longest
-    thin = math.ceil(longest.size / MOST_SAMPLES)
-    middle = np.mean([start + 0.5 * step * part.size for start, part in stretches.parts])
+    step = segments.step
+    _, longest = segments.longest
+    decimation = math.ceil(longest.size / MAX_SAMPLES)
+    middle = np.mean([start + 0.5 * step * part.size for start, part in segments.segments])
     # Specific force is taken as the velocity between its samples: what is white in that is
     # quantisation noise (IEEE Std 952, C.1.3), and what is white in the force is N.
-    kind = SampleKind(max(order, 1), order)
+    kind = Sampling(max(order, 1), order)
     noise_order = kind.order
-    records: list[EvenData] = []
+    records: list[EvenlySampledData] = []
     lines: list[SpectralLine] = []
     velocity = np.zeros(0)
     first = 1
-    for start, part in stretches.parts:
+    for start, part in segments.segments:
         recorded = part
         if order == SPECIFIC_FORCE:
             recorded = np.concatenate([[0.0], np.cumsum(part - part.mean()) * step])
-        recorded = recorded[::thin]
-        wide = step * thin
-        force = np.diff(recorded, n=noise_order) / wide**noise_order
-        if force.size < _FEWEST:
+        recorded = recorded[::decimation]
+        decimated_step = step * decimation
+        force = np.diff(recorded, n=noise_order) / decimated_step**noise_order
+        if force.size < _MIN_SAMPLES:
             continue
-        own_lines, rest = find_lines(force, wide)
+        own_lines, rest = find_lines(force, decimated_step)
         for _ in range(noise_order):
-            rest = np.concatenate([[0.0], np.cumsum(rest) * wide])
-        time = start - middle + wide * (np.arange(force.size) + 0.5 * noise_order)
-        records.append(EvenData.of(rest, wide, kind, time[:, None], first))
+            rest = np.concatenate([[0.0], np.cumsum(rest) * decimated_step])
+        time = start - middle + decimated_step * (np.arange(force.size) + 0.5 * noise_order)
+        records.append(EvenlySampledData.of(rest, decimated_step, kind, time[:, None], first))
         first += 2 * noise_order
         if part is longest:
             lines = own_lines
-            velocity = rest if noise_order == 1 else np.diff(rest) / wide
+            velocity = rest if noise_order == 1 else np.diff(rest) / decimated_step
     if not records:
         raise NotIdentifiableError("the record is too short to estimate any noise")
-    noise = find_rest_noise(records)
+    noise = estimate_static_noise(records)
     # A sample of a specific force holds the noise of one step, also where others are lost.
-    own = noise.with_white(stretches.share) if order == SPECIFIC_FORCE else noise
-    return RestAnalysis(own, noise.variances, tuple(lines), step * thin, velocity, kind)
+    noise_per_sample = (
+        noise.with_white(segments.recorded_fraction) if order == SPECIFIC_FORCE else noise
+    )
+    return StaticAnalysis(
+        noise_per_sample, noise.variances, tuple(lines), step * decimation, velocity, kind
+    )
 
 
 @frozen
@@ -291,7 +307,7 @@ class Band:
 
 
 @frozen(eq=False)
-class RestNoise:
+class StaticNoise:
     """The noise of records at rest."""
 
     components: dict[str, SizedComponent]  #: By the names of `COMPONENTS`.
@@ -303,9 +319,9 @@ class RestNoise:
     @property
     def variances(self) -> Variances:
         """Those of all components."""
-        return tuple(one.variance for one in self.components.values())
+        return tuple(component.variance for component in self.components.values())
 
-    def with_white(self, factor: float) -> RestNoise:
+    def with_white(self, factor: float) -> StaticNoise:
         """Return the noise with N^2 multiplied by a factor."""
         white = COMPONENTS[1]
         sizes = self.components[white]
@@ -318,7 +334,7 @@ class RestNoise:
         )
 
 
-def find_rest_noise(records: Sequence[EvenData]) -> RestNoise:
+def estimate_static_noise(records: Sequence[EvenlySampledData]) -> StaticNoise:
     """Estimate the noise that records at rest share.
 
     records: Their first unknown is the drift, by a column of time in s.
@@ -326,51 +342,55 @@ def find_rest_noise(records: Sequence[EvenData]) -> RestNoise:
     if sum(record.observations.size for record in records) < 4 * (2 + len(COMPONENTS)):
         raise NotIdentifiableError("the record is too short to estimate any noise")
     likelihood = RestrictedLikelihood.of(records, None, None)
-    best, every, without = _eliminated(likelihood)
+    best, full_maximum, without = _eliminate_components(likelihood)
     components: dict[str, SizedComponent] = {}
     for name in COMPONENTS:
         if name in best.names:
-            components[name] = _interval(likelihood, best, every, name, without[name])
+            components[name] = _interval(likelihood, best, full_maximum, name, without[name])
         else:
-            components[name] = SizedComponent(0.0, 0.0, _limit(likelihood, every, name))
-    estimate, covariance = likelihood.estimate(best.log_scale, best.unit)
-    return RestNoise(
+            components[name] = SizedComponent(
+                0.0, 0.0, _upper_limit(likelihood, full_maximum, name)
+            )
+    estimate, covariance = likelihood.estimate(best.log_scale, best.ratios)
+    return StaticNoise(
         components,
         best.covariance,
         float(estimate[0]),
         math.sqrt(covariance[0, 0]),
-        _bands(likelihood, best),
+        _compare_bands(likelihood, best),
     )
 
 
-def _eliminated(
+def _eliminate_components(
     likelihood: RestrictedLikelihood,
 ) -> tuple[Maximum, Maximum, dict[str, float]]:
     """Return the best noise of what the records ask for, that of all, and that without each."""
-    every = _choice(likelihood, COMPONENTS).maximum(None, _first_sizes(likelihood))
-    names, value, start = every.names, every.value, every.variances
+    full_maximum = _candidate(likelihood, COMPONENTS).maximum(None, _initial_variances(likelihood))
+    names, value, start = full_maximum.names, full_maximum.value, full_maximum.variances
     without: dict[str, float] = {}
     while True:
         smaller: dict[str, tuple[float, Variances]] = {}
         for name in names:
-            rest = tuple(other for other in names if other != name)
+            rest = tuple(component for component in names if component != name)
             # Something has to be white, in the record or in its sensor.
             if set(rest) & set(COMPONENTS[:2]):
-                smaller[name] = _choice(likelihood, rest).greatest(start)
-        without = without or {name: one for name, (one, _) in smaller.items()}
+                smaller[name] = _candidate(likelihood, rest).maximize(start)
+        without = without or {name: log_likelihood for name, (log_likelihood, _) in smaller.items()}
         least = max(smaller, key=lambda name: smaller[name][0], default="")
         if not smaller or 2.0 * (value - smaller[least][0]) >= KEEPING_GAIN:
-            best = every if names == every.names else None
-            return best or _choice(likelihood, names).maximum(None, start), every, without
+            best = full_maximum if names == full_maximum.names else None
+            return best or _candidate(likelihood, names).maximum(None, start), full_maximum, without
         names = tuple(name for name in names if name != least)
         value, start = smaller[least]
 
 
-def _choice(likelihood: RestrictedLikelihood, names: tuple[str, ...]) -> Choice:
-    return Choice(likelihood, Noise(0.0).with_sizes(dict.fromkeys(names, WANTED)), names)
+def _candidate(likelihood: RestrictedLikelihood, names: tuple[str, ...]) -> NoiseModelCandidate:
+    return NoiseModelCandidate(
+        likelihood, Noise(0.0).with_sizes(dict.fromkeys(names, ESTIMATE)), names
+    )
 
 
-def _first_sizes(likelihood: RestrictedLikelihood) -> Variances:
+def _initial_variances(likelihood: RestrictedLikelihood) -> Variances:
     """Return sizes near the most likely ones, the unknowns being none.
 
     Multiplicative steps uphill, whose sizes stay positive (Fevotte, Bertin and Durrieu, Neural
@@ -378,14 +398,14 @@ def _first_sizes(likelihood: RestrictedLikelihood) -> Variances:
     """
     parts, power, count = [], [], []
     for record in likelihood.records:
-        assert isinstance(record, EvenRecord)
+        assert isinstance(record, TransformedRecord)
         first = record.places
-        parts.append(record.parts[:, first])
+        parts.append(record.row_variances[:, first])
         power.append(np.add.reduceat(record.stack[:, -1] ** 2, first))
         count.append(record.counts)
     part, energy, rows = np.concatenate(parts, axis=1), np.concatenate(power), np.concatenate(count)
     sizes = energy.sum() / (part @ rows) / len(part)
-    for _ in range(_PASSES):
+    for _ in range(_MULTIPLICATIVE_STEPS):
         expected = sizes @ part
         sizes = sizes * np.sqrt((part @ (energy / expected**2)) / (part @ (rows / expected)))
     # From nothing no step leads back.
@@ -394,88 +414,100 @@ def _first_sizes(likelihood: RestrictedLikelihood) -> Variances:
 
 
 def _interval(
-    likelihood: RestrictedLikelihood, best: Maximum, every: Maximum, name: str, without: float
+    likelihood: RestrictedLikelihood,
+    best: Maximum,
+    full_maximum: Maximum,
+    name: str,
+    without: float,
 ) -> SizedComponent:
     """Return a component that is kept, with the ends of its interval."""
     place = COMPONENTS.index(name)
     size = best.variances[place]
     spread = math.sqrt(best.covariance[place, place]) / size
-    profile = _profile(likelihood, every, name)
-    middle, step = math.log(max(size, every.variances[place])), min(1.96 * spread, 2.0)
-    top = max(every.value, profile(middle))
-    high = _end(profile, top, middle, step, _TWO_SIDED)
+    profile = _profile_likelihood(likelihood, full_maximum, name)
+    middle, step = math.log(max(size, full_maximum.variances[place])), min(1.96 * spread, 2.0)
+    top = max(full_maximum.value, profile(middle))
+    high = _interval_end(profile, top, middle, step, _TWO_SIDED)
     low = None
     if 2.0 * (top - without) >= _TWO_SIDED:
-        low = _end(profile, top, math.log(min(size, every.variances[place])), -step, _TWO_SIDED)
+        low = _interval_end(
+            profile, top, math.log(min(size, full_maximum.variances[place])), -step, _TWO_SIDED
+        )
     return SizedComponent(
         size, 0.0 if low is None else math.exp(low), math.inf if high is None else math.exp(high)
     )
 
 
-def _limit(likelihood: RestrictedLikelihood, every: Maximum, name: str) -> float:
+def _upper_limit(likelihood: RestrictedLikelihood, full_maximum: Maximum, name: str) -> float:
     """Return the size above which a component that is not kept would show."""
     place = COMPONENTS.index(name)
-    first = math.log(max(_least(likelihood, every)[place], every.variances[place]))
-    profile = _profile(likelihood, every, name)
-    top = max(every.value, profile(first))
-    end = _end(profile, top, first, 1.0, _ONE_SIDED)
+    first = math.log(
+        max(_undetectable_variances(likelihood, full_maximum)[place], full_maximum.variances[place])
+    )
+    profile = _profile_likelihood(likelihood, full_maximum, name)
+    top = max(full_maximum.value, profile(first))
+    end = _interval_end(profile, top, first, 1.0, _ONE_SIDED)
     return math.inf if end is None else math.exp(end)
 
 
-def _least(likelihood: RestrictedLikelihood, every: Maximum) -> Variances:
+def _undetectable_variances(likelihood: RestrictedLikelihood, full_maximum: Maximum) -> Variances:
     """Return a hundredth of the noise where each component is most of it: that shows nowhere."""
     shares = [
-        np.min(np.asarray(every.variances) @ record.parts / record.parts, axis=1)
+        np.min(
+            np.asarray(full_maximum.variances) @ record.row_variances / record.row_variances, axis=1
+        )
         for record in likelihood.records
-        if isinstance(record, EvenRecord)
+        if isinstance(record, TransformedRecord)
     ]
     return tuple((0.01 * np.min(shares, axis=0)).tolist())
 
 
-def _profile(
-    likelihood: RestrictedLikelihood, every: Maximum, name: str
+def _profile_likelihood(
+    likelihood: RestrictedLikelihood, full_maximum: Maximum, name: str
 ) -> Callable[[float], float]:
     """Return the likelihood at the log of a component's variance, at the best of all others.
 
     Those that the records do not ask for are among them: they may be there.
     """
-    others = tuple(other for other in COMPONENTS if other != name)
+    free_components = tuple(component for component in COMPONENTS if component != name)
     # From where nothing of it shows no step leads back.
-    least = _least(likelihood, every)
-    wanted = Noise(0.0).with_sizes(dict.fromkeys(others, WANTED))
-    start = [every.variances]
+    least = _undetectable_variances(likelihood, full_maximum)
+    free_noise = Noise(0.0).with_sizes(dict.fromkeys(free_components, ESTIMATE))
+    start = [full_maximum.variances]
 
     def value(log_size: float) -> float:
-        given = wanted.with_sizes({name: math.exp(0.5 * log_size)})
+        given = free_noise.with_sizes({name: math.exp(0.5 * log_size)})
         begin = tuple(map(max, start[0], least))
-        found, start[0] = Choice(likelihood, given, others).greatest(begin)
-        return found
+        log_likelihood, start[0] = NoiseModelCandidate(likelihood, given, free_components).maximize(
+            begin
+        )
+        return log_likelihood
 
     return value
 
 
-def _end(
-    profile: Callable[[float], float], top: float, middle: float, step: float, change: float
+def _interval_end(
+    profile: Callable[[float], float], top: float, start: float, step: float, change: float
 ) -> float | None:
     """Return where 2 log L is less than its top by a change; None: nowhere.
 
     sqrt(2 log L) goes nearly as the distance from the top: false position in that.
     """
-    wanted = math.sqrt(change)
+    target = math.sqrt(change)
 
-    def away(x: float) -> float:
-        return math.sqrt(max(2.0 * (top - profile(x)), 0.0)) - wanted
+    def excess(x: float) -> float:
+        return math.sqrt(max(2.0 * (top - profile(x)), 0.0)) - target
 
-    inner, below = middle, -wanted
-    outer = middle + step
-    above = away(outer)
+    inner, below = start, -target
+    outer = start + step
+    above = excess(outer)
     for _ in range(_END_STEPS):
         if above > 0.0:
             break
         inner, below = outer, above
         step *= 2.0
         outer = inner + step
-        above = away(outer)
+        above = excess(outer)
     else:
         return None
     for _ in range(_END_STEPS):
@@ -485,7 +517,7 @@ def _end(
             return inner
         part = min(max(-below / (above - below), 0.1), 0.9)
         between = inner + part * (outer - inner)
-        value = away(between)
+        value = excess(between)
         if value > 0.0:
             outer, above = between, value
         else:
@@ -493,24 +525,26 @@ def _end(
     return 0.5 * (inner + outer)
 
 
-def _bands(likelihood: RestrictedLikelihood, best: Maximum) -> tuple[Band, ...]:
+def _compare_bands(likelihood: RestrictedLikelihood, best: Maximum) -> tuple[Band, ...]:
     """Return how the records' spectrum stands to that of the noise, band by band."""
-    estimate, _ = likelihood.estimate(best.log_scale, best.unit)
+    estimate, _ = likelihood.estimate(best.log_scale, best.ratios)
     frequency, power, count = [], [], []
     for record, places in zip(likelihood.records, likelihood.places, strict=True):
-        assert isinstance(record, EvenRecord)
+        assert isinstance(record, TransformedRecord)
         rows, _ = record.whitened(best.variances)
-        left = rows[:, -1] - rows[:, :-1] @ estimate[places]
-        power.append(np.add.reduceat(left**2, record.places))
+        residuals = rows[:, -1] - rows[:, :-1] @ estimate[places]
+        power.append(np.add.reduceat(residuals**2, record.places))
         count.append(record.counts)
         number = np.cumsum(record.counts) - 0.5 * (record.counts - 1.0)
         frequency.append(number / (2.0 * record.length))
-    at, energy, rows = map(np.concatenate, (frequency, power, count))
-    bin_of = np.floor(_BANDS_A_DECADE * np.log10(at / at.min())).astype(int)
+    frequencies, energy, rows = map(np.concatenate, (frequency, power, count))
+    bin_of = np.floor(_BANDS_PER_DECADE * np.log10(frequencies / frequencies.min())).astype(int)
     bands = []
     for number in np.unique(bin_of):
-        own = bin_of == number
-        total = float(rows[own].sum())
-        ratio = float(energy[own].sum()) / total
-        bands.append(Band(float(at[own].min()), float(at[own].max()), ratio, total))
+        in_band = bin_of == number
+        total = float(rows[in_band].sum())
+        ratio = float(energy[in_band].sum()) / total
+        bands.append(
+            Band(float(frequencies[in_band].min()), float(frequencies[in_band].max()), ratio, total)
+        )
     return tuple(bands)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from joint_campaign import noisy, three_rates, unknowns
 
+from counterspin.inference.joint.design_blocks import build_design_blocks, compress_nuisance
 from counterspin.inference.joint.fit import solve_joint
-from counterspin.inference.joint.prepared import condense, prepare_columns
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import INPUTS, SHARED_TERMS, TERMS
@@ -25,7 +25,14 @@ NOISES = {
 def typical(row, owner=""):
     """A term of the table that nobody asks for."""
     mean = row.nominal + 0.3 * row.typical
-    return Unknown(owner, row.symbol, (mean, row.typical), row.limit, asked=False, unstated=True)
+    return Unknown(
+        owner,
+        row.symbol,
+        (mean, row.typical),
+        row.limit,
+        is_of_interest=False,
+        has_default_prior=True,
+    )
 
 
 def whole_model(*names):
@@ -37,7 +44,9 @@ def whole_model(*names):
         for owner in (("run1", "run2", "run3") if row.per_run else ("",))
     ]
     inputs = [
-        Unknown("", symbol, (0.0, row.typical), row.limit, asked=False, unstated=True)
+        Unknown(
+            "", symbol, (0.0, row.typical), row.limit, is_of_interest=False, has_default_prior=True
+        )
         for symbol, row in INPUTS.items()
     ]
     asked = [unknown for name in names for unknown in unknowns(TRUTH, owner=name)]
@@ -51,7 +60,7 @@ def problem(names, noise, considered=()):
     series = [
         noisy(one, noise, rng) for name in names for one in three_rates(TRUTH, accelerometer=name)
     ]
-    return prepare_columns(series, model, SCALES), model
+    return build_design_blocks(series, model, SCALES), model
 
 
 def held_to_the_whole(prepared, model, few, condensed, noise):
@@ -59,8 +68,8 @@ def held_to_the_whole(prepared, model, few, condensed, noise):
     noises = {part.accelerometer: noise for part in prepared}
     whole = solve_joint(prepared, model, noises).solution
     found = solve_joint(few, condensed, noises).solution
-    p = len(model.asked)
-    assert condensed.asked == model.asked
+    p = len(model.of_interest)
+    assert condensed.of_interest == model.of_interest
     u = whole.u[:p]
     np.testing.assert_allclose(found.estimate[:p] / u, whole.estimate[:p] / u, atol=1e-3)
     for name in ("covariance", "covariance_considered"):
@@ -73,9 +82,9 @@ def held_to_the_whole(prepared, model, few, condensed, noise):
 @pytest.mark.parametrize("stated", [True, False], ids=["noise given", "noise to be found"])
 def test_what_is_asked_for_is_the_same_with_few_columns(noise, stated):
     prepared, model = problem(["Qx"], noise)
-    few, condensed = condense(prepared, model, {"Qx": noise.white if stated else None})
+    few, condensed = compress_nuisance(prepared, model, {"Qx": noise.white if stated else None})
     held_to_the_whole(prepared, model, few, condensed, noise)
-    before, after = (len(one.unknowns) - len(model.asked) for one in (model, condensed))
+    before, after = (len(one.unknowns) - len(model.of_interest) for one in (model, condensed))
     assert after < before / (2 if noise.white < 1e-3 else 4)
 
 
@@ -83,28 +92,28 @@ def test_what_is_condensed_decides_u_here():
     """Else the comparison would pass without it."""
     noise = NOISES["white"]
     prepared, model = problem(["Qx"], noise)
-    alone = Unknowns(model.asked)
-    bare = prepare_columns([part.series for part in prepared], alone, SCALES)
-    u = held_to_the_whole(prepared, model, *condense(prepared, model, {"Qx": 0.01}), noise)
+    alone = Unknowns(model.of_interest)
+    bare = build_design_blocks([part.series for part in prepared], alone, SCALES)
+    u = held_to_the_whole(prepared, model, *compress_nuisance(prepared, model, {"Qx": 0.01}), noise)
     assert (u > 1.1 * solve_joint(bare, alone, {"Qx": noise}).solution.u).any()
 
 
 def test_two_accelerometers_keep_what_they_share():
     noise = NOISES["white"]
     prepared, model = problem(["Qx", "Qy"], noise)
-    few, condensed = condense(prepared, model, dict.fromkeys(SCALES, noise.white))
+    few, condensed = compress_nuisance(prepared, model, dict.fromkeys(SCALES, noise.white))
     held_to_the_whole(prepared, model, few, condensed, noise)
     assert len(condensed.unknowns) < len(model.unknowns) / 2
-    common = {place for place, one in enumerate(condensed.unknowns) if not one.asked}
+    common = {place for place, one in enumerate(condensed.unknowns) if not one.is_of_interest}
     shown = [common.intersection(part.unknowns) for part in few]
     assert all(one == common for one in shown)
 
 
 def test_what_is_held_stays_as_it_is():
     noise = NOISES["white"]
-    held = (Considered("Qx", "K_F.trend", (0.0, 1e-9), 1e-6, asked=False),)
+    held = (Considered("Qx", "K_F.trend", (0.0, 1e-9), 1e-6, is_of_interest=False),)
     prepared, model = problem(["Qx"], noise, held)
-    few, condensed = condense(prepared, model, {"Qx": noise.white})
+    few, condensed = compress_nuisance(prepared, model, {"Qx": noise.white})
     assert condensed.considered == held
     held_to_the_whole(prepared, model, few, condensed, noise)
 
@@ -113,8 +122,8 @@ def test_priors_that_are_not_nothing_are_taken_from_the_records():
     """The same records, said otherwise: every prior 0 and what it makes of the records taken."""
     noise = NOISES["white"]
     prepared, model = problem(["Qx"], noise)
-    _, condensed = condense(prepared, model, {"Qx": noise.white})
-    p = len(model.asked)
+    _, condensed = compress_nuisance(prepared, model, {"Qx": noise.white})
+    p = len(model.of_interest)
     assert any(unknown.prior_mean != 0.0 for unknown in model.unknowns[p:])
     assert all(unknown.prior == (0.0, 1.0) for unknown in condensed.unknowns[p:])
 
@@ -123,10 +132,10 @@ def test_rows_may_be_left_out_of_condensed_columns():
     """Directions are those of all rows; without some they serve as well."""
     noise = NOISES["white"]
     prepared, model = problem(["Qx"], noise)
-    few, condensed = condense(prepared, model, {"Qx": noise.white})
+    few, condensed = compress_nuisance(prepared, model, {"Qx": noise.white})
     drop = np.zeros(prepared[2].series.time.size, dtype=bool)
     drop[50:120] = True
-    prepared, few = ((*one[:2], one[2].without(drop)) for one in (prepared, few))
+    prepared, few = ((*one[:2], one[2].drop_rows(drop)) for one in (prepared, few))
     held_to_the_whole(prepared, model, few, condensed, noise)
 
 
@@ -135,8 +144,8 @@ def test_records_without_noise_are_left_as_they_are(level):
     """Everything can be told from nothing."""
     model = whole_model("Qx")
     silent = [replace(one, error=np.zeros(one.time.size)) for one in three_rates(TRUTH)]
-    prepared = prepare_columns(silent, model, SCALES)
-    few, condensed = condense(prepared, model, {"Qx": level})
+    prepared = build_design_blocks(silent, model, SCALES)
+    few, condensed = compress_nuisance(prepared, model, {"Qx": level})
     assert condensed is model
     assert few == prepared
 
@@ -145,8 +154,8 @@ def test_what_has_no_prior_is_left_as_it_is():
     prepared, model = problem(["Qx"], NOISES["white"])
     loose = replace(model.unknowns[-1], prior=(0.0, math.inf))
     model = replace(model, unknowns=(*model.unknowns[:-1], loose))
-    few, condensed = condense(prepared, model, {"Qx": 0.01})
+    few, condensed = compress_nuisance(prepared, model, {"Qx": 0.01})
     assert condensed is model
     assert few == prepared
-    alone = Unknowns(model.asked)
-    assert condense(prepared, alone, {"Qx": 0.01})[1] is alone
+    alone = Unknowns(model.of_interest)
+    assert compress_nuisance(prepared, alone, {"Qx": 0.01})[1] is alone

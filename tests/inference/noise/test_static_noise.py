@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from counterspin.errors import NotIdentifiableError
-from counterspin.inference.noise.even import EvenData, SampleKind
-from counterspin.inference.noise.rest import find_rest_noise
+from counterspin.inference.noise.even_sampling import EvenlySampledData, Sampling
+from counterspin.inference.noise.static_noise import estimate_static_noise
 from counterspin.physics.simulation import accelerometer_walk, bias_wander
 
 TRIALS = 400 if os.environ.get("COUNTERSPIN_FULL") else 8
@@ -19,7 +19,7 @@ N, B = 1e-4, 3e-4
 def found(recorded, kind, step=STEP):
     count = recorded.size - kind.order
     time = step * (np.arange(count) - 0.5 * count)
-    return find_rest_noise([EvenData.of(recorded, step, kind, time[:, None], 1)])
+    return estimate_static_noise([EvenlySampledData.of(recorded, step, kind, time[:, None], 1)])
 
 
 def force(seed, n=1200, walk=0.0):
@@ -34,7 +34,7 @@ def velocity(values):
 
 @pytest.fixture(scope="module")
 def trials():
-    return [found(velocity(force(seed)), SampleKind(1, 0)) for seed in range(TRIALS)]
+    return [found(velocity(force(seed)), Sampling(1, 0)) for seed in range(TRIALS)]
 
 
 @pytest.mark.parametrize(("name", "size"), [("random_walk", N), ("flicker", B)])
@@ -68,7 +68,7 @@ def test_the_drift_is_known_as_well_as_it_says(trials):
 
 def test_a_walk_of_the_bias_is_told_from_flicker():
     walk = 2e-4
-    size = found(velocity(force(1, 4000, walk)), SampleKind(1, 0)).components["bias_walk"]
+    size = found(velocity(force(1, 4000, walk)), Sampling(1, 0)).components["bias_walk"]
     assert size.low <= walk**2 <= size.high
     assert size.variance > 0.0
 
@@ -82,7 +82,7 @@ def test_noise_of_velocities_and_displacements(order):
     white, walk = {1: (2e-4, 5e-4), 2: (1e-4, 5e-4)}[order]
     recorded = accelerometer_walk(rng, time, walk, order) + white * rng.standard_normal(n)
     recorded = recorded + bias_wander(rng, time, B, 0.0, order)
-    sizes = found(recorded, SampleKind(order, order)).components
+    sizes = found(recorded, Sampling(order, order)).components
     for name, size in (("white", white), ("random_walk", walk), ("flicker", B)):
         found_size = sizes[name]
         # Within 3.5 standard deviations, by the half-width of the interval in logarithms.
@@ -96,7 +96,7 @@ def test_quantisation_of_a_velocity_shows_in_the_force():
     q = 3e-5  # about what the velocity changes by from row to row
     rng = np.random.default_rng(3)
     true = np.cumsum(N * math.sqrt(STEP) * rng.standard_normal(20_000))
-    size = found(q * np.round(true / q), SampleKind(1, 0)).components["white"]
+    size = found(q * np.round(true / q), Sampling(1, 0)).components["white"]
     assert size.low < q**2 / 12.0 < size.high
 
 
@@ -107,12 +107,12 @@ def test_bands_show_a_misfit():
     ring = np.zeros(values.size)
     for row in range(2, values.size):
         ring[row] = 1.6 * ring[row - 1] - 0.98 * ring[row - 2] + 1e-4 * rng.standard_normal()
-    worst = max(found(velocity(values + ring), SampleKind(1, 0)).bands, key=lambda b: b.ratio)
+    worst = max(found(velocity(values + ring), Sampling(1, 0)).bands, key=lambda b: b.ratio)
     assert worst.ratio > 1.5
-    usual = found(velocity(values), SampleKind(1, 0)).bands
+    usual = found(velocity(values), Sampling(1, 0)).bands
     assert all(abs(band.ratio - 1.0) < 5.0 * math.sqrt(2.0 / band.count) for band in usual)
 
 
 def test_a_few_samples_are_too_few():
     with pytest.raises(NotIdentifiableError, match="too short"):
-        found(velocity(force(1, 20)), SampleKind(1, 0))
+        found(velocity(force(1, 20)), Sampling(1, 0))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from counterspin.inference.noise.rest import MOST_SAMPLES, analyse, stretches_of
+from counterspin.inference.noise.static_noise import MAX_SAMPLES, analyse, split_segments
 
 STEP = 0.01
 
@@ -15,8 +15,8 @@ def record(n=4000, seed=1):
 
 def test_a_clean_record_is_one_part():
     time, values = record()
-    found = stretches_of(time, values)
-    ((start, part),) = found.parts
+    found = split_segments(time, values)
+    ((start, part),) = found.segments
     assert start == 0.0
     np.testing.assert_allclose(part, values, atol=1e-12)
     assert (found.rows, found.outliers, found.filled, found.gaps) == (4000, 0, 0, 0)
@@ -30,18 +30,18 @@ def test_spikes_and_lone_gaps_are_filled_and_long_ones_cut():
     keep = np.ones(4000, bool)
     keep[1000:1002] = False
     keep[2000:2300] = False
-    found = stretches_of(time[keep], values[keep])
+    found = split_segments(time[keep], values[keep])
     assert (found.outliers, found.filled, found.gaps) == (2, 5, 1)
-    assert [(start, part.size) for start, part in found.parts] == [(0.0, 2000), (23.0, 1700)]
+    assert [(start, part.size) for start, part in found.segments] == [(0.0, 2000), (23.0, 1700)]
     between = 0.5 * (values[499] + values[501])
-    assert found.parts[0][1][500] == pytest.approx(between)
+    assert found.segments[0][1][500] == pytest.approx(between)
 
 
 def test_repeated_rows_count_once():
     time, values = record()
     again = np.insert(np.arange(4000), 100, 100)
-    found = stretches_of(time[again], values[again])
-    assert found.parts[0][1].size == 4000
+    found = split_segments(time[again], values[again])
+    assert found.segments[0][1].size == 4000
 
 
 @pytest.mark.parametrize(
@@ -55,15 +55,15 @@ def test_repeated_rows_count_once():
 )
 def test_what_cannot_be_used_is_said(change, message):
     with pytest.raises(ValueError, match=message):
-        stretches_of(*change(*record()))
+        split_segments(*change(*record()))
 
 
 def test_parts_share_their_noise():
     """N of both parts lies in the interval, and they tell more than the longer one alone."""
     time, values = record(8000)
     keep = (time < 50.0) | (time > 51.0)
-    both = analyse(stretches_of(time[keep], values[keep]), 0).noise.components["random_walk"]
-    alone = analyse(stretches_of(time[:5000], values[:5000]), 0).noise.components["random_walk"]
+    both = analyse(split_segments(time[keep], values[keep]), 0).noise.components["random_walk"]
+    alone = analyse(split_segments(time[:5000], values[:5000]), 0).noise.components["random_walk"]
     density = 1e-6 * STEP
     assert both.low < density < both.high
     assert both.high / both.low < alone.high / alone.low
@@ -71,8 +71,8 @@ def test_parts_share_their_noise():
 
 def test_long_records_are_thinned_without_bias():
     rng = np.random.default_rng(2)
-    n = MOST_SAMPLES + 10_000
-    found = analyse(stretches_of(np.arange(n) * STEP, 1e-3 * rng.standard_normal(n)), 0)
+    n = MAX_SAMPLES + 10_000
+    found = analyse(split_segments(np.arange(n) * STEP, 1e-3 * rng.standard_normal(n)), 0)
     assert found.step == pytest.approx(2.0 * STEP)
     size = found.noise.components["random_walk"]
     assert size.low < 1e-6 * STEP < size.high
@@ -80,7 +80,7 @@ def test_long_records_are_thinned_without_bias():
 
 def test_a_line_is_taken_out_before_noise_is_looked_for():
     time, values = record()
-    found = analyse(stretches_of(time, values + 1e-3 * np.sin(2.0 * np.pi * 7.3 * time)), 0)
+    found = analyse(split_segments(time, values + 1e-3 * np.sin(2.0 * np.pi * 7.3 * time)), 0)
     (line,) = found.lines
     assert abs(line.frequency - 7.3) < 4.0 * line.u_frequency
     size = found.noise.components["random_walk"]

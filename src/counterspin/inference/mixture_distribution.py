@@ -8,14 +8,14 @@ from functools import lru_cache
 from typing import Final
 
 from counterspin.inference.distributions import (
-    LEAST_DOF,
+    MIN_DOF,
     normal_cdf,
     normal_quantile,
     student_cdf,
     student_quantile,
 )
 
-#: `dof_beside` matches the tail beyond an interval of 95 %.
+#: `mixture_dof` matches the tail beyond an interval of 95 %.
 _TAIL: Final = 0.025
 
 #: Satterthwaite's formula holds from so many degrees of freedom on, and below so small a share.
@@ -29,7 +29,7 @@ _NODES: Final = 80
 _LEAST_EXCESS: Final = 1e-13
 
 
-def tail_beside(share: float, dof: float, q: float) -> float:
+def mixture_tail(share: float, dof: float, q: float) -> float:
     """Return the probability that a sum of something estimated and something known exceeds q.
 
     The sum, sqrt(1 - share) z + sqrt(share) t, z being normal and t Student's, is over its standard
@@ -60,23 +60,23 @@ def _mixture(dof: float) -> list[tuple[float, float]]:
     return [(weight / total, math.exp(-u)) for weight, u in zip(weights, nodes, strict=True)]
 
 
-def dof_beside(share: float, dof: float) -> float:
-    """Return the degrees of freedom whose Student's interval of 95 % is that of `tail_beside`."""
+def mixture_dof(share: float, dof: float) -> float:
+    """Return the degrees of freedom whose Student's interval of 95 % is that of `mixture_tail`."""
     satterthwaite = dof / share**2 if share > 0.0 else math.inf
     if dof > _MANY_DOF or not _LEAST_SHARE < share < 1.0:
         return satterthwaite
-    dof = max(dof, LEAST_DOF)
+    dof = max(dof, MIN_DOF)
     # Between the normal quantile and Student's own, both over the logarithm.
     low, high = -normal_quantile(_TAIL), -student_quantile(dof, _TAIL)
     q = math.exp(
-        _where_none_is_left(
-            lambda log_q: tail_beside(share, dof, math.exp(log_q)) - _TAIL,
+        _find_root(
+            lambda log_q: mixture_tail(share, dof, math.exp(log_q)) - _TAIL,
             math.log(low),
             math.log(high),
         )
     )
     matched = math.exp(
-        _where_none_is_left(
+        _find_root(
             lambda log_dof: student_cdf(math.exp(log_dof), -q) - _TAIL,
             math.log(dof),
             30.0,
@@ -85,7 +85,7 @@ def dof_beside(share: float, dof: float) -> float:
     return min(matched, satterthwaite)
 
 
-def _where_none_is_left(excess: Callable[[float], float], low: float, high: float) -> float:
+def _find_root(excess: Callable[[float], float], low: float, high: float) -> float:
     """Return where a falling function is zero, or the end that is nearest to it.
 
     False position; an end that stays has its value halved (the Illinois algorithm).

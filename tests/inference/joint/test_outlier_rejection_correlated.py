@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.noise.model import WANTED, Noise
+from counterspin.inference.noise.model import ESTIMATE, Noise
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5}
@@ -28,7 +28,9 @@ def filtered(series, size, memory, rng):
     return replace(series, error=series.error + lfilter([1.0], [1.0, -rho], white)[200:])
 
 
-@pytest.mark.parametrize("request_", [Noise(WANTED, WANTED), Noise(0.01)], ids=["found", "stated"])
+@pytest.mark.parametrize(
+    "request_", [Noise(ESTIMATE, ESTIMATE), Noise(0.01)], ids=["found", "stated"]
+)
 def test_rows_behind_a_filter_are_thinned(request_):
     """u holds, where it was 2 to 4 times too small of rows that are taken as independent."""
     clean = three_rates(TRUTH, revolutions=40)
@@ -37,7 +39,7 @@ def test_rows_behind_a_filter_are_thinned(request_):
     for _ in range(trials):
         drawn = [filtered(one, 0.01, 0.25, rng) for one in clean]
         found = estimate(drawn, MODEL, {"Qx": request_})
-        apart = {one.every * one.spacing for one in found.series}
+        apart = {one.thinning * one.spacing for one in found.series}
         assert min(apart) == pytest.approx(max(apart), rel=0.3)
         assert min(apart) >= 0.5
         z.append((found.fit.solution.estimate - TRUE) / found.fit.solution.u)
@@ -60,9 +62,9 @@ def test_independent_rows_noise_of_the_accelerometer_and_vibrations_stay(observa
         if shaking:
             shaken = 0.02 * np.sin(7.3 * drawn[1].time)
             drawn[1] = replace(drawn[1], error=drawn[1].error + shaken)
-        want = Noise(WANTED, 0.0 if observable == "specific_force" else WANTED)
+        want = Noise(ESTIMATE, 0.0 if observable == "specific_force" else ESTIMATE)
         found = estimate(drawn, MODEL, {"Qx": want})
-        assert {one.every for one in found.series} == {1}
+        assert {one.thinning for one in found.series} == {1}
 
 
 def test_waves_of_the_spindle_are_no_memory_of_a_filter():
@@ -75,5 +77,5 @@ def test_waves_of_the_spindle_are_no_memory_of_a_filter():
         one = simulated(f"{rate}", rate, TRUTH, observable="specific_force", **more)
         wave = 1e-4 * rate**2 * np.cos(5.0 * one.trajectory.spindle.angle(one.time))
         drawn.append(noisy(replace(one, error=one.error + wave), Noise(1e-4), rng))
-    found = estimate(drawn, MODEL, {"Qx": Noise(WANTED)})
-    assert {one.every for one in found.series} == {1}
+    found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE)})
+    assert {one.thinning for one in found.series} == {1}

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from joint_campaign import noisy, three_rates, unknowns
 
+from counterspin.inference.joint.design_blocks import build_design_blocks
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
-from counterspin.inference.joint.prepared import prepare_columns
-from counterspin.inference.joint.uneven_noise import noise_by_run, uneven_noise
+from counterspin.inference.joint.heteroscedasticity import estimate_heteroscedasticity, noise_by_run
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.noise.model import WANTED, Noise
+from counterspin.inference.noise.model import ESTIMATE, Noise
 
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5}
 MODEL = Unknowns(unknowns(TRUTH))
 TRUE = np.array([TRUTH[u.symbol] - u.nominal for u in MODEL.unknowns])
-WANT = {"Qx": Noise(WANTED, 0.0)}
+WANT = {"Qx": Noise(ESTIMATE, 0.0)}
 SIZES = {"run1": 0.01, "run2": 0.02, "run3": 0.05}
 TIMING = 2e-4
 
@@ -44,9 +44,9 @@ def by_slope(clean, rng):
 def test_runs_of_their_own_noise_are_weighed_with_it(clean):
     """u is that of the true weights, and 95 % intervals hold."""
     rng = np.random.default_rng(1)
-    prepared = prepare_columns(clean, MODEL, {"Qx": TRUTH["K_I"]})
+    prepared = build_design_blocks(clean, MODEL, {"Qx": TRUTH["K_I"]})
     told = [
-        replace(one, series=replace(one.series, relative=(SIZES[one.run] / 0.01) ** 2))
+        replace(one, series=replace(one.series, variance_ratio=(SIZES[one.run] / 0.01) ** 2))
         for one in prepared
     ]
     bound = solve_joint(told, MODEL, {"Qx": Noise(0.01)}).solution.u
@@ -55,7 +55,9 @@ def test_runs_of_their_own_noise_are_weighed_with_it(clean):
         found = estimate(by_run(clean, rng), MODEL, WANT)
         z.append((found.fit.solution.estimate - TRUE) / found.fit.solution.u)
         white = found.fit.noise["Qx"].white
-        ratios.append([white * math.sqrt(one.series.relative) for one in found.fit.prepared])
+        ratios.append(
+            [white * math.sqrt(one.series.variance_ratio) for one in found.fit.design_blocks]
+        )
         # Each run's own size is known to 1/sqrt(2 x 385/2.31), 5.5 %.
         np.testing.assert_allclose(found.fit.solution.u, bound, rtol=4 * 0.055)
     squared = np.mean(np.square(z), axis=0)
@@ -70,8 +72,8 @@ def test_time_stamps_that_scatter_are_told_by_the_slope(clean):
     for _ in range(trials):
         # One row in 400 is taken for an outlier before the weights are known, and 2 % of the size.
         found = estimate(by_slope(clean, rng), MODEL, WANT, reject=False)
-        assert {one.relative for one in found.series} == {1.0}
-        (timing,) = {one.timing for one in found.series}
+        assert {one.variance_ratio for one in found.series} == {1.0}
+        (timing,) = {one.timestamp_sd for one in found.series}
         sizes.append(timing / TIMING)
         z.append((found.fit.solution.estimate - TRUE) / found.fit.solution.u)
     squared = np.mean(np.square(z), axis=0)
@@ -91,7 +93,7 @@ def test_even_noise_stays_even(observable):
         # A bend of one run, a hundred times its noise.
         bent = replace(drawn[2], error=drawn[2].error + np.sin(drawn[2].time / 3.0))
         found = estimate([*drawn[:2], bent], MODEL, WANT, reject=False)
-        assert {(one.relative, one.timing) for one in found.series} == {(1.0, 0.0)}
+        assert {(one.variance_ratio, one.timestamp_sd) for one in found.series} == {(1.0, 0.0)}
 
 
 def test_waves_of_the_spindle_are_no_noise():
@@ -102,10 +104,10 @@ def test_waves_of_the_spindle_are_no_noise():
         wave = 3e-3 * one.trajectory.spindle.rate**2
         wave = wave * np.cos(5.0 * one.trajectory.spindle.angle(one.time))
         drawn.append(noisy(replace(one, error=one.error + wave), Noise(0.01), rng))
-    stated, asked = {"Qx": Noise(0.01)}, {"Qx": Noise(WANTED)}
+    stated, asked = {"Qx": Noise(0.01)}, {"Qx": Noise(ESTIMATE)}
     fit = estimate(drawn, MODEL, stated, reject=False).fit
     assert noise_by_run(fit, "Qx") == {}
-    assert uneven_noise(fit, drawn, asked) == {}
+    assert estimate_heteroscedasticity(fit, drawn, asked) == {}
     # Another noise shows beneath them.
     louder = [*drawn[:2], noisy(drawn[2], Noise(0.02), rng)]
     sizes = noise_by_run(estimate(louder, MODEL, stated, reject=False).fit, "Qx")
@@ -117,7 +119,7 @@ def test_stated_noise_and_records_of_few_rows_are_left_as_they_are(clean):
     rng = np.random.default_rng(4)
     drawn = by_run(clean, rng)
     found = estimate(drawn, MODEL, {"Qx": Noise(0.02)})
-    assert {one.relative for one in found.series} == {1.0}
-    few = [one.without(np.arange(one.time.size) > 40) for one in drawn]
+    assert {one.variance_ratio for one in found.series} == {1.0}
+    few = [one.drop_rows(np.arange(one.time.size) > 40) for one in drawn]
     fit = estimate(few, MODEL, WANT, reject=False).fit
-    assert uneven_noise(fit, few, WANT) == {}
+    assert estimate_heteroscedasticity(fit, few, WANT) == {}

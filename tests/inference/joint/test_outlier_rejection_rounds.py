@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from counterspin.inference.joint.used_rows import FALSE_ALARMS, _of_pairs, outlying
+from counterspin.inference.joint.outlier_rejection import FALSE_ALARMS, _pair_median, outlier_mask
 
 
 def all_rounds(residuals, weight=None, floor=0.0, time=None):
     """Outliers until none is left, as the joint fit asks; the fit itself is perfect here."""
     weight = np.ones(residuals.size) if weight is None else weight
     mask = np.zeros(residuals.size, dtype=bool)
-    while (found := outlying(np.where(mask, np.nan, residuals), weight, floor, time)).any():
+    while (found := outlier_mask(np.where(mask, np.nan, residuals), weight, floor, time)).any():
         assert not (found & mask).any()
         mask |= found
     return mask
@@ -85,7 +85,7 @@ def test_steps_of_a_coarse_record_are_noise():
 def test_too_few_samples_are_not_judged(samples):
     spiky = np.zeros(samples)
     spiky[samples // 2] = 1e3
-    assert not outlying(spiky, np.ones(samples)).any()
+    assert not outlier_mask(spiky, np.ones(samples)).any()
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -124,13 +124,13 @@ def test_what_was_left_out_before_is_not_found_again():
     rng = np.random.default_rng(8)
     residuals = rng.standard_normal(500)
     residuals[[100, 101, 102, 300]] = [np.nan, np.nan, np.nan, 50.0]
-    assert np.flatnonzero(outlying(residuals, np.ones(500))).tolist() == [300]
+    assert np.flatnonzero(outlier_mask(residuals, np.ones(500))).tolist() == [300]
 
 
 @pytest.mark.parametrize("apart", [range(1, 5), range(1, 17), range(2, 33, 2)])
 def test_the_median_of_pairs_is_that_of_their_means(apart):
     values = np.random.default_rng(11).standard_normal(200)
-    found, variance = _of_pairs(values, apart)
+    found, variance = _pair_median(values, apart)
     reach = apart[-1]
     expected = [
         np.median([0.5 * (values[i - k] + values[i + k]) for k in apart])

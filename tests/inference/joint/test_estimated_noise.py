@@ -9,11 +9,11 @@ from joint_campaign import noisy, three_rates, unknowns
 from scipy.stats import chi2
 from scipy.stats import t as student
 
+from counterspin.inference.joint.design_blocks import build_design_blocks
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
-from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.noise.model import WANTED, Noise
+from counterspin.inference.noise.model import ESTIMATE, Noise
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.simulation import bias_wander
 
@@ -56,7 +56,7 @@ def wandering(series, noise, rng):
 def test_given_wander_is_covered(observable, noise):
     """z of the trials has the rms 1; without the wander it is several times that."""
     rng, trials = np.random.default_rng(8), 20 if FULL else 12
-    prepared = prepare_columns(campaign(observable), MODEL, {"Qx": 1.002})
+    prepared = build_design_blocks(campaign(observable), MODEL, {"Qx": 1.002})
     plain = Noise(noise.white, noise.random_walk)
     z, blind = [], []
     for _ in range(trials):
@@ -76,7 +76,7 @@ def test_estimated_wander_is_covered():
     rng = np.random.default_rng(21)
     noise = Noise(5e-3, 0.0, 0.0, 5 * UG, 0.0)
     series = campaign("displacement", revolutions=6, per_revolution=16)
-    request = {"Qx": Noise(WANTED, 0.0, 0.0, WANTED, 0.0)}
+    request = {"Qx": Noise(ESTIMATE, 0.0, 0.0, ESTIMATE, 0.0)}
     held = np.zeros(4)
     for _ in range(10):
         drawn = [wandering(one, noise, rng) for one in series]

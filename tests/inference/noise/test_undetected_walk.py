@@ -14,17 +14,22 @@ from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.summary import NOISE
 from counterspin.inference.joint.unknowns import Considered, Unknowns
-from counterspin.inference.noise import unseen_noise
-from counterspin.inference.noise.model import WANTED, Noise
+from counterspin.inference.noise import undetected_walk
+from counterspin.inference.noise.model import ESTIMATE, Noise
 from counterspin.inference.noise.search import KEEPING_GAIN
-from counterspin.inference.noise.unseen_noise import POWER, Unseen, lengthened, unseen_walk
+from counterspin.inference.noise.undetected_walk import (
+    PRIOR_EXPONENT,
+    UndetectedWalk,
+    marginal_walk,
+    walk_posterior,
+)
 from counterspin.physics.terms import term
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
 MODEL = Unknowns(unknowns(TRUTH))
 TRUE = np.array([TRUTH[u.symbol] - u.nominal for u in MODEL.unknowns])
-BOTH = {"Qx": Noise(WANTED, WANTED)}
+BOTH = {"Qx": Noise(ESTIMATE, ESTIMATE)}
 
 
 # The pieces ---------------------------------------------------------------------------------------
@@ -38,11 +43,11 @@ def test_levels_are_weighed_by_likelihood_and_power():
         level = math.exp(log_ratio) * 1e-5
         return -level / scale, math.log(level)
 
-    unseen = unseen_walk(at, math.log(1e-4 * scale / 1e-5), 0.0)
+    unseen = walk_posterior(at, math.log(1e-4 * scale / 1e-5), 0.0)
     assert unseen.weights.sum() == pytest.approx(1.0, rel=1e-12)
     assert (np.diff(unseen.levels) > 0).all()
     for moment in (1, 2):
-        expected = math.gamma(POWER + moment) / math.gamma(POWER) * scale**moment
+        expected = math.gamma(PRIOR_EXPONENT + moment) / math.gamma(PRIOR_EXPONENT) * scale**moment
         # The sum over steps of log N^2 ends where the likelihood is e^-8.
         assert unseen.weights @ unseen.levels**moment == pytest.approx(expected, rel=0.02)
 
@@ -51,7 +56,7 @@ def test_the_first_level_hardly_shows_wherever_the_search_begins():
     def at(log_ratio):
         return -math.exp(log_ratio), log_ratio
 
-    far, near = (unseen_walk(at, start, 0.0) for start in (2.0, -6.0))
+    far, near = (walk_posterior(at, start, 0.0) for start in (2.0, -6.0))
     for unseen in (far, near):
         assert unseen.levels[1] < 0.05
     assert far.weights @ far.levels == pytest.approx(near.weights @ near.levels, rel=0.02)
@@ -60,9 +65,9 @@ def test_the_first_level_hardly_shows_wherever_the_search_begins():
 def test_an_interval_of_the_mixture():
     """Student's with the level and the degrees of freedom against the mixture's own shares."""
     rng = np.random.default_rng(1)
-    unseen = Unseen(np.array([0.1, 1.0, 4.0, 20.0]), np.array([0.4, 0.3, 0.2, 0.1]))
+    unseen = UndetectedWalk(np.array([0.1, 1.0, 4.0, 20.0]), np.array([0.4, 0.3, 0.2, 0.1]))
     variance, slope = np.array([1.0, 2.0, 5.0, 1.0]), np.array([1.0, 0.3, 0.01, 0.0])
-    level, inverse = lengthened(unseen, variance, slope)
+    level, inverse = marginal_walk(unseen, variance, slope)
     dof = np.array([1.0 / one if one else math.inf for one in inverse])
     u = np.sqrt(variance + slope * level)
 
@@ -111,8 +116,8 @@ class Slow:
         values = np.array([likelihood(math.exp(point)) for point in grid])
         if 2.0 * (values.max() - likelihood(0.0)) > KEEPING_GAIN:
             return None
-        unseen = unseen_walk(lambda x: (likelihood(math.exp(x)), x), -3.0, likelihood(0.0))
-        level, inverse = lengthened(unseen, np.ones(1), np.array([self.felt]))
+        unseen = walk_posterior(lambda x: (likelihood(math.exp(x)), x), -3.0, likelihood(0.0))
+        level, inverse = marginal_walk(unseen, np.ones(1), np.array([self.felt]))
         return abs(error) < stdtrit(1.0 / inverse[0], 0.975) * math.sqrt(1.0 + level * self.felt)
 
 
@@ -134,7 +139,7 @@ def test_intervals_of_a_dropped_walk_hold(walk, felt):
 
 def test_an_allowance_that_is_needless_without_a_walk_is_too_small_at_the_limit(monkeypatch):
     """With a third of the power, which still covers all where there is none."""
-    monkeypatch.setattr(unseen_noise, "POWER", POWER / 3.0)
+    monkeypatch.setattr(undetected_walk, "PRIOR_EXPONENT", PRIOR_EXPONENT / 3.0)
     for walk, trials in ((0.0, 60), (6.0, 200)):
         slow = Slow(5.0, np.random.default_rng(1))
         dropped = [one for _ in range(trials) if (one := slow.interval_holds(walk)) is not None]
@@ -164,7 +169,7 @@ def test_every_coefficient_s_interval_holds_about_the_limit_of_detection(clean, 
     for _ in range(trials):
         drawn = [noisy(one, Noise(0.01, walk), rng) for one in clean]
         found = estimate(drawn, MODEL, BOTH, reject=False)
-        kept += "random_walk" in found.components["Qx"].estimated
+        kept += "random_walk" in found.estimated_noise["Qx"].estimated
         size = stdtrit(np.minimum(found.dof, 1e6), 0.975) * found.fit.solution.u
         inside += np.abs(found.fit.solution.estimate - TRUE) < size
     spread = 3.5 * math.sqrt(0.05 * 0.95 / trials)
@@ -182,7 +187,7 @@ def test_every_coefficient_s_interval_holds_about_the_limit_of_detection(clean, 
 def dropped(clean):
     drawn = [noisy(one, Noise(0.01), np.random.default_rng(4)) for one in clean]
     found = estimate(drawn, MODEL, BOTH, reject=False)
-    assert found.components["Qx"].dropped == ("random_walk",)
+    assert found.estimated_noise["Qx"].dropped == ("random_walk",)
     return drawn, found
 
 
@@ -191,14 +196,14 @@ def test_the_estimate_is_that_of_white_noise(dropped):
     white = found.fit.noise["Qx"].white
     given = estimate(drawn, MODEL, {"Qx": Noise(white, 0.0)}, reject=False)
     np.testing.assert_array_equal(found.fit.solution.estimate, given.fit.solution.estimate)
-    assert not given.fit.unseen
-    assert given.fit.solution.covariance_unseen is None
+    assert not given.fit.undetected_walks
+    assert given.fit.solution.covariance_undetected is None
 
 
 def test_what_a_walk_adds_is_what_it_does_to_these_weights(dropped):
     """The derivative of the least variance against the estimator itself, run on walks alone."""
     _, found = dropped
-    level, covariance = found.fit.unseen["Qx"]
+    level, covariance = found.fit.undetected_walks["Qx"]
     rng = np.random.default_rng(5)
     trials, estimates = 400, []
     for _ in range(trials):
@@ -211,7 +216,7 @@ def test_what_a_walk_adds_is_what_it_does_to_these_weights(dropped):
                     rng,
                 ),
             )
-            for one in found.fit.prepared
+            for one in found.fit.design_blocks
         )
         estimates.append(solve_joint(walks, MODEL, found.fit.noise).solution.estimate)
     variance = np.var(estimates, axis=0)
@@ -226,7 +231,7 @@ def test_considered_terms_do_not_change_what_a_walk_adds(dropped):
         Considered("Qx", symbol, (0.0, 2e-5), term(symbol).limit) for symbol in ("K_OO", "K_PP")
     )
     again = estimate(drawn, Unknowns(MODEL.unknowns, considered), BOTH, reject=False)
-    (one, alone), (other, beside) = (fit.unseen["Qx"] for fit in (found.fit, again.fit))
+    (one, alone), (other, beside) = (fit.undetected_walks["Qx"] for fit in (found.fit, again.fit))
     # The difference of two covariances, of which rounding leaves seven digits.
     np.testing.assert_allclose(beside / other**2, alone / one**2, rtol=1e-5)
     # Considered terms are most of the variance of K_II here.
@@ -276,7 +281,7 @@ def test_covariances_are_positive_semi_definite(seed):
         ]
     )
     assert least_eigenvalue(joined) > -1e-10
-    for _, unseen in fit.unseen.values():
+    for _, unseen in fit.undetected_walks.values():
         assert least_eigenvalue(unseen) > -1e-12
 
 
@@ -305,7 +310,7 @@ def test_the_budget_says_what_does_not_show(dropped):
     assert line.kind == NOISE
     assert line.source == "noise of Qx that does not show"
     assert line.unit == "m/s^2/Hz^0.5"
-    assert line.u == found.fit.unseen["Qx"][0]
+    assert line.u == found.fit.undetected_walks["Qx"][0]
     assert line.contribution == pytest.approx(line.sensitivity * line.u, rel=1e-12)
     assert line.share > 0.1
     combined = found.fit.solution.combine(np.eye(TRUE.size)[0])
@@ -314,11 +319,11 @@ def test_the_budget_says_what_does_not_show(dropped):
 
 def test_only_a_walk_that_was_asked_for_can_be_missed(clean):
     drawn = [noisy(one, Noise(0.01), np.random.default_rng(6)) for one in clean]
-    found = estimate(drawn, MODEL, {"Qx": Noise(WANTED, 0.0)}, reject=False)
-    assert found.components["Qx"].unseen is None
+    found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE, 0.0)}, reject=False)
+    assert found.estimated_noise["Qx"].undetected_walk is None
     # White noise of a known size leaves the walk to be looked for all the same.
-    found = estimate(drawn, MODEL, {"Qx": Noise(0.01, WANTED)}, reject=False)
-    assert found.components["Qx"].dropped == ("random_walk",)
-    assert found.fit.unseen["Qx"][0] > 0.0
+    found = estimate(drawn, MODEL, {"Qx": Noise(0.01, ESTIMATE)}, reject=False)
+    assert found.estimated_noise["Qx"].dropped == ("random_walk",)
+    assert found.fit.undetected_walks["Qx"][0] > 0.0
     assert found.dof[0] < 50
     assert found.dof[1] > 1e3

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from counterspin.inference.noise import rest
-from counterspin.inference.noise.rest import analyse, stretches_of
+from counterspin.inference.noise import static_noise
+from counterspin.inference.noise.static_noise import analyse, split_segments
 
 STEP, SIGMA, SAMPLES, TRIALS = 0.01, 1e-3, 1200, 10
 
@@ -39,13 +39,15 @@ def restamped(_, time, values):
 )
 def test_intervals_of_n_hold(monkeypatch, log):
     """At 95 %, of so many trials fewer hold with a probability of 1e-4 than the bound."""
-    monkeypatch.setattr(rest, "_limit", lambda *_: np.inf)  # of what is not seen: it takes long
+    monkeypatch.setattr(
+        static_noise, "_upper_limit", lambda *_: np.inf
+    )  # of what is not seen: it takes long
     hold, ratios = 0, []
     for seed in range(TRIALS):
         rng = np.random.default_rng(seed)
         time = np.arange(SAMPLES) * STEP
         values = 9.8 + SIGMA * rng.standard_normal(SAMPLES)
-        found = analyse(stretches_of(*log(rng, time, values)), 0).noise
+        found = analyse(split_segments(*log(rng, time, values)), 0).noise
         white = found.components["random_walk"]
         true = SIGMA**2 * STEP
         hold += white.low <= true <= white.high

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from counterspin.inference.noise import even
-from counterspin.inference.noise.even import EvenData, SampleKind
+from counterspin.inference.noise import even_sampling
+from counterspin.inference.noise.bias_instability import flicker_autocovariance
+from counterspin.inference.noise.even_sampling import EvenlySampledData, Sampling
 from counterspin.inference.noise.likelihood import RestrictedLikelihood
-from counterspin.inference.noise.wander import flicker_autocovariance
 
 STEP = 0.5
 
@@ -65,7 +65,7 @@ def test_likelihood_is_the_dense_one_but_for_a_constant(order):
     recorded = force
     for _ in range(order):
         recorded = np.concatenate([[0.0], np.cumsum(recorded) * STEP])
-    data = EvenData.of(recorded, STEP, SampleKind(order, order), ramp[:, None], 1)
+    data = EvenlySampledData.of(recorded, STEP, Sampling(order, order), ramp[:, None], 1)
     likelihood = RestrictedLikelihood.of([data], None, None)
     design = np.column_stack([np.ones(n), data.design])
     found = np.array([likelihood.value(0.0, unit) for unit in UNITS])
@@ -83,12 +83,12 @@ def test_groups_say_what_their_rows_say(monkeypatch):
 
     def gain():
         likelihood = RestrictedLikelihood.of(
-            [EvenData.of(values, STEP, SampleKind(1, 1), ramp, 1)], None, None
+            [EvenlySampledData.of(values, STEP, Sampling(1, 1), ramp, 1)], None, None
         )
         return likelihood.value(0.0, sizes[1]) - likelihood.value(0.0, sizes[0]), likelihood
 
     grouped, likelihood = gain()
-    monkeypatch.setattr(even, "_SINGLE", 10**6)
+    monkeypatch.setattr(even_sampling, "_UNGROUPED_ROWS", 10**6)
     single, every = gain()
     assert likelihood.records[0].stack.shape[0] < 0.5 * every.records[0].stack.shape[0]
     assert grouped == pytest.approx(single, abs=0.02)
@@ -96,7 +96,7 @@ def test_groups_say_what_their_rows_say(monkeypatch):
 
 def test_rows_of_flicker_have_its_spectrum():
     """B^2 n/(pi k): 2/T apart from k/(2T), two-sided, B^2/(2 pi f)."""
-    covariance = even.flicker_of_waves(4096, 0)
+    covariance = even_sampling.flicker_covariance(4096, 0)
     k = np.arange(20, 65)
     expected = 4096.0 / (math.pi * k)
     np.testing.assert_allclose(np.diagonal(covariance)[19:], expected, rtol=0.012)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from counterspin.arrays import Array, triangle_of
 from counterspin.frozen import frozen
-from counterspin.inference.noise.wander import Variances, flicker_autocovariance
+from counterspin.inference.noise.bias_instability import Variances, flicker_autocovariance
 
 #: Slowest rows whose covariance under flicker is taken as it is.
 _DEPENDENT: Final = 64
@@ -33,32 +33,34 @@ _DEPENDENT: Final = 64
 _POINTS: Final = 2048
 
 #: Rows beyond which neighbours within this part of their number are one group.
-_SINGLE: Final = 400
-_GROUP_PART: Final = 0.02
+_UNGROUPED_ROWS: Final = 400
+_GROUP_FRACTION: Final = 0.02
 
 
 @frozen
-class SampleKind:
+class Sampling:
     """Composition of the samples of the specific force."""
 
     order: int  #: They are differences of this order of what has white noise.
     #: 2: second differences of a displacement, 1: differences of a velocity, which are means over a
     #: step; 0: points.
-    means: int
+    averaging_order: int
 
 
 @frozen(eq=False)
-class EvenData:
+class EvenlySampledData:
     """A record at rest: means of the specific force from sample to sample."""
 
     step: float  #: s.
-    kind: SampleKind
+    kind: Sampling
     design: Array  #: (n, k) columns of unknowns; not their common constant.
     observations: Array  #: (n,) m/s^2: differences of that order, over step^order.
     places: NDArray[np.intp]  #: (k,) of the columns among the unknowns of all records.
 
     @classmethod
-    def of(cls, values: Array, step: float, kind: SampleKind, slow: Array, first: int) -> EvenData:
+    def of(
+        cls, values: Array, step: float, kind: Sampling, slow: Array, first: int
+    ) -> EvenlySampledData:
         """Return a record of an observable without gaps.
 
         values: (n,) as recorded, SI.
@@ -73,26 +75,30 @@ class EvenData:
         places = [*range(slow.shape[1]), *range(first, first + 2 * order)]
         return cls(step, kind, np.column_stack([slow, ends]), force, np.array(places, np.intp))
 
-    def reduced(self) -> EvenRecord:
+    def reduce(self) -> TransformedRecord:
         """Return its transform."""
         from scipy.fft import dct
 
         n = self.observations.size
         rows = np.column_stack([self.design, self.observations])
         rows = dct(rows, type=2, norm="ortho", axis=0)[1:]
-        parts = _parts(np.arange(1.0, n), n, self.step, self.kind)
-        edges = [min(n - 1, _SINGLE)]
+        row_variances = _row_variances(np.arange(1.0, n), n, self.step, self.kind)
+        edges = [min(n - 1, _UNGROUPED_ROWS)]
         while edges[-1] < n - 1:
-            edges.append(min(n - 1, math.ceil(edges[-1] * (1.0 + _GROUP_PART))))
-        stack, variances = [rows[: edges[0]]], [parts[:, : edges[0]]]
+            edges.append(min(n - 1, math.ceil(edges[-1] * (1.0 + _GROUP_FRACTION))))
+        stack, variances = [rows[: edges[0]]], [row_variances[:, : edges[0]]]
         for begin, end in pairwise(edges):
-            own = triangle_of(rows[begin:end])
-            stack.append(own)
-            variances.append(np.repeat(parts[:, begin:end].mean(axis=1)[:, None], len(own), axis=1))
+            group_triangle = triangle_of(rows[begin:end])
+            stack.append(group_triangle)
+            variances.append(
+                np.repeat(
+                    row_variances[:, begin:end].mean(axis=1)[:, None], len(group_triangle), axis=1
+                )
+            )
         counts = np.append(np.ones(edges[0]), np.diff(edges).astype(float))
         first = np.cumsum([0, edges[0], *map(len, stack[1:])])[1:-1]
         places = np.append(np.arange(edges[0]), first).astype(np.intp)
-        return EvenRecord(
+        return TransformedRecord(
             self.step,
             self.kind,
             n,
@@ -100,24 +106,24 @@ class EvenData:
             np.concatenate(variances, axis=1),
             counts,
             places,
-            flicker_of_waves(n, self.kind.means),
+            flicker_covariance(n, self.kind.averaging_order),
         )
 
 
 @frozen(eq=False)
-class EvenRecord:
+class TransformedRecord:
     """Rows of the cosine transform, the fast ones in groups."""
 
     step: float  #: s.
-    kind: SampleKind
+    kind: Sampling
     samples: int  #: Of the specific force.
     stack: Array  #: [design | observations], (m, k + 1).
-    parts: Array  #: Variance of each row per unit of each of `COMPONENTS`, (4, m).
+    row_variances: Array  #: Variance of each row per unit of each of `COMPONENTS`, (4, m).
     counts: Array  #: How many rows of the transform each group has, (g,).
     places: NDArray[np.intp]  #: Of each group's first row in `stack`, (g,).
-    flicker: Array  #: Covariance of the slowest rows for B = 1; see `flicker_of_waves`.
-    before: float = 0.0
-    added: float = 0.0
+    flicker: Array  #: Covariance of the slowest rows for B = 1; see `flicker_covariance`.
+    walk_duration: float = 0.0
+    added_variance: float = 0.0
 
     @property
     def order(self) -> int:
@@ -144,75 +150,79 @@ class EvenRecord:
         """Time from sample to sample, s, and one sample a row."""
         return np.array([self.step]), np.ones(1)
 
-    def with_columns(self, kept: NDArray[np.bool_]) -> EvenRecord:
+    def with_columns(self, kept: NDArray[np.bool_]) -> TransformedRecord:
         """Return it with some of the columns of its design."""
         return replace(self, stack=np.asfortranarray(self.stack[:, np.append(kept, True)]))
 
-    def without_added(self) -> EvenRecord:
+    def without_added_variance(self) -> TransformedRecord:
         """Return itself: nothing is known beside what is estimated."""
         return self
 
-    def whitened(self, unit: Variances) -> tuple[Array, float]:
+    def whitened(self, ratios: Variances) -> tuple[Array, float]:
         """Return whitened rows, and the log-determinant of their covariance."""
-        variance = np.asarray(unit) @ self.parts
+        variance = np.asarray(ratios) @ self.row_variances
         rows = self.stack / np.sqrt(variance)[:, None]
         log_det = float(self.counts @ np.log(variance[self.places]))
-        if unit[2] > 0.0:
+        if ratios[2] > 0.0:
             slow = slice(0, min(_DEPENDENT, self.rows))
-            inside = unit[2] * self.flicker
-            inside.flat[:: len(inside) + 1] = variance[slow]
-            factor = np.linalg.cholesky(inside)
+            covariance = ratios[2] * self.flicker
+            covariance.flat[:: len(covariance) + 1] = variance[slow]
+            factor = np.linalg.cholesky(covariance)
             rows[slow] = np.linalg.solve(factor, self.stack[slow])
             log_det += 2.0 * float(np.log(np.diagonal(factor)).sum())
             log_det -= float(np.log(variance[slow]).sum())
         return rows, log_det
 
 
-def _parts(k: Array, n: int, step: float, kind: SampleKind) -> Array:
+def _row_variances(k: Array, n: int, step: float, kind: Sampling) -> Array:
     """Return the variance of each row of the transform per unit of each of `COMPONENTS`.
 
     k: Number of each row, from 1, shape (m,).
     n: Samples of the specific force.
     Returns: (4, m).
     """
-    parts = sample_spectrum(math.pi * k / n, step, kind)
+    row_variances = sample_spectrum(math.pi * k / n, step, kind)
     slow = slice(0, min(_DEPENDENT, k.size))
-    parts[2, slow] = np.diagonal(flicker_of_waves(n, kind.means))
-    return parts
+    row_variances[2, slow] = np.diagonal(flicker_covariance(n, kind.averaging_order))
+    return row_variances
 
 
-def sample_spectrum(angle: Array, step: float, kind: SampleKind) -> Array:
+def sample_spectrum(angle: Array, step: float, kind: Sampling) -> Array:
     """Return the spectrum of samples of the specific force per unit of each of `COMPONENTS`.
 
     angle: 2 pi f step, above 0 and up to pi, shape (m,).
     step: s.
     Returns: Two-sided density over the step, so that white samples have their variance, (4, m).
     """
-    wave = 4.0 * np.sin(angle / 2.0) ** 2
-    once = (2.0 + np.cos(angle)) / 3.0
-    twice = 11.0 / 20.0 + 13.0 / 30.0 * np.cos(angle) + np.cos(2.0 * angle) / 60.0
+    squared_difference_gain = 4.0 * np.sin(angle / 2.0) ** 2
+    once_integrated = (2.0 + np.cos(angle)) / 3.0
+    twice_integrated = 11.0 / 20.0 + 13.0 / 30.0 * np.cos(angle) + np.cos(2.0 * angle) / 60.0
     ones = np.ones(angle.size)
-    white = (wave / step**2) ** kind.order
-    velocity_walk = (once if kind.order == 2 else ones) / step
-    flicker = _shown(angle, kind.means) ** 2 / angle
-    bias_walk = step / wave * [ones, once, twice][kind.means]
+    white = (squared_difference_gain / step**2) ** kind.order
+    velocity_walk = (once_integrated if kind.order == 2 else ones) / step
+    flicker = _averaging_gain(angle, kind.averaging_order) ** 2 / angle
+    bias_walk = (
+        step
+        / squared_difference_gain
+        * [ones, once_integrated, twice_integrated][kind.averaging_order]
+    )
     return np.stack([white, velocity_walk, flicker, bias_walk])
 
 
-def _shown(angle: Array, means: int) -> Array:
+def _averaging_gain(angle: Array, means: int) -> Array:
     """Return which part of a wave shows in means over a step (velocity), or a triangle of two."""
     return np.asarray(np.sinc(angle / (2.0 * math.pi)) ** means)
 
 
-def flicker_of_waves(n: int, means: int) -> Array:
+def flicker_covariance(n: int, means: int) -> Array:
     """Return the covariance of the slowest rows of the transform of n samples, for B = 1."""
-    covariance = _flicker_covariance(min(n, _POINTS))
-    shown = _shown(math.pi / n * np.arange(1.0, len(covariance) + 1.0), means)
-    return (n / min(n, _POINTS)) * shown[:, None] * covariance * shown
+    covariance = _unit_flicker_covariance(min(n, _POINTS))
+    gain = _averaging_gain(math.pi / n * np.arange(1.0, len(covariance) + 1.0), means)
+    return (n / min(n, _POINTS)) * gain[:, None] * covariance * gain
 
 
 @lru_cache(maxsize=64)
-def _flicker_covariance(points: int) -> Array:
+def _unit_flicker_covariance(points: int) -> Array:
     from scipy.fft import dct
 
     lags = np.arange(points, dtype=float)

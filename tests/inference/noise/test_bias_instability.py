@@ -7,13 +7,13 @@ import pytest
 from scipy.integrate import quad
 from scipy.linalg import toeplitz
 
-from counterspin.inference.noise.model import Noise, make_whitener
-from counterspin.inference.noise.wander import (
-    LOWEST,
+from counterspin.inference.noise.bias_instability import (
+    MIN_FLICKER_FREQUENCY,
+    basis_size,
     coefficient_root,
     flicker_autocovariance,
-    functions_needed,
 )
+from counterspin.inference.noise.model import Noise, make_whitener
 
 LENGTH = 400.0
 
@@ -37,7 +37,7 @@ def test_allan_deviation_has_its_floor():
         # Allan variance of means over tau: 1/2 <(later - earlier)^2>.
         t = (np.arange(400) + 0.5) * tau / 400
         lags = np.abs(np.concatenate([t, t + tau])[:, None] - np.concatenate([t, t + tau]))
-        covariance = flicker_autocovariance(lags, LOWEST, 100.0 / tau)
+        covariance = flicker_autocovariance(lags, MIN_FLICKER_FREQUENCY, 100.0 / tau)
         means = np.concatenate([np.full(400, -1 / 400), np.full(400, 1 / 400)])
         allan = math.sqrt(0.5 * means @ covariance @ means)
         assert allan == pytest.approx(math.sqrt(2 * math.log(2) / math.pi), rel=0.01)
@@ -49,12 +49,14 @@ def test_allan_deviation_has_its_floor():
 def test_spectrum_of_the_cosines_is_that_of_the_process(levels, power):
     """Within 4 % over the band that a record of this length has, from 4/T to 0.8 r/(2T)."""
     count, points = 64, 1600
-    root = coefficient_root(tuple(map(float, levels)), count, LENGTH, before=0.0)
+    root = coefficient_root(tuple(map(float, levels)), count, LENGTH, walk_duration=0.0)
     times = (np.arange(points) + 0.5) * LENGTH / points
     bias = np.cos(math.pi * np.outer(times, np.arange(count)) / LENGTH) @ root
     window = 0.5 - 0.5 * np.cos(2 * math.pi * times / LENGTH)
     exact = (
-        toeplitz(flicker_autocovariance(times - times[0], LOWEST, points / (2 * LENGTH)))
+        toeplitz(
+            flicker_autocovariance(times - times[0], MIN_FLICKER_FREQUENCY, points / (2 * LENGTH))
+        )
         if power == 1
         else np.minimum(times[:, None], times)
     )
@@ -73,7 +75,7 @@ def dense(order, noise, times, before, fine=3000):
     grid = (np.arange(fine) + 0.5) * times[-1] / fine
     step = times[-1] / fine
     high = fine / (2 * times[-1])
-    flicker = toeplitz(flicker_autocovariance(grid - grid[0], LOWEST, high))
+    flicker = toeplitz(flicker_autocovariance(grid - grid[0], MIN_FLICKER_FREQUENCY, high))
     bias = noise.flicker**2 * flicker
     bias += noise.bias_walk**2 * (before + np.minimum(grid[:, None], grid))
     later = np.maximum(times[:, None] - grid, 0.0)
@@ -94,7 +96,7 @@ def test_whitened_rows_have_unit_covariance(order, walk):
     times = np.linspace(0.0, 300.0, 151)
     noise = Noise({1: 1e-4, 2: 5e-3}[order], walk, 0.0, flicker=2e-5, bias_walk=1e-6)
     before = 500.0
-    whitener = make_whitener(times, order, noise, before=before)
+    whitener = make_whitener(times, order, noise, walk_duration=before)
     operator = whitener.apply(np.eye(times.size))
     covariance = dense(order, noise, times, before)
     np.testing.assert_allclose(operator @ covariance @ operator.T, np.eye(whitener.rows), atol=6e-3)
@@ -112,7 +114,7 @@ def test_blocks_are_whitened_as_their_samples_means():
     fine = (np.arange(1000) + 0.5) * 0.1
     noise = Noise(1e-4, 0.0, 0.0, flicker=5e-5, bias_walk=0.0)
     covariance = noise.flicker**2 * flicker_autocovariance(
-        np.abs(fine[:, None] - fine), LOWEST, 5.0
+        np.abs(fine[:, None] - fine), MIN_FLICKER_FREQUENCY, 5.0
     ) + noise.white**2 * np.eye(fine.size)
     means = np.kron(np.eye(100), np.full((1, 10), 0.1))
     whitener = make_whitener(means @ fine, 0, noise, 10.0, 0.1)
@@ -121,8 +123,8 @@ def test_blocks_are_whitened_as_their_samples_means():
 
 
 def test_more_functions_where_the_wander_is_larger():
-    quiet = functions_needed((1e-4, 0.0, 1e-12, 0.0), 0.02, LENGTH, 2)
-    loud = functions_needed((1e-4, 0.0, 1e-8, 0.0), 0.02, LENGTH, 2)
+    quiet = basis_size((1e-4, 0.0, 1e-12, 0.0), 0.02, LENGTH, 2)
+    loud = basis_size((1e-4, 0.0, 1e-8, 0.0), 0.02, LENGTH, 2)
     assert quiet < loud < 200
     # At the highest frequency the other noise is a thousand times the wander.
     w = math.pi * loud / LENGTH

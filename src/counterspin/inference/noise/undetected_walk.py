@@ -24,7 +24,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.distributions import normal_cdf, student_quantile
 
 #: The density of log N^2 before the records are looked at goes with this power of N^2.
-POWER: Final = 1.0 / 3.0
+PRIOR_EXPONENT: Final = 1.0 / 3.0
 
 #: Steps of log N^2, in which likelihoods change smoothly.
 _LOG_STEP: Final = 1.0
@@ -33,15 +33,15 @@ _LOG_STEP: Final = 1.0
 _VISIBLE_CHANGE: Final = 0.05
 _EXCLUDING_CHANGE: Final = 8.0
 
-_MOST_STEPS: Final = 60
+_MAX_STEPS: Final = 60
 
 #: Levels at which the mixture and Student's distribution are made to agree: one u, and 95 %.
-_ONE_U: Final = normal_cdf(1.0)
+_ONE_SD_LEVEL: Final = normal_cdf(1.0)
 _HALF_INTERVAL: Final = 0.975
 
 
 @frozen
-class Unseen:
+class UndetectedWalk:
     """A dropped walk."""
 
     levels: Array  #: N^2, (m/s^2)^2/Hz, increasing, shape (g,).
@@ -53,35 +53,37 @@ class Unseen:
         return 1e-2 * float(self.levels[1])
 
 
-def unseen_walk(at: Callable[[float], tuple[float, float]], first: float, without: float) -> Unseen:
+def walk_posterior(
+    profile: Callable[[float], tuple[float, float]], first: float, without: float
+) -> UndetectedWalk:
     """Return which walks records allow that do not show one.
 
-    at: Log of a ratio of walk to white noise -> (log-likelihood at the best level of the white
+    profile: Log of a ratio of walk to white noise -> (log-likelihood at the best level of the white
         noise, log N^2).
     """
-    for _ in range(_MOST_STEPS):
-        if abs(at(first)[0] - without) < _VISIBLE_CHANGE:
+    for _ in range(_MAX_STEPS):
+        if abs(profile(first)[0] - without) < _VISIBLE_CHANGE:
             break
         first -= 2.0 * _LOG_STEP
     values, levels = [], []
-    for step in range(_MOST_STEPS):
-        value, log_level = at(first + step * _LOG_STEP)
+    for step in range(_MAX_STEPS):
+        value, log_level = profile(first + step * _LOG_STEP)
         values.append(value)
         levels.append(log_level)
         if value < max(without, *values) - _EXCLUDING_CHANGE:
             break
-    log_density = np.array(values) + POWER * np.array(levels)
+    log_density = np.array(values) + PRIOR_EXPONENT * np.array(levels)
     weights = _LOG_STEP * np.exp(log_density - log_density.max())
     # Below the first level the likelihood is constant: the power is integrated, and so is N^2.
-    tail = weights[0] / _LOG_STEP / POWER
+    tail = weights[0] / _LOG_STEP / PRIOR_EXPONENT
     weights[0] *= 0.5
-    smallest = math.exp(levels[0]) * POWER / (1.0 + POWER)
-    every = np.append(tail, weights)
-    return Unseen(np.append(smallest, np.exp(levels)), every / every.sum())
+    smallest = math.exp(levels[0]) * PRIOR_EXPONENT / (1.0 + PRIOR_EXPONENT)
+    probabilities = np.append(tail, weights)
+    return UndetectedWalk(np.append(smallest, np.exp(levels)), probabilities / probabilities.sum())
 
 
-def lengthened(
-    unseen: Unseen, variance: Array, slope: Array, inverse: Array | float = 0.0
+def marginal_walk(
+    unseen: UndetectedWalk, variance: Array, slope: Array, inverse: Array | float = 0.0
 ) -> tuple[float, Array]:
     """Return one level of the walk that stands for all, and inverse degrees of freedom with it.
 
@@ -94,16 +96,18 @@ def lengthened(
     inverse: Of the degrees of freedom without the walk.
     Returns: N^2; inverse degrees of freedom of u^2 with it (Welch and Satterthwaite), shape (p,).
     """
-    spread = np.sqrt(variance[:, None] + slope[:, None] * unseen.levels)
-    most = int(np.argmax(slope / variance))
-    narrow, wide = (_quantile(spread, unseen.weights, level) for level in (_ONE_U, _HALF_INTERVAL))
-    dof = _dof_of(float(wide[most] / narrow[most]))
-    u = float(narrow[most]) / student_quantile(dof, _ONE_U)
-    level = max(u**2 - variance[most], 0.0) / slope[most]
-    whole = variance + slope * level
-    needed = wide / np.sqrt(whole)
-    own = np.array([1.0 / _dof_for(float(size)) for size in needed])
-    return level, (variance / whole) ** 2 * inverse + own
+    mixture_sds = np.sqrt(variance[:, None] + slope[:, None] * unseen.levels)
+    most_affected = int(np.argmax(slope / variance))
+    narrow, wide = (
+        _quantile(mixture_sds, unseen.weights, level) for level in (_ONE_SD_LEVEL, _HALF_INTERVAL)
+    )
+    dof = _dof_from_ratio(float(wide[most_affected] / narrow[most_affected]))
+    u = float(narrow[most_affected]) / student_quantile(dof, _ONE_SD_LEVEL)
+    level = max(u**2 - variance[most_affected], 0.0) / slope[most_affected]
+    total = variance + slope * level
+    quantile_ratios = wide / np.sqrt(total)
+    inverse_of_walk = np.array([1.0 / _dof_from_quantile(float(size)) for size in quantile_ratios])
+    return level, (variance / total) ** 2 * inverse + inverse_of_walk
 
 
 def _quantile(spread: Array, weights: Array, level: float) -> Array:
@@ -118,14 +122,16 @@ def _quantile(spread: Array, weights: Array, level: float) -> Array:
     return np.asarray(high)
 
 
-def _dof_of(ratio: float) -> float:
+def _dof_from_ratio(ratio: float) -> float:
     """Return the degrees of freedom at which Student's two quantiles have this ratio."""
     from scipy.special import stdtrit
 
-    return _root(lambda dof: float(stdtrit(dof, _HALF_INTERVAL) / stdtrit(dof, _ONE_U)), ratio)
+    return _root(
+        lambda dof: float(stdtrit(dof, _HALF_INTERVAL) / stdtrit(dof, _ONE_SD_LEVEL)), ratio
+    )
 
 
-def _dof_for(quantile: float) -> float:
+def _dof_from_quantile(quantile: float) -> float:
     """Return the degrees of freedom of a given 97.5 % quantile."""
     from scipy.special import stdtrit
 
