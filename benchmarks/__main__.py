@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> None:
     if chosen.keep and not chosen.full:
         parser.error("only a full run is kept: give --full too")
     measured = []
-    for name in chosen.subset.split(",") if chosen.subset else BENCHMARKS:
+    for name in chosen.only.split(",") if chosen.only else BENCHMARKS:
         found = BENCHMARKS[name].tables(chosen.full, chosen.repeats)
         print(render(found), flush=True)
         measured += found

@@ -425,7 +425,7 @@ def test_readings_remain_in_the_fit_while_the_noise_of_records_is_found_anew(
     calibrate(folder)
     assert again
     for fit, after in again:
-        assert len(fit.observations) > len(fit.prepared)
+        assert len(fit.observations) > len(fit.design_blocks)
         assert after.fit.observations == fit.observations
 
 
