@@ -70,7 +70,7 @@ ROWS = {
         ("a gap of more than {} revolutions", clock._GAP_REVOLUTIONS),
         ("more than {} revolutions unless", reading.ANY_REVOLUTIONS),
         ("unless there are {} rows for each", 1.0 / reading.FURTHER_REVOLUTIONS_A_ROW),
-        ("a record shorter than {} of that", assembly.COMPLETE_FRACTION),
+        ("a record shorter than {} % of it", 100.0 * assembly.COMPLETE_FRACTION),
         ("the Allan deviation is {} B", math.sqrt(2.0 * math.log(2.0) / math.pi)),
         ("more than {} times the largest credible size", simulable.TRUTH_MARGIN),
         ("a ripple above harmonic {},", simulable._MAX_RIPPLE_HARMONIC),
@@ -128,7 +128,7 @@ ROWS = {
     "certificate": [
         ("`CS-` and {} digits of the SHA-256", DIGITS),
         ("k is Student's factor for {} %", 100.0 * distributions.COVERAGE),
-        ("the least expanded uncertainty ({} %)", 100.0 * distributions.COVERAGE),
+        ("smallest expanded uncertainty ({} %)", 100.0 * distributions.COVERAGE),
         ("ellipsoidal region of {} %", 100.0 * distributions.COVERAGE),
         ("rounded to {} decimal places", certificate_text._FACTOR_DECIMALS),
         (

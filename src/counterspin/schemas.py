@@ -32,7 +32,7 @@ _DRAFT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 _LINK: Final = re.compile(r"\[([^\]]+)\]\([^)]*\)")
 _NONE: Final = re.compile(r"`*\bNone\b`*")
-#: The docstring of a table's class, such as ``[site]: where the centrifuge stands.``
+#: The docstring of a table's class, such as ``[site]: gravity and latitude of the centrifuge.``
 _OF_TABLE: Final = re.compile(r"(\[+.*?\]+|``\w+``)(?: of [^:]*)?: (.*)", re.DOTALL)
 
 #: JSON Schema.
@@ -73,7 +73,7 @@ def _plan() -> Json:
     records, readings = _document(PlanDocument), _document(ReadingPlanDocument)
     defined = records.pop("$defs") | readings.pop("$defs")
     return {
-        "description": "What a plan is for, and what the machine allows.",
+        "description": "Objective and limits of a plan.",
         "if": {"required": ["stations"]},
         "then": readings,
         "else": records,

@@ -156,7 +156,7 @@ def _text_field(key: str, example: str) -> Field:
 def _section(key: str, model: type[BaseModel], page: str) -> Field:
     """Return a section; page: of the documentation, if the class has no table in it."""
     words = (model.__doc__ or "").partition("\n")[0]
-    # "[site]: where the centrifuge stands."
+    # "[site]: gravity and latitude of the centrifuge."
     said = words.partition("]: ")[2]
     return {
         "key": key,

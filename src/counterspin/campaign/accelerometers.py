@@ -1,4 +1,4 @@
-"""[accelerometers.NAME]: axes, columns, priors, and what readings are in."""
+"""[accelerometers.NAME]: axes, columns, priors and unit of readings."""
 
 from __future__ import annotations
 
@@ -74,31 +74,38 @@ class Accelerometer(SettingsSection):
     model_config = ConfigDict(json_schema_extra=lambda made: made.pop("required", None))
 
     input_axis: Direction = key_field(
-        "the sensitive axis, on the level platform; [a triad](triads.md) may state no axes at all",
+        "sensitive axis on the level platform; a [triad](triads.md) may state no axes",
         "east",
         kind="direction",
     )
-    pendulous_axis: Direction = key_field("at right angles to it", [0, 0, -1], kind="direction")
-    output_axis: Direction | None = key_field(
-        "only as a check", "north", None, absent="input × pendulous", kind="direction"
+    pendulous_axis: Direction = key_field(
+        "pendulous axis, perpendicular to the input axis", [0, 0, -1], kind="direction"
     )
-    serial_number: Text | None = key_field("of the accelerometer", "Q-104", None)
+    output_axis: Direction | None = key_field(
+        "output axis; only checked against the other two",
+        "north",
+        None,
+        absent="input × pendulous",
+        kind="direction",
+    )
+    serial_number: Text | None = key_field("serial number of the accelerometer", "Q-104", None)
     grade: Literal["navigation", "tactical", "consumer"] = key_field(
-        "how large its terms may be, and are where nothing is stated of them: [sizes "
-        "by grade](physics.md#where-the-typical-sizes-come-from)",
+        "grade of the accelerometer: sets the limits and the default standard "
+        "uncertainties of its terms ([sizes by "
+        "grade](physics.md#where-the-typical-sizes-come-from))",
         "tactical",
         "navigation",
         kind='`"navigation"`, `"tactical"` or `"consumer"`',
     )
     output: Output | None = key_field(
-        "what its [readings](readings.md) are in, and the nominal sensitivity",
+        "unit of the [readings](readings.md), and the nominal sensitivity",
         {"unit": "mA", "sensitivity": "1.25 mA/g"},
         None,
         absent="g",
     )
     sensitivity_prior: Annotated[Quantity, PlainValidator(_sensitivity_as_prior, Text)] | None = (
         key_field(
-            "K_I known beforehand, in that unit",
+            "prior of K_I in the unit of the readings",
             "1.25 ± 0.01 mA/g",
             None,
             absent="unknown",
@@ -106,10 +113,10 @@ class Accelerometer(SettingsSection):
         )
     )
     bias: Annotated[Quantity, uncertain_quantity("g")] | None = key_field(
-        "K_F known beforehand", "0.00503 ± 2e-6 g", None, absent="unknown"
+        "prior of K_F", "0.00503 ± 2e-6 g", None, absent="unknown"
     )
     scale_factor: Annotated[Quantity, uncertain_quantity("g/g")] | None = key_field(
-        "K_I known beforehand; about 1, so that 1000 ppm too much is `1.001 g/g`",
+        "prior of K_I; nominally 1, so an excess of 1000 ppm is `1.001 g/g`",
         "1.00197 ± 5e-6 g/g",
         None,
         absent="unknown",
@@ -122,14 +129,14 @@ class Accelerometer(SettingsSection):
         kind="column, m",
     )
     velocity: VelocityChannel | None = key_field(
-        "recorded velocity",
+        "recorded velocity along the input axis",
         {"column": "v", "unit": "m/s"},
         None,
         absent="one of three",
         kind="column, m/s",
     )
     specific_force: ForceChannel | None = key_field(
-        "indicated specific force",
+        "recorded specific force along the input axis",
         {"column": "f", "unit": "g"},
         None,
         absent="one of three",
@@ -210,7 +217,7 @@ class Accelerometer(SettingsSection):
 AccelerometerKeys = create_model(
     "AccelerometerKeys",
     __base__=Accelerometer,
-    __doc__="[accelerometers.NAME]: its axes, its column and, by term, what is known of it.",
+    __doc__="[accelerometers.NAME]: axes, column and priors by term.",
     **term_keys(TERMS, uncertain_quantity),
 )
 

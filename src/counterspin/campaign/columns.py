@@ -64,17 +64,17 @@ class TimeChannel(SettingsSection):
     """``time``: the column that holds it, or how many rows there are a second."""
 
     column: Text | None = key_field(
-        "name of the column in the file", "time_s", None, absent="counted"
+        "name of the column in the file", "time_s", None, absent="counted from zero"
     )
     unit: Annotated[str, AfterValidator(time_unit)] | None = key_field(
-        "of its numbers; `iso`: time stamps, counted from the first",
+        "unit of the column's numbers; `iso`: time stamps, converted to seconds from the first",
         "ms",
         None,
-        absent="the file's",
+        absent="that of the file",
         kind="unit of time, `iso`",
     )
     sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = (
-        key_field("in place of a column: rows a second", "50 Hz", None)
+        key_field("number of rows per second, in place of a time column", "50 Hz", None)
     )
 
     @model_validator(mode="after")
@@ -104,23 +104,29 @@ class AngleChannel(_Channel):
     """``angle``: the column that holds the spindle's angle, or the times of its pulses."""
 
     pulses: bool = key_field(
-        "whether the column has the times, in `unit`, at which the arm passed `zero`", False, False
+        "whether the column holds the times, in `unit`, at which the arm passed `zero`",
+        False,
+        False,
     )
     unit: Annotated[str, AfterValidator(angle_unit)] | None = key_field(
-        "of its numbers", "count", None, absent="the file's", kind="unit of angle, `count`"
+        "unit of the column's numbers",
+        "count",
+        None,
+        absent="that of the file",
+        kind="unit of angle, `count`",
     )
     sense: Sense = key_field(
-        "in which the encoder counts up, seen from above", "clockwise", "counterclockwise"
+        "sense in which the encoder counts up, seen from above", "clockwise", "counterclockwise"
     )
     zero: ZeroDirection = key_field(
-        "where the arm points when the encoder shows zero",
+        "direction of the arm when the encoder reads zero",
         "north",
         0.0,
         absent="0 (east)",
         kind="compass direction, or angle from east towards north",
     )
     per_revolution: PositiveRatio | None = key_field(
-        "counts (or pulses) of one revolution", 65536, None
+        "counts (or pulses) per revolution", 65536, None
     )
 
     @model_validator(mode="after")
@@ -151,7 +157,7 @@ class TemperatureChannel(_Channel):
     """The column that holds the temperature of the accelerometers."""
 
     unit: Annotated[str, AfterValidator(temperature_scale)] | None = key_field(
-        "of its numbers", "degC", None, absent="the file's", kind="`degC`, `K`"
+        "unit of the column's numbers", "degC", None, absent="that of the file", kind="`degC`, `K`"
     )
 
     @property
@@ -163,45 +169,50 @@ class TemperatureChannel(_Channel):
 class RowSelection(SettingsSection):
     """Rows of a file that are read: those in which a column has a value."""
 
-    column: Text = key_field("that tells the sensors apart", "device")
-    value: Text = key_field("of the sensor", "A")
+    column: Text = key_field("column that identifies the sensor", "device")
+    value: Text = key_field("value of this column in the rows to read", "A")
 
 
 class TableDialect(SettingsSection):
     """How a table is written, as far as a person says it: of records and of readings alike."""
 
     skip_lines: Annotated[int, Field(ge=0)] | None = key_field(
-        "lines (of a sheet: rows) before the names of the columns", 5, None, absent="found"
+        "number of lines (in a sheet: rows) before the column names", 5, None, absent="detected"
     )
     delimiter: Literal[",", ";", "\t"] | None = key_field(
-        "between the cells of a file of text", ";", None, absent="found", kind="`,` `;` or tab"
+        "delimiter between the cells of a text file",
+        ";",
+        None,
+        absent="detected",
+        kind="`,` `;` or tab",
     )
     decimal: Literal[".", ","] | None = key_field(
-        "in its numbers; of a table of readings a comma must be said",
+        "decimal mark; a table of readings with decimal commas must state it",
         ",",
         None,
-        absent="found",
+        absent="detected",
         kind="`.` or `,`",
     )
     encoding: Annotated[str, AfterValidator(check_encoding)] | None = key_field(
-        "of its text", "latin-1", None, absent="found"
+        "encoding of a text file", "latin-1", None, absent="detected"
     )
     units_row: bool | None = key_field(
-        "whether a row of units stands below the names", True, None, absent="found"
+        "whether a row of units follows the column names", True, None, absent="detected"
     )
     skip_footer: Annotated[int, Field(ge=0)] | None = key_field(
-        "lines of a text at its end that are not rows, such as a mean or a signature",
+        "number of lines at the end of a text file that are not data, such as a mean or"
+        " a signature",
         2,
         None,
         absent="none",
     )
     select: RowSelection | None = key_field(
-        "of a file with rows of several sensors, those of one: a column and its value",
+        "rows to read from a file with several sensors: a column and its value",
         {"column": "device", "value": "A"},
         None,
         absent="all",
     )
-    sheet: Text | None = key_field("of an Excel file", "Run 1", None, absent="the only one")
+    sheet: Text | None = key_field("sheet of an Excel file", "Run 1", None, absent="the only one")
 
     @property
     def dialect(self) -> Dialect:
@@ -216,14 +227,14 @@ class TableDialect(SettingsSection):
 class _TimeAndAngle(SettingsSection):
     time: TimeChannel = key_field("time of each row", {"column": "time_s", "unit": "s"})
     angle: AngleChannel | None = key_field(
-        "spindle angle, wrapped or not",
+        "spindle angle, wrapped or unwrapped",
         {"column": "angle_rad", "unit": "rad"},
         None,
         absent="nominal rate",
     )
     temperature: TemperatureChannel | None = key_field(
-        "temperature of the accelerometers, for slopes with it; rows may lack it, for a quarter of "
-        "a record at most",
+        "temperature of the accelerometers, for temperature slopes; at most a quarter "
+        "of a record's rows may lack it",
         {"column": "T", "unit": "degC"},
         None,
         absent="that of each run",
@@ -232,32 +243,35 @@ class _TimeAndAngle(SettingsSection):
 
 # The fields of the last base come first.
 class RecordsSettings(TableDialect, _TimeAndAngle):
-    """[records]: how to read every run's file."""
+    """[records]: format of the record files."""
 
     group: Text | None = key_field(
-        "of an HDF5 or TDMS file, or the structure of a MATLAB file; columns are named within it",
+        "group of an HDF5 or TDMS file, or structure of a MATLAB file, that holds the columns",
         "run1/data",
         None,
         absent="the only one",
     )
     timing_offset: Annotated[Quantity, uncertain_quantity("s")] | None = key_field(
-        "how much later than its displacement an angle is sampled", "0 ± 1e-5 s", None
+        "delay of the angle: its sampling time minus that of the displacement in the same row",
+        "0 ± 1e-5 s",
+        None,
     )
     clock: Annotated[Fraction, AfterValidator(check_clock_error)] | None = key_field(
-        "by how much of itself the recorder's clock runs fast, also in `ppm`; see below",
+        "relative rate error of the recorder's clock, also in `ppm`; positive if it "
+        "runs fast; see below",
         "0 ± 1e-7",
         None,
         kind="part ±",
     )
     recorder: Text | None = key_field(
-        "which one it was, where runs have several: each has a clock of its own",
+        "name of the recorder, if runs have several; each recorder has its own clock",
         "B",
         None,
         absent="one for all",
     )
     reference: Literal["platform", "own velocity"] = key_field(
-        "whose velocity the navigation computer takes for the Coriolis acceleration "
-        "that it removes; see below",
+        "source of the velocity from which the navigation computer calculates the "
+        "Coriolis acceleration that it removes; see below",
         "own velocity",
         "platform",
     )
@@ -278,7 +292,7 @@ class DisplacementChannel(_Channel):
     """``displacement``: the column that holds that along the input axis."""
 
     unit: Annotated[str, unit_of("m")] | None = key_field(
-        "of its numbers", "mm", None, absent="the file's", kind="unit"
+        "unit of the column's numbers", "mm", None, absent="that of the file", kind="unit"
     )
 
 
@@ -286,7 +300,7 @@ class VelocityChannel(_Channel):
     """``velocity``: the column that holds that along the input axis."""
 
     unit: Annotated[str, unit_of("m/s")] | None = key_field(
-        "of its numbers", "mm/s", None, absent="the file's", kind="unit"
+        "unit of the column's numbers", "mm/s", None, absent="that of the file", kind="unit"
     )
 
 
@@ -294,5 +308,5 @@ class ForceChannel(_Channel):
     """``specific_force``: the column that holds it, or an output such as a current."""
 
     unit: Annotated[str, AfterValidator(force_or_output)] = key_field(
-        "of its numbers", "mg", kind="unit"
+        "unit of the column's numbers", "mg", kind="unit"
     )

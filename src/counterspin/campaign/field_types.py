@@ -487,14 +487,14 @@ def key_field(
     applies_to: str = "",
     **options: Any,
 ) -> Any:
-    """Return a field with what its documentation, its schema and its form say.
+    """Return a field with the texts of its documentation, schema and form.
 
-    meaning: In Markdown.
-    example: A value as TOML would be read.
-    absent: What holds where the key is left out, if the default does not say it.
-    kind: What is written, if the type does not say it.
-    of: Of which tables it is a key, if not of all of the class.
-    more: As of `pydantic.Field`.
+    meaning: Meaning of the key, in Markdown.
+    example: Value as read from TOML.
+    absent: Effect of leaving the key out, if the default does not show it.
+    kind: Form of the value, if the type does not show it.
+    applies_to: Tables that have the key, if not all tables of the class.
+    options: Options of `pydantic.Field`.
     """
     schema_extra = {"x-absent": absent, "x-kind": kind, "x-of": applies_to}
     extra: Any = {name: words for name, words in schema_extra.items() if words}

@@ -1,4 +1,4 @@
-"""[model], with what [centrifuge] and [fixture] say of terms: what is asked for, held and known."""
+"""[model], and the terms in [centrifuge] and [fixture]: requested terms, fixed terms and priors."""
 
 from __future__ import annotations
 

@@ -79,25 +79,28 @@ class CampaignDocument(SettingsSection):
 
     schema_version: Schema = key_field("version of this format", 1, kind="number", alias="schema")
     campaign: Annotated[dict[str, Any], Section(CampaignSettings)] = key_field(
-        "[what a report says](#campaign)", {}, {}
+        "[heading and identification of the report](#campaign)", {}, {}
     )
-    site: Annotated[dict[str, Any], Section(SiteSettings)] = key_field("[where](#site)", {})
+    site: Annotated[dict[str, Any], Section(SiteSettings)] = key_field(
+        "[location of the centrifuge](#site)", {}
+    )
     centrifuge: Annotated[dict[str, Any] | None, Section(CentrifugeSettings)] = key_field(
-        "[its size](#centrifuge); required unless all is [read or recorded at rest](readings.md)",
+        "[dimensions of the centrifuge](#centrifuge); required unless all runs are "
+        "[read or recorded at rest](readings.md)",
         {},
         None,
     )
     fixture: Annotated[dict[str, Any] | None, Section(FixtureSettings)] = key_field(
-        "[how well positions are set](#fixture)", {}, None
+        "[uncertainty of positions at rest](#fixture)", {}, None
     )
     triad: Annotated[dict[str, Any] | None, Section(_TRIAD)] = key_field(
         "[three accelerometers of one sensor](triads.md)", {}, None
     )
     records: Annotated[dict[str, Any] | None, Section(RecordsSettings)] = key_field(
-        "[how to read the files](#records); required where a run has a record", {}, None
+        "[format of the record files](#records); required if a run has a record", {}, None
     )
     accelerometers: Accelerometers = key_field(
-        "[one for each accelerometer](#accelerometersname)",
+        "[a table for each accelerometer](#accelerometersname)",
         {"Qx": {"input_axis": "east", "pendulous_axis": "down"}},
         kind="tables",
     )
@@ -105,19 +108,19 @@ class CampaignDocument(SettingsSection):
         "[noise of the records](#noise)", {}, None, absent="estimated"
     )
     model: Annotated[dict[str, Any] | None, Section(ModelSettings)] = key_field(
-        "[what is asked for, and what is known](#model)", {}, None, absent="the paper's terms"
+        "[requested terms and prior information](#model)", {}, None, absent="the paper's terms"
     )
     readings: Annotated[dict[str, Any] | None, Section(_READINGS)] = key_field(
         "[a table of single values](readings.md)", {}, None
     )
     runs: Runs = key_field(
-        "[one for each run](#runs), or [reading](readings.md)",
+        "[a table for each run](#runs) or [reading](readings.md)",
         [{"name": "run1", "rate": "0.25 rev/s", "record": "run1.csv"}],
         [],
         kind="list of tables",
     )
     specification: Annotated[dict[str, Any] | None, Section(_SPECIFICATION)] = key_field(
-        "[limits that coefficients shall meet](#specification)", {}, None
+        "[limits for the coefficients](#specification)", {}, None
     )
     simulation: Annotated[dict[str, Any] | None, Section(_SIMULATION)] = key_field(
         "[sampling, for `simulate`](#simulation)", {}, None
@@ -126,7 +129,7 @@ class CampaignDocument(SettingsSection):
         "[true values, for `simulate`](#truth)", {}, None
     )
     study: dict[str, Any] | None = key_field(
-        "[what varies and what competes, for `study`](study.md)", {}, None
+        "[varied quantities and compared analyses, for `study`](study.md)", {}, None
     )
 
 

@@ -1,4 +1,4 @@
-"""[[runs]]: records and readings; how a record is read, which part of it, what is left out."""
+"""[[runs]]: records and readings, the part of a record to use, and excluded runs."""
 
 from __future__ import annotations
 
@@ -74,26 +74,29 @@ class ReadingAxes(SettingsSection):
     """``axes`` of a reading: where input and pendulous axis point in the frame of its motion."""
 
     input: Text | list[float] = key_field(
-        "in which the input axis points in the frame of the motion", "inward", kind="direction"
+        "direction of the input axis in the frame of the motion", "inward", kind="direction"
     )
     pendulous: Text | list[float] = key_field(
-        "in which the pendulous axis points", "up", kind="direction"
+        "direction of the pendulous axis in the frame of the motion", "up", kind="direction"
     )
 
 
 class PosesSettings(SettingsSection):
     """``poses`` of a record at rest: how they are found in it."""
 
-    rest: Seconds = key_field("shortest rest that is a pose", "1.5 s", 1.5, absent="1.5 s")
+    rest: Seconds = key_field("shortest rest that is used as a pose", "1.5 s", 1.5, absent="1.5 s")
     threshold: Annotated[float, read_exactly("m/s^2"), AfterValidator(positive)] | None = key_field(
-        "scatter below which the sensor rests", "0.05 m/s^2", None, absent="found in the record"
+        "scatter below which the sensor is taken to be at rest",
+        "0.05 m/s^2",
+        None,
+        absent="detected in the record",
     )
     u: Annotated[float, read_exactly("m/s^2"), AfterValidator(positive)] | None = key_field(
-        "standard uncertainty of each axis in a pose, what its rest does not show included; "
-        "needed for nine poses or fewer",
+        "standard uncertainty of each axis in a pose, without what the scatter at rest "
+        "shows; required for nine poses or fewer",
         "0.01 m/s^2",
         None,
-        absent="by how the poses fit",
+        absent="estimated from the poses",
     )
 
 
@@ -102,41 +105,45 @@ _OF_READING: Final = "counterspin.readings.entries:contradictions"
 
 
 class Run(SettingsSection):
-    """[[runs]]: one run at constant nominal rate, or at rest: its record, or what was read."""
+    """[[runs]]: record or reading of a run at constant nominal rate or at rest."""
 
-    name: Text = key_field("unique", "run1")
-    skip: bool = key_field("leaves the run out, and the result says so", True, False)
+    name: Text = key_field("unique name of the run", "run1")
+    skip: bool = key_field(
+        "whether to exclude the run; the result lists excluded runs", True, False
+    )
     motion: MotionKind = key_field(
-        "how the instrument moves", "static", "counter-rotating", applies_to=READINGS
+        "motion of the instrument", "static", "counter-rotating", applies_to=READINGS
     )
     stated_rate: Annotated[Quantity, uncertain_quantity("rad/s")] = key_field(
-        "nominal rate; negative is the other sense; none at rest; `±` of a reading, or of an arm "
-        "run without a recorded angle: its random standard uncertainty",
+        "nominal rate; negative in the other sense; not used at rest. `±` in a reading,"
+        " or in an arm run without a recorded angle, is its random standard uncertainty",
         "0.25 rev/s",
         Quantity(0.0, 0.0, "rad/s"),
         absent="none",
         alias="rate",
     )
     file: RecordFile | None = key_field(
-        f"file, from the campaign's folder: {', '.join(RECORD_FORMATS)}; of a run at rest or on an "
-        "arm its mean over whole revolutions is the reading, its noise the uncertainty",
+        f"file, relative to the campaign's folder ({', '.join(RECORD_FORMATS)}). For a run at rest "
+        "or on an arm, its mean over whole revolutions is the reading and its noise gives the "
+        "uncertainty",
         "run1.csv",
         None,
         absent="`reading`",
         alias="record",
     )
     reading: OfEach | None = key_field(
-        "in place of a `record`: value with its unit; `±` where its standard uncertainty is known; "
-        "a list of them: repeats at one setting, whose mean counts and whose scatter tells the "
-        "noise",
+        "value with its unit, in place of a `record`; `±` gives its standard "
+        "uncertainty. A list holds repeats at one setting: their mean is used, and "
+        "their scatter shows the noise",
         "1.082532 ± 2e-6 mA",
         None,
         absent="`record`",
         applies_to=READINGS,
     )
     stand: AttitudeField = key_field(
-        "of the platform in this run; of a reading with `±` for the head, or `unknown` for a pose "
-        "of a triad; at rest there must be this or `axes`",
+        "attitude of the platform in this run. In a reading, `±` states the uncertainty"
+        " of the dividing head; `unknown` marks a pose of a triad. At rest this or "
+        "`axes` is required",
         "90 deg about east",
         absent="level",
         kind="attitude",
@@ -144,22 +151,22 @@ class Run(SettingsSection):
         default_factory=lambda: read_attitude("level"),
     )
     head: Annotated[float, read_exactly("rad")] | None = key_field(
-        "what the dividing head shows, where that is not the angle of the attitude: the instrument "
-        "is mounted on it otherwise",
+        "reading of the dividing head, if it differs from the angle of the attitude "
+        "because the instrument is mounted differently",
         "120 deg",
         None,
         absent="the angle of the attitude",
         applies_to=READINGS,
     )
     axes: ReadingAxes | None = key_field(
-        "`input` and `pendulous` in the frame of the motion, in place of an attitude",
+        "`input` and `pendulous` axes in the frame of the motion, in place of an attitude",
         {"input": "inward", "pendulous": "up"},
         None,
         absent="`attitude`",
         applies_to=READINGS,
     )
     poses: PosesSettings | None = key_field(
-        "of a `record` whose attitude is `unknown`: how [poses](triads.md) are found in it",
+        "search for [poses](triads.md) in a `record` whose attitude is `unknown`",
         {"rest": "1.5 s"},
         None,
         absent="rests of 1.5 s",
@@ -167,63 +174,70 @@ class Run(SettingsSection):
     )
     mounting: str = key_field("name of the position on the fixture", "in", "", applies_to=READINGS)
     duration: Seconds | None = key_field(
-        "of the record, for [simulate](readings.md#simulating-readings); a finding asks about a "
-        "record shorter than nine tenths of that",
+        "duration of the record, for [simulate](readings.md#simulating-readings); a "
+        "record shorter than 90 % of it raises a finding",
         "400 s",
         None,
         absent="by revolutions",
     )
     revolutions: PositiveRatio | None = key_field(
-        "for `simulate`, in place of a duration", 100, None, absent="those of `[simulation]`"
+        "number of revolutions, for `simulate`, in place of a duration",
+        100,
+        None,
+        absent="those of `[simulation]`",
     )
     temperature: Temperatures | None = key_field(
-        "in this run, for slopes with temperature; or in K. Of a record several count as taken at "
-        "even times from its start to its end",
+        "temperature in this run, for temperature slopes, also in K; a list is spread "
+        "evenly from the start to the end of a record",
         "23.4 degC",
         None,
         absent="that of its record",
         kind="text, list of text",
     )
     time: Annotated[float, read_exactly("s")] | None = key_field(
-        "when the run began, or was read, by any clock, for `K_F.trend`",
+        "time when the run began, or of the reading, by any clock; used for `K_F.trend`",
         "12 min",
         None,
-        absent="after the run before",
+        absent="directly after the previous run",
     )
     continued_in: list[RecordFile] = key_field(
-        "further files in which the record goes on, of the same kind",
+        "further files of the same format in which the record continues",
         ["run1-2.csv", "run1-3.csv"],
         [],
         absent="none",
         applies_to=RECORDS,
     )
     pulses: RecordFile | None = key_field(
-        "file with the column of the times of pulses",
+        "file with the column of pulse times",
         "run1-index.csv",
         None,
         absent="in the record",
         applies_to=RECORDS,
     )
     records: dict[str, Any] | None = key_field(
-        "keys of `[records]` that differ in this run: `time`, `angle`, `temperature`, `recorder`, "
-        "`clock` and how the file is written",
+        "keys of `[records]` that differ in this run: `time`, `angle`, `temperature`, "
+        "`recorder`, `clock` and those of the file format",
         {"decimal": "."},
         None,
         absent="as `[records]`",
         applies_to=RECORDS,
     )
     start: Annotated[float, read_exactly("s")] | None = key_field(
-        "from when the record is used, in its own time",
+        "start of the part of the record to use, in its own time",
         "12 s",
         None,
         absent="its first row",
         applies_to=RECORDS,
     )
     stop: Annotated[float, read_exactly("s")] | None = key_field(
-        "until when", "390 s", None, absent="its last row", applies_to=RECORDS
+        "end of the part of the record to use",
+        "390 s",
+        None,
+        absent="its last row",
+        applies_to=RECORDS,
     )
     truth: Annotated[dict[str, Any] | None, Section(_TRUTH)] = key_field(
-        "for `simulate`: [what differs in this run](campaign.md#truth)",
+        "[true values that differ in this run](campaign.md#truth), for `simulate`",
         {"drift": "2e-6 1/s"},
         None,
         absent="that of `[truth]`",

@@ -48,44 +48,49 @@ OBSERVABLES: Final = {"displacement": "m", "velocity": "m/s", "specific_force": 
 
 
 class CampaignSettings(SettingsSection):
-    """[campaign]: what a report says about the campaign; all free text, all optional."""
+    """[campaign]: heading and identification for reports; optional free text."""
 
     title: Text | None = key_field(
         "heading of the report", "Spring campaign", None, absent="the folder's name"
     )
-    serial_number: Text | None = key_field("of the platform", "A-17", None)
+    serial_number: Text | None = key_field("serial number of the platform", "A-17", None)
     date: DateOrText | None = key_field(
-        "of the campaign", datetime.date(2026, 3, 1), None, kind="date or text"
+        "date of the campaign", datetime.date(2026, 3, 1), None, kind="date or text"
     )
-    laboratory: Text | None = key_field("where", "Hall 3", None)
+    laboratory: Text | None = key_field("place of the campaign", "Hall 3", None)
     mounting: Text | None = key_field(
-        "a name for the mounting: another one once the accelerometers were taken off",
+        "label of the mounting; use a new one after the accelerometers were removed and remounted",
         "2026-03 B",
         None,
     )
     turn_on: Text | None = key_field(
-        "a name for the turn-on: another one once they were switched off", "2026-03-01 a", None
+        "label of the power cycle; use a new one after the accelerometers were switched off and on",
+        "2026-03-01 a",
+        None,
     )
-    operator: Text | None = key_field("who", "N. N.", None)
-    comment: Text | None = key_field("anything else", "after repair", None)
+    operator: Text | None = key_field("operator", "N. N.", None)
+    comment: Text | None = key_field("remarks", "after repair", None)
 
 
 class SiteSettings(SettingsSection):
-    """[site]: where the centrifuge stands."""
+    """[site]: gravity and latitude of the centrifuge."""
 
     gravity: Annotated[Quantity, uncertain_quantity("m/s^2"), AfterValidator(check_gravity)] = (
-        key_field("plumb-line gravity; the g of all g-units", "9.8066 ± 1e-5 m/s^2")
+        key_field(
+            "local gravity (magnitude along the plumb line); also defines g in all g-units",
+            "9.8066 ± 1e-5 m/s^2",
+        )
     )
     latitude: Annotated[
         Quantity,
         uncertain_quantity("rad", "deg"),
         BeforeValidator(latitude_text),
         AfterValidator(check_latitude),
-    ] = key_field("for the Earth's rate", "45.75 ± 0.001 deg")
+    ] = key_field("latitude, for the Earth's rate", "45.75 ± 0.001 deg")
     removed_gravity: (
         Annotated[float, read_exactly("m/s^2"), AfterValidator(check_gravity)] | None
     ) = key_field(
-        "what the navigation computer takes away of gravity, a fixed number; see below",
+        "gravity that the navigation computer subtracts, a fixed number; see below",
         "9.80665 m/s^2",
         None,
         absent="that of the site",
@@ -93,40 +98,45 @@ class SiteSettings(SettingsSection):
 
 
 class CentrifugeSettings(SettingsSection):
-    """[centrifuge]: its size."""
+    """[centrifuge]: dimensions and errors of the centrifuge."""
 
     radius: Annotated[Quantity, uncertain_quantity("m"), AfterValidator(positive)] = key_field(
-        "from the spindle axis to the platform's centre", "2.5 ± 1e-5 m"
+        "radius from the spindle axis to the platform's centre", "2.5 ± 1e-5 m"
     )
     stretch: Annotated[Quantity, uncertain_quantity("s^2/m")] | None = key_field(
-        "relative growth of the radius per m/s^2 of centripetal acceleration; without"
-        " it its typical size",
+        "relative growth of the radius per m/s^2 of centripetal acceleration; if "
+        "absent, a default uncertainty is used",
         "0 ± 5e-9 s^2/m",
         None,
     )
     droop: Annotated[Quantity, uncertain_quantity("rad s^2")] | None = key_field(
-        "likewise: turn about forward per squared rate, positive where the outer end goes down",
+        "rotation about the forward axis per squared rate, positive if the outer end "
+        "goes down; if absent, a default uncertainty is used",
         "0 ± 1e-8 rad s^2",
         None,
     )
     axis_tilt: Annotated[Quantity, uncertain_quantity("rad", "arcsec")] | None = key_field(
-        "likewise: tilt of the spindle's axis about east and about north", "0 ± 5 arcsec", None
+        "tilt of the spindle axis about east and about north; if absent, a default "
+        "uncertainty is used",
+        "0 ± 5 arcsec",
+        None,
     )
     clock: Annotated[Fraction, AfterValidator(check_clock_error)] | None = key_field(
-        "by how much of itself the clock that measures the rates of readings runs fast, also in "
-        "`ppm`; without it that of `[records]`, else its typical size",
+        "relative rate error of the clock that measures the rates of readings, also in "
+        "`ppm`, positive if it runs fast; defaults to the clock of `[records]`, then to"
+        " a default uncertainty",
         "0 ± 2 ppm",
         None,
         kind="part ±",
     )
     strapped: bool = key_field(
-        "whether the accelerometers of records are strapped to the counter-rotating table, whose"
-        " errors then turn them; otherwise a platform keeps their attitude",
+        "whether the accelerometers of records are strapped to the counter-rotating "
+        "table, whose errors then turn them; otherwise a platform keeps their attitude",
         True,
         False,
     )
     reference_temperature: Temperature | None = key_field(
-        "from which slopes with temperature count; by default the mean of all temperatures",
+        "reference temperature of temperature slopes; by default the mean of all temperatures",
         "23 degC",
         None,
         kind="text",
@@ -134,13 +144,14 @@ class CentrifugeSettings(SettingsSection):
 
 
 class FixtureSettings(SettingsSection):
-    """[fixture]: how well positions at rest are set."""
+    """[fixture]: uncertainty of positions at rest."""
 
     position: (
         Annotated[Quantity, uncertain_quantity("rad"), AfterValidator(check_zero_mean)] | None
     ) = key_field(
-        "error of setting a [position at rest](readings.md#positions-that-are-set-by-hand), about"
-        " east and about north each; one for all readings of it",
+        "error of setting a [position at "
+        "rest](readings.md#positions-that-are-set-by-hand), about east and about north;"
+        " the same for all its readings",
         "0 ± 0.5 deg",
         None,
     )
@@ -171,10 +182,11 @@ def _in_output(value: object, info: ValidationInfo) -> float:
 class Output(SettingsSection):
     """``output``: what an accelerometer's readings are in, its nominal sensitivity and zero."""
 
-    unit: Annotated[Text, AfterValidator(check_unit)] = key_field("of the readings", "mA")
+    unit: Annotated[Text, AfterValidator(check_unit)] = key_field("unit of the readings", "mA")
     # A number in that unit per g.
     sensitivity: Annotated[float, PlainValidator(_per_g, Text)] = key_field(
-        "nominal: K_I is the true one over it; any other unit needs it",
+        "nominal sensitivity; K_I is the true sensitivity divided by it. Required "
+        "unless the output is in g-units",
         "1.25 mA/g",
         None,
         absent="of an output in g, `mg`, ...: exact",
@@ -182,7 +194,7 @@ class Output(SettingsSection):
         validate_default=True,
     )
     zero: Annotated[float, PlainValidator(_in_output, Text)] = key_field(
-        "nominal: what is read where no force is felt; K_F is what the true one has beside it",
+        "nominal output at zero specific force; K_F is the true output minus this value",
         "4 mA",
         0.0,
         absent="0",
@@ -221,19 +233,22 @@ def _example(row: Term[Any], reader: Callable[[str], PlainValidator]) -> str:
 
 
 class StatedNoise(SettingsSection):
-    """[noise] and [truth.noise]: standard deviations a sample, SI."""
+    """[noise] and [truth.noise]: standard deviations per sample, SI."""
 
     displacement: Annotated[float | str, noise_size("m")] = key_field(
-        "white, a sample", "0.01 m", 0.0, kind="quantity, m"
+        "white noise per sample of a recorded displacement", "0.01 m", 0.0, kind="quantity, m"
     )
     velocity: Annotated[float | str, noise_size("m/s")] = key_field(
-        "likewise of a recorded velocity", "1e-4 m/s", 0.0, kind="quantity, m/s"
+        "white noise per sample of a recorded velocity", "1e-4 m/s", 0.0, kind="quantity, m/s"
     )
     specific_force: Annotated[float | str, noise_size("m/s^2")] = key_field(
-        "likewise of a recorded specific force", "10 ug", 0.0, kind="quantity, m/s^2 or g"
+        "white noise per sample of a recorded specific force",
+        "10 ug",
+        0.0,
+        kind="quantity, m/s^2 or g",
     )
     acceleration: Annotated[float | str, noise_size("m/s^2/Hz^0.5")] = key_field(
-        "white noise of the accelerometer; random-walk coefficient N, velocity variance N^2 t",
+        "white noise of the accelerometer: random-walk coefficient N, velocity variance N^2 t",
         "estimate",
         0.0,
         kind="quantity, m/s^2/Hz^0.5 or g/Hz^0.5",
@@ -245,22 +260,22 @@ class StatedNoise(SettingsSection):
         kind="quantity, m/s^2 or g",
     )
     bias_walk: Annotated[float | str, noise_size("m/s^2/s^0.5")] = key_field(
-        "random walk K of the bias: its variance grows by K^2 a second",
+        "random walk K of the bias: its variance grows by K^2 per second",
         "0.5 ug/h^0.5",
         0.0,
         kind="quantity, m/s^2/s^0.5 or g/s^0.5",
     )
     quantisation: Annotated[float | str, noise_size("m")] = key_field(
-        "step of the recorded displacement", "1 mm", 0.0, kind="quantity, m"
+        "resolution of the recorded displacement", "1 mm", 0.0, kind="quantity, m"
     )
     angle: Annotated[float | str, noise_size("rad")] = key_field(
-        "encoder noise; a calibration estimates it, unless time stamps scatter",
+        "encoder noise; estimated by the calibration unless time stamps scatter",
         "1e-6 rad",
         0.0,
         kind="quantity, rad",
     )
     timing: Annotated[float | str, noise_size("s")] = key_field(
-        "noise of the time stamps", "1 us", 0.0, kind="quantity, s"
+        "standard deviation of the time stamps", "1 us", 0.0, kind="quantity, s"
     )
 
     @property
@@ -270,10 +285,10 @@ class StatedNoise(SettingsSection):
 
 
 class NoiseSettings(StatedNoise):
-    """[noise]: sizes, or a record at rest that says those which are not stated."""
+    """[noise]: noise levels, or a static record from which they are estimated."""
 
     rest: Annotated[Text, AfterValidator(record_file)] | None = key_field(
-        "a record at rest, which says what is not stated beside it",
+        "static record from which noise that is not stated here is estimated",
         "rest.csv",
         None,
         alias="from",
@@ -281,46 +296,47 @@ class NoiseSettings(StatedNoise):
 
 
 class ModelSettings(SettingsSection):
-    """[model]: what is asked for, and what is known of terms."""
+    """[model]: requested terms and priors."""
 
     terms: list[Text] | None = key_field(
-        "what is asked for: the rows of the result",
+        "requested terms: the rows of the result",
         ["K_F", "K_II", "platform.tilt"],
         None,
         absent="K_F, K_I, K_II, K_III",
         kind="list of terms",
     )
     assume: TextList = key_field(
-        "taken as perfect where nothing is stated: no part of u",
+        "terms and inputs that are assumed perfect unless a value is stated; they add nothing to u",
         ["K_OO", "platform.*"],
         [],
         absent="none",
         kind='list of terms and inputs, or `"all"`',
     )
     hold: list[Text] = key_field(
-        "counts in u as it is stated, but the records do not adjust it (Schmidt)",
+        "terms and inputs that are fixed at the stated value; their uncertainty counts "
+        "in u, but the records do not adjust them (considered, Schmidt)",
         ["K_PP"],
         [],
         absent="none",
         kind="list of terms and inputs",
     )
     considered: list[Text] = key_field(
-        "the old name of `hold`", ["K_PP"], [], absent="none", kind="list of terms"
+        "former name of `hold`", ["K_PP"], [], absent="none", kind="list of terms"
     )
     priors: dict[str, Any] = key_field(
-        "what is known beforehand, by term: of any term, asked for or not",
+        "priors by term, for requested and other terms",
         {"platform.tilt": "0 ± 0.5 arcsec", "Qx.K_PP": "0 ± 2e-6 g/g^2"},
         {},
         absent="none",
     )
     limits: dict[str, Any] = key_field(
-        "largest credible size, by term",
+        "largest credible size by term",
         {"K_II": "1e-3 g/g^2"},
         {},
         absent="by [grade](physics.md#where-the-typical-sizes-come-from)",
     )
     typical: dict[str, Any] = key_field(
-        "standard uncertainty of a term of which nothing is stated, by term",
+        "default standard uncertainty by term, for terms without a prior",
         {"platform.tilt": "0.2 arcsec"},
         {},
         absent="by grade",

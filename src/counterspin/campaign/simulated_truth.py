@@ -84,17 +84,17 @@ class SimulatedTruth:
 
 
 class Simulation(SettingsSection):
-    """[simulation]: how `counterspin simulate` samples."""
+    """[simulation]: sampling of simulated records."""
 
     sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = key_field(
-        "rows a second", "100 Hz", 50.0, absent="50 Hz"
+        "sampling rate", "100 Hz", 50.0, absent="50 Hz"
     )
     seed: Annotated[int, Field(ge=0)] = key_field(
-        "of the random numbers; each run has a stream of its own", 7, 1
+        "seed of the random numbers; each run has a separate stream", 7, 1
     )
-    revolutions: PositiveRatio = key_field("of each run", 40, 100.0)
+    revolutions: PositiveRatio = key_field("number of revolutions in each run", 40, 100.0)
     poses: Annotated[int, Field(ge=1, le=10_000)] = key_field(
-        "in a record of [poses](triads.md#poses-in-a-record)", 12, 24
+        "number of poses in a record of [poses](triads.md#poses-in-a-record)", 12, 24
     )
 
     _truth: SimulatedTruth = PrivateAttr()

@@ -57,7 +57,7 @@ def _probability(value: float) -> float:
 
 
 class Specifications(SettingsSection):
-    """[specification]: limits that coefficients shall meet, and how that is decided.
+    """[specification]: limits for the coefficients, and the decision rule.
 
     These are the keys of the decision rule; all others are terms, or tables of them by
     accelerometer.
@@ -67,17 +67,19 @@ class Specifications(SettingsSection):
     __pydantic_extra__: dict[str, str | dict[str, str]] = Field(init=False)
 
     decision_rule: Annotated[RuleName, PlainValidator(_rule_name)] = key_field(
-        "by which a coefficient passes or fails", "simple", "guarded"
+        "decision rule for pass or fail", "simple", "guarded"
     )
     guard_factor: Annotated[float, PlainValidator(_number), AfterValidator(_factor)] = key_field(
-        "width of the guard band over the expanded uncertainty U; with `guarded` only",
+        "width of the guard band, divided by the expanded uncertainty U; only with `guarded`",
         0.5,
         1.0,
         kind="number",
     )
     conformance_probability: Annotated[
         float, PlainValidator(_number), AfterValidator(_probability)
-    ] = key_field("that must be reached; with `probability` only", 0.99, 0.95, kind="number")
+    ] = key_field(
+        "required probability of conformity; only with `probability`", 0.99, 0.95, kind="number"
+    )
 
     _terms: Mapping[str, Mapping[str, Specification]] = PrivateAttr()
 

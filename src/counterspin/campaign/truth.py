@@ -43,24 +43,33 @@ def _clocks(value: object) -> dict[str, float]:
 
 
 class SiteTruthSettings(SettingsSection):
-    """[truth.site]: where the centrifuge really stands."""
+    """[truth.site]: true gravity and latitude."""
 
     gravity: Annotated[float, read_exactly("m/s^2"), AfterValidator(check_gravity)] | None = (
-        key_field("plumb-line gravity", "9.80663 m/s^2", None, absent=_STATED)
+        key_field(
+            "true local gravity (magnitude along the plumb line)",
+            "9.80663 m/s^2",
+            None,
+            absent=_STATED,
+        )
     )
     latitude: (
         Annotated[float, read_exactly("rad", "deg"), AfterValidator(check_latitude)] | None
-    ) = key_field("for the Earth's rate", "45.7502 deg", None, absent=_STATED)
+    ) = key_field("true latitude, for the Earth's rate", "45.7502 deg", None, absent=_STATED)
 
 
 class TrueRadius(SettingsSection):
-    """[truth.centrifuge]: its true size."""
+    """[truth.centrifuge]: true dimensions of the centrifuge."""
 
     radius: Annotated[float, read_exactly("m"), AfterValidator(positive)] | None = key_field(
-        "from the spindle axis to the platform's centre", "2.50001 m", None, absent=_STATED
+        "true radius from the spindle axis to the platform's centre",
+        "2.50001 m",
+        None,
+        absent=_STATED,
     )
     clock: Ratio | None = key_field(
-        "by how much of itself the clock that measures the rates of readings runs fast",
+        "true relative rate error of the clock that measures the rates of readings; "
+        "positive if it runs fast",
         "20 ppm",
         None,
         absent=_STATED,
@@ -69,16 +78,20 @@ class TrueRadius(SettingsSection):
 
 
 class RecordsTruthSettings(SettingsSection):
-    """[truth.records]: when the rows were really taken."""
+    """[truth.records]: true timing of the rows."""
 
     timing_offset: Annotated[float, read_exactly("s")] | None = key_field(
-        "how much later than its displacement an angle is sampled", "2e-5 s", None, absent=_STATED
+        "true delay of the angle: its sampling time minus that of the displacement in the same row",
+        "2e-5 s",
+        None,
+        absent=_STATED,
     )
     clock: (
         Annotated[dict[str, float], PlainValidator(_clocks, float | str | dict[str, float | str])]
         | None
     ) = key_field(
-        "by how much of itself the clock of every recorder runs fast; or a table of the recorders",
+        "true relative rate error of the clock of every recorder, positive if it runs "
+        "fast; or a table by recorder",
         {"A": "20 ppm", "B": "-5 ppm"},
         None,
         absent=_STATED,
@@ -89,14 +102,25 @@ class RecordsTruthSettings(SettingsSection):
 class RippleSettings(SettingsSection):
     """``ripple``: a periodic fluctuation of the rate, by ratio w_n/w0 or by amplitude."""
 
-    harmonic: Annotated[int, AfterValidator(positive)] = key_field("times a revolution", 2, 1)
-    ratio: Ratio | None = key_field("w_n/w0", "0.5 ppm", None, kind="number, or in ppm")
-    amplitude: Annotated[float, read_exactly("rad/s")] | None = key_field("w_n", "1e-6 rad/s", None)
-    phase: Annotated[float, read_exactly("rad", "deg")] = key_field("at time zero", "30 deg", 0.0)
+    harmonic: Annotated[int, AfterValidator(positive)] = key_field(
+        "frequency, in cycles per revolution", 2, 1
+    )
+    ratio: Ratio | None = key_field(
+        "amplitude of the fluctuation over the rate, w_n/w0",
+        "0.5 ppm",
+        None,
+        kind="number, or in ppm",
+    )
+    amplitude: Annotated[float, read_exactly("rad/s")] | None = key_field(
+        "amplitude of the fluctuation, w_n", "1e-6 rad/s", None
+    )
+    phase: Annotated[float, read_exactly("rad", "deg")] = key_field(
+        "phase at time zero", "30 deg", 0.0
+    )
 
 
 class SpindleTruthSettings(SettingsSection):
-    """[truth.spindle]: how the spindle really turns."""
+    """[truth.spindle]: true rotation of the spindle."""
 
     drift: Annotated[float, read_exactly("1/s")] | None = key_field(
         "relative drift C of the rate", "1e-6 1/s", None
@@ -108,10 +132,10 @@ class SpindleTruthSettings(SettingsSection):
         kind="list of tables",
     )
     start_angle: Annotated[float, read_exactly("rad", "deg")] | None = key_field(
-        "at time zero", "30 deg", None, absent="0"
+        "angle at time zero", "30 deg", None, absent="0"
     )
     rate_error: Annotated[Ratio, AfterValidator(small_rate_error)] | None = key_field(
-        "of the true rate, relative to the nominal one",
+        "relative difference between the true rate and the nominal rate",
         "5 ppm",
         None,
         absent="0",
@@ -119,19 +143,22 @@ class SpindleTruthSettings(SettingsSection):
     )
 
 
-#: What a table of [truth] for a family of terms has: meaning, and an example.
+#: Meaning and example of each table of [truth] for a family of terms.
 _FAMILIES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
-    "platform.tilt": ("about `east`, `north`, `up`", {"north": "0.2 arcsec"}),
-    "platform.drift": ("of the gyros about `east`, `north`, `up`", {"north": "0.001 deg/h"}),
+    "platform.tilt": ("tilt about `east`, `north` and `up`", {"north": "0.2 arcsec"}),
+    "platform.drift": ("drift of the gyros about `east`, `north`, `up`", {"north": "0.001 deg/h"}),
     "platform.g_sensitivity": (
-        "of gyro z to force along x, and so on",
+        "sensitivity of gyro z to force along x (`zx`), and so on",
         {"zx": "0.01 deg/h/g"},
     ),
     "platform.g2_sensitivity": (
-        "of the gyros about `east`, `north`, `up` to the square of the force",
+        "sensitivity of the gyros about `east`, `north` and `up` to the square of the force",
         {"north": "1e-4 deg/h/g^2"},
     ),
-    "platform.compliance": ("turn about z by force along y, and so on", {"zy": "0.1 arcsec/g"}),
+    "platform.compliance": (
+        "rotation about z caused by force along y (`zy`), and so on",
+        {"zy": "0.1 arcsec/g"},
+    ),
     "centrifuge.imbalance": (
         "change of the radius with the cosine or sine of 1 or 2 times the angle",
         {"1": {"cos": "1 um"}},
@@ -166,7 +193,7 @@ def _truth_table(
         words, example = _FAMILIES.get(f"{family}.{inner}", ("of this number", {}))
         table = _truth_table(f"{name}_{inner}", f"{family}.{inner}")
         fields[inner] = (table | None, key_field(words, example, None))
-    words = f"[truth.{family}]: what is true of it."
+    words = f"[truth.{family}]: true values of its terms."
     return create_model(name, __base__=base, __doc__=words, **fields)
 
 
@@ -184,7 +211,7 @@ _TILT: Any = _truth_table("True_tilt", "platform.tilt") | None
 RunTruthSettings = create_model(
     "RunTruthSettings",
     __base__=SpindleTruthSettings,
-    __doc__="``truth``: what differs from [truth.spindle] in one run, and its own tilt.",
+    __doc__="``truth``: true rotation and tilt of one run, where they differ from [truth].",
     tilt=(_TILT, key_field(*_FAMILIES["platform.tilt"], None, absent="`[truth.platform]`")),
 )
 
@@ -194,30 +221,30 @@ class _AccelerometerTruthKeys(SettingsSection):
         "error of the displacement at the start of each run", "0.02 m", 0.0
     )
     start_velocity: Annotated[float, read_exactly("m/s")] = key_field(
-        "error of the velocity there", "-1e-4 m/s", 0.0
+        "error of the velocity at the start of each run", "-1e-4 m/s", 0.0
     )
-    bias: Annotated[float, coefficient("g")] | None = key_field("the same as K_F", "5 mg", None)
+    bias: Annotated[float, coefficient("g")] | None = key_field("another name of K_F", "5 mg", None)
     scale_factor: Annotated[float, coefficient("g/g")] | None = key_field(
-        "the same as K_I", "1.002 g/g", None
+        "another name of K_I", "1.002 g/g", None
     )
 
 
 AccelerometerTruthSettings = create_model(
     "AccelerometerTruthSettings",
     __base__=_AccelerometerTruthKeys,
-    __doc__="[truth.NAME]: the true coefficients of one accelerometer.",
+    __doc__="[truth.NAME]: true coefficients of an accelerometer.",
     **term_keys(ACCELEROMETER_TERMS, coefficient),
 )
 
 
 class TrueNoise(StatedNoise):
-    """[truth.noise]: of records, and of readings."""
+    """[truth.noise]: true noise of records and readings."""
 
     reading: Any = key_field(
-        "of readings, in g or in the unit of their `output`; or a table of the accelerometers",
+        "noise of readings, in g or in the unit of their `output`; or a table by accelerometer",
         "2e-6 mA",
         None,
-        absent="what is stated with each",
+        absent="as stated with each reading",
         kind="quantity, or table",
     )
 
@@ -228,19 +255,19 @@ class TrueNoise(StatedNoise):
 
 
 class TruthSettings(SettingsSection):
-    """[truth]: what is true of a simulation; and a table for each accelerometer."""
+    """[truth]: true values for a simulation, with a table for each accelerometer."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, AccelerometerTruthSettings] = Field(init=False)  # type: ignore[valid-type]
 
     spindle: Annotated[dict[str, Any], Section(SpindleTruthSettings)] = key_field(
-        "how the spindle really turns", {"drift": "1e-6 1/s"}, {}
+        "rotation of the spindle: drift and fluctuations of the rate", {"drift": "1e-6 1/s"}, {}
     )
     platform: Annotated[dict[str, Any], Section(PlatformTruthSettings)] = key_field(
         "errors of the platform", {"tilt": {"north": "0.2 arcsec"}}, {}
     )
     centrifuge: Annotated[dict[str, Any], Section(CentrifugeTruthSettings)] = key_field(
-        "its true size, and errors of the path", {"radius": "2.50001 m"}, {}
+        "true radius of the centrifuge, and errors of the path", {"radius": "2.50001 m"}, {}
     )
     encoder: Annotated[dict[str, Any], Section(EncoderTruthSettings)] = key_field(
         "errors of the recorded angle", {"harmonic": {"1": {"sin": "1 arcsec"}}}, {}
@@ -251,16 +278,19 @@ class TruthSettings(SettingsSection):
         {},
     )
     noise: Annotated[dict[str, Any], Section(TrueNoise)] = key_field(
-        "of records and of readings", {"displacement": "0.01 m"}, {}, absent="that of `[noise]`"
+        "noise of records and of readings",
+        {"displacement": "0.01 m"},
+        {},
+        absent="that of `[noise]`",
     )
     machine: dict[str, Any] = key_field(
-        "terms of the machine that readings show", {"centrifuge.radius.in": "1.00001 m"}, {}
+        "terms of the machine that act on readings", {"centrifuge.radius.in": "1.00001 m"}, {}
     )
     site: Annotated[dict[str, Any], Section(SiteTruthSettings)] = key_field(
-        "where the centrifuge really stands", {"latitude": "45.7502 deg"}, {}, absent=_STATED
+        "true gravity and latitude of the site", {"latitude": "45.7502 deg"}, {}, absent=_STATED
     )
     records: Annotated[dict[str, Any], Section(RecordsTruthSettings)] = key_field(
-        "when the rows were really taken", {"timing_offset": "2e-5 s"}, {}, absent=_STATED
+        "true timing of the rows", {"timing_offset": "2e-5 s"}, {}, absent=_STATED
     )
 
 

@@ -89,13 +89,14 @@ class CertificateSettings(SettingsSection):
     """[certificate]: identifier, dates and place of the calibration."""
 
     identifier: Text | None = key_field(
-        "unique",
+        "unique identifier of the certificate",
         "2026-014",
         None,
         absent="`CS-` and 12 digits of the SHA-256 of the result's file and of what LAB.toml says",
     )
     language: Language = key_field(
-        "of the words in this file; those of counterspin are English, and they are what binds",
+        "language of the laboratory's entries in this file; standard texts are in "
+        "English, which is the binding version",
         "de",
         "en",
         kind="language",
@@ -103,50 +104,52 @@ class CertificateSettings(SettingsSection):
     begin: datetime.date = key_field("first day of the calibration", datetime.date(2026, 3, 2))
     end: datetime.date = key_field("last day of the calibration", datetime.date(2026, 3, 4))
     place: Place = key_field(
-        "where the calibration took place",
+        "place of the calibration",
         "customer",
         "laboratory",
     )
     received: datetime.date | None = key_field(
-        "when the item came", datetime.date(2026, 2, 27), None, absent="not said"
+        "date of receipt of the item", datetime.date(2026, 2, 27), None, absent="not stated"
     )
     issued: datetime.date | None = key_field(
-        "day of issue",
+        "date of issue",
         datetime.date(2026, 3, 9),
         None,
         absent="`SOURCE_DATE_EPOCH` of the environment, or today (UTC)",
     )
     traceability: Text = key_field(
-        "how the measurements are traceable to the SI: only the laboratory can say it",
+        "statement of metrological traceability to the SI (ISO/IEC 17025, 7.8.4.1 c)",
         "Length, time and gravity are traceable to national standards.",
     )
     ledger: Text | None = key_field(
-        "file in which each certificate is [entered](#keep-a-ledger), beside LAB.toml",
+        "file beside LAB.toml in which each certificate is [entered](#keep-a-ledger)",
         "ledger.jsonl",
         None,
     )
     procedure: Text | None = key_field(
-        "the laboratory's own procedure, by its identifier",
+        "identifier of the laboratory's procedure",
         "QP-17, issue 3",
         None,
-        absent="not said",
+        absent="not stated",
     )
     deviations: list[Text] = key_field(
-        "from the procedure: additions, exclusions, a list of sentences",
+        "deviations from the procedure (additions, exclusions), as a list of sentences",
         ["shorter warm-up"],
         [],
         absent="none",
     )
     customer_data: list[Text] = key_field(
-        'what the customer supplied, such as `"K_OO, from the maker\'s data sheet"`; '
-        "it is marked as such, with the disclaimer of ISO/IEC 17025, 7.8.2.2",
+        'data supplied by the customer, such as `"K_OO, from the maker\'s data sheet"`; '
+        "the certificate marks them with the disclaimer of ISO/IEC 17025, 7.8.2.2",
         ["mass of the item"],
         [],
         absent="none",
     )
-    remarks: list[Text] = key_field("list of sentences", ["first calibration"], [], absent="none")
+    remarks: list[Text] = key_field(
+        "remarks, as a list of sentences", ["first calibration"], [], absent="none"
+    )
     accelerometers: list[Text] | None = key_field(
-        "which of the result's are certified, a list of names", ["Qx"], None, absent="all"
+        "names of the coefficients to certify", ["Qx"], None, absent="all"
     )
 
     def contradictions(self) -> Iterator[Contradiction]:
@@ -163,47 +166,49 @@ class CertificateSettings(SettingsSection):
 
 
 class Contact(SettingsSection):
-    """[customer]: a name and an address."""
+    """[customer]: name and address."""
 
-    name: Text = key_field("of the organisation", "Example Calibration Ltd")
-    street: Text | None = key_field("of the address", "Main Street", None)
-    number: Text | None = key_field("of the house", "12", None)
-    post_code: Text | None = key_field("of the city", "12345", None)
-    city: Text = key_field("of the address", "Exampletown")
-    country: Country | None = key_field("two letters by ISO 3166-1", "DE", None, kind="country")
-    email: Text | None = key_field("at which it is reached", "lab@example.org", None)
-    phone: Text | None = key_field("at which it is reached", "+49 30 123456", None)
+    name: Text = key_field("name of the organisation", "Example Calibration Ltd")
+    street: Text | None = key_field("street", "Main Street", None)
+    number: Text | None = key_field("house number", "12", None)
+    post_code: Text | None = key_field("postal code of the city", "12345", None)
+    city: Text = key_field("city", "Exampletown")
+    country: Country | None = key_field(
+        "country code of two letters (ISO 3166-1)", "DE", None, kind="country"
+    )
+    email: Text | None = key_field("e-mail address", "lab@example.org", None)
+    phone: Text | None = key_field("telephone number", "+49 30 123456", None)
 
 
 class Laboratory(Contact):
-    """[laboratory]: the calibration laboratory; `code` is that of the accreditation."""
+    """[laboratory]: the calibration laboratory, with the `code` of its accreditation."""
 
-    country: Country = key_field("two letters by ISO 3166-1", "DE", kind="country")
-    code: Text | None = key_field("of the accreditation", "D-K-00000-01-00", None)
+    country: Country = key_field("country code of two letters (ISO 3166-1)", "DE", kind="country")
+    code: Text | None = key_field("identifier of the accreditation", "D-K-00000-01-00", None)
 
 
 class Item(SettingsSection):
     """[item]: the calibrated item."""
 
-    name: Text = key_field("what it is", "Inertial platform")
-    manufacturer: Text = key_field("who made it", "Example Instruments")
-    model: Text = key_field("its type", "IP-3")
-    serial_number: Text = key_field("its own", "0042")
-    inventory_number: Text | None = key_field("the customer's", "INV-7", None)
+    name: Text = key_field("description of the item", "Inertial platform")
+    manufacturer: Text = key_field("manufacturer of the item", "Example Instruments")
+    model: Text = key_field("model of the item", "IP-3")
+    serial_number: Text = key_field("serial number of the item", "0042")
+    inventory_number: Text | None = key_field("customer's identifier of the item", "INV-7", None)
     state: ItemState | None = key_field(
-        "in which it was calibrated",
+        "state of the item during the calibration",
         "as received",
         None,
     )
 
 
 class LabAccelerometer(SettingsSection):
-    """[accelerometers.NAME]: an accelerometer that has its own identity within the item."""
+    """[accelerometers.NAME]: identity of an accelerometer within the item."""
 
-    manufacturer: Text | None = key_field("who made it", "Example Instruments", None)
-    model: Text | None = key_field("its type", "QA-2000", None)
+    manufacturer: Text | None = key_field("manufacturer of the part", "Example Instruments", None)
+    model: Text | None = key_field("model of the part", "QA-2000", None)
     serial_number: Text | None = key_field(
-        "its own; it may not contradict that of the campaign",
+        "serial number of the part; must agree with the campaign's",
         "Q-104",
         None,
         absent="the campaign's",
@@ -211,18 +216,18 @@ class LabAccelerometer(SettingsSection):
 
 
 class Person(SettingsSection):
-    """[[persons]]: the persons responsible for the results."""
+    """[[persons]]: persons responsible for the results."""
 
-    name: Text = key_field("who", "N. N.")
-    role: Text = key_field("for what the person is responsible", "Head of the laboratory")
-    email: Text | None = key_field("at which the person is reached", "n.n@example.org", None)
+    name: Text = key_field("full name", "N. N.")
+    role: Text = key_field("position in the laboratory", "Head of the laboratory")
+    email: Text | None = key_field("e-mail address", "n.n@example.org", None)
 
 
 class Conditions(SettingsSection):
-    """[conditions]: conditions in the laboratory during the calibration."""
+    """[conditions]: environmental conditions during the calibration."""
 
     temperature: Annotated[Quantity, PlainValidator(_parse_temperature)] | None = key_field(
-        "of the laboratory, with its standard uncertainty",
+        "temperature of the laboratory, with its standard uncertainty",
         "20.0 ± 0.3 degC",
         None,
         kind="temperature ±",
@@ -242,14 +247,14 @@ class Lab(SettingsSection):
         },
     )
     laboratory: Laboratory = key_field(
-        "the calibration laboratory",
+        "calibration laboratory",
         {"name": "Example Calibration Ltd", "city": "Exampletown", "country": "DE"},
     )
     customer: Contact = key_field(
-        "for whom it was done", {"name": "Example Instruments", "city": "Exampletown"}
+        "customer", {"name": "Example Instruments", "city": "Exampletown"}
     )
     item: Item = key_field(
-        "what was calibrated",
+        "calibrated item",
         {
             "name": "Inertial platform",
             "manufacturer": "Example Instruments",
@@ -258,38 +263,39 @@ class Lab(SettingsSection):
         },
     )
     accelerometers: dict[str, LabAccelerometer] = key_field(
-        "those that have an identity of their own within the item, by name",
+        "parts of the item that have an identity, by name",
         {"Qx": {"serial_number": "Q-104"}},
         {},
         absent="none",
         kind="tables",
     )
     persons: list[Person] = key_field(
-        "who is responsible for the results; the first signs",
+        "persons responsible for the results; the first one signs",
         [{"name": "N. N.", "role": "Head of the laboratory"}],
         min_length=1,
     )
     conditions: Conditions = key_field(
-        "of the laboratory during the calibration",
+        "environmental conditions in the laboratory during the calibration",
         {"temperature": "20.0 ± 0.3 degC"},
         Conditions(),
         absent="none",
     )
     cmc: dict[str, str] = key_field(
-        "the least expanded uncertainty (95 %) that the laboratory may state, by term",
+        "smallest expanded uncertainty (95 %) that the laboratory may state, by term",
         {"K_II": "1e-7 g/g^2"},
         {},
         absent="no limit",
     )
     evidence: Annotated[dict[str, Text], BeforeValidator(_flatten)] = key_field(
-        "what bounds each term that the result [assumes](#what-is-assumed) to be perfect, or whose "
-        "default uncertainty is a tenth of a variance or more, by term",
+        "evidence for the bounds of each term that the result "
+        "[assumes](#what-is-assumed) perfect, or whose default uncertainty causes a "
+        "tenth or more of a variance, by term",
         {"K_OO": "type test TR-12"},
         {},
         absent="none",
     )
     specification: Annotated[dict[str, Any] | None, Section(Specifications)] = key_field(
-        "limits that coefficients shall meet, as in [a campaign](campaign.md#specification): "
+        "limits for the coefficients, as in [a campaign](campaign.md#specification): "
         "[conformity](conformity.md)",
         {"K_II": "abs <= 5e-5 g/g^2"},
         None,

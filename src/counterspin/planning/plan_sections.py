@@ -66,28 +66,28 @@ def _attitude(value: object) -> object:
 
 
 class LimitsSettings(SettingsSection):
-    """[limits]: what the machine and the laboratory allow."""
+    """[limits]: limits of the machine and the laboratory."""
 
     total_time: Seconds = key_field(
-        "records, spin-up, settling and changes of attitude together", "700 s"
+        "total time of records, spin-up, settling and changes of attitude", "700 s"
     )
     highest_rate: Rate | None = key_field(
-        "largest size of the rate", "2 rad/s", None, absent="by `specific_force` or `rates`"
+        "highest rate (magnitude)", "2 rad/s", None, absent="from `specific_force` or `rates`"
     )
     lowest_rate: Rate | None = key_field(
-        "smallest size of the rate", "0.5 rad/s", None, absent="highest / 8"
+        "lowest rate (magnitude)", "0.5 rad/s", None, absent="highest / 8"
     )
     rates: Annotated[list[Rate], Field(min_length=1, max_length=MOST_RECORDS)] | None = key_field(
-        "the settings available, a list",
+        "list of the available rates",
         ["0.25 rev/s", "0.5 rev/s"],
         None,
         absent="any rate between",
     )
     specific_force: Force | None = key_field(
-        "largest centripetal force, in g", "1 g", None, absent="as the rates"
+        "largest centripetal force, in g", "1 g", None, absent="that of the rates"
     )
-    senses: Literal["one", "both"] = key_field("in which it turns", "both", "one")
-    settling: Duration = key_field("time before each record", "10 s", 0.0, absent="0 s")
+    senses: Literal["one", "both"] = key_field("sense of rotation", "both", "one")
+    settling: Duration = key_field("settling time before each record", "10 s", 0.0, absent="0 s")
     spin_up: SpinUp | None = key_field(
         "angular acceleration; rate / acceleration is added to each run",
         "0.1 rad/s^2",
@@ -95,51 +95,55 @@ class LimitsSettings(SettingsSection):
         absent="no time",
     )
     spin_down: SpinUp | None = key_field(
-        "angular deceleration; rate / acceleration is added to each run",
+        "angular deceleration; rate / deceleration is added to each run",
         "0.1 rad/s^2",
         None,
         absent="no time",
     )
     fewest_revolutions: Annotated[PositiveRatio, AfterValidator(_one_or_more)] = key_field(
-        "of a run, at least 1", 10, 5.0
+        "fewest revolutions of a run, at least 1", 10, 5.0
     )
-    longest_run: Seconds | None = key_field("of a record", "400 s", None, absent="the total time")
+    longest_run: Seconds | None = key_field(
+        "longest duration of a record", "400 s", None, absent="the total time"
+    )
     runs: Annotated[int, Field(le=MOST_RECORDS), AfterValidator(positive)] = key_field(
-        "largest number, at most 60", 14, 8
+        "largest number of runs, at most 60", 14, 8
     )
     fewest_rates: Annotated[int, AfterValidator(positive)] | None = key_field(
-        "how many different rates there must be, each at least 1.25 times the next; "
-        "of `rates`, any that differ",
+        "smallest number of different rates, each at least 1.25 times the next; of "
+        "`rates`, any that differ",
         3,
         None,
         absent="2, or 1 where the other limits leave no room for two",
     )
     attitudes: list[Annotated[Any, PlainValidator(_attitude)]] = key_field(
-        "list, written as in `campaign.toml`",
+        "list of allowed attitudes, written as in `campaign.toml`",
         ["level", "90 deg about east"],
         absent="level only",
         default_factory=lambda: ["level"],
         min_length=1,
         max_length=MOST_ATTITUDES,
     )
-    attitude_change: Duration = key_field("time for each", "5 min", 0.0, absent="0 s")
+    attitude_change: Duration = key_field(
+        "time for each change of attitude", "5 min", 0.0, absent="0 s"
+    )
     sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = key_field(
-        "of the records", "100 Hz", 50.0, absent="50 Hz"
+        "sampling rate of the records", "100 Hz", 50.0, absent="50 Hz"
     )
 
 
 class StationsSettings(SettingsSection):
-    """[[stations]]: readings that may be taken, one for each position or rate."""
+    """[[stations]]: candidate readings, one for each position or rate."""
 
-    name: str = key_field("before the name of each reading", "tumble", "")
+    name: str = key_field("prefix of the name of each reading", "tumble", "")
     motion: Literal["counter-rotating", "arm", "static"] = key_field(
-        "how the instrument moves", "arm", "static"
+        "motion of the instrument", "arm", "static"
     )
     positions: Annotated[int, Field(le=3600), AfterValidator(positive)] | None = key_field(
         "number of equally spaced angles at rest", 24, None
     )
     attitudes: Annotated[list[Any], Field(min_length=1)] | None = key_field(
-        "in place of `positions`: a list, as in [campaigns](readings.md#keys)",
+        "list of attitudes in place of `positions`, as in [campaigns](readings.md#keys)",
         ["level", "90 deg about east"],
         None,
     )
@@ -147,77 +151,80 @@ class StationsSettings(SettingsSection):
         "[poses](poses.md#which-poses-next) of a triad, set by hand", "unknown", None
     )
     up: Annotated[list[Text], Field(min_length=1)] | None = key_field(
-        "of poses: the axes that point up, those with a minus down; where there are several, all "
-        "of them equally",
+        "axes that point up in each pose (with a minus: down); several axes point up equally",
         ["X", "-X", "Y - Z"],
         None,
         absent="each axis, every two and every three of them: 26",
     )
-    about: Text = key_field("the axis about which they turn", "east", "north")
+    about: Text = key_field("axis about which the positions turn", "east", "north")
     u_angle: Annotated[float, read_exactly("rad"), AfterValidator(_not_negative)] = key_field(
         "random error of the dividing head at each position", "2 arcsec", 0.0, absent="0 rad"
     )
     rates: Annotated[list[Rate], Field(min_length=1)] | None = key_field(
-        "of stations that turn: a list of rates", ["5 rad/s", "9.9 rad/s"], None
+        "list of rates of a station that turns", ["5 rad/s", "9.9 rad/s"], None
     )
     specific_forces: Annotated[list[Force], Field(min_length=1)] | None = key_field(
-        "in place of `rates`: a list of centripetal forces", ["2 g", "10 g"], None
+        "list of centripetal forces, in place of `rates`", ["2 g", "10 g"], None
     )
-    senses: Literal["one", "both"] = key_field("in which it turns", "both", "one")
+    senses: Literal["one", "both"] = key_field("sense of rotation", "both", "one")
     axes: dict[str, Any] | None = key_field(
-        "as of a run with a reading", {"input": "inward", "pendulous": "up"}, None
+        "axes in the frame of the motion, as of a run with a reading",
+        {"input": "inward", "pendulous": "up"},
+        None,
     )
-    mounting: str = key_field("as of a run with a reading", "in", "")
+    mounting: str = key_field("mounting, as of a run with a reading", "in", "")
     u: Annotated[Text | dict[str, Text], BeforeValidator(require_units)] = key_field(
-        "standard uncertainty of one reading, in g or the unit of `output`; with "
-        "several accelerometers a table by name, or one for all",
+        "standard uncertainty of one reading, in g or the unit of `output`; for several"
+        " accelerometers one value or a table by name",
         "2e-6 mA",
     )
-    time: Duration = key_field("that one reading takes", "60 s", 0.0, absent="0 s")
+    time: Duration = key_field("time for one reading", "60 s", 0.0, absent="0 s")
 
 
 class ReadingLimitsSettings(SettingsSection):
-    """[limits]: how many readings there may be, and in which order."""
+    """[limits]: limits on the number and order of readings."""
 
     readings: Annotated[int, Field(le=MOST_READINGS), AfterValidator(positive)] | None = key_field(
-        "most of them", 60, None, absent="as the time"
+        "largest number of readings", 60, None, absent="limited by the time"
     )
     total_time: Seconds | None = key_field(
-        "of all readings; with it a target is reached in the least time, else with "
-        "the fewest readings",
+        "total time of all readings; with it a target is reached in the least time, "
+        "otherwise with the fewest readings",
         "2 h",
         None,
-        absent="as the number",
+        absent="limited by the number",
     )
     order: Literal["mirrored", "random", "listed"] = key_field(
-        '`"mirrored"`: there and back, so that a linear drift cancels; `"random"`; `"listed"`',
+        'order of the readings: `"mirrored"` goes there and back, which cancels a '
+        'linear drift; `"random"`; `"listed"`',
         "random",
         "mirrored",
     )
     sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = (
-        key_field("of the records in `[[runs]]`, if there are any", "50 Hz", None)
+        key_field("sampling rate of the records in `[[runs]]`", "50 Hz", None)
     )
 
 
 class GoalSettings(SettingsSection):
-    """[goal]: what the plan is for."""
+    """[goal]: objective of the plan."""
 
     minimise: list[Text] | dict[str, Any] | None = key_field(
-        'coefficients, as `["K_II"]`; of several in different units the sizes of u '
-        'that count alike, as `{ K_II = "1e-8 g/g^2", K_I = "1e-6 g/g" }`',
+        'coefficients whose u is minimised, such as `["K_II"]`; for different units, '
+        'sizes of u that count equally, such as `{ K_II = "1e-8 g/g^2", K_I = "1e-6 '
+        'g/g" }`',
         ["K_II"],
         None,
         absent="`target`",
     )
     target: dict[str, Any] | None = key_field(
-        "sizes of u to reach in the least time, in place of `minimise`",
+        "target values of u to reach in the least time, in place of `minimise`",
         {"K_II": "2e-8 g/g^2"},
         None,
         absent="`minimise`",
     )
     criterion: Literal["sum", "determinant"] = key_field(
-        '`"sum"`: the mean of (u/size)² (c- or A-optimality); `"determinant"`: the '
-        "volume of the ellipsoid (D-optimality)",
+        'criterion: `"sum"` is the mean of (u/size)² (c- or A-optimality); '
+        '`"determinant"` is the volume of the ellipsoid (D-optimality)',
         "determinant",
         "sum",
     )
@@ -228,26 +235,29 @@ class _Sections(SettingsSection):
 
     schema_version: Schema = key_field("version of this format", 1, alias="schema")
     campaign: Annotated[dict[str, Any], Section(CampaignSettings)] = key_field(
-        "what a report says, as in a campaign",
+        "heading and identification of the report, as in a campaign",
         {"title": "A day at the centrifuge"},
         absent="empty",
         default_factory=dict,
     )
     site: Annotated[dict[str, Any], Section(SiteSettings)] = key_field(
-        "where, as in a campaign", {}
+        "location of the centrifuge, as in a campaign", {}
     )
     accelerometers: Accelerometers = key_field(
-        "one table for each, as in a campaign",
+        "a table for each accelerometer, as in a campaign",
         {"Qx": {"input_axis": "east", "pendulous_axis": "down"}},
     )
     model: Annotated[dict[str, Any] | None, Section(ModelSettings)] = key_field(
-        "what is asked for, and what is known, as in a campaign", {}, None, absent="the usual terms"
+        "requested terms and prior information, as in a campaign",
+        {},
+        None,
+        absent="the usual terms",
     )
     records: Annotated[dict[str, Any] | None, Section(RecordsSettings)] = key_field(
-        "how files will be read, as in a campaign", {}, None
+        "format of the record files, as in a campaign", {}, None
     )
     goal: Annotated[dict[str, Any], Section(GoalSettings)] = key_field(
-        "what the plan is for", {"minimise": ["K_II"]}
+        "objective of the plan", {"minimise": ["K_II"]}
     )
 
 
@@ -255,13 +265,14 @@ class PlanDocument(_Sections):
     """A plan of records."""
 
     limits: Annotated[dict[str, Any], Section(LimitsSettings)] = key_field(
-        "what the machine and the laboratory allow", {}
+        "limits of the machine and the laboratory", {}
     )
     centrifuge: Annotated[dict[str, Any], Section(CentrifugeSettings)] = key_field(
-        "its size, as in a campaign", {}
+        "dimensions of the centrifuge, as in a campaign", {}
     )
     noise: Annotated[dict[str, Any], Section(NoiseSettings)] = key_field(
-        "of the records, as in a campaign; every size a number", {"displacement": "0.01 m"}
+        "noise of the records, as in a campaign; every value is a number",
+        {"displacement": "0.01 m"},
     )
     truth: Annotated[dict[str, Any] | None, Section(TruthSettings)] = key_field(
         "true values, for a simulation of the plan", {}, None
@@ -272,16 +283,16 @@ class ReadingPlanDocument(_Sections):
     """A plan of readings."""
 
     limits: Annotated[dict[str, Any], Section(ReadingLimitsSettings)] = key_field(
-        "how many readings there may be, and in which order", {}
+        "limits on the number and order of readings", {}
     )
     centrifuge: Annotated[dict[str, Any] | None, Section(CentrifugeSettings)] = key_field(
-        "its size, as in a campaign; needed where a station turns", {}, None
+        "dimensions of the centrifuge, as in a campaign; required if a station turns", {}, None
     )
     fixture: Annotated[dict[str, Any] | None, Section(FixtureSettings)] = key_field(
-        "how well positions are set, as in a campaign", {}, None
+        "uncertainty of positions at rest, as in a campaign", {}, None
     )
     noise: Annotated[dict[str, Any] | None, Section(NoiseSettings)] = key_field(
-        "of the records of `runs`, as in a campaign", {}, None
+        "format of the records of `runs`, as in a campaign", {}, None
     )
     triad: Annotated[dict[str, Any] | None, Section(TriadSettings)] = key_field(
         "three accelerometers of one sensor, as in a campaign", {}, None
@@ -296,5 +307,5 @@ class ReadingPlanDocument(_Sections):
         "a table of readings that are taken in any case, as in a campaign", {}, None
     )
     stations: Annotated[list[Any], Field(min_length=1), Section(list[StationsSettings])] = (
-        key_field("readings that may be taken", [{"positions": 24, "u": "2e-6 g"}])
+        key_field("stations at which readings may be taken", [{"positions": 24, "u": "2e-6 g"}])
     )

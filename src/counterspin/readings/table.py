@@ -76,81 +76,83 @@ _STATIONS: Final = {"rate", "attitude", "head", "input"}
 
 class _TableFile(SettingsSection):
     file: Annotated[Text, AfterValidator(file_name)] = key_field(
-        ".csv, .txt or .tsv (commas, semicolons or tabs), .parquet, .mat, .h5, or .xlsx "
-        "([extra](quickstart.md#extras) `excel`)",
+        "name of the file: .csv, .txt or .tsv (commas, semicolons or tabs), .parquet, "
+        ".mat, .h5, or .xlsx ([extra](quickstart.md#extras) `excel`)",
         "readings.csv",
     )
 
 
 # The fields of the last base come first.
 class MountingSettings(ReadingAxes):
-    """[readings.mountings.NAME]: how the axes point there, and where its readings are."""
+    """[readings.mountings.NAME]: axes of a mounting, and the column of its readings."""
 
     reading: Text | None = key_field(
-        "column of its readings, where mountings stand side by side", "inward_mA", None
+        "column with its readings, if mountings have separate columns", "inward_mA", None
     )
-    u: Text | None = key_field("column of their uncertainties", "u_inward_mA", None)
+    u: Text | None = key_field("column with the uncertainties of the readings", "u_inward_mA", None)
 
 
 class ReadingsSettings(TableDialect, _TableFile):
-    """[readings]: a table in place of many [[runs]]."""
+    """[readings]: a table of readings, in place of many [[runs]]."""
 
     columns: dict[str, _Repeats | dict[str, _Repeats]] = key_field(
-        "`name`, `motion`, `rate`, `u_rate`, `attitude`, `head`, `input`, `pendulous`, `reading`, "
-        "`u`, `temperature`, `time`, `mounting`, `sense` -> column",
+        "column names, by key: `name`, `motion`, `rate`, `u_rate`, `attitude`, `head`, `input`, "
+        "`pendulous`, `reading`, `u`, `temperature`, `time`, `mounting`, `sense`",
         {"attitude": "angle_deg", "reading": "mA"},
         min_length=1,
     )
     u: Text | None = key_field(
-        "standard uncertainty of the readings that have none in the column `u`",
+        "standard uncertainty of readings without an entry in the column `u`",
         "2 uA",
         None,
         absent="estimated",
     )
-    motion: MotionKind = key_field("of every row, where there is no such column", "arm", "static")
-    about: Text = key_field("the axis of angles in the column `attitude`", "east", "north")
-    attitude_unit: Text = key_field("of these angles, and of the column `head`", "arcmin", "deg")
+    motion: MotionKind = key_field("motion of every row, if no column states it", "arm", "static")
+    about: Text = key_field("axis of the angles in the column `attitude`", "east", "north")
+    attitude_unit: Text = key_field(
+        "unit of the angles in the columns `attitude` and `head`", "arcmin", "deg"
+    )
     u_attitude: Text | None = key_field(
-        'random standard uncertainty of these angles, such as `"2 arcsec"`',
+        'random standard uncertainty of the angles in the column `attitude`, such as `"2 arcsec"`',
         "2 arcsec",
         None,
         absent="0",
     )
     rate_unit: Text = key_field(
-        "of the column `rate`, `1/min` and `Hz` being revolutions; of the time of a revolution "
+        "unit of the column `rate` (`1/min`, `Hz`: revolutions); or of the time of a revolution "
         "(`s`), or of the acceleration (`g`, `m/s^2`) at the radius of `[centrifuge]`",
         "rpm",
         "rad/s",
     )
     u_rate: Text | None = key_field(
-        "random standard uncertainty of the rates that have none in the column `u_rate`, which is "
-        "in `rate_unit`",
+        "random standard uncertainty of rates without an entry in the column `u_rate`, "
+        "which is in `rate_unit`",
         "1e-5 rad/s",
         None,
         absent="the default",
     )
     sense: Sense = key_field(
-        "in which the machine turns at a positive rate, seen from above, where there is no such "
-        "column, or nothing in it",
+        "sense of rotation at a positive rate, seen from above, for rows without an "
+        "entry in the column `sense`",
         "clockwise",
         "counterclockwise",
     )
     axes: ReadingAxes | None = key_field(
-        "of every row that turns", {"input": "inward", "pendulous": "up"}, None, absent="`attitude`"
+        "axes of rows that turn", {"input": "inward", "pendulous": "up"}, None, absent="`attitude`"
     )
     axes_at_rest: ReadingAxes | None = key_field(
-        "of rows at rest", {"input": "up", "pendulous": "outward"}, None, absent="`axes`"
+        "attitude of rows at rest", {"input": "up", "pendulous": "outward"}, None, absent="`axes`"
     )
-    mounting: str = key_field("of every row", "in", "")
+    mounting: str = key_field("mounting of every row", "in", "")
     merged: bool = key_field(
-        "whether an empty cell of the column `mounting` has what stands above it, as merged cells "
-        "of a spreadsheet do",
+        "whether an empty cell of the column `mounting` repeats the cell above, as "
+        "merged cells of a spreadsheet do",
         True,
         False,
     )
     mountings: dict[str, MountingSettings] = key_field(
-        "the axes of each mounting, in place of `axes`; and its column `reading`, where each has a "
-        "column of its own",
+        "axes of each mounting, in place of `axes`; and its column `reading`, if "
+        "mountings have separate columns",
         {"in": {"input": "inward", "pendulous": "up"}},
         {},
     )

@@ -64,47 +64,49 @@ def _analysis_name(analysis: str) -> str:
 
 
 class AnalysisSettings(SettingsSection):
-    """[study.analyses.NAME]: one competitor."""
+    """[study.analyses.NAME]: an analysis to compare."""
 
-    method: Literal["two-stage", "joint"] = key_field("how it calibrates", "joint")
+    method: Literal["two-stage", "joint"] = key_field("method of calibration", "joint")
     model: Literal["exact", "as-printed"] = key_field(
-        "which equations the two-stage method takes", "as-printed", "exact"
+        "equations of the two-stage method", "as-printed", "exact"
     )
     weighted: bool = key_field(
-        "whether the second stage of the two-stage method weighs its strobes", False, True
+        "whether the second stage of the two-stage method is weighted", False, True
     )
     ripple: Literal["amplitude", "ratio"] = key_field(
-        "whether the two-stage method states a ripple of the rate by its amplitude, or by that "
-        "over the rate",
+        "form of the ripple in the two-stage method: its amplitude, or its amplitude over the rate",
         "ratio",
         "amplitude",
     )
     fit_bias: bool = key_field("whether the second stage fits a bias", False, True)
     sigma: Literal["given", "residuals"] = key_field(
-        "whether the noise of the strobes is given or taken from the residuals",
+        "source of the strobes' noise: given, or estimated from the residuals",
         "residuals",
         "given",
     )
     terms: list[Text] | None = key_field(
-        "what is asked for, in place of `[model]` `terms`",
+        "requested terms, in place of `[model]` `terms`",
         ["K_F", "K_II"],
         None,
         absent="the campaign's",
     )
     assume: TextList | None = key_field(
-        "taken as perfect, in place of `[model]` `assume`", ["K_OO"], None, absent="the campaign's"
+        "terms and inputs assumed perfect, in place of `[model]` `assume`",
+        ["K_OO"],
+        None,
+        absent="the campaign's",
     )
     hold: list[Text] | None = key_field(
-        "known but not adjusted, in place of `[model]` `hold`",
+        "terms and inputs fixed at the stated value, in place of `[model]` `hold`",
         ["K_PP"],
         None,
         absent="the campaign's",
     )
-    considered: list[Text] | None = key_field("the old name of `hold`", ["K_PP"], None)
+    considered: list[Text] | None = key_field("former name of `hold`", ["K_PP"], None)
 
 
 class DistributionSettings(SettingsSection):
-    """[study.vary.NAME]: how one quantity varies."""
+    """[study.vary.NAME]: distribution of a quantity."""
 
     normal: Any = key_field(
         "mean ± standard deviation of a normal distribution",
@@ -118,21 +120,21 @@ class DistributionSettings(SettingsSection):
         None,
         kind="two quantities",
     )
-    fixed: Any = key_field("one value in every trial", "0.02 m", None, kind="quantity")
+    fixed: Any = key_field("value that is the same in every trial", "0.02 m", None, kind="quantity")
     per: Literal["run", "campaign"] = key_field(
-        "whether it is drawn anew for each run", "run", "campaign"
+        "whether each run has a separate random value", "run", "campaign"
     )
 
 
 class StudySettings(SettingsSection):
-    """[study]: what varies from trial to trial, and which analyses compete."""
+    """[study]: varied quantities and compared analyses."""
 
     trials: Annotated[int, Field(ge=2, le=10**9)] = key_field(
-        "how many campaigns are simulated and calibrated", 2000, 10_000
+        "number of campaigns to simulate and calibrate", 2000, 10_000
     )
-    seed: Annotated[int, Field(ge=0)] = key_field("of the random numbers", 1, 1)
+    seed: Annotated[int, Field(ge=0)] = key_field("seed of the random numbers", 1, 1)
     vary: Annotated[dict[str, Any], Section(dict[str, DistributionSettings])] = key_field(
-        "what differs from trial to trial: name -> distribution",
+        "quantities that vary from trial to trial: name -> distribution",
         {"centrifuge.radius": {"normal": "2.5 ± 1e-5 m"}},
         absent="nothing",
         default_factory=dict,
@@ -141,7 +143,7 @@ class StudySettings(SettingsSection):
         dict[Annotated[str, AfterValidator(_analysis_name)], Any],
         Section(dict[str, AnalysisSettings]),
     ] = key_field(
-        "what competes: name -> analysis",
+        "analyses to compare: name -> analysis",
         {"joint": {"method": "joint"}},
         absent="the two methods, and the paper's equations",
         default_factory=dict,
@@ -154,7 +156,7 @@ class StudyDocument(SettingsSection):
     schema_version: Schema = key_field("version of this format", 1, alias="schema")
     campaign: Text = key_field("folder or description of the campaign", "campaign")
     study: Annotated[dict[str, Any], Section(StudySettings)] = key_field(
-        "what varies, and what competes", {}
+        "varied quantities and compared analyses", {}
     )
 
 

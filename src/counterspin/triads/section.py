@@ -34,9 +34,9 @@ class TriadSettings(SettingsSection):
     """[triad]: three accelerometers of one sensor."""
 
     accelerometers: Annotated[list[Text], Field(min_length=3, max_length=3)] = key_field(
-        "their names: the frame's first axis is the input axis of the first, and that of the "
-        "second lies in the plane of the first two; where none of them states an axis, they are "
-        "at right angles",
+        "names of the three accelerometers. The frame's first axis is the input axis of"
+        " the first; the input axis of the second lies in the plane of the first two. "
+        "If none states an axis, the frame's axes are at right angles",
         ["X", "Y", "Z"],
     )
 
