@@ -2,6 +2,6 @@
 
 - `document`: the whole of it, in a terminal, in a notebook, as a report; many campaigns in a table
 - `card`: the answer on one accelerometer at a glance
-- `verdict`, `accelerometer`, `triad`, `uncertainty`, `methods`, `pictures`: its chapters
+- `verdict`, `accelerometer`, `budget`, `triad`, `uncertainty`, `methods`, `pictures`: its chapters
 - `traces`: thinned residuals for its pictures
 """

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from counterspin.calibration.findings import methods_agree
 from counterspin.calibration.pages.methods import method_blocks, table_of_tests
-from counterspin.calibration.pages.uncertainty import decisive_lines, label_of
+from counterspin.calibration.pages.uncertainty import label_of
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
@@ -18,7 +17,7 @@ from counterspin.calibration.result_parts import (
     RunResult,
 )
 from counterspin.inference.identifiability import ConfoundedTerms
-from counterspin.inference.joint.summary import BudgetLine, Jackknife
+from counterspin.inference.joint.summary import Jackknife
 from counterspin.physics.terms import is_term, term, words_of
 from counterspin.records.record import rejected_of
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
@@ -30,16 +29,11 @@ from counterspin.reports.numbers import (
     format_estimate,
     format_number,
     format_share,
-    format_uncertainty,
     round_to_uncertainty,
 )
 
 #: Above this correlation, estimates are named as moving together.
 _STRONG_CORRELATION: Final = 0.9
-
-#: Kinds of sources -> type of their evaluation (GUM 3.3.4). Noise is type A where it is estimated
-#: from the records, and else type B.
-_EVALUATIONS: Final = {"stated": "B", "unstated": "B, typical", "held": "B, held"}
 
 #: Unknowns of the two-stage method that are the spindle's, and so in neither table of terms:
 #: symbol and words.
@@ -95,7 +89,7 @@ def _readings(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[B
             Column("Rate, rad/s", "right"),
             Column("Indication, g", "right"),
             Column("Residual, ug", "right"),
-            Column("Residual / its u", "right"),
+            Column("Residual / u(residual)", "right"),
             Column("Used", "right"),
             Column("Rejected", "right"),
         ),
@@ -298,7 +292,7 @@ def _jackknife(lines: Sequence[Jackknife], coefficient: Coefficient) -> Iterator
             Column("Run left out", wraps=True),
             Column(f"K_II, {unit}", "right"),
             Column(f"shift, {unit}", "right"),
-            Column("shift / its u", "right"),
+            Column("shift / u(shift)", "right"),
         ),
         rows=tuple(
             (
@@ -334,51 +328,6 @@ def _correlations(accelerometer: AccelerometerResult) -> Iterator[Block]:
             Column("Correlation", "right"),
         ),
         tuple((label_of(b), label_of(a), _correlation(r)) for a, b, r in pairs),
-    )
-
-
-def budget_blocks(name: str, accelerometer: AccelerometerResult) -> Iterator[Block]:
-    """Yield a table for each coefficient that has a budget, K_II first."""
-    estimated = any(line.estimated for line in accelerometer.noise.values())
-    evaluation = _EVALUATIONS | {"noise": "A" if estimated else "B"}
-    for symbol, lines in sorted(accelerometer.budget.items(), key=lambda item: item[0] != "K_II"):
-        coefficient = accelerometer.coefficients.get(symbol)
-        unit, factor = field_unit(coefficient.unit if coefficient else "")
-        yield Heading(f"Uncertainty budget of {symbol}, {name}", 3)
-        total = math.sqrt(sum(line.contribution**2 for line in lines))
-        shown, rest = decisive_lines(lines)
-        rows = [_budget_row(line, factor, evaluation) for line in shown]
-        if rest:
-            size = math.hypot(*(line.contribution for line in rest))
-            share = sum(line.share for line in rest)
-            more = f"{len(rest)} more"
-            found = format_uncertainty(size * factor), format_share(share)
-            rows.append((more, "", "", "", "", *found))
-        rows.append(("combined", "", "", "", "", format_uncertainty(total * factor), ""))
-        yield Table(
-            columns=(
-                Column("Source", wraps=True),
-                Column("Meaning", wraps=True),
-                Column("Type"),
-                Column("Std. uncertainty", "right", wraps=True),
-                Column(f"Sensitivity, {unit} per unit", "right", wraps=True),
-                Column(f"Contribution, {unit}", "right", wraps=True),
-                Column("Share of u^2", "right", wraps=True),
-            ),
-            rows=tuple(rows),
-        )
-
-
-def _budget_row(line: BudgetLine, factor: float, evaluation: Mapping[str, str]) -> tuple[str, ...]:
-    unit, source = field_unit(line.unit)
-    return (
-        line.source,
-        words_of(line.source),
-        evaluation[line.kind],
-        "" if line.u is None else f"{format_number(line.u * source, 2)} {unit}",
-        "" if line.sensitivity is None else format_number(line.sensitivity * factor / source),
-        format_uncertainty(line.contribution * factor),
-        format_share(line.share),
     )
 
 

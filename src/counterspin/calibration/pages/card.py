@@ -141,7 +141,7 @@ def _checks(accelerometer: AccelerometerResult) -> Iterator[Check]:
     shift = None
     if largest is not None:
         size = format_number(abs(largest.z or 0.0), 2)
-        shift = f"largest shift {size} of its u, without {largest.run}"
+        shift = f"largest shift, without {largest.run}: {size} times its standard uncertainty"
     clause = passed.get("each run left out")
     yield _check("Runs", f"{clause}; {shift}" if clause else None, shift)
     yield _check("Method", *_of_methods(accelerometer))
@@ -160,7 +160,7 @@ def _of_methods(accelerometer: AccelerometerResult) -> tuple[str | None, str | N
         return None, None
     unit, factor = field_unit(coefficient.unit)
     value = format_estimate(compared.value * factor, compared.u * factor, unit)
-    apart = f"{value}, {format_number(abs(compared.z), 2)} u apart"
+    difference = f"difference {format_number(abs(compared.z), 2)} times its standard uncertainty"
     if methods_agree(compared):
-        return f"two-stage method agrees: {apart}", None
-    return None, f"two-stage method disagrees: {apart}"
+        return f"two-stage method agrees: {value}, {difference}", None
+    return None, f"two-stage method disagrees: {value}, {difference}"

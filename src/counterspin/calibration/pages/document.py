@@ -11,12 +11,12 @@ from rich.console import Console
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.accelerometer import (
     accelerometer_blocks,
-    budget_blocks,
     coefficient_table,
     count_blocks,
     in_field_units,
     note_blocks,
 )
+from counterspin.calibration.pages.budget import budget_blocks
 from counterspin.calibration.pages.card import accelerometer_card
 from counterspin.calibration.pages.methods import model_blocks, origin_blocks
 from counterspin.calibration.pages.pictures import (
@@ -96,12 +96,13 @@ def sections(result: Result, *, budget: bool = False, details: bool = False) -> 
     for name, accelerometer in result.accelerometers.items():
         blocks += accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=details)
         if budget:
-            blocks += budget_blocks(name, accelerometer)
+            blocks += budget_blocks(name, result)
     blocks += triad_blocks(result, details=details)
     blocks += platform_blocks(result)
     if budget:
         blocks += knowledge_blocks(result)
-    blocks += run_blocks(result.runs, details=details)
+    if result.runs:
+        blocks += [Heading("Runs"), *run_blocks(result.runs, details=details)]
     if details:
         blocks += _details(result)
     return blocks
@@ -200,10 +201,9 @@ def platform_blocks(result: Result) -> Iterator[Block]:
 
 
 def run_blocks(runs: dict[str, RunResult], *, details: bool) -> Iterator[Block]:
-    """Yield what the runs showed: rotation, samples, fits; with `details`, counts of each kind."""
+    """Yield rotation, samples and fits of the runs; with `details`, counts of each kind."""
     if not runs:
         return
-    yield Heading("Runs")
     yield Table(
         columns=(
             Column("Run", wraps=True),
@@ -364,7 +364,7 @@ def _coefficients(result: Result) -> Iterator[Block]:
 
 def _budgets(result: Result) -> Iterator[Block]:
     for name, accelerometer in result.accelerometers.items():
-        yield from budget_blocks(name, accelerometer)
+        yield from budget_blocks(name, result)
         yield from _drawn(budget_bars(name, accelerometer))
     yield from knowledge_blocks(result)
 
@@ -378,8 +378,7 @@ def _residuals(result: Result) -> Iterator[Block]:
 
 
 def _runs(result: Result) -> Iterator[Block]:
-    # The chapter has the heading.
-    yield from list(run_blocks(result.runs, details=True))[1:]
+    yield from run_blocks(result.runs, details=True)
     yield from _drawn(ripple_plot(result.runs))
 
 

@@ -166,7 +166,7 @@ def _poses(triad: TriadResult, *, details: bool) -> Iterator[Block]:
             Column("Pose", wraps=True),
             Column("Direction of f", "right"),
             Column("Residual, ug", "right"),
-            Column("Residual / its u", "right"),
+            Column("Residual / u(residual)", "right"),
         ),
         rows=tuple(
             (

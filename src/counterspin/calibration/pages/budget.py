@@ -1,0 +1,114 @@
+"""The uncertainty budget of a coefficient as a table, with the columns of GUM table H.1."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
+
+from counterspin.calibration.pages.uncertainty import decisive_lines
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import AccelerometerResult
+from counterspin.inference.joint.summary import BudgetLine
+from counterspin.physics.terms import words_of
+from counterspin.reports.blocks import Block, Column, Heading, Table
+from counterspin.reports.numbers import (
+    field_unit,
+    format_number,
+    format_share,
+    format_uncertainty,
+    round_to_uncertainty,
+)
+
+#: Kind of a source -> type of its evaluation (GUM 3.3.4). Noise is of type A if it is estimated
+#: from the records, else of type B.
+_EVALUATIONS: Final = {"stated": "B", "unstated": "B, default", "held": "B, considered"}
+
+
+def budget_blocks(name: str, result: Result) -> Iterator[Block]:
+    """Yield a table for each coefficient of an accelerometer that has a budget, K_II first."""
+    budgets = result.accelerometers[name].budget
+    for symbol in sorted(budgets, key=lambda symbol: symbol != "K_II"):
+        yield Heading(f"Uncertainty budget of {symbol}, {name}", 3)
+        yield budget_table(name, symbol, result, *decisive_lines(budgets[symbol]))
+
+
+def budget_table(
+    name: str, symbol: str, result: Result, shown: Sequence[BudgetLine], rest: Sequence[BudgetLine]
+) -> Table:
+    """Return the budget of a coefficient as a table; empty columns are left out.
+
+    name: Name of the accelerometer.
+    shown, rest: Lines with a row each, and lines that share a row.
+    """
+    accelerometer = result.accelerometers[name]
+    coefficient = accelerometer.coefficients.get(symbol)
+    unit, factor = field_unit(coefficient.unit if coefficient else "")
+    evaluations = _EVALUATIONS | {"noise": _noise_evaluation(accelerometer)}
+    values = prior_values(name, result)
+    rows: list[tuple[str, ...]] = [
+        (
+            line.source,
+            words_of(line.source),
+            evaluations[line.kind],
+            *_prior_cells(line, values.get(line.source)),
+            _sensitivity(line, factor),
+            format_uncertainty(line.contribution * factor),
+            format_share(line.share),
+        )
+        for line in shown
+    ]
+    if rest:
+        size = math.hypot(*(line.contribution for line in rest))
+        share = format_share(sum(line.share for line in rest))
+        rows.append((f"{len(rest)} more", *[""] * 5, format_uncertainty(size * factor), share))
+    total = math.hypot(*(line.contribution for line in (*shown, *rest)))
+    rows.append(("combined", *[""] * 5, format_uncertainty(total * factor), ""))
+    return Table(
+        columns=(
+            Column("Source", wraps=True),
+            Column("Meaning", wraps=True),
+            Column("Type"),
+            Column("Value", "right"),
+            Column("Std. uncertainty", "right", wraps=True),
+            Column(f"Sensitivity, {unit} per unit", "right", wraps=True),
+            Column(f"Contribution, {unit}", "right", wraps=True),
+            Column("Share of u^2", "right", wraps=True),
+        ),
+        rows=tuple(rows),
+    ).without_empty_columns()
+
+
+def prior_values(name: str, result: Result) -> Mapping[str, float]:
+    """Return the values of terms and inputs before the data, by source as in a budget of `name`.
+
+    A result does not contain the prior of a coefficient that the records improve.
+    """
+    priors = {row.name.removeprefix(f"{name}."): row.value for row in result.rests_on}
+    coefficients = result.accelerometers[name].coefficients.items()
+    unimproved = {s: c.value for s, c in coefficients if not c.estimated and c.value is not None}
+    return unimproved | priors
+
+
+def _noise_evaluation(accelerometer: AccelerometerResult) -> str:
+    return "A" if any(line.estimated for line in accelerometer.noise.values()) else "B"
+
+
+def _prior_cells(line: BudgetLine, value: float | None) -> tuple[str, str]:
+    """Return the cells of a source's value and standard uncertainty, with their unit."""
+    if line.u is None:
+        return "", ""
+    unit, factor = field_unit(line.unit)
+    u = f"{format_number(line.u * factor, 2)} {unit}"
+    if not value:
+        return "" if value is None else f"0 {unit}", u
+    rounded = round_to_uncertainty(value * factor, line.u * factor)
+    if rounded is None or rounded.exponent:
+        return f"{format_number(value * factor, 9)} {unit}", u
+    return f"{rounded.value} {unit}", u
+
+
+def _sensitivity(line: BudgetLine, factor: float) -> str:
+    if line.sensitivity is None:
+        return ""
+    return format_number(line.sensitivity * factor / field_unit(line.unit)[1])
