@@ -26,7 +26,7 @@ class ForceOptions:
     Parameters
     ----------
     column
-        The column to correct; may be left out if only one is possible.
+        Column to correct; required if several columns are possible.
     unit
         Unit of the forces in the table: g, m/s^2, mg; or the unit of the calibrated output, such as
         count, in which case the corrected forces are in g.
@@ -37,10 +37,11 @@ class ForceOptions:
     temperature
         Temperature of the accelerometer: a column in degC, or a constant such as "23 ± 1 degC".
     others
-        Accelerometers mounted with it, from which both cross-axis forces are computed:
+        Other accelerometers on the same platform, from which both cross-axis forces are computed:
         Qy=COLUMN,Qz=COLUMN.
     force
-        Apply a result of the equations as printed too, although its K_II is half the true one.
+        Also apply a result of the equations as printed in the paper, whose K_II is half the true
+        value.
     """
 
     column: Annotated[str | None, Parameter(name="--input")] = None
@@ -68,7 +69,7 @@ class FileOptions:
     encoding
         Encoding of the text, such as latin-1.
     units_row
-        Whether there is a row of units below the names.
+        Whether a row of units follows the column names.
     sheet
         Sheet of an Excel file.
     group
@@ -98,19 +99,21 @@ def apply(
     written: FileOptions = _PLAIN,
     overwrite: bool = False,
 ) -> None:
-    """Correct indicated specific force for a calibrated accelerometer.
+    """Correct the output of a calibrated accelerometer.
 
     Parameters
     ----------
     result
         Result written by `counterspin calibrate --json`.
     file
-        Record file with a column of indicated specific force, such as .csv, .parquet, .h5 or .mat.
+        Record file with a column of the accelerometer's output, such as .csv, .parquet, .h5 or
+        .mat.
     output
-        File to write: the table with two more columns, corrected force and its uncertainty.
+        Output file: the table with two further columns, the corrected specific force and its
+        uncertainty.
     accelerometer
-        Which of the result's accelerometers to correct. Without it, all that --others names, or all
-        three of a triad if the columns have their names.
+        Accelerometer to correct. Default: every accelerometer in --others, or all three of a
+        triad if the columns carry their names.
     overwrite
         Replace an earlier corrected file; other files are never replaced.
     """

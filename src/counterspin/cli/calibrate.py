@@ -30,19 +30,21 @@ class Estimation:
     Parameters
     ----------
     method
-        All samples in one weighted fit, or the paper's two stages.
+        One weighted fit of all samples, or the two-stage method of the paper.
     model
-        Observation model of the two-stage method: the exact one, or the paper's as printed.
+        Observation model of the two-stage method: exact, or as printed in the paper.
     weighted
-        Two-stage: weight the runs by sigma(b2), which the paper does not.
+        Two-stage: weight the runs by sigma(b2). The paper gives them equal weights.
     ripple
-        Two-stage, as printed: what all rates have in common, the ripple's amplitude or its ratio.
+        Two-stage as printed: ripple quantity shared by all rates, its amplitude or its ratio to
+        the rate.
     fit_bias
-        Two-stage: estimate K_F with its prior, or take it as known.
+        Two-stage: estimate K_F with its prior, or treat it as known.
     sigma
-        Two-stage: use the displacement noise stated in the campaign, or that of the residuals.
+        Two-stage: displacement noise as stated in the campaign, or estimated from the residuals.
     without
-        Leave out the run of this name; may be repeated. Of several campaigns, each must have it.
+        Exclude the run with this name; may be repeated. With several campaigns, the run must
+        exist in every one.
     """
 
     method: Literal["joint", "two-stage"] = "joint"
@@ -62,9 +64,9 @@ class PrintOptions:
     Parameters
     ----------
     budget
-        Joint: print the uncertainty budget of each coefficient, line by line.
+        Print the uncertainty budget of each coefficient (joint method).
     details
-        Print all findings, tests of each run, samples left out and correlations.
+        Print all diagnostics: findings, tests of each run, rejected samples, correlations.
     """
 
     budget: bool = False
@@ -79,9 +81,10 @@ class BatchWorkers:
     Parameters
     ----------
     workers
-        Several campaigns: number of processes.
+        Number of processes for several campaigns.
     cluster
-        Several campaigns: address of a Dask scheduler, whose workers see the same folders.
+        Address of a Dask scheduler for several campaigns; its workers need access to the same
+        folders.
     """
 
     workers: int = 1
@@ -96,9 +99,9 @@ class KeepingOptions:
     Parameters
     ----------
     accept_misfit
-        Reason for using the result even if the records contradict it.
+        Accept a result that its records contradict, for this reason.
     ledger
-        Enter the result file, as named by --json, in this append-only ledger.
+        Enter the file written by --json in this append-only ledger.
     who
         With --ledger: name of the person who makes the entry.
     why
@@ -154,9 +157,9 @@ def calibrate(
     Parameters
     ----------
     directory
-        The campaign's folder, or its campaign.toml.
+        Campaign folder, or its campaign.toml.
     more
-        Further campaigns. A summary of all is printed; if one fails, the others are still
+        Further campaigns. A summary is printed; if a campaign fails, the others are still
         calibrated.
     """
     from counterspin.calibration.calibrate import calibrate as run

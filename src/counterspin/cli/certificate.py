@@ -26,11 +26,12 @@ class SigningOptions:
     schema
         Folder or file of the DCC schema; the certificate is validated against it.
     key
-        Private key to sign with: PEM, or PKCS #12 with its certificate. The password of an
-        encrypted key is asked for, or read from standard input if that is not a terminal.
+        Private key for the signature: PEM, or PKCS #12 with its certificate. counterspin prompts
+        for the password of an encrypted key, or reads it from standard input if that is not a
+        terminal.
     signer
-        Instead of a key: a command that reads bytes on standard input and writes their signature,
-        for example with a smart card or token.
+        Command that reads bytes on standard input and writes their signature, for example with a
+        smart card or token; replaces --key.
     cert
         X.509 certificate (PEM) of the key; with --verify, of the expected signer.
     both
@@ -89,16 +90,16 @@ class IssueOptions:
     Parameters
     ----------
     accept_misfit
-        Certify a result that its records contradict, for this reason, which the certificate states.
+        Certify a result that its records contradict; the certificate states this reason.
     accept_unsealed
-        Certify a result whose file has no seal, for this reason, which the certificate states.
+        Certify a result without a seal; the certificate states this reason.
     amends
-        An issued certificate (XML or PDF) that the new one replaces; with --verify: check that the
+        Issued certificate (XML or PDF) that the new one replaces; with --verify: check that the
         certificate replaces it.
     reason
-        Why it is replaced; the certificate states the reason and the changes.
+        Reason for the replacement; the certificate states it and the changes.
     ledger
-        Enter the certificate in this ledger instead of the one in LAB.toml.
+        Ledger in which to enter the certificate, instead of the one in LAB.toml.
     """
 
     accept_misfit: str | None = None
@@ -137,13 +138,13 @@ def certificate(
     result
         Result written by `counterspin calibrate --json`.
     lab
-        The laboratory's data: LAB.toml.
+        Laboratory data: LAB.toml.
     output
-        The certificate: .xml, or .pdf with the XML attached (PDF/A-3a).
+        Certificate file: .xml, or .pdf with the XML attached (PDF/A-3a).
     init
-        Instead of all else: write a commented example of LAB.toml to this file.
+        Write a commented LAB.toml template to this file and exit.
     verify
-        Instead of a result: a certificate, XML or PDF, to check; its numbers are printed.
+        Check an existing certificate (XML or PDF), print its values and exit.
     """
     from counterspin.certificates.amendment import Amendment
     from counterspin.certificates.issuing import certificate as make

@@ -28,7 +28,7 @@ def init(
     yes: bool = False,
     answer: Annotated[list[str] | None, Parameter(consume_multiple=False)] = None,
 ) -> None:
-    """Write a commented campaign to start from: an example, or one from your own files.
+    """Write a commented campaign: an example, or one for your data files.
 
     Parameters
     ----------
@@ -36,15 +36,15 @@ def init(
         Folder for campaign.toml; it is created if necessary.
     test
         Kind of test: records of a double turntable, readings of a multi-position tumble, readings
-        on the arm of a centrifuge, or a record of a three-axis sensor in many poses. The default
-        is an example of the first; with --from, the kind that the files look like.
+        on the arm of a centrifuge, or a record of a three-axis sensor in many poses. Default:
+        double-turntable; with --from, the detected kind.
     from_
-        Files of a recorder, one for each run, or one table of readings, of a tumble or on an arm.
-        Their contents are printed, then the kind of test and what it needs are asked for.
+        Data files, one for each run, or a table of readings from a tumble or an arm. counterspin
+        prints their contents and prompts for the kind of test and the missing information.
     yes
-        Ask nothing: stop with an error if the files leave something open.
+        Do not prompt. Stop with an error if any information is missing.
     answer
-        Answer to a question in advance, such as --answer "radius=2.5 m"; may be repeated.
+        Answer to a prompt, such as --answer "radius=2.5 m"; may be repeated.
     """
     if from_:
         _import_files(directory, from_, answer or [], test, asks=not yes)

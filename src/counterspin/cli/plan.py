@@ -25,9 +25,9 @@ class ExampleOptions:
     Parameters
     ----------
     init
-        Instead of a plan: write a commented example to this file.
+        Write a commented example to this file and exit.
     example
-        With --init: an example for `records` of a double turntable, or for `poses` of a triad.
+        With --init: example for `records` of a double turntable, or for `poses` of a triad.
     """
 
     init: Path | None = None
@@ -42,9 +42,10 @@ class RecordingDetails:
     Parameters
     ----------
     sampling_rate
-        With --check: sampling rate of the records, such as "50 Hz", if the campaign states none.
+        With --check: sampling rate of the records, such as "50 Hz", if the campaign does not
+        state it.
     revolutions
-        With --check: revolutions of each run for which the campaign states no length.
+        With --check: number of revolutions of runs without a duration in the campaign.
     """
 
     sampling_rate: str | None = None
@@ -64,16 +65,17 @@ def plan(
     saved: SaveOptions = NOT_SAVED,
     recording: RecordingDetails = _UNKNOWN,
 ) -> None:
-    """Choose rates, lengths, senses and attitudes of the runs, and predict the uncertainties.
+    """Optimise rates, durations, senses and attitudes of the runs, and predict the uncertainties.
 
     Parameters
     ----------
     file
-        The plan's file, with its limits and goal.
+        Plan file with limits and goal.
     check
-        Instead of a plan: the folder of a campaign whose uncertainties are predicted.
+        Predict the uncertainties of the campaign in this folder, and do not plan.
     output
-        Folder for the campaign.toml of the planned campaign; it must not contain one yet.
+        Folder for the campaign.toml of the planned campaign; an existing campaign.toml is not
+        replaced.
     """
     from counterspin.campaign.field_types import exact
     from counterspin.planning.plan import check as forecast

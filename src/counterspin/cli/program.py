@@ -43,21 +43,21 @@ def serve(
     signer: str | None = None,
     cert: Path | None = None,
 ) -> None:
-    """Open the application: a web page for this machine only, with campaigns, plans, certificates.
+    """Start the local web interface (reachable from this computer only).
 
     Parameters
     ----------
     directory
-        Folder of the campaigns; nothing outside it is read or written.
+        Folder with the campaigns; files outside it are neither read nor written.
     port
         Port to listen on; 0 chooses a free one.
     browser
         Open the page in the browser.
     signer
-        Command with which the page may sign certificates: it reads bytes on standard input and
-        writes their signature, for example with a smart card or token.
+        Command that signs certificates: it reads bytes on standard input and writes their
+        signature, for example with a smart card or token.
     cert
-        X.509 certificate (PEM) of the key with which the command signs.
+        X.509 certificate (PEM) of the key that the command uses.
     """
     if (signer is None) != (cert is None):
         raise CampaignError("serve", ["give --signer and --cert together"])
@@ -79,7 +79,7 @@ def demo(
     figure: Literal["svg", "png", "pdf"] = "svg",
     overwrite: bool = False,
 ) -> None:
-    """Simulate and calibrate the paper's plan, and compare each method with the truth.
+    """Simulate and calibrate the paper's test plan, and compare each method with the true values.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def demo(
 
 
 def reproduce(*, saved: SaveOptions = NOT_SAVED) -> None:
-    """Compare the paper's numbers with recomputed ones, and explain the differences."""
+    """Recompute the paper's numbers and explain the differences."""
     from counterspin.reports.text import report_console
     from counterspin.reproduction.comparison import reproduce as run
     from counterspin.reproduction.plan import Reproduction
@@ -124,16 +124,16 @@ def reproduce(*, saved: SaveOptions = NOT_SAVED) -> None:
 
 
 def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: bool = False) -> None:
-    """Run the reference cases on this installation and write a dossier for an assessor.
+    """Run the reference cases on this installation and write a validation report for assessors.
 
     Parameters
     ----------
     output
-        The dossier's folder: validation.html, validation.pdf and validation.json.
+        Folder for validation.html, validation.pdf and validation.json.
     schema
         Folder or file of the DCC schema; a certificate is validated against it too.
     overwrite
-        Replace an earlier dossier; other files are never replaced.
+        Replace an earlier validation report; other files are never replaced.
     """
     from counterspin.reports.text import progress, report_console
     from counterspin.validation.validate import check_folder, write_dossier

@@ -52,16 +52,16 @@ def check(
     run: str | None = None,
     saved: SaveOptions = NOT_SAVED,
 ) -> None:
-    """Check the record of one run: clock, angle, rate, residuals and the uncertainty it will give.
+    """Check the record of a run: clock, angle, rate, residuals and the expected uncertainty.
 
     Parameters
     ----------
     record
-        The record file of a run that the campaign describes.
+        Record file of a run in the campaign.
     campaign
-        The campaign's folder, or its campaign.toml.
+        Campaign folder, or its campaign.toml.
     run
-        Name of the run, if the file's name does not show it.
+        Name of the run, if the file name does not identify it.
     """
     from counterspin.monitoring.check import check as run_check
     from counterspin.monitoring.result import CheckedRun
@@ -85,7 +85,7 @@ def watch(
     once: bool = False,
     json: Annotated[bool, Parameter(name="--json-lines")] = False,
 ) -> None:
-    """Follow records as they grow: rate, ripple, residuals and the uncertainty reached so far.
+    """Monitor growing records: rate, ripple, residuals and current uncertainty.
 
     Ends when every run is as long as the campaign states, or with Ctrl-C. Nothing is saved: when
     started again, it reads the records again and continues.
@@ -93,17 +93,18 @@ def watch(
     Parameters
     ----------
     directory
-        The campaign's folder, or its campaign.toml.
+        Campaign folder, or its campaign.toml.
     goal
-        Report when this is reached, such as "K_II 1e-8 g/g^2" or "Qx.K_II 0.01 ug/g^2".
+        Standard uncertainty to reach, such as "K_II 1e-8 g/g^2" or "Qx.K_II 0.01 ug/g^2"; may be
+        repeated.
     plan
-        Take the goals from the target of this PLAN.toml.
+        PLAN.toml whose target gives the goals.
     interval
-        Seconds between two readings of the files.
+        Interval between two readings of the files, in seconds.
     once
-        Print the current state, and end.
+        Print the current state and exit.
     json
-        Print each state as one line of JSON.
+        Print each state as a line of JSON.
     """
     from counterspin.monitoring.watch import Pace
     from counterspin.monitoring.watch import watch as follow
@@ -155,17 +156,17 @@ class ColumnOptions:
     Parameters
     ----------
     columns
-        Analyse this column; may be repeated. The default is every column of known unit.
+        Column to analyse; may be repeated. Default: every column with a known unit.
     unit
-        Unit of columns for which the file states none, such as g, m/s^2 or m/s.
+        Unit of columns without a unit in the file, such as g, m/s^2 or m/s.
     sampling_rate
         Sampling rate of a record without a time column, such as "100 Hz".
     gravity
         Gravity for conversion between g and m/s^2, without a campaign; default 9.80665 m/s^2.
     rate
-        Rate of a spindle that turned nearby, such as "1 rev/s": names its spectral lines.
+        Rate of a nearby rotating spindle, such as "1 rev/s"; its spectral lines are labelled.
     select
-        Read the rows of one of several sensors in a file: column=value, such as device=A.
+        Rows to read from a file with several sensors: column=value, such as device=A.
     """
 
     columns: Annotated[list[str] | None, Parameter(name="--column", consume_multiple=False)] = None
@@ -189,14 +190,14 @@ def noise(
     plot: Path | None = None,
     saved: SaveOptions = NOT_SAVED,
 ) -> None:
-    """Analyse the noise of a record at rest: spectrum, Allan deviation, components, lines.
+    """Analyse the noise of a static record: spectrum, Allan deviation, components, lines.
 
     Parameters
     ----------
     record
-        Record of a sensor at rest, in any record format.
+        Static record of a sensor, in any record format.
     campaign
-        A campaign's folder or campaign.toml, which states what the columns are.
+        Campaign folder or campaign.toml that describes the columns.
     report
         Also write a report: .html, .pdf or .md.
     plot

@@ -43,10 +43,10 @@ def report(
     Parameters
     ----------
     source
-        File written by any command with --json: a calibration, plan, study, history and so on; or a
-        campaign's folder or description, which is calibrated first.
+        Result file written by any command with --json; or a campaign folder or description, which
+        is calibrated first.
     output
-        The report: .html, .pdf or .md; without it, the report is printed.
+        Report file: .html, .pdf or .md; by default the report is printed.
     identifier
         Identifier of the report; by default derived from the result.
     date
@@ -101,18 +101,18 @@ def history(
     saved: SaveOptions = NOT_SAVED,
     figure: Path | None = None,
 ) -> None:
-    """Follow a coefficient of each instrument over time: drift and agreement of its results.
+    """Track a coefficient over time: drift and consistency between calibrations.
 
     Parameters
     ----------
     paths
         Result files, and folders that are searched for results.
     term
-        The coefficient; or offset, sensitivity or angle of triads.
+        Coefficient; for triads offset, sensitivity or angle.
     serial
-        Only the instrument with this serial number.
+        Serial number of the instrument; default: all instruments.
     reliability
-        Probability that the instrument is still within specification on the date when it is due.
+        Required probability that the instrument is within specification on its due date.
     figure
         Draw a control chart of each instrument: .svg, .png or .pdf.
     """
@@ -146,7 +146,7 @@ def compare(*results: Path, saved: SaveOptions = NOT_SAVED, report: Path | None 
     Parameters
     ----------
     results
-        Two or more result files; each is compared with the first.
+        Two or more result files; each one is compared with the first.
     report
         Also write the comparison to this file: .html, .pdf or .md.
     """
@@ -174,14 +174,14 @@ def rerun(
     folder: Path | None = None,
     saved: SaveOptions = NOT_SAVED,
 ) -> None:
-    """Repeat the calibration of a result from the same files, and compare the two.
+    """Repeat the calibration of a result from the same files, and compare both results.
 
     Parameters
     ----------
     result
-        The result's JSON file.
+        Result file (JSON).
     folder
-        Folder of its campaign; by default the folder of the result.
+        Campaign folder; by default the folder of the result.
     """
     from counterspin.comparisons.rerun import rerun as run
     from counterspin.comparisons.result import RepeatedCalibration
@@ -205,14 +205,14 @@ def ledger(
     who: str | None = None,
     why: str | None = None,
 ) -> None:
-    """Verify that no entry of an instrument's ledger was altered, or add results to it.
+    """Verify the entries of an instrument's ledger, or add results to it.
 
     Parameters
     ----------
     action
-        verify: check every entry and list them; add: enter results.
+        verify: check and list all entries; add: enter results.
     ledger
-        The ledger, an append-only file.
+        Ledger, an append-only file.
     results
         With add: result files.
     who

@@ -18,11 +18,11 @@ class TrialSettings:
     Parameters
     ----------
     trials
-        Number of trials; overrides that of the study.
+        Number of trials; overrides the study's number.
     seed
-        Seed of the random numbers; overrides that of the study.
+        Seed of the random numbers; overrides the study's seed.
     engine
-        How trials are computed; auto chooses the fastest valid engine.
+        Engine that computes the trials; auto selects the fastest valid one.
     """
 
     trials: int | None = None
@@ -38,7 +38,7 @@ class StudyWorkers:
     Parameters
     ----------
     workers
-        Number of processes; the result does not depend on it.
+        Number of processes; it does not affect the result.
     cluster
         Address of a Dask scheduler, such as tcp://HOST:8786.
     """
@@ -66,13 +66,13 @@ def study(
     Parameters
     ----------
     campaign
-        Campaign with [truth] and optionally [study], its folder, or a study's own file.
+        Campaign with [truth] and optionally [study], its folder, or a study file.
     output
-        Folder for study.json, figures, and the files that --resume needs.
+        Folder for study.json, figures and the files required by --resume.
     keep_trials
         Write every trial to trials.parquet in that folder.
     resume
-        Continue the study that was begun in that folder.
+        Continue the study in that folder.
     """
     from counterspin.reports.text import report_console, work_progress
     from counterspin.studies.folder import StudyFolder
