@@ -20,6 +20,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet --no-input
 # Stamps: what is pinned, and the package itself, each redone when what it is made from changes.
 PINNED := $(VENV)/.pinned
 READY := $(VENV)/.ready
+COMPILED := $(VENV)/.compiled
 BENCH := $(VENV)/.bench
 DOCS := $(VENV)/.docs
 TYPESCRIPT := $(VENV)/typescript/.ready
@@ -35,10 +36,7 @@ TSC := $(VENV)/typescript/node_modules/typescript/bin/tsc
 # `make lint` checks the types for every platform. Each check has its own cache, because mypy discards
 # a cache that was made with other options.
 PLATFORMS := linux darwin win32
-mypy = $(BIN)/python -m mypy --cache-dir .mypy_cache/$(1)
-# Scripts whose peers may be absent and carry no types.
-BENCH_TYPES := --allow-untyped-defs --allow-incomplete-defs --allow-untyped-calls --no-warn-return-any \
-  --disable-error-code import-untyped --disable-error-code import-not-found
+mypy = $(BIN)/python -m mypy --cache-dir .mypy_cache/$(1) --platform $(1)
 
 .PHONY: help setup demo test quick slow lint format bench fuzz docs docs-tests pictures violations \
   coverage alarms coverage-of-tests mutants wheelhouse lock clean
@@ -51,6 +49,7 @@ setup: $(READY) ## Make .venv with the pinned requirements and the package
 demo: $(READY) ## Simulate and calibrate the paper's plan: a table and a figure
 	$(BIN)/counterspin demo
 
+test: PREPARED = $(COMPILED)
 test: lint ## Lint, types, import rules and all tests
 	$(BIN)/python -m pytest $(PARALLEL)
 
@@ -63,15 +62,16 @@ slow: $(READY) ## Time all tests, one by one, and list in tests/slow.txt what qu
 lint: $(READY) $(TYPESCRIPT) ## Lint, format, types and import rules only
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
-	$(MAKE) --no-print-directory -j 2 $(PLATFORMS:%=types-%) types-benchmarks
+	$(MAKE) --no-print-directory -j 2 $(PREPARED) $(PLATFORMS:%=types-%) types-benchmarks
 	$(BIN)/lint-imports --no-logo
 	@if [ -e $(TYPESCRIPT) ]; then node $(TSC) -p jsconfig.json; fi
 
-types-benchmarks: $(READY)
-	$(call mypy,benchmarks) $(BENCH_TYPES) $(wildcard benchmarks/*.py)
+# With the package's types from the cache.
+types-benchmarks: types-linux
+	$(call mypy,linux) $(wildcard benchmarks/*.py)
 
 types-%: $(READY)
-	$(call mypy,$*) --platform $*
+	$(call mypy,$*)
 
 format: $(READY) ## Format the code and mend what the linter can
 	$(BIN)/python -m ruff check --fix .
@@ -124,13 +124,15 @@ pictures: $(READY) ## Make the pictures and examples of the documentation again
 lock: ## Renew the pins: make lock UPGRADE=--upgrade
 	@$(require-python)
 	$(PYTHON) -m venv build/lock
-	build/lock/bin/python -m pip --disable-pip-version-check --quiet install uv==0.13.8
-	$(compile-pins) --extra dev --output-file requirements/dev.txt
-	$(compile-pins) --extra bench --constraint requirements/dev.txt \
+	build/lock/bin/python -m pip --disable-pip-version-check --quiet install --require-hashes \
+	  --requirement requirements/uv.txt
+	echo uv | $(compile-pins) - --output-file requirements/uv.txt
+	$(compile-pins) pyproject.toml --extra dev --output-file requirements/dev.txt
+	$(compile-pins) pyproject.toml --extra bench --constraint requirements/dev.txt \
 	  --output-file requirements/bench.txt
-	$(compile-pins) --extra docs --constraint requirements/dev.txt \
+	$(compile-pins) pyproject.toml --extra docs --constraint requirements/dev.txt \
 	  --output-file requirements/docs.txt
-	$(compile-pins) --extra application --extra cluster --extra excel --extra signature \
+	$(compile-pins) pyproject.toml --extra application --extra cluster --extra excel --extra signature \
 	  --extra tdms --constraint requirements/dev.txt --output-file requirements/package.txt
 
 clean: ## Remove .venv, caches and build output
@@ -144,7 +146,7 @@ SPHINX := -W -n --keep-going -d build/doctrees
 
 # --no-emit-index-url: a pin says which file by its hash, not where somebody fetched it.
 # --fork-strategy fewest: one version of each for all Pythons, so that all test the same.
-compile-pins = build/lock/bin/uv pip compile pyproject.toml --quiet --universal \
+compile-pins = build/lock/bin/uv pip compile --quiet --universal \
   --python-version 3.11 --fork-strategy fewest --generate-hashes --no-emit-index-url \
   --custom-compile-command "make lock" $(UPGRADE)
 
@@ -154,14 +156,23 @@ $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
   echo "Name one: make PYTHON=/path/to/python3.12 $(MAKECMDGOALS)" >&2; exit 1; }
 endef
 
-# --no-compile: what is never imported (most of sympy) need not be compiled; it halves the time.
-$(PINNED): requirements/dev.txt
+# uv installs the pins in a tenth of the time of pip, which installs them where uv fails. Neither
+# compiles: most modules of sympy are never imported.
+index-of-pip = $$($(BIN)/python -m pip config list | sed -n "s/^[^=]*[.]index-url='\(.*\)'$$/\1/p" | tail -1)
+define install
+{ $(PIP) install --no-compile --require-hashes --requirement requirements/uv.txt && \
+  UV_DEFAULT_INDEX="$(index-of-pip)" $(BIN)/uv pip install --quiet --python $(BIN)/python \
+  --require-hashes --requirement $(1); } 2>/dev/null || \
+  $(PIP) install --no-compile --require-hashes --requirement $(1)
+endef
+
+$(PINNED): requirements/dev.txt requirements/uv.txt
 	@$(require-python)
-	@echo "Setting up $(VENV), which takes half a minute or so the first time."
+	@echo "Setting up $(VENV), which takes some seconds the first time."
 	@$(PYTHON) -m venv $(VENV) || { \
 	  echo "Python could not make a virtual environment (on Debian: apt install python3-venv)." \
 	  >&2; exit 1; }
-	@$(PIP) install --no-compile --require-hashes --requirement requirements/dev.txt
+	@$(call install,requirements/dev.txt)
 	@touch $@
 
 # The build back end is pinned too, so building needs no isolation and no network.
@@ -170,12 +181,17 @@ $(READY): $(PINNED) pyproject.toml src/counterspin/_version.py
 	@$(BIN)/python -m compileall -q src
 	@touch $@
 
+# One process compiles the imported modules, before several would at the same time.
+$(COMPILED): $(READY)
+	@$(BIN)/python -m pytest --collect-only -qq >/dev/null 2>&1 || true
+	@touch $@
+
 $(BENCH): $(PINNED) requirements/bench.txt
-	@$(PIP) install --no-compile --require-hashes --requirement requirements/bench.txt
+	@$(call install,requirements/bench.txt)
 	@touch $@
 
 $(DOCS): $(PINNED) requirements/docs.txt
-	@$(PIP) install --no-compile --require-hashes --requirement requirements/docs.txt
+	@$(call install,requirements/docs.txt)
 	@touch $@
 
 # TypeScript, which checks the types of JavaScript, and axe-core, by which tests judge the pages.
