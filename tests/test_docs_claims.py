@@ -174,7 +174,7 @@ NUMBERS = [
     ("result", "two-stage K_II differs by more than {} standard", [diagnostics.AGREEMENT]),
     ("result", "more than {} % of a run were outliers", [100 * outcome.OUTLIER_SHARE]),
     ("result", "shorter than {} % of the run's", [100 * assembly.COMPLETE_FRACTION]),
-    ("result", "is infinite, or more than {}", [distributions._INFINITE_DOF]),
+    ("result", "means infinite or more than {}", [distributions._INFINITE_DOF]),
     (
         "result",
         "with the model | from {} times the stated noise; two-stage: beyond {} standard",

@@ -97,7 +97,7 @@ def marked(words: str) -> FileType:
             words.encode()
         }
 
-    return FileType(f"{words} of counterspin, marked as such", recognises)
+    return FileType(f"{words} written by counterspin", recognises)
 
 
 def holds(words: bytes) -> Callable[[Path], bool]:

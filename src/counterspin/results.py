@@ -98,7 +98,7 @@ class ResultFile(ResultPart):
     KIND: ClassVar[str] = "result"
 
     schema_version: Annotated[int, Field(alias="schema")] = 1  #: Version of this format.
-    #: Checksum of all else that the file says; set where it is written, checked where it is read.
+    #: Checksum of the rest of the file; set on writing, checked on reading.
     seal: str | None = None
 
     _content: bytes | None = PrivateAttr(default=None)

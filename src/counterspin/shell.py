@@ -67,4 +67,4 @@ def find_program(program: str) -> str:
         for ending in _PROGRAMS if folder.is_absolute() else ():
             if (file := folder / f"{program}{ending}").is_file():
                 return str(file)
-    raise FileNotFoundError(2, "there is no such program in PATH", program)
+    raise FileNotFoundError(2, "program not found in PATH", program)

@@ -374,7 +374,7 @@ def own_unit(unit: str) -> tuple[float, SiUnit, int]:
     own["metre"] += gravity
     own["second"] -= 2.0 * gravity
     if powers["[temperature]"] or not all(power.is_integer() for power in (*own.values(), gravity)):
-        raise ValueError(f"{unit!r} is no product of whole powers of rad, m, s, A, V and g")
+        raise ValueError(f"{unit!r} is not a product of integer powers of rad, m, s, A, V and g")
     return factor, SiUnit(**{field: int(power) for field, power in own.items()}), int(gravity)
 
 

@@ -25,12 +25,12 @@ def test_results_are_compared_and_followed(page, folder):
     shutil.copy(folder / "three" / "result.json", folder / "other.json")
     names = "three/result.json\nother.json"
     told = page.get("/api/page", params={"kind": "comparison", "names": names}).json()
-    assert "What changed" in told["html"]
+    assert "Changes" in told["html"]
     assert told["command"].startswith("counterspin compare ")
     history = {"kind": "history", "names": "three/result.json", "term": "K_II"}
     told = page.get("/api/page", params=history).json()
     assert told["title"] == "History of K_II"
-    assert "one result, and nothing to compare it with" in told["html"]
+    assert "only one result; a comparison needs two" in told["html"]
     assert "three/result.json" in told["html"]
     assert str(folder) not in told["html"]
 

@@ -357,7 +357,7 @@ def test_a_plan_is_searched_on_a_click_and_its_search_can_be_stopped(opened, fol
     tab.get_by_role("button", name="Stop").click()
     tab.get_by_text("The plan was stopped.").wait_for()
     search.click()
-    tab.get_by_role("heading", name="What limits the plan").wait_for()
+    tab.get_by_role("heading", name="Active limits").wait_for()
     # In the unit of the file; spoken once: by the slider, not by the figure beside it too.
     tab.get_by_label("Highest rate").fill("0.6366")
     assert tab.get_by_label("Highest rate").get_attribute("aria-valuetext") == "0.6366 rev/s"

@@ -142,7 +142,7 @@ def test_a_demonstration_and_its_figure_are_known_again(figure, here, capsys):
     drawn = here / "shown" / f"displacement.{figure}"
     drawn.write_bytes(b"not counterspin's")
     assert cli.main([*words, "--overwrite"]) == 1
-    assert "is not a figure of the demonstration of counterspin" in capsys.readouterr().err
+    assert "is not a figure of the demonstration written by counterspin" in capsys.readouterr().err
 
 
 def test_the_input_is_not_replaced_by_its_correction(here, capsys):
@@ -260,7 +260,7 @@ def test_no_page_takes_the_place_of_one_of_another_kind(first, second, name, her
     assert cli.main([*PAGES[first], name]) == 0
     before = contents(here)
     assert cli.main([*PAGES[second], name, "--overwrite"]) == 1
-    assert "marked as such; it is not replaced" in capsys.readouterr().err
+    assert "written by counterspin; it is not replaced" in capsys.readouterr().err
     assert contents(here) == before
     assert cli.main([*PAGES[first], name, "--overwrite"]) == 0
 
@@ -270,10 +270,10 @@ def test_a_report_does_not_take_the_place_of_a_dossier(name, here, capsys):
     write_dossier(validate(chosen=()), "dossier")
     before = contents(here / "dossier")
     assert cli.main(["report", "r.json", "-o", f"dossier/{name}", "--overwrite"]) == 1
-    assert "is not a calibration report of counterspin" in capsys.readouterr().err
+    assert "is not a calibration report written by counterspin" in capsys.readouterr().err
     assert contents(here / "dossier") == before
     write_dossier(validate(chosen=()), "dossier", overwrite=True)
     assert cli.main(["report", "r.json", "-o", name]) == 0
     (here / name).replace(here / "dossier" / name)
-    with pytest.raises(CounterspinError, match="is not a validation dossier of counterspin"):
+    with pytest.raises(CounterspinError, match="not a validation dossier written by"):
         write_dossier(validate(chosen=()), "dossier", overwrite=True)

@@ -82,7 +82,7 @@ def test_drift_is_per_year(tmp_path):
 @pytest.mark.parametrize(
     ("shifts", "verdict", "words"),
     [
-        ([0], "single", "one result, and nothing to compare it with"),
+        ([0], "single", "only one result; a comparison needs two"),
         ([0, 1], "constant", "2 results agree with"),
         ([0, 6], "differ", "Two results cannot distinguish a drift from a jump"),
         ([0, 0.5, -0.5, 0.5, 0], "constant", "No significant drift"),
@@ -310,7 +310,7 @@ def test_wrong_usage(tmp_path, capsys):
     for term, words in (
         ("K_IV", "unknown term"),
         ("platform.tilt.up", "to the machine"),
-        ("offset.X", '"offset" follows those of all accelerometers'),
+        ("offset.X", '"offset" tracks all its accelerometers'),
     ):
         assert main(["history", str(tmp_path), "--term", term]) == 2
         assert words in capsys.readouterr().err

@@ -481,7 +481,7 @@ MISTAKES = {
     "no coefficient": ([(GOAL, "minimise = []")], "goal.minimise: names no coefficient"),
     "units": ([(GOAL, 'minimise = ["K_II", "K_III"]')], "these have different units"),
     "size": ([(GOAL, 'minimise = { K_II = "1e-8 g" }')], "goal.minimise.K_II: 'g' is not a unit"),
-    "negative": ([(GOAL, 'target = { K_II = "-1e-8 g/g^2" }')], "one number greater than zero"),
+    "negative": ([(GOAL, 'target = { K_II = "-1e-8 g/g^2" }')], "single number greater than zero"),
     "both": ([(GOAL, 'minimise = ["K_II"]\ntarget = { K_II = "1e-8 g/g^2" }')],
              "goal: has both minimise and target"),
     "runs": ([("\n[goal]\n", '\n[[runs]]\nname = "a"\n[goal]\n')], "runs: a plan chooses the runs"),

@@ -311,7 +311,7 @@ def test_report_and_json_of_readings(written, tmp_path, capsys, monkeypatch):
 
 MISTAKES = {
     "rates at rest": ([('positions = 24', 'rates = ["1 rad/s"]')], TUMBLE,
-                      "at rest there are no rates"),
+                      "a station at rest has no rates"),
     "no rates": ([(f"specific_forces = [{FORCES}]", "")], ARM, "one of rates and specific_forces"),
     "both": ([('positions = 24', 'positions = 24\nattitudes = ["level"]')], TUMBLE,
              "one of positions and attitudes"),

@@ -136,7 +136,7 @@ SLIPS = {
     ),
     "an arm without axes": (
         HEAD + ARM + ON_ARM.replace("axes", "# axes"),
-        "runs[0]: on an arm there is no attitude",
+        "runs[0]: a run on an arm has no attitude",
     ),
     "another unit": (
         HEAD + RUN.replace("2e-6 mA", "2e-6 V"),

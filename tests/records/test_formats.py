@@ -32,7 +32,7 @@ from counterspin.records.record import ColumnSpec
             'savetxt("NAME.csv", load("NAME.npy"), delimiter',
         ),
         ("run.npz", "NumPy's own format is not read; write an array as text: savetxt("),
-        ("run.json", "this is no table; write its rows to a .csv file, a line for each time."),
+        ("run.json", "not a data table; export the data as CSV, with a line for each sample."),
         ("run.pkl", "how its bytes are arranged is not stated; export text,"),
         ("run.odd", "a record file ends in one of .csv, .txt,"),
     ],

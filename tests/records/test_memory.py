@@ -101,7 +101,7 @@ def test_columns_of_text_are_no_numbers_even_if_they_look_like_it():
     [
         (7, "run: a int has no named columns. Give a mapping"),
         ({"t": TIMES, "a": [1.0]}, "run: the columns differ in length: 't' 3, 'a' 1"),
-        ({"t": [], "a": []}, "run: there are no rows of numbers"),
+        ({"t": [], "a": []}, "run: the file has no rows of numbers"),
         ({"t": TIMES, "a": np.zeros((3, 3))}, r"column 'a' has the shape \(3, 3\)"),
     ],
 )

@@ -100,7 +100,7 @@ def test_paper_s_plan_exact_unbiased_and_as_printed_half_the_truth(paper):
     assert "K_II of Qx is unbiased" in result.verdict[0]
     # The answer comes first, and all that varied last.
     headings = [block.text for block in study_blocks(result) if isinstance(block, Heading)]
-    assert (headings[1], headings[-1]) == ("Verdict", "What varied from trial to trial")
+    assert (headings[1], headings[-1]) == ("Verdict", "Varied quantities")
     first = next(iter(result.analyses))
     assert coefficient(result, first, "Qx.K_II").efficiency == pytest.approx(1.0, abs=0.02)
 

@@ -62,7 +62,7 @@ from counterspin.physics.terms import TERMS
 _SAME_RATE: Final = 1.05
 
 #: What determines a term of which nothing more is known.
-_PRIOR: Final = " State what is known of it in [model.priors], or remove it from model.terms."
+_PRIOR: Final = " State a prior for it in [model.priors], or remove it from model.terms."
 
 
 def _as_deviation(unknown: Unknown, c: Coefficient) -> Coefficient:

@@ -80,33 +80,33 @@ class Result(ReportableResult):
 
     method: str  #: ``joint`` or ``two-stage``.
     model: str  #: ``exact`` or ``as-printed``.
-    #: Whether it may be relied on: ``good``, ``reservations``, ``not-determined`` or
-    #: ``contradicted``, the worst of all parts; null in results of versions that did not say.
+    #: State of the result: ``good``, ``reservations``, ``not-determined`` or ``contradicted``,
+    #: the worst of all parts; null in results of versions without states.
     state: State | None = None
-    #: What speaks against it, the gravest first: those of all accelerometers and of the campaign.
+    #: Findings against the result, of all accelerometers and of the campaign, most severe
+    #: first.
     findings: list[Finding] = []
-    #: The reason for which a contradicted result is used all the same.
-    accepted_misfit: str | None = None
-    title: str = ""  #: Of the campaign.
-    #: One for each accelerometer.
-    accelerometers: dict[str, AccelerometerResult]
+    accepted_misfit: str | None = None  #: Reason given for accepting a contradicted result.
+    title: str = ""  #: Title of the campaign.
+    accelerometers: dict[str, AccelerometerResult]  #: Results of each accelerometer.
     platform: dict[str, Coefficient] = {}  #: Coefficients of the platform, common to all runs.
-    #: Three accelerometers as one sensor; null where the campaign has no ``[triad]``.
+    #: Result of the three accelerometers as one sensor; null if the campaign has no
+    #: ``[triad]``.
     triad: TriadResult | None = None
-    confounded: list[ConfoundedTerms] = []  #: Sets that concern the platform's terms only.
-    #: Of everything determined, accelerometers and platform together, by whole names such as
-    #: ``Qx.K_II`` and ``run1.platform.tilt.north``; null for the two-stage method.
+    confounded: list[ConfoundedTerms] = []  #: Sets of platform terms that cannot be separated.
+    #: Correlation of all determined terms of accelerometers and platform, by full names such
+    #: as ``Qx.K_II`` and ``run1.platform.tilt.north``; null for the two-stage method.
     correlation: Correlation | None = None
-    runs: dict[str, RunResult]  #: One for each run.
-    inputs: Inputs  #: Gravity, latitude, radius.
-    #: What else is known, stated or not, of terms and inputs that nobody asked for.
+    runs: dict[str, RunResult]  #: Results of each run.
+    inputs: Inputs  #: Gravity, latitude and radius.
+    #: Prior information on terms and inputs that were not requested, stated or by default.
     rests_on: list[Knowledge] = []
-    #: Terms and inputs that were taken as perfect: ``u`` holds nothing of them. A certificate needs
+    #: Terms and inputs assumed perfect: they add nothing to ``u``. A certificate needs
     #: evidence for each.
     assumed: list[str] = []
-    details: dict[str, str] = {}  #: What else ``[campaign]`` says.
-    warnings: list[str] = []  #: About the campaign as a whole: remarks, and its findings in words.
-    provenance: Provenance  #: Program and input files.
+    details: dict[str, str] = {}  #: Further entries of ``[campaign]``.
+    warnings: list[str] = []  #: Remarks on the campaign as a whole, and its findings in words.
+    provenance: Provenance  #: Program version and input files.
 
     _residuals: pl.DataFrame | None = PrivateAttr(default=None)
     _assumes_all: bool = PrivateAttr(default=False)

@@ -37,19 +37,23 @@ State = Literal["good", "reservations", "not-determined", "contradicted"]
 class Coefficient(ResultPart):
     """One coefficient and where its uncertainty comes from."""
 
-    #: The estimate; the prior if not `estimated`; None if the records do not determine it and
-    #: nothing is known beforehand.
+    #: Estimate; the prior if not `estimated`; None if the records do not determine it and it
+    #: has no prior.
     value: float | None
     #: Combined standard uncertainty; u^2 is the sum of the squares of its three parts.
     u: float | None
-    #: Its part from noise of the records and of the encoder, with noise that may not show in them.
+    #: Part of u from noise of the records and of the encoder, including noise that the records
+    #: may not show.
     u_noise: float | None = None
-    #: Its part from what the description states with an uncertainty: priors, inputs, held terms.
+    #: Part of u from uncertainties stated in the description: priors, inputs, fixed (held)
+    #: terms.
     u_stated: float | None = None
-    u_unstated: float | None = None  #: Its part from what it does not state, at typical sizes.
-    #: Effective degrees of freedom of `u`, for Student's t; None is infinite, or more than 1e9.
+    #: Part of u from default standard uncertainties of terms and inputs without a statement.
+    u_unstated: float | None = None
+    #: Effective degrees of freedom of `u`, for Student's t; None means infinite or more than
+    #: 1e9.
     dof: float | None = None
-    unit: str  #: Of value and uncertainties: g-units, or SI for platform terms.
+    unit: str  #: Unit of value and uncertainties: g-units, or SI for platform terms.
     estimated: bool  #: Whether the records determine it.
 
     _gravity: StatedGravity | None = PrivateAttr(default=None)
@@ -108,7 +112,7 @@ class Coefficient(ResultPart):
 class Correlation(ResultPart):
     """Correlation matrix of the estimated coefficients, rows in the order of `terms`."""
 
-    terms: list[str]  #: Order of rows and columns.
+    terms: list[str]  #: Names of rows and columns, in order.
     matrix: list[list[float]]  #: Correlation coefficients.
 
     def frame(self) -> pl.DataFrame:
@@ -122,7 +126,7 @@ class Covariance:
 
     terms: tuple[str, ...]  #: Names such as ``Qx.K_II``, p of them.
     matrix: Array  #: Covariances in the units of the coefficients, shape (p, p).
-    units: tuple[str, ...]  #: Those units, p of them.
+    units: tuple[str, ...]  #: Units of the coefficients, p of them.
 
     def frame(self) -> pl.DataFrame:
         """Return a polars frame: the names in the column ``term``, and a column for each."""
@@ -144,35 +148,38 @@ class Residual(ResultPart):
     """
 
     rms: float  #: Root mean square of the residuals.
-    unit: str  #: Of the root mean square.
+    unit: str  #: Unit of the root mean square.
     dof: float  #: Degrees of freedom.
-    chi2: float | None = None  #: Against the noise that was given; null where it was estimated.
+    #: Chi-square relative to the stated noise; null if the noise was estimated.
+    chi2: float | None = None
     lack_of_fit_p: float | None = None  #: Probability of a worse fit if the model is right.
 
 
 class Knowledge(ResultPart):
     """What a result rests on beside its data: a term or an input that nobody asked for."""
 
-    #: Such as ``Qx.K_OO`` or ``run1.platform.tilt.north``; SI, or g-units.
-    name: str
-    kind: Kind  #: Whether it is stated, unstated or held.
-    unit: str  #: Of the numbers: SI, or g-units.
-    value: float  #: Before the data: as the description states it, else what it ideally is.
-    u: float  #: Its standard uncertainty there: as stated, else the typical size.
-    found: float | None = None  #: After the data, in the same fit; None where it was held.
-    u_found: float | None = None  #: Its standard uncertainty then.
+    name: str  #: Name of the term or input, such as ``Qx.K_OO`` or ``run1.platform.tilt.north``.
+    kind: Kind  #: Whether the prior is stated, unstated (default) or held (fixed).
+    unit: str  #: Unit of the numbers: SI, or g-units.
+    value: float  #: Prior value: as stated in the description, otherwise the ideal value.
+    u: float  #: Prior standard uncertainty: as stated, otherwise the default.
+    found: float | None = None  #: Posterior value in the same fit; None if it was held.
+    u_found: float | None = None  #: Posterior standard uncertainty.
 
 
 class NoiseLine(ResultPart):
     """One noise component: its size, whether it was estimated, and its uncertainty then."""
 
-    value: float  #: Standard deviation a sample; of ``acceleration``, the random-walk coefficient.
-    u: float | None = None  #: Its uncertainty where it was estimated, or found in another record.
-    unit: str  #: Of value and uncertainty.
-    estimated: bool  #: Whether it was estimated from the residuals; else as given.
-    #: The record at rest that it was found in; None where it was stated or estimated.
+    #: Standard deviation per sample; for ``acceleration``, the random-walk coefficient.
+    value: float
+    u: float | None = None  #: Standard uncertainty, if the noise was estimated.
+    unit: str  #: Unit of value and uncertainty.
+    #: Whether the noise was estimated from the residuals; otherwise it is as stated.
+    estimated: bool
+    #: Static record from which the noise was estimated; None if it was stated or estimated
+    #: from the residuals.
     record: str | None = None
-    #: By run: its own size, where runs differ; `value` is then the rms over the rows of all.
+    #: Noise of each run, if runs differ; `value` is then the rms over all rows.
     runs: dict[str, float] = {}
 
 
@@ -180,31 +187,33 @@ class Comparison(ResultPart):
     """K_II by the two-stage method beside the joint fit; `z` is the difference over its u."""
 
     value: float  #: K_II by the two-stage method.
-    u: float  #: Its standard uncertainty.
-    difference: float  #: Its difference from the joint K_II.
+    u: float  #: Standard uncertainty.
+    difference: float  #: Difference from the joint K_II.
     u_difference: float  #: Standard uncertainty of the difference.
-    z: float  #: Difference over its uncertainty; beyond 3 they do not agree.
+    z: float  #: Difference divided by its standard uncertainty; the methods disagree beyond 3.
 
 
 class Finding(ResultPart):
     """One thing that speaks against a result, whatever its checks saw of it."""
 
-    code: str  #: What kind of thing, such as ``lack-of-fit``; stays the same.
-    #: What it concerns: an accelerometer, one of its coefficients (``Qx.K_II``), a run, a platform
-    #: term, or empty: the campaign.
+    code: str  #: Stable code of the kind of finding, such as ``lack-of-fit``.
+    #: Subject of the finding: an accelerometer, a coefficient (``Qx.K_II``), a run, a platform
+    #: term, or empty for the campaign.
     subject: str
-    text: str  #: In sentences: what was found, and what to do.
-    #: How strong it is, in standard uncertainties or in units of what would be expected; None where
-    #: it has no size.
+    text: str  #: Description of the finding, and the action to take.
+    #: Size of the effect, in standard uncertainties or relative to the expected size; None if
+    #: it has none.
     size: float | None = None
-    #: Whether the records contradict the result, so that it must not be used.
+    #: Whether the records contradict the result, which then must not be used.
     contradicts: bool = False
-    #: Whether the state is ``not-determined`` because of it: the coefficient is the campaign's
-    #: purpose, or ``[model] terms`` names it. Of other coefficients this is information.
+    #: Whether the finding makes the state ``not-determined``: the coefficient is the
+    #: campaign's purpose, or ``[model] terms`` requests it. For other coefficients it is only
+    #: information.
     undetermined: bool = False
-    #: Of a cause: what else was found and would not be if this were put right.
+    #: For a cause: other findings that would disappear if the cause were removed.
     explains: list[Finding] = []
-    #: Of a cause: subjects of others that would explain the records as well, the likeliest first.
+    #: For a cause: subjects of alternative causes that explain the records equally well, most
+    #: likely first.
     as_well: list[str] = []
 
 
@@ -225,39 +234,39 @@ class Spectrum(ResultPart):
     `lines` counts those of the periodogram of which each power is the mean.
     """
 
-    frequency: list[float]  #: Middle of each band, Hz.
-    power: list[float]  #: Mean power in it; 1 for white noise.
-    lines: list[int] = []  #: How many lines of the periodogram that is the mean of.
+    frequency: list[float]  #: Centre frequency of each band, Hz.
+    power: list[float]  #: Mean power in each band; 1 for white noise.
+    lines: list[int] = []  #: Number of periodogram lines in each band.
 
 
 class Quantiles(ResultPart):
     """Ordered whitened residuals beside what a standard normal distribution would show."""
 
-    normal: list[float]  #: What a standard normal distribution would show.
+    normal: list[float]  #: Quantiles of the standard normal distribution.
     found: list[float]  #: Ordered whitened residuals.
 
 
 class Trace(ResultPart):
     """The residuals of one accelerometer in one run, thinned for pictures."""
 
-    rows: int | None = None  #: How many residuals there are.
-    rms: float | None = None  #: Their root mean square, in the observable's unit.
-    time: list[float]  #: Middle of each stretch, s from the start of the run.
-    low: list[float]  #: Smallest residual in it, in the observable's unit.
-    high: list[float]  #: Largest residual in it, in the observable's unit.
-    #: Time and residual of samples taken for outliers, the largest ones if there are many.
+    rows: int | None = None  #: Number of residuals.
+    rms: float | None = None  #: Root mean square of the residuals, in the observable's unit.
+    time: list[float]  #: Centre time of each interval, s from the start of the run.
+    low: list[float]  #: Smallest residual in each interval, in the observable's unit.
+    high: list[float]  #: Largest residual in each interval, in the observable's unit.
+    #: Times and residuals of rejected outliers, the largest ones if there are many.
     left_out: list[tuple[float, float]] = []
-    by_angle: Fold | None = None  #: The residuals over the revolution.
-    spectrum: Spectrum | None = None  #: Of the whitened residuals.
-    quantiles: Quantiles | None = None  #: Of the whitened residuals.
+    by_angle: Fold | None = None  #: Residuals against the spindle angle.
+    spectrum: Spectrum | None = None  #: Spectrum of the whitened residuals.
+    quantiles: Quantiles | None = None  #: Quantiles of the whitened residuals.
 
 
 class NominalOutput(ResultPart):
     """By which an output is taken for a specific force, g: (output - zero) / sensitivity."""
 
-    unit: str  #: Of the output.
-    sensitivity: float  #: Output per g; K_I is the true one over it.
-    zero: float = 0.0  #: Output where no force is felt; K_F is what is there beside it.
+    unit: str  #: Unit of the output.
+    sensitivity: float  #: Nominal output per g; K_I is the true sensitivity divided by it.
+    zero: float = 0.0  #: Nominal output at zero specific force; K_F is the true output minus it.
 
     @property
     def words(self) -> str:
@@ -273,23 +282,24 @@ class ReadingResult(ResultPart):
     forward, up on an arm. `samples` used, `counts`, `notes` of a record's mean: as of `RunResult`.
     """
 
-    name: str  #: Of the run or the row.
+    name: str  #: Name of the run or the row.
     motion: str  #: ``static``, ``arm`` or ``counter-rotating``.
-    mounting: str = ""  #: Of the instrument on the arm; empty where none is named.
-    #: Its direction: east, north, up; on an arm outward, forward, up.
+    mounting: str = ""  #: Mounting of the instrument on the arm; empty if none is named.
+    #: Direction of the input axis: east, north, up; on an arm outward, forward, up.
     input_axis: tuple[float, ...] = ()
-    pendulous_axis: tuple[float, ...] = ()  #: That of its pendulum, likewise.
-    rate: float  #: Of the spindle, rad/s.
-    value: float  #: By the nominal sensitivity, g.
-    u: float  #: Its standard uncertainty, stated or estimated, g.
-    residual: float  #: Reading less model, g.
-    #: Residual over its own standard deviation; null where the fit follows the reading wholly.
+    pendulous_axis: tuple[float, ...] = ()  #: Direction of the pendulous axis, in the same frame.
+    rate: float  #: Rate of the spindle, rad/s.
+    value: float  #: Reading converted by the nominal sensitivity, g.
+    u: float  #: Standard uncertainty of the reading, stated or estimated, g.
+    residual: float  #: Reading minus model, g.
+    #: Residual divided by its standard deviation; null if the fit follows the reading exactly.
     z: float | None
-    samples: int | None = None  #: Rows used of a record whose mean it is; else null.
-    #: Of its rows those that are ``repeated``, ``empty`` or ``outliers``, and ``gaps``; empty where
-    #: it is no mean of a record.
+    #: Number of rows averaged, if the reading is the mean of a record; otherwise null.
+    samples: int | None = None
+    #: Number of rows that are ``repeated``, ``empty`` or ``outliers``, and of ``gaps``; empty
+    #: if the reading is not the mean of a record.
     counts: dict[str, int] = {}
-    notes: list[str] = []  #: What reading the record found.
+    notes: list[str] = []  #: Remarks from reading the record.
 
 
 class PoseResult(ResultPart):
@@ -298,28 +308,30 @@ class PoseResult(ResultPart):
     `z` is the residual over its own standard deviation, None where the fit follows it wholly.
     """
 
-    name: str  #: Of the run or the row; of a pose in a record, when it begins too.
-    start: float | None = None  #: When it begins in its record, s; null of what was read.
-    end: float | None = None  #: When it ends there, s.
-    samples: int | None = None  #: Rows of the record that it is the mean of.
-    values: tuple[float, ...]  #: Indications by the nominal sensitivities, in the triad's order.
-    #: Where the specific force points in the triad's frame, as the fit has found it.
-    direction: tuple[float, ...]
-    residual: float  #: Indication less model along the force.
-    u: float  #: Standard uncertainty of what is indicated along the force, stated or estimated.
-    z: float | None  #: Residual over its own standard deviation.
+    name: str  #: Name of the run or the row; for a pose in a record, with its start time.
+    start: float | None = None  #: Start in the record, s; null for a stated reading.
+    end: float | None = None  #: End in the record, s.
+    samples: int | None = None  #: Number of rows averaged.
+    #: Outputs converted by the nominal sensitivities, in the triad's order.
+    values: tuple[float, ...]
+    direction: tuple[float, ...]  #: Estimated direction of the specific force in the triad's frame.
+    residual: float  #: Output minus model along the force.
+    u: float  #: Standard uncertainty of the output along the force, stated or estimated.
+    z: float | None  #: Residual divided by its standard deviation.
 
 
 class PosesInRecord(ResultPart):
     """What was found in a record with poses."""
 
-    poses: int  #: How many were taken.
-    threshold: float  #: Scatter below which the triad rests, m/s^2.
-    #: Scatter in motion over that at rest, in the median; null where nothing moves.
+    poses: int  #: Number of poses.
+    threshold: float  #: Scatter below which the triad counts as at rest, m/s^2.
+    #: Median scatter in motion divided by that at rest; null without motion.
     contrast: float | None
-    notes: list[str] = []  #: Rests that were left out, and what makes the threshold doubtful.
-    time: list[float] = []  #: Where parts of the record begin, s, to draw the search for rest.
-    #: Largest scatter of the three together in each part, m/s^2, which is held to the threshold.
+    notes: list[str] = []  #: Rejected rests, and doubts about the threshold.
+    #: Start times of intervals of the record, s, to plot the detection of rest.
+    time: list[float] = []
+    #: Largest combined scatter of the three outputs in each interval, m/s^2, compared with the
+    #: threshold.
     level: list[float] = []
 
 
@@ -331,28 +343,30 @@ class TriadResult(ResultPart):
     accelerometers that were asked for, such as ``X.K_II``.
     """
 
-    accelerometers: list[str]  #: Their names, in the order of all that follows.
-    parameters: dict[str, Coefficient]  #: Offsets, sensitivities, angles; second-order terms.
-    correlation: Correlation | None = None  #: Of those that are determined.
-    #: Where the u of each of these comes from, the largest part first, terms named in full; empty
-    #: in files of earlier versions.
+    accelerometers: list[str]  #: Names of the accelerometers, in the order of the other fields.
+    parameters: dict[str, Coefficient]  #: Offsets, sensitivities, angles and second-order terms.
+    correlation: Correlation | None = None  #: Correlation of the determined parameters.
+    #: Uncertainty budget of each parameter, largest contribution first, with full names of
+    #: terms; empty in files of earlier versions.
     budget: dict[str, list[BudgetLine]] = {}
-    #: What each of these moves by per m/s^2 of the g assumed; empty where g is exact.
+    #: Sensitivity of each parameter to the assumed g, per m/s^2; empty if g is exact.
     by_gravity: dict[str, float] = {}
     #: f = matrix (y - bias): the specific force in the triad's frame, g, of the indications y by
     #: the nominal sensitivities, g; null where the matrix is not determined.
     matrix: list[list[float]] | None = None
     u_matrix: list[list[float]] | None = None  #: Standard uncertainties of the matrix.
-    bias: list[float] | None = None  #: The three offsets, g; null with the matrix.
-    #: Why the matrix is not given; null where it is given, and in files of earlier versions.
+    #: Offsets of the three accelerometers, g; null without the matrix.
+    bias: list[float] | None = None
+    #: Reason for a missing matrix; null with a matrix, and in files of earlier versions.
     why_no_matrix: str | None = None
-    #: Root mean square over the poses of the size of f less g, by the nominal sensitivities, m/s^2;
-    #: null without poses.
+    #: Root mean square over the poses of |f| - g, with the nominal sensitivities, m/s^2; null
+    #: without poses.
     rms_before: float | None = None
-    #: The same by matrix and bias, once second-order terms that were asked for are taken away.
+    #: Root mean square over the poses of |f| - g after correction by matrix, bias and
+    #: requested second-order terms.
     rms_after: float | None = None
     poses: list[PoseResult] = []  #: Those at unknown attitudes.
-    records: dict[str, PosesInRecord] = {}  #: By run: records in which poses were found.
+    records: dict[str, PosesInRecord] = {}  #: Records in which poses were found, by run.
 
     def frame(self, library: str = "polars") -> Any:
         """Return the parameters as a frame with the columns of `Result.frame`.
@@ -388,70 +402,69 @@ class TriadResult(ResultPart):
 class Shift(ResultPart):
     """How far a coefficient moves when something is left out; `z` is the shift over its u."""
 
-    shift: float  #: Estimate without it less the estimate from everything.
-    u: float  #: Standard uncertainty of the shift, what both share counted once.
-    z: float  #: Shift over its u.
+    shift: float  #: Estimate without the run minus the full estimate.
+    u: float  #: Standard uncertainty of the shift; common contributions count once.
+    z: float  #: Shift divided by its standard uncertainty.
 
 
 class MethodAgreement(ResultPart):
     """What one test method says of an accelerometer, and how far it agrees with the others."""
 
     kind: str  #: ``at rest``, ``arm`` or ``double turntable``.
-    count: int  #: Of its records and readings.
-    #: By this method alone, with all that is known beforehand, without `dof`; None where it does
-    #: not determine one.
+    count: int  #: Number of records and readings.
+    #: Coefficients from this method alone with all priors, without `dof`; None if the method
+    #: does not determine one.
     coefficients: dict[str, Coefficient]
-    #: By coefficient that the others determine: how far it moves when this method is left out.
+    #: Shift of each coefficient when this method is left out, if the others determine it.
     without: dict[str, Shift] = {}
-    chi2: float  #: Squares of what the method says less what the others predict, over variances.
-    dof: int  #: In how many directions both know something.
-    p: float | None  #: Probability of more if they agree; None where the others predict nothing.
+    chi2: float  #: Chi-square of the method's results minus the prediction of the others.
+    dof: int  #: Degrees of freedom: directions that both determine.
+    #: Probability of a larger chi-square if the methods agree; None if the others predict
+    #: nothing.
+    p: float | None
 
 
 class AccelerometerResult(ResultPart):
     """All that was found out about one accelerometer."""
 
-    #: Whether it may be relied on: ``good``, ``reservations``, ``not-determined`` or
-    #: ``contradicted``.
+    #: State of the result: ``good``, ``reservations``, ``not-determined`` or ``contradicted``.
     state: State | None = None
-    findings: list[Finding] = []  #: What speaks against it, the gravest first.
-    #: Single faults of typical size that the residuals of its readings would not show, and by how
-    #: much each would move a coefficient; the worst first.
+    findings: list[Finding] = []  #: Findings against the result, most severe first.
+    #: Single faults of typical size that the residuals of readings would not show, with the
+    #: shift of a coefficient by each; worst first.
     unseen_faults: list[str] = []
-    serial_number: str | None = None  #: As the campaign states it.
-    #: The terms that the campaign asked for.
-    coefficients: dict[str, Coefficient]
-    #: Further terms of which something is known beforehand, as the campaign states it; the fit has
-    #: taken their values away.
+    serial_number: str | None = None  #: Serial number, as stated in the campaign.
+    coefficients: dict[str, Coefficient]  #: Coefficients of the requested terms.
+    #: Further terms with stated priors; the fit has subtracted their values.
     known: dict[str, Coefficient] = {}
-    #: Where the input, pendulous and output axes point, as rows, in east-north-up while the
+    #: Directions of the input, pendulous and output axes, as rows, in east-north-up while the
     #: platform is level.
     axes: list[tuple[float, float, float]] | None = None
-    #: What was recorded: ``displacement``, ``velocity`` or ``specific_force``.
+    #: Recorded observable: ``displacement``, ``velocity`` or ``specific_force``.
     observable: str | None = None
-    correlation: Correlation | None  #: Of the estimated coefficients; None if there are none.
-    confounded: list[ConfoundedTerms] = []  #: Terms that cannot be told apart.
-    residual: Residual  #: How well the model fits.
-    noise: dict[str, NoiseLine] = {}  #: By component: the noise that was used.
-    budget: dict[str, list[BudgetLine]] = {}  #: By term: where the uncertainty comes from.
-    #: What an update of the uncertainties needs if something were known better; None where nothing
-    #: that counts could be.
+    correlation: Correlation | None  #: Correlation of the estimated coefficients; None without any.
+    confounded: list[ConfoundedTerms] = []  #: Sets of terms that cannot be separated.
+    residual: Residual  #: Residuals and goodness of fit.
+    noise: dict[str, NoiseLine] = {}  #: Noise used, by component.
+    budget: dict[str, list[BudgetLine]] = {}  #: Uncertainty budget of each term.
+    #: Data for updating the uncertainties if an input were known better; None if no input
+    #: matters.
     what_if: WhatIf | None = None
-    #: What the two-stage method estimated beside K_II and K_F.
+    #: Second unknown of the two-stage method, in addition to K_II and K_F.
     second_unknown: dict[str, Coefficient] = {}
     jackknife: list[Jackknife] = []  #: K_II with each run left out, joint method.
-    two_stage: Comparison | None = None  #: The two-stage K_II beside the joint one, joint method.
-    conformity: dict[str, Conformity] = {}  #: By term: where the campaign states a specification.
-    traces: dict[str, Trace] = {}  #: By run: residuals thinned for pictures, joint method.
-    readings: list[ReadingResult] = []  #: Single values, at rest, on an arm or on a turntable.
-    #: Each test method beside the others; empty where there is one only.
+    two_stage: Comparison | None = None  #: Two-stage K_II for comparison, joint method.
+    conformity: dict[str, Conformity] = {}  #: Conformity of each term with a stated specification.
+    traces: dict[str, Trace] = {}  #: Residuals of each run, thinned for figures, joint method.
+    readings: list[ReadingResult] = []  #: Readings at rest, on an arm or on a turntable.
+    #: Comparison of the test methods; empty with a single method.
     kinds: list[MethodAgreement] = []
-    #: ``bias`` and ``scale_factor`` in the unit of its readings; empty where that is g.
+    #: ``bias`` and ``scale_factor`` in the unit of the readings; empty if that is g.
     output: dict[str, Coefficient] = {}
-    #: By what its readings, and an output such as a current, were taken for a specific force; null
-    #: where they are in g or m/s^2.
+    #: Nominal sensitivity and zero that convert the output to specific force; null if the
+    #: output is in g or m/s^2.
     nominal: NominalOutput | None = None
-    warnings: list[str] = []  #: The findings in words.
+    warnings: list[str] = []  #: Findings in words.
 
     @field_validator("coefficients")
     @classmethod
@@ -470,23 +483,24 @@ class AccelerometerResult(ResultPart):
 class RippleResult(ResultPart):
     """One ripple of the rate; amplitude in rad/s, phase in rad."""
 
-    harmonic: int  #: Times a revolution.
+    harmonic: int  #: Frequency, in cycles per revolution.
     amplitude: float  #: Amplitude w_n of the rate, rad/s.
-    u_amplitude: float  #: Its standard uncertainty.
-    phase: float  #: Its phase at time zero, rad.
-    u_phase: float | None  #: Its standard uncertainty.
+    u_amplitude: float  #: Standard uncertainty of the amplitude.
+    phase: float  #: Phase at time zero, rad.
+    u_phase: float | None  #: Standard uncertainty of the phase.
 
 
 class ParabolaResult(ResultPart):
     """First stage of the two-stage method: b0 (m), b1 (m/s), b2 (m/s^2) of one accelerometer."""
 
-    b0: float  #: Its constant part, m.
-    b1: float  #: Its linear part, m/s.
-    b2: float  #: Its quadratic part, m/s^2.
+    b0: float  #: Constant coefficient, m.
+    b1: float  #: Linear coefficient, m/s.
+    b2: float  #: Quadratic coefficient, m/s^2.
     u_b2: float  #: Standard uncertainty of b2 (Eq. 31).
-    sigma: float  #: Standard deviation of a sample, m.
-    sigma_from_residuals: bool  #: Whether that is from the residuals; else as given.
-    strobes: int  #: How many strobes it was fitted to.
+    sigma: float  #: Standard deviation per sample, m.
+    #: Whether sigma was estimated from the residuals; otherwise it is as stated.
+    sigma_from_residuals: bool
+    strobes: int  #: Number of strobes in the fit.
 
 
 class RunResult(ResultPart):
@@ -497,55 +511,56 @@ class RunResult(ResultPart):
     """
 
     rate: float  #: Identified rate w0, in `rate_unit`.
-    u_rate: float | None = None  #: Its standard uncertainty; null without a recorded angle.
-    rate_unit: Literal["rad/s"] = "rad/s"  #: Of the rate and its uncertainty.
+    u_rate: float | None = None  #: Standard uncertainty of the rate; null without a recorded angle.
+    rate_unit: Literal["rad/s"] = "rad/s"  #: Unit of the rate and its uncertainty.
     drift: float  #: Relative drift C of the rate, in `drift_unit`.
-    u_drift: float | None = None  #: Its standard uncertainty.
-    drift_unit: Literal["1/s"] = "1/s"  #: Of the drift and its uncertainty.
-    ripples: list[RippleResult] = []  #: Fluctuations of the rate that the angle supports.
-    angle_rms: float | None = None  #: Recorded angle less its model, rad.
-    samples: int  #: Rows used.
-    rejected: int  #: Samples not used: repeated rows, empty cells, outliers.
-    #: By kind, how many of each; ``block`` is the number of rows averaged.
+    u_drift: float | None = None  #: Standard uncertainty of the drift.
+    drift_unit: Literal["1/s"] = "1/s"  #: Unit of the drift and its uncertainty.
+    ripples: list[RippleResult] = []  #: Fluctuations of the rate identified from the angle.
+    angle_rms: float | None = None  #: Root mean square of the encoder residual, rad.
+    samples: int  #: Number of rows used.
+    rejected: int  #: Number of rejected samples: repeated rows, empty cells, outliers.
+    #: Number of rejected samples by kind; ``block`` is the number of rows averaged.
     counts: dict[str, int] = {}
-    notes: list[str] = []  #: What reading the record found.
-    terms: dict[str, Coefficient] = {}  #: Coefficients of this run, such as its tilt.
-    parabolas: dict[str, ParabolaResult] = {}  #: By accelerometer, two-stage method.
-    #: By accelerometer, tests of the residuals: chi-square, signs, largest peak of the spectrum.
+    notes: list[str] = []  #: Remarks from reading the record.
+    terms: dict[str, Coefficient] = {}  #: Terms of this run, such as its tilt.
+    parabolas: dict[str, ParabolaResult] = {}  #: Parabola of each accelerometer, two-stage method.
+    #: Tests of the residuals of each accelerometer: chi-square, signs, largest peak of the
+    #: spectrum.
     fit: dict[str, dict[str, float | str | None]] = {}
 
 
 class Inputs(ResultPart):
     """What the result depends on beside the records; u is 0 where it was stated as exact."""
 
-    gravity: float  #: The g of all g-units, in `gravity_unit`.
-    u_gravity: float = 0.0  #: Its standard uncertainty; 0 where it was stated as exact.
-    gravity_unit: Literal["m/s^2"] = "m/s^2"  #: Of gravity and its uncertainty.
-    latitude: float  #: Of the site, in `latitude_unit`.
-    u_latitude: float = 0.0  #: Its standard uncertainty.
-    latitude_unit: Literal["rad"] = "rad"  #: Of the latitude and its uncertainty.
-    radius: float  #: Of the centrifuge, in `radius_unit`.
-    u_radius: float = 0.0  #: Its standard uncertainty.
-    radius_unit: Literal["m"] = "m"  #: Of the radius and its uncertainty.
-    #: From which slopes with temperature count, K; null where no temperature was stated.
+    gravity: float  #: Gravity, which defines g in all g-units, in `gravity_unit`.
+    u_gravity: float = 0.0  #: Standard uncertainty of gravity; 0 if stated as exact.
+    gravity_unit: Literal["m/s^2"] = "m/s^2"  #: Unit of gravity and its uncertainty.
+    latitude: float  #: Latitude of the site, in `latitude_unit`.
+    u_latitude: float = 0.0  #: Standard uncertainty of the latitude.
+    latitude_unit: Literal["rad"] = "rad"  #: Unit of the latitude and its uncertainty.
+    radius: float  #: Radius of the centrifuge, in `radius_unit`.
+    u_radius: float = 0.0  #: Standard uncertainty of the radius.
+    radius_unit: Literal["m"] = "m"  #: Unit of the radius and its uncertainty.
+    #: Reference temperature of temperature slopes, K; null if no temperature was stated.
     reference_temperature: float | None = None
-    #: The lowest and the highest of its runs and readings, K; empty where none was stated.
+    #: Lowest and highest temperature of runs and readings, K; empty if none was stated.
     temperatures: list[float] = []
 
 
 class Provenance(ResultPart):
     """What made the result: program, options and inputs."""
 
-    version: str  #: Of counterspin.
-    #: By file, its SHA-256; of what was in memory, that of the file's text as it would be written,
-    #: or of the arrays.
+    version: str  #: Version of counterspin.
+    #: SHA-256 of each input file; for data in memory, of the text as it would be written, or
+    #: of the arrays.
     inputs: dict[str, str]
-    #: Those of them that no file says, and why: ``made in Python``, ``changed`` and the keys, or
+    #: Inputs without a file, and the reason: ``made in Python``, ``changed`` with the keys, or
     #: ``arrays``.
     in_memory: dict[str, str] = {}
-    options: list[str] = []  #: Of the command, as they are typed, where they are not the defaults.
-    #: What computed it beside counterspin: Python, NumPy, SciPy and the machine; empty in results
-    #: of versions that did not state it.
+    options: list[str] = []  #: Options of the command that differ from the defaults, as typed.
+    #: Versions of Python, NumPy and SciPy, and the machine; empty in results of earlier
+    #: versions.
     environment: dict[str, str] = {}
 
     @property

@@ -61,7 +61,7 @@ def _sensitivity_as_prior(value: object, info: ValidationInfo) -> Quantity:
     output = info.data.get("output")
     if output is None:
         if "output" in info.data:
-            raise ValueError("needs output = { unit = ..., sensitivity = ... } beside it")
+            raise ValueError("also needs output = { unit = ..., sensitivity = ... }")
         return Quantity(math.nan, 0.0, "g/g")  # since what is said of the output is a mistake
     stated = parse(value, f"{output.unit}/g")
     return Quantity(stated.value / output.sensitivity, stated.u / abs(output.sensitivity), "g/g")

@@ -82,7 +82,9 @@ class TimeChannel(SettingsSection):
         if (self.column is None) == (self.sampling_rate is None):
             raise ValueError("give a column, or a sampling_rate")
         if self.unit is not None and self.column is None:
-            raise ValueError("a unit belongs to a column; with sampling_rate there is none")
+            raise ValueError(
+                "a unit belongs to a column; remove it, or replace sampling_rate by a column"
+            )
         return self
 
     @property

@@ -254,8 +254,7 @@ def _resolve_names(
         if key == "terms" and row is not None and row.effect.condition == "force":
             problems.add(
                 path,
-                f'"{name}" cannot be separated from K_II; state what is known of it in '
-                f"[model.priors]",
+                f'"{name}" cannot be separated from K_II; state a prior for it in [model.priors]',
             )
         symbols |= dict.fromkeys(resolved)
     return tuple(symbols)

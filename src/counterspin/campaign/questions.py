@@ -84,8 +84,8 @@ def _removed_gravity(campaign: Campaign) -> Iterator[Question]:
         yield Question(
             code="removed-gravity",
             subject=f"{name}.K_I",
-            text=f"{name} is upright in {runs}, and its {accelerometer.observable} has what the "
-            "navigation computer leaves of gravity, which is known to "
+            text=f"{name} is upright in {runs}, so its {accelerometer.observable} contains the "
+            "gravity that the navigation computer does not remove. Gravity is known to "
             f"{campaign.gravity.u:.2g} m/s^2 only. It is assumed that the computer removes it "
             "exactly; if it removes a fixed value, state that as removed_gravity in [site].",
         )

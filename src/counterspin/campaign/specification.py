@@ -136,7 +136,7 @@ def parse_specification(text: object, unit: str, *, gravity: float | None = None
             raise ValueError(f"{text!r}: the tolerance must be greater than zero")
         low, high = middle.value - middle.u, middle.value + middle.u
     else:
-        raise ValueError(f"{text!r} is no specification; write {_FORMS}")
+        raise ValueError(f"{text!r} is not a specification; write {_FORMS}")
     return Specification(clean, low, high, unit)
 
 

@@ -173,7 +173,7 @@ _FAMILIES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
         {"1": {"sin": "1 arcsec"}},
     ),
     "encoder.harmonic": (
-        "what the encoder records too much, with the cosine or sine of 1 to 4 times the angle",
+        "error of the recorded angle, proportional to the cosine or sine of 1 to 4 times the angle",
         {"1": {"sin": "1 arcsec"}},
     ),
 }

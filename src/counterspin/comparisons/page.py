@@ -58,12 +58,12 @@ def comparison_blocks(compared: ResultComparison) -> Iterator[Block]:
         )
     yield Paragraph(
         f"± is one standard uncertainty (k = 1). Differences are from {_references(compared)}; "
-        "their uncertainties account for what both results share. z: difference over its standard "
-        "uncertainty.",
+        "their uncertainties account for sources common to both results. z: difference divided "
+        "by its standard uncertainty.",
         "quiet",
     )
     yield from _shared_source_blocks(compared)
-    yield Heading("What changed")
+    yield Heading("Changes")
     if compared.changes:
         columns = [Column("", wraps=True), *(Column(r.name, wraps=True) for r in compared.results)]
         rows = tuple((change.subject, *change.values) for change in compared.changes)
@@ -123,7 +123,7 @@ def agreement_sentence(compared: ResultComparison, agreement: AgreementOfTwo) ->
     if agreement.p is None and _is_identical(compared, agreement):
         return f"{whose} are equal ({records})."
     if agreement.p is None:
-        return f"{whose} cannot differ by chance ({records}): what was changed makes them differ."
+        return f"{whose} cannot differ by chance ({records}): the changes cause the difference."
     agree = "agree" if agreement.agrees else "differ significantly"
     words = (
         f"chi-square {format_number(agreement.chi2)} with {agreement.dof} "
@@ -249,7 +249,7 @@ def repeat_blocks(repeated: RepeatedCalibration) -> list[Block]:
     if not repeated.same and differing:
         blocks.append(_difference_table(differing))
     if repeated.changes:
-        blocks.append(Heading("What changed"))
+        blocks.append(Heading("Changes"))
         blocks.append(
             Table(
                 (Column(""), Column("Then", wraps=True), Column("Now", wraps=True)),

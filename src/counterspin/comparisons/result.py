@@ -15,16 +15,17 @@ from counterspin.results import ReportableResult, ResultPart, make_frame
 class ComparedResult(ResultPart):
     """One of the results: its name in the comparison, and its method."""
 
-    name: str  #: What it is called here.
-    title: str  #: Of its campaign.
+    name: str  #: Label of the result.
+    title: str  #: Title of the campaign.
     method: str  #: ``joint`` or ``two-stage``.
     model: str  #: ``exact`` or ``as-printed``.
-    state: str | None  #: Whether it may be relied on.
-    version: str  #: Of counterspin.
-    date: str | None  #: As its campaign states it.
-    #: Its own, m/s^2, where its numbers are converted to g-units of the first result's; else None.
+    state: str | None  #: State of the result.
+    version: str  #: Version of counterspin.
+    date: str | None  #: Date, as stated in the campaign.
+    #: Gravity of the result, m/s^2, if its numbers were converted to g-units of the first
+    #: result; otherwise None.
     gravity: float | None = None
-    #: Those that it has; None in comparisons of earlier versions.
+    #: Accelerometers in the result; None in comparisons of earlier versions.
     accelerometers: list[str] | None = None
 
     def has(self, accelerometer: str) -> bool:
@@ -35,40 +36,41 @@ class ComparedResult(ResultPart):
 class ComparedEstimate(ResultPart):
     """A coefficient in one result."""
 
-    value: float | None  #: Estimate; None where it is not determined or not in the model.
+    value: float | None  #: Estimate; None if not determined or not in the model.
     u: float | None  #: Standard uncertainty.
-    dof: float | None = None  #: Degrees of freedom; None is infinite.
-    #: From the first result that determines it; None for that one itself.
+    dof: float | None = None  #: Degrees of freedom; None means infinite.
+    #: Difference from the first result that determines it; None for the first result.
     difference: float | None = None
-    #: Standard uncertainty of `difference`, what both have in common being counted; 0 where nothing
-    #: that is uncertain lies between the two.
+    #: Standard uncertainty of `difference`, allowing for common sources; 0 if only exact
+    #: quantities differ.
     u_difference: float | None = None
-    z: float | None = None  #: `difference` over `u_difference`.
+    z: float | None = None  #: `difference` divided by `u_difference`.
 
 
 class ComparedCoefficient(ResultPart):
     """A coefficient through all results: one estimate for each, in their order."""
 
-    accelerometer: str  #: Its name.
-    term: str  #: Symbol.
-    unit: str  #: Of all its numbers.
-    estimates: list[ComparedEstimate]  #: One for each result.
+    accelerometer: str  #: Name of the accelerometer.
+    term: str  #: Symbol of the term.
+    unit: str  #: Unit of all numbers.
+    estimates: list[ComparedEstimate]  #: Estimates of the results.
 
 
 class AgreementOfTwo(ResultPart):
     """The agreement of an accelerometer's coefficients with the first result that has them."""
 
-    result: str  #: Which result.
-    accelerometer: str  #: Which accelerometer.
-    #: Whether it rests on the ``same`` records as that one, ``part`` of them are, or they are
+    result: str  #: Label of the result.
+    accelerometer: str  #: Name of the accelerometer.
+    #: Whether both results use the ``same`` records, share ``part`` of them, or are
     #: ``independent``.
     records: Literal["same", "part", "independent"]
-    terms: list[str]  #: Those that both determine.
-    chi2: float  #: Of their differences together.
-    dof: int  #: Directions in which these can differ.
-    p: float | None  #: Probability of more by chance; None without a degree of freedom.
-    shared: list[str]  #: Sources that move both results alike, in addition to the records.
-    assumed: list[str]  #: What had to be assumed of their correlation, in sentences.
+    terms: list[str]  #: Terms that both results determine.
+    chi2: float  #: Chi-square of all differences.
+    dof: int  #: Degrees of freedom of the differences.
+    #: Probability of a larger chi-square by chance; None without a degree of freedom.
+    p: float | None
+    shared: list[str]  #: Sources common to both results, in addition to the records.
+    assumed: list[str]  #: Assumptions about the correlation, in sentences.
 
     @property
     def agrees(self) -> bool:
@@ -79,8 +81,10 @@ class AgreementOfTwo(ResultPart):
 class Change(ResultPart):
     """A difference between results: its words in each result, in their order."""
 
-    subject: str  #: What: a file, ``terms of Qx``, ``radius``, ``method`` and so on.
-    values: list[str]  #: In each result; a file by the first digits of its SHA-256, ``-`` for none.
+    #: Subject of the change: a file, ``terms of Qx``, ``radius``, ``method`` and so on.
+    subject: str
+    #: Value in each result; a file by the first digits of its SHA-256, ``-`` for none.
+    values: list[str]
 
 
 #: Columns of `ResultComparison.table`.
@@ -95,14 +99,14 @@ class ResultComparison(ReportableResult):
     BLOCKS: ClassVar[str] = "counterspin.comparisons.page:comparison_blocks"
     KIND: ClassVar[str] = "comparison"
 
-    gravity: float  #: Of the g-units, m/s^2: that of the first result.
-    results: list[ComparedResult]  #: Those compared, in the order in which they were given.
-    #: Each through all results, of all accelerometers that more than one result has.
+    gravity: float  #: Gravity of the g-units, m/s^2, from the first result.
+    results: list[ComparedResult]  #: Compared results, in the given order.
+    #: Coefficients in all results, for accelerometers in more than one result.
     coefficients: list[ComparedCoefficient]
-    #: Each later result with the first that has the accelerometer.
+    #: Agreement of each later result with the first that has the accelerometer.
     agreements: list[AgreementOfTwo]
-    changes: list[Change]  #: What is not the same: files, terms, noise, options, versions.
-    unsealed: list[str] = []  #: Names of the results whose files have no seal.
+    changes: list[Change]  #: Differences in files, terms, noise, options and versions.
+    unsealed: list[str] = []  #: Labels of results whose files have no seal.
 
     def reference(self, accelerometer: str) -> ComparedResult:
         """Return the first result that has an accelerometer: the others are compared with it."""
@@ -149,16 +153,18 @@ class ResultComparison(ReportableResult):
 class RepeatedCoefficient(ResultPart):
     """A coefficient before and now."""
 
-    name: str  #: Such as ``Qx.K_II``, ``platform.drift.north`` or ``run1.platform.tilt.north``.
-    unit: str  #: Of its numbers.
-    before: float | None  #: Estimate in the result.
-    u_before: float | None  #: Its standard uncertainty.
-    now: float | None  #: Estimate made again.
-    u_now: float | None  #: Its standard uncertainty.
-    #: The larger change of the two: of the estimate, in parts of it or of its u, whichever is
-    #: larger; of u, in parts of it. None where one has a number that the other lacks.
+    #: Name of the coefficient, such as ``Qx.K_II``, ``platform.drift.north`` or
+    #: ``run1.platform.tilt.north``.
+    name: str
+    unit: str  #: Unit of the numbers.
+    before: float | None  #: Estimate in the original result.
+    u_before: float | None  #: Standard uncertainty in the original result.
+    now: float | None  #: Estimate in the repeated calibration.
+    u_now: float | None  #: Standard uncertainty in the repeated calibration.
+    #: Larger of two relative changes: of the estimate, relative to its size or its u (the
+    #: larger), and of u. None if only one result has the number.
     relative: float | None
-    in_u: float | None  #: Change of the estimate over `u_before`; None without `u_before`.
+    in_u: float | None  #: Change of the estimate divided by `u_before`; None without `u_before`.
 
 
 class RepeatedCalibration(ReportableResult):
@@ -167,18 +173,15 @@ class RepeatedCalibration(ReportableResult):
     BLOCKS: ClassVar[str] = "counterspin.comparisons.page:repeat_blocks"
     KIND: ClassVar[str] = "repeat of a result"
 
-    result: str  #: What was repeated: its file or title.
-    same: bool  #: Whether every estimate, u and judgement is the same within `limit`.
-    limit: float  #: Largest `relative` of equal numbers.
-    #: The largest `relative` of all coefficients; None where one has a number that the other lacks.
+    result: str  #: File or title of the original result.
+    same: bool  #: Whether all estimates, uncertainties and states agree within `limit`.
+    limit: float  #: Largest value of `relative` for equal numbers.
+    #: Largest value of `relative` of all coefficients; None if only one result has a number.
     largest: float | None
-    largest_in_u: float | None  #: The largest size of `in_u`; None without u.
-    coefficients: list[RepeatedCoefficient]  #: All that either result has.
-    state_before: str | None  #: Whether the result may be relied on, as it was judged.
-    state_now: str | None  #: The same now.
-    #: Differences other than in the numbers: inputs by their checksums, versions,
-    #: environment.
-    changes: list[Change]
-    #: Inputs that were found under another name: name in the result -> where.
-    moved: dict[str, str] = {}
-    unsealed: list[str] = []  #: The name of the result, if its file has no seal.
+    largest_in_u: float | None  #: Largest magnitude of `in_u`; None without u.
+    coefficients: list[RepeatedCoefficient]  #: Coefficients of both results.
+    state_before: str | None  #: State of the original result.
+    state_now: str | None  #: State of the repeated calibration.
+    changes: list[Change]  #: Other differences: checksums of inputs, versions, environment.
+    moved: dict[str, str] = {}  #: Inputs found under another name: name in the result -> path.
+    unsealed: list[str] = []  #: Label of the result, if its file has no seal.

@@ -132,7 +132,7 @@ def _unknown_term_message(term: str) -> str:
         return f'"{term}" belongs to the machine; a history follows a term of an accelerometer'
     kind, _, owner = term.partition(".")
     if owner and kind in TRIAD_QUANTITIES:
-        return f'"{term}" is one of a triad; "{kind}" follows those of all accelerometers'
+        return f'"{term}" is a quantity of a triad; "{kind}" tracks all its accelerometers'
     return f'unknown term "{term}"{suggest_name(term, [*TERMS, *TRIAD_QUANTITIES])}'
 
 

@@ -49,9 +49,10 @@ def history_blocks(history: History) -> Iterator[Block]:
         if len(instrument.points) > 1:
             yield control_plot(history, instrument)
     yield Paragraph(
-        "± is one standard uncertainty (k = 1). z: difference from the weighted mean over its "
-        "standard uncertainty. E_n: change since the result before, over the expanded uncertainty "
-        "(95 %) of the change; up to 1 in size the two agree (ISO 13528).",
+        "± is one standard uncertainty (k = 1). z: difference from the weighted mean divided by "
+        "its standard uncertainty. E_n: change since the previous result divided by the expanded "
+        "uncertainty (95 %) of the change; results agree if its magnitude is at most 1 (ISO "
+        "13528).",
         "quiet",
     )
     if history.converted:
@@ -70,7 +71,7 @@ def verdict_sentences(history: History, instrument: InstrumentHistory) -> str:
     points, mean = instrument.points, instrument.mean * factor
     average = format_estimate(mean, instrument.u_mean * factor, unit)
     if instrument.verdict == "single":
-        return f"{name} = {average}: there is one result, and nothing to compare it with."
+        return f"{name} = {average}: only one result; a comparison needs two."
     line = instrument.drift
     slope = None
     if line is not None:

@@ -149,7 +149,7 @@ def _standardised(
     if low is not None and high is not None and not low < high:
         raise ValueError(f"the lower limit {low} is not below the upper one {high}")
     if not (math.isfinite(value) and 0.0 <= u < math.inf):
-        raise ValueError(f"{value} ± {u} is no estimate")
+        raise ValueError(f"{value} ± {u} is not a valid estimate")
     if dof is not None and not dof > 0.0:
         raise ValueError(f"degrees of freedom are positive; got {dof}")
     if u == 0.0:

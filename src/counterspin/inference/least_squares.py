@@ -350,7 +350,7 @@ def solve(
         and VIII (square-root information, considered parameters).
     """
     if not blocks:
-        raise ValueError("there is no block to solve")
+        raise ValueError("no block of observations was given")
     factor = np.vstack([block.factor for block in blocks])
     considered = np.vstack([block.considered for block in blocks])
     p, q = factor.shape[1], considered.shape[1]

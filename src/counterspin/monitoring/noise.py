@@ -226,7 +226,7 @@ def _guess_signals(
     if not taken:
         raise RecordError(
             f"{source}: no column has a unit of length, velocity or specific force "
-            f"({', '.join(unused) or 'there is none beside the time'}). Name it with `columns`, "
+            f"({', '.join(unused) or 'only the time'}). Name it with `columns`, "
             "and its unit with `unit`."
         )
     moving = [signal for signal in taken if np.unique(signal.values).size > 1]

@@ -14,83 +14,81 @@ from counterspin.results import ReportableResult, ResultPart
 class ResidualState(ResultPart):
     """Residuals of one accelerometer in one run."""
 
-    rms: float  #: Root mean square, a sample, in `unit`.
-    stated: float | None  #: White noise that the campaign states; None where it is to be estimated.
-    ratio: float  #: Whitened residuals over their value expected from the noise: near 1.
-    p: float | None  #: Probability of larger ones; None where the noise was estimated from them.
-    unit: str  #: Of ``rms`` and ``stated``.
+    rms: float  #: Root mean square per sample, in `unit`.
+    stated: float | None  #: White noise stated in the campaign; None if it is to be estimated.
+    ratio: float  #: Whitened residuals divided by the value expected from the noise: near 1.
+    #: Probability of a larger ratio; None if the noise was estimated from the residuals.
+    p: float | None
+    unit: str  #: Unit of ``rms`` and ``stated``.
 
 
 class PosesState(ResultPart):
     """The poses of a triad that one record has so far."""
 
-    count: int  #: How many there are.
-    threshold: float  #: Scatter below which the sensor rests, m/s^2.
-    #: Root mean square of what is felt more or less than g in them, m/s^2; None where nothing is
-    #: fitted yet.
+    count: int  #: Number of poses.
+    threshold: float  #: Scatter below which the sensor counts as at rest, m/s^2.
+    #: Root mean square over the poses of |f| - g, m/s^2; None before the first fit.
     rms: float | None
-    outlying: list[str]  #: Names of those that deviate from the model.
-    #: Directions in which one more pose would say more than all that are there, the most telling
-    #: first: ``+X -Y up`` is halfway between X up and Y down.
+    outlying: list[str]  #: Names of poses that deviate from the model.
+    #: Directions in which one more pose would add more information than all present poses, the
+    #: most informative first: ``+X -Y up`` is halfway between X up and Y down.
     missing: list[str]
 
 
 class MeanState(ResultPart):
     """The mean of a record over whole revolutions, or at rest."""
 
-    value: float  #: By the nominal sensitivity, g.
-    u: float  #: Its standard uncertainty, g.
-    revolutions: int  #: Whole ones; 0 at rest.
+    value: float  #: Reading converted by the nominal sensitivity, g.
+    u: float  #: Standard uncertainty of the mean, g.
+    revolutions: int  #: Number of whole revolutions; 0 at rest.
 
 
 class RunState(ResultPart):
     """The state of a run so far."""
 
-    run: str  #: Its name.
-    record: str  #: Its file.
-    #: ``waiting``: no file, or too little of it; ``read``; ``failed``: it cannot be used as it
-    #: stands.
+    run: str  #: Name of the run.
+    record: str  #: Record file.
+    #: ``waiting``: no file, or too few rows; ``read``; ``failed``: the file cannot be used.
     state: Literal["waiting", "read", "failed"]
-    why: str | None = None  #: The reason for waiting, or the fault.
-    rows: int = 0  #: Read so far.
-    seconds: float = 0.0  #: Recorded so far.
-    #: How long it is to be; None where the campaign does not say.
-    stated_seconds: float | None = None
-    sampling_rate: float | None = None  #: Rows a second, Hz.
-    repeated: int = 0  #: Rows that repeat a time.
-    empty: int = 0  #: Empty cells.
-    outliers: int = 0  #: Samples left out.
-    gaps: int = 0  #: Stretches of missing rows.
-    longest_gap: float = 0.0  #: The longest of them, s.
-    rate: float | None = None  #: Of rotation, rad/s.
-    u_rate: float | None = None  #: Its standard uncertainty; None without a recorded angle.
-    nominal_rate: float  #: As stated, rad/s; 0 at rest.
-    drift: float | None = None  #: Of the rate, 1/s.
-    ripple: float | None = None  #: Largest one of the rate, rad/s; None: none seen.
-    harmonic: int | None = None  #: Which harmonic that is.
-    angle_rms: float | None = None  #: Of the recorded angle about the model, rad.
-    residuals: dict[str, ResidualState] = {}  #: By accelerometer.
-    poses: PosesState | None = None  #: Of a record of poses of unknown attitude.
-    means: dict[str, MeanState] = {}  #: By accelerometer, of a record on an arm or at rest.
+    why: str | None = None  #: Reason for waiting, or the fault.
+    rows: int = 0  #: Number of rows read.
+    seconds: float = 0.0  #: Recorded time, s.
+    stated_seconds: float | None = None  #: Duration stated in the campaign, s; None if not stated.
+    sampling_rate: float | None = None  #: Sampling rate, Hz.
+    repeated: int = 0  #: Number of rows with a repeated time.
+    empty: int = 0  #: Number of empty cells.
+    outliers: int = 0  #: Number of rejected samples.
+    gaps: int = 0  #: Number of gaps, intervals of missing rows.
+    longest_gap: float = 0.0  #: Longest gap, s.
+    rate: float | None = None  #: Rate of rotation, rad/s.
+    u_rate: float | None = None  #: Standard uncertainty of the rate; None without a recorded angle.
+    nominal_rate: float  #: Nominal rate, rad/s; 0 at rest.
+    drift: float | None = None  #: Relative drift of the rate, 1/s.
+    ripple: float | None = None  #: Largest ripple of the rate, rad/s; None if none is detected.
+    harmonic: int | None = None  #: Harmonic of the largest ripple.
+    angle_rms: float | None = None  #: Root mean square of the encoder residual, rad.
+    residuals: dict[str, ResidualState] = {}  #: Residuals by accelerometer.
+    poses: PosesState | None = None  #: Poses found in a record with unknown attitudes.
+    means: dict[str, MeanState] = {}  #: Means by accelerometer, for a record on an arm or at rest.
 
 
 class CurrentEstimate(ResultPart):
     """Current estimate of a coefficient from the existing records."""
 
-    name: str  #: Such as ``Qx.K_II``.
-    value: float | None  #: None where it is not determined.
+    name: str  #: Name of the coefficient, such as ``Qx.K_II``.
+    value: float | None  #: Estimate; None if not determined.
     u: float | None  #: Standard uncertainty.
-    unit: str  #: Of both.
+    unit: str  #: Unit of the numbers.
 
 
 class GoalState(ResultPart):
     """A goal: the u that is wanted of a coefficient, the u reached, and whether that is enough."""
 
-    name: str  #: Of the coefficient.
-    wanted: float  #: The u that is wanted of it.
-    u: float | None  #: Reached so far; None: not determined.
-    unit: str  #: Of both.
-    met: bool  #: Whether that is enough.
+    name: str  #: Name of the coefficient.
+    wanted: float  #: Target value of u.
+    u: float | None  #: Current value of u; None if not determined.
+    unit: str  #: Unit of the numbers.
+    met: bool  #: Whether the target is reached.
 
 
 class WatchState(ReportableResult):
@@ -99,15 +97,15 @@ class WatchState(ReportableResult):
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:watch_blocks"
     KIND: ClassVar[str] = "watch"
 
-    title: str  #: Of the campaign.
-    runs: list[RunState]  #: In the order of the description.
-    #: K_II of each accelerometer, all of a triad in poses, and the coefficients of goals.
+    title: str  #: Title of the campaign.
+    runs: list[RunState]  #: Runs in the order of the description.
+    #: K_II of each accelerometer, all coefficients of a triad in poses, and those of goals.
     coefficients: list[CurrentEstimate]
-    goals: list[GoalState]  #: What is wanted.
-    events: list[str]  #: What happened to files since the state before, in sentences.
-    #: Why the records that are there cannot be fitted together; None if they can.
+    goals: list[GoalState]  #: Targets for u.
+    events: list[str]  #: Changes of files since the previous state, in sentences.
+    #: Reason why the present records cannot be fitted together; None if they can.
     trouble: str | None
-    complete: bool  #: Whether every run is read and as long as the campaign states.
+    complete: bool  #: Whether every run is read and has the stated duration.
 
     @property
     def met(self) -> bool:
@@ -121,15 +119,15 @@ class CheckedRun(ReportableResult):
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:check_blocks"
     KIND: ClassVar[str] = "check"
 
-    run: RunState  #: What it shows, fitted by itself.
-    remarks: list[str]  #: What is wrong or odd, in sentences; empty if nothing is.
-    good: bool  #: Whether it may be kept as it is.
-    others: list[str]  #: The other runs of the campaign whose records are there.
-    reached: list[CurrentEstimate]  #: Coefficients by this record and those others.
-    #: The u that the whole campaign will reach if its other runs are made as described; values are
+    run: RunState  #: State of the run, fitted alone.
+    remarks: list[str]  #: Faults and remarks, in sentences; empty without any.
+    good: bool  #: Whether the record can be used unchanged.
+    others: list[str]  #: Other runs of the campaign that have records.
+    reached: list[CurrentEstimate]  #: Coefficients from this record and the other records.
+    #: Expected u of the complete campaign, if its other runs are made as described; values are
     #: None.
     expected: list[CurrentEstimate]
-    why_not: str | None = None  #: Why that cannot be said; None if it can.
+    why_not: str | None = None  #: Reason why `expected` is missing; None if present.
 
 
 #: SI unit -> the unit of a record in g, and its number per 1 g of the SI quantity.
@@ -155,35 +153,39 @@ def shown_unit(unit: str, in_g: bool, gravity: float) -> tuple[str, float]:
 class NoiseSize(ResultPart):
     """The size of one component of the noise."""
 
-    value: float | None  #: None: the record does not show it.
-    low: float  #: Lower end of its 95 % interval; 0: the record may be without it.
-    high: float | None  #: Upper end; an upper limit for an undetected component. None: no limit.
-    unit: str  #: Of all three.
+    value: float | None  #: Estimate; None if the record does not show the component.
+    low: float  #: Lower end of the 95 % interval; 0 if the component may be absent.
+    #: Upper end of the interval; the upper limit of an undetected component. None means no
+    #: limit.
+    high: float | None
+    unit: str  #: Unit of the three numbers.
 
 
 class SignalNoise(ResultPart):
     """The noise of one column."""
 
-    name: str  #: Of the accelerometer, or of the column.
-    column: str  #: In the file.
-    observable: Literal["displacement", "velocity", "specific_force"]  #: What it holds.
-    in_g: bool  #: Whether it is recorded in g, or in an output converted with gravity.
-    rows: int  #: Of the record.
-    sampling_rate: float  #: Rows a second, Hz.
-    seconds: float  #: Of all that was used.
-    outliers: int  #: Samples left out.
-    filled: int  #: Samples missing in the parts used, outliers among them.
-    gaps: int  #: Stretches of missing rows, at which the record is cut.
-    resolution: float | None  #: Least step between different samples, SI; None: none is seen.
-    #: By key of ``[noise]``: ``acceleration`` N, ``flicker`` B, ``bias_walk`` K, and white noise of
-    #: the record: ``displacement``, ``velocity``, or of a specific force ``quantisation`` (m/s).
+    name: str  #: Name of the accelerometer or of the column.
+    column: str  #: Column in the file.
+    observable: Literal["displacement", "velocity", "specific_force"]  #: Recorded observable.
+    in_g: bool  #: Whether the column is in g, or in an output converted with gravity.
+    rows: int  #: Number of rows in the record.
+    sampling_rate: float  #: Sampling rate, Hz.
+    seconds: float  #: Duration of the used parts, s.
+    outliers: int  #: Number of rejected samples.
+    filled: int  #: Number of missing samples in the used parts, including outliers.
+    gaps: int  #: Number of gaps, at which the record is split.
+    #: Smallest difference between distinct samples, SI; None if not detected.
+    resolution: float | None
+    #: Components by key of ``[noise]``: ``acceleration`` N, ``flicker`` B, ``bias_walk`` K,
+    #: and white noise of the record: ``displacement``, ``velocity``, or for a specific force
+    #: ``quantisation`` (m/s).
     components: dict[str, NoiseSize]
-    drift: float  #: Straight line of the bias, m/s^2 a second.
-    u_drift: float  #: Its standard uncertainty, by the components that show.
-    lines: list[SpectralLine]  #: Waves, the largest against its neighbourhood first.
+    drift: float  #: Linear drift of the bias, m/s^2 per second.
+    u_drift: float  #: Standard uncertainty of the drift, from the detected components.
+    lines: list[SpectralLine]  #: Spectral lines, the most prominent first.
     allan: list[AllanValue]  #: Overlapping Allan deviation, without the lines.
-    spectrum: list[SpectrumValue]  #: Power spectral density, lines and all.
-    remarks: list[str]  #: What to know before these figures are used.
+    spectrum: list[SpectrumValue]  #: Power spectral density, including the lines.
+    remarks: list[str]  #: Remarks on the use of these figures.
 
 
 class NoiseResult(ReportableResult):
@@ -193,9 +195,9 @@ class NoiseResult(ReportableResult):
     KIND: ClassVar[str] = "noise"
     REPORT_KIND: ClassVar[str | None] = "a report of noise"
 
-    record: str  #: The file.
-    checksum: str | None  #: SHA-256 of it; None of a record in memory.
-    gravity: float  #: By which g and m/s^2 are converted, m/s^2.
-    signals: list[SignalNoise]  #: One for each column.
+    record: str  #: Record file.
+    checksum: str | None  #: SHA-256 of the file; None for a record in memory.
+    gravity: float  #: Gravity for conversion between g and m/s^2, m/s^2.
+    signals: list[SignalNoise]  #: Noise of each column.
     unused: list[str]  #: Columns other than displacement, velocity and specific force.
-    table: str  #: The ``[noise]`` table, to be pasted into ``campaign.toml``.
+    table: str  #: ``[noise]`` table to paste into ``campaign.toml``.

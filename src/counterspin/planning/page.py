@@ -289,15 +289,15 @@ def _faults(result: PlanResult, name: str, accelerometer: PlannedAccelerometer) 
             ),
         )
         yield Paragraph(
-            "Remove them from model.assume, state what is known of them in [model.priors], "
-            "and plan again."
+            "Remove them from model.assume, state their priors in [model.priors], and plan again."
         )
     else:
         yield Paragraph(
             "Nothing that is assumed perfect would shift K_II undetected by more "
             "than its standard uncertainty."
             if result.assumed
-            else "Nothing is assumed perfect: what is not stated contributes with its typical size."
+            else "Nothing is assumed perfect: each term without a prior contributes its "
+            "default standard uncertainty."
         )
     if seen:
         named = ", ".join(effect.symbol for effect in seen)
@@ -315,7 +315,7 @@ def _faults(result: PlanResult, name: str, accelerometer: PlannedAccelerometer) 
 def _limits(result: PlanResult) -> Iterator[Block]:
     if result.goal is None:
         return
-    yield Heading("What limits the plan")
+    yield Heading("Active limits")
     what = "Uncertainty" if result.goal.kind == "minimise" else "Time"
     if not result.limits:
         yield Paragraph(

@@ -134,7 +134,7 @@ def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) ->
     problems = Problems(raw)
     if "runs" in raw:
         raw = {key: value for key, value in raw.items() if key != "runs"}
-        problems.add(("runs",), "a plan chooses the runs; state in [limits] what is allowed")
+        problems.add(("runs",), "a plan chooses the runs; state the limits in [limits]")
     problems.check(PlanDocument, raw, ())
     settings = problems.check(LimitsSettings, table_of(raw, "limits"), ("limits",), gravity=None)
     goal = problems.check(GoalSettings, table_of(raw, "goal"), ("goal",))
@@ -448,7 +448,7 @@ def _size(
     if quantity is None:
         return None
     if quantity.value <= 0.0 or quantity.u != 0.0:
-        problems.add(path, "a target uncertainty is one number greater than zero")
+        problems.add(path, "a target uncertainty must be a single number greater than zero")
         return None
     return quantity.value
 

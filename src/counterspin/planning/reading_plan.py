@@ -243,8 +243,8 @@ class ReadingSearch:
         if text.endswith(by) and all(r.motion == "static" for r in self.plan.stand_in.readings):
             text += ": at 1 g the squares of the specific forces add up to one"
         raise NotIdentifiableError(
-            text + ". Allow other stations, such as an arm or other axes, or state what is "
-            "known of the other terms in [model.priors]."
+            text + ". Allow other stations, such as an arm or other axes, or state priors of the "
+            "other terms in [model.priors]."
         )
 
     def _chosen(self) -> tuple[Optimum[Counts], float | None]:

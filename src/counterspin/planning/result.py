@@ -97,7 +97,7 @@ class GoalResult(ResultPart):
     have, over this plan's; None where no theorem gives it.
     """
 
-    #: ``minimise``: the smallest uncertainty in the time there is; ``target``: the least time.
+    #: ``minimise``: smallest uncertainty within the time; ``target``: shortest time.
     kind: Literal["minimise", "target"]
     criterion: Literal["sum", "determinant"]
     sizes: dict[str, float]

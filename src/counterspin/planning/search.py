@@ -250,8 +250,7 @@ def require_determined(search: Search) -> None:
     text += (
         f'. Allow the attitude "{helps}" too (limits.attitudes)'
         if helps
-        else ". State what is known of the other terms in [model.priors], or remove "
-        "them from model.terms"
+        else ". State priors of the other terms in [model.priors], or remove them from model.terms"
     )
     raise NotIdentifiableError(text + ".")
 

@@ -296,7 +296,7 @@ def _possible(
     before = len(problems.lines)
     static = settings.motion == "static"
     if static and (settings.rates or settings.specific_forces):
-        problems.add(path, "at rest there are no rates; give positions or attitudes")
+        problems.add(path, "a station at rest has no rates; give positions or attitudes")
     if not static and bool(settings.rates) == bool(settings.specific_forces):
         problems.add(path, "give one of rates and specific_forces")
     if settings.positions is not None and settings.attitudes is not None:

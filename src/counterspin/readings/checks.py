@@ -159,8 +159,8 @@ def _check_residual_dof(view: AccelerometerView) -> list[Finding]:
         f"{count} readings leave {dof_text} degree{'' if dof_text == '1' else 's'} of freedom "
         "after the "
         f"estimation: a pattern in them, such as a drift, hysteresis or a missing term, cannot "
-        f"be recognised{_detection_clause(dof)}. Take more of them, or state what is known of "
-        f"more terms."
+        f"be recognised{_detection_clause(dof)}. Take more readings, or state priors of more "
+        "terms."
     )
     return [Finding(code="unjudged-readings", subject=view.name, text=text)]
 

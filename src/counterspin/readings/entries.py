@@ -39,7 +39,7 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
     has_attitude, no_axes = "stand" in run.model_fields_set, run.axes is None
     single_temperature = len(run.temperature or ()) < 2
     no_meaning = "has no meaning at an unknown attitude"
-    arm = 'on an arm there is no attitude; write axes = { input = "inward", pendulous = "up" }'
+    arm = 'a run on an arm has no attitude; write axes = { input = "inward", pendulous = "up" }'
     # Whether it is wrong, its key, and further ones on which that hangs.
     rows: Iterable[tuple[object, str, str]] = (
         (

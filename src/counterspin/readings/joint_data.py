@@ -124,8 +124,8 @@ class ReadingsAndPoses(ReadingData):
         if only_at_rest(view.campaign) and symbol in ("K_F", "K_II", *SQUARES):
             return "records", (
                 " At 1 g the squares of the specific forces add up to one, so that no set of "
-                "positions separates K_II, K_PP and K_OO together from K_F: state what is known "
-                "of K_PP and K_OO, or test at other forces."
+                "positions separates K_II, K_PP and K_OO together from K_F: state priors of K_PP "
+                "and K_OO, or test at other forces."
             )
         return "records", ""
 

@@ -351,7 +351,7 @@ class CsvFile(ColumnFile):
             )
         hint = ""
         if cell.strip() == column:
-            hint = " The names stand there again: give each run a file of its own."
+            hint = " The column names are repeated: put each run into a separate file."
         if _UNIT_CELL.fullmatch(cell.strip()):
             hint = " Move the unit from the cells to the line of names, such as 'Time [s]'."
         if _is_number(cell.replace(",", ".")):

@@ -61,7 +61,7 @@ _INSTEAD: Final[Mapping[str, str]] = {
     'savetxt("NAME.csv", load("NAME.npz")["ARRAY"], delimiter=",").',
     **dict.fromkeys(
         (".json", ".jsonl", ".xml", ".yaml", ".yml", ".toml", ".db", ".sqlite"),
-        "this is no table; write its rows to a .csv file, a line for each time.",
+        "not a data table; export the data as CSV, with a line for each sample.",
     ),
     **dict.fromkeys(
         (".ods", ".numbers", ".doc", ".docx", ".rtf", ".pdf"),

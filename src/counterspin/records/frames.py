@@ -34,7 +34,7 @@ def memory_table(name: str, frame: Any) -> MemoryTable:
         listing = ", ".join(f"'{key}' {length}" for key, length in lengths.items())
         raise RecordError(f"{name}: the columns differ in length: {listing}.")
     if not any(lengths.values()):
-        raise RecordError(f"{name}: there are no rows of numbers.")
+        raise RecordError(f"{name}: the file has no rows of numbers.")
     return MemoryTable(name, columns, tuple(others))
 
 

@@ -73,7 +73,7 @@ def pdf(
     """
     names = [attachment.name for attachment in attachments]
     if len(set(names)) < len(names):
-        raise ValueError(f"each attachment needs a name of its own; got {', '.join(names)}")
+        raise ValueError(f"each attachment needs a unique name; got {', '.join(names)}")
     title, identifier = escape_controls(title), escape_controls(identifier)
     moment = date.astimezone(UTC).replace(microsecond=0)
     blocks = list(without_cards(blocks))

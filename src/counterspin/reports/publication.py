@@ -129,7 +129,7 @@ def issue_date(text: str | None = None) -> datetime:
     except (ValueError, OverflowError, OSError) as error:
         source, given_text = ("`date`", text) if text is not None else ("SOURCE_DATE_EPOCH", epoch)
         raise CampaignError(
-            source, [f"{given_text!r} is no date: write 2026-03-01 or 2026-03-01T14:30:00+01:00"]
+            source, [f"{given_text!r} is not a date: write 2026-03-01 or 2026-03-01T14:30:00+01:00"]
         ) from error
     return datetime.now(UTC).replace(microsecond=0)
 

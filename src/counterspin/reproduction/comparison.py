@@ -117,7 +117,7 @@ def second_stage_uncertainty() -> tuple[Row, ...]:
             "exact",
             "stated plan, exact: K_II and K_F",
             u(_exact_second_stage(plan)),
-            "what counterspin does: 1/4, no ripple column, the bias estimated too",
+            "as counterspin calculates: 1/4, no ripple column, bias estimated",
             ".3e",
         ),
         row(
@@ -188,7 +188,7 @@ def second_stage_ripple() -> tuple[Row, ...]:
         ),
         Row(
             "separation.with",
-            "with ripple: K_II with 1/4, ripple column beside it",
+            "with ripple: K_II with 1/4 and a ripple column",
             truth,
             separated[0],
             "g/g^2",
@@ -218,7 +218,7 @@ def second_stage_ripple() -> tuple[Row, ...]:
             truth,
             _exact_second_stage(drifting, fit_bias=False).estimate("K_II")[0],
             "g/g^2",
-            "drift is what a second unknown is needed for",
+            "a second unknown is needed for drift",
         ),
         Row(
             "separation.drift_separated",
@@ -291,6 +291,6 @@ def reproduce() -> Reproduction:
             PaperSection("First stage: sigma(b2), after Eq. 31", first_stage_uncertainty()),
             PaperSection("Second stage: sigma(K_II), after Eq. 34", second_stage_uncertainty()),
             PaperSection("Which K_II is recovered: simulated by Eq. 7, without noise", recovery()),
-            PaperSection("What the second unknown of Eq. 26 achieves", second_stage_ripple()),
+            PaperSection("Effect of the second unknown of Eq. 26", second_stage_ripple()),
         ),
     )

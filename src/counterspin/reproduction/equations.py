@@ -168,7 +168,7 @@ def _strobes() -> tuple[Row, ...]:
             float(printed_drifting[2] - printed_steady[2]) / drift_unit / RATE,
             float(drifting[2] - steady[2]) / drift_unit / RATE,
             "K_I R C w0",
-            "this is what a column in w0 has to take up; with a measured angle there is none",
+            "a column in w0 has to absorb this; with a measured angle it is zero",
             "z.2f",
         ),
         Row(

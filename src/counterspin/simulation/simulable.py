@@ -101,8 +101,8 @@ def unfit_readings(campaign: Campaign) -> list[str]:
     problems = []
     if campaign.triad and campaign.triad.records and _is_still(truth.noise):
         problems.append(
-            "truth.noise.specific_force: missing; a sensor without noise at rest would "
-            "be taken for a stopped one, and no pose would be found in its record"
+            "truth.noise.specific_force: missing; a sensor without noise at rest would look like "
+            "a stopped one, and counterspin would find no pose in its record"
         )
     for (name, _), of_run in truth.read.items():
         length = max((r.duration or 0.0 for r in campaign.readings if r.name == name), default=0.0)
@@ -160,7 +160,7 @@ def refuse_unsupported(campaign: Campaign) -> None:
         if records.count(run.record) > 1:
             problems.append(f'run "{run.name}": a simulated record is of one run')
         if len(run.files) > 1:
-            problems.append(f'run "{run.name}": a simulated record is one file')
+            problems.append(f'run "{run.name}": a simulated record is a single file')
     if problems:
         raise CampaignError(str(campaign.path), problems)
 

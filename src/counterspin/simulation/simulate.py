@@ -159,8 +159,8 @@ def _refuse_in_the_way(paths: Sequence[Path], description: Path, *, overwrite: b
     in_the_way = [path for path in paths if path.exists()]
     if in_the_way and not description.exists():
         raise CounterspinError(
-            f"{in_the_way[0]} exists, and no {DESCRIPTION_NAME} beside it says that it was "
-            "simulated; it is not replaced: simulate into another folder"
+            f"{in_the_way[0]} exists, and no {DESCRIPTION_NAME} in its folder describes it as "
+            "simulated, so it is not replaced. Simulate into another folder"
         )
     if in_the_way and not overwrite:
         raise CounterspinError(

@@ -323,7 +323,7 @@ def against_strobes(
         residual = _largest_residual_rms(world, truth, owner)
         if residual > _LARGEST_ERROR * _white(truth):
             reasons.append(
-                "sigma is taken from residuals in which errors that are no parabola reach "
+                "sigma is estimated from residuals, which contain non-parabolic errors up to "
                 f"{residual:.1e} m"
             )
     return reasons
@@ -346,7 +346,9 @@ def against_joint(world: World, truth: StudyTruth, request: JointRequest) -> lis
     walks = {walk for _, walk in assumed}
     right = not truth.varies(WHITE) and assumed == {(truth.white, world.noise.random_walk)}
     if not right and (walks != {0.0} or world.noise.random_walk > 0.0):
-        reasons.append("the true noise is neither white nor what the analysis assumes")
+        reasons.append(
+            "the true noise is neither white nor equal to the noise that the analysis assumes"
+        )
     return reasons
 
 

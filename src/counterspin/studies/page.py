@@ -83,7 +83,7 @@ def _verdict(result: StudyResult) -> Iterator[Block]:
 
 
 def _varying(result: StudyResult) -> Iterator[Block]:
-    yield Heading("What varied from trial to trial")
+    yield Heading("Varied quantities")
     if not result.varying:
         yield Paragraph("Only the noise.")
         return

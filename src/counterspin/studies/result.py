@@ -41,9 +41,8 @@ _FIRST_DRIVER: Final = _HISTOGRAM.stop
 class Driver:
     """A varying quantity against which the bias is shown."""
 
-    symbol: str  #: Which.
-    #: Between which values it is divided into bins.
-    low: float
+    symbol: str  #: Symbol of the quantity.
+    low: float  #: Lower limit of the bins.
     high: float
 
 
@@ -134,42 +133,44 @@ _LARGEST_BIAS: Final = 0.2
 class BiasAgainst(ResultPart):
     """Bias against a quantity that varied, bin by bin; null where a bin has no trials."""
 
-    value: list[float]  #: Centres of the bins.
-    trials: list[float]  #: The number in each.
-    bias: list[float | None]  #: Of estimate minus truth.
-    se_bias: list[float | None]  #: Its standard error.
+    value: list[float]  #: Centre values of the bins.
+    trials: list[float]  #: Number of trials in each bin.
+    bias: list[float | None]  #: Mean of estimate minus truth.
+    se_bias: list[float | None]  #: Standard error of the bias.
 
 
 class CoefficientResult(ResultPart):
     """Statistics of the trials of one coefficient of one analysis."""
 
-    trials: int  #: How many.
+    trials: int  #: Number of trials.
     truth: float  #: Mean of the true values.
     bias: float  #: Mean of estimate minus truth.
-    se_bias: float  #: Its standard error.
+    se_bias: float  #: Standard error of the bias.
     sd: float  #: Standard deviation of estimate minus truth.
-    mse: float  #: Its mean square.
-    u: float  #: Mean of the standard uncertainty claimed.
-    covered: tuple[float, ...]  #: Share of trials whose interval held the truth, for each level.
-    intervals: tuple[tuple[float, float], ...]  #: The binomial 95 % interval of each share.
-    histogram: list[int]  #: Trials in each bin of z, those beyond the ends first and last.
-    against: dict[str, BiasAgainst]  #: By what varied: the bias against it.
-    unit: str  #: Of the coefficient.
-    bound: float | None  #: The Cramer-Rao bound of the standard uncertainty, or None.
-    #: The bound's variance over the mean square error; None without a bound.
+    mse: float  #: Mean square of estimate minus truth.
+    u: float  #: Mean of the stated standard uncertainty.
+    #: Share of trials whose interval contains the truth, for each level.
+    covered: tuple[float, ...]
+    intervals: tuple[tuple[float, float], ...]  #: Binomial 95 % interval of each share.
+    #: Number of trials in each bin of z; the first and last bins hold those beyond the ends.
+    histogram: list[int]
+    against: dict[str, BiasAgainst]  #: Bias against each varied quantity.
+    unit: str  #: Unit of the coefficient.
+    bound: float | None  #: Cramer-Rao bound of the standard uncertainty, or None.
+    #: Variance of the bound divided by the mean square error; None without a bound.
     efficiency: float | None
-    #: Whether its intervals contain the truth as often as they should; None with too few trials.
+    #: Whether the intervals have their nominal coverage; None with too few trials.
     trustworthy: bool | None
-    finding: str  #: The same in words.
+    finding: str  #: Verdict on the coverage, in words.
 
 
 class AnalysisResult(ResultPart):
     """One of the competing analyses."""
 
-    engine: str  #: The engine used, in words.
-    trustworthy: bool | None  #: Whether all its coefficients are; None with too few trials.
-    coefficients: dict[str, CoefficientResult]  #: What it reports, by owner and symbol.
-    undetermined: list[str]  #: What the records do not determine.
+    engine: str  #: Engine used, in words.
+    trustworthy: bool | None  #: Whether all coefficients are trustworthy; None with too few trials.
+    coefficients: dict[str, CoefficientResult]  #: Reported coefficients, by owner and symbol.
+    undetermined: list[str]  #: Coefficients that the records do not determine.
 
 
 class StudyResult(ReportableResult):
@@ -179,15 +180,15 @@ class StudyResult(ReportableResult):
     REPORT_BLOCKS: ClassVar[str] = "counterspin.studies.page:report_blocks"
     KIND: ClassVar[str] = "study's result"
 
-    title: str  #: Of the campaign.
-    trials: int  #: How many were done.
-    trials_asked: int  #: How many were asked for.
+    title: str  #: Title of the campaign.
+    trials: int  #: Number of trials done.
+    trials_asked: int  #: Number of trials requested.
     complete: bool  #: Whether all trials were done.
-    seed: int  #: Of the random numbers.
-    varying: list[str]  #: What varied, in words.
-    levels: tuple[float, ...] = LEVELS  #: Of the intervals whose coverage is given.
-    analyses: dict[str, AnalysisResult]  #: The competitors, by name.
-    verdict: list[str]  #: Which of them to trust, and why not the others.
+    seed: int  #: Seed of the random numbers.
+    varying: list[str]  #: Varied quantities, in words.
+    levels: tuple[float, ...] = LEVELS  #: Levels of the intervals.
+    analyses: dict[str, AnalysisResult]  #: Compared analyses, by name.
+    verdict: list[str]  #: Trustworthy analyses, and the faults of the others.
     provenance: dict[str, str]  #: ``version`` of the program.
 
     def plot(self, *, axes: Any = None) -> list[Any]:

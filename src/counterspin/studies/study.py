@@ -221,4 +221,4 @@ def _in_words(varying: VariedQuantity) -> str:
         "uniform": f"uniform from {low} to {high}",
         "fixed": low,
     }[varying.distribution]
-    return f"{name}: {how}" + (", anew in each run" if varying.per_run else "")
+    return f"{name}: {how}" + (", drawn separately for each run" if varying.per_run else "")

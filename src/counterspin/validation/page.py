@@ -12,37 +12,37 @@ from counterspin.results import ReportableResult, ResultPart
 class Installation(ResultPart):
     """The installed package, its environment and the state of its files."""
 
-    version: str  #: Of counterspin.
-    environment: dict[str, str]  #: Python, NumPy, SciPy, the machine.
-    packages: dict[str, str]  #: What counterspin needs -> its version.
-    files: int  #: The package's own files.
-    checksum: str  #: One SHA-256 over their names and contents.
-    #: Files whose hash the installation's RECORD states; 0 where there is none, as of a package
-    #: that was installed in place.
+    version: str  #: Version of counterspin.
+    environment: dict[str, str]  #: Versions of Python, NumPy and SciPy, and the machine.
+    packages: dict[str, str]  #: Required package -> version.
+    files: int  #: Number of files of the package.
+    checksum: str  #: SHA-256 of the names and contents of all files.
+    #: Number of files with a hash in the installation's RECORD; 0 without a RECORD, as in an
+    #: editable installation.
     recorded: int
-    altered: list[str]  #: Files that differ from their hash.
-    missing: list[str]  #: Files that are gone.
-    unknown: list[str]  #: Files that RECORD does not know.
+    altered: list[str]  #: Files that differ from their recorded hash.
+    missing: list[str]  #: Missing files.
+    unknown: list[str]  #: Files that are not in RECORD.
 
 
 class CheckedCase(ResultPart):
     """A case and the deviation of its found values."""
 
-    name: str  #: Of the case.
-    requirement: str  #: What it belongs to.
-    kernel: str  #: The function under test.
-    source: str  #: Where the expected values come from.
+    name: str  #: Name of the case.
+    requirement: str  #: Requirement that the case checks.
+    kernel: str  #: Function under test.
+    source: str  #: Source of the expected values.
     #: ``passed``, ``failed``, or ``not run`` because a package is not installed.
     state: Literal["passed", "failed", "not run"]
-    numbers: int  #: How many were compared.
-    quantity: str  #: The number nearest to its limit.
-    expected: float | None  #: What it should be.
-    found: float | None  #: What it is here.
-    #: Right digits of that number: -log10 of the relative difference, at most 16; None where
-    #: nothing was expected but 0, or where nothing was found.
+    numbers: int  #: Number of compared values.
+    quantity: str  #: Value closest to its limit.
+    expected: float | None  #: Expected value.
+    found: float | None  #: Value on this installation.
+    #: Correct digits of that value: -log10 of the relative difference, at most 16; None if the
+    #: expected value is 0 or no value was found.
     digits: float | None
-    limit: float | None  #: Largest difference allowed of that number.
-    note: str = ""  #: What went wrong where nothing could be compared.
+    limit: float | None  #: Largest allowed difference of that value.
+    note: str = ""  #: Reason why nothing could be compared.
 
 
 class Dossier(ReportableResult):
@@ -53,9 +53,9 @@ class Dossier(ReportableResult):
     KIND: ClassVar[str] = "validation dossier"
 
     passed: bool  #: Whether no case failed and no file of the installation is altered or missing.
-    installation: Installation  #: What is installed.
+    installation: Installation  #: Installed software.
     cases: list[CheckedCase]  #: All cases.
-    not_covered: list[str]  #: What no case says anything about, in sentences.
+    not_covered: list[str]  #: Limits of the validation, in sentences.
 
     @property
     def identifier(self) -> str:
@@ -86,7 +86,7 @@ def dossier_blocks(dossier: Dossier) -> Iterator[Block]:
     yield from _failures(dossier)
     yield Heading("Requirements and their cases")
     yield _requirements(dossier)
-    yield Heading("What is installed")
+    yield Heading("Installed software")
     yield from _installation_blocks(dossier)
     for requirement in dict.fromkeys(case.requirement for case in dossier.cases):
         yield Heading(f"Cases: {requirement}")
@@ -101,7 +101,7 @@ def dossier_blocks(dossier: Dossier) -> Iterator[Block]:
     for source in dict.fromkeys(case.source for case in dossier.cases):
         names = ", ".join(case.name for case in dossier.cases if case.source == source)
         yield Paragraph(f"{names}: {source}.")
-    yield Heading("What is not covered")
+    yield Heading("Limits of the validation")
     for text in dossier.not_covered:
         yield Paragraph(text)
 

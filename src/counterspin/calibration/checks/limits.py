@@ -117,8 +117,8 @@ def check_default_priors(rests_on: Sequence[Knowledge]) -> Iterator[Finding]:
         text = (
             f"{row.name}, which is not stated, is estimated as {estimate}: "
             f"{format_number(ratio, 2)} "
-            f"times the typical size, {size}. State what is known of it in [model.priors], or "
-            "look for a mistake that has the same effect."
+            f"times its default standard uncertainty, {size}. State a prior for it in "
+            "[model.priors], or look for another error with the same effect."
         )
         yield Finding(code="beyond-typical", subject=row.name, text=text, size=ratio)
 

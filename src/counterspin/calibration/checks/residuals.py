@@ -48,7 +48,7 @@ def _compare_run_noise(view: AccelerometerView) -> list[Finding]:
         f"that of {worst.run} is {format_number(math.sqrt(worst.ratio), 2)} times as large as "
         f"the others' "
         f"(p = {worst.p:.2g}). A slow error of this record, or of one that it is compared with, "
-        f"may have been taken for noise and may shift the coefficients by more than their "
+        f"may have been counted as noise and may shift the coefficients by more than their "
         "uncertainty. "
         "Inspect the records."
     )

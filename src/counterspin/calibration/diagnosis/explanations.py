@@ -54,7 +54,7 @@ class Explanation(PriorExplanation):
             )
             label += " and would be larger than is credible"
         else:
-            text += "Add it to the terms, or state what is known of it."
+            text += "Add it to the terms, or state a prior for it."
         return FindingText(
             code="term-missing", subject=self.alternative.name, text=text, name=label
         )
@@ -137,7 +137,7 @@ class Explanation(PriorExplanation):
 
     def _describe_bias(self) -> FindingText:
         text = (
-            f"{self._record_names} would fit with a bias of its own, "
+            f"{self._record_names} would fit with a separate bias, "
             f"{self._format_estimate('g')} more than in "
             "the other runs: the bias has changed, or the record has a slow error. "
             "Inspect the record."

@@ -243,7 +243,7 @@ def _counts(runs: dict[str, RunResult]) -> Iterator[Block]:
         if run.angle_rms is not None:
             unit, factor = field_unit("rad")
             rms = format_number(run.angle_rms * factor)
-            yield Paragraph(f"{name}: recorded angle less its model, rms {rms} {unit}.")
+            yield Paragraph(f"{name}: encoder residual, {rms} {unit} rms.")
 
 
 def _ripples(run: RunResult) -> str:

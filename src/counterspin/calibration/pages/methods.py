@@ -128,9 +128,9 @@ def _method(result: Result) -> str:
         )
     return (
         "All samples of all runs and accelerometers in one weighted least-squares fit, with "
-        "prior knowledge as further observations; quantities that are held and not estimated "
-        "contribute to "
-        "u by their sensitivity. Each run has a start offset and a start velocity of its own."
+        "priors as further observations. Fixed (considered) quantities are propagated through "
+        "their sensitivity coefficients. Each run has a separate start offset and start "
+        "velocity."
     )
 
 

@@ -148,13 +148,12 @@ def knowledge_blocks(result: Result) -> Iterator[Block]:
     rows = [row for row in result.rests_on if shares.get(row.name, 0.0) >= _LEAST_SHARE]
     if not rows and not result.assumed:
         return
-    yield Heading("What u rests on")
+    yield Heading("Prior information")
     if rows:
         rows.sort(key=lambda row: -shares[row.name])
         yield Paragraph(
-            "Prior knowledge, weighted in the fit: as stated in the description, or at the "
-            "typical size where nothing is stated. The share is the "
-            "largest that each has in the u^2 of any coefficient.",
+            "Priors in the fit: as stated in the description, or by default 0 with the default "
+            "standard uncertainty. The share is the largest share of u^2 among all coefficients.",
             "quiet",
         )
         yield Table(
