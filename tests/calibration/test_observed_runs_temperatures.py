@@ -8,7 +8,7 @@ import pytest
 from campaigns import campaign_of
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.observed_runs import with_recorded_temperatures
+from counterspin.calibration.observed_runs import with_recorded_conditions
 from counterspin.campaign.memory import make_campaign
 from counterspin.errors import CampaignError, RecordError
 from counterspin.physics.motion import EARTH_RATE
@@ -165,11 +165,11 @@ def test_a_run_that_states_another_temperature_is_refused():
     document = described("velocity", rates=(1.5, 1.5))
     document["runs"][1]["temperature"] = "300 K"  # within 5 K of 23 to 32 degC
     campaign = make_campaign(document, records=records)
-    assert with_recorded_temperatures(campaign).runs[1].temperature[0] == pytest.approx(296.15)
+    assert with_recorded_conditions(campaign).runs[1].temperature[0] == pytest.approx(296.15)
     document["runs"][1]["temperature"] = "12 degC"
     campaign = make_campaign(document, records=records)
     with pytest.raises(RecordError, match=r'from 23 to .* degC; the run "r1" states .* 11 K off'):
-        with_recorded_temperatures(campaign)
+        with_recorded_conditions(campaign)
 
 
 def test_a_run_may_have_another_column_or_none_is_needed():
@@ -178,12 +178,12 @@ def test_a_run_may_have_another_column_or_none_is_needed():
     first, second = (upright("velocity", rate, 1, 1e-3) for rate in (1.5, 3.0))
     first = first.with_columns(probe=pl.col("T") + 274.15)
     campaign = make_campaign(document, records={"r0": first, "r1": second})
-    one, other = with_recorded_temperatures(campaign).runs
+    one, other = with_recorded_conditions(campaign).runs
     assert np.subtract(one.temperature, other.temperature) == pytest.approx(1.0)
     del document["records"]["temperature"], document["runs"][0]["records"]
     document["model"]["terms"] = ["K_F"]
     bare = make_campaign(document, records={"r0": first, "r1": second})
-    assert with_recorded_temperatures(bare) is bare
+    assert with_recorded_conditions(bare) is bare
 
 
 def test_what_is_simulated_needs_a_true_course():

@@ -167,6 +167,46 @@ def test_without_the_column_of_the_angle_the_stated_rate_counts():
     assert abs(errors(result)["K_I"][0]) < 3.0 * errors(result)["K_I"][1]
 
 
+def partly_without_angle(seed, by_recorder, by_counter, head):
+    """Return a campaign in which every second record has no angle.
+
+    by_recorder, by_counter: True relative errors of the clocks behind recorded angles and behind
+        the stated rates of records without angle.
+    """
+    every = campaign(seed, by_counter, head=head, **STEADY)
+    frames = frames_of(every)
+    for position, name in enumerate(frames):
+        frame = {**frames[name], "t": frames[name]["t"] * (1.0 + by_recorder)}
+        frames[name] = {c: frame[c] for c in ("t", "f")} if position % 2 else frame
+    return every.change({}, records=frames)
+
+
+def stated_clocks(recorder, counter):
+    """Return the description with the clocks stated, and all else assumed perfect."""
+    head = HEAD.replace("[records]", f'[records]\nclock = "0 ± {recorder}"')
+    return head.replace("[centrifuge]", f'[centrifuge]\nclock = "0 ± {counter}"')
+
+
+@pytest.mark.parametrize(
+    ("by_recorder", "by_counter", "head", "largest_u"),
+    [
+        (0.0, 2e-5, HEAD.replace('assume = "all"\n', ""), 1e-3),
+        (0.0, 2e-5, stated_clocks("1e-9", "2e-5"), 3e-6),
+        (2e-5, 0.0, stated_clocks("2e-5", "1e-9"), 3e-6),
+    ],
+)
+def test_records_with_and_without_angle_have_clocks_of_their_own(
+    by_recorder, by_counter, head, largest_u
+):
+    """The recorder's clock acts on identified rates, that of the rate counter on stated ones."""
+    for seed in range(3):
+        result = cs.calibrate(partly_without_angle(seed, by_recorder, by_counter, head))
+        error, u = errors(result)["K_I"]
+        assert abs(error) < 3.0 * u < 3.0 * largest_u
+        assert {"records.clock", "centrifuge.clock"} <= {row.name for row in result.rests_on}
+        assert result.state != "contradicted"
+
+
 SIMULATED = """[simulation]
 sampling_rate = "50 Hz"
 revolutions = 30

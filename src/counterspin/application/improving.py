@@ -83,12 +83,12 @@ def fit_into(there: Connection, campaign: Path) -> None:
     def work(_: Progress) -> dict[str, SeenRecord]:
         from counterspin.calibration.joint import estimate_campaign
         from counterspin.calibration.joint_problem import JointProblem
-        from counterspin.calibration.observed_runs import observe, with_recorded_temperatures
+        from counterspin.calibration.observed_runs import observe, with_recorded_conditions
         from counterspin.campaign.description import read_campaign
         from counterspin.threads import one_blas_thread
 
         with one_blas_thread():
-            read = with_recorded_temperatures(read_campaign(campaign))
+            read = with_recorded_conditions(read_campaign(campaign))
             fit = estimate_campaign(JointProblem(read, list(observe(read))))[0].fit
             runs: dict[str, list[tuple[str, str, Array, Array, Array]]] = {}
             for prepared, residuals in zip(fit.design_blocks, fit.residuals, strict=True):
@@ -262,11 +262,11 @@ def search_into(there: Connection, campaign: Path) -> None:
     """Search for helpful runs; report to `there` as `processes.report_progress` does."""
 
     def work(progress: Progress) -> dict[str, FurtherRuns | None]:
-        from counterspin.calibration.observed_runs import with_recorded_temperatures
+        from counterspin.calibration.observed_runs import with_recorded_conditions
         from counterspin.campaign.description import read_campaign
         from counterspin.planning.recorded import further_runs, observed_with_noise
 
-        read = with_recorded_temperatures(read_campaign(campaign))
+        read = with_recorded_conditions(read_campaign(campaign))
         observed, noise = observed_with_noise(read)
         found = {}
         for place, owner in enumerate(read.accelerometers):

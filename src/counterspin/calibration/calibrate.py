@@ -75,7 +75,7 @@ def calibrate(
         raise CampaignError("calibrate", ["accept_misfit: give the reason in words"])
     with checksums_of(where) as checksums, ThreadPoolExecutor(1) as loader:
         # Loaded only now: checksums need none of it, and are taken on another core meanwhile.
-        from counterspin.calibration.observed_runs import with_recorded_temperatures
+        from counterspin.calibration.observed_runs import with_recorded_conditions
         from counterspin.campaign.description import Campaign, read_campaign
 
         campaign = where if isinstance(where, Campaign) else read_campaign(where)
@@ -84,7 +84,7 @@ def calibrate(
         loader.submit(_preload_modules, campaign)
         file_identities = _identify_averaged_files(campaign)
         with one_blas_thread():
-            campaign = with_recorded_temperatures(campaign)
+            campaign = with_recorded_conditions(campaign)
             observed = _observe_runs(campaign, progress)
             checksums.run_parallel()
             from counterspin.calibration.assembly import assemble_result

@@ -27,6 +27,7 @@ from counterspin.physics.effects import AT_REFERENCE, RunConditions
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.own_velocity import AxisError, taken
 from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
+from counterspin.records.formats import open_columns
 from counterspin.records.reading import read_record
 from counterspin.records.record import Record, RecordColumns, StatedMotion
 from counterspin.records.signals import WORDS as REMOVED
@@ -279,8 +280,8 @@ def _with_platform_velocity(
 # The temperatures that are in records, in the place of those that a description states
 
 
-def with_recorded_temperatures(campaign: Campaign) -> Campaign:
-    """Return a campaign whose runs have the temperatures that are in their records.
+def with_recorded_conditions(campaign: Campaign) -> Campaign:
+    """Return a campaign with temperatures from its records, and which of them have no angle.
 
     RecordError where a column cannot be used, or contradicts what a run states.
     """
@@ -290,7 +291,11 @@ def with_recorded_temperatures(campaign: Campaign) -> Campaign:
         for run in campaign.runs
     )
     readings = tuple(
-        replace(item, temperature=recorded_temperatures(campaign, item, profiles))
+        replace(
+            item,
+            temperature=recorded_temperatures(campaign, item, profiles),
+            by_clock=item.by_clock and _has_angle(campaign, item),
+        )
         for item in campaign.readings
     )
     triad = campaign.triad
@@ -300,10 +305,21 @@ def with_recorded_temperatures(campaign: Campaign) -> Campaign:
             for item in triad.records
         )
         triad = replace(triad, records=records)
-    if not profiles:
+    if not profiles and readings == campaign.readings:
         return campaign
     changed = replace(campaign, runs=runs, readings=readings, triad=triad)
     return changed if campaign.source is None else with_source(changed, campaign.source)
+
+
+def _has_angle(campaign: Campaign, reading: Reading) -> bool:
+    """Return whether the record of a reading has the column of the angle, as far as it exists."""
+    assert reading.record is not None
+    assert campaign.angle is not None
+    source = campaign.record_at(reading.record)
+    if isinstance(source, Path) and not source.exists():
+        return True
+    with open_columns(source, campaign.dialect) as file:
+        return file.has(campaign.angle.name)
 
 
 def recorded_temperatures(

@@ -221,6 +221,5 @@ def has_assumed_warming(campaign: Campaign) -> bool:
 
 def rate_clock_input(campaign: Campaign, reading: Reading) -> tuple[str, str]:
     """Return recorder and symbol of the input that is the error of the clock of a rate."""
-    has_angle = reading.record is not None and campaign.angle is not None
     is_shared = campaign.rate_clock is None and campaign.clock is not None
-    return ("", CLOCK) if has_angle or is_shared else ("", RATE_CLOCK)
+    return ("", CLOCK) if reading.by_clock or is_shared else ("", RATE_CLOCK)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from counterspin.calibration.observed_runs import with_recorded_conditions
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.reading import Reading
 from counterspin.errors import CounterspinError
@@ -152,6 +153,7 @@ def _fit_with_others(campaign: Campaign, name: str) -> tuple[list[str], list[Cur
     others += [run.name for run in mean_runs(part) if run.name != name]
     names = displayed_names(campaign)
     try:
+        part = with_recorded_conditions(part)
         return others, current_estimates(fit_runs(part, observed), names)
     except CounterspinError:
         return others, undetermined_estimates(campaign, names)

@@ -13,7 +13,7 @@ import numpy as np
 from counterspin.calibration.joint import estimate_campaign
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import make_unknowns
-from counterspin.calibration.observed_runs import ObservedRun, observe, with_recorded_temperatures
+from counterspin.calibration.observed_runs import ObservedRun, observe, with_recorded_conditions
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.documents import require_source
 from counterspin.campaign.quantity import attitude_rows
@@ -72,7 +72,7 @@ def lacks(campaign: Campaign, sampling_rate: float | None) -> bool:
 
 def from_records(campaign: Campaign) -> tuple[Campaign, dict[str, float]]:
     """Return a campaign with the lengths and the noise of its records, and run -> rate, Hz."""
-    campaign = with_recorded_temperatures(campaign)
+    campaign = with_recorded_conditions(campaign)
     observed, noise = observed_with_noise(campaign)
     return as_recorded(campaign, observed, noise), rates_of(observed)
 
