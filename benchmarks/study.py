@@ -1,4 +1,4 @@
-"""Studies: trials of the paper's plan and of exact physics, against other ways.
+"""Studies: trials of the paper's plan and of the example, against other ways.
 
     python benchmarks/study.py          # small
     python benchmarks/study.py --full   # the sizes of the targets, and the figure
@@ -34,7 +34,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     found = json.loads(done.stdout)
     return [
         _paper(found, full),
-        _exact(found["exact"]),
+        _default(found["default"]),
         Table(
             "Cost against trials",
             "Seconds by each way, within one process, the fastest of three.",
@@ -101,35 +101,18 @@ def _suncal(linear: dict[str, Any], samples: int, u: float) -> dict[str, Any] | 
     return theirs
 
 
-def _exact(found: dict[str, Any]) -> Table:
+def _default(found: dict[str, Any]) -> Table:
     sizes, times = found["sizes"], found["times"]
-    a_trial = {way: [1e6 / sizes[way] * s for s in taken] for way, taken in times.items()}
-    ours = a_trial["surrogate"][0]
     rows: list[list[Cell]] = [
-        ["counterspin study", *a_trial["surrogate"], 5.0, None, None],
-        [
-            "counterspin study --engine exact, vectorised quadrature",
-            *a_trial["quadrature"],
-            None,
-            a_trial["quadrature"][0] / ours,
-            20.0,
-        ],
-        [
-            "scipy solve_ivp, DOP853, rtol 1e-12",
-            *a_trial["ode"],
-            None,
-            a_trial["ode"][0] / ours,
-            10000.0,
-        ],
+        [f"{sizes['few']} trials", *times["few"], 5.0],
+        [f"{sizes['many']} trials", *times["many"], 30.0],
+        [f"{sizes['whole']} trials, whole records", *times["whole"], None],
     ]
     return Table(
-        "A trial of exact physics",
-        "The same plan; coefficients and radius vary from trial to trial, drift, ripple and its "
-        "phase from run to run. One core, within a process; medians. The estimates of a trial by "
-        f"the first two ways differ by at most {found['error']:.0e} of their u; `solve_ivp` "
-        f"integrates the true errors of one trial and finds the same b2 within "
-        f"{max(found['ode_error'], 1e-14):.0e}.",
-        ["way", "median (us)", "processor (us)", "target (us)", "times ours", "target"],
+        "The study of the example",
+        "The campaign that `counterspin init` writes, with its three analyses and 42 quantities "
+        "that are drawn; preparation included. One core, within a process; medians.",
+        ["way", "median (s)", "processor (s)", "target (s)"],
         rows,
     )
 

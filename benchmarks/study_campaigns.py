@@ -1,4 +1,4 @@
-"""Studies of the paper's plan that are timed: noise alone, sigma from residuals, exact physics."""
+"""Timed studies of the paper's plan: noise alone, sigma from residuals, varying rotation."""
 
 from __future__ import annotations
 

@@ -27,27 +27,37 @@ from typing import Any
 import numpy as np
 
 import study_peers as peers
+from counterspin.arrays import Array
+from counterspin.inference.two_stage.model import TwoStageRequest
+from counterspin.ingest.starter import init
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.observation import columns
-from counterspin.studies.choice import EngineName, prepare
-from counterspin.studies.description import read_study
-from counterspin.studies.draws import Draws, stream
+from counterspin.physics.terms import term
+from counterspin.studies.choice import analyses_of, prepare
+from counterspin.studies.description import StudyDescription, read_study
+from counterspin.studies.draws import StudyTruth
+from counterspin.studies.linear import curvature_gain
 from counterspin.studies.result import summarise
-from counterspin.studies.shortcuts import TwoStageEngine
+from counterspin.studies.study import study
 from counterspin.studies.work import Ledger, StudyEngine, run_batches
+from counterspin.studies.world import world_of
 from study_campaigns import GIVEN, RESIDUALS, VARYING, campaign_of
 
 Job = Callable[[], object]
 Times = dict[str, tuple[float, float]]
 
 
-def engine_of(text: str, engine: EngineName = "auto") -> StudyEngine:
-    """Return the engine of a study of the paper's plan."""
+def study_of(text: str) -> StudyDescription:
+    """Return a study of the paper's plan."""
     with tempfile.TemporaryDirectory() as name:
         file = Path(name) / "campaign.toml"
         file.write_text(campaign_of(text), encoding="utf-8")
-        study = read_study(file)
-    return prepare(study, 1, engine)
+        return read_study(file)
+
+
+def engine_of(text: str) -> StudyEngine:
+    """Return the engine of a study of the paper's plan."""
+    return prepare(study_of(text), 1)
 
 
 def trials(engine: StudyEngine, count: int) -> np.ndarray:
@@ -73,34 +83,35 @@ def in_turn(jobs: Mapping[str, Job], repeats: int) -> Times:
     }
 
 
-def plan_of(engine: StudyEngine) -> peers.Plan:
-    """Return the paper's plan as numbers."""
-    (part,) = engine.parts
-    two_stage = part.engine
-    assert isinstance(two_stage, TwoStageEngine)
-    request = two_stage.request
+def plan_of(text: str) -> peers.Plan:
+    """Return a study of the paper's plan as numbers."""
+    study = study_of(text)
+    (analysis,) = analyses_of(study)
+    request = analysis.request
+    assert isinstance(request, TwoStageRequest)
+    world, draws = world_of(study.campaign), StudyTruth.of(study.campaign, study.varying).middle()
+    own = {symbol: value for (owner, symbol), value in draws.values.items() if owner}
+    true = np.array([float(v[0, 0]) - term(symbol).nominal for symbol, v in own.items()])
     times, readings, effects = [], [], []
-    draws = engine.truth.draw(stream(1, 0, 0), 1)
-    for run, motion in enumerate(two_stage.motions):
-        spindle = engine.truth.spindles[run]
-        strobes = spindle.time_at(motion.angles)
-        path = Trajectory(spindle, motion.radius, motion.site)
-        symbols = [symbol for _, symbol in two_stage.true]
-        true = np.array([float(draws.values[key][0, 0]) for key in two_stage.true])
-        true[symbols.index("K_I")] -= 1.0
-        made = columns(path, motion.mounting, symbols, strobes, attitude=motion.attitude)
+    for run, spindle in enumerate(world.spindles):
+        strobes = spindle.time_at(world.strobes(run, "Qx"))
+        path = Trajectory(spindle, world.radius, world.site)
+
+        def shown(symbols: list[str], path: Trajectory = path, strobes: Array = strobes) -> Array:
+            return columns(path, world.mountings["Qx"], symbols, strobes)
+
         times.append(strobes)
-        readings.append(made @ true)
-        assumed, _ = two_stage._effects(draws, run)
-        effects.append(dict(zip(two_stage.symbols, assumed[:, 0], strict=True)))
+        readings.append(shown(list(own)) @ true)
+        effects.append(curvature_gain(strobes) @ shown(["K_II", "K_F", "K_I"]))
+    by_run = np.array(effects)
     return peers.Plan(
         times=times,
         readings=readings,
         sigma=float(request.sigma or 0.0),
-        columns=np.array([[one[symbol] for one in effects] for symbol in ("K_II", "K_F")]),
-        known=np.array([(request.considered["K_I"][0] - 1.0) * one["K_I"] for one in effects]),
+        columns=by_run[:, :2].T,
+        known=(request.considered["K_I"][0] - 1.0) * by_run[:, 2],
         prior=request.unknowns["K_F"],
-        truth=float(draws.values["Qx", "K_II"][0, 0]),
+        truth=float(own["K_II"][0, 0]),
     )
 
 
@@ -114,7 +125,7 @@ def paper_s_plan(full: bool, repeats: int, made: dict[str, StudyEngine]) -> dict
         "lstsq": 10_000 if full else 1000,
         "uncertainties": 100 if full else 20,
     }
-    plan = plan_of(made["given"])
+    plan = plan_of(GIVEN)
     jobs: dict[str, Job] = {
         "given": lambda: trials(made["given"], sizes["given"]),
         "residuals": lambda: trials(made["residuals"], sizes["residuals"]),
@@ -136,66 +147,27 @@ def paper_s_plan(full: bool, repeats: int, made: dict[str, StudyEngine]) -> dict
     return {"sizes": sizes, "times": times, "u": ours.u}
 
 
-def exact_physics(full: bool, repeats: int, made: dict[str, StudyEngine]) -> dict[str, Any]:
-    """Time trials whose rotation, radius and coefficients vary, and check them trial by trial."""
-    sizes = {
-        "surrogate": 1_000_000 if full else 200_000,
-        "quadrature": 2560 if full else 256,
-        "ode": 1,
-    }
-    slow = made["quadrature"].parts[0].engine
-    fast = made["varying"].parts[0].engine
-    assert isinstance(slow, TwoStageEngine)
-    assert isinstance(fast, TwoStageEngine)
-    draws = made["varying"].truth.draw(stream(1, 0, 0), 64)
+def default_study(full: bool, repeats: int) -> dict[str, Any]:
+    """Time the study of the example that `init` writes, preparation included."""
+    with tempfile.TemporaryDirectory() as name:
+        description = read_study(init(Path(name) / "example"))
+    sizes = {"few": 1000, "many": 100_000 if full else 10_000, "whole": 4}
     jobs: dict[str, Job] = {
-        "surrogate": lambda: trials(made["varying"], sizes["surrogate"]),
-        "quadrature": lambda: trials(made["quadrature"], sizes["quadrature"]),
+        "few": lambda: study(description, trials=sizes["few"]),
+        "many": lambda: study(description, trials=sizes["many"]),
+        "whole": lambda: study(description, trials=sizes["whole"], engine="full"),
     }
-    times = in_turn(jobs, repeats)
-    times |= in_turn({"ode": lambda: _ode(slow, draws)}, repeats if full else 1)
-    a, b = (one.trials(draws, stream(1, 0, 1)) for one in (fast, slow))
-    error = float(np.abs((a.estimate - b.estimate) / b.u).max())
-    assert error < 1e-5
-    shown = [float(slow._shift(draws, run, slow._effects(draws, run)[0])[0]) for run in range(3)]
-    ode_error = max(abs(x / y - 1.0) for x, y in zip(_ode(slow, draws), shown, strict=True))
-    assert ode_error < 1e-8
-    return {"sizes": sizes, "times": times, "error": error, "ode_error": ode_error}
-
-
-def _ode(engine: TwoStageEngine, draws: Draws) -> list[float]:
-    """Return b2 of the true errors in the runs of the first trial, by `solve_ivp`."""
-    found = []
-    one = draws.take(0)
-    for run, motion in enumerate(engine.motions):
-        spindle = one.spindle(motion.spindle, run)
-        (ripple,) = spindle.ripples
-        path = peers.Motion(
-            rate=spindle.rate,
-            drift=spindle.drift,
-            ratio=ripple.amplitude / spindle.rate,
-            phase=ripple.phase,
-            radius=motion.radius + float(one.off("centrifuge.radius")[0]),
-            gravity=motion.site.gravity,
-            earth_up=float(motion.site.earth_rotation[2]),
-            earth_north=float(motion.site.earth_rotation[1]),
-            angles=motion.angles,
-        )
-        truth = [float(one.values["Qx", s][0, 0]) for s in ("K_F", "K_I", "K_II", "K_III", "K_IP")]
-        truth[1] -= 1.0
-        found.append(float(peers.by_ode(path) @ np.array(truth)))
-    return found
+    return {"sizes": sizes, "times": in_turn(jobs, min(repeats, 3))}
 
 
 def against_trials(full: bool, made: dict[str, StudyEngine]) -> list[dict[str, Any]]:
     """Return what numbers of trials take by each way, the fastest of three, s."""
-    plan = plan_of(made["given"])
+    plan = plan_of(GIVEN)
     largest = 7 if full else 5
     ways: dict[str, tuple[Callable[[int], object], int]] = {
         "sufficient statistics": (partial(trials, made["given"]), largest),
         "sigma from residuals": (partial(trials, made["residuals"]), largest),
-        "exact physics, surrogate": (partial(trials, made["varying"]), largest),
-        "exact physics, quadrature": (partial(trials, made["quadrature"]), largest - 3),
+        "rotation that varies": (partial(trials, made["varying"]), largest),
         "NumPy, all readings": (partial(peers.brute_force, plan), largest - 1),
         "loop of lstsq": (partial(peers.one_by_one, plan), largest - 3),
     }
@@ -225,14 +197,13 @@ def main() -> None:
         "given": engine_of(GIVEN),
         "residuals": engine_of(RESIDUALS),
         "varying": engine_of(VARYING),
-        "quadrature": engine_of(VARYING, "exact"),
     }
-    plan = plan_of(made["given"])
+    plan = plan_of(GIVEN)
     print(
         json.dumps(
             {
                 "paper": paper_s_plan(chosen.full, chosen.repeats, made),
-                "exact": exact_physics(chosen.full, chosen.repeats, made),
+                "default": default_study(chosen.full, chosen.repeats),
                 "against trials": against_trials(chosen.full, made),
                 "linear": {
                     "weights": [list(w) for w in plan.readings_to_k_ii()],

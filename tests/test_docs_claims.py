@@ -41,7 +41,6 @@ from counterspin.readings import fitted, patterns
 from counterspin.readings.entries import MOST_READINGS, MOST_RECORDS
 from counterspin.records import column_file, outliers, reduction
 from counterspin.reproduction import plan as paper
-from counterspin.studies import strobed_effects
 from counterspin.studies.result import FEWEST_TRIALS
 from counterspin.validation.cases import cases
 from counterspin.validation.validate import check
@@ -194,7 +193,6 @@ NUMBERS = [
         "the residuals among {} neighbours",
         [column_file._CHUNK_ROWS, outliers.WINDOW_SAMPLES],
     ),
-    ("benchmarks", "a polynomial of degree {}", [strobed_effects.DEGREE]),
     ("physics", "to have risen evenly by {} K from", [conditions.DEFAULT_WARMING]),
     ("physics", "{} arcmin are ${}$ of K_I", [3, 0.5 * (3 * 60 * ARCSEC) ** 2]),
     (

@@ -32,7 +32,7 @@ from counterspin.planning import design, faults, limits, plan_file
 from counterspin.records import clock, reading, reduction, table_files
 from counterspin.reproduction import plan as paper
 from counterspin.simulation import simulable
-from counterspin.studies import choice, description, draws, result, strobed_effects, study
+from counterspin.studies import choice, description, result, study
 
 DOCS = Path(__file__).parents[1] / "docs"
 ARCSEC = math.radians(1.0) / 3600.0
@@ -98,11 +98,9 @@ ROWS = {
         ("share of trials whose {}, {} and {} % intervals", *(100.0 * p for p in result.LEVELS)),
         ("contain the truth in {} to {} % of", *(100.0 * p for p in result._GOOD_COVERAGE)),
         ("must not exceed {} of the stated u", result._LARGEST_BIAS),
-        ("a polynomial of the {} degree", strobed_effects.DEGREE),
-        ("inside a box of {} rad of drift a run", strobed_effects._DRIFT_ANGLE),
-        ("and a ripple ratio of {}, checked", strobed_effects._RIPPLE_RATIO),
-        ("as linear: to {} of itself", choice._LARGEST_PART),
-        ("at {} standard deviations. Inputs", draws._VALID_SDS),
+        ("mean true values, and of {} drawn sets of them", choice._COMPARED),
+        ("an estimate differs by more than {} u", choice._LARGEST_DEPARTURE),
+        ("or u by more than {} %, the study", 100.0 * choice._LARGEST_CHANGE_OF_U),
         ("by the same factor, down to {}.", math.sqrt(0.5)),
         ("A study that will take {} an hour or more", study._LONG_HOURS),
         ("at most {} for each processor core", workers._PROCESSES_PER_CORE),

@@ -123,7 +123,7 @@ def test_what_is_stated_of_inputs_is_covered(tmp_path, text):
     folder = write(tmp_path / "campaign", text + JOINT)
     result = study(folder, trials=n)
     joint = result.analyses["joint"]
-    assert joint.engine == "sufficient statistics"
+    assert joint.engine == "linear"
     for symbol in ("K_F", "K_I", "K_II"):
         found = joint.coefficients[f"Qx.{symbol}"]
         assert found.covered[1] == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / n))
@@ -161,16 +161,14 @@ def test_each_recorder_may_have_its_own_clock(tmp_path):
     truth = StudyTruth.of(read.campaign, read.varying)
     assert truth.inputs["B", "records.clock"] == 7e-6
     assert ("", "records.clock") not in truth.inputs
-    assert ("", "records.clock") in truth.moving_inputs
+    assert truth.draw(stream(3, 0, 0), 2).inputs["", "records.clock"].any()
 
 
 def test_an_input_far_from_what_is_stated_needs_full_records(tmp_path):
-    text = changed(UNCERTAIN, ("± 2.5e-4 m", "± 2.5e-3 m")) + JOINT
+    """K_II goes as the square of the radius: 4 % of it are 30 of its u."""
+    text = changed(UNCERTAIN, ("± 2.5e-4 m", "± 0.1 m")) + JOINT
     result = study(write(tmp_path, text), trials=2)
-    assert result.analyses["joint"].engine == (
-        "full records (the radius of the centrifuge is up to 4.5e-03 from what is stated, and "
-        "squares of more than 1e-03 count)"
-    )
+    assert "not linear" in result.analyses["joint"].engine
 
 
 @pytest.mark.parametrize(

@@ -122,30 +122,71 @@ def engines(folder, *names):
     ]
 
 
-def test_surrogate_is_exact_quadrature_trial_by_trial(tmp_path):
-    folder = write(tmp_path / "a", PAPER + VARYING)
-    truth, made = engines(folder, "surrogate", "exact")
-    draws = truth.draw(stream(3, 0, 0), 100)
-    for fast, slow in zip(*made, strict=True):
-        a, b = (one.trials(draws, stream(3, 0, 1)) for one in (fast, slow))
-        assert np.abs((a.estimate - b.estimate) / b.u).max() < 1e-5
-        assert np.abs(a.u / b.u - 1.0).max() < 1e-7
-
-
-def test_outside_its_box_a_surrogate_hands_over_to_quadrature(tmp_path):
-    wide = VARYING.replace("500 ppm", "700 ppm")
-    folder = write(tmp_path / "a", PAPER + wide)
-    truth, made = engines(folder, "auto", "exact")
-    draws = truth.draw(stream(3, 0, 0), 60)
-    assert (
-        not made[0][0]
-        .surrogates[0]
-        .holds([draws.drift[0], draws.ripple_cos[0], draws.ripple_sin[0]])
-        .all()
+def test_linear_trials_follow_whole_records(tmp_path):
+    """Without noise, in trials other than those that the engine was compared with."""
+    analyses = VARYING[: VARYING.index("[study.analyses")] + (
+        '[study.analyses.exact]\nmethod = "two-stage"\n'
+        '[study.analyses.printed]\nmethod = "two-stage"\nmodel = "as-printed"\n'
     )
+    truth, made = engines(write(tmp_path / "a", SHORT + analyses), "linear", "full")
+    draws = replace(truth.draw(stream(3, 0, 0), 12), white=np.zeros(1))
     for fast, slow in zip(*made, strict=True):
         a, b = (one.trials(draws, stream(3, 0, 1)) for one in (fast, slow))
-        assert np.abs((a.estimate - b.estimate) / b.u).max() < 1e-5
+        # K_II is the first unknown of each; what is printed beside it is not reported.
+        assert np.abs((a.estimate - b.estimate) / b.u)[0].max() < 0.1
+        assert np.abs(a.u / b.u - 1.0)[0].max() < 2e-3
+
+
+def with_observable(text, observable, unit, noise):
+    """Return a campaign whose records hold velocity or specific force."""
+    column = f'{observable} = {{ column = "output", unit = "{unit}" }}'
+    return (
+        text.replace('displacement = { column = "east_m", unit = "m" }', column)
+        .replace('displacement = "0.01 m"', f'{observable} = "{noise}"')
+        .replace('angle = "1e-6 rad"', 'angle = "1e-9 rad"')
+    )
+
+
+def chi_square_bounds(n):
+    """Return the bounds of a sum of n squares that one in a thousand leaves."""
+    return stats.chi2.ppf([5e-4, 1.0 - 5e-4], n)
+
+
+def test_records_of_velocity_are_studied(tmp_path):
+    text = with_observable(SHORT.replace('assume = "all" ', "# "), "velocity", "m/s", "0.01 m/s")
+    folder = write(tmp_path / "a", text)
+    n, few = 4000, 8
+    result = study(folder, trials=n)
+    assert {name: one.engine for name, one in result.analyses.items()} == {"joint": "linear"}
+    whole = study(folder, trials=few, engine="full")
+    low, high = chi_square_bounds(few)
+    for name in ("Qx.K_II", "Qx.K_III"):
+        c, other = (coefficient(one, "joint", name) for one in (result, whole))
+        assert c.covered[1] == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / n))
+        assert c.sd == pytest.approx(c.u, rel=5.0 / np.sqrt(2 * n))
+        # Beyond first order, a tenth of u at most.
+        assert abs(c.bias) < 4.0 * c.se_bias + 0.1 * c.u
+        assert other.u == pytest.approx(c.u, rel=1e-3)
+        assert low < few * other.mse / c.u**2 < high
+
+
+@pytest.mark.parametrize(("unit", "noise"), [("m/s^2", "0.01 m/s^2"), ("g", "1 mg")])
+def test_records_of_specific_force_are_studied(tmp_path, unit, noise):
+    """Whole records scatter as u states: the sum of squares of a few trials is a chi-square."""
+    text = with_observable(SHORT.replace('assume = "all" ', "# "), "specific_force", unit, noise)
+    few = 8
+    result = study(write(tmp_path / "a", text), trials=few)
+    low, high = chi_square_bounds(few)
+    for name in ("Qx.K_II", "Qx.K_III"):
+        c = coefficient(result, "joint", name)
+        assert low < few * c.mse / c.u**2 < high
+
+
+def test_the_two_stage_method_needs_records_of_displacement(tmp_path):
+    text = with_observable(SHORT, "velocity", "m/s", "0.01 m/s")
+    text += '[study.analyses.old]\nmethod = "two-stage"\n'
+    with pytest.raises(CampaignError, match="takes records of displacement of a double turntable"):
+        read_study(write(tmp_path / "a", text))
 
 
 @pytest.mark.slow
@@ -169,23 +210,26 @@ def test_sufficient_statistics_are_distributed_as_whole_records(tmp_path):
             assert off <= 4.0 * a.u[row].std() / np.sqrt(n) + 1e-3 * np.mean(a.u[row])
 
 
+#: So far from what is stated that the square of its deviation shows in K_II.
+_FAR = '[study.vary]\ncentrifuge.radius = { normal = "2.5 ± 0.1 m" }\n'
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
         (("[truth.noise]", '[truth.noise]\nquantisation = "0.01 m"'), "quantisation"),
         (('angle = "1e-6 rad"', 'angle = "1e-3 rad"'), "noise of the recorded angle"),
         (("[truth.noise]", '[truth.noise]\nacceleration = "1e-5 g/Hz^0.5"'), "not white"),
-        (("[truth.spindle]", '[truth.platform]\ntilt.north = "1 deg"\n[truth.spindle]'), "second"),
-        (('K_IP = "6e-6 g/g^2"', 'K_OQ = "6e-6 g/g^2"'), "kink"),
+        (("[truth.noise]", _FAR + "[truth.noise]"), "not linear"),
     ],
 )
-def test_shortcut_refuses_outside_its_validity(tmp_path, change, reason):
+def test_the_linear_engine_refuses_outside_its_validity(tmp_path, change, reason):
     folder = write(tmp_path / "a", change[1].join(PAPER.rsplit(change[0], 1)))
     description = read_study(folder)
     world, truth = world_and_truth(description)
     two_stage = next(one for one in analyses_of(description) if one.name == "two-stage")
     with pytest.raises(NotIdentifiableError, match=reason):
-        choose_engine(world, truth, two_stage, "surrogate")
+        choose_engine(world, truth, two_stage, "linear")
     assert choose_engine(world, truth, two_stage, "auto").cost == "full"
 
 
@@ -202,7 +246,8 @@ def test_uncertain_gravity_and_radius_are_in_u_as_calibrate_has_them(tmp_path, e
     without, found = said
     assert np.array_equal(found.estimate, without.estimate)
     # b2 is K_II R^2 w^4/(4 g) + K_F g/2, with 1e-3 of R and 5e-4 of g.
-    k_ii, k_f = np.abs(found.estimate[:, 0])
+    # The linear engine states u at the mean true values, whole records that of their estimate.
+    k_ii, k_f = np.abs(made.estimate if engine == "auto" else found.estimate[:, 0])
     expected = [np.hypot(2e-3, 5e-4) * k_ii, 5e-4 * k_f]
     # Of a small share of u^2, by a forward difference of 1e-6.
     assert np.sqrt(found.u**2 - without.u**2)[:, 0] == pytest.approx(expected, rel=3e-6)
@@ -326,13 +371,19 @@ sigma = "residuals"
     assert np.median(found.u[0] / still.u[0]) == pytest.approx(np.sqrt(1.75), rel=0.15)
 
 
-def test_joint_fit_of_a_varying_rotation_needs_whole_records(tmp_path):
+def test_joint_fit_of_a_varying_rotation_is_linear(tmp_path):
+    """Whole records scatter alike, though each trial turns otherwise."""
     text = SHORT + VARYING[: VARYING.index("[study.analyses")]
-    description = read_study(write(tmp_path / "a", text))
-    joint = next(one for one in analyses_of(description) if one.name == "joint")
-    part = choose_engine(*world_and_truth(description), joint, "auto")
-    assert part.cost == "full"
-    assert "rotation varies" in part.words
+    folder = write(tmp_path / "a", text + '[study.analyses.joint]\nmethod = "joint"\n')
+    few = 60
+    fast, slow = study(folder, trials=20_000), study(folder, trials=few, engine="full")
+    assert fast.analyses["joint"].engine == "linear"
+    low, high = chi_square_bounds(few)
+    for name in ("Qx.K_F", "Qx.K_II", "Qx.K_III"):
+        c, full = (coefficient(result, "joint", name) for result in (fast, slow))
+        # The prior of K_F is exact here, so that it scatters less than u.
+        assert low < few * full.mse / c.mse < high
+        assert full.u == pytest.approx(c.u, rel=1e-2)
 
 
 # Who does the work
@@ -370,7 +421,7 @@ def test_what_nobody_states_is_covered(tmp_path):
     n = 200_000 if FULL else 20_000
     folder = write(tmp_path / "unstated", UNSTATED)
     result = study(folder, trials=n)
-    assert result.analyses["joint"].engine == "sufficient statistics"
+    assert result.analyses["joint"].engine == "linear"
     found = {name: coefficient(result, "joint", f"Qx.{name}") for name in ("K_II", "K_III")}
     for c in found.values():
         assert c.covered[1] == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / n))
@@ -601,12 +652,6 @@ def test_campaign_without_truth_is_refused(tmp_path):
 
 
 def test_records_that_no_study_can_make_are_refused(tmp_path):
-    velocity = PAPER.replace('displacement = { column = "east_m", unit = "m" }', "").replace(
-        'bias = "0.004', 'velocity = { column = "v", unit = "m/s" }\nbias = "0.004'
-    )
-    velocity = velocity.replace('displacement = "0.01 m"', 'velocity = "0.01 m/s"')
-    with pytest.raises(CampaignError, match=r"accelerometers\.Qx: a study needs records of disp"):
-        study(write(tmp_path / "velocity", velocity))
     text = PAPER.replace('angle = { column = "angle_rad", unit = "rad" }', "")
     with pytest.raises(NotIdentifiableError, match="two-stage method needs a recorded angle"):
         study(write(tmp_path / "angle", text))
@@ -629,7 +674,7 @@ def test_command_prints_and_writes(varying, tmp_path, capsys):
     status = main(["study", str(varying), "--trials", "3000", "-o", str(out)])
     shown = capsys.readouterr()
     assert status == 0, shown.err
-    assert "surrogate of degree 4" in shown.out
+    assert "linear" in shown.out
     assert "Verdict" in shown.out
     assert {path.name for path in out.iterdir()} == {
         "study.json",

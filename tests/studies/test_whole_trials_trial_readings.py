@@ -277,5 +277,5 @@ def test_each_slip_is_told(tmp_path, slip):
 
 def test_engines_of_records_are_refused(tmp_path):
     described(tmp_path, *STUDIES["arm, noise stated"])
-    with pytest.raises(NotIdentifiableError, match='`engine="exact"` is not valid here: there are'):
-        study(tmp_path, engine="exact")
+    with pytest.raises(NotIdentifiableError, match='`engine="linear"` is not valid here: there'):
+        study(tmp_path, engine="linear")

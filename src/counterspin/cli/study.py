@@ -27,7 +27,7 @@ class TrialSettings:
 
     trials: int | None = None
     seed: int | None = None
-    engine: Literal["auto", "surrogate", "exact", "full"] = "auto"
+    engine: Literal["auto", "linear", "full"] = "auto"
 
 
 @group

@@ -3,11 +3,9 @@
 - `study`: the whole way, from a study's file to its result
 - `description`: the keys of ``[study]`` and their checks
 - `world`: the simulated set-up; `draws`: the true values and the noise of each trial
-- `choice`: the competing analyses, and the engine of each analysis: where shortcuts hold
-- `shortcuts`: trials by sufficient statistics, and the Cramer-Rao bound; `strobed_effects`:
-  effects of errors on a strobed run, by quadrature and by polynomials
-- `whole_trials`: trials simulated without any shortcut, sample by sample, and analysed as
-  `calibrate` does
+- `choice`: the competing analyses, and the engine of each analysis
+- `linear`: trials of linear analyses by sufficient statistics, and the Cramer-Rao bound
+- `whole_trials`: trials simulated sample by sample, and analysed as `calibrate` does
 - `work`: the interface of an engine; the trials of a study, batch by batch, on one core, on many,
   or on a cluster
 - `result`: statistics of the trials, a study's result, its JSON

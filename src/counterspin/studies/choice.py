@@ -5,8 +5,8 @@ Shortcuts apply under conditions: each reason against a shortcut is a sentence.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Final, Literal
 
 import numpy as np
@@ -17,11 +17,9 @@ from counterspin.calibration.two_stage.method import make_request
 from counterspin.campaign.description import Campaign
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.inference.joint.series import TIMING
 from counterspin.inference.joint.unknowns import RIPPLE, Unknown, Unknowns
 from counterspin.inference.two_stage.model import TwoStageRequest
 from counterspin.physics import observation
-from counterspin.physics.terms import PLATFORM_TERMS, term
 from counterspin.studies.description import StudyDescription
 from counterspin.studies.draws import (
     DRIFT,
@@ -30,14 +28,19 @@ from counterspin.studies.draws import (
     RIPPLE_PHASE,
     RIPPLE_RATIO,
     WHITE,
+    Draws,
+    RecordNoise,
     StudyTruth,
-    nominal,
-    of_run,
+)
+from counterspin.studies.linear import (
+    JointEngine,
+    TwoStageEngine,
+    bounds,
+    fit_records,
+    second_stage_without_noise,
 )
 from counterspin.studies.result import Driver, Tally
-from counterspin.studies.shortcuts import JointEngine, TwoStageEngine, bounds, changes_by_inputs
-from counterspin.studies.strobed_effects import Surrogate, box_of, obstacle
-from counterspin.studies.whole_trials import FullEngine, TrialReadings
+from counterspin.studies.whole_trials import FullEngine, TrialReadings, TrialRecords
 from counterspin.studies.work import (
     Cost,
     EnginePart,
@@ -47,10 +50,10 @@ from counterspin.studies.work import (
 )
 from counterspin.studies.world import World, world_of
 
-EngineName = Literal["auto", "surrogate", "exact", "full"]
+#: What the linear engine is called in a result.
+_WORDS: Final = "linear"
 
-#: Largest share of draws outside its box with which a surrogate is worth having.
-_LARGEST_SHARE_OUTSIDE: Final = 0.5
+EngineName = Literal["auto", "linear", "full"]
 
 
 @frozen
@@ -119,24 +122,25 @@ def choose_engine(
     world: World, truth: StudyTruth, analysis: Analysis, engine: EngineName
 ) -> EnginePart:
     """Return the fastest engine that is valid for an analysis, or the one asked for."""
+    if engine == "full":
+        return _full(world, truth, analysis, "full records")
     request = analysis.request
     against = (
         against_joint(world, truth, request)
         if isinstance(request, JointRequest)
-        else against_strobes(world, truth, request, analysis.owner)
+        else against_strobes(world, truth, request)
     )
-    if against and engine in ("surrogate", "exact"):
+    part = None if against else _linear(world, truth, analysis)
+    if part is not None:
+        against = _departures(world, truth, analysis, part)
+    if against and engine == "linear":
         raise NotIdentifiableError(
-            f'{analysis.name}: `engine="{engine}"` is not valid here: {"; ".join(against)}; '
+            f'{analysis.name}: `engine="linear"` is not valid here: {"; ".join(against)}; '
             'use `engine="full"`, or omit `engine`'
         )
-    if against and engine == "auto":
+    if against or part is None:
         return _full(world, truth, analysis, f"full records ({against[0]})")
-    if engine == "full":
-        return _full(world, truth, analysis, "full records")
-    if isinstance(request, JointRequest):
-        return _joint(world, truth, analysis, request)
-    return _two_stage(world, truth, analysis, request, engine)
+    return part
 
 
 def _with_readings(
@@ -147,9 +151,9 @@ def _with_readings(
     engine: EngineName,
 ) -> EnginePart:
     """Return the engine of a campaign with readings, with or without records."""
-    if engine in ("surrogate", "exact"):
+    if engine == "linear":
         raise NotIdentifiableError(
-            f'{analysis.name}: `engine="{engine}"` is not valid here: there are readings; '
+            f'{analysis.name}: `engine="linear"` is not valid here: there are readings; '
             'use `engine="full"`, or omit `engine`'
         )
     try:
@@ -160,48 +164,14 @@ def _with_readings(
     return _full_joint(world, truth, analysis, analysis.joint, words, readings)
 
 
-def _two_stage(
-    world: World,
-    truth: StudyTruth,
-    analysis: Analysis,
-    request: TwoStageRequest,
-    engine: EngineName,
-) -> EnginePart:
-    motions = tuple(world.strobed(run, analysis.owner) for run in range(len(world.runs)))
-    true = tuple(
-        (owner, symbol)
-        for owner, symbols in truth.symbols.items()
-        if owner in ("", analysis.owner)
-        for symbol in symbols
-    )
-    terms = [s for s in (*request.unknowns, *request.considered) if s != RIPPLE]
-    symbols = tuple(dict.fromkeys([*(symbol for _, symbol in true), *terms]))
-    surrogates: tuple[Surrogate, ...] | None = None
-    cost: Cost
-    cost, words = "exact", "sufficient statistics, exact quadrature"
-    if engine != "exact":
-        boxes = [box_of(motion, truth.small_bounds(run)) for run, motion in enumerate(motions)]
-        fitted = tuple(
-            Surrogate.fit(motion, symbols, box) for motion, box in zip(motions, boxes, strict=True)
-        )
-        outside = _share_outside(truth, fitted)
-        if engine == "surrogate" or outside < _LARGEST_SHARE_OUTSIDE:
-            surrogates = fitted
-            cost, words = (
-                "sampled" if request.sigma is None else "constant",
-                "sufficient statistics",
-            )
-            if any(box.varies.size for box in boxes):
-                error = max(surrogate.error for surrogate in fitted)
-                cost = "surrogate"
-                words += f", surrogate of degree 4 (error {error:.0e})"
-            if outside:
-                cost = "exact" if outside > 0.05 else cost
-                words += f", exact quadrature for the {100.0 * outside:.2g} % outside its box"
-    inputs = changes_by_inputs(world, truth, analysis.owner, symbols)
-    made = TwoStageEngine(request, analysis.owner, motions, symbols, true, surrogates, inputs)
+def _linear(world: World, truth: StudyTruth, analysis: Analysis) -> EnginePart:
+    request = analysis.request
+    if isinstance(request, JointRequest):
+        return _joint(world, truth, analysis, request)
+    made = TwoStageEngine.prepare(world, truth, request, analysis.owner)
+    cost: Cost = "sampled" if request.sigma is None else "linear"
     rows, reported = _reported_unknowns(world, truth, analysis, request)
-    return EnginePart(made, cost, _stream(world, analysis), words, rows, reported)
+    return EnginePart(made, cost, _stream(world, analysis), _WORDS, rows, reported)
 
 
 def _stream(world: World, analysis: Analysis) -> int:
@@ -210,28 +180,14 @@ def _stream(world: World, analysis: Analysis) -> int:
     return names.index(analysis.owner) if analysis.owner else len(names)
 
 
-def _share_outside(truth: StudyTruth, surrogates: Sequence[Surrogate]) -> float:
-    """Return the share of trials in which some run lies outside its surrogate's box."""
-    draws = truth.draw(np.random.default_rng(1), 2000)
-    inside = np.ones(draws.trials, dtype=bool)
-    for run, surrogate in enumerate(surrogates):
-        inside &= surrogate.holds(draws.small(run))
-    return 1.0 - float(inside.mean())
-
-
 def _joint(
     world: World, truth: StudyTruth, analysis: Analysis, request: JointRequest
 ) -> EnginePart:
-    series = [
-        world.series(run, name, truth.spindles[run])
-        for run in range(len(world.runs))
-        for name in world.mountings
-    ]
-    made, lost = JointEngine.prepare(series, request, truth)
+    made, lost = JointEngine.prepare(world, request, truth)
     least = bounds(truth, request.model, world)
     reported = _reported(analysis, [request.model.unknowns[place] for place in made.rows], least)
     rows, noise = tuple(range(len(reported))), _stream(world, analysis)
-    return EnginePart(made, "constant", noise, "sufficient statistics", rows, reported, lost)
+    return EnginePart(made, "linear", noise, _WORDS, rows, reported, lost)
 
 
 def _full(world: World, truth: StudyTruth, analysis: Analysis, words: str) -> EnginePart:
@@ -292,18 +248,101 @@ def _reported(
 #: Largest noise of angle and time that is neglected, in parts of the displacement noise.
 _LARGEST_OTHER_NOISE: Final = 0.01
 
-#: Largest error of an input, in parts of itself, of the delay in rad: what it does is taken as
-#: linear, which is off by six times as much of it at most (t^3 of a clock, R^3 of a radius).
-_LARGEST_PART: Final = 1e-3
+#: Largest rms of what is no parabola in the residuals of strobes, in parts of the noise.
+_LARGEST_REMAINDER: Final = 0.1
 
-#: Largest error of second order, and largest one left in the residuals of a parabola, likewise.
-_LARGEST_ERROR: Final = 0.1
+#: Trials whose true values are drawn, and compared with whole records.
+_COMPARED: Final = 2
+
+#: Largest difference that is allowed, in parts of u, and of u itself, relative. Such a bias lowers
+#: a coverage of 95 % by 0.1 %, such a u changes it by 0.2 %.
+_LARGEST_DEPARTURE: Final = 0.1
+_LARGEST_CHANGE_OF_U: Final = 0.01
 
 
-def against_strobes(
-    world: World, truth: StudyTruth, request: TwoStageRequest, owner: str
+def _departures(world: World, truth: StudyTruth, analysis: Analysis, part: EnginePart) -> list[str]:
+    """Return the reason against linear trials if whole records differ from them.
+
+    The compared records have noise, which outlier rejection and other checks of residuals need.
+    The same noise in a second fit or a second trial removes its effect from the difference.
+    """
+    request, engine = analysis.request, part.engine
+    rows: tuple[int, ...] = ()
+    if isinstance(request, TwoStageRequest):
+        assert isinstance(engine, TwoStageEngine)
+        reason = _against_residuals(world, truth, analysis, request)
+        if reason:
+            return reason
+        sigma = request.sigma or truth.white
+        request, engine = replace(request, sigma=sigma), replace(engine, sigma=sigma)
+    else:
+        assert isinstance(engine, JointEngine)
+        rows = engine.rows
+    full = FullEngine(world, request, analysis.joint, analysis.owner, rows)
+    middle = truth.middle()
+    # The rotation alone changes the columns of a fit, and with them the effect of the noise.
+    turns = truth.varies(DRIFT, RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE)
+    departures, changes, noise = [], [], None
+    for true in (middle, *_compared(truth)):
+        draws = replace(true, white=middle.white, noise=middle.noise)
+        slow = full.trials(draws, np.random.default_rng(0))
+        fast = engine.trials(replace(draws, white=np.zeros(1)), np.random.default_rng(0))
+        if isinstance(request, JointRequest) and (noise is None or turns):
+            noise = _noise_of_fit(world, truth, request, draws)[list(rows), None]
+        elif noise is None:
+            # A two-stage engine is exact at the mean true values.
+            noise = slow.estimate - fast.estimate
+        difference = (slow.estimate - noise - fast.estimate) / fast.u
+        departures.append(float(np.abs(difference[list(part.rows)]).max()))
+        changes.append(float(np.abs(slow.u / fast.u - 1.0)[list(part.rows)].max()))
+    if max(departures) > _LARGEST_DEPARTURE:
+        return [f"the analysis is not linear: whole records differ by {max(departures):.2g} u"]
+    if max(changes) > _LARGEST_CHANGE_OF_U:
+        return [f"the analysis is not linear: u of whole records differs by {max(changes):.1%}"]
+    return []
+
+
+def _noise_of_fit(world: World, truth: StudyTruth, request: JointRequest, draws: Draws) -> Array:
+    """Return the effect of the noise of `draws` on one fit with the assumed noise, shape (p,)."""
+    noisy, quiet = (
+        fit_records(records, request, truth).estimate
+        for records in (
+            TrialRecords.of(world, draws, np.random.default_rng(0)),
+            TrialRecords(replace(world, noise=RecordNoise()), draws, np.random.default_rng(0)),
+        )
+    )
+    return np.asarray(noisy - quiet)
+
+
+def _compared(truth: StudyTruth) -> list[Draws]:
+    """Return the drawn trials that are compared with whole records."""
+    drawn = truth.draw(np.random.default_rng(2), _COMPARED)
+    return [drawn.take(trial) for trial in range(_COMPARED)]
+
+
+def _against_residuals(
+    world: World, truth: StudyTruth, analysis: Analysis, request: TwoStageRequest
 ) -> list[str]:
-    """Return the reasons against the two-stage method's sufficient statistics; empty if valid."""
+    """Return the reason against sigma from residuals of strobes that are no parabola."""
+    if request.sigma is not None:
+        return []
+    largest = max(
+        float(np.std(parabola.residuals))
+        for draws in (truth.middle(), *_compared(truth))
+        for parabola in second_stage_without_noise(
+            world, truth, request, analysis.owner, draws
+        ).parabolas
+    )
+    if largest <= _LARGEST_REMAINDER * _white(truth):
+        return []
+    return [
+        "sigma is estimated from residuals, which contain non-parabolic errors up to "
+        f"{largest:.1e} m"
+    ]
+
+
+def against_strobes(world: World, truth: StudyTruth, request: TwoStageRequest) -> list[str]:
+    """Return the reasons against the linear engine for the two-stage method; empty if valid."""
     reasons = _against(world, truth)
     if world.noise.random_walk > 0.0:
         reasons.append("the accelerometer's noise is not white in displacement")
@@ -314,41 +353,28 @@ def against_strobes(
     speed = world.radius * max(abs(spindle.rate) for spindle in world.spindles)
     if request.timing * speed > _LARGEST_OTHER_NOISE * _white(truth):
         reasons.append("the noise of the recorded time that the analysis assumes is not negligible")
-    terms = [s for s in (*request.unknowns, *request.considered) if s != RIPPLE]
-    symbols = [s for o, many in truth.symbols.items() if o in ("", owner) for s in many]
-    for symbol in sorted({*symbols, *terms}):
-        if why := obstacle(symbol):
-            reasons.append(f"{symbol} {why}")
-    if request.sigma is None and not reasons:
-        residual = _largest_residual_rms(world, truth, owner)
-        if residual > _LARGEST_ERROR * _white(truth):
-            reasons.append(
-                "sigma is estimated from residuals, which contain non-parabolic errors up to "
-                f"{residual:.1e} m"
-            )
     return reasons
 
 
 def against_joint(world: World, truth: StudyTruth, request: JointRequest) -> list[str]:
-    """Return the reasons against the joint fit's sufficient statistics; empty if they are valid."""
+    """Return the reasons against the linear engine for the joint fit; empty if it is valid."""
     reasons = _against(world, truth)
-    if truth.varies(DRIFT, RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
-        reasons.append("the rotation varies, and with it the weights of every sample")
-    given = list(request.noise.values())
-    if any(noise.has_bias_instability for noise in given):
+    given = {name: replace(noise, covariance=()) for name, noise in request.noise.items()}
+    if any(noise.has_bias_instability for noise in given.values()):
         reasons.append("the noise that the analysis assumes wanders")
-    if any(noise.to_estimate for noise in given):
+    if any(noise.to_estimate for noise in given.values()):
         reasons.append("the noise is estimated, so that the estimate is not linear")
         return reasons
-    assumed = {(noise.white, noise.random_walk) for noise in given}
-    if len(assumed) > 1 and (truth.varies(WHITE) or {w for w, _ in assumed} != {truth.white}):
-        reasons.append("the accelerometers' assumed noises differ from the true one")
-    walks = {walk for _, walk in assumed}
-    right = not truth.varies(WHITE) and assumed == {(truth.white, world.noise.random_walk)}
-    if not right and (walks != {0.0} or world.noise.random_walk > 0.0):
+    true = {name: world.noise_of(name) for name in given}
+    if true == given and not truth.varies(WHITE):
+        return reasons
+    if any(noise.random_walk for noise in (*true.values(), *given.values())):
         reasons.append(
             "the true noise is neither white nor equal to the noise that the analysis assumes"
         )
+    displacement = set(world.observables.values()) == {"displacement"}
+    if len(set(given.values())) > 1 or not displacement:
+        reasons.append("the accelerometers' assumed noises differ from the true one")
     return reasons
 
 
@@ -356,8 +382,6 @@ def _against(world: World, truth: StudyTruth) -> list[str]:
     reasons = (
         ["the bias wanders, which only complete records simulate"] if world.noise.wanders else []
     )
-    white = _white(truth)
-    reasons += _far_inputs(world, truth)
     if not world.angle_recorded:
         reasons.append("no angle is recorded, and the rotation has to be estimated")
     other_levels = NOISE_LEVELS.keys() - {WHITE}
@@ -366,36 +390,21 @@ def _against(world: World, truth: StudyTruth) -> list[str]:
         reasons.append(f"{', '.join(varying)} varies, which only complete records simulate")
     if world.noise.quantisation > 0.0:
         reasons.append("quantisation is not Gaussian")
-    if white <= 0.0:
-        reasons.append("there is no white noise")
-    speed = world.radius * max(abs(spindle.rate) for spindle in world.spindles)
-    for size, words in (
-        (world.radius * world.noise.angle, "angle"),
-        (speed * world.noise.timing, "time"),
-    ):
-        if size > _LARGEST_OTHER_NOISE * white:
-            reasons.append(f"the noise of the recorded {words} is not negligible")
-    second = _second_order(world, truth)
-    if second > _LARGEST_ERROR * white:
-        reasons.append(f"the platform turns so far that second-order effects reach {second:.1e} m")
-    return reasons
-
-
-def _far_inputs(world: World, truth: StudyTruth) -> list[str]:
-    """Return a reason for each input whose deviation is too large for first order."""
     fastest = max(abs(spindle.rate) for spindle in world.spindles)
-    sizes = {"centrifuge.radius": world.radius, "site.gravity": world.site.gravity}
-    sizes[TIMING] = 1.0 / fastest
-    parts = {
-        term(symbol).words: truth.reach_of_input((recorder, symbol)) / sizes.get(symbol, 1.0)
-        for recorder, symbol in truth.moving_inputs
-    }
-    return [
-        f"the {words} is up to {part:.1e} from what is stated, and squares of more than "
-        f"{_LARGEST_PART:.0e} count"
-        for words, part in parts.items()
-        if part > _LARGEST_PART
-    ]
+    for observable in sorted(set(world.observables.values())):
+        displaced = observable == "displacement"
+        white = _white(truth) if displaced else world.noise.white_of(observable)
+        if white <= 0.0:
+            reasons.append("there is no white noise")
+        # A derivative more with each integration less.
+        amplitude = world.radius * fastest ** (2 - observation.ORDERS[observable])
+        for size, words in (
+            (amplitude * world.noise.angle, "angle"),
+            (amplitude * fastest * world.noise.timing, "time"),
+        ):
+            if size > _LARGEST_OTHER_NOISE * white:
+                reasons.append(f"the noise of the recorded {words} is not negligible")
+    return reasons
 
 
 def _white(truth: StudyTruth) -> float:
@@ -405,65 +414,3 @@ def _white(truth: StudyTruth) -> float:
         return truth.white
     draws = truth.draw(np.random.default_rng(0), 256)
     return float(draws.white.min())
-
-
-def _second_order(world: World, truth: StudyTruth) -> float:
-    """Return the displacement due to the square of the platform's attitude error, m."""
-    worst = 0.0
-    for run, duration in enumerate(world.durations):
-        turned = 0.0
-        speed = 2.0 * world.radius * abs(world.spindles[run].rate)
-        for symbol, row in PLATFORM_TERMS.items():
-            turn = row.effect
-            reach = [abs(truth.mean("", symbol))]
-            bounds = [varying.reach for varying in truth.varying if varying.symbol == symbol]
-            reach += [max(map(abs, low_high)) for low_high in bounds]
-            vertical = (
-                turn.force_axis is not None and abs(world.attitudes[run][turn.force_axis][2]) > 1e-9
-            )
-            force = 1.0 if vertical else speed**2 / (4.0 * world.radius * world.site.gravity)
-            grows = {
-                "tilt": 1.0,
-                "table": 1.0,
-                "drift": duration,
-                "g_sensitivity": duration if vertical else speed / world.site.gravity,
-                "g2_sensitivity": duration * (1.0 + force**2),
-                "compliance": force,
-            }[turn.kind]
-            turned += max(reach) * grows
-        worst = max(worst, 0.25 * world.site.gravity * turned**2 * duration**2)
-    return worst
-
-
-def _largest_residual_rms(world: World, truth: StudyTruth, owner: str) -> float:
-    """Return the largest rms of the true errors in the strobes' residuals, m."""
-    draws = truth.draw(np.random.default_rng(2), 8)
-    worst = 0.0
-    for run in range(len(world.runs)):
-        strobed = world.strobed(run, owner)
-        for trial in range(draws.trials):
-            single = draws.take(trial)
-            spindle = single.spindle(world.spindles[run], run)
-            motion = world.true_trajectory(run, spindle, single)
-            times = spindle.time_at(strobed.angles)
-            keys = [key for key in single.values if key[0] in ("", owner)]
-            columns = observation.columns(
-                motion,
-                world.mountings[owner],
-                [symbol for _, symbol in keys],
-                times,
-                attitude=world.attitudes[run],
-            )
-            sizes = np.array([_size(single.values[key], key, run) for key in keys])
-            worst = max(worst, _rms_about_parabola(times, columns @ sizes))
-    return worst
-
-
-def _size(values: Array, key: tuple[str, str], run: int) -> float:
-    return float(of_run(values, run)[0]) - nominal(*key)
-
-
-def _rms_about_parabola(times: Array, error: Array) -> float:
-    scaled = np.vander(times / float(np.ptp(times)), 3)
-    residual = error - scaled @ np.linalg.lstsq(scaled, error, rcond=None)[0]
-    return math.sqrt(float(np.mean(residual**2)))

@@ -195,7 +195,7 @@ class StudyDescription:
 
 
 #: What competes where the study names nothing: the two methods, and the paper's equations. Of
-#: readings only the first.
+#: readings, velocity and force only the first.
 _DEFAULT: Final[Mapping[str, Mapping[str, Any]]] = {
     "joint": {"method": "joint"},
     "two-stage": {"method": "two-stage"},
@@ -249,13 +249,16 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
             problems.add(("study", "vary"), f"{quantity.symbol} is listed twice")
     analyses = []
     read = campaign.readings or campaign.posed
-    default = {"joint": _DEFAULT["joint"]} if read else _DEFAULT
+    displaced = {a.observable for a in campaign.accelerometers.values()} == {"displacement"}
+    default = {"joint": _DEFAULT["joint"]} if read or not displaced else _DEFAULT
     for name, table in (settings.analyses or default).items():
-        if read and isinstance(table, Mapping) and table.get("method") == "two-stage":
+        two_stage = isinstance(table, Mapping) and table.get("method") == "two-stage"
+        if two_stage and (read or not displaced):
+            others = "readings" if read else "records of velocity or force"
             problems.add(
                 ("study", "analyses", name, "method"),
-                "the two-stage method takes records of a double turntable; this campaign "
-                "has readings, which need the joint method",
+                "the two-stage method takes records of displacement of a double turntable; "
+                f"this campaign has {others}, which need the joint method",
             )
             continue
         analysis = _analysis(name, table, document, where, problems)

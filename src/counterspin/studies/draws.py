@@ -8,6 +8,7 @@ so that a trial does not depend on the worker, the order or the number of other 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final, Literal
 
 import numpy as np
@@ -18,6 +19,7 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.static_noise import simulated_noise
 from counterspin.frozen import frozen
 from counterspin.physics import simulation
+from counterspin.physics.observation import ORDERS
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS
 
@@ -33,6 +35,9 @@ NOISE_LEVELS: Final[Mapping[str, tuple[str, str]]] = {
     "noise.angle": ("rad", "angle"),
     "noise.timing": ("s", "timing"),
 }
+
+#: (owner, symbol, run) of a term or an input that is true; run is None where the runs share one.
+Key = tuple[str, str, int | None]
 
 #: Streams of a batch: the truth and the noise are drawn apart.
 TRUTH_STREAM: Final = 0
@@ -52,7 +57,10 @@ def stream(seed: int, batch: int, which: int) -> np.random.Generator:
 class RecordNoise:
     """Noise of whole records."""
 
-    white: float = 0.0  #: Standard deviation of a sample's displacement, m.
+    #: Standard deviations of a sample's displacement, velocity and specific force, SI.
+    white: float = 0.0
+    velocity: float = 0.0
+    specific_force: float = 0.0
     random_walk: float = 0.0  #: Coefficient N of the accelerometer's white noise, m/s^2/Hz^0.5.
     quantisation: float = 0.0  #: Step of the recorded displacement, m.
     #: Standard deviations of a recorded angle and of a time stamp, rad and s.
@@ -75,21 +83,29 @@ class RecordNoise:
         """Return these angles as they are recorded, rad."""
         return np.asarray(angles + self.angle * generator.standard_normal(angles.size))
 
-    def displacements(
+    def white_of(self, observable: str) -> float:
+        """Return the standard deviation of a sample, SI."""
+        sizes = {"velocity": self.velocity, "specific_force": self.specific_force}
+        return sizes.get(observable, self.white)
+
+    def signals(
         self,
         generator: np.random.Generator,
         times: Array,
-        displacements: Array,
+        signal: Array,
+        observable: str = "displacement",
         before: float = 0.0,
     ) -> Array:
-        """Return these displacements, m, as recorded `before` s after a bias began to walk."""
+        """Return a signal as it is recorded, `before` s after a bias began to walk, SI."""
+        order = ORDERS[observable]
         if self.wanders:
-            displacements = displacements + simulation.bias_wander(
-                generator, times, self.flicker, self.bias_walk, 2, before
+            signal = signal + simulation.bias_wander(
+                generator, times, self.flicker, self.bias_walk, order, before
             )
-        walk = simulation.accelerometer_walk(generator, times, self.random_walk, 2)
-        recorded = displacements + walk + self.white * generator.standard_normal(times.size)
-        step = self.quantisation
+        walk = simulation.accelerometer_walk(generator, times, self.random_walk, order)
+        white = self.white_of(observable)
+        recorded = signal + walk + white * generator.standard_normal(times.size)
+        step = self.quantisation if observable == "displacement" else 0.0
         return np.asarray(np.round(recorded / step) * step if step > 0.0 else recorded)
 
 
@@ -233,6 +249,22 @@ class Draws:
         """Return drift and ripple's cosine and sine parts of a run, (n,) or (1,) each."""
         return [of_run(part, run) for part in (self.drift, self.ripple_cos, self.ripple_sin)]
 
+    def deviation(self, key: Key) -> Array:
+        """Return a true value minus its nominal or stated one, shape (n,) or (1,)."""
+        owner, symbol, run = key
+        if symbol in INPUTS:
+            return self.off(symbol, owner)
+        return of_run(self.values[owner, symbol], run or 0) - nominal(owner, symbol)
+
+    def displaced(self, place: int, by: Array) -> Draws:
+        """Return the draws with drift (0), cosine (1) or sine (2) of the ripple of each run moved.
+
+        by: Shape (runs,).
+        """
+        parts = [self.drift, self.ripple_cos, self.ripple_sin]
+        parts[place] = parts[place] + by[:, None]
+        return replace(self, drift=parts[0], ripple_cos=parts[1], ripple_sin=parts[2])
+
     def off(self, symbol: str, recorder: str = "") -> Array:
         """Return the deviation of an input from its stated value, shape (n,) or (1,)."""
         return self.inputs.get((recorder, symbol), np.zeros(1))
@@ -263,7 +295,8 @@ class StudyTruth:
     #: (recorder of a clock, else empty; symbol) -> the stated value of an active input, SI.
     stated: Mapping[tuple[str, str], float]
     inputs: Mapping[tuple[str, str], float]  #: What is true of those that do not vary.
-    white: float  #: m; where it does not vary.
+    #: Standard deviation of a sample of the first accelerometer, SI, where it does not vary.
+    white: float
     varying: tuple[VariedQuantity, ...]  #: What does.
 
     @classmethod
@@ -281,6 +314,7 @@ class StudyTruth:
         platforms = [run.shared for run in campaign.simulation.truth.runs.values()]
         for symbol in dict.fromkeys(symbol for platform in platforms for symbol in platform):
             fixed["", symbol] = np.array([platform.get(symbol, 0.0) for platform in platforms])
+        first = next(iter(campaign.accelerometers.values()))
         stated = {key: known.value for key, known in inputs_by_owner(campaign).items()}
         true = campaign.simulation.truth.inputs
         inputs = {key: true.get(key, value) for key, value in stated.items()}
@@ -292,7 +326,7 @@ class StudyTruth:
             spindles=tuple(run.spindle for run in campaign.simulation.truth.runs.values()),
             stated=stated,
             inputs=inputs,
-            white=float(simulated_noise(campaign).displacement),
+            white=float(getattr(simulated_noise(campaign), first.observable)),
             varying=varying,
         )
 
@@ -326,18 +360,18 @@ class StudyTruth:
         cos, sin = ratio * np.cos(phase), ratio * np.sin(phase)
         return Draws(trials, values, drift, cos, sin, inputs, white, noise)
 
-    @property
-    def moving_inputs(self) -> list[tuple[str, str]]:
-        """Inputs that deviate from their stated values in some or all trials."""
-        return [key for key in self.stated if self.reach_of_input(key) > 0.0]
-
-    def reach_of_input(self, key: tuple[str, str]) -> float:
-        """Return the largest deviation of an input from its stated value, SI."""
-        reach: list[float] = [self.inputs.get(key, self.stated[key])]
-        for quantity in self.varying:
-            if (quantity.owner, quantity.symbol) == key:
-                reach = list(quantity.reach)
-        return max(abs(value - self.stated[key]) for value in reach)
+    def middle(self) -> Draws:
+        """Return a trial in which every quantity that varies has its mean value."""
+        fixed = tuple(
+            replace(quantity, distribution="fixed", first=0.5 * sum(quantity.reach), per_run=False)
+            for quantity in self.varying
+        )
+        draws = replace(self, varying=fixed).draw(np.random.default_rng(0), 1)
+        runs = range(len(self.spindles))
+        drift, cos, sin = np.array([self.small_bounds(run).mean(axis=1) for run in runs]).T
+        return replace(
+            draws, drift=drift[:, None], ripple_cos=cos[:, None], ripple_sin=sin[:, None]
+        )
 
     def small_bounds(self, run: int) -> Array:
         """Return least and greatest drift and ripple's cosine and sine parts, (3, 2)."""

@@ -60,8 +60,8 @@ def study(
     trials, seed
         Values that replace those of the study.
     engine
-        ``auto`` takes the fastest that is valid; ``surrogate``, ``exact`` and ``full`` are as
-        docs/study.md describes them.
+        ``auto`` takes the fastest that is valid; ``linear`` and ``full`` are as docs/study.md
+        describes them.
     workers
         Processes, or the workers of a Dask cluster.
     output
@@ -143,7 +143,7 @@ def _warn_of_hours(engine: StudyEngine, trials: int, workers: int) -> None:
     hours = expected_duration(engine, trials) / workers / 3600.0
     if hours < _LONG_HOURS:
         return
-    slow = [part for part in engine.parts if part.cost in ("full", "exact")]
+    slow = [part for part in engine.parts if part.cost == "full"]
     why = "; ".join(f"{part.reported[0].analysis}: {part.words}" for part in slow)
     warnings.warn(
         f"{trials} trials will take about {hours:.1g} h"

@@ -89,7 +89,11 @@ class TrialRecords:
                 signal = self._recorded(run, name, spindle, times)
                 assumed = world.trajectory(run, identified)
                 error = signal - observation.reference(
-                    assumed, world.mountings[name], stamped, attitude=world.attitudes[run]
+                    assumed,
+                    world.mountings[name],
+                    stamped,
+                    world.observables[name],
+                    world.attitudes[run],
                 )
                 record = world.series(run, name, identified, stamped, error)
                 series.append(self._with_stamps(record, rotation))
@@ -110,9 +114,8 @@ class TrialRecords:
         """Return a run with one reading at each strobe."""
         world = self.world
         spindle = self.draws.spindle(world.spindles[run], run)
-        strobed = world.strobed(run, name)
         # The row in which the angle passes a strobe began earlier by the angle's delay.
-        passed = spindle.time_at(strobed.angles) - float(self.draws.off(TIMING)[0])
+        passed = spindle.time_at(world.strobes(run, name)) - float(self.draws.off(TIMING)[0])
         sampled, clock = world.times(run), self._clock(run)
         identified = self._identified(run, spindle, sampled * clock, sampled).spindle
         times, noise = passed * clock, world.noise
@@ -120,7 +123,7 @@ class TrialRecords:
         signal = self._recorded(run, name, spindle, taken)
         assumed = world.trajectory(run, identified)
         error = signal - observation.reference(
-            assumed, world.mountings[name], times, attitude=strobed.attitude
+            assumed, world.mountings[name], times, attitude=world.attitudes[run]
         )
         readings = Strobes(times, error, np.ones_like(times), 0)
         parabola = request.first_stage(readings, assumed, request.timing)
@@ -141,14 +144,15 @@ class TrialRecords:
             return Rotation(Spindle(world.spindles[run].rate))
         angle = true.angle(times + late)
         misread = encoder_error(self._values("", run), angle)
+        # Drawn in any case, so that trials of other true values have the same noise of the output.
+        recorded = world.noise.angles(self.generator, angle + misread)
         if world.noise.angle == 0.0 and not misread.any() and np.array_equal(stamped, times + late):
             return Rotation(true)
-        recorded = world.noise.angles(self.generator, angle + misread)
         fit = fit_spindle(stamped, recorded, world.spindles[run].rate)
         return Rotation(fit.spindle, fit)
 
     def _recorded(self, run: int, name: str, spindle: Spindle, times: Array) -> Array:
-        """Return the noisy displacement at the times."""
+        """Return the noisy output at the times."""
         world = self.world
         signal = simulation.recorded(
             world.true_trajectory(run, spindle, self.draws),
@@ -156,10 +160,20 @@ class TrialRecords:
             self._values(name, run),
             self._values("", run),
             times,
+            world.observables[name],
             attitude=world.attitudes[run],
         )
-        start = world.conditions[run].start
-        return world.noise.displacements(self.generator, times, signal, start)
+        if name in world.in_g:
+            # In g of the true gravity, and read with the stated one.
+            stated = world.site.gravity
+            signal = signal * (stated / (stated + float(self.draws.off("site.gravity")[0])))
+        return world.noise.signals(
+            self.generator,
+            times,
+            signal,
+            world.observables[name],
+            world.conditions[run].start,
+        )
 
     def _values(self, owner: str, run: int) -> dict[str, float]:
         """Return the true values of an accelerometer in a run, or of the shared terms."""

@@ -28,16 +28,14 @@ from counterspin.studies.draws import DRIFT, NOISE_STREAM, TRUTH_STREAM, Draws, 
 from counterspin.studies.result import Driver, Tally
 from counterspin.workers import ALONE, WorkerPool, Workers, worker_pool
 
-#: What a trial costs: ``constant``; ``sampled`` where sigma is from the residuals, and with it the
-#: second stage's weights; ``surrogate``; ``exact``; ``readings``; ``full``.
-Cost = Literal["constant", "sampled", "surrogate", "exact", "readings", "full"]
+#: What a trial costs: ``linear``; ``sampled`` where sigma is from the residuals, and with it the
+#: second stage's weights; ``readings``; ``full``.
+Cost = Literal["linear", "sampled", "readings", "full"]
 
 #: Trials of a batch: they fit a cache, and take a fraction of a second with slow engines.
 _BATCH: Final[dict[Cost, int]] = {
-    "constant": 16384,
+    "linear": 8192,
     "sampled": 8192,
-    "surrogate": 4096,
-    "exact": 128,
     "readings": 64,
     "full": 8,
 }
@@ -181,10 +179,8 @@ _SHORT_SECONDS: Final = 60.0
 
 #: What a trial takes, roughly, s.
 _TRIAL_DURATIONS: Final[dict[Cost, float]] = {
-    "constant": 1e-7,
-    "sampled": 3e-7,
-    "surrogate": 1.5e-6,
-    "exact": 2e-3,
+    "linear": 2e-6,
+    "sampled": 4e-6,
     "readings": 1e-2,
     "full": 0.1,
 }

@@ -22,14 +22,17 @@ from counterspin.campaign.static_noise import simulated_noise
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import ResidualSeries
+from counterspin.inference.noise.model import Noise
 from counterspin.inference.two_stage.first_stage import strobe_angle
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Site, Trajectory
-from counterspin.physics.spindle import Spindle
+from counterspin.physics.spindle import TURN, Spindle
 from counterspin.simulation.pose_record import record_seconds
 from counterspin.studies.draws import Draws, RecordNoise
-from counterspin.studies.strobed_effects import StrobedMotion
+
+#: Of a strobe from the end of a record, in turns: it is in the record.
+_ROUNDING: Final = 1e-9
 
 #: A displacement begins with an offset and a velocity of its own, which two samples would fit.
 _FEWEST_SAMPLES: Final = 3
@@ -44,7 +47,9 @@ class World:
     spindles: tuple[Spindle, ...]
     attitudes: tuple[Array, ...]
     durations: tuple[float, ...]
-    mountings: Mapping[str, Mounting]  #: Accelerometer -> its axes; all record displacement.
+    mountings: Mapping[str, Mounting]  #: Accelerometer -> its axes.
+    observables: Mapping[str, str]  #: Accelerometer -> what its records hold.
+    in_g: frozenset[str]  #: Accelerometers whose records are in g.
     #: As the analyses assume them.
     site: Site
     radius: float
@@ -96,45 +101,38 @@ class World:
             run=self.runs[run],
             trajectory=self.trajectory(run, spindle),
             mounting=self.mountings[name],
-            observable="displacement",
+            observable=self.observables[name],
             attitude=self.attitudes[run],
             time=times,
             time_sd=np.zeros_like(times),
             count=np.ones_like(times),
             spacing=1.0 / self.sampling_rate,
             error=np.zeros_like(times) if error is None else error,
+            in_g=name in self.in_g,
             recorder=self.recorders[run],
         )
         return series.with_timestamp_noise(self.stated_times[0])
 
-    def strobed(self, run: int, name: str) -> StrobedMotion:
-        """Return a run as the strobes of an accelerometer see it."""
-        mounting, attitude = self.mountings[name], self.attitudes[run]
-        phase = strobe_angle(mounting.turned(attitude).input_axis)
-        return StrobedMotion.of(
-            self.spindles[run],
-            self.durations[run],
-            phase,
-            mounting,
-            attitude,
-            self.site,
-            self.radius,
-        )
+    def strobes(self, run: int, name: str) -> Array:
+        """Return the spindle angles of an accelerometer's strobes, rad, in the order of time."""
+        axis = self.mountings[name].turned(self.attitudes[run]).input_axis
+        spindle, phase = self.spindles[run], strobe_angle(axis)
+        ends = sorted(spindle.start_angle + spindle.rate * t for t in (0.0, self.durations[run]))
+        low, high = (np.array(ends) - phase) / TURN
+        turns = np.arange(math.ceil(low - _ROUNDING), math.floor(high + _ROUNDING) + 1)
+        angles: Array = phase + TURN * turns
+        return angles if spindle.rate > 0.0 else angles[::-1]
+
+    def noise_of(self, name: str) -> Noise:
+        """Return the true noise of an accelerometer's records."""
+        noise, observable = self.noise, self.observables[name]
+        step = noise.quantisation if observable == "displacement" else 0.0
+        white = noise.white_of(observable)
+        return Noise(white, noise.random_walk, step, noise.flicker, noise.bias_walk)
 
 
 def world_of(campaign: Campaign) -> World:
     """Return the simulated set-up of a campaign."""
-    others = [a.name for a in campaign.accelerometers.values() if a.observable != "displacement"]
-    if others:
-        raise CampaignError(
-            str(campaign.path),
-            [
-                f"accelerometers.{name}: a study needs records of displacement; for velocity or "
-                "force, `forecast` predicts u, and `simulate` with `calibrate` "
-                "makes one trial"
-                for name in others
-            ],
-        )
     assert campaign.simulation is not None
     rate = campaign.simulation.sampling_rate
     short = [
@@ -152,12 +150,16 @@ def world_of(campaign: Campaign) -> World:
         attitudes=tuple(run.attitude for run in campaign.runs),
         durations=tuple(run.duration for run in campaign.runs if run.duration),
         mountings={name: a.mounting for name, a in campaign.accelerometers.items()},
+        observables={name: a.observable for name, a in campaign.accelerometers.items()},
+        in_g=frozenset(name for name, a in campaign.accelerometers.items() if a.channel.in_g),
         site=campaign.site,
         radius=campaign.radius.value,
         sampling_rate=rate,
         angle_recorded=campaign.angle is not None,
         noise=RecordNoise(
             white=float(noise.displacement),
+            velocity=float(noise.velocity),
+            specific_force=float(noise.specific_force),
             random_walk=float(noise.acceleration),
             quantisation=float(noise.quantisation),
             angle=float(noise.angle),
