@@ -244,6 +244,15 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
             {"result": result, "lab": "own.toml", "output": "new.xml", "signing": {"key": key}},
             {"result": result, "lab": "odd/LAB.toml", "output": "new.xml"},
         ],
+        "POST certificate-preview": [
+            {"result": result, "text": lab},
+            {"result": result, "text": "[certificate]\n"},
+        ],
+        "POST certificate-check": [
+            {"name": "three/certificate.pdf"},
+            {"name": "three/certificate.pdf", "certificate": key},
+        ],
+        "POST profile": [{"text": lab.replace("Example Calibration", "Bench")}],
         "GET file": [{"name": result}, {"name": "PLAN.toml"}],
         "POST ticket": [
             {"name": "file", "said": {"name": result}},

@@ -93,9 +93,10 @@ def test_from_exports_to_the_certificate(opened, desk, folder):
     # Other pictures than those that can be zoomed come as they come near.
     see_pictures(tab)
     tab.get_by_role("link", name="Certify", exact=True).last.click()
-    tab.get_by_role("button", name="Issue").click()
+    tab.get_by_label("Signature").select_option("Not signed")
+    tab.get_by_role("button", name="Write a draft").click()
     with tab.expect_download() as saved:
-        tab.get_by_role("button", name="mine/certificate.xml").click()
+        tab.get_by_role("button", name="Save mine/certificate.xml").click()
     assert saved.value.suggested_filename == "certificate.xml"
     certificate = folder / "mine" / "certificate.xml"
     assert saved.value.path().read_bytes() == certificate.read_bytes()
@@ -111,20 +112,21 @@ def test_a_certificate_is_signed_by_mouse(opened, folder, tmp_path, kind):
     write = write_pkcs12 if kind == "pkcs12" else write_pair
     key, cert = write(tmp_path, ec.generate_private_key(ec.SECP256R1()), b"vy secret")
     tab = opened("/certificate/three%2Fresult.json")
-    # What is left of the example is seen before anything is signed.
-    tab.get_by_text(
-        "Missing, or a value of the template: customer (name). A certificate issued now is a draft"
-    ).wait_for()
-    assert tab.get_by_label("Password of the key").is_hidden()
-    tab.get_by_label("Signature").select_option("With a key in a file")
-    tab.get_by_text("Complete this before you sign.").wait_for()
+    # A value of the template is an empty field, and nothing is signed before it is filled in.
+    tab.get_by_role("heading", name="Complete 2 entries before you sign").wait_for()
+    tab.get_by_role("img", name="Page 1 of").wait_for()
+    customer = tab.locator('[id="f-customer.name"]')
+    assert customer.input_value() == ""
+    assert customer.get_attribute("placeholder") == "Example Calibration Ltd"
     button = tab.get_by_role("button", name="Sign and issue")
-    assert button.is_disabled()
-    tab.locator('[id="f-customer.name"]').fill("Own customer")
-    tab.get_by_label("File of the certificate").click()
-    tab.get_by_text("Missing, or a value of the template").wait_for(state="hidden")
-    assert button.is_enabled()
+    assert button.get_attribute("aria-disabled") == "true"
+    button.click(force=True)
+    assert customer.evaluate("field => field === document.activeElement")
+    customer.fill("Own customer")
+    customer.blur()
     tab.get_by_label("Key, PEM or PKCS #12").set_input_files(key)
+    tab.get_by_role("heading", name="Nothing is missing.").wait_for()
+    assert button.get_attribute("aria-disabled") is None
     if kind == "pem":
         tab.get_by_label("Its certificate (PEM)").set_input_files(cert)
     password = tab.get_by_label("Password of the key")
@@ -135,10 +137,12 @@ def test_a_certificate_is_signed_by_mouse(opened, folder, tmp_path, kind):
     assert not (folder / "three" / "certificate.xml").exists()
     password.fill("vy secret")
     button.click()
-    tab.get_by_text(re.compile("^Certificate .* signed: ")).wait_for()
-    assert password.input_value() == ""
+    tab.get_by_role("heading", name=re.compile("^Certificate .* signed and issued")).wait_for()
+    assert tab.get_by_label("Password of the key").count() == 0
+    tab.get_by_role("button", name="Verify three/certificate.pdf").click()
+    tab.get_by_text("Signatures of XML and pages are valid").wait_for()
     for name in ("certificate.xml", "certificate.pdf"):
-        assert tab.get_by_role("button", name=f"three/{name}").is_visible()
+        assert tab.get_by_role("button", name=f"Save three/{name}").is_visible()
         assert check_certificate(folder / "three" / name, cert=cert).signature == "valid"
     assert check_certificate(folder / "three" / "certificate.pdf", cert=cert).pages == "valid"
     kept = tab.evaluate("JSON.stringify([{...localStorage}, {...sessionStorage}])")

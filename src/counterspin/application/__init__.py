@@ -16,6 +16,7 @@ also a command, which the page shows.
   for that
 - `record_plots`: records through a window of time; judgements of runs; studies and simulations
 - `plans`: plans with movable limits
+- `laboratory`: the laboratory's data for a certificate, their preview and profile
 - `certification`: certificates, reports, and downloads
 - `interface`: the requests of the page, by name
 

@@ -13,6 +13,7 @@ from typing import Any, Final
 from counterspin.application.desk import Desk, calibrate_command, demo_command, init_command
 from counterspin.application.jobs import Job, Progress, calibrate_into, report_progress
 from counterspin.application.keeping import free_name, trash_contents
+from counterspin.application.laboratory import PROFILE_NAME
 from counterspin.application.record_plots import STUDY_NAME
 from counterspin.calibration.options import Method
 from counterspin.calibration.pages.accelerometer import in_field_units
@@ -73,7 +74,7 @@ def folder_overview(desk: Desk) -> dict[str, Any]:
 
 def _toml_kind(desk: Desk, path: Path) -> tuple[str, str]:
     """Return the kind of a file, ``plan`` or ``lab`` (the laboratory's data), and its title."""
-    if path.suffix.lower() != ".toml" or path.name == DESCRIPTION_NAME:
+    if path.suffix.lower() != ".toml" or path.name in (DESCRIPTION_NAME, PROFILE_NAME):
         return "", ""
     if not desk.folder.holds(path):
         return "", ""

@@ -14,10 +14,12 @@ from counterspin.application.folder import OutsideError
 from counterspin.campaign.documents import load_document
 from counterspin.certificates.issuing import (
     certificate,
+    check_certificate,
     check_output_path,
     check_output_paths,
     paired_path,
 )
+from counterspin.certificates.ledger import checksum_of
 from counterspin.certificates.signers import KeyMaterial, PasswordNeededError, Signer, read_signer
 from counterspin.errors import CounterspinError
 from counterspin.input import read_file
@@ -96,15 +98,45 @@ def begin_certificate(
         check_output_path(place)
     # The ledger, too.
     desk.require_inside(files[1].parent, load_document(files[1]))
+    signers: list[Signer] = []
+
+    def read_signing() -> Signer:
+        assert signing is not None
+        signers.append(signing.signer(desk))
+        return signers[0]
+
     with desk.drawing:
-        made = certificate(*files, signer=None if signing is None else lambda: signing.signer(desk))
+        made = certificate(*files, signer=None if signing is None else read_signing)
         outputs = made.write_both(place) if both else [made.write(place)]
+        pages = made.page_images()
     return {
         "identifier": made.identifier,
+        "draft": made.draft,
         "accelerometers": made.accelerometers,
+        "signed_by": made.signed_by,
         "notes": made.notes,
         "files": [desk.folder.name(place) for place in outputs],
+        "checksums": [checksum_of(read_file(place)) for place in outputs],
+        "pages": pages,
+        "signer": signers[0].name if signers else "",
+        "signer_certificate": signers[0].pem if signers else None,
         "command": certificate_command(*files, place, both, _options(desk, signing)),
+    }
+
+
+def check_file(desk: Desk, name: str, certificate: BroughtFile | None = None) -> dict[str, Any]:
+    """Read a certificate's file again; return its identifier, checksum and signature.
+
+    certificate: That of the expected signer, PEM; None: the signature is not verified.
+    """
+    path = desk.file(name)
+    with desk.drawing:
+        checked = check_certificate(path, cert=None if certificate is None else certificate.read())
+    return {
+        "identifier": checked.certified.identifier,
+        "checksum": checksum_of(read_file(path)),
+        "signature": checked.signature,
+        "pages": checked.pages,
     }
 
 

@@ -22,14 +22,19 @@ from tomlkit.items import AoT, Comment, Table
 
 from counterspin.application.desk import Desk
 from counterspin.application.folder import TEXT_BYTES, OutsideError
-from counterspin.application.form import campaign_form, lab_form, plan_form, run_kinds
+from counterspin.application.form import campaign_form, plan_form, run_kinds
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, parse_document
 from counterspin.campaign.questions import questions
 from counterspin.campaign.validation import Problems
-from counterspin.certificates.completeness import MissingEntry, missing_data
-from counterspin.certificates.lab import example_text, read_lab
+from counterspin.certificates.completeness import (
+    MissingEntry,
+    missing_data,
+    missing_despite_mistakes,
+    section_of,
+)
+from counterspin.certificates.lab import read_lab
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.planning.plan_file import is_plan
@@ -69,7 +74,7 @@ class EditedText:
 def checked_campaign(desk: Desk, file: Path, text: str) -> EditedText:
     """Return a campaign's text with all its mistakes."""
     try:
-        document = _document(text)
+        document = parse_text(text)
         desk.require_inside(file.parent, document)
     except CampaignError as error:
         return EditedText(text, {}, _split(error.problems))
@@ -87,13 +92,16 @@ def checked_campaign(desk: Desk, file: Path, text: str) -> EditedText:
 def checked_lab(text: str, result: Result) -> EditedText:
     """Return the laboratory's data with all mistakes, for the certificate of a result."""
     try:
-        document = _document(text)
+        document = parse_text(text)
     except CampaignError as error:
         return EditedText(text, {}, _split(error.problems))
     try:
         lab, _ = read_lab(document, result)
     except CampaignError as error:
-        return EditedText(text, document, _split(error.problems))
+        problems = _split(error.problems)
+        mistaken = {section_of(key) for key, _ in problems}
+        missing = missing_despite_mistakes(document, mistaken, result)
+        return EditedText(text, document, problems, missing=tuple(missing))
     return EditedText(text, document, missing=tuple(missing_data(lab, result)))
 
 
@@ -101,7 +109,7 @@ def checked_plan(desk: Desk, file: Path, text: str) -> EditedText:
     """Return a plan's text with all its mistakes."""
     document: dict[str, Any] = {}
     try:
-        document = _document(text)
+        document = parse_text(text)
         desk.require_inside(file.parent, document)
         read_any_plan(document, file)
     except CampaignError as error:
@@ -109,11 +117,12 @@ def checked_plan(desk: Desk, file: Path, text: str) -> EditedText:
     return EditedText(text, document)
 
 
-def _document(text: str) -> dict[str, Any]:
+def parse_text(text: str, source: str = "the text") -> dict[str, Any]:
+    """Return the document of an edited text; CampaignError if it is not TOML or too long."""
     content = text.encode("utf-8", "replace")
     if len(content) > TEXT_BYTES:
-        raise CampaignError("the text", [f"has more than {TEXT_BYTES} bytes"])
-    return parse_document(content, "the text")
+        raise CampaignError(source, [f"has more than {TEXT_BYTES} bytes"])
+    return parse_document(content, source)
 
 
 def _split(problems: Sequence[str]) -> tuple[tuple[str, str], ...]:
@@ -138,7 +147,7 @@ def with_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
             value = datetime.date.fromisoformat(value)
         except (TypeError, ValueError) as error:
             raise CounterspinError(f"{value!r} is not a date: write 2026-03-01") from error
-    said = _document(text)
+    said = parse_text(text)
     try:
         wanted = _with(said, path, value)
         document = tomlkit.parse(text)
@@ -266,19 +275,6 @@ def plan_text(desk: Desk, name: str) -> dict[str, Any]:
         "file": name,
         "version": seen.version,
         "form": plan_form("stations" in document),
-    }
-
-
-def lab_data(desk: Desk, file: str, result: str) -> dict[str, Any]:
-    """Return the laboratory's data in a file, or the example if the file does not exist yet."""
-    seen = desk.folder.read(file)
-    text = seen.text or example_text()
-    told = checked_lab(text, desk.result(result)).shown()
-    return told | {
-        "file": file,
-        "version": seen.version,
-        "form": lab_form(),
-        "signer": "" if desk.signer is None else desk.signer.name,
     }
 
 

@@ -30,7 +30,7 @@ from counterspin.campaign.truth import TRUE_TABLES, AccelerometerTruthSettings
 from counterspin.campaign.validation import model_inside, nested_models
 from counterspin.certificates.codes import codes_in_force
 from counterspin.certificates.evidence import ALL
-from counterspin.certificates.lab import Lab
+from counterspin.certificates.lab import Lab, parse_celsius
 from counterspin.physics.terms import ACCELEROMETER_TERMS, READING_TERMS, SHARED_TERMS, TERMS
 from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
 from counterspin.schemas import SECTIONS, unlinked
@@ -273,6 +273,8 @@ def _kind(base: Any, metadata: Sequence[Any], page: str) -> Field:
             asked = {"kind": "quantity", "unit": read.args[0], "units": units}
         elif read in (parse_temperature, parse_temperatures):
             asked = {"kind": "quantity", "unit": "K", "units": ["degC", "K"]}
+        elif read is parse_celsius:
+            asked = {"kind": "quantity", "unit": "degC", "units": ["degC"]}
         named = [choice for part in _parts(written) for choice in _choices(part)]
         return asked | ({"suggestions": named} if named else {})
     if isinstance(base, type) and issubclass(base, BaseModel):

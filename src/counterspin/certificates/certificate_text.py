@@ -74,10 +74,10 @@ _RULES: Final = {
     "fail if it does not conform with at least that probability, else undecided",
 }
 
-#: Statement of a certificate that lacks data of the laboratory.
+#: Statement of a certificate that lacks data of the laboratory, or is not issued yet.
 DRAFT: Final = (
-    "DRAFT. The laboratory's data are not complete: this is not a certificate, and it certifies "
-    "nothing."
+    "DRAFT. It is not issued with complete data of the laboratory: this is not a certificate, and "
+    "it certifies nothing."
 )
 
 #: Relation of the method to the standard.

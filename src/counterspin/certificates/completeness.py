@@ -5,13 +5,15 @@ A certificate that lacks something is a draft: every page says so, and nobody ca
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Final
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any, Final
 
 from counterspin.calibration.result import Result
 from counterspin.certificates.certificate_text import is_determined
 from counterspin.certificates.evidence import ALL, terms_without_evidence
-from counterspin.certificates.lab import Lab, template_keys
+from counterspin.certificates.lab import Lab, read_lab, template_keys, with_required_keys
+from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.reports.numbers import format_share
 
@@ -37,6 +39,31 @@ def missing_data(lab: Lab, result: Result) -> list[MissingEntry]:
         *_missing_conditions(lab),
         *_missing_evidence(lab, result),
     ]
+
+
+def missing_despite_mistakes(
+    document: Mapping[str, Any], mistaken: Collection[str], result: Result
+) -> list[MissingEntry]:
+    """Return the data that are missing in a document with mistakes, as far as it can be read.
+
+    mistaken: Sections with mistakes; in these, only values of the template are found.
+    """
+    template = [
+        MissingEntry(key, _TEMPLATE)
+        for key in template_keys({key: document[key] for key in mistaken if key in document})
+    ]
+    sound = {key: value for key, value in document.items() if key not in mistaken}
+    try:
+        lab, _ = read_lab(with_required_keys(sound), result)
+    except CampaignError:
+        return template
+    others = (entry for entry in missing_data(lab, result) if section_of(entry.key) not in mistaken)
+    return [*template, *others]
+
+
+def section_of(key: str) -> str:
+    """Return the section of a key, such as ``persons`` of ``persons[0].name``."""
+    return re.split(r"[.\[]", key, maxsplit=1)[0]
 
 
 def missing_lines(entries: Sequence[MissingEntry]) -> list[str]:

@@ -32,7 +32,7 @@ from counterspin.certificates.certificate_reader import (
 from counterspin.certificates.completeness import MissingEntry, missing_data, missing_lines
 from counterspin.certificates.conversion import apply_cmc_floor, output_table, to_si_with_exact_g
 from counterspin.certificates.evidence import require_evidence
-from counterspin.certificates.lab import Lab, read_lab
+from counterspin.certificates.lab import Lab, read_lab, with_required_keys
 from counterspin.certificates.ledger import IssueDetails, checksum_of, record_certificate
 from counterspin.certificates.pdf_pages import TITLE, page_blocks, page_title, results_table
 from counterspin.certificates.schema import check_schema
@@ -73,6 +73,8 @@ class Certificate:
         The certificate (DCC), signed if a key was given.
     pages
         Makes the PDF.
+    page_images
+        Makes an SVG image of each page.
     ledger
         Where the laboratory enters it once it is written; None: nowhere.
     entry
@@ -88,6 +90,7 @@ class Certificate:
     notes: list[str]
     xml: bytes = field(repr=False)
     pages: Callable[[], bytes] = field(repr=False)
+    page_images: Callable[[], list[str]] = field(repr=False)
     ledger: Path | None = None
     entry: Mapping[str, str] = field(default_factory=dict, repr=False)
     signed_by: str = ""
@@ -328,7 +331,30 @@ def certificate(
         result=None if isinstance(result, Result) else Path(result),
         draft=issue.draft,
         pages=lambda: _signed_pages(_pages(data, judged, issue, verdicts, attach=xml), signer),
+        page_images=lambda: _page_images(data, judged, issue, verdicts),
     )
+
+
+def draft_pages(result: Result, lab: Mapping[str, Any]) -> list[str]:
+    """Return the pages of a result's certificate as SVG images, marked as a draft.
+
+    Raises
+    ------
+    CampaignError
+        If the laboratory's data have mistakes. Required keys that are missing have the values of
+        the template.
+    RecordError
+        If the result must not be certified.
+    """
+    data, specifications = read_lab(with_required_keys(lab), result)
+    names, judged = data.certified(result), judge_result(result)
+    check_certifiable(judged, names)
+    issue = _make_issue(data, result, None, (), draft=True)
+    certified = apply_cmc_floor(judged, data)
+    if specifications is not None:
+        certified = with_conformity(certified, specifications)
+    verdicts = {name: certified.accelerometers[name].conformity for name in names}
+    return _page_images(data, judged, issue, verdicts)
 
 
 def _signed_pages(pages: bytes, signer: Signer | None) -> bytes:
@@ -435,15 +461,24 @@ def _pages(
                 relationship="data",
             )
         )
-    data: bytes = pdf(
-        blocks,
-        title=page_title(issue),
-        identifier=issue.identifier,
-        date=issue.date,
-        attachments=attachments,
-        watermark="DRAFT" if issue.draft else "",
-    )
+    data: bytes = pdf(blocks, attachments=attachments, **_page_settings(issue))
     return data
+
+
+def _page_images(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> list[str]:
+    from counterspin.reports.pdf import page_images
+
+    return page_images(list(page_blocks(lab, result, issue, verdicts)), **_page_settings(issue))
+
+
+def _page_settings(issue: Issue) -> dict[str, Any]:
+    """Return title, identifier, date and watermark of the pages."""
+    return {
+        "title": page_title(issue),
+        "identifier": issue.identifier,
+        "date": issue.date,
+        "watermark": "DRAFT" if issue.draft else "",
+    }
 
 
 # Reading and checking
@@ -466,7 +501,7 @@ def check_certificate(
     path: Path,
     *,
     schema: Path | None = None,
-    cert: Path | None = None,
+    cert: Path | KeyMaterial | None = None,
     amends: Path | None = None,
 ) -> CertificateCheck:
     """Read a certificate's numbers; validate with a schema, verify with a signer's certificate.
@@ -489,7 +524,7 @@ def check_certificate(
     return CertificateCheck(certified, "valid", _check_pages(path, cert), verified.expired)
 
 
-def _check_pages(path: Path, cert: Path) -> PdfSignatureStatus | None:
+def _check_pages(path: Path, cert: Path | KeyMaterial) -> PdfSignatureStatus | None:
     """Return the state of a PDF's signature; RecordError if it is not valid."""
     if not is_pdf(path):
         return None

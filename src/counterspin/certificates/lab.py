@@ -58,7 +58,8 @@ def _check_text(value: str) -> str:
     return stripped
 
 
-def _parse_temperature(text: object) -> Quantity:
+def parse_celsius(text: object) -> Quantity:
+    """Return a temperature in degrees Celsius; ValueError if a text does not state one."""
     match = _CELSIUS.fullmatch(text.strip()) if isinstance(text, str) else None
     if match is None:
         raise ValueError('must be a temperature, such as "20.0 ± 0.3 degC"')
@@ -226,7 +227,7 @@ class Person(SettingsSection):
 class Conditions(SettingsSection):
     """[conditions]: environmental conditions during the calibration."""
 
-    temperature: Annotated[Quantity, PlainValidator(_parse_temperature)] | None = key_field(
+    temperature: Annotated[Quantity, PlainValidator(parse_celsius)] | None = key_field(
         "temperature of the laboratory, with its standard uncertainty",
         "20.0 ± 0.3 degC",
         None,
@@ -407,30 +408,54 @@ def write_example(path: Path | str) -> Path:
     return path
 
 
-def template_keys(lab: Lab) -> list[str]:
+def template_keys(lab: Lab | Mapping[str, Any]) -> list[str]:
     """Return the keys that still have a value of the template."""
-    values = _template_values()
-    data = lab.model_dump(exclude={"conditions", "specification"})
-    return [key_path(path) for path, value in _leaves(data, ()) if _entry(path, value) in values]
+    excluded = {"conditions", "specification"}
+    data = lab.model_dump(exclude=excluded) if isinstance(lab, Lab) else dict(lab)
+    leaves = _leaves({key: value for key, value in data.items() if key not in excluded}, ())
+    return [key_path(path) for path, value in leaves if is_template_value(path, value)]
+
+
+def is_template_value(path: KeyPath, value: object) -> bool:
+    """Return whether a key has the value that it has in the template."""
+    text = " ".join(str(value).split())
+    return isinstance(value, str | datetime.date) and _entry(path, text) in _template_values()
 
 
 @cache
 def _template_values() -> frozenset[tuple[str, str]]:
     """Return the placeholders of the template, each with the last name in its key.
 
-    They are the dates, the text, and of the lines that are commented out the text with "example".
+    They are the dates and the text; of the lines that are commented out, the dates, zeros and the
+    text with "example".
     """
     text = example_text()
     used = _leaves(parse_toml(text), ())
     commented = _leaves(parse_toml(_COMMENTED_OUT.sub("", text)), ())
     return frozenset(
         [_entry(path, value) for path, value in used]
-        + [_entry(*leaf) for leaf in commented if re.search("(?i)example|^2000-", leaf[1])]
+        + [_entry(*leaf) for leaf in commented if re.search("(?i)example|^2000-|^0+$", leaf[1])]
     )
 
 
 #: Start of a line of the template that holds a key or a heading within a comment.
 _COMMENTED_OUT: Final = re.compile(r"^# (?=\[[\w.]+\]|[\w.\"*]+ = )", re.MULTILINE)
+
+
+def with_required_keys(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the laboratory's data with values of the template for required keys that it lacks."""
+    completed = dict(document)
+    for key, value in parse_toml(example_text()).items():
+        stated = document.get(key, [{}] if isinstance(value, list) else {})
+        if isinstance(value, dict) and isinstance(stated, dict):
+            completed[key] = value | stated
+        elif isinstance(value, list) and isinstance(stated, list):
+            completed[key] = [
+                value[0] | part if isinstance(part, dict) else part for part in stated
+            ]
+        else:
+            completed.setdefault(key, value)
+    return completed
 
 
 def _entry(path: KeyPath, value: str) -> tuple[str, str]:

@@ -60,7 +60,7 @@ class _SigningKey:
         return self._signer.sign(data)
 
 
-def verify(document: bytes, certificate: Path, source: str) -> SignatureCheck:
+def verify(document: bytes, certificate: Path | KeyMaterial, source: str) -> SignatureCheck:
     """Check that the expected signer signed a certificate, and that it has not changed since.
 
     A signer's certificate that has expired counts if it was valid on the day of issue, as the
@@ -130,7 +130,7 @@ def _make_current_certificate(key: Any) -> Any:
     )
 
 
-def _describe_signer(root: Any, certificate: Path) -> str:
+def _describe_signer(root: Any, certificate: Path | KeyMaterial) -> str:
     """Describe the signer of a signature that is not the expected signer's."""
     from cryptography.x509 import load_der_x509_certificate
     from signxml.exceptions import InvalidDigest
@@ -158,7 +158,9 @@ def _issue_date(root: Any) -> date | None:
         return None
 
 
-def _expiry(trusted: Any, issued: date | None, certificate: Path, source: str) -> date | None:
+def _expiry(
+    trusted: Any, issued: date | None, certificate: Path | KeyMaterial, source: str
+) -> date | None:
     """Return the expiry day of the signer's certificate, None if valid; raise if never valid."""
     now = datetime.now(UTC)
     begin, end = trusted.not_valid_before_utc, trusted.not_valid_after_utc

@@ -48,6 +48,14 @@ class Signer:
         return text[:REASON_LENGTH]
 
     @property
+    def pem(self) -> str:
+        """The signer's certificate as PEM."""
+        from cryptography.hazmat.primitives.serialization import Encoding
+
+        text: bytes = self.certificates[0].public_bytes(Encoding.PEM)
+        return text.decode("ascii")
+
+    @property
     def public_key(self) -> Any:
         """The public key."""
         return self.certificates[0].public_key()
@@ -67,9 +75,15 @@ class KeyMaterial:
     name: str
     content: bytes = field(repr=False)
 
+    def __str__(self) -> str:
+        """Return the name of the file."""
+        return self.name
+
     @classmethod
-    def read(cls, path: Path) -> KeyMaterial:
-        """Read a file; CounterspinError if it cannot be read."""
+    def read(cls, path: Path | KeyMaterial) -> KeyMaterial:
+        """Return the material, read if `path` is one; CounterspinError if it cannot be read."""
+        if isinstance(path, KeyMaterial):
+            return path
         try:
             return cls(str(path), read_file(path))
         except OSError as error:
@@ -86,11 +100,9 @@ def read_signer(
     key: PEM, or PKCS #12, which includes its certificate.
     certificate: PEM; None: it is in the file of the key.
     """
-    key_material = key if isinstance(key, KeyMaterial) else KeyMaterial.read(key)
+    key_material = KeyMaterial.read(key)
     _require_cryptography()
-    certificate_material = (
-        KeyMaterial.read(certificate) if isinstance(certificate, Path) else certificate
-    )
+    certificate_material = None if certificate is None else KeyMaterial.read(certificate)
     secret = None if password is None else password.encode()
     if b"-----BEGIN " not in key_material.content:
         private, certificates = _read_pkcs12(key_material, secret)

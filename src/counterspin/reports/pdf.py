@@ -74,21 +74,10 @@ def pdf(
     names = [attachment.name for attachment in attachments]
     if len(set(names)) < len(names):
         raise ValueError(f"each attachment needs a unique name; got {', '.join(names)}")
-    title, identifier = escape_controls(title), escape_controls(identifier)
     moment = date.astimezone(UTC).replace(microsecond=0)
-    blocks = list(without_cards(blocks))
-    if not any(isinstance(block, Heading) and block.level == 1 for block in blocks):
-        blocks = [Heading(title, 1), *blocks]
-    pictures = [svg(block) for block in blocks if isinstance(block, Picture)]
-    data = {
-        "title": title,
-        "identifier": identifier,
-        "watermark": watermark,
+    data = _layout_data(blocks, title, identifier, moment, watermark)
+    data |= {
         "mark": mark(kind),
-        "moment": moment.timetuple()[:6],
-        "day": f"{moment:%Y-%m-%d %H:%M} UTC",
-        "blocks": list(_layout_items(blocks)),
-        "pictures": pictures,
         "attachments": [
             {
                 "name": attachment.name,
@@ -107,6 +96,37 @@ def pdf(
         for index, attachment in enumerate(attachments)
     }
     return _compile(data, files, moment)
+
+
+def page_images(
+    blocks: Sequence[Block], *, title: str, identifier: str, date: datetime, watermark: str = ""
+) -> list[str]:
+    """Return the pages that `pdf` sets as SVG images; parameters as there."""
+    moment = date.astimezone(UTC).replace(microsecond=0)
+    data = _layout_data(blocks, title, identifier, moment, watermark)
+    pages = _typst(_layout_files(data), moment, own_fonts=True, output_format="svg")
+    return [page.decode() for page in (pages if isinstance(pages, list) else [pages])]
+
+
+def _layout_data(
+    blocks: Sequence[Block], title: str, identifier: str, moment: datetime, watermark: str
+) -> dict[str, Any]:
+    """Return the data of the layout, without attachments."""
+    title, identifier = escape_controls(title), escape_controls(identifier)
+    blocks = list(without_cards(blocks))
+    if not any(isinstance(block, Heading) and block.level == 1 for block in blocks):
+        blocks = [Heading(title, 1), *blocks]
+    return {
+        "title": title,
+        "identifier": identifier,
+        "watermark": watermark,
+        "mark": "",
+        "moment": moment.timetuple()[:6],
+        "day": f"{moment:%Y-%m-%d %H:%M} UTC",
+        "blocks": list(_layout_items(blocks)),
+        "pictures": [svg(block) for block in blocks if isinstance(block, Picture)],
+        "attachments": [],
+    }
 
 
 def _layout_items(blocks: Sequence[Block]) -> Iterator[dict[str, Any]]:
@@ -153,11 +173,10 @@ def _table(block: Table) -> dict[str, Any]:
 def _compile(data: dict[str, Any], files: dict[str, bytes], moment: datetime) -> bytes:
     from typst import TypstError
 
-    layout = (resources.files("counterspin.reports") / "assets" / "report.typ").read_bytes()
-
     def compiled(data: Any, *, own_fonts: bool = True) -> bytes:
-        text = json.dumps(data, ensure_ascii=False).encode()
-        return _typst({"main.typ": layout, "data.json": text, **files}, moment, own_fonts)
+        pages = _typst(_layout_files(data) | files, moment, own_fonts=own_fonts)
+        assert isinstance(pages, bytes)
+        return pages
 
     try:
         return compiled(data)
@@ -172,14 +191,26 @@ def _compile(data: dict[str, Any], files: dict[str, bytes], moment: datetime) ->
     return compiled(_translate(data, squares), own_fonts=nowhere == lacking)
 
 
-def _typst(files: dict[str, bytes], moment: datetime, own_fonts: bool) -> bytes:
+def _layout_files(data: dict[str, Any]) -> dict[str, bytes]:
+    layout = (resources.files("counterspin.reports") / "assets" / "report.typ").read_bytes()
+    return {"main.typ": layout, "data.json": json.dumps(data, ensure_ascii=False).encode()}
+
+
+def _typst(
+    files: dict[str, bytes],
+    moment: datetime,
+    *,
+    own_fonts: bool,
+    output_format: Literal["pdf", "svg"] = "pdf",
+) -> bytes | list[bytes]:
+    """Return a PDF, or the pages as SVG: a list if there are several."""
     import typst
 
-    made: bytes = typst.compile(  # type: ignore[call-overload]
+    made: bytes | list[bytes] = typst.compile(  # type: ignore[call-overload]
         files,
         ignore_system_fonts=own_fonts,
-        format="pdf",
-        pdf_standards=_STANDARDS,
+        format=output_format,
+        pdf_standards=_STANDARDS if output_format == "pdf" else None,
         timestamp=moment,
     )
     return made
@@ -193,7 +224,7 @@ def _has_glyph(letter: str, *, own_fonts: bool) -> bool:
         f'#set document(title: "x")\n#set text(font: "Libertinus Serif")\n#"\\u{{{ord(letter):x}}}"'
     )
     try:
-        _typst({"main.typ": page.encode()}, datetime(2000, 1, 1, tzinfo=UTC), own_fonts)
+        _typst({"main.typ": page.encode()}, datetime(2000, 1, 1, tzinfo=UTC), own_fonts=own_fonts)
     except TypstError:
         return False
     return True

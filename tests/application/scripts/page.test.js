@@ -4,7 +4,7 @@ import { clicked, Element, json, others, said, server } from "./browser.js";
 import { campaignAddress, resultAddress } from "./addresses.js";
 import { bring, enter, get, getTextNow, Refused, save, send } from "./api.js";
 import {
-  attempt, commandLine, inSections, make, oneAtATime, say, stateMark, submitting, symbols, warning,
+  attempt, commandLine, make, oneAtATime, say, stateMark, submitting, symbols, warning,
 } from "./dom.js";
 import { answersTo, asTable, lookUntilSettled, tipOf } from "./exports.js";
 import { knownTo, named, size } from "./improving.js";
@@ -60,14 +60,6 @@ test("a name is in an address as it is, whatever stands in it", () => {
       assert.equal(decodeURIComponent(parts[2]), name);
     }
   }
-});
-
-// Certificates
-
-test("what still is an example's is said by section", () => {
-  const keys = ["laboratory.name", "laboratory.post_code", "persons[0].name", "persons[1].name"];
-  assert.equal(inSections(keys), "laboratory (name, post code), persons (name)");
-  assert.equal(inSections([]), "");
 });
 
 // Elements

@@ -1,12 +1,46 @@
 // @ts-check
-// The certificate of a result: the laboratory's data as a form, and the button that issues it.
+// The certificate of a result: a preview of its pages beside the data that the laboratory states.
 
 import { resultAddress } from "./addresses.js";
 import { get, send } from "./api.js";
-import { commandLine, inSections, labelled, make, say, submitting } from "./dom.js";
-import { editorOf } from "./editor.js";
-import { saving } from "./result.js";
+import { CertificateForm, titleOf } from "./certificate_form.js";
+import { labelled, make, oneAtATime, submitting } from "./dom.js";
+import { guardUnsaved } from "./editor.js";
+import { receiptOf } from "./receipt.js";
 import { Signing } from "./signing.js";
+import { campaignTabs } from "./tabs.js";
+
+/** The pages of a certificate as images. */
+class Preview {
+  constructor() {
+    this.sheets = make("div", { class: "sheets", tabindex: "0", role: "region", "aria-label": "Pages of the certificate" });
+    this.state = make("p", { class: "quiet", role: "status" }, "Drawing the pages.");
+    this.element = make("section", { class: "pages" }, make("h2", {}, "Preview"), this.state, this.sheets);
+  }
+
+  /**
+   * Show pages, with a text about them.
+   * @param {string[]} pages SVG
+   * @param {string} text
+   */
+  show(pages, text) {
+    this.sheets.replaceChildren(...pages.map((page, place) => make("img", {
+      src: `data:image/svg+xml;charset=utf-8,${encodeURIComponent(page)}`,
+      alt: `Page ${place + 1} of ${pages.length} of the certificate`,
+    })));
+    this.state.textContent = text;
+  }
+}
+
+/**
+ * The folder of a result, if it is that of a campaign.
+ * @param {any} folder
+ * @param {string} result
+ */
+const campaignOf = (folder, result) => {
+  const name = result.includes("/") ? result.replace(/\/[^/]*$/, "") : "";
+  return folder.campaigns.some((/** @type {any} */ campaign) => campaign.name === name) ? name : undefined;
+};
 
 /**
  * The page of a result's certificate.
@@ -14,67 +48,110 @@ import { Signing } from "./signing.js";
  */
 export async function certificateView(result) {
   const folder = await get("folder");
-  const file = folder.labs[0] ?? "LAB.toml";
+  const beside = result.replace(/[^/]*$/, "LAB.toml");
+  const file = folder.labs.includes(beside) ? beside : folder.labs[0] ?? beside;
   const told = await get("lab", { file, result });
+  const preview = new Preview();
   const output = make("input", {
     value: result.replace(/(result)?\.json$/, "certificate.xml"), required: true, autocomplete: "off",
   });
   const both = make("input", { type: "checkbox", checked: true });
-  const button = make("button", { class: "main" }, "Issue");
+  const button = make("button", { class: "main" }, "Sign and issue");
   const place = make("div", { "aria-live": "polite" });
-  const draft = make("p", { id: "draft" });
-  /** @type {{key: string, words: string}[]} */
-  let missing = told.missing;
-  // A draft, which lacks data, cannot be signed.
+  const missing = make("div", { class: "missing", id: "missing", role: "status" });
+
+  /** What prevents a signature, each with what is done about it. */
+  const gaps = () => [
+    ...form.gaps(),
+    ...signing.gap ? [{ section: "Signature", text: signing.gap, words: "", go: () => signing.focus(), leaveOut: null }] : [],
+  ];
   const judge = () => {
-    const refused = signing.wanted && missing.length > 0;
-    button.disabled = refused;
-    button.textContent = signing.wanted ? "Sign and issue" : "Issue";
-    if (refused) button.setAttribute("aria-describedby", draft.id);
-    else button.removeAttribute("aria-describedby");
-    draft.className = refused ? "warning" : "quiet";
-    draft.hidden = missing.length === 0;
-    draft.textContent = `Missing, or a value of the template: ${inSections(missing.map(({ key }) => key))}. ${
-      refused ? "Complete this before you sign." : "A certificate issued now is a draft, and every page says so."}`;
+    const list = gaps();
+    const draft = form.now.missing.length > 0 && !signing.wanted && !form.now.problems.length;
+    const blocked = list.length > 0 && !draft;
+    button.textContent = signing.wanted ? "Sign and issue" : draft ? "Write a draft" : "Issue";
+    if (blocked) button.setAttribute("aria-disabled", "true");
+    else button.removeAttribute("aria-disabled");
+    button.setAttribute("aria-describedby", missing.id);
+    missing.className = list.length ? "missing" : "missing complete";
+    const entries = list.length === 1 ? "one entry" : `${list.length} entries`;
+    const action = signing.wanted ? "sign" : "issue";
+    const sections = new Map(list.map(({ section }) => [section, list.filter((gap) => gap.section === section)]));
+    missing.replaceChildren(make("h2", {}, list.length
+      ? `Complete ${entries} before you ${action}${draft ? "; until then, you can write a draft" : ""}`
+      : `Nothing is missing. Read the pages before you ${action}.`),
+    ...list.length ? [make("ul", {}, ...[...sections].map(([section, some]) =>
+      make("li", {}, make("span", { class: "section" }, section), make("span", {}, ...some.flatMap(({ text, words, go, leaveOut }) => [
+        make("button", { type: "button", class: "link", onclick: go }, text),
+        leaveOut ? make("button", { type: "button", class: "link", onclick: leaveOut, "aria-label": `Leave out ${text}` }, "(leave out)") : null,
+        words ? make("span", { class: "help" }, words) : null])))))] : []);
   };
+  let drawn = "";
+  const draw = oneAtATime(async () => {
+    const { text } = form.now;
+    if (text === drawn) return;
+    if (form.now.problems.some(({ words }) => !words.includes("missing"))) {
+      preview.state.textContent = "The pages show the entries before the mistake.";
+      return;
+    }
+    preview.state.textContent = "Drawing the pages.";
+    const { pages } = await send("POST", "certificate-preview", { result, text });
+    drawn = text;
+    preview.show(pages, "As the data are now. DRAFT stands on every page until the certificate is issued.");
+  }, make("div"));
+
   const signing = new Signing(told.signer, () => judge());
-  const editor = editorOf(told, {
+  const form = new CertificateForm(told, {
     result,
-    shown: (now) => {
-      missing = now.missing;
+    shown: () => queueMicrotask(() => {
       judge();
-    },
+      draw();
+    }),
   });
+  guardUnsaved(form);
+  const entries = make("section", { class: "entries" });
   const issue = submitting(place, async () => {
-    if (editor.changed || !editor.version) await editor.save();
-    if (editor.changed || button.disabled) return;
-    const made = await send("POST", "certificate", {
-      result, lab: file, output: output.value, both: both.checked, signing: await signing.said(),
-    });
-    say(`Wrote ${made.files.join(" and ")}.`);
-    place.replaceChildren(
-      make("p", { class: "answer-line" },
-        `Certificate ${made.identifier} of ${made.accelerometers.join(", ")}${signing.wanted ? ", signed" : ""}: `,
-        ...made.files.map(/** @param {string} name */ (name) => saving(name, "file", { name }))),
-      ...made.notes.map(/** @param {string} note */ (note) => make("p", { class: "warning" }, note)),
-      commandLine(made.command));
+    await form.last;
+    const [gap] = gaps();
+    if (button.getAttribute("aria-disabled")) {
+      gap?.go();
+      return;
+    }
+    if (form.changed || !form.version) await form.save();
+    if (form.changed) return;
+    place.replaceChildren(make("p", { class: "quiet" }, signing.wanted ? "Signing." : "Writing."));
+    button.disabled = true;
+    try {
+      const made = await send("POST", "certificate", {
+        result, lab: file, output: output.value, both: both.checked, signing: await signing.said(),
+      });
+      entries.replaceChildren(receiptOf(made, { result, signed: signing.wanted, form }));
+      preview.show(made.pages, made.draft ? "As written, a draft." : "As issued.");
+      entries.querySelector("h2")?.focus();
+    } finally {
+      button.disabled = false;
+    }
   });
+  entries.append(
+    missing, form.notes, form.fields,
+    make("details", { class: "aside" }, make("summary", {}, `${titleOf("file")}: ${file}`),
+      labelled(`${file}, as text`, form.area), form.button),
+    make("form", { class: "sign", novalidate: true, onsubmit: issue },
+      signing.element,
+      make("details", { class: "aside" }, make("summary", {}, "Files of the certificate"),
+        make("div", { class: "row" },
+          labelled("File of the certificate, .xml or .pdf", output),
+          make("label", { class: "choice" }, both, "XML and PDF, both"))),
+      place, button));
+  const campaign = campaignOf(folder, result);
   return {
     title: `Certificate of ${result}`,
     content: [
-      make("h1", {}, "Digital Calibration Certificate"),
-      make("p", {}, "Of ", make("a", { href: resultAddress(result) }, result),
-        ". The laboratory's data are kept in ", make("code", {}, file),
-        told.version ? "." : ", which does not exist yet; the data shown are an example."),
-      make("form", { onsubmit: issue },
-        make("div", { class: "row" },
-          labelled("File of the certificate, .xml or .pdf", output),
-          make("label", { class: "choice" }, both, "XML and PDF, both")),
-        signing.element,
-        draft,
-        button),
-      place,
-      editor.element,
+      make("div", { class: "head" }, make("div", {}, make("h1", {}, "Calibration certificate"),
+        make("p", { class: "quiet" }, "Of ", make("a", { href: resultAddress(result) }, result),
+          "; the entries are kept in ", make("code", {}, file), "."))),
+      ...campaign === undefined ? [] : [campaignTabs(campaign, "certificate", { step: "certify", result })],
+      make("div", { class: "certify" }, preview.element, entries),
     ],
   };
 }

@@ -41,20 +41,6 @@ export const symbols = (text) =>
   });
 
 /**
- * Keys of the laboratory's data in words, by section.
- * @param {string[]} keys such as "persons[0].name"
- */
-export function inSections(keys) {
-  /** @type {Map<string, string[]>} */
-  const sections = new Map();
-  for (const key of keys) {
-    const [section, ...rest] = key.replace(/\[\d+\]/g, "").split(".");
-    sections.set(section, [...sections.get(section) ?? [], rest.join(" ").replaceAll("_", " ")]);
-  }
-  return [...sections].map(([section, some]) => `${section} (${[...new Set(some)].join(", ")})`).join(", ");
-}
-
-/**
  * A command, of which no option is parted at the end of a line.
  * @param {string} text
  * @returns {HTMLElement}

@@ -8,7 +8,7 @@ import { linked, manualLink } from "./manual.js";
 
 /**
  * @typedef {string | number} Part
- * @typedef {{key: string, label: string, help: string, links: [string, string][], kind: string, required: boolean, unit?: string,
+ * @typedef {{key: string, label: string, help: string, links: [string, string][], kind: string, required: boolean, visible?: boolean, unit?: string,
  *   units?: string[], example?: string, choices?: any[], suggestions?: string[], names?: Record<string, string>,
  *   rows?: {key: string, words: string}[], fields?: Field[]}} Field
  * @typedef {{key: string, words: string, explained: string, repeat: string | null, fields: Field[],
@@ -21,7 +21,7 @@ import { linked, manualLink } from "./manual.js";
  * The path of a key as messages have it.
  * @param {Part[]} path
  */
-const keyPath = (path) => path.reduce((/** @type {string} */ text, part) => {
+export const keyPath = (path) => path.reduce((/** @type {string} */ text, part) => {
   if (typeof part === "number") return `${text}[${part}]`;
   const plain = /^[\p{L}\p{N}]+$/u.test(part.replaceAll("_", "").replaceAll("-", ""));
   return `${text}${text && "."}${plain ? part : `"${part}"`}`;
@@ -368,7 +368,7 @@ export class Editor {
    * @param {any} value
    */
   group(fields, path, value) {
-    const seen = fields.filter(({ key, required }) => required || value[key] !== undefined);
+    const seen = fields.filter(({ key, required, visible }) => required || visible || value[key] !== undefined);
     const others = fields.filter((field) => !seen.includes(field));
     /** @type {HTMLElement[]} */
     const content = [make("div", { class: "grid" },
@@ -442,14 +442,16 @@ export class Editor {
       const some = Object.entries(field.names ?? {}).map(([code, name]) => ({ code, name }))
         .sort((one, other) => one.name.localeCompare(other.name));
       return make("select", {
-        id, onchange: (/** @type {any} */ e) => this.change(path, e.target.value || null),
+        id, "aria-required": field.required ? "true" : null,
+        onchange: (/** @type {any} */ e) => this.change(path, e.target.value || null),
       }, make("option", { value: "" }, ""),
       some.every(({ code }) => code !== value) && value ? make("option", { value, selected: true }, shown(value)) : null,
       ...some.map(({ code, name }) => make("option", { value: code, selected: code === value }, `${name} (${code})`)));
     }
-    if (kind === "text" && shown(value).length > 50) {
+    if (kind === "text" && Math.max(shown(value).length, field.example?.length ?? 0) > 50) {
       return make("textarea", {
-        id, rows: 4, class: "words", value: shown(value),
+        id, rows: 4, class: "words", value: shown(value), placeholder: field.example ?? null,
+        "aria-required": field.required ? "true" : null,
         onchange: (/** @type {any} */ e) => this.change(path, typed(e.target.value, kind)),
       });
     }
@@ -601,9 +603,15 @@ addEventListener("beforeunload", (event) => {
  * @param {any} told
  * @param {{result?: string, saved?: () => void, shown?: (now: Edited) => void}} [more]
  */
-export function editorOf(told, more) {
-  current = new Editor(told, more);
-  return current;
+export const editorOf = (told, more) => guardUnsaved(new Editor(told, more));
+
+/**
+ * Ask before the page of an editor is left with unsaved changes.
+ * @param {Editor} editor
+ */
+export function guardUnsaved(editor) {
+  current = editor;
+  return editor;
 }
 
 /** Tell whether there are changes that would be lost. */

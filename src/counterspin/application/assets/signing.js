@@ -28,10 +28,10 @@ export class Signing {
         changed();
       },
     },
-      make("option", { value: "" }, "Not signed"),
+      signer ? make("option", { value: "command" }, `With this server's command: ${signer}`) : null,
       make("option", { value: "key" }, "With a key in a file"),
-      signer ? make("option", { value: "command" }, `With this server's command: ${signer}`) : null);
-    this.key = make("input", { type: "file", accept: ".pem,.key,.p12,.pfx" });
+      make("option", { value: "" }, "Not signed"));
+    this.key = make("input", { type: "file", accept: ".pem,.key,.p12,.pfx", onchange: changed });
     this.certificate = make("input", { type: "file", accept: ".pem,.crt,.cer" });
     this.password = make("input", { type: "password", autocomplete: "off" });
     this.files = make("div", { class: "row" },
@@ -47,6 +47,16 @@ export class Signing {
   /** Whether it is signed at all. */
   get wanted() {
     return this.how.value !== "";
+  }
+
+  /** What the signature lacks; empty: nothing. */
+  get gap() {
+    return this.how.value === "key" && !this.key.files?.length ? "File of the key" : "";
+  }
+
+  focus() {
+    this.key.scrollIntoView({ block: "center" });
+    this.key.focus({ preventScroll: true });
   }
 
   show() {

@@ -6,7 +6,7 @@ import { make } from "./dom.js";
 /** Further places of a campaign: address -> title. */
 const PLACES = { description: "Description", runs: "Records", live: "Live", try: "Try out" };
 
-/** @typedef {"confirm" | "calibrate" | "review"} Step the step that a campaign has reached */
+/** @typedef {"confirm" | "calibrate" | "review" | "certify"} Step the step that a campaign has reached */
 
 const STEPS = ["Import", "Confirm", "Calibrate", "Review", "Certify"];
 
@@ -18,7 +18,7 @@ const STEPS = ["Import", "Confirm", "Calibrate", "Review", "Certify"];
  */
 export function campaignTabs(name, here, { step = "review", result } = {}) {
   const at = (/** @type {string} */ place) => `#/${place}/${encodeURIComponent(name)}`;
-  const now = ["import", "confirm", "calibrate", "review"].indexOf(step);
+  const now = ["import", "confirm", "calibrate", "review", "certify"].indexOf(step);
   const links = [at("runs"), at("description"), at("campaign"), at("campaign"),
     result === undefined ? null : `#/certificate/${encodeURIComponent(result)}`];
   const steps = STEPS.map((words, place) => make("li", {

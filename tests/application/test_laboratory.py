@@ -1,0 +1,81 @@
+"""The laboratory's data for a certificate: preview, profile."""
+
+import tomllib
+
+import pytest
+
+from certificates import LAB
+from counterspin.certificates.lab import example_text
+
+RESULT = "three/result.json"
+
+
+def lab_of(page, file="three/LAB.toml"):
+    return page.get("/api/lab", params={"file": file, "result": RESULT}).json()
+
+
+def test_a_preview_shows_every_page_as_a_draft(page):
+    # Evidence for what the result assumes does not block a preview.
+    for text in (example_text(), LAB, ""):
+        told = page.post("/api/certificate-preview", json={"result": RESULT, "text": text}).json()
+        assert len(told["pages"]) >= 2
+        assert all(svg.startswith("<svg") for svg in told["pages"])
+
+
+def test_a_preview_of_mistaken_data_names_the_mistake(page):
+    text = LAB.replace('country = "DE"', 'country = "DD"')
+    told = page.post("/api/certificate-preview", json={"result": RESULT, "text": text})
+    assert told.status_code == 422
+    assert "laboratory.country" in told.json()["error"]
+
+
+def test_entries_that_are_missing_are_found_beside_a_mistake(page):
+    text = example_text().replace('"Exampletown"', "7", 1)
+    said = {"file": "three/LAB.toml", "text": text, "result": RESULT}
+    told = page.post("/api/check", json=said).json()
+    assert [problem["key"] for problem in told["problems"]] == ["laboratory.city"]
+    missing = {entry["key"] for entry in told["missing"]}
+    assert {"laboratory.name", "item.model", "conditions.temperature"} < missing
+    assert "laboratory.city" not in missing
+
+
+def test_a_profile_fills_in_the_next_certificate(page, folder):
+    assert lab_of(page)["profile"] is False
+    text = LAB.replace('name = "Kunde"', 'name = "Example Customer"')
+    assert page.post("/api/profile", json={"text": text}).json() == {"file": "laboratory.toml"}
+    kept = tomllib.loads((folder / "laboratory.toml").read_text("utf-8"))
+    # Nothing of the item, of the customer or of one calibration.
+    assert kept.keys() == {"certificate", "laboratory", "persons"}
+    assert kept["certificate"] == {"language": "de", "traceability": "Rückgeführt auf das SI."}
+    assert page.get("/api/folder").json()["labs"] == []
+    told = lab_of(page)
+    assert told["profile"] is True
+    document = told["document"]
+    assert document["laboratory"]["name"] == "Kalibrierlabor"
+    assert [person["name"] for person in document["persons"]] == ["A. Erste", "B. Zweite"]
+    missing = {entry["key"] for entry in told["missing"]}
+    assert {"customer.name", "item.serial_number"} < missing
+    assert not {key for key in missing if key.startswith(("laboratory", "persons"))}
+    # The campaign states its day.
+    assert document["certificate"]["begin"] == "2026-01-12"
+
+
+def test_a_profile_of_the_template_is_refused(page, folder):
+    told = page.post("/api/profile", json={"text": example_text()})
+    assert told.status_code == 422
+    assert "fill in the laboratory" in told.json()["error"]
+    assert not (folder / "laboratory.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[laboratory", "laboratory.toml: "),
+        ("[[laboratory]]\nx = 1\n", "correct or remove this file"),
+    ],
+)
+def test_a_profile_that_cannot_be_used_is_named(page, folder, text, words):
+    (folder / "laboratory.toml").write_text(text)
+    told = page.get("/api/lab", params={"file": "three/LAB.toml", "result": RESULT})
+    assert told.status_code == 422
+    assert words in told.json()["error"]
