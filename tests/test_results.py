@@ -99,7 +99,7 @@ def test_a_result_replaces_an_earlier_one_only_if_asked_to_and_no_other_file(tmp
 
 
 def test_missing_files_and_folders_are_told(tmp_path):
-    with pytest.raises(RecordError, match="cannot be read"):
+    with pytest.raises(RecordError, match="file not found"):
         Log.read(tmp_path / "none.json")
     with pytest.raises(CounterspinError, match="cannot be written"):
         LOG.write(tmp_path / "none" / "log.json")

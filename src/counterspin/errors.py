@@ -55,6 +55,13 @@ def installing(extra: str) -> str:
     )
 
 
+def describe_read_error(error: OSError) -> str:
+    """Return the reason why a file cannot be read, for a message that names the file."""
+    if isinstance(error, FileNotFoundError):
+        return "file not found"
+    return f"cannot be read ({error.strerror})"
+
+
 class CounterspinError(Exception):
     """The base of all errors that counterspin raises on purpose."""
 

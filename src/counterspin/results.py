@@ -16,7 +16,7 @@ import numpy
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, field_validator
 from pydantic_core import PydanticSerializationError
 
-from counterspin.errors import RecordError
+from counterspin.errors import RecordError, describe_read_error
 from counterspin.input import looks_like, parse_json, path_of, read_file
 from counterspin.loading import load_name
 
@@ -194,7 +194,7 @@ class ResultFile(ResultPart):
             if _HALF.search(text) and document != _escape_surrogates(document):
                 raise ValueError("a text in it contains half of a character")
         except OSError as error:
-            raise RecordError(f"{path}: cannot be read ({error.strerror}); {wanted}") from error
+            raise RecordError(f"{path}: {describe_read_error(error)}; {wanted}") from error
         except ValueError as error:
             reason = str(error)
             if content.lstrip()[:1] not in (b"{", b"["):

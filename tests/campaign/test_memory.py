@@ -96,6 +96,6 @@ def test_nothing_is_overwritten_and_nothing_left_behind(recorded, tmp_path):
     with pytest.raises(CounterspinError, match=r"campaign\.toml exists; write into another folder"):
         campaign.write(recorded)
     (recorded / "fast.csv").unlink()
-    with pytest.raises(CounterspinError, match=r"fast\.csv: the record does not exist"):
+    with pytest.raises(CounterspinError, match=r"fast\.csv: file not found"):
         campaign.write(tmp_path / "b")
     assert not (tmp_path / "b").exists()

@@ -163,7 +163,7 @@ def test_a_writer_on_windows_waits_longer_than_ten_seconds(tmp_path, monkeypatch
 def test_a_place_that_cannot_be_written_is_told(tmp_path):
     with pytest.raises(CounterspinError, match="the ledger cannot be written"):
         entered(tmp_path / "no" / "ledger.jsonl", 1)
-    with pytest.raises(RecordError, match="cannot be read"):
+    with pytest.raises(RecordError, match="file not found"):
         verify_ledger(tmp_path / "none.jsonl")
 
 

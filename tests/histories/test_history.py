@@ -305,7 +305,7 @@ def test_wrong_usage(tmp_path, capsys):
     assert main(["history", str(tmp_path / "x"), str(tmp_path / "y")]) == 2
     told = capsys.readouterr().err
     assert "2 mistakes" in told
-    assert told.count("no such file or folder") == 2
+    assert told.count("file not found") == 2
     stored(tmp_path, a=dated())
     for term, words in (
         ("K_IV", "unknown term"),

@@ -101,7 +101,7 @@ def raises(*_):
 def test_a_folder_without_the_schema_is_told_before_the_cases_are_run(tmp_path, capsys):
     words = ["validate", "-o", str(tmp_path / "d"), "--schema", str(tmp_path / "none")]
     assert main(words) == 1
-    assert "no such file or folder" in capsys.readouterr().err
+    assert "file not found" in capsys.readouterr().err
     assert not (tmp_path / "d" / "validation.html").exists()
 
 

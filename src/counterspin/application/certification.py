@@ -21,7 +21,7 @@ from counterspin.certificates.issuing import (
 )
 from counterspin.certificates.ledger import checksum_of
 from counterspin.certificates.signers import KeyMaterial, PasswordNeededError, Signer, read_signer
-from counterspin.errors import CounterspinError
+from counterspin.errors import CounterspinError, describe_read_error
 from counterspin.input import read_file
 
 #: Endings of what may be saved elsewhere: what this program writes.
@@ -168,4 +168,4 @@ def taken_file(desk: Desk, name: str) -> tuple[str, bytes]:
     try:
         return path.name, read_file(path)
     except OSError as error:
-        raise CounterspinError(f"{name}: cannot be read: {error.strerror}") from error
+        raise CounterspinError(f"{name}: {describe_read_error(error)}") from error

@@ -195,7 +195,7 @@ class Desk:
         """Return the path of a file; NotThereError if no file has the name."""
         path = self.folder.path(name)
         if not path.is_file():
-            raise NotThereError(f"{name}: there is no such file in this folder")
+            raise NotThereError(f"{name}: file not found")
         return path
 
     def description(self, name: str) -> Path:

@@ -14,7 +14,7 @@ from itertools import islice
 from pathlib import Path, PurePath, PurePosixPath
 from typing import Final
 
-from counterspin.errors import CounterspinError
+from counterspin.errors import CounterspinError, describe_read_error
 from counterspin.frozen import frozen
 from counterspin.input import read_file
 from counterspin.output import make_folder, write_whole
@@ -143,7 +143,7 @@ class ServedFolder:
         except UnicodeDecodeError as error:
             raise CounterspinError(f"{name}: is not UTF-8 text") from error
         except OSError as error:
-            raise CounterspinError(f"{name}: cannot be read: {error.strerror}") from error
+            raise CounterspinError(f"{name}: {describe_read_error(error)}") from error
 
     def write(self, name: str, text: str, seen: str) -> FileVersion:
         """Write a text atomically if the file has not changed since its editor read it.

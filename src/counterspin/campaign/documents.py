@@ -13,7 +13,7 @@ from functools import cached_property
 from pathlib import Path, PurePath
 from typing import Any, Final, Literal, Protocol, TypeVar
 
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CampaignError, CounterspinError, describe_read_error
 from counterspin.frozen import frozen
 from counterspin.input import looks_like, read_file
 from counterspin.toml_text import NestingError, parse_toml, write_document
@@ -122,11 +122,10 @@ def load_with_checksum(
         content = read_file(file, _TEXT_BYTES)
         if kind is not None and (file_type := _describe_other_file(file, content)):
             raise CampaignError(str(file), [f"{file_type}, not {_KINDS[kind]}; {full_advice}"])
-    except FileNotFoundError:
-        problem = f"file not found; {advice}"
     except OSError as error:
-        problem = f"cannot be read: {error.strerror}"
-        problem += f"; {advice}" if isinstance(error, IsADirectoryError) else ""
+        problem = describe_read_error(error)
+        advised = isinstance(error, FileNotFoundError | IsADirectoryError)
+        problem += f"; {advice}" if advised else ""
     except ValueError as error:
         problem = f"cannot be read: {error}".partition(";")[0]  # a name with NUL
     else:

@@ -318,4 +318,4 @@ def _refuse_overwriting(targets: list[Path], campaign: Campaign, *, overwrite: b
     for file in (*campaign.files, *filter(None, [campaign.rest])):
         record = campaign.record_at(file)
         if isinstance(record, Path) and not record.is_file():
-            raise CounterspinError(f"{record}: the record does not exist and cannot be copied")
+            raise CounterspinError(f"{record}: file not found")

@@ -16,7 +16,13 @@ from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates.conversion import OUTPUT_COEFFICIENTS, TRIAD_TITLE_PREFIX
 from counterspin.certificates.schema import NAMESPACES, Element, parse
 from counterspin.certificates.signature import PdfSignatureStatus, verify_pdf_signature
-from counterspin.errors import REASON_LENGTH, CounterspinError, RecordError, installing
+from counterspin.errors import (
+    REASON_LENGTH,
+    CounterspinError,
+    RecordError,
+    describe_read_error,
+    installing,
+)
 from counterspin.frozen import frozen
 from counterspin.input import read_file
 from counterspin.physics.terms import TERMS
@@ -53,7 +59,7 @@ def _read_xml(path: Path) -> bytes:
         return read_file(path)
     except OSError as error:
         raise RecordError(
-            f"{path}: cannot be read ({error.strerror}); give the XML or PDF of a certificate"
+            f"{path}: {describe_read_error(error)}; give the XML or PDF of a certificate"
         ) from error
 
 

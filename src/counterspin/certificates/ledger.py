@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from counterspin.calibration.result import Result
-from counterspin.errors import CounterspinError, RecordError
+from counterspin.errors import CounterspinError, RecordError, describe_read_error
 from counterspin.frozen import frozen
 from counterspin.input import DOCUMENT_BYTES, parse_json, read_file, require_file
 from counterspin.output import finish, require_valid_name, reserve, write_whole
@@ -79,7 +79,7 @@ def verify_ledger(path: Path) -> VerifiedLedger:
     try:
         return _verify_content(read_file(path), str(path))
     except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
+        raise RecordError(f"{path}: {describe_read_error(error)}") from error
 
 
 def append(path: Path, what: str, of: Mapping[str, str], *, who: str, why: str, when: str) -> Entry:
@@ -447,7 +447,7 @@ def _checksum(file: Path) -> str:
     try:
         return checksum_of(read_file(file))
     except OSError as error:
-        raise RecordError(f"{file}: cannot be read ({error.strerror})") from error
+        raise RecordError(f"{file}: {describe_read_error(error)}") from error
 
 
 def _utc_text(date: datetime) -> str:

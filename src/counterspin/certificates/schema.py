@@ -108,7 +108,7 @@ def _main_file(schema: Path) -> Path:
     if schema.is_file():
         return schema
     if not schema.is_dir():
-        raise CounterspinError(f"{schema}: no such file or folder")
+        raise CounterspinError(f"{schema}: file not found")
     schemas = [path for path in _schema_files(schema) if _target_namespace(path) == DCC]
     if len(schemas) == 1:
         return schemas[0]

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.errors import REASON_LENGTH, CounterspinError, installing
+from counterspin.errors import REASON_LENGTH, CounterspinError, describe_read_error, installing
 from counterspin.frozen import frozen
 from counterspin.input import read_file
 from counterspin.shell import find_program, join_command, split_command
@@ -87,7 +87,7 @@ class KeyMaterial:
         try:
             return cls(str(path), read_file(path))
         except OSError as error:
-            raise CounterspinError(f"{path}: cannot be read ({error.strerror})") from error
+            raise CounterspinError(f"{path}: {describe_read_error(error)}") from error
 
 
 def read_signer(

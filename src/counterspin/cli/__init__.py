@@ -37,6 +37,7 @@ from counterspin.errors import (
     CampaignError,
     CounterspinError,
     CounterspinWarning,
+    describe_read_error,
     require_thread_count,
 )
 
@@ -95,6 +96,8 @@ def _unexpected_error_message(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         # A name that is too long, a folder that was taken away: none of our faults.
         where = f"{error.filename}: " if error.filename else ""
+        if where and isinstance(error, FileNotFoundError):
+            return f"{where}{describe_read_error(error)}"
         return str(CounterspinError(f"{where}the operating system reports: {error.strerror}"))
     if isinstance(error, ImportError):
         return (

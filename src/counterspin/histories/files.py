@@ -13,7 +13,7 @@ from typing import Final, Literal
 from counterspin.calibration.findings import judge_result, refusal_reason
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
-from counterspin.errors import CampaignError, RecordError
+from counterspin.errors import CampaignError, RecordError, describe_read_error
 from counterspin.frozen import frozen
 from counterspin.histories.result import UnusedResult
 from counterspin.inference.joint.summary import BudgetLine
@@ -135,7 +135,7 @@ class ResultSet:
 def collect_results(inputs: Sequence[Path | Result], term: str) -> ResultSet:
     """Read the named results and those in the named folders, whatever their schema."""
     paths = [path for path in inputs if isinstance(path, Path)]
-    missing = [f"{path}: no such file or folder" for path in paths if not path.exists()]
+    missing = [f"{path}: file not found" for path in paths if not path.exists()]
     if missing:
         raise CampaignError("history", missing)
     collected, seen = ResultSet(), dict[str, str]()
@@ -147,7 +147,7 @@ def collect_results(inputs: Sequence[Path | Result], term: str) -> ResultSet:
             content = read_file(file)
         except OSError as error:
             collected.damaged.append(
-                UnusedResult(file=str(file), reason=f"cannot be read ({error.strerror})")
+                UnusedResult(file=str(file), reason=describe_read_error(error))
             )
             continue
         if not is_named and (reason := _reason_not_a_result(content)):

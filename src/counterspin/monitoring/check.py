@@ -61,7 +61,7 @@ def check(
     CampaignError
         If the description is wrong, or it is not clear which run this is.
     RecordError
-        If file not found.
+        If the file is not found.
     """
     full_campaign = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
     with one_blas_thread():
