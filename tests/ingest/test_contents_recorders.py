@@ -117,13 +117,16 @@ def test_names_that_stand_again_are_told(tmp_path, frame):
         read_files([path])
 
 
-def test_a_clock_of_whole_seconds_tells_about_how_fast_rows_follow(tmp_path, frame):
+def test_rows_are_counted_where_a_clock_has_whole_seconds(tmp_path, frame):
     stamps = [f"2026-01-12 10:59:{int(t):02d}" for t in frame["time_s"]]
     path = tmp_path / "run.csv"
     frame.with_columns(time_s=pl.Series(stamps)).write_csv(path)
     (asked,) = (q for q in draft(read_files([path])).questions if q.key == "sampling_rate")
-    assert asked.guess is None
-    assert "By column 'time_s' it is about 21 Hz." in asked.text
+    assert asked.guess == "20 Hz"
+    statements = " ".join(draft(read_files([path])).statements)
+    assert (
+        "20 rows a second, counted, because rows share the times in column 'time_s'" in statements
+    )
 
 
 def test_where_another_run_begins_is_told(tmp_path):

@@ -304,3 +304,14 @@ def test_times_of_week_serial_days_months_and_a_rate_in_the_head(tmp_path, name,
     assert signal.sampling_rate == pytest.approx(100.0, rel=1e-4)
     expected = size(of_frame(), "acceleration").value
     assert size(signal, "acceleration").value == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("names", ["time,ax ay,az", "time\tax ay\taz"])
+def test_a_missing_delimiter_between_names_is_located(tmp_path, names):
+    delimiter = "\t" if "\t" in names else ","
+    values = np.random.default_rng(2).normal(size=(400, 3))
+    rows = [[0.01 * n, *row] for n, row in enumerate(values)]
+    text = "\n".join(delimiter.join(f"{v:.6f}" for v in row) for row in rows)
+    (tmp_path / "a.txt").write_text(f"{names}\n{text}\n", encoding="utf-8")
+    with pytest.raises(CampaignError, match=r"no 'ax'.*line 1 has 3 names for 4 columns"):
+        cs.noise(tmp_path / "a.txt", columns=["ax"], unit="m/s^2")

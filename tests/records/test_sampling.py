@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from counterspin.inference.noise.samples import SensorSamples
-from counterspin.records.sampling import Holding
+from counterspin.records.sampling import Holding, is_bursty, join_bursts, row_rate
 
 STEP = 0.01
 
@@ -56,6 +56,44 @@ def test_rows_are_counted_where_stamps_repeat(burst):
     assert found.restamped > 0.4 * 4001
     assert np.array_equal(found.values, values)
     assert np.diff(found.time) == pytest.approx(STEP, rel=1e-2)
+
+
+def test_samples_that_are_lost_or_equal_leave_places_free():
+    values = white(2000)
+    values[[300, 301, 900]] = values[[299, 299, 899]]
+    for ratio in (1.25, 2.5, 7.3):
+        logged = held(values, ratio)
+        found = SensorSamples.of(np.arange(len(logged)) * STEP, logged)
+        steps = np.diff(found.time) / (ratio * STEP)
+        assert np.round(steps).tolist() == [
+            3.0 if n == 299 else 2.0 if n == 897 else 1.0 for n in range(len(steps))
+        ]
+        assert steps.sum() == pytest.approx(1999, abs=2)
+
+
+@pytest.mark.parametrize("step", [0.0, 2e-4])
+@pytest.mark.parametrize("lost", [0, 20])
+def test_rows_are_counted_where_packets_arrive_in_bursts(step, lost):
+    """Packets of 8 rows arrive up to one row late; their rows have one stamp, or close ones."""
+    rng = np.random.default_rng(5)
+    packet, row = np.divmod(np.arange(8000), 8)
+    stamps = (8 * packet + rng.random(1000)[packet]) * STEP + row * step
+    keep = ~np.isin(packet, rng.choice(np.arange(1, 999), lost, replace=False))
+    values = np.round(white(8000) / 1e-3) * 1e-3  # equal neighbours are no doubled rows
+    found = SensorSamples.of(stamps[keep], values[keep])
+    assert np.array_equal(found.values, values[keep])
+    assert np.median(np.diff(found.time)) == pytest.approx(STEP, rel=2e-3)
+    if lost:
+        with pytest.raises(ValueError, match="samples are missing"):
+            row_rate(stamps[keep])
+    else:
+        assert row_rate(stamps) == pytest.approx(1.0 / STEP, rel=2e-4)
+
+
+def test_pauses_of_a_record_are_no_bursts():
+    time = np.arange(10000) * STEP + 60.0 * (np.arange(10000) // 2000)
+    assert not is_bursty(np.diff(time))
+    assert join_bursts(time) is time
 
 
 def test_a_coarse_clock_and_a_gap():

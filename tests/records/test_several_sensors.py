@@ -109,11 +109,19 @@ def test_records_that_follow_one_another_are_told_apart(tmp_path, names):
         assert signal.rows == 3000
 
 
-def test_time_must_fall_where_the_sensor_changes():
+def test_records_of_sensors_follow_one_another():
+    """Where the time falls at each change, or in a column with the name of a sensor."""
     cells = [f"P{n}" for n in range(3) for _ in range(50)]
     time = np.tile(np.arange(50.0), 3)
     assert list(stacked_sensors({"device": ["A"] * 150}, {"time": time})) == []
-    assert list(stacked_sensors({"device": cells}, {"drift": np.arange(150.0)})) == []
+    assert list(stacked_sensors({"zone": cells}, {"time": np.arange(150.0)})) == []
+    assert list(stacked_sensors({"sensor temp": cells}, {"time": np.arange(150.0)})) == []
+    known = [("device", ["P0", "P1", "P2"])]
+    assert list(stacked_sensors({"device": cells}, {"time": np.arange(150.0)})) == known
+    blocks = ["left", "right"] * 3
+    named = [word for word in blocks for _ in range(50)]
+    steps = np.concatenate([np.arange(50.0) + 50 * (n // 2) for n in range(6)])
+    assert list(stacked_sensors({"name": named}, {"time": steps})) == [("name", ["left", "right"])]
     assert list(stacked_sensors({"device": cells}, {"time": time})) == [
         ("device", ["P0", "P1", "P2"])
     ]

@@ -22,10 +22,14 @@ from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.ingest.contents import FileColumn, FileContents, frequency, wave
+from counterspin.records.sampling import is_bursty, row_rate
 from counterspin.records.unit_words import unit_in_name
 from counterspin.units import converts, unit_factor
 
-_TIME: Final = re.compile(r"(?i)(t|time|zeit|temps|elapsed|stamp|x_value|seconds)([^a-z]|stamp|$)")
+_TIME: Final = re.compile(
+    r"(?i)(t|time|zeit|temps|elapsed|stamp|x_value|seconds)([^a-z]|stamp|$)"
+    r"|(.*[^a-z])?i?(tow|sow|time|timestamp|stamp|(time|seconds?).of.week)([^a-z].*)?$"
+)
 _ANGLE: Final = re.compile(
     r"(?i).*(angle|theta|phi|azimuth|heading|winkel|encoder|spindle|count|kurs)|enc([^a-z]|$)"
 )
@@ -133,6 +137,8 @@ class FileGuess:
     #: The accelerometers' temperature, column and scale; None: there seems to be none.
     temperature: tuple[str, str] | None = None
     turning: float | None = None  #: Median rate of the waves, rad/s; None without waves.
+    shared: FileColumn | None = None  #: Times that rows share, whose rows are counted instead.
+    uncounted: str = ""  #: Why the rows that share times cannot be counted; empty: they can.
 
     @property
     def temperature_table(self) -> dict[str, dict[str, str]]:
@@ -141,6 +147,16 @@ class FileGuess:
             return {}
         column, scale = self.temperature
         return {"temperature": {"column": column, "unit": scale}}
+
+    @property
+    def sampling_words(self) -> list[str]:
+        """Return the description of rows that are counted for a person; empty with a time."""
+        if self.time is not None or self.sampling is None:
+            return []
+        rate = f"time: no column; {self.sampling:.8g} rows a second"
+        if self.shared is None or self.uncounted:
+            return [rate]
+        return [f"{rate}, counted, because rows share the times in column '{self.shared.name}'"]
 
     @property
     def temperature_words(self) -> list[str]:
@@ -167,8 +183,9 @@ def guess_file(
     longest = max(len(column.values) for column in columns)
     rows = [column for column in columns if len(column.values) == longest]
     time_column = _chosen(rows, answers.get("time"), _time_column)
-    time, sampling = None, None
-    seconds = np.arange(max(len(column.values) for column in columns), dtype=float)
+    time: TimeGuess | None = None
+    sampling, shared, uncounted = None, None, ""
+    seconds = np.arange(longest, dtype=float)
     if time_column is not None:
         stated = answers.get("time unit") or _unit_of(time_column, "s")
         stated = stated or _unit_by_rate(time_column, _sampling(contents, answers))
@@ -178,7 +195,8 @@ def guess_file(
         time = TimeGuess(time_column.name, unit, factor)
         seconds = time_column.values * factor
     else:
-        sampling = _sampling(contents, answers)
+        shared = _shared_times(rows) if answers.get("time") != NONE else None
+        sampling, uncounted = _row_rate(contents, answers, shared)
         seconds = seconds / (sampling or 1.0)
     rest = [column for column in columns if column is not time_column and not column.stamps]
     long = [column for column in rest if len(column.values) == len(seconds)]
@@ -220,7 +238,8 @@ def guess_file(
     taken |= {warm[0]} if warm else set()
     unused = tuple(column.name for column in columns if column.name not in taken)
     unused = (*unused, *contents.others, *contents.numbers)
-    return FileGuess(contents, time, angle, sampling, signals, rate, rising, unused, warm, waves)
+    parts = (contents, time, angle, sampling, signals, rate, rising, unused, warm, waves)
+    return FileGuess(*parts, shared, uncounted)
 
 
 def _chosen(
@@ -257,6 +276,22 @@ def _sampling(contents: FileContents, answers: Mapping[str, str]) -> float | Non
         return rate
     step = _number(contents, _STEP)
     return 1.0 / step if step else None
+
+
+def _row_rate(
+    contents: FileContents, answers: Mapping[str, str], shared: FileColumn | None
+) -> tuple[float | None, str]:
+    """Return the number of rows a second, Hz, or the reason why rows cannot be counted.
+
+    shared: Times that rows share, which tell the rate if nothing else states it.
+    """
+    sampling = _sampling(contents, answers)
+    if sampling is not None or shared is None:
+        return sampling, ""
+    try:
+        return row_rate(shared.values), ""
+    except ValueError as error:
+        return None, str(error)
 
 
 def _unit_by_rate(time: FileColumn, sampling: float | None) -> str | None:
@@ -344,6 +379,7 @@ def _grown(signal: SignalGuess, guesses: Sequence[FileGuess]) -> SignalGuess:
 def _time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
     """Return the time column: by its kind, its name or its unit, or by even steps."""
     # A clock that stands still from row to row tells no time of theirs.
+    columns = [column for column in columns if not is_bursty(np.diff(column.values))]
     stamps = [column for column in columns if column.stamps and is_fine(column.values)]
     if stamps:
         return stamps[0]
@@ -353,7 +389,7 @@ def _time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
     # A telephone writes a row whenever it has one; rows with the same time are one.
     uneven = [column for column in columns if _is_named_time(column) and _rises(column.values)]
     # Without a word, the time stands first, and something else advances with it.
-    rows = np.arange(max(len(column.values) for column in columns), dtype=float)
+    rows = np.arange(max((len(column.values) for column in columns), default=0), dtype=float)
     advancing = [
         column
         for column in columns
@@ -368,6 +404,15 @@ def _time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
     ]
     first = first if len(advancing) > 1 else []
     return next(iter([*named, *united, *uneven, *first]), None)
+
+
+def _shared_times(columns: Sequence[FileColumn]) -> FileColumn | None:
+    """Return the times, s, that several rows share or that come in bursts; None without such."""
+    for column in columns:
+        unit = "s" if column.stamps else _unit_of(column, "s")
+        if unit and (column.stamps or _is_named_time(column)) and is_bursty(np.diff(column.values)):
+            return replace(column, values=column.values * unit_factor(unit, "s"))
+    return None
 
 
 def _is_named_time(column: FileColumn) -> bool:

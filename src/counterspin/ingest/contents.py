@@ -19,6 +19,7 @@ from counterspin.records.dialect import Dialect
 from counterspin.records.formats import is_workbook, open_columns
 from counterspin.records.isolation import in_reader_process
 from counterspin.records.reading import LARGEST_VALUE
+from counterspin.records.sampling import find_split_time
 from counterspin.records.several_sensors import (
     SHOWING_ROWS,
     STACKED_NAME,
@@ -163,8 +164,9 @@ def _read_contents(
                     spoilt.append(why.replace(str(path), path.name))
             else:
                 columns.append(column)
+        columns = _with_split_time(file, columns)
         if not told_apart:
-            told_apart, kinds = _stacked(file, columns, others)
+            told_apart, kinds = _stacked(file, columns, file.first_cells(others, _FIRST_CELLS))
             if sensor in kinds:
                 return _read_contents(path, sheet, sheets, f"{told_apart}={sensor}")
         if not columns:
@@ -195,16 +197,30 @@ def _read_contents(
 
 
 def _stacked(
-    file: ColumnFile, columns: Sequence[FileColumn], others: Sequence[str]
+    file: ColumnFile, columns: Sequence[FileColumn], first: Mapping[str, Sequence[str]]
 ) -> tuple[str, list[str]]:
-    """Return the column that tells apart sensors whose records follow one another, and values."""
+    """Return the column that tells apart sensors whose records follow one another, and values.
+
+    first: Column of words -> its first cells.
+    """
     numbers = {column.name: column.values for column in columns}
-    cells = {
-        name: [cell.strip() for cell in file.all_cells(name)]
-        for name in (*numbers, *others)
-        if STACKED_NAME.fullmatch(name)
-    }
+    named = [name for name in numbers if STACKED_NAME.fullmatch(name)]
+    few = (name for name, cells in first.items() if len(set(cells)) < len(cells) // 2)
+    cells = {name: [cell.strip() for cell in file.all_cells(name)] for name in (*named, *few)}
     return next(stacked_sensors(cells, numbers), ("", []))
+
+
+def _with_split_time(file: ColumnFile, columns: list[FileColumn]) -> list[FileColumn]:
+    """Return columns with one column of time stamps in place of the two of a split time."""
+    if any(column.stamps for column in columns):
+        return columns
+    split = find_split_time({column.name: column.values for column in columns})
+    if split is None:
+        return columns
+    file.stamps, file.first_stamp = frozenset([split.name]), None
+    seconds = np.array(file.whole([split.name])[split.name][:_MAX_ROWS], dtype=float)
+    rest = [column for column in columns if column.name not in (split.coarse, split.fine)]
+    return [FileColumn(split.name, "", seconds, stamps=True), *rest]
 
 
 def _words(file: ColumnFile, names: Sequence[str], rows: int) -> dict[str, list[str]]:

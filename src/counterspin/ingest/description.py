@@ -238,8 +238,7 @@ def _runs(
 
 def _statements(common: FileGuess, sense: str | None) -> Iterator[str]:
     time, angle = common.time, common.angle
-    if time is None and common.sampling is not None:
-        yield f"time: no column; {common.sampling:.8g} rows a second by the file"
+    yield from common.sampling_words
     if time is not None:
         unit = "time stamps" if time.unit == "iso" else f"in {time.unit or 'an unknown unit'}"
         yield f"time: column '{time.column}', {unit}"

@@ -20,7 +20,7 @@ from counterspin.ingest.starter import Test
 from counterspin.ingest.triads import is_nominal, without_gravity
 from counterspin.ingest.tumble import shows_tumble
 from counterspin.records.column_file import quoted
-from counterspin.records.sampling import Holding
+from counterspin.records.sampling import Holding, join_bursts
 
 #: Columns of a file that are shown, and different words of one.
 _SHOWN: Final = 24
@@ -69,7 +69,8 @@ def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
     """Yield remarks on repeated values, repeated times and missing samples."""
     held: dict[float, list[str]] = {}
     for column in guess.contents.columns:
-        if column.stamps or (guess.time is not None and column.name == guess.time.column):
+        clocks = [guess.time and guess.time.column, guess.shared and guess.shared.name]
+        if column.stamps or column.name in clocks:
             continue
         try:
             holding = Holding.of(column.values)
@@ -82,6 +83,12 @@ def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
         yield (
             f"repeated values: {part:g} % of {quoted(names)}, as where a log is faster than the "
             "sensor; only new values are used"
+        )
+    if guess.shared is not None:
+        stamps = int(np.sum(np.diff(join_bursts(guess.shared.values)) > 0.0)) + 1
+        yield (
+            f"times in bursts: the rows of column '{guess.shared.name}' have {stamps} different "
+            f"times or come in {stamps} bursts; {guess.uncounted or 'rows are counted instead'}"
         )
     if guess.time is None:
         return
@@ -174,8 +181,8 @@ def sensor_question(all_contents: Sequence[FileContents]) -> FileQuestion | None
         if contents.sensors is not None and contents.selected is None:
             column, values = contents.sensors
             text = (
-                f"Column '{column}' of {contents.path.name} takes {len(values)} values, and the "
-                "rows of several sensors alternate. The rows of which one are read?"
+                f"Column '{column}' of {contents.path.name} takes {len(values)} values: the "
+                "rows are those of several sensors or runs. Which rows are read?"
             )
             return FileQuestion("select", text, values[0], values)
     return None

@@ -236,8 +236,7 @@ def _statements(
         return
     if time is not None:
         yield f"time: column '{time.column}', in {time.unit or 'an unknown unit'}"
-    elif sampling is not None:
-        yield f"time: no column; {sampling:.8g} rows a second"
+    yield from guesses[0].sampling_words
     yield from guesses[0].temperature_words
     if found is None:
         return

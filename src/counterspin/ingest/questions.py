@@ -16,8 +16,6 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from counterspin.campaign.field_types import COMPASS
 from counterspin.campaign.quantity import BARE, latitude_text, parse
 from counterspin.campaign.settings import OBSERVABLES
@@ -249,19 +247,11 @@ def time_questions(common: FileGuess, names: tuple[str, ...]) -> Iterator[FileQu
         text = f"In which unit is the time, column '{time.column}'?"
         yield FileQuestion("time unit", text, "s", USUAL_UNITS["s"], time.unit, unit="s")
     if time is None:
-        text = f"There is no time column. What is the sampling rate?{_clock_seen(common.contents)}"
+        text = "There is no time column. What is the sampling rate?"
+        if common.shared is not None and common.uncounted:
+            text += f" Column '{common.shared.name}' does not show it: {common.uncounted}."
         guess = f"{common.sampling:.12g} Hz" if common.sampling else None
         yield FileQuestion("sampling_rate", text, "50 Hz", guess=guess, quantity="Hz")
-
-
-def _clock_seen(contents: FileContents) -> str:
-    """Describe a clock that stands still from row to row; empty text if the clock runs."""
-    for column in contents.columns:
-        seconds = column.values[np.isfinite(column.values)]
-        if column.stamps and len(seconds) > 1 and (span := float(np.ptp(seconds))) > 0.0:
-            about = (len(seconds) - 1) / span
-            return f" By column '{column.name}' it is about {about:.3g} Hz."
-    return ""
 
 
 def _angle_questions(

@@ -37,7 +37,7 @@ from counterspin.physics import observation
 from counterspin.records.column_file import quoted
 from counterspin.records.frames import memory_table
 from counterspin.records.memory import MemoryTable
-from counterspin.records.unit_words import file_unit
+from counterspin.records.unit_words import unit_in_name
 from counterspin.reports.numbers import format_number
 from counterspin.threads import one_blas_thread
 from counterspin.units import STANDARD_GRAVITY, base_unit, converts, unit_factor
@@ -171,32 +171,15 @@ def _guess_signals(
 ) -> tuple[list[StaticSignal], list[str]]:
     """Return the signals of a file by its column names and units, and the other columns' names."""
     answers = {} if sampling_rate is None else {"sampling_rate": sampling_rate}
-    if select is not None and not (select.partition("=")[2] and isinstance(source, Path)):
-        problem = (
-            "`select`: write COLUMN=VALUE, such as device=A. It selects rows of a file; filter a "
-            "data frame yourself"
-        )
-        raise CampaignError("noise", [problem])
-    if isinstance(source, MemoryTable):
-        file_columns = tuple(
-            FileColumn(name, "", values) for name, values in source.columns.items()
-        )
-        seen = FileContents(Path(source.name), file_columns, source.others, "")
-    else:
-        seen = read_contents(source, sensor=select)
-        if seen.sensors is not None and seen.selected is None:
-            key, sensors = seen.sensors
-            raise RecordError(
-                f"{source}: column '{key}' takes {len(sensors)} values ({quoted(sensors, 8)}): the "
-                "rows are those of several sensors. Select the rows of one with `select`, such as "
-                f'"{key}={sensors[0]}".'
-            )
+    seen = _read_source(source, select)
     guess = guess_file(seen, answers)
     missing = [name for name in columns if name not in {c.name for c in seen.columns}]
     if missing:
         available = ", ".join(column.name for column in seen.columns)
-        raise CampaignError("noise", [f"`columns`: there is no {missing[0]!r} among {available}"])
-    time = _row_times(source, guess, seen.columns)
+        problem = f"`columns`: there is no {missing[0]!r} among {available}"
+        problem += f". The file was read as follows: {seen.found}" if seen.found else ""
+        raise CampaignError("noise", [problem])
+    time = _row_times(source, guess, seen.columns, stated=sampling_rate is not None)
     time_column = guess.time.column if guess.time else None
     rest = [c for c in seen.columns if c.name != time_column and not c.stamps]
     taken: list[StaticSignal] = []
@@ -204,7 +187,7 @@ def _guess_signals(
     for column in rest:
         if columns and column.name not in columns:
             continue
-        known = _unit_of(column) or unit
+        known = column.unit or unit_in_name(column.name) or unit
         observable = next(
             (name for name, si in OBSERVABLES.items() if known and converts(known, si)), None
         )
@@ -238,27 +221,51 @@ def _guess_signals(
     return taken, unused
 
 
+def _read_source(source: Path | MemoryTable, select: str | None) -> FileContents:
+    """Return the contents of a record, of one sensor."""
+    if select is not None and not (select.partition("=")[2] and isinstance(source, Path)):
+        problem = (
+            "`select`: write COLUMN=VALUE, such as device=A. It selects rows of a file; filter a "
+            "data frame yourself"
+        )
+        raise CampaignError("noise", [problem])
+    if isinstance(source, MemoryTable):
+        file_columns = tuple(
+            FileColumn(name, "", values) for name, values in source.columns.items()
+        )
+        return FileContents(Path(source.name), file_columns, source.others, "")
+    contents = read_contents(source, sensor=select)
+    if contents.sensors is not None and contents.selected is None:
+        key, sensors = contents.sensors
+        raise RecordError(
+            f"{source}: column '{key}' takes {len(sensors)} values ({quoted(sensors, 8)}): the "
+            "rows are those of several sensors. Select the rows of one with `select`, such as "
+            f'"{key}={sensors[0]}".'
+        )
+    return contents
+
+
 def _row_times(
-    source: Path | MemoryTable, guess: FileGuess, columns: Sequence[FileColumn]
+    source: Path | MemoryTable, guess: FileGuess, columns: Sequence[FileColumn], *, stated: bool
 ) -> Array:
-    """Return the time of each row, s."""
+    """Return the time of each row, s.
+
+    stated: Whether a person stated the sampling rate.
+    """
     if guess.time is not None:
         if guess.time.unit is None:
             raise RecordError(
                 f"{source}: column '{guess.time.column}' seems to be the time, but its unit "
-                "is unknown; rename it, for example to 'time_s', or give `campaign`."
+                "is unknown; rename it, for example to 'time_s', or give `sampling_rate` or "
+                "`campaign`."
             )
         column = next(c for c in columns if c.name == guess.time.column)
         return np.asarray(column.values * guess.time.factor)
+    if guess.shared is not None and not stated:
+        return guess.shared.values
     if guess.sampling is None:
         raise RecordError(f'{source}: no column is a time; give `sampling_rate`, such as "100 Hz".')
     return np.arange(max(len(column.values) for column in columns)) / guess.sampling
-
-
-def _unit_of(column: FileColumn) -> str | None:
-    """Return the unit of a column from the file, or else from the suffix of its name, `east_m`."""
-    ending = column.name.rpartition("_")[2] if "_" in column.name else ""
-    return column.unit or file_unit(ending) or None
 
 
 def _estimate_noise(record: StaticRecord, turning: float | None) -> SignalNoise:
@@ -397,7 +404,7 @@ def _sampling(record: StaticRecord) -> Iterator[str]:
             "a log is faster than the sensor. Only new values are used, at "
             f"{1.0 / stretches.sample_interval:.4g} Hz."
         )
-    if stretches.restamped and stretches.restamped < stretches.rows:
+    if stretches.restamped:
         yield (
             f"{stretches.restamped} of {stretches.rows} rows repeat the time of the row before "
             "with another value. Rows are counted instead."

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     import numpy as np
     import polars as pl
 
+    from counterspin.records.sampling import SplitTime
+
 
 Columns = dict[str, np.ndarray]
 
@@ -219,6 +221,7 @@ class ColumnFile(ABC):
 
     def require(self, wanted: Sequence[str]) -> None:
         """Raise `RecordError` unless the file has the wanted columns and they can hold numbers."""
+        wanted = self._columns_in_file(wanted)
         missing = [name for name in wanted if not self.has(name)]
         if missing:
             raise RecordError(f"{self.path}: {self._missing_words(missing)}")
@@ -233,13 +236,32 @@ class ColumnFile(ABC):
         """Yield the wanted columns, which `require` has passed, in consecutive batches."""
         rows = 0
         with record_errors(self.path, lambda: f" after row {rows}" if rows else ""):
-            for batch in self._batches(wanted):
+            for batch in self._batches(self._columns_in_file(wanted)):
                 count = column_rows(batch)
+                batch = {name: self._made_column(batch, name) for name in wanted}  # noqa: PLW2901
                 if self.selection is not None:
                     chosen = self.selection[rows : rows + count]
                     batch = {name: values[chosen] for name, values in batch.items()}  # noqa: PLW2901
                 yield {name: without_overflow(values) for name, values in batch.items()}
                 rows += count
+
+    def _columns_in_file(self, wanted: Sequence[str]) -> list[str]:
+        """Return the columns of the file that make the wanted ones: of a split time, two."""
+        parts: list[str] = []
+        for name in wanted:
+            split = None if self.has(name) else _split_time(name)
+            parts += [split.coarse, split.fine] if split else [name]
+        return list(dict.fromkeys(parts))
+
+    def _made_column(self, batch: Columns, name: str) -> np.ndarray:
+        """Return a column of a batch; a split time as seconds after the first one."""
+        split = None if name in batch else _split_time(name)
+        if split is None:
+            return batch[name]
+        import polars as pl
+
+        times, known = split.nanoseconds(batch)
+        return self.seconds(pl.select(pl.when(pl.Series(known)).then(pl.Series(times))).to_series())
 
     def whole(self, wanted: Sequence[str]) -> Columns:
         """Return whole columns, which `require` has passed; with the strict parser if needed."""
@@ -382,6 +404,15 @@ class ColumnFile(ABC):
                 f"{self.path}: the file is damaged: its {size} bytes claim "
                 f"to contain {needed} bytes of numbers."
             )
+
+
+def _split_time(name: str) -> SplitTime | None:
+    """Return the two columns of a time that a name such as ``sec [s] + nanosec [ns]`` states."""
+    if "] + " not in name:
+        return None
+    from counterspin.records.sampling import SplitTime
+
+    return SplitTime.parse(name)
 
 
 def _same_cell(cell: str, value: str) -> bool:

@@ -2,13 +2,16 @@
 
 A log that is faster than the sensor repeats each value until the next one arrives. A clock that is
 coarser than the rows, or packets of several samples, repeat time stamps. Rows that never arrive are
-lost samples.
+lost samples. A time may be split into two columns: seconds and nanoseconds, or GPS week and time of
+week.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -18,6 +21,7 @@ from counterspin.arrays import Array, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.outliers import resolution
+from counterspin.records.unit_words import bracketed_unit
 
 #: Rows that show whether values repeat.
 _SHOWING_ROWS: Final = 100_000
@@ -36,6 +40,12 @@ _COARSE_STEPS: Final = 1.25
 _MOST_ROWS: Final = 1000
 #: Fewest rows that tell.
 _FEWEST: Final = 32
+
+#: Part of the mean step below which a step is within a burst; the fewest bursts that tell, and the
+#: part of the steps between them where the times within a burst differ.
+_BURST_PART: Final = 0.5
+_FEWEST_BURSTS: Final = 4
+_PAUSES_PART: Final = 0.01
 
 Mask = npt.NDArray[np.bool_]
 
@@ -156,6 +166,77 @@ class RepeatedValues:
         ]
 
 
+def join_bursts(time: Array) -> Array:
+    """Return times in which the rows of a burst have the time of its first row.
+
+    Packets of samples that are stamped when they arrive have stamps close to each other, and then
+    a pause. Other times are returned as they are.
+    """
+    steps = np.diff(time)
+    if not is_bursty(steps):
+        return time
+    first = np.append(True, steps > _BURST_PART * float(np.mean(steps)))
+    return np.asarray(time[np.flatnonzero(first)][np.cumsum(first) - 1])
+
+
+def is_bursty(steps: Array) -> bool:
+    """Return whether rows come in bursts, by the steps of their times; these never fall."""
+    if steps.size < _FEWEST or not (steps >= 0.0).all() or not steps.any():
+        return False
+    mean = float(np.mean(steps))
+    pauses = int(np.sum(steps > _BURST_PART * mean))
+    fewest = _FEWEST_BURSTS if median(steps) == 0.0 else _PAUSES_PART * steps.size
+    return median(steps) < _BURST_PART * mean and pauses >= fewest
+
+
+def row_rate(time: Array) -> float:
+    """Return the rate of rows that share stamps or come in bursts, 1/s.
+
+    ValueError if rows are lost, so that they cannot be counted.
+    """
+    stamps = join_bursts(time)
+    steps = np.diff(count_times(stamps, int(np.sum(np.diff(stamps) == 0.0))))
+    if np.ptp(steps) > 0.5 * median(steps):
+        raise ValueError(
+            "samples are missing among rows that share stamps; export finer time stamps"
+        )
+    # The first and the last stamp may have fewer rows.
+    first = np.flatnonzero(np.diff(stamps) > 0.0)[[0, -1]] + 1
+    return float(np.diff(first)[0] / np.diff(stamps[first])[0])
+
+
+def count_times(time: Array, restamped: int) -> Array:
+    """Return the times of rows whose stamps repeat: rows are even where none is lost.
+
+    restamped: Number of rows with the time of the row before, for the message.
+    """
+    bounds = np.append(np.flatnonzero(np.append(True, np.diff(time) > 0.0)), time.size)
+    burst = float(np.quantile(np.diff(bounds), 0.999)) + 1.0
+    lag = min(time.size - 1, max(64, round(16 * burst)))
+    spans = time[lag:] - time[:-lag]
+    step = median(spans) / lag
+    # Where rows are lost, and so the record is cut.
+    cuts = np.flatnonzero(np.diff(time) > (burst + 1.5) * step) + 1
+    pieces: list[Array] = np.split(time, cuts)
+    # Rows from the first row of a stamp to that of a later stamp: the last stamp may lack rows.
+    ends = [int(np.flatnonzero(np.diff(part, prepend=-math.inf) > 0.0)[-1]) for part in pieces]
+    if sum(ends):
+        lengths = (part[end] - part[0] for part, end in zip(pieces, ends, strict=True))
+        step = float(sum(lengths)) / sum(ends)
+    counted: list[Array] = []
+    for part in pieces:
+        size = min(lag, part.size - 1)
+        deviation = part[size:] - part[: part.size - size] - size * step
+        if size > 0 and np.abs(deviation).max() > (burst + 1.0) * step:
+            raise ValueError(
+                f"{restamped} of {time.size} rows repeat the time of the row before with other "
+                "values, and samples are missing among them, so that rows cannot be counted; "
+                "export finer time stamps"
+            )
+        counted.append(part[0] + step * np.arange(part.size))
+    return np.concatenate(counted)
+
+
 def _is_stuck(lengths: npt.NDArray[np.int_], rows: float) -> bool:
     """Return whether values stand still in places, as of a dead channel or beyond a range."""
     several = lengths[lengths > 1]
@@ -172,3 +253,117 @@ def _period(places: npt.NDArray[np.int_]) -> int:
         if at_phase >= _PHASED_PART * places.size:
             return period
     return 0
+
+
+# Times in two columns ---------------------------------------------------------------------------
+
+#: Unit -> its length, ns.
+_LENGTHS: Final = {"week": 604_800_000_000_000, "s": 1_000_000_000, "ms": 1_000_000, "us": 1000}
+_LENGTHS["ns"] = 1
+#: Two columns with their units, as a description names them.
+_SPLIT: Final = re.compile(
+    rf"(.+) \[({'|'.join(_LENGTHS)})\] \+ (.+) \[({'|'.join(_LENGTHS)})\]", re.DOTALL
+)
+#: Unit of the coarse column -> its names.
+_COARSE: Final = {
+    "week": re.compile(r"(?i)(?!.*of.?week).*(week|wk|(?<![a-z])wn)([ _]?(no|nr|num|number))?"),
+    "s": re.compile(r"(?i)(.*[^a-z])?(secs?|seconds?|s|epoch|unix([ _]?time)?)|.*[a-z]Secs?"),
+}
+#: Unit of the fine column -> its names within a second, and within a week.
+_FINE: Final = {
+    "ns": re.compile(r"(?i)(.*[^a-z])?(n_?secs?|nano_?sec(ond)?s?|nanos?|ns)"),
+    "us": re.compile(r"(?i)(.*[^a-z])?(u_?secs?|micro_?sec(ond)?s?|micros?|us)"),
+    "ms": re.compile(r"(?i)(.*[^a-z])?(m_?secs?|milli_?sec(ond)?s?|millis?|ms|gms)"),
+}
+_OF_WEEK: Final = re.compile(
+    r"(?i).*(tow|sow|(?<![a-z])g?ms|milli|secs?|(time|seconds?).?of.?week)(?![a-z]{2}).*"
+)
+#: A bracketed unit at the end of a name.
+_BRACKETS: Final = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
+#: Seconds of a week.
+_WEEK: Final = 604_800.0
+
+
+@frozen
+class SplitTime:
+    """The two columns of a time, coarse and fine, and their units."""
+
+    coarse: str
+    coarse_unit: str
+    fine: str
+    fine_unit: str
+
+    @classmethod
+    def parse(cls, name: str) -> SplitTime | None:
+        """Return the columns that a name such as ``sec [s] + nanosec [ns]`` states, or None."""
+        found = _SPLIT.fullmatch(name)
+        return cls(*found.groups()) if found else None
+
+    @property
+    def name(self) -> str:
+        """The name by which a description states the time."""
+        return f"{self.coarse} [{self.coarse_unit}] + {self.fine} [{self.fine_unit}]"
+
+    def nanoseconds(
+        self, columns: Mapping[str, Array]
+    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+        """Return the times, ns, and a mask of the rows that have one.
+
+        Whole numbers keep nanoseconds, which seconds since 1970 as floating-point numbers lose.
+        """
+        coarse, fine = columns[self.coarse], columns[self.fine]
+        known = np.isfinite(coarse) & np.isfinite(fine)
+        whole = np.floor(np.where(known, coarse, 0.0))
+        rest = np.where(known, coarse, 0.0) - whole
+        size, part = _LENGTHS[self.coarse_unit], _LENGTHS[self.fine_unit]
+        small = np.round(rest * size + np.where(known, fine, 0.0) * part).astype(np.int64)
+        return whole.astype(np.int64) * size + small, known
+
+
+def find_split_time(columns: Mapping[str, Array]) -> SplitTime | None:
+    """Return the time that two columns of numbers hold together; None without such columns."""
+    for split in _candidates(columns):
+        coarse, fine = columns[split.coarse], columns[split.fine]
+        if coarse.size < 2 or coarse.size != fine.size:
+            continue
+        if not (np.isfinite(coarse).all() and np.isfinite(fine).all()):
+            continue
+        most = _LENGTHS[split.coarse_unit] / _LENGTHS[split.fine_unit]
+        within = (fine >= 0.0).all() and (fine < most).all() and np.ptp(fine) > 0.0
+        if not within or (coarse != np.floor(coarse)).any() or np.abs(coarse).max() > 4e9:
+            continue
+        time, _ = split.nanoseconds(columns)
+        if (np.diff(time) >= 0).all():
+            return split
+    return None
+
+
+def _candidates(columns: Mapping[str, Array]) -> Iterator[SplitTime]:
+    """Yield pairs of columns with fitting names, those with a common beginning first."""
+    plain = {name: _BRACKETS.sub("", name) for name in columns}
+    weeks = [name for name, text in plain.items() if _COARSE["week"].fullmatch(text)]
+    for week, name in product(weeks, columns):
+        if name != week and _OF_WEEK.fullmatch(plain[name]):
+            unit = bracketed_unit(name)
+            if unit not in _LENGTHS:
+                unit = next((u for u, words in _FINE.items() if words.fullmatch(plain[name])), "")
+            if not unit:
+                unit = "ms" if np.nanmax(columns[name], initial=0.0) >= _WEEK else "s"
+            yield SplitTime(week, "week", name, unit)
+    seconds = [
+        name
+        for name, text in plain.items()
+        if _COARSE["s"].fullmatch(text) or bracketed_unit(name) == "s"
+    ]
+    pairs = [
+        SplitTime(second, "s", name, unit)
+        for second, name, (unit, words) in product(seconds, columns, _FINE.items())
+        if name != second and (words.fullmatch(plain[name]) or bracketed_unit(name) == unit)
+    ]
+    yield from sorted(pairs, key=lambda pair: -_common_beginning(pair.coarse, pair.fine))
+
+
+def _common_beginning(first: str, second: str) -> int:
+    """Return the number of characters with which two names begin alike."""
+    pairs = zip(first, second, strict=False)
+    return next((n for n, (a, b) in enumerate(pairs) if a != b), min(len(first), len(second)))

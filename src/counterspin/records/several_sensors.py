@@ -22,7 +22,7 @@ _NAME: Final = re.compile(
 #: Of these, names of columns that tell sensors apart where their records follow one another.
 STACKED_NAME: Final = re.compile(
     r"(?i)(.*[^a-z])?(device|sensor|instance|imu|node|mac|addr(ess)?|serial|board|probe|topic)"
-    r"([ _-]?(id|no|nr|num|number|name|index|address))?([^a-z].*)?$"
+    r"([ _-]?(id|no|nr|num|number|name|index|address))?(?P<beside>[^a-z].*)?$"
 )
 _FEWEST_STACKED_ROWS: Final = 20
 #: Rows that show whether values alternate, and most different values.
@@ -60,23 +60,28 @@ def stacked_sensors(
 ) -> Iterator[tuple[str, list[str]]]:
     """Yield columns that tell apart sensors whose records follow one another, and their values.
 
-    cells: Column whose name `STACKED_NAME` has -> all its cells.
-    numbers: Column of numbers -> its values. One of them, the time, falls at each change alone.
+    cells: Column of words, or with a name of `STACKED_NAME` -> all its cells. It counts if a column
+        of numbers, the time, falls where it changes and nowhere else; or if it is named and each of
+        its values has one stretch of rows.
+    numbers: Column of numbers -> its values.
     """
     for name, column in cells.items():
         starts = [row for row in range(1, len(column)) if column[row] != column[row - 1]]
         values = list(dict.fromkeys(column))
         edges = [0, *starts, len(column)]
         shortest = min(end - start for start, end in pairwise(edges))
-        if not 0 < len(starts) == len(values) - 1 < _MOST_VALUES:
+        if not 1 < len(values) <= _MOST_VALUES or shortest < _FEWEST_STACKED_ROWS:
             continue
-        if shortest < _FEWEST_STACKED_ROWS:
-            continue
-        for time, series in numbers.items():
-            falls = [row for row, step in enumerate((series[1:] < series[:-1]).tolist(), 1) if step]
-            if time != name and falls == starts:
-                yield name, sorted(values)
-                break
+        named = STACKED_NAME.fullmatch(name)
+        once = len(starts) == len(values) - 1
+        falls = (
+            {row for row, step in enumerate((series[1:] < series[:-1]).tolist(), 1) if step}
+            for key, series in numbers.items()
+            if key != name
+        )
+        at_changes = any(rows and rows <= set(starts) for rows in falls)
+        if at_changes or (named and not named["beside"] and once and "" not in values):
+            yield name, sorted(values)
 
 
 def refuse_several_sensors(file: ColumnFile, wanted: Sequence[str]) -> None:

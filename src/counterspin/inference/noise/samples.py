@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array, median
 from counterspin.frozen import frozen
-from counterspin.records.sampling import Holding
+from counterspin.records.sampling import Holding, count_times, is_bursty, join_bursts
 
 #: Part of the rows that may repeat a time with other values.
 _DIFFERING_PART: Final = 1e-3
+#: Part of the rows with the time of the row before that have its value too where rows are doubled.
+_TWICE_PART: Final = 0.9
 
 
 @frozen(eq=False)
@@ -29,62 +32,47 @@ class SensorSamples:
 
         time: s, shape (n,), never falling.
         """
+        time = join_bursts(time)
         same = np.diff(time) == 0.0
-        again = np.append(False, same & ~(np.diff(values) != 0.0))
-        # Whole rows that were written twice.
+        equal = same & ~(np.diff(values) != 0.0)
+        # Whole rows that were written twice; samples of a burst may be equal by chance.
+        twice = equal.sum() > _TWICE_PART * same.sum() or not is_bursty(np.diff(time))
+        again = np.append(False, equal & twice)
         time, values = time[~again], values[~again]
         restamped = int(np.sum(np.diff(time) == 0.0))
         if restamped > _DIFFERING_PART * time.size:
-            time = _times_by_count(time, restamped)
+            time = count_times(time, restamped)
         else:
             keep = np.append(True, np.diff(time) > 0.0)
             time, values = time[keep], values[keep]
         holding = Holding.of(values)
         if holding is None:
             return cls(time, values, 0, restamped)
+        row = median(np.diff(time))
         new = holding.new(values) & np.isfinite(values)
         repeated = int(np.isfinite(values).sum() - new.sum())
         time, values = time[new], values[new]
         if not holding.period:
-            time = _times_at_even_steps(time, holding.rows)
+            time = _times_at_even_steps(time, holding.rows, row)
         return cls(time, values, repeated, restamped)
 
 
-def _times_by_count(time: Array, restamped: int) -> Array:
-    """Return the times of rows whose stamps repeat: rows are even where none is lost."""
-    bounds = np.append(np.flatnonzero(np.append(True, np.diff(time) > 0.0)), time.size)
-    burst = float(np.quantile(np.diff(bounds), 0.999)) + 1.0
-    lag = min(time.size - 1, max(64, round(16 * burst)))
-    spans = time[lag:] - time[:-lag]
-    step = median(spans) / lag
-    # Where rows are lost, and so the record is cut.
-    cuts = np.flatnonzero(np.diff(time) > (burst + 1.5) * step) + 1
-    pieces = np.split(time, cuts)
-    rows = sum(part.size - 1 for part in pieces)
-    step = sum(float(part[-1] - part[0]) for part in pieces) / max(rows, 1)
-    parts = []
-    for part in pieces:
-        size = min(lag, part.size - 1)
-        deviation = part[size:] - part[: part.size - size] - size * step
-        if size > 0 and np.abs(deviation).max() > (burst + 1.0) * step:
-            raise ValueError(
-                f"{restamped} of {time.size} rows repeat the time of the row before with other "
-                "values, and samples are missing among them, so that rows cannot be counted; "
-                "export finer time stamps"
-            )
-        parts.append(part[0] + step * np.arange(part.size))
-    if len(parts) == 1 and time.size > 1:
-        return np.linspace(time[0], time[-1], time.size)
-    return np.concatenate(parts)
+def _times_at_even_steps(time: Array, rows: float, row: float) -> Array:
+    """Return the times of samples that a faster log saw at its next row, within one row.
 
-
-def _times_at_even_steps(time: Array, rows: float) -> Array:
-    """Return the times of samples that a faster log saw at its next row, within one row."""
+    rows: Mean number of rows for a sample.
+    row: Time from one row to the next, s.
+    """
     steps = np.diff(time)
-    usual = float(np.mean(steps[steps < 2.0 * median(steps)]))
-    late = usual / rows  # of a row
-    cuts = np.flatnonzero(steps > 1.5 * usual + late) + 1
-    if not len(cuts):
-        return np.linspace(time[0], time[-1], time.size)
-    parts = np.split(time, cuts)
-    return np.concatenate([part[0] + usual * np.arange(part.size) for part in parts])
+    long = steps > (math.ceil(rows) + 0.5) * row
+    usual = float(np.mean(steps[~long]))
+    parts = np.split(time, np.flatnonzero(long) + 1)
+    index = [np.arange(parts[0].size, dtype=float)]
+    starts = [float(np.mean(part - usual * np.arange(part.size))) for part in parts]
+    for part, before, start in zip(parts[1:], starts, starts[1:], strict=False):
+        # Samples that equal the one before, and samples that are lost, leave places free.
+        begin = float(index[-1][0]) + max(index[-1].size, np.round((start - before) / usual))
+        index.append(begin + np.arange(part.size))
+    places = np.concatenate(index)
+    slope, first = np.polyfit(places, time, 1)
+    return np.asarray(first + slope * places)
