@@ -7,7 +7,8 @@ import pytest
 
 from counterspin.cli import main
 from counterspin.errors import CampaignError
-from counterspin.ingest.contents import FileColumn, FileContents
+from counterspin.ingest.contents import FileColumn, FileContents, read_files
+from counterspin.ingest.description import drafted
 from counterspin.ingest.overview import UndecidedDraft, likely_test, overview
 
 
@@ -76,3 +77,38 @@ def test_a_file_of_no_known_kind_is_never_asked_for_a_radius(tmp_path, capsys):
     assert "Seen in the files:" in told.out
     assert "Which kind of test is it?" in told.err
     assert "radius" not in told.out + told.err.replace("radius of a centrifuge", "")
+
+
+def test_the_rate_of_alternating_sensors_is_that_of_all_rows(tmp_path):
+    """Rows of a sensor every 20 ms, and of another 3 ms after each: 100 rows a second."""
+    rows = [
+        f"{9 * 10**13 + 20_000_000 * n + d};{s};{n % 7}"
+        for n in range(400)
+        for d, s in ((0, "ACC"), (3_000_000, "GYR"))
+    ]
+    (tmp_path / "log.csv").write_text("\n".join(["timestamp;sensor;x", *rows]) + "\n")
+    contents = read_files([tmp_path / "log.csv"])
+    assert "about 100.1 rows a second, of all sensors together" in overview(contents)[0]
+    assert "swings" not in " ".join(overview(contents))
+
+
+def test_constant_columns_and_nominal_orientations_are_no_measurements(tmp_path):
+    angle = np.arange(0.0, 360.0, 30.0)
+    up = np.cos(np.radians(angle))
+    rows = [
+        f"{a:g},{np.sign(round(u, 9)):g},0,{1.25 * u + 0.003:.6f}"
+        for a, u in zip(angle, up, strict=True)
+    ]
+    (tmp_path / "t.csv").write_text(
+        "\n".join(["position_deg,nominal,residual,out_mA", *rows]) + "\n"
+    )
+    contents = read_files([tmp_path / "t.csv"])
+    assert likely_test(contents) == "tumble"
+    roles = drafted(contents, {}, "tumble").roles
+    assert (roles["nominal"], roles["residual"], roles["out_mA"]) == ("unused", "unused", "reading")
+    time = np.arange(400) * 0.05
+    east = 2.5 * np.cos(np.pi * time)
+    rows = [f"{t:.2f},{e:.6f},0" for t, e in zip(time, east, strict=True)]
+    (tmp_path / "r.csv").write_text("\n".join(["time_s,east_m,north residual_m", *rows]) + "\n")
+    (signal,) = drafted(read_files([tmp_path / "r.csv"]), {}, "double-turntable").common.signals
+    assert signal.column == "east_m"

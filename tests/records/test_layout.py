@@ -9,6 +9,7 @@ from counterspin.records.layout import (
     footer_lines,
     is_plain,
     plain_layout,
+    split,
 )
 from counterspin.records.unit_words import bracketed_unit, file_unit
 
@@ -17,6 +18,10 @@ ROWS = ["0,5;1,25;-3", "1;1,5;2", "1,5;1,75;2,5e-3", "2;2;"]
 
 def found(lines, **known):
     return find_layout(list(enumerate(lines, 1)), Dialect(**known))
+
+
+def parted(lines):
+    return [split(line, ";") for line in lines]
 
 
 def test_names_units_and_rows_below_lines_about_the_measurement():
@@ -161,13 +166,13 @@ def test_names_may_have_a_blank_within_them():
     ],
 )
 def test_lines_below_the_rows_are_counted(below, count):
-    assert footer_lines([*ROWS, *below], ";", ",") == count
+    assert footer_lines(parted([*ROWS, *below]), ",") == count
 
 
 def test_a_word_among_numbers_of_mountings_does_not_end_the_rows():
     rows = ["up;0;1,25", *["+1;30;2,5", "-1;42;-3,5"] * 12, "up;0;1,25", "down;0;-1,25"]
-    assert footer_lines(rows, ";", ",") == 0
-    assert footer_lines([*rows, "Mean;12;0,5"], ";", ",") == 1
+    assert footer_lines(parted(rows), ",") == 0
+    assert footer_lines(parted([*rows, "Mean;12;0,5"]), ",") == 1
 
 
 def test_any_number_of_blanks_parts_cells():

@@ -9,7 +9,11 @@ import pytest
 from record_files import ANGLE, SIGNAL, TIME, read, refusal, table
 from workbooks import write_workbook
 
+from counterspin.campaign.description import read_campaign
 from counterspin.errors import DamagedFileError, RecordError
+from counterspin.ingest.contents import read_files
+from counterspin.ingest.description import drafted, write_description
+from counterspin.ingest.overview import likely_test
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import places, read_small_table
 from counterspin.records.isolation import uses_reader_process
@@ -118,3 +122,23 @@ def test_the_only_sheet_with_rows_of_numbers_is_the_table(tmp_path):
     filed, places, _ = read_small_table(path)
     assert filed.frame["deg"].to_list() == [0.0, 30.0, 60.0, 90.0]
     assert places[1] == "row 5"
+
+
+def test_rows_below_a_sheet_s_table_are_detected_and_ignored(tmp_path):
+    angle = np.arange(0.0, 360.0, 30.0)
+    output = (1.25 * np.cos(np.radians(angle)) + 0.003).tolist()
+    rows = [
+        ["position", "out"],
+        ["deg", "mA"],
+        *map(list, zip(angle.tolist(), output, strict=True)),
+    ]
+    below = [["Mean", 0.003], [None, None], ["Checked by", "J. D."]]
+    path = write_workbook(tmp_path / "t.xlsx", {"Data": [*rows, *below]})
+    contents = read_files([path])
+    assert contents[0].footer == ("Mean; 0.003", "", "Checked by; J. D.")
+    assert [len(column.values) for column in contents[0].columns] == [12, 12]
+    assert likely_test(contents) == "tumble"
+    answers = {"gravity": "9.81", "latitude": "48", "out sensitivity": "1.25"}
+    found = drafted(contents, answers, "tumble")
+    campaign = read_campaign(write_description(found, tmp_path / "camp"))
+    assert len(campaign.readings) == 12

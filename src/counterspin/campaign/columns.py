@@ -202,8 +202,8 @@ class TableDialect(SettingsSection):
         "whether a row of units follows the column names", True, None, absent="detected"
     )
     skip_footer: Annotated[int, Field(ge=0)] | None = key_field(
-        "number of lines at the end of a text file that are not data, such as a mean or"
-        " a signature",
+        "number of lines of a text, or rows of a sheet, at the end that are not data, such as a"
+        " mean or a signature",
         2,
         None,
         absent="none",

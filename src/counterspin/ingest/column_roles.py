@@ -182,7 +182,9 @@ def guess_file(
     # A file of several rates has a time for each of them.
     longest = max(len(column.values) for column in columns)
     rows = [column for column in columns if len(column.values) == longest]
-    time_column = _chosen(rows, answers.get("time"), _time_column)
+    # Rows of several sensors seem to come in bursts.
+    steady = rows if contents.is_mixed else [c for c in rows if not is_bursty(np.diff(c.values))]
+    time_column = _chosen(rows, answers.get("time"), lambda _: _time_column(steady))
     time: TimeGuess | None = None
     sampling, shared, uncounted = None, None, ""
     seconds = np.arange(longest, dtype=float)
@@ -200,7 +202,7 @@ def guess_file(
         seconds = seconds / (sampling or 1.0)
     rest = [column for column in columns if column is not time_column and not column.stamps]
     long = [column for column in rest if len(column.values) == len(seconds)]
-    swings = {column.name: frequency(seconds, column.values) for column in long}
+    swings = {c.name: None if contents.is_mixed else frequency(seconds, c.values) for c in long}
     advancing = [
         column
         for column in long
@@ -216,8 +218,7 @@ def guess_file(
     ]
     usual = [swing for column in swinging if (swing := swings[column.name])]
     turning = float(np.median(usual)) if usual else None  # Hz
-    angle, theta = None, None
-    rising = True
+    angle, theta, rising = None, None, True
     if angle_column is not None:
         angle, theta = _angle(angle_column, seconds, turning, answers)
         rising = theta is None or float(np.nanmedian(np.diff(theta))) > 0.0
@@ -332,6 +333,8 @@ def _is_signal(column: FileColumn, swing: float | None, answers: Mapping[str, st
         return what != UNUSED
     if "signal" in answers:
         return column.name == answers["signal"]
+    if np.ptp(column.values[np.isfinite(column.values)]) == 0.0:
+        return False  # zeros of a residual, or of an unused channel
     if column.unit and not any(converts(column.unit, si) for si in OBSERVABLES.values()):
         return False  # such as a temperature
     return bool(swing or _axis(column.name))
@@ -379,7 +382,6 @@ def _grown(signal: SignalGuess, guesses: Sequence[FileGuess]) -> SignalGuess:
 def _time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
     """Return the time column: by its kind, its name or its unit, or by even steps."""
     # A clock that stands still from row to row tells no time of theirs.
-    columns = [column for column in columns if not is_bursty(np.diff(column.values))]
     stamps = [column for column in columns if column.stamps and is_fine(column.values)]
     if stamps:
         return stamps[0]
@@ -430,6 +432,11 @@ def is_fine(stamps: Array) -> bool:
     """Return whether times differ between most rows."""
     steps = np.diff(stamps[np.isfinite(stamps)])
     return bool(len(steps) and np.mean(steps > 0.0) > 0.5)
+
+
+def is_nominal(values: Array) -> bool:
+    """Return whether a column holds nothing except -1, 0 and 1: nominal orientations."""
+    return bool(np.isin(values[np.isfinite(values)], (-1.0, 0.0, 1.0)).all())
 
 
 def is_even(values: Array) -> bool:

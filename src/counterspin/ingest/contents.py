@@ -93,6 +93,11 @@ class FileContents:
         return {key: value for key, value in keys.items() if value}
 
     @property
+    def is_mixed(self) -> bool:
+        """True if rows of several sensors are read, because none is selected."""
+        return self.sensors is not None and self.selected is None
+
+    @property
     def rows(self) -> int:
         """The number of rows."""
         return max(len(column.values) for column in self.columns)

@@ -12,12 +12,12 @@ import numpy as np
 from counterspin.arrays import median
 from counterspin.frozen import frozen
 from counterspin.ingest.arm import shows_arm
-from counterspin.ingest.column_roles import FileGuess, guess_file, is_even
+from counterspin.ingest.column_roles import FileGuess, guess_file, is_even, is_nominal
 from counterspin.ingest.contents import FileColumn, FileContents
 from counterspin.ingest.poses import shows_poses
 from counterspin.ingest.questions import AnsweredDraft, FileQuestion
 from counterspin.ingest.starter import Test
-from counterspin.ingest.triads import is_nominal, without_gravity
+from counterspin.ingest.triads import guessed_poses, without_gravity
 from counterspin.ingest.tumble import shows_tumble
 from counterspin.records.column_file import quoted
 from counterspin.records.sampling import Holding, join_bursts
@@ -42,7 +42,7 @@ def overview(all_contents: Sequence[FileContents]) -> list[str]:
 
 
 def _lines(contents: FileContents) -> Iterator[str]:
-    guess = guess_file(contents)
+    guess = guessed_poses(contents, {}) if contents.is_mixed else guess_file(contents)
     place = f", sheet '{contents.sheet}'" if contents.sheet else ""
     rate = _sampling(guess)
     said = [f"{contents.rows} rows", *filter(None, [contents.found, rate])]
@@ -113,8 +113,11 @@ def _sampling(guess: FileGuess) -> str:
         return ""
     column = next(c for c in guess.contents.columns if c.name == guess.time.column)
     steps = np.diff(column.values[np.isfinite(column.values)]) * guess.time.factor
+    if guess.contents.is_mixed:  # rows of several sensors have no common step
+        return f"about {1.0 / np.mean(steps):.4g} rows a second, of all sensors together"
     steps = steps[steps > 0.0]
-    return f"about {1.0 / median(steps):.4g} rows a second" if steps.size else ""
+    step = median(steps) if steps.size else math.nan
+    return f"about {1.0 / step:.4g} rows a second" if steps.size else ""
 
 
 def _appearance(column: FileColumn, guess: FileGuess) -> str:
@@ -178,7 +181,7 @@ def _shows_turntable(guess: FileGuess) -> bool:
 def sensor_question(all_contents: Sequence[FileContents]) -> FileQuestion | None:
     """Return the question about the sensor whose rows are read; None if there is only one."""
     for contents in all_contents:
-        if contents.sensors is not None and contents.selected is None:
+        if contents.is_mixed and contents.sensors is not None:
             column, values = contents.sensors
             text = (
                 f"Column '{column}' of {contents.path.name} takes {len(values)} values: the "

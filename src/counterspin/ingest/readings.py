@@ -14,7 +14,7 @@ import numpy as np
 
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.ingest.column_roles import NONE, UNUSED
+from counterspin.ingest.column_roles import NONE, UNUSED, is_nominal
 from counterspin.ingest.contents import FileColumn, FileContents
 from counterspin.ingest.questions import AnsweredDraft, FileQuestion, relative_name
 from counterspin.records.unit_words import unit_in_name
@@ -151,7 +151,12 @@ def usual_role(column: FileColumn) -> str:
         return "time"
     if _NUMBER.fullmatch(column.name) or _counts_rows(column):
         return UNUSED
-    return "uncertainty" if _UNCERTAINTY.match(column.name) else "reading"
+    if _UNCERTAINTY.match(column.name):
+        return "uncertainty"
+    values = column.values[np.isfinite(column.values)]
+    constant = len(values) > _FEWEST_COUNTED and np.ptp(values) == 0.0
+    # Residuals of zero, channels that are not used, and nominal orientations are no measurements.
+    return UNUSED if constant or is_nominal(values) else "reading"
 
 
 def _counts_rows(column: FileColumn) -> bool:

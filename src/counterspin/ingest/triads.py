@@ -20,7 +20,7 @@ from counterspin.arrays import Array
 from counterspin.campaign.quantity import parse
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
-from counterspin.ingest.column_roles import FileGuess, guess_file, is_even
+from counterspin.ingest.column_roles import FileGuess, guess_file, is_even, is_nominal
 from counterspin.ingest.contents import FileColumn, FileContents
 from counterspin.physics.grades import GRADES
 from counterspin.triads.section import USUAL_AXES
@@ -198,11 +198,6 @@ def _varies(found: TriadColumns) -> bool:
     assert found.means is not None
     norms = _norms(found.means)
     return bool(np.ptp(norms) > _EXACT_PART * np.median(norms))
-
-
-def is_nominal(values: Array) -> bool:
-    """Return whether a column holds nothing except -1, 0 and 1: nominal orientations."""
-    return bool(np.isin(values[np.isfinite(values)], (-1.0, 0.0, 1.0)).all())
 
 
 def without_gravity(guess: FileGuess) -> tuple[str, ...]:

@@ -235,7 +235,7 @@ def _read_source(source: Path | MemoryTable, select: str | None) -> FileContents
         )
         return FileContents(Path(source.name), file_columns, source.others, "")
     contents = read_contents(source, sensor=select)
-    if contents.sensors is not None and contents.selected is None:
+    if contents.is_mixed and contents.sensors is not None:
         key, sensors = contents.sensors
         raise RecordError(
             f"{source}: column '{key}' takes {len(sensors)} values ({quoted(sensors, 8)}): the "

@@ -161,7 +161,7 @@ class CsvFile(ColumnFile):
         whole = start == 0 and self._content is None
         rest = last[self._before_rows + _BODY_LINES :] if whole else last[1:]
         lines = [*body[:_BODY_LINES], *rest]
-        count = footer_lines(lines, self.delimiter, self.decimal)
+        count = footer_lines([split(line, self.delimiter) for line in lines], self.decimal)
         return tuple(lines[len(lines) - count :])
 
     def _drop_footer(self, count: int) -> None:

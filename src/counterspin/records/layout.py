@@ -449,12 +449,11 @@ def _longest(table: Sequence[tuple[int, list[str]]], decimal: str, after: int) -
     return best
 
 
-def footer_lines(lines: Sequence[str], delimiter: str, decimal: str) -> int:
+def footer_lines(parted: Sequence[Sequence[str]], decimal: str) -> int:
     """Return the number of lines at the end of a table that are not rows, such as a mean.
 
-    lines: The rows of the table and what stands below them.
+    parted: Cells of the rows of the table and of what stands below them.
     """
-    parted = [split(line, delimiter) for line in lines]
     body = [cells for cells in parted[:_PLAIN_ROWS] if any(cells)]
     if len(body) < _FEWEST_ROWS:
         return 0

@@ -21,7 +21,7 @@ from counterspin.records.column_file import (
     record_errors,
 )
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
-from counterspin.records.layout import EMPTY_WORDS, HEAD_LINES, Layout, find_rows
+from counterspin.records.layout import EMPTY_WORDS, HEAD_LINES, Layout, find_rows, footer_lines
 
 if TYPE_CHECKING:
     import polars as pl
@@ -129,6 +129,10 @@ def excel_table(
         return table
 
 
+#: Rows of a sheet of Excel, at most.
+_MOST_ROWS: Final = 1 << 20
+
+
 def _opened(path: Path, content: bytes) -> Any:
     """Return a workbook."""
     try:
@@ -195,6 +199,7 @@ class ExcelFile(ColumnFile):
 
     def __init__(self, path: Path, stream: BinaryIO, dialect: Dialect) -> None:
         super().__init__(path, stream)
+        self._rows = _MOST_ROWS
         self._book, self._sheet = _sheet_of(path, dialect.sheet, self.content())
         found = _rows_of(self._book, self._sheet, dialect)
         if found is None:
@@ -203,6 +208,11 @@ class ExcelFile(ColumnFile):
         self.names, self.decimal = list(self._layout.names), self._layout.decimal
         self.units = dict(zip(self._layout.names, self._layout.units, strict=True))
         self.units_row = self._layout.units_row
+        rows = self._loaded("string", self._layout.before_rows).rows()
+        parted = [[str(cell or "").strip() for cell in row] for row in rows]
+        self._rows = len(rows) - (dialect.skip_footer or 0)
+        if dialect.skip_footer is None and (count := footer_lines(parted, self.decimal)):
+            self.footer = tuple("; ".join(filter(None, cells)) for cells in parted[-count:])
         self.found = ", ".join(
             [f"sheet '{self._sheet}'"] * (len(self._book.sheet_names) > 1)
             + ["columns without names"] * (self._layout.header == 0)
@@ -219,7 +229,8 @@ class ExcelFile(ColumnFile):
         return self._cells(name)[:count]
 
     def _loaded(self, kind: Any, skip: int) -> pl.DataFrame:
-        return _loaded(self._book, self._sheet, kind, skip)
+        """Return the rows below `skip` rows, without those of a footer that is skipped."""
+        return _loaded(self._book, self._sheet, kind, skip).head(self._rows)
 
     def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         import polars as pl
@@ -259,7 +270,7 @@ class ExcelFile(ColumnFile):
             rows = self._loaded("float", layout.before_rows)
             return rows.rename(dict(zip(rows.columns, layout.names, strict=True)))
         place = Dialect(skip_lines=layout.header - 1, units_row=layout.units_row, sheet=self._sheet)
-        return excel_table(self.path, place, self.content())
+        return excel_table(self.path, place, self.content()).head(self._rows)
 
     def locate(self, row: int) -> str:
         """Say in which row of the sheet a data row stands."""
