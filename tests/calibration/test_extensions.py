@@ -92,7 +92,8 @@ def folders(tmp_path_factory):
 def run(tmp_path_factory, folders):
     """Return a function that runs the program with a copy of the package."""
     root = tmp_path_factory.mktemp("package")
-    shutil.copytree(PACKAGE, root / "counterspin", ignore=shutil.ignore_patterns("__pycache__"))
+    # With bytecode, which the processes would compile again.
+    shutil.copytree(PACKAGE, root / "counterspin")
 
     @contextmanager
     def without(modules):

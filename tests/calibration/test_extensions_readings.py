@@ -55,8 +55,8 @@ def run_without(tmp_path_factory):
     def run(extension, *arguments):
         if extension not in roots:
             roots[extension] = root = tmp_path_factory.mktemp(extension)
-            ignored = shutil.ignore_patterns("__pycache__")
-            shutil.copytree(PACKAGE, root / "counterspin", ignore=ignored)
+            # With bytecode, which the processes would compile again.
+            shutil.copytree(PACKAGE, root / "counterspin")
             for name in EXTENSIONS[extension]:
                 shutil.rmtree(root / "counterspin" / name)
         return subprocess.run(

@@ -78,11 +78,13 @@ def _rising(
 ) -> Array:
     """Return the root of the indication less y on the branch that holds a_I = 0."""
     # With K_0_asym the indication jumps at zero, and the middle of the jump divides the sides.
-    above, below = (_polynomial(coefficients, np.full_like(y, sign), p, o)[0] for sign in (1, -1))
+    used = _used_products(coefficients)
+    constant = {product: value for product, value in used.items() if product.power == 0}
+    above, below = (_polynomial(constant, np.full_like(y, sign), p, o)[0] for sign in (1, -1))
     side = np.where(y >= 0.5 * (above + below), 1.0, -1.0)
     # In x = |a_I|, and with this sign, what is sought is the root of a polynomial that begins
     # below zero and rises. An indication inside the jump stands for zero.
-    poly = _polynomial(coefficients, side, p, o)
+    poly = _polynomial(used, side, p, o)
     poly[0] -= y
     poly *= side
     poly[0] = np.minimum(poly[0], 0.0)
@@ -115,17 +117,23 @@ def _rising(
     return side * _root(poly, high, y, rows)
 
 
+def _used_products(
+    coefficients: Mapping[str, Array | float],
+) -> dict[SpecificForceProduct, Array | float]:
+    """Return the products whose coefficient is not zero in every sample, and their coefficients."""
+    given = {row.effect: coefficients.get(row.symbol, row.nominal) for row in TERMS.values()}
+    return {product: value for product, value in given.items() if np.any(value)}
+
+
 def _polynomial(
-    coefficients: Mapping[str, Array | float], side: Array, p: Array, o: Array
+    used: Mapping[SpecificForceProduct, Array | float], side: Array, p: Array, o: Array
 ) -> Array:
     """Return the indication's coefficients in powers of |a_I|, lowest first, shape (m, n)."""
     unit = np.stack([side, p, o])
-    given = {row.effect: coefficients.get(row.symbol, row.nominal) for row in TERMS.values()}
-    used = {row: value for row, value in given.items() if np.any(value)}
-    poly = np.zeros((1 + max([3, *(row.power for row in used)]), side.size))
-    for row, value in used.items():
+    poly = np.zeros((1 + max([3, *(product.power for product in used)]), side.size))
+    for product, value in used.items():
         # Each product is homogeneous in a_I on its side: its value at +-1 times |a_I|^power.
-        poly[row.power] += value * row.evaluate(unit)
+        poly[product.power] += value * product.evaluate(unit)
     return poly
 
 
@@ -157,11 +165,12 @@ def _positive_zeros(poly: Array) -> Array:
     stretches[0], stretches[-1] = 0.0, _MAX_FORCE
     stretches[1:-1] = np.minimum(_positive_zeros(_derivative(poly)), _MAX_FORCE)
     low, high = stretches[:-1], stretches[1:]
-    rising, ends = (np.stack([_value(poly, x) for x in at]) > 0.0 for at in (low, high))
+    of_stretches = poly[:, None]
+    rising, ends = (_value(of_stretches, at) > 0.0 for at in (low, high))
     crosses = rising != ends
     zero = np.where(crosses, 0.5 * (low + high), np.inf)
     for _ in range(_MAX_STEPS if crosses.any() else 0):
-        before = np.stack([_value(poly, x) for x in np.where(crosses, zero, 0.0)]) > 0.0
+        before = _value(of_stretches, np.where(crosses, zero, 0.0)) > 0.0
         low, high = np.where(before == rising, zero, low), np.where(before == rising, high, zero)
         new = np.where(crosses, 0.5 * (low + high), np.inf)
         if np.all((new == zero) | ~crosses):
