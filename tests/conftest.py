@@ -21,6 +21,9 @@ from hypothesis import settings
 # times as much while tests run side by side. It counts only before NumPy is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# Results consist of many objects and few cycles: frequent collections of garbage free little.
+gc.set_threshold(100_000, 20, 100)
+
 # The same examples each time: a test that draws others may fail where nothing has changed. New
 # ones are drawn by `make fuzz`, and here with COUNTERSPIN_FULL=1.
 settings.register_profile("same", derandomize=True, deadline=None)
