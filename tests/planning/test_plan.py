@@ -265,7 +265,10 @@ RECORDS = {
 
 @pytest.mark.parametrize(("words", "changes"), RECORDS.items(), ids=RECORDS)
 def test_the_search_predicts_what_the_forecast_says(words, changes, starter):
-    """Every u of random plans within 0.02 %; 0.5 % beside K_0_asym, whose product jumps."""
+    """Every u of random plans within 0.02 %.
+
+    Beside K_0_asym, whose product jumps, within 0.4 %, and u of K_0_asym itself within 5 %.
+    """
     search = Search(read_plan(starter(('senses = "one"', 'senses = "both"'), *changes)))
     rng = np.random.default_rng(12)
     for runs in (1, 3, 6, 10):
@@ -276,10 +279,11 @@ def test_the_search_predicts_what_the_forecast_says(words, changes, starter):
         told = forecast(search.campaign(design)).u
         predicted = dict(zip(search.predictor.names, search.predictor.u(design), strict=True))
         # Nothing has changed from run to run if there is only one.
-        if words == JUMP:
-            del predicted["Qx.K_0_asym"]
         told = {name: told.get(name, u) for name, u in predicted.items()}
-        assert predicted == pytest.approx(told, rel=5e-3 if words == JUMP else 2e-4)
+        if words == JUMP:
+            asymmetry = predicted.pop("Qx.K_0_asym"), told.pop("Qx.K_0_asym")
+            assert asymmetry[0] == pytest.approx(asymmetry[1], rel=5e-2)
+        assert predicted == pytest.approx(told, rel=4e-3 if words == JUMP else 2e-4)
 
 
 def test_forecast_has_all_samples_of_dense_records(plan_of, tmp_path):

@@ -452,7 +452,7 @@ def test_a_drift_of_ten_typical_sizes_that_nobody_states_is_not_good(tmp_path, c
 
 @pytest.mark.parametrize("count", [12, 24])
 def test_a_drift_that_an_unstated_head_hides_is_in_the_uncertainty(tmp_path, count):
-    """Errors of the head look like most of it: it moves K_F by 1.4 u."""
+    """Errors of the head look like most of it: it moves K_F by 1.4 u, and is noticed."""
     rng = np.random.default_rng(count)
     for _ in range(6):
         values = simulated(tumble(count), rng, SIGMA, truth=LEVEL)
@@ -460,6 +460,7 @@ def test_a_drift_that_an_unstated_head_hides_is_in_the_uncertainty(tmp_path, cou
         result = calibrated(tmp_path, even(count), values, assume=[], time=True)
         low, high = result["A.K_F"].interval(0.95)
         assert low < LEVEL["K_F"] < high
+        assert result.state != "good"
 
 
 def turned_head(count, trial, *, again):
