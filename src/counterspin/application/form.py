@@ -41,6 +41,7 @@ _REPEATED: Final = {
     "accelerometers": "names",
     "runs": "list",
     "persons": "list",
+    "equipment": "list",
     "stations": "list",
     "truth": "names",
 }

@@ -26,7 +26,7 @@ PROFILE_NAME: Final = "laboratory.toml"
 
 #: Sections of the laboratory's data, and keys of [certificate], that are the same on each
 #: certificate.
-_SECTIONS: Final = ("laboratory", "persons", "cmc")
+_SECTIONS: Final = ("laboratory", "persons", "equipment", "cmc")
 _KEYS: Final = ("language", "place", "traceability", "procedure")
 
 

@@ -16,7 +16,7 @@ from counterspin.calibration.pages.methods import (
 )
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
-from counterspin.certificates.lab import CertificateSettings
+from counterspin.certificates.lab import CertificateSettings, Equipment
 from counterspin.certificates.schema import format_decimal
 from counterspin.inference.distributions import COVERAGE, expanded_uncertainty
 from counterspin.inference.verdicts import Conformity
@@ -58,7 +58,7 @@ def region_factor(size: int, dof: float | None) -> float:
 _TIMES_POWER: Final = re.compile(r"\((\S+) ± (\S+)\) (x 1e-?\d+)")
 
 #: Smallest share of u^2 for which a source is named.
-_MIN_SHARE: Final = 0.01
+MIN_SHARE: Final = 0.01
 
 _METHODS: Final = {
     "joint": "Joint weighted least squares",
@@ -96,6 +96,7 @@ CUSTOMER_DISCLAIMER: Final = (
 UNCERTAINTY: Final = "Measurement uncertainty"
 UNITS: Final = "Units"
 TRACEABILITY: Final = "Metrological traceability"
+EQUIPMENT: Final = "Equipment and traceability"
 CAPABILITY: Final = "Calibration and measurement capability"
 BASIS: Final = "Basis of the result"
 PRIOR_KNOWLEDGE: Final = "Prior knowledge"
@@ -194,6 +195,17 @@ def deviation_lines(settings: CertificateSettings) -> list[str]:
     return [f"Deviation: {deviation}" for deviation in settings.deviations]
 
 
+def equipment_lines(equipment: Equipment) -> list[str]:
+    """Return quantity, calibration and its next date of measuring equipment, as far as stated."""
+    entries = {
+        "Quantity": equipment.quantity,
+        "Calibration certificate": equipment.certificate,
+        "Calibrated by": equipment.calibrated_by,
+        "Next calibration due": equipment.due,
+    }
+    return [f"{words}: {value}." for words, value in entries.items() if value is not None]
+
+
 def customer_lines(settings: CertificateSettings) -> list[str]:
     """Return the customer's data, with the disclaimer; nothing without any."""
     return [*settings.customer_data, CUSTOMER_DISCLAIMER] if settings.customer_data else []
@@ -233,7 +245,7 @@ def assumption_lines(name: str, result: Result) -> list[str]:
     sizes = dict[str, str]()
     budget = [line for lines in accelerometer.budget.values() for line in lines]
     for line in sorted(budget, key=lambda line: line.share):
-        if line.kind == "unstated" and line.u and line.share >= _MIN_SHARE:
+        if line.kind == "unstated" and line.u and line.share >= MIN_SHARE:
             sizes.pop(line.source, None)
             unit, scale = field_unit(line.unit)
             size = f"{format_uncertainty(line.u * scale)} {unit}"

@@ -399,6 +399,12 @@ def _notes(
         yield f"Not certified, according to certificate.accelerometers: {', '.join(left_out)}."
     if (day := issue.date.date()) < lab.certificate.end:
         yield f"The day of issue, {day}, is before certificate.end, {lab.certificate.end}."
+    for equipment in lab.equipment:
+        if equipment.due is not None and equipment.due < lab.certificate.begin:
+            yield (
+                f"The calibration of {equipment.name} was due on {equipment.due}, before "
+                f"certificate.begin, {lab.certificate.begin}."
+            )
     if missing:
         yield "This is a draft, which cannot be signed and is not entered in a ledger. It lacks:"
         yield from missing_lines(missing)

@@ -224,6 +224,31 @@ class Person(SettingsSection):
     email: Text | None = key_field("e-mail address", "n.n@example.org", None)
 
 
+class Equipment(SettingsSection):
+    """[[equipment]]: measuring equipment, with the calibration that makes it traceable."""
+
+    name: Text = key_field("description of the equipment", "laser interferometer")
+    manufacturer: Text | None = key_field(
+        "manufacturer of the equipment", "Example Instruments", None
+    )
+    model: Text | None = key_field("model of the equipment", "LI-2", None)
+    serial_number: Text | None = key_field("serial number of the equipment", "1138", None)
+    quantity: Text | None = key_field(
+        "quantity that the equipment measures or realises", "radius of the centrifuge", None
+    )
+    certificate: Text | None = key_field(
+        "identifier of the calibration certificate of the equipment", "2025-4711", None
+    )
+    calibrated_by: Text | None = key_field(
+        "laboratory that calibrated the equipment", "Example Metrology Institute", None
+    )
+    due: datetime.date | None = key_field(
+        "date on which the next calibration of the equipment is due",
+        datetime.date(2027, 6, 1),
+        None,
+    )
+
+
 class Conditions(SettingsSection):
     """[conditions]: environmental conditions during the calibration."""
 
@@ -279,6 +304,12 @@ class Lab(SettingsSection):
         "environmental conditions in the laboratory during the calibration",
         {"temperature": "20.0 ± 0.3 degC"},
         Conditions(),
+        absent="none",
+    )
+    equipment: list[Equipment] = key_field(
+        "measuring equipment, with the calibrations that make it traceable",
+        [{"name": "laser interferometer", "certificate": "2025-4711"}],
+        [],
         absent="none",
     )
     cmc: dict[str, str] = key_field(
@@ -439,7 +470,7 @@ def _template_values() -> frozenset[tuple[str, str]]:
 
 
 #: Start of a line of the template that holds a key or a heading within a comment.
-_COMMENTED_OUT: Final = re.compile(r"^# (?=\[[\w.]+\]|[\w.\"*]+ = )", re.MULTILINE)
+_COMMENTED_OUT: Final = re.compile(r"^# (?=\[?\[[\w.]+\]|[\w.\"*]+ = )", re.MULTILINE)
 
 
 def with_required_keys(document: Mapping[str, Any]) -> dict[str, Any]:

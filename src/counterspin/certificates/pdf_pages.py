@@ -6,9 +6,10 @@ Opinions, such as whether a result is good, are left to the report (ISO/IEC 1702
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
+from counterspin.calibration.pages.budget import budget_table
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, TriadResult
 from counterspin.calibration.si_estimates import SiEstimate
@@ -29,7 +30,7 @@ from counterspin.certificates.conversion import (
     triad_title,
 )
 from counterspin.certificates.evidence import evidence_lines
-from counterspin.certificates.lab import Contact, Lab, LabAccelerometer
+from counterspin.certificates.lab import Contact, Equipment, Lab, LabAccelerometer
 from counterspin.certificates.schema import format_decimal
 from counterspin.certificates.statements import Issue, Verdicts
 from counterspin.characters import MultilineText
@@ -73,6 +74,7 @@ def page_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> I
     yield typeset_block(_two_columns(_method_rows(lab, result)))
     for line in (certificate_text.BASED_ON, *certificate_text.deviation_lines(settings)):
         yield Paragraph(typeset(line))
+    yield from _equipment_blocks(lab.equipment)
     yield Heading("Results")
     seal = certificate_text.seal_lines(result, issue.accepted_unsealed)
     for line in (*certificate_text.misfit_lines(result, names), *seal):
@@ -89,6 +91,47 @@ def page_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> I
     yield from _conformity_blocks(stated, verdicts)
     yield from _section(certificate_text.REMARKS, *settings.remarks)
     yield from _section(certificate_text.SCOPE, certificate_text.scope_statement())
+
+
+def _equipment_blocks(equipment: Sequence[Equipment]) -> Iterator[Block]:
+    """Yield a table of the equipment with its traceability; nothing without equipment."""
+    if not equipment:
+        return
+    yield Heading(certificate_text.EQUIPMENT)
+    rows = (
+        (
+            e.name,
+            ", ".join(part for part in (e.manufacturer, e.model) if part),
+            e.serial_number or "",
+            e.quantity or "",
+            e.certificate or "",
+            e.calibrated_by or "",
+            "" if e.due is None else e.due.isoformat(),
+        )
+        for e in equipment
+    )
+    titles = (
+        "Equipment",
+        "Manufacturer, model",
+        "Serial number",
+        "Quantity",
+        "Certificate",
+        "Calibrated by",
+        "Next calibration due",
+    )
+    columns = tuple(Column(title, wraps=True) for title in titles)
+    yield Table(columns, tuple(rows)).without_empty_columns()
+
+
+def _budget_blocks(name: str, result: Result, symbols: Iterable[str]) -> Iterator[Block]:
+    """Yield the budget of each certified coefficient; small sources share a row."""
+    budgets = result.accelerometers[name].budget
+    for symbol in symbols:
+        if lines := budgets.get(symbol):
+            shown = [line for line in lines if line.share >= certificate_text.MIN_SHARE]
+            rest = [line for line in lines if line.share < certificate_text.MIN_SHARE]
+            yield Heading(f"Uncertainty budget of {symbol}, {name}", 3)
+            yield budget_table(name, symbol, result, shown, rest)
 
 
 def _section(name: str, *lines: str) -> Iterator[Block]:
@@ -118,9 +161,9 @@ def _result_blocks(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
     settings, names = lab.certificate, lab.certified(result)
     for name in names:
         accelerometer = stated.accelerometers[name]
-        yield typeset_block(
-            results_table(name, accelerometer.coefficients, coefficients_in_si(stated, name))
-        )
+        estimates = coefficients_in_si(stated, name)
+        yield typeset_block(results_table(name, accelerometer.coefficients, estimates))
+        yield from map(typeset_block, _budget_blocks(name, result, estimates))
         for line in certificate_text.output_lines(accelerometer).values():
             yield Paragraph(typeset(line))
         for line in certificate_text.undetermined_lines(name, accelerometer):
@@ -133,10 +176,14 @@ def _result_blocks(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
         "quiet",
     )
     yield from _section(certificate_text.CAPABILITY, *map(typeset, cmc_lines(result, stated, lab)))
-    paragraphs = list[Paragraph]()
+    owners = dict[str, list[str]]()
     for name in names:
         for line in certificate_text.assumption_lines(name, result):
-            paragraphs.append(Paragraph(typeset(f"{name}: {line}")))
+            owners.setdefault(line, []).append(name)
+    paragraphs = [
+        Paragraph(typeset(f"{', '.join(owning)}: {line}")) for line, owning in owners.items()
+    ]
+    for name in names:
         for line in result.accelerometers[name].warnings:
             warning = f"Warning: {certificate_text.replace_plus_minus(line)}"
             paragraphs.append(Paragraph(typeset(warning), "warning"))

@@ -1,0 +1,80 @@
+"""The pages of a certificate: equipment, budgets, basis."""
+
+from results import result
+
+from certificates import ISSUE, LAB, SCHEMA, document, find, lab_of, needs_schema
+from counterspin.certificates.pdf_pages import page_blocks
+from counterspin.certificates.schema import check_schema
+from counterspin.reports.blocks import Heading, Table
+
+EQUIPMENT = """
+[[equipment]]
+name = "Interferometer"
+manufacturer = "Werk"
+model = "LI-2"
+serial_number = "1138"
+quantity = "radius"
+certificate = "4711"
+calibrated_by = "Institut"
+due = 2027-06-01
+
+[[equipment]]
+name = "Frequenznormal"
+"""
+
+
+def blocks_of(tmp_path, text=LAB):
+    made = result()
+    return list(page_blocks(lab_of(tmp_path, made, text), made, ISSUE, {}))
+
+
+def table_after(blocks, title):
+    place = next(k for k, b in enumerate(blocks) if isinstance(b, Heading) and b.text == title)
+    table = blocks[place + 1]
+    assert isinstance(table, Table)
+    return table
+
+
+def test_a_table_of_the_equipment_stands_before_the_results(tmp_path):
+    blocks = blocks_of(tmp_path, LAB + EQUIPMENT)
+    table = table_after(blocks, "Equipment and traceability")
+    assert table.rows == (
+        ("Interferometer", "Werk, LI-2", "1138", "radius", "4711", "Institut", "2027-06-01"),
+        ("Frequenznormal", "", "", "", "", "", ""),
+    )
+    titles = [b.text for b in blocks if isinstance(b, Heading) and b.level == 2]
+    assert titles.index("Equipment and traceability") < titles.index("Results")
+    assert "Equipment and traceability" not in [
+        b.text for b in blocks_of(tmp_path) if isinstance(b, Heading)
+    ]
+
+
+def test_the_budget_follows_the_results_and_names_its_coefficient(tmp_path):
+    table = table_after(blocks_of(tmp_path), "Uncertainty budget of K_II, Qx")
+    assert [row[0] for row in table.rows] == ["noise of Qx", "K_I", "combined"]
+    assert table.columns[-1].title == "Share of u²"
+    assert [row[-1] for row in table.rows] == ["64 %", "36 %", ""]
+
+
+@needs_schema
+def test_equipment_is_valid_in_the_xml(tmp_path):
+    check_schema(document(tmp_path, result(), text=LAB + EQUIPMENT), SCHEMA, "certificate")
+
+
+def test_equipment_is_in_the_xml(tmp_path):
+    made = document(tmp_path, result(), text=LAB + EQUIPMENT)
+    names = find(made, "//dcc:measuringEquipment/dcc:name/dcc:content/text()")
+    assert names == ["Interferometer", "Frequenznormal"]
+    (number,) = find(made, "//dcc:measuringEquipment//dcc:value/text()")
+    assert number == "1138"
+    (text,) = find(made, "//dcc:measuringEquipment/dcc:description/dcc:content/text()")
+    assert text.splitlines() == [
+        "Quantity: radius.",
+        "Calibration certificate: 4711.",
+        "Calibrated by: Institut.",
+        "Next calibration due: 2027-06-01.",
+    ]
+
+
+def test_no_equipment_leaves_no_list(tmp_path):
+    assert find(document(tmp_path, result()), "//dcc:measuringEquipments") == []
