@@ -77,7 +77,7 @@ ROWS = {
         ("a rate that changes by {}.", simulable._MAX_RATE_CHANGE),
     ],
     "plan": [
-        ("highest / {} |", 1.0 / plan_file._LOWEST_RATE_PART),
+        ("highest / {} |", 1.0 / plan_file._MIN_RATE_FRACTION),
         ("each at least {} times the next", design._DIFFERENT_RATE_RATIO),
         ("K_F is known to {} µg, the tilt", 1e6 * KNOWN["bias"]),
         ("repeats to {} arcsec from run to run", KNOWN["platform.tilt"]),
@@ -91,7 +91,7 @@ ROWS = {
         ("an arm that stretches ({} for each m/s²)", MOTION["centrifuge.stretch"].typical),
         ("by heating ({} µg/g²)", 1e6 * terms.CONDITION_TERMS["K_F.heating"].typical),
         ("gain of a limit relaxed by {} %", 100.0 * limits.RELAXATION),
-        ("u would grow by {}. If", math.hypot(1.0, faults._TOLERABLE_PART_OF_U) - 1.0),
+        ("u would grow by {}. If", math.hypot(1.0, faults._TOLERABLE_FRACTION_OF_U) - 1.0),
     ],
     "study": [
         ("known with an uncertainty, and {} analyses compete", len(description._DEFAULT)),

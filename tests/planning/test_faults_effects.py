@@ -12,11 +12,11 @@ from counterspin.physics.motion import Trajectory
 from counterspin.physics.observation import ORDERS
 from counterspin.planning.design import Design, RunType
 from counterspin.planning.faults import (
-    effects_of,
-    faults_of,
-    mean_square,
-    of_path,
-    square,
+    fault_sensitivities,
+    mean_square_fault,
+    path_fault,
+    possible_faults,
+    square_term_fault,
 )
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import plan
@@ -49,8 +49,8 @@ def predict(starter):
     return made
 
 
-ECCENTRICITY = of_path("encoder.harmonic.1")
-IMBALANCE = of_path("centrifuge.imbalance.1")
+ECCENTRICITY = path_fault("encoder.harmonic.1")
+IMBALANCE = path_fault("centrifuge.imbalance.1")
 
 
 def place_of(prediction, name="Qx.K_II"):
@@ -59,7 +59,7 @@ def place_of(prediction, name="Qx.K_II"):
 
 def fault(prediction, symbol):
     """Return what a fault of those of a campaign would do."""
-    found = effects_of(prediction, faults_of(prediction.campaign, "Qx"))
+    found = fault_sensitivities(prediction, possible_faults(prediction.campaign, "Qx"))
     return next(one for one in found if one.fault.symbol == symbol)
 
 
@@ -108,7 +108,7 @@ OBSERVABLES = {"displacement": [], "velocity": VELOCITY, "specific_force": FORCE
 @pytest.mark.parametrize("changes", OBSERVABLES.values(), ids=OBSERVABLES)
 def test_shift_is_that_of_the_fit_of_a_record_with_the_fault(changes, predict):
     prediction = predict(*changes)
-    (found,) = effects_of(prediction, [ECCENTRICITY])
+    (found,) = fault_sensitivities(prediction, [ECCENTRICITY])
     place = place_of(prediction)
     moved = found.moved[place]
     phase = moved / np.linalg.norm(moved)
@@ -122,7 +122,7 @@ def test_shift_is_that_of_the_fit_of_a_record_with_the_fault(changes, predict):
     assert estimate == pytest.approx(found.shift(place), rel=1e-6)
     # And what it leaves in the residuals is what the test of them will see.
     left = sum(float(residual.whitened @ residual.whitened) for residual in fit.residuals)
-    seen = found.square(found.left_in["Qx"], place)
+    seen = found.residual_ss(found.left_in["Qx"], place)
     assert left == pytest.approx(seen, rel=1e-4)
 
 
@@ -165,7 +165,9 @@ def test_columns_are_the_motion_s(phase, changes, mounting, predict):
 
 def test_stretch_looks_like_a_radius_for_each_rate(predict):
     series = predict(rates=(5.0,)).fit.design_blocks[0].series
-    stretch = next(one for one in faults_of(predict().campaign, "Qx") if "stretch" in one.symbol)
+    stretch = next(
+        one for one in possible_faults(predict().campaign, "Qx") if "stretch" in one.symbol
+    )
     motion = series.trajectory
     grown = motion.radius * (1.0 + 1e-6 * motion.radius * 25.0)
     longer = Trajectory(motion.spindle, grown, motion.site)
@@ -178,7 +180,7 @@ def test_stretch_looks_like_a_radius_for_each_rate(predict):
 
 def share(prediction):
     place = place_of(prediction)
-    found = effects_of(prediction, [mean_square("Qx"), square("Qx")])
+    found = fault_sensitivities(prediction, [mean_square_fault("Qx"), square_term_fault("Qx")])
     mean, whole = (one.moved[place, 0] for one in found)
     return 1.0 - mean / whole
 

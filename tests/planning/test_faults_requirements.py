@@ -7,7 +7,7 @@ from campaigns import changed
 
 from counterspin.campaign.description import read_campaign
 from counterspin.ingest.starter import init
-from counterspin.planning.faults import effects_of, of_path
+from counterspin.planning.faults import fault_sensitivities, path_fault
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import check, plan
 from counterspin.reports.text import report_console
@@ -39,11 +39,11 @@ def test_eccentricity_and_imbalance_at_which_u_is_a_twentieth_larger(starter):
     prediction = forecast(planned_campaign(planned, starter))
     place = [u.name for u in prediction.fit.model.unknowns].index("Qx.K_II")
     paths = ("encoder.harmonic.1", "centrifuge.imbalance.1")
-    found = effects_of(prediction, [of_path(symbol) for symbol in paths])
+    found = fault_sensitivities(prediction, [path_fault(symbol) for symbol in paths])
     sizes = {line.words: line.size for line in planned.result.requirements}
     for one, words in zip(found, ("eccentric encoder", "imbalance"), strict=True):
         size = next(size for key, size in sizes.items() if words in key)
-        added = one.of_unit(place) * size / prediction.u["Qx.K_II"]
+        added = one.unit_shift(place) * size / prediction.u["Qx.K_II"]
         assert 1.0 + added**2 == pytest.approx(1.05**2, rel=1e-9)
     # A second of arc would be far too much, where a force is recorded.
     assert found[0].shift(place) > 10.0 * prediction.u["Qx.K_II"]

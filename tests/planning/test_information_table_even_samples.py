@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from counterspin.planning.information_table import EvenSamples, functions, root, shifted
+from counterspin.planning.information_table import (
+    EvenSamples,
+    basis_functions,
+    shift_angle_origin,
+    sqrt_information,
+)
 
 HARMONICS = [3, 4, 11]
 
@@ -36,10 +41,12 @@ def test_closed_form_is_the_sum_over_the_samples(record, harmonics, held):
     within = (np.arange(block) - 0.5 * (block - 1)) * step / block
     first, spread = within[-1], within.std()
     angle = first + step * np.arange(count)
-    mean = 0.5 * (functions(angle - spread, harmonics) + functions(angle + spread, harmonics))
+    mean = 0.5 * (
+        basis_functions(angle - spread, harmonics) + basis_functions(angle + spread, harmonics)
+    )
     expected = information(mean @ weights, angle, held)
     samples = EvenSamples(*(np.array([float(v)]) for v in (first, step, count, spread)))
-    rows = root(samples, weights[None], held)[0]
+    rows = sqrt_information(samples, weights[None], held)[0]
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     assert rows.shape == (4 + 4 * harmonics - held, 5)
     assert rows.T @ rows / scale == pytest.approx(expected / scale, abs=1e-12)
@@ -49,7 +56,7 @@ def test_between_whole_numbers_of_samples_it_is_smooth():
     weights = np.random.default_rng(2).standard_normal((16, 3))
     counts = np.array([300.0, 300.5, 301.0, 301.5, 302.0])
     samples = EvenSamples(np.zeros(5), np.full(5, 0.1), counts, np.zeros(5))
-    rows = root(samples, np.broadcast_to(weights, (5, 16, 3)), 2)
+    rows = sqrt_information(samples, np.broadcast_to(weights, (5, 16, 3)), 2)
     size = np.sum(rows**2, axis=(1, 2))
     # Fourth differences of a smooth function vanish as the fourth power of the half step, 0.05 rad.
     assert abs(np.diff(size, 4)[0]) < 1e-4 * abs(np.diff(size)[0])
@@ -58,5 +65,7 @@ def test_between_whole_numbers_of_samples_it_is_smooth():
 def test_shifted_combinations_are_the_same_functions():
     weights = np.random.default_rng(3).standard_normal((2, 16, 4))
     angle, by = np.linspace(0.0, 20.0, 50), np.array([3.7, -0.2])
-    for before, after, s in zip(weights, shifted(weights, by), by, strict=True):
-        assert functions(angle - s, 3) @ after == pytest.approx(functions(angle, 3) @ before)
+    for before, after, s in zip(weights, shift_angle_origin(weights, by), by, strict=True):
+        assert basis_functions(angle - s, 3) @ after == pytest.approx(
+            basis_functions(angle, 3) @ before
+        )

@@ -12,9 +12,9 @@ from planning_setups import ATTITUDES, make_setup, u_by_joint_fit
 from scipy.optimize import linprog
 
 from counterspin.errors import NotIdentifiableError
-from counterspin.planning.design import Criterion, Design, Limits, RunType, fitted_into
+from counterspin.planning.candidate_set import relax
+from counterspin.planning.design import Criterion, Design, Limits, RunType, scale_to_time
 from counterspin.planning.optimisation import least_time, optimise, polish
-from counterspin.planning.possibilities import relax
 from counterspin.planning.run_information import Predictor, RunInformation
 
 FAST = 2.0 * math.pi
@@ -137,7 +137,7 @@ def test_equivalence_theorem(predictor, criterion, types):
     limits = replace(DAY, types=types)
     support, found = relax(predictor, limits, criterion)
     rows = predictor.information.blocks(*runs_of(support))
-    weighted = (rows * np.sqrt(found.choice)[:, None, None]).reshape(-1, predictor.p)
+    weighted = (rows * np.sqrt(found.design)[:, None, None]).reshape(-1, predictor.p)
     information = weighted.T @ weighted + predictor.prior.T @ predictor.prior
     scale = np.sqrt(np.diag(information))
     inverse = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
@@ -159,8 +159,8 @@ def test_equivalence_theorem(predictor, criterion, types):
     total = np.array([limits.total_time, limits.runs])
     prices = linprog(total, A_ub=-np.column_stack([cost, np.ones_like(cost)]), b_ub=-gain)
     at_plan, _ = gain_and_cost(*runs_of(support))
-    assert prices.fun == pytest.approx(float(at_plan @ found.choice), abs=4e-3)
-    assert prices.x[1] == pytest.approx(found.price, abs=4e-3 / limits.runs)
+    assert prices.fun == pytest.approx(float(at_plan @ found.design), abs=4e-3)
+    assert prices.x[1] == pytest.approx(found.shadow_price, abs=4e-3 / limits.runs)
     assert found.bound <= found.value + 1e-9
 
 
@@ -173,8 +173,8 @@ def test_d_optimal_gain_is_the_number_of_coefficients():
     )
     _, found = relax(predictor, limits, Criterion((0, 1, 2), (1.0, 1.0, 1.0), "determinant"))
     # The criterion is half the logarithm per coefficient: ten runs gain a half in all.
-    assert found.price * limits.runs == pytest.approx(0.5, rel=1e-3)
-    assert float(found.choice.sum()) == pytest.approx(limits.runs)
+    assert found.shadow_price * limits.runs == pytest.approx(0.5, rel=1e-3)
+    assert float(found.design.sum()) == pytest.approx(limits.runs)
 
 
 # The search
@@ -204,11 +204,13 @@ def test_settings_of_the_rate_against_exhaustive_search(predictor):
     limits = replace(DAY, settings=settings, rate=(settings[0], FAST), runs=3, total_time=200.0)
     criterion = Criterion((1, 2), (1e-4, 1e-8))
     found = optimise(predictor, limits, criterion)
-    assert set(found.choice.rate) <= set(settings)
+    assert set(found.design.rate) <= set(settings)
     best = math.inf
     for count in (1, 2, 3):
         for rates in itertools.combinations_with_replacement(settings, count):
-            start = fitted_into(Design(ONE * count, np.array(rates), np.full(count, 30.0)), limits)
+            start = scale_to_time(
+                Design(ONE * count, np.array(rates), np.full(count, 30.0)), limits
+            )
             best = min(best, polish(predictor, limits, criterion, start)[0])
     assert found.value == pytest.approx(best, abs=1e-4)
 
@@ -220,8 +222,8 @@ def test_best_plan_of_the_day(predictor, types, u):
     found = optimise(predictor, replace(DAY, types=types), K_II)
     assert math.exp(found.value) <= u * 1.0005
     assert found.efficiency > 0.985
-    assert DAY.time(found.choice) <= DAY.total_time * (1.0 + 1e-9)
-    assert len(found.choice.types) <= DAY.runs
+    assert DAY.time(found.design) <= DAY.total_time * (1.0 + 1e-9)
+    assert len(found.design.types) <= DAY.runs
 
 
 def test_limits_are_kept():
@@ -240,7 +242,7 @@ def test_limits_are_kept():
         attitude_change=30.0,
     )
     found = optimise(predictor, limits, Criterion((1, 2), (1e-4, 1e-8)))
-    design = found.choice
+    design = found.design
     assert limits.time(design) <= 400.0 * (1.0 + 1e-9)
     assert design.rate.max() <= 5.0 * (1.0 + 1e-9)
     assert design.duration.max() <= 60.0 * (1.0 + 1e-6)
@@ -263,10 +265,10 @@ NARROWER = {
 @pytest.mark.parametrize("narrower", NARROWER)
 def test_a_start_outside_of_the_limits_leads_to_a_plan_within_them(predictor, free, narrower):
     limits = NARROWER[narrower]
-    assert DAY.hold(free.choice)
-    assert not limits.hold(free.choice)
-    found = optimise(predictor, limits, K_II, start=free.choice)
-    assert limits.hold(found.choice)
+    assert DAY.contains(free.design)
+    assert not limits.contains(free.design)
+    found = optimise(predictor, limits, K_II, start=free.design)
+    assert limits.contains(found.design)
     assert found.value >= free.value - 1e-6
     assert found.efficiency > 0.8
 
@@ -275,12 +277,12 @@ def test_a_start_outside_of_the_limits_leads_to_a_plan_within_them(predictor, fr
 def test_as_many_different_rates_as_there_must_be(predictor, free, fewest, word):
     limits = replace(DAY, fewest_rates=fewest, revolutions=5.0)
     found = optimise(predictor, limits, K_II)
-    assert len(set(np.round(free.choice.rate, 6))) == 1
-    rates = found.choice.rate
-    apart = rates[limits.runs_apart(rates)]
+    assert len(set(np.round(free.design.rate, 6))) == 1
+    rates = found.design.rate
+    apart = rates[limits.distinct_rate_runs(rates)]
     assert len(apart) == fewest
     assert np.all(apart[:-1] / apart[1:] >= 1.25 * (1.0 - 1e-4))
-    assert limits.time(found.choice) <= limits.total_time * (1.0 + 1e-9)
+    assert limits.time(found.design) <= limits.total_time * (1.0 + 1e-9)
     # It costs something, and little: the bound is that without the rule.
     page = (Path(__file__).parents[2] / "docs" / "plan.md").read_text("utf-8")
     stated = float(re.search(rf"{word} (\d+) %", page)[1])
@@ -292,17 +294,17 @@ def test_different_settings_of_the_rate(predictor):
     settings = (0.25 * FAST, 0.6 * FAST, 0.9 * FAST, FAST)
     limits = replace(DAY, settings=settings, rate=(settings[0], FAST), runs=5, fewest_rates=3)
     found = optimise(predictor, replace(limits, total_time=300.0), K_II)
-    assert len(set(found.choice.rate)) >= 3
-    assert set(found.choice.rate) <= set(settings)
+    assert len(set(found.design.rate)) >= 3
+    assert set(found.design.rate) <= set(settings)
 
 
 def test_least_time_meets_its_target_and_the_longest_time_misses_no_less(predictor):
     target = Criterion((2,), (3e-8,))
     found = least_time(predictor, DAY, target)
     assert found is not None
-    time = DAY.time(found.choice)
+    time = DAY.time(found.design)
     assert math.exp(found.value) == pytest.approx(time)
-    assert predictor.value(target, found.choice) <= 1e-6
+    assert predictor.value(target, found.design) <= 1e-6
     # Five seconds less, and the best plan there is misses it.
     shorter = optimise(predictor, replace(DAY, total_time=time - 5.0), K_II)
     assert math.exp(shorter.value) > 3e-8

@@ -580,7 +580,7 @@ def test_order_keeps_attitudes_together_and_takes_the_senses_in_turn(starter):
         (ATTITUDES, 'attitudes = ["level", "90 deg about east"]'),
     )
     search = Search(read_plan(file))
-    design = search.in_order(search.smallest().choice)
+    design = search.in_order(search.smallest().design)
     attitudes = [kind.attitude for kind in design.types]
     assert attitudes == sorted(attitudes, key=attitudes.index)
     for attitude in set(attitudes):

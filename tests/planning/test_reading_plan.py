@@ -12,10 +12,10 @@ import pytest
 from counterspin import calibrate, cli
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
-from counterspin.planning.faults import effects_of, faults_of
+from counterspin.planning.faults import fault_sensitivities, possible_faults
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import check, plan, write_campaign
-from counterspin.planning.reading_plan import in_order
+from counterspin.planning.reading_plan import measurement_order
 from counterspin.planning.stations import read_reading_plan
 
 HEAD = """
@@ -249,11 +249,11 @@ def test_forecast_of_readings_needs_their_uncertainty(written, tmp_path):
 @pytest.mark.parametrize("order", ["mirrored", "random", "listed"])
 def test_order_has_every_reading_as_often_as_it_is_chosen(order):
     counts = np.array([3, 0, 2, 5, 1])
-    assert np.bincount(in_order(counts, order), minlength=5).tolist() == counts.tolist()
+    assert np.bincount(measurement_order(counts, order), minlength=5).tolist() == counts.tolist()
 
 
 def test_mirrored_order_cancels_a_trend():
-    order = np.array(in_order(np.array([4, 2, 6, 0, 2]), "mirrored"))
+    order = np.array(measurement_order(np.array([4, 2, 6, 0, 2]), "mirrored"))
     assert order.tolist() == order[::-1].tolist()
     time = np.arange(order.size) - 0.5 * (order.size - 1)
     for place in set(order.tolist()):
@@ -278,7 +278,7 @@ def test_stretch_of_the_arm(ways, written, tmp_path):
     text = ARM.partition("[[stations]]")[0] + "\n".join(runs)
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
     prediction = forecast(tmp_path)
-    found = effects_of(prediction, faults_of(prediction.campaign, "A"))
+    found = fault_sensitivities(prediction, possible_faults(prediction.campaign, "A"))
     stretch = next(one for one in found if one.fault.symbol == "centrifuge.stretch")
     place = [unknown.name for unknown in prediction.fit.model.unknowns].index("A.K_II")
     shift = stretch.shift(place)
@@ -405,7 +405,7 @@ def test_readings_are_chosen_for_what_the_campaign_has_already(tmp_path):
     described = read_reading_plan(file)
     u = [
         forecast(described.campaign(pair), sampling_rate=10.0).u["A.K_II"]
-        for pair in combinations_with_replacement(described.possible, 2)
+        for pair in combinations_with_replacement(described.candidates, 2)
     ]
     assert told == pytest.approx(min(u), rel=1e-9)
     assert len(planned.result.readings) == 2

@@ -6,7 +6,7 @@ from recorded_campaigns import record
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
-from counterspin.planning.recorded import further_runs, observed_with_noise
+from counterspin.planning.recorded import observe_with_noise, suggest_runs
 from counterspin.toml_text import write_document
 
 #: Nothing is taken as perfect: K_OO, 2 ug/g^2, looks like K_II.
@@ -19,13 +19,13 @@ def recorded(tmp_path_factory):
 
 
 def further(campaign, name="Qx.K_II"):
-    return further_runs(campaign, *observed_with_noise(campaign), name)
+    return suggest_runs(campaign, *observe_with_noise(campaign), name)
 
 
 def test_runs_in_another_attitude_give_what_they_promise(recorded, tmp_path):
     found = further(read_campaign(recorded))
     before = calibrate(recorded).accelerometers["Qx"].coefficients["K_II"].u
-    assert found.u_now == pytest.approx(before, rel=1e-3)
+    assert found.u_without == pytest.approx(before, rel=1e-3)
     assert found.u < 0.8 * before
     more = [dict(run) for run in found.runs]
     for run in more:

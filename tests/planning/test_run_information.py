@@ -10,7 +10,11 @@ from planning_setups import ATTITUDES, PLATFORM, PRIORS, TWO, make_setup, u_by_j
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.planning.design import Design, RunType
-from counterspin.planning.information_table import functions, integration, prefix_factors
+from counterspin.planning.information_table import (
+    basis_functions,
+    integration_matrix,
+    prefix_factors,
+)
 from counterspin.planning.run_information import Predictor, RunInformation
 
 INPUTS = ("centrifuge.radius", "site.gravity", "records.timing_offset")
@@ -115,14 +119,14 @@ def estimated_one(held):
 def test_integration_of_the_functions_is_exact():
     angle = np.linspace(0.0, 20.0, 200)
     for order in (1, 2):
-        integral = functions(angle, 3) @ integration(3, order)
+        integral = basis_functions(angle, 3) @ integration_matrix(3, order)
         step = angle[1] - angle[0]
         derivative = integral
         for _ in range(order):
             derivative = np.gradient(derivative, step, axis=0, edge_order=2)
         inside = slice(3, -3)
         used = [0, 1, *range(4, 16)]  # th^2 and th^3 are results, not integrands
-        error = derivative[inside, used] - functions(angle, 3)[inside][:, used]
+        error = derivative[inside, used] - basis_functions(angle, 3)[inside][:, used]
         # Second-order differences of sin 3 th times th: step^2/6 x 27 x 20.
         assert np.abs(error).max() < 2.0 * 27.0 * 20.0 * step**2
 

@@ -32,7 +32,7 @@ from counterspin.physics.terms import (
     term,
     words_of,
 )
-from counterspin.planning.recorded import FurtherRuns
+from counterspin.planning.recorded import SuggestedRuns
 from counterspin.reports.numbers import field_unit, format_number, format_uncertainty
 from counterspin.reports.typography import typeset
 
@@ -233,7 +233,7 @@ def _is_prior(source: str) -> bool:
     return is_term(source) and source not in INPUTS
 
 
-def _shown(further: FurtherRuns | None, found: AccelerometerResult) -> dict[str, Any] | None:
+def _shown(further: SuggestedRuns | None, found: AccelerometerResult) -> dict[str, Any] | None:
     if further is None:
         return None
     unit = found.coefficients[_asked(found)[0]].unit
@@ -242,7 +242,7 @@ def _shown(further: FurtherRuns | None, found: AccelerometerResult) -> dict[str,
         "count": len(further.runs),
         "minutes": format_number(further.seconds / 60.0, 2),
         "left": _size(further.u, unit),
-        "now": _size(further.u_now, unit),
+        "now": _size(further.u_without, unit),
     }
 
 
@@ -261,31 +261,31 @@ def begin_search(desk: Desk, name: str) -> dict[str, Any]:
 def search_into(there: Connection, campaign: Path) -> None:
     """Search for helpful runs; report to `there` as `processes.report_progress` does."""
 
-    def work(progress: Progress) -> dict[str, FurtherRuns | None]:
+    def work(progress: Progress) -> dict[str, SuggestedRuns | None]:
         from counterspin.calibration.observed_runs import with_recorded_conditions
         from counterspin.campaign.description import read_campaign
-        from counterspin.planning.recorded import further_runs, observed_with_noise
+        from counterspin.planning.recorded import observe_with_noise, suggest_runs
 
         read = with_recorded_conditions(read_campaign(campaign))
-        observed, noise = observed_with_noise(read)
+        observed, noise = observe_with_noise(read)
         found = {}
         for place, owner in enumerate(read.accelerometers):
             progress(place, len(read.accelerometers))
             symbol = "K_II" if "K_II" in read.model.terms else read.model.terms[0]
-            found[owner] = further_runs(read, observed, noise, f"{owner}.{symbol}")
+            found[owner] = suggest_runs(read, observed, noise, f"{owner}.{symbol}")
         return found
 
     report_progress(there, work)
 
 
-def _searched(desk: Desk, name: str) -> dict[str, FurtherRuns | None] | None:
+def _searched(desk: Desk, name: str) -> dict[str, SuggestedRuns | None] | None:
     """Return the results of the search by accelerometer; None without a search."""
     path = desk.description(name)
     try:
         files = [path, *(run.record for run in desk.campaign(name).runs)]
     except CounterspinError:
         return None
-    known: dict[str, FurtherRuns | None] | None = desk.remembered.find(("ways", path), files)[0]
+    known: dict[str, SuggestedRuns | None] | None = desk.remembered.find(("ways", path), files)[0]
     return known
 
 

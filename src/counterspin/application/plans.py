@@ -24,7 +24,7 @@ from counterspin.planning.plan import (
     Example,
     PlannedCampaign,
     plan,
-    refuse_other_campaign,
+    require_no_campaign,
     write_campaign,
     write_example,
 )
@@ -111,7 +111,7 @@ def plan_overview(desk: Desk, name: str) -> dict[str, Any]:
     described = _plan(desk, file)
     return {
         "name": name,
-        "title": described.stand_in.title or name,
+        "title": described.template.title or name,
         "limits": [limit.shown() for limit in _limits_of(described, load_document(file))],
         "command": plan_command(file, None),
     }
@@ -245,7 +245,7 @@ def begin_planned(
     place = desk.place(folder)
     if not folder:
         raise CounterspinError("give the campaign's folder a name")
-    refuse_other_campaign(place)
+    require_no_campaign(place)
     before = desk.folder.read(name)
     text = _text_within(desk, name, before.text, moved or {})
     document = parse_document(text.encode("utf-8"), name)

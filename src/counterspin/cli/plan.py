@@ -80,7 +80,7 @@ def plan(
     from counterspin.campaign.field_types import exact
     from counterspin.planning.plan import check as forecast
     from counterspin.planning.plan import plan as search
-    from counterspin.planning.plan import refuse_other_campaign, write_campaign, write_example
+    from counterspin.planning.plan import require_no_campaign, write_campaign, write_example
     from counterspin.planning.result import PlanResult
     from counterspin.reports.text import progress, report_console
 
@@ -92,7 +92,7 @@ def plan(
         return
     saved.reserve(PlanResult.file_kind)
     if output is not None:
-        refuse_other_campaign(output)
+        require_no_campaign(output)
     if check is not None:
         if output is not None:
             raise CampaignError("plan", ["--output needs a plan, not --check"])

@@ -28,7 +28,7 @@ from counterspin.monitoring.run_state import (
     undetermined_estimates,
 )
 from counterspin.planning.forecast import forecast
-from counterspin.planning.recorded import as_recorded, noise_of_fit, with_pose_noise
+from counterspin.planning.recorded import add_pose_noise, apply_observations, fitted_noise
 from counterspin.records.formats import opener_of
 from counterspin.records.frames import memory_table
 from counterspin.records.memory import MemoryTable
@@ -244,13 +244,15 @@ def _expected_estimates(
         runs = (
             r.model_copy(update={"duration": seconds}) if r is run else r for r in campaign.runs
         )
-        noise = noise_of_fit(single_check.fit.estimate.fit)
-        completed = as_recorded(replace(campaign, runs=tuple(runs)), [single_check.observed], noise)
+        noise = fitted_noise(single_check.fit.estimate.fit)
+        completed = apply_observations(
+            replace(campaign, runs=tuple(runs)), [single_check.observed], noise
+        )
     unknown = [r.name for r in completed.runs if r.duration is None]
     if unknown:
         return [], f"the description does not state how long {', '.join(unknown)} will last"
     try:
-        completed = with_pose_noise(completed)
+        completed = add_pose_noise(completed)
         predicted = forecast(completed, sampling_rate=rate)
     except CounterspinError as error:
         return [], str(error)

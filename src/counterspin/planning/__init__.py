@@ -8,7 +8,7 @@
 - `weights`, `information_table`: columns as combinations of functions of the angle, and the
   information of samples about these functions
 - `design`: plans, their limits and their criterion
-- `possibilities`: information and cost of possible observations, and their best numbers, which
+- `candidate_set`: information and cost of possible observations, and their best numbers, which
   need not be whole
 - `optimisation`: the best plan of records, and a bound on any plan
 - `search`, `limits`: solution of the plan's problem, feasibility of its goal; active limits

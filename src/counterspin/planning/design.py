@@ -47,22 +47,22 @@ class Design:
         types = self.types[:index] + self.types[index + 1 :]
         return Design(types, np.delete(self.rate, index), np.delete(self.revolutions, index))
 
-    def taken(self, places: Sequence[int]) -> Design:
+    def select(self, indices: Sequence[int]) -> Design:
         """Return the design with the runs at some places, in their order."""
-        types, chosen = tuple(self.types[i] for i in places), list(places)
-        return Design(types, self.rate[chosen], self.revolutions[chosen])
+        types, selected = tuple(self.types[i] for i in indices), list(indices)
+        return Design(types, self.rate[selected], self.revolutions[selected])
 
     def with_type(self, index: int, new: RunType) -> Design:
         """Return the design with one run in another attitude or sense."""
         types = (*self.types[:index], new, *self.types[index + 1 :])
         return Design(types, self.rate, self.revolutions)
 
-    def joined(self, other: Design) -> Design:
+    def concatenate(self, addition: Design) -> Design:
         """Return the runs of both designs."""
         return Design(
-            self.types + other.types,
-            np.concatenate([self.rate, other.rate]),
-            np.concatenate([self.revolutions, other.revolutions]),
+            self.types + addition.types,
+            np.concatenate([self.rate, addition.rate]),
+            np.concatenate([self.revolutions, addition.revolutions]),
         )
 
 
@@ -103,7 +103,7 @@ class Limits:
         nearest: Array = settings[np.argmin(ratio, axis=1)]
         return nearest
 
-    def hold(self, design: Design) -> bool:
+    def contains(self, design: Design) -> bool:
         """Check that a campaign is within all limits, to rounding."""
         return bool(
             set(design.types) <= set(self.types)
@@ -112,11 +112,11 @@ class Limits:
             and np.all(design.revolutions > self.revolutions * (1.0 - _TOUCHING))
             and np.all(design.duration < self.longest_run * (1.0 + _TOUCHING))
             and self.time(design) < self.total_time * (1.0 + _TOUCHING)
-            and len(self.runs_apart(design.rate)) >= self.fewest_rates
+            and len(self.distinct_rate_runs(design.rate)) >= self.fewest_rates
         )
 
     @property
-    def shortest(self) -> float:
+    def shortest_time(self) -> float:
         """The least time for one run at each required rate, s."""
         rates = np.array(self.settings or self.rate)
         times = np.sort(self.revolutions * 2.0 * math.pi / rates + self.overhead(rates))
@@ -126,16 +126,16 @@ class Limits:
         return float(np.sum(times[: self.fewest_rates]))
 
     @property
-    def possible(self) -> bool:
+    def is_feasible(self) -> bool:
         """True if any campaign is within the limits."""
         return (
             self.runs >= self.fewest_rates
             and len(self.different_rates(self.rate[1])) >= self.fewest_rates
-            and self.total_time >= self.shortest
+            and self.total_time >= self.shortest_time
         )
 
     @property
-    def apart(self) -> float:
+    def min_rate_ratio(self) -> float:
         """Least ratio of each of the different rates to the next lower one."""
         return 1.0 if self.settings else _DIFFERENT_RATE_RATIO
 
@@ -148,17 +148,17 @@ class Limits:
             below = [w for w in self.settings if w <= fastest * (1.0 + 1e-9)]
             others = [w for w in self.settings if w not in below]
             return [*reversed(below), *others][: self.fewest_rates]
-        rates = [fastest / self.apart**step for step in range(self.fewest_rates)]
+        rates = [fastest / self.min_rate_ratio**step for step in range(self.fewest_rates)]
         return [w for w in rates if w >= self.rate[0] * (1.0 - 1e-9)]
 
-    def runs_apart(self, rate: Array) -> list[int]:
+    def distinct_rate_runs(self, rate: Array) -> list[int]:
         """Return indices of runs at different rates, fastest first, at most the required number.
 
         rate: Of the runs, shape (n,).
         """
         chosen: list[int] = []
         for index in np.argsort(-rate, kind="stable"):
-            limit = math.inf if not chosen else float(rate[chosen[-1]]) / self.apart
+            limit = math.inf if not chosen else float(rate[chosen[-1]]) / self.min_rate_ratio
             # Settings may have any ratio; other rates need the least ratio, except for rounding.
             limit *= 1.0 - 1e-9 if self.settings else 1.0 + _ROUNDING
             if len(chosen) < self.fewest_rates and rate[index] <= limit:
@@ -170,7 +170,7 @@ class Limits:
 class Criterion:
     """The criterion that a plan minimises."""
 
-    places: tuple[int, ...]  #: The unknowns of interest, among the shared ones.
+    indices: tuple[int, ...]  #: The unknowns of interest, among the shared ones.
     scales: tuple[float, ...]  #: The size of u that counts as 1, for each.
     #: ``sum``: the root mean square of u/scale (c-optimality for one unknown, else A);
     #: ``determinant``: the volume of the ellipsoid of uncertainty (D).
@@ -178,33 +178,33 @@ class Criterion:
 
     def value(self, covariance: Array) -> Array:
         """Return the logarithm of u/scale (mean in the criterion's sense), shape (...,)."""
-        inside = self._inside(covariance)
-        count = len(self.places)
+        block = self._scaled_block(covariance)
+        count = len(self.indices)
         if self.combination == "sum":
-            trace = np.trace(inside, axis1=-2, axis2=-1)
+            trace = np.trace(block, axis1=-2, axis2=-1)
             return np.asarray(0.5 * np.log(trace / count))
-        return np.asarray(0.5 / count * np.linalg.slogdet(inside)[1])
+        return np.asarray(0.5 / count * np.linalg.slogdet(block)[1])
 
     def directions(self, covariance: Array) -> Array:
         """Return vectors c with d(value) = sum of c' d(covariance) c, shape (p, k)."""
-        inside = self._inside(covariance)
-        count = len(self.places)
+        block = self._scaled_block(covariance)
+        count = len(self.indices)
         if self.combination == "sum":
-            root = np.eye(count) / math.sqrt(2.0 * float(np.trace(inside)))
+            root = np.eye(count) / math.sqrt(2.0 * float(np.trace(block)))
         else:
-            root = np.linalg.cholesky(np.linalg.inv(inside)) / math.sqrt(2.0 * count)
-        full = np.zeros((covariance.shape[-1], count))
-        full[list(self.places)] = root / np.array(self.scales)[:, None]
-        return full
+            root = np.linalg.cholesky(np.linalg.inv(block)) / math.sqrt(2.0 * count)
+        directions = np.zeros((covariance.shape[-1], count))
+        directions[list(self.indices)] = root / np.array(self.scales)[:, None]
+        return directions
 
-    def _inside(self, covariance: Array) -> Array:
-        index = list(self.places)
+    def _scaled_block(self, covariance: Array) -> Array:
+        index = list(self.indices)
         scale = np.array(self.scales)
-        part = covariance[..., index, :][..., :, index]
-        return np.asarray(part / np.outer(scale, scale))
+        block = covariance[..., index, :][..., :, index]
+        return np.asarray(block / np.outer(scale, scale))
 
 
-def order_of(types: Sequence[RunType]) -> list[int]:
+def measurement_order(types: Sequence[RunType]) -> list[int]:
     """Return the places of runs in the order in which to make them.
 
     Attitude after attitude, and inside it the senses in turn, so that slow changes
@@ -223,60 +223,62 @@ def order_of(types: Sequence[RunType]) -> list[int]:
     return order
 
 
-def brought_within(design: Design, limits: Limits) -> Design | None:
+def fit_to_limits(design: Design, limits: Limits) -> Design | None:
     """Return the design if it is within the limits, else a similar design that is, or None.
 
     Its longest runs are kept, each at the nearest rate that there is, with the lengths scaled into
     the time. None: no such design exists, or it has types of run that are not available.
     """
-    if limits.hold(design):
+    if limits.contains(design):
         return design
     if not set(design.types) <= set(limits.types):
         return None
-    kept = np.sort(np.argsort(-design.duration, kind="stable")[: limits.runs])
-    rate = limits.nearest(design.rate[kept])
-    types = tuple(design.types[index] for index in kept)
-    duration = design.duration[kept]
-    fitted = fitted_into(Design(types, rate, duration * rate / (2.0 * math.pi)), limits)
-    return fitted if fitted is not None and limits.hold(fitted) else None
+    indices = np.sort(np.argsort(-design.duration, kind="stable")[: limits.runs])
+    rate = limits.nearest(design.rate[indices])
+    types = tuple(design.types[index] for index in indices)
+    duration = design.duration[indices]
+    fitted = scale_to_time(Design(types, rate, duration * rate / (2.0 * math.pi)), limits)
+    return fitted if fitted is not None and limits.contains(fitted) else None
 
 
-def fitted_into(design: Design, limits: Limits) -> Design | None:
+def scale_to_time(design: Design, limits: Limits) -> Design | None:
     """Return the design with its lengths scaled into the available time; None if none fits."""
-    spread = _at_different_rates(design, limits)
-    if spread is None:
+    separated = _separate_rates(design, limits)
+    if separated is None:
         return None
-    design = spread
+    design = separated
     fixed = float(np.sum(limits.overhead(design.rate)))
-    changes = limits.time(design) - float(np.sum(design.duration)) - fixed
-    available = limits.total_time - fixed - changes
-    fewest = limits.revolutions * 2.0 * math.pi / design.rate
-    spare = available - float(fewest.sum())
-    if spare < -1e-9 * limits.total_time:
+    change_time = limits.time(design) - float(np.sum(design.duration)) - fixed
+    record_time = limits.total_time - fixed - change_time
+    shortest = limits.revolutions * 2.0 * math.pi / design.rate
+    spare_time = record_time - float(shortest.sum())
+    if spare_time < -1e-9 * limits.total_time:
         return None
-    beyond = np.clip(design.duration, fewest, limits.longest_run) - fewest
-    wanted = float(beyond.sum())
-    scale = max(0.0, spare) / wanted if wanted > 0.0 else 0.0
-    duration = np.minimum(fewest + scale * beyond, np.maximum(limits.longest_run, fewest))
+    excess = np.clip(design.duration, shortest, limits.longest_run) - shortest
+    excess_sum = float(excess.sum())
+    scale = max(0.0, spare_time) / excess_sum if excess_sum > 0.0 else 0.0
+    duration = np.minimum(shortest + scale * excess, np.maximum(limits.longest_run, shortest))
     return replace(design, revolutions=duration * design.rate / (2.0 * math.pi))
 
 
-def _at_different_rates(design: Design, limits: Limits) -> Design | None:
+def _separate_rates(design: Design, limits: Limits) -> Design | None:
     """Return the design with its slowest runs moved to separate rates, if it has too few rates.
 
     None if the limits do not allow it.
     """
-    if len(limits.runs_apart(design.rate)) >= limits.fewest_rates:
+    if len(limits.distinct_rate_runs(design.rate)) >= limits.fewest_rates:
         return design
     fastest = max(
         float(design.rate.max()),
-        min(limits.rate[1], limits.rate[0] * limits.apart ** (limits.fewest_rates - 1)),
+        min(limits.rate[1], limits.rate[0] * limits.min_rate_ratio ** (limits.fewest_rates - 1)),
     )
     rates = limits.different_rates(fastest)
     if len(rates) < limits.fewest_rates or limits.fewest_rates > limits.runs:
         return None
     while len(design.types) < limits.fewest_rates:
-        design = design.joined(Design(design.types[:1], design.rate[:1], design.revolutions[:1]))
+        design = design.concatenate(
+            Design(design.types[:1], design.rate[:1], design.revolutions[:1])
+        )
     rate = design.rate.copy()
     order = np.argsort(-rate, kind="stable")
     rate[order[0]] = rates[0]
@@ -284,7 +286,7 @@ def _at_different_rates(design: Design, limits: Limits) -> Design | None:
     return Design(design.types, rate, design.duration * rate / (2.0 * math.pi))
 
 
-def both_senses(limits: Limits) -> Limits:
+def allow_both_senses(limits: Limits) -> Limits:
     """Return the limits with both senses of the spin allowed in every attitude."""
     attitudes = dict.fromkeys(run_type.attitude for run_type in limits.types)
     types = tuple(RunType(attitude, sense) for attitude in attitudes for sense in (1, -1))

@@ -37,7 +37,7 @@ from counterspin.readings.linear import LinearReadings
 from counterspin.results import ResultPart
 
 #: A fault that adds this part of u in quadrature makes u grow by a twentieth.
-_TOLERABLE_PART_OF_U: Final = math.sqrt(1.05**2 - 1.0)
+_TOLERABLE_FRACTION_OF_U: Final = math.sqrt(1.05**2 - 1.0)
 
 #: Probability of failing the test of the residuals above which a fault counts as noticed.
 _DETECTION_PROBABILITY: Final = 0.95
@@ -46,7 +46,7 @@ _DETECTION_PROBABILITY: Final = 0.95
 _INPUTS: Final = ("centrifuge.radius", TIMING)
 
 #: No centrifuge has larger faults; a length is a part of the radius.
-_LARGEST_SIZES: Final = {"rad": 0.1, "s": 1.0, "1/s": 1e-2, "1": 0.1}
+_MAX_SIZES: Final = {"rad": 0.1, "s": 1.0, "1/s": 1e-2, "1": 0.1}
 
 
 class Requirement(ResultPart):
@@ -79,7 +79,7 @@ class FaultEffect(ResultPart):
     noticed: bool  #: Whether they nearly always do.
 
 
-def requirements_of(
+def fault_requirements(
     prediction: Forecast, name: str, sampling_rate: float
 ) -> tuple[str, list[Requirement]]:
     """Return the requirements on the centrifuge for the predicted uncertainty.
@@ -89,29 +89,29 @@ def requirements_of(
     sampling_rate: Hz.
     """
     campaign = prediction.campaign
-    paths = [of_path(symbol) for symbol in ("encoder.harmonic.1", "centrifuge.imbalance.1")]
+    paths = [path_fault(symbol) for symbol in ("encoder.harmonic.1", "centrifuge.imbalance.1")]
     # A fit that has a fault among its unknowns gives way to it: it says nothing of its own need.
     symbols = {part.symbol for fault in paths for part in fault.parts}
-    before = prediction.fit
-    model = before.model.without({*symbols, *INPUTS, TIMING})
-    place = [unknown.name for unknown in model.unknowns].index(name)
-    unknown = model.unknowns[place]
+    fit_before = prediction.fit
+    model = fit_before.model.without({*symbols, *INPUTS, TIMING})
+    index = [unknown.name for unknown in model.unknowns].index(name)
+    unknown = model.unknowns[index]
     expected = expected_values(campaign, model.unknowns)
-    fit = replace(before, model=model, observations=_omit_terms(prediction, model, expected))
-    words = f"at the expected value of {name}"
-    if expected[place] == 0.0:
-        expected[place] = unknown.limit
+    fit = replace(fit_before, model=model, observations=_omit_terms(prediction, model, expected))
+    basis = f"at the expected value of {name}"
+    if expected[index] == 0.0:
+        expected[index] = unknown.limit
         unit = unit_of(unknown.symbol)
-        words = f"if {name} had its largest credible value, {unknown.limit:.3g} {unit}"
+        basis = f"if {name} had its largest credible value, {unknown.limit:.3g} {unit}"
     # A fault of the rotation has its own size in each run.
     owners = {symbol: [run.name for run in campaign.runs] for symbol in ROTATION}
     owners |= {symbol: [""] for symbol in _INPUTS}
     faults = [
-        Fault(symbol, "", 1.0, "", tuple(perfect(owner, symbol) for owner in of))
+        Fault(symbol, "", 1.0, "", tuple(as_considered_term(owner, symbol) for owner in of))
         for symbol, of in owners.items()
     ]
-    effects = effects_of(replace(prediction, fit=fit), [*faults, *paths], expected)
-    zero, rate, drift, radius, delay, *machine = (effect.moved[place] for effect in effects)
+    effects = fault_sensitivities(replace(prediction, fit=fit), [*faults, *paths], expected)
+    zero, rate, drift, radius, delay, *machine = (effect.moved[index] for effect in effects)
     rates = np.array([run.rate for run in campaign.runs])
     lines = [
         ("radius", radius, "m"),
@@ -127,9 +127,9 @@ def requirements_of(
         (paths[1].words, machine[1], "m"),
         ("delay between the clocks of angle and output", delay, "s"),
     ]
-    allowed = _TOLERABLE_PART_OF_U * prediction.u[name]
-    largest = {**_LARGEST_SIZES, "m": _LARGEST_SIZES["1"] * campaign.radius.value}
-    return words, [
+    allowed = _TOLERABLE_FRACTION_OF_U * prediction.u[name]
+    largest = {**_MAX_SIZES, "m": _MAX_SIZES["1"] * campaign.radius.value}
+    return basis, [
         Requirement(
             words=text,
             size=size if (size := _allowed_size(allowed, moved)) <= largest[unit] else None,
@@ -153,20 +153,20 @@ def _omit_terms(prediction: Forecast, model: Unknowns, expected: Array) -> tuple
     )
 
 
-def _allowed_size(allowed: float, moved: Array | float) -> float:
+def _allowed_size(relative_increase: float, shifts: Array | float) -> float:
     """Return the allowed size of a fault from the coefficient's shifts per unit of its parts."""
-    sensitivity = float(np.linalg.norm(moved))
-    return allowed / sensitivity if sensitivity > 0.0 else math.inf
+    sensitivity = float(np.linalg.norm(shifts))
+    return relative_increase / sensitivity if sensitivity > 0.0 else math.inf
 
 
-def _angle_noise(campaign: Campaign, of_run: Array, sampling_rate: float) -> float:
+def _angle_noise(campaign: Campaign, run_shifts: Array, sampling_rate: float) -> float:
     """Return the sensitivity to white noise of the recorded angle.
 
     The rotation is fitted to the angle, th0 + w t + C w t^2/2, so that noise of a sample comes in
     through the uncertainty of these three.
     """
     variance = 0.0
-    for run, sensitivity in zip(campaign.runs, of_run, strict=True):
+    for run, sensitivity in zip(campaign.runs, run_shifts, strict=True):
         duration = run.duration or 0.0
         n = sample_count(duration, sampling_rate)
         scale = np.array([1.0, 1.0 / duration, 2.0 / (abs(run.rate) * duration**2)])
@@ -195,7 +195,7 @@ class Fault:
     #: one amplitude, the worst phase of which is taken.
     random: bool = False
     #: Column of an observation per unit, shape (n,), for a fault that is not a term.
-    shown: Callable[[Observation], Array] | None = None
+    response: Callable[[Observation], Array] | None = None
 
 
 def _family_fault(symbol: str, parts: Sequence[Considered], size: float) -> Fault:
@@ -203,7 +203,7 @@ def _family_fault(symbol: str, parts: Sequence[Considered], size: float) -> Faul
     return Fault(symbol, row.words_of_family, size, row.unit, tuple(parts), random=row.per_run)
 
 
-def faults_of(campaign: Campaign, name: str) -> list[Fault]:
+def possible_faults(campaign: Campaign, name: str) -> list[Fault]:
     """Return the possible undetected faults for an accelerometer: terms assumed to be perfect."""
     by_symbol: dict[str, list[Considered]] = {}
     for considered_term in fixed_terms(campaign, make_unknowns(campaign), name):
@@ -214,39 +214,43 @@ def faults_of(campaign: Campaign, name: str) -> list[Fault]:
     ]
 
 
-def of_path(symbol: str) -> Fault:
+def path_fault(symbol: str) -> Fault:
     """Return an error of the path, both quadratures: such as ``encoder.harmonic.1``."""
     rows = [row for row in MOTION_TERMS.values() if row.family == symbol]
-    return _family_fault(symbol, [perfect("", row.symbol) for row in rows], rows[0].typical)
+    return _family_fault(
+        symbol, [as_considered_term("", row.symbol) for row in rows], rows[0].typical
+    )
 
 
-def perfect(owner: str, symbol: str) -> Considered:
+def as_considered_term(owner: str, symbol: str) -> Considered:
     """Return a term that is taken as perfect."""
     return Considered(owner, symbol, (0.0, 0.0), 1.0)
 
 
-def square(name: str) -> Fault:
+def square_term_fault(name: str) -> Fault:
     """Return K_II of an accelerometer, which the estimate must recover completely."""
-    return Fault("K_II", "", 1.0, "g/g^2", (perfect(name, "K_II"),))
+    return Fault("K_II", "", 1.0, "g/g^2", (as_considered_term(name, "K_II"),))
 
 
-def mean_square(name: str) -> Fault:
+def mean_square_fault(name: str) -> Fault:
     """Return the effect of K_II of an accelerometer on the mean force, without its harmonics."""
 
-    def shown(observation: Observation) -> Array:
+    def columns(observation: Observation) -> Array:
         if not isinstance(observation, DesignBlock) or observation.accelerometer != name:
             return np.zeros(len(observation.design))
         series, motion = observation.series, observation.series.trajectory
         times = np.arange(16.0) / 16.0 * (2.0 * math.pi / abs(motion.spindle.rate))
-        along = motion.specific_force(times) @ series.mounting.turned(series.attitude).input_axis
-        mean = float(np.mean((along / motion.site.gravity) ** 2))
+        projection = (
+            motion.specific_force(times) @ series.mounting.turned(series.attitude).input_axis
+        )
+        mean = float(np.mean((projection / motion.site.gravity) ** 2))
         return np.asarray(mean * series.columns(["K_F"], 1.0)[:, 0])
 
-    return Fault("K_II", "", 1.0, "g/g^2", (), shown=shown)
+    return Fault("K_II", "", 1.0, "g/g^2", (), response=columns)
 
 
 #: Number of fault columns in memory at once; a fault of each run has a column for each run.
-_PARTS_AT_ONCE: Final = 16
+_MAX_COLUMNS: Final = 16
 
 
 @frozen(eq=False)
@@ -255,41 +259,41 @@ class FaultSensitivity(Sensitivities):
 
     fault: Fault  #: The fault.
 
-    def of_unit(self, place: int) -> float:
+    def unit_shift(self, index: int) -> float:
         """Return the size of the shift of an unknown per unit of the fault."""
-        return float(np.linalg.norm(self.moved[place]))
+        return float(np.linalg.norm(self.moved[index]))
 
-    def shift(self, place: int) -> float:
+    def shift(self, index: int) -> float:
         """Return the size of the shift of an unknown by the fault at its typical size."""
-        return self.fault.size * self.of_unit(place)
+        return self.fault.size * self.unit_shift(index)
 
-    def deviation(self, place: int) -> float:
+    def deviation(self, index: int) -> float:
         """Return the deviation seen by the best test for this fault, in standard deviations."""
-        return math.sqrt(self.square(self.left, place))
+        return math.sqrt(self.residual_ss(self.left, index))
 
-    def detection(self, place: int, accelerometer: str, significance: float) -> float:
+    def detection(self, index: int, accelerometer: str, significance: float) -> float:
         """Return the probability that the residuals of an accelerometer fail their test."""
         from scipy.special import chdtri, chndtr
 
         dof = max(1.0, self.freedom[accelerometer])
-        square = self.square(self.left_in[accelerometer], place)
-        return 1.0 - float(chndtr(chdtri(dof, significance), dof, square))
+        noncentrality = self.residual_ss(self.left_in[accelerometer], index)
+        return 1.0 - float(chndtr(chdtri(dof, significance), dof, noncentrality))
 
-    def square(self, left: Array, place: int) -> float:
-        """Return the sum of squares that the fault at its typical size leaves, from `left`.
+    def residual_ss(self, products: Array, index: int) -> float:
+        """Return the sum of squares that the fault at its typical size leaves, from `products`.
 
         Of parts that are one amplitude, in the phase that moves an unknown most.
         """
         size = self.fault.size
         if self.fault.random:
-            return size**2 * float(np.trace(left))
-        moved = self.moved[place]
-        length = float(np.linalg.norm(moved))
-        phase = moved / length if length > 0.0 else np.eye(moved.size)[0]
-        return max(0.0, size**2 * float(phase @ left @ phase))
+            return size**2 * float(np.trace(products))
+        shifts = self.moved[index]
+        length = float(np.linalg.norm(shifts))
+        phase = shifts / length if length > 0.0 else np.eye(shifts.size)[0]
+        return max(0.0, size**2 * float(phase @ products @ phase))
 
 
-def effects_of(
+def fault_sensitivities(
     prediction: Forecast, faults: Sequence[Fault], expected: Array | None = None
 ) -> list[FaultSensitivity]:
     """Return the effects of faults on a campaign's fit, each fault separately.
@@ -302,39 +306,45 @@ def effects_of(
         expected = expected_values(prediction.campaign, fit.model.unknowns)
     groups: list[list[Fault]] = [[]]
     for fault in faults:
-        if groups[-1] and sum(len(f.parts) for f in (*groups[-1], fault)) > _PARTS_AT_ONCE:
+        if groups[-1] and sum(len(f.parts) for f in (*groups[-1], fault)) > _MAX_COLUMNS:
             groups.append([])
         groups[-1].append(fault)
-    return [effect for group in groups for effect in _sensitivities(fit, group, expected)]
+    return [effect for group in groups for effect in _group_sensitivities(fit, group, expected)]
 
 
-def _sensitivities(
+def _group_sensitivities(
     fit: JointFit, faults: Sequence[Fault], expected: Array
 ) -> Iterator[FaultSensitivity]:
-    of_terms = columns_of(fit, [part for fault in faults for part in fault.parts], expected)
+    term_columns = columns_of(fit, [part for fault in faults for part in fault.parts], expected)
     ends = np.cumsum([len(fault.parts) for fault in faults])[:-1]
 
-    def shown(observation: Observation) -> Array:
-        parts = np.split(of_terms(observation), ends, axis=1)
+    def columns(observation: Observation) -> Array:
+        parts = np.split(term_columns(observation), ends, axis=1)
         return np.column_stack(
             [
-                block if fault.shown is None else fault.shown(observation)
+                block if fault.response is None else fault.response(observation)
                 for fault, block in zip(faults, parts, strict=True)
             ]
         )
 
-    sensitivity = sensitivities(fit, shown)
+    sensitivity = sensitivities(fit, columns)
     start = 0
     for fault in faults:
-        places = slice(start, start := start + max(1, len(fault.parts)))
-        left_in = {
-            name: remainder[places, places] for name, remainder in sensitivity.left_in.items()
+        columns_slice = slice(start, start := start + max(1, len(fault.parts)))
+        accelerometer_products = {
+            name: remainder[columns_slice, columns_slice]
+            for name, remainder in sensitivity.left_in.items()
         }
-        moved, remainder = sensitivity.moved[:, places], sensitivity.left[places, places]
-        yield FaultSensitivity(moved, remainder, left_in, sensitivity.freedom, fault)
+        shifts, remainder = (
+            sensitivity.moved[:, columns_slice],
+            sensitivity.left[columns_slice, columns_slice],
+        )
+        yield FaultSensitivity(
+            shifts, remainder, accelerometer_products, sensitivity.freedom, fault
+        )
 
 
-def unseen_effects(
+def undetected_faults(
     prediction: Forecast, name: str, k_ii: int
 ) -> tuple[float | None, list[FaultEffect]]:
     """Return the share of K_II from the second harmonic, and the faults that would shift K_II.
@@ -344,8 +354,8 @@ def unseen_effects(
     k_ii: The place of the accelerometer's K_II among the unknowns.
     """
     campaign, fit = prediction.campaign, prediction.fit
-    faults = [*faults_of(campaign, name), mean_square(name), square(name)]
-    *sensitivities, of_mean, of_square = effects_of(prediction, faults)
+    faults = [*possible_faults(campaign, name), mean_square_fault(name), square_term_fault(name)]
+    *sensitivities, mean_effect, square_effect = fault_sensitivities(prediction, faults)
     u = float(fit.solution.u[k_ii])
     effects = []
     for effect in sensitivities:
@@ -365,6 +375,6 @@ def unseen_effects(
                     noticed=detection >= _DETECTION_PROBABILITY,
                 )
             )
-    part = float(of_mean.moved[k_ii, 0] / of_square.moved[k_ii, 0])
-    share = None if campaign.readings else 1.0 - part
+    ratio = float(mean_effect.moved[k_ii, 0] / square_effect.moved[k_ii, 0])
+    share = None if campaign.readings else 1.0 - ratio
     return share, sorted(effects, key=lambda effect: -effect.shift)

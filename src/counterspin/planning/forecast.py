@@ -85,7 +85,7 @@ class Forecast:
 
 
 def forecast(
-    where: Path | str | Campaign,
+    source: Path | str | Campaign,
     *,
     sampling_rate: float | Mapping[str, float] | None = None,
     model: Unknowns | None = None,
@@ -115,7 +115,7 @@ def forecast(
     NotIdentifiableError
         If a run is too short for its own start offset and velocity.
     """
-    campaign = where if isinstance(where, Campaign) else read_campaign(where)
+    campaign = source if isinstance(source, Campaign) else read_campaign(source)
     if sampling_rate is None and campaign.simulation is not None:
         sampling_rate = campaign.simulation.sampling_rate
     _check(campaign, sampling_rate)
@@ -169,7 +169,7 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
     if sampling_rate is None and campaign.runs:
         problems.append("simulation.sampling_rate: missing; a prediction needs it")
     for name, accelerometer in campaign.accelerometers.items() if campaign.runs else ():
-        noise = _noise(campaign, name)
+        noise = _resolved_noise(campaign, name)
         keys = (accelerometer.observable, "acceleration", "flicker", "bias_walk")
         for key in (*keys, "quantisation", "timing"):
             if not isinstance(noise.get(key, "estimate"), float):
@@ -181,7 +181,7 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
         raise CampaignError(str(campaign.path), dict.fromkeys(problems))
 
 
-def _noise(campaign: Campaign, name: str) -> Mapping[str, float | str]:
+def _resolved_noise(campaign: Campaign, name: str) -> Mapping[str, float | str]:
     """Return the stated noise; noise to be estimated is taken from a simulation's truth."""
     stated = dict(resolve_noise(campaign, 0.0)[name].sizes or ())
     truth = vars(simulated_noise(campaign)) if campaign.simulation else {}
@@ -194,7 +194,7 @@ def noise_of_records(campaign: Campaign) -> dict[str, Noise]:
     """Return the noise of each accelerometer's records."""
     models = {}
     for name, accelerometer in campaign.accelerometers.items():
-        noise = _noise(campaign, name)
+        noise = _resolved_noise(campaign, name)
         step = noise["quantisation"] if accelerometer.observable == "displacement" else 0.0
         models[name] = Noise(
             float(noise[accelerometer.observable]),
@@ -220,10 +220,10 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     first = np.arange(0, samples, block)
     count = np.minimum(block, samples - first).astype(np.float64)
     time = np.asarray((first + 0.5 * (count - 1.0)) * step, dtype=np.float64)
-    noise = _noise(campaign, name)
+    noise = _resolved_noise(campaign, name)
     timing = float(noise.get("timing", 0.0))
     encoder_noise = float(noise.get("angle", 0.0))
-    of_angle = math.hypot(encoder_noise, run.rate * timing)
+    angle_noise = math.hypot(encoder_noise, run.rate * timing)
     series = ResidualSeries(
         accelerometer=name,
         run=run.name,
@@ -243,12 +243,12 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
         error=np.zeros_like(time),
         in_g=accelerometer.channel.in_g,
         recorder=campaign.recording_of(run).recorder,
-        angle_error=angle_error_to_come(time, run.rate, of_angle, count)
-        if campaign.angle is not None and of_angle > 0.0
+        angle_error=angle_error_to_come(time, run.rate, angle_noise, count)
+        if campaign.angle is not None and angle_noise > 0.0
         else None,
         timestamp_errors=TimestampErrors(
             np.zeros_like(time),
-            of_angle / abs(run.rate),
+            angle_noise / abs(run.rate),
             time.size,
             np.zeros_like(time),
             timing,
@@ -278,17 +278,17 @@ def expected_values(campaign: Campaign, unknowns: tuple[Unknown, ...] | list[Unk
     """Return expected values of unknowns, minus nominal: the truth, else the prior, else zero."""
     truth = campaign.simulation.truth if campaign.simulation else None
     coefficients = truth.coefficients if truth else {}
-    platform = {name: of_run.shared for name, of_run in truth.runs.items()} if truth else {}
+    platform = {name: run_values.shared for name, run_values in truth.runs.items()} if truth else {}
     values = []
     for unknown in unknowns:
-        known = coefficients.get(unknown.owner, {}).get(unknown.symbol)
+        priors = coefficients.get(unknown.owner, {}).get(unknown.symbol)
         if unknown.symbol not in ACCELEROMETER_TERMS and platform:
-            of_run = platform.get(unknown.owner) or next(iter(platform.values()))
-            known = of_run.get(unknown.symbol)
-        if known is None:
+            run_values = platform.get(unknown.owner) or next(iter(platform.values()))
+            priors = run_values.get(unknown.symbol)
+        if priors is None:
             values.append(unknown.prior_mean)
             continue
-        values.append(known - unknown.nominal)
+        values.append(priors - unknown.nominal)
     return np.array(values)
 
 
@@ -302,8 +302,8 @@ def scale_factors(campaign: Campaign) -> dict[str, float]:
     return factors
 
 
-def setup_of(campaign: Campaign, sampling_rate: float, *, considering: bool = True) -> Setup:
-    """Return a plan's problem from its stand-in campaign, which has one run in each attitude.
+def make_setup(campaign: Campaign, sampling_rate: float, *, with_considered: bool = True) -> Setup:
+    """Return a plan's problem from its template campaign, which has one run in each attitude.
 
     sampling_rate: Hz.
     considering: True: considered terms stay considered; False: they are estimated with their
@@ -316,14 +316,14 @@ def setup_of(campaign: Campaign, sampling_rate: float, *, considering: bool = Tr
     model = make_unknowns(replace(campaign, reference_temperature=reference, runs=warm))
     # The warming is assumed, as in runs without a recorded temperature: it is a slope.
     model = model.without([row.symbol for row in CONDITION_TERMS.values() if row.effect.power > 1])
-    if not considering:
+    if not with_considered:
         estimated = tuple(
             Unknown(c.owner, c.symbol, c.prior, c.limit, False, c.has_default_prior)
             for c in model.considered
         )
         dated = [row.symbol for row in CONDITION_TERMS.values() if row.effect.condition != "force"]
         model = Unknowns(model.unknowns + estimated).without(dated)
-    stated = _noise(campaign, next(iter(campaign.accelerometers)))
+    stated = _resolved_noise(campaign, next(iter(campaign.accelerometers)))
     timing, encoder_noise = float(stated.get("timing", 0.0)), float(stated.get("angle", 0.0))
     if campaign.angle is None:
         encoder_noise = math.inf

@@ -37,7 +37,7 @@ from counterspin.inference.noise.model import Noise, make_whitener
 from counterspin.records.reduction import BLOCKS_PER_REVOLUTION
 
 
-def functions(angle: Array, harmonics: int) -> Array:
+def basis_functions(angle: Array, harmonics: int) -> Array:
     """Return 1, th, th^2, th^3 and, by harmonic, cos, sin, th cos, th sin; shape (n, b)."""
     columns = [angle**power for power in range(4)]
     for m in range(1, harmonics + 1):
@@ -46,7 +46,7 @@ def functions(angle: Array, harmonics: int) -> Array:
     return np.column_stack(columns)
 
 
-def integration(harmonics: int, order: int) -> Array:
+def integration_matrix(harmonics: int, order: int) -> Array:
     """Return the matrix that integrates a combination of the functions `order` times over th."""
     size = 4 + 4 * harmonics
     once = np.zeros((size, size))
@@ -62,14 +62,14 @@ def integration(harmonics: int, order: int) -> Array:
     return np.asarray(np.linalg.matrix_power(once, order))
 
 
-def shifted(weights: Array, by: Array) -> Array:
-    """Return combinations of the functions of th as combinations of the functions of th - by.
+def shift_angle_origin(weights: Array, shift: Array) -> Array:
+    """Return combinations of the functions of th as combinations of the functions of th - shift.
 
     weights: Shape (n, b, k).
-    by: rad, shape (n,).
+    shift: rad, shape (n,).
     """
     n, size, k = weights.shape
-    s = by[:, None]
+    s = shift[:, None]
     w = [weights[:, i] for i in range(4)]
     result = np.empty_like(weights)
     result[:, 0] = w[0] + s * (w[1] + s * (w[2] + s * w[3]))
@@ -99,8 +99,8 @@ def prefix_factors(rows: Array, ends: npt.NDArray[np.int64], drop: int) -> Array
     for end in ends:
         triangle = triangle_of(np.vstack([triangle, rows[start:end]]))
         signs = np.where(np.diagonal(triangle) < 0.0, -1.0, 1.0)
-        kept = signs[:, None] * triangle
-        factors.append(kept[drop:, drop:])
+        selected = signs[:, None] * triangle
+        factors.append(selected[drop:, drop:])
         start = end
     return np.array(factors)
 
@@ -141,12 +141,12 @@ class EvenSamples:
         return np.asarray(self.first + 0.5 * self.step * (self.count - 1.0))
 
     @property
-    def half(self) -> Array:
+    def half_width(self) -> Array:
         """Half the angle that the rows stand for, rad, shape (n,); x is an angle over this."""
         return np.asarray(0.5 * self.step * self.count)
 
 
-def root(samples: EvenSamples, weights: Array, held: int) -> Array:
+def sqrt_information(samples: EvenSamples, weights: Array, held: int) -> Array:
     """Return square-root information, each row with unit variance.
 
     weights: Combinations of the functions, shape (n, b, k).
@@ -154,7 +154,7 @@ def root(samples: EvenSamples, weights: Array, held: int) -> Array:
     Returns: shape (n, b - held, k).
     """
     harmonics = weights.shape[1] // 4 - 1
-    even, odd = _center(averaged(weights, samples.spread), samples)
+    even, odd = center_weights(average_over_blocks(weights, samples.spread), samples)
     result = np.empty((len(weights), weights.shape[1] - held, weights.shape[2]))
     wide = 2.0 * harmonics * samples.step > _LARGEST_STEP
     close = np.flatnonzero(~wide)
@@ -166,7 +166,7 @@ def root(samples: EvenSamples, weights: Array, held: int) -> Array:
             (0, even, int(held > 0), slice(0, half)),
             (1, odd, int(held > 1), slice(half, None)),
         ):
-            lower = _factor(_sums(moments, harmonics, parity))
+            lower = _cholesky_factors(_sums(moments, harmonics, parity))
             upper = np.swapaxes(lower, 1, 2)[:, drop:]
             result[close, rows] = size * (upper @ columns[close])
     for run in np.flatnonzero(wide):
@@ -174,24 +174,26 @@ def root(samples: EvenSamples, weights: Array, held: int) -> Array:
     return result
 
 
-def averaged(weights: Array, spread: Array) -> Array:
+def average_over_blocks(weights: Array, spread: Array) -> Array:
     """Return the combinations averaged over the angles th - spread and th + spread."""
     blocks = spread > 0.0
     if not blocks.any():
         return weights
     result = weights.copy()
-    later, earlier = (shifted(weights[blocks], by * spread[blocks]) for by in (1.0, -1.0))
+    later, earlier = (
+        shift_angle_origin(weights[blocks], shift * spread[blocks]) for shift in (1.0, -1.0)
+    )
     result[blocks] = 0.5 * (later + earlier)
     return result
 
 
-def _center(weights: Array, samples: EvenSamples) -> tuple[Array, Array]:
+def center_weights(weights: Array, samples: EvenSamples) -> tuple[Array, Array]:
     """Return the combinations in terms of x about the middle: even functions, odd functions.
 
     Even: 1, x^2, cos m t and, for all m, x sin m t; odd: x, x^3, sin m t, x cos m t.
     """
-    about = shifted(weights, samples.middle)
-    half = samples.half[:, None, None]
+    about = shift_angle_origin(weights, samples.middle)
+    half = samples.half_width[:, None, None]
     trig = about[:, 4:]
     even = [about[:, :1], half**2 * about[:, 2:3], trig[:, 0::4], half * trig[:, 3::4]]
     odd = [half * about[:, 1:2], half**3 * about[:, 3:4], trig[:, 1::4], half * trig[:, 2::4]]
@@ -258,10 +260,10 @@ def _sums(moments: Array, harmonics: int, parity: int) -> Array:
     return np.asarray(result)
 
 
-def _factor(sums: Array) -> Array:
+def _cholesky_factors(sums: Array) -> Array:
     """Return lower triangular factors, shape (n, c, c)."""
-    places = np.arange(sums.shape[1])
-    sums[:, places, places] *= 1.0 + _RIDGE
+    diagonal = np.arange(sums.shape[1])
+    sums[:, diagonal, diagonal] *= 1.0 + _RIDGE
     return np.asarray(np.linalg.cholesky(sums))
 
 
@@ -270,7 +272,7 @@ def _sum_rows(samples: EvenSamples, run: np.intp, even: Array, odd: Array, harmo
     count = float(samples.count[run])
     rows_needed = int(np.ceil(count - 1e-9))
     t = samples.step[run] * (np.arange(rows_needed) - 0.5 * (count - 1.0))
-    x = t / samples.half[run]
+    x = t / samples.half_width[run]
     m = np.arange(1, harmonics + 1)
     cos, sin = np.cos(t[:, None] * m), np.sin(t[:, None] * m)
     # Start errors first: the rows of the triangle below theirs are free of them.
@@ -327,16 +329,16 @@ class InformationTable:
                 f"{most:.3g}: "
                 "state a shorter longest_run or total_time, or a lower highest_rate"
             )
-        self._counts = _whole_numbers(revolutions)
+        self._counts = _integer_grid(revolutions)
         self._nodes = _log_nodes(*rates)
 
     @cached_property
-    def _smooth(self) -> Any:
+    def _integer_spline(self) -> Any:
         """The spline through whole numbers of revolutions."""
         return self._spline(1)
 
     @cached_property
-    def _by_phase(self) -> Any:
+    def _phase_splines(self) -> Any:
         """A spline for each part of a revolution at the end."""
         return self._spline(_PHASES)
 
@@ -345,7 +347,7 @@ class InformationTable:
         from scipy.interpolate import NdBSpline, make_interp_spline
 
         counts, order, lost = self._counts, self._order, self._lost
-        to_whole = _to_whole_numbers(counts, phases)
+        conversions = _conversion_matrices(counts, phases)
         densest = 1 if phases == 1 and self._added is None else 4
         tables = []
         for rate in np.exp(self._nodes):
@@ -357,11 +359,11 @@ class InformationTable:
             added = 0.0 if self._added is None else weight * self._added(float(rate), angle)
             noise = Noise(white, self._noise.random_walk)
             whiten = make_whitener(angle / rate, order, noise, added_variance=added)
-            rows = whiten.apply(functions(angle, self._harmonics)[:, lost:])
+            rows = whiten.apply(basis_functions(angle, self._harmonics)[:, lost:])
             parts = np.arange(phases) * (points // phases)
             ends = (counts[:, None] * points + parts).ravel() - lost
             factors = prefix_factors(rows, ends, order - lost).reshape(len(counts), phases, -1)
-            tables.append(to_whole @ factors.swapaxes(0, 1))
+            tables.append(conversions @ factors.swapaxes(0, 1))
         # Interpolation is linear in the values: the splines' coefficients are matrix products.
         by_rate = make_interp_spline(self._nodes, np.eye(len(self._nodes)))
         by_count = make_interp_spline(np.log(counts), np.eye(len(counts)))
@@ -371,7 +373,9 @@ class InformationTable:
         coefficients = (by_count.c @ values).swapaxes(1, 2).reshape(shape)
         return NdBSpline((by_rate.t, by_count.t), coefficients, 3)
 
-    def root(self, weights: Array, rate: Array, samples: Array, *, with_ripple: bool) -> Array:
+    def sqrt_information(
+        self, weights: Array, rate: Array, samples: Array, *, with_ripple: bool
+    ) -> Array:
         """Return square-root information of runs, each row with unit variance.
 
         weights: Combinations of the functions, shape (n, b, k).
@@ -380,20 +384,20 @@ class InformationTable:
             takes longer; False: smoothly from whole number to whole number of revolutions.
         Returns: shape (n, b - order, k).
         """
-        turn = rate / self._sampling_rate
-        revolutions = samples * turn / (2.0 * math.pi)
+        phase = rate / self._sampling_rate
+        revolutions = samples * phase / (2.0 * math.pi)
         # The samples stand for an angle that begins half a step before the first.
-        moved = shifted(weights, -0.5 * turn)[:, self._order :]
-        place = np.column_stack([np.log(rate), np.log(revolutions)])
+        shifted = shift_angle_origin(weights, -0.5 * phase)[:, self._order :]
+        index = np.column_stack([np.log(rate), np.log(revolutions)])
         # What samples near an extremum of the output tell, where time stamps do no harm, depends on
         # where they happen to be: more than the ripple does.
         if not with_ripple or self._added is not None:
-            return np.asarray(self._smooth(place)[:, 0] @ moved)
-        kernel = _trigonometric(revolutions)[:, :, None, None]
-        return np.asarray(np.sum(kernel * self._by_phase(place), axis=1) @ moved)
+            return np.asarray(self._integer_spline(index)[:, 0] @ shifted)
+        kernel = _trigonometric_weights(revolutions)[:, :, None, None]
+        return np.asarray(np.sum(kernel * self._phase_splines(index), axis=1) @ shifted)
 
 
-def _to_whole_numbers(counts: npt.NDArray[np.int64], phases: int) -> Array:
+def _conversion_matrices(counts: npt.NDArray[np.int64], phases: int) -> Array:
     """Return matrices that convert factors tabulated at a phase to whole revolutions.
 
     At one phase of the end a factor is a smooth function of the number of revolutions.
@@ -407,7 +411,7 @@ def _to_whole_numbers(counts: npt.NDArray[np.int64], phases: int) -> Array:
     return np.array([part(np.log(counts)) for part in parts])
 
 
-def _trigonometric(revolutions: Array) -> Array:
+def _trigonometric_weights(revolutions: Array) -> Array:
     """Return the weights of equally spaced phases in trigonometric interpolation, (n, phases)."""
     distance = revolutions[:, None] % 1.0 - np.arange(_PHASES) / _PHASES
     half = math.pi * np.where(np.abs(distance) < 1e-12, 1.0, distance)
@@ -415,9 +419,9 @@ def _trigonometric(revolutions: Array) -> Array:
     return np.asarray(np.where(np.abs(distance) < 1e-12, 1.0, weights))
 
 
-def _whole_numbers(between: tuple[float, float]) -> npt.NDArray[np.int64]:
+def _integer_grid(bounds: tuple[float, float]) -> npt.NDArray[np.int64]:
     """Return whole numbers of revolutions that span a range, nearly in a geometric series."""
-    low, high = max(1, math.floor(between[0])), math.ceil(between[1])
+    low, high = max(1, math.floor(bounds[0])), math.ceil(bounds[1])
     high = max(high, low + 4)
     counts = [low]
     while counts[-1] < high:

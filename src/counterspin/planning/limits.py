@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from counterspin.planning.design import Criterion, Design, Limits, both_senses, fitted_into
+from counterspin.planning.design import Criterion, Design, Limits, allow_both_senses, scale_to_time
 from counterspin.planning.optimisation import polish, shortest_plan
 from counterspin.planning.result import LimitResult
 from counterspin.planning.run_information import Predictor
@@ -27,24 +27,24 @@ class _Limit(NamedTuple):
     """A limit that a plan touches, or that takes of its time."""
 
     key: str
-    words: str
-    touched: bool
+    text: str
+    is_active: bool
     changes: dict[str, Any]  #: The fields of `Limits` that change if a limit is relaxed.
 
 
-def limits_of(search: Search, design: Design) -> list[LimitResult]:
+def active_limits(search: Search, design: Design) -> list[LimitResult]:
     """Return the binding limits and the gain from a tenth more of each, the largest gain first."""
     lines = []
-    for limit in _limits(search, design):
-        if limit.touched:
+    for limit in _candidate_limits(search, design):
+        if limit.is_active:
             gain = _gain(search, limit.key, replace(search.limits, **limit.changes), design)
             if gain > GAIN or limit.key == "senses":
                 binds = gain > GAIN
-                lines.append(LimitResult(key=limit.key, words=limit.words, binds=binds, gain=gain))
+                lines.append(LimitResult(key=limit.key, words=limit.text, binds=binds, gain=gain))
     return sorted(lines, key=lambda line: -line.gain)
 
 
-def _limits(search: Search, design: Design) -> Iterator[_Limit]:
+def _candidate_limits(search: Search, design: Design) -> Iterator[_Limit]:
     limits, more, less = search.limits, 1.0 + RELAXATION, 1.0 - RELAXATION
     low, high = limits.rate
     below, above = 1.0 - _TOUCHING_DISTANCE, 1.0 + _TOUCHING_DISTANCE
@@ -94,7 +94,9 @@ def _limits(search: Search, design: Design) -> Iterator[_Limit]:
     )
     yield _Limit("sampling_rate", f"sampling rate {search.plan.sampling_rate:.6g} Hz", True, {})
     one_sense = all(run_type.sense == 1 for run_type in limits.types)
-    yield _Limit("senses", "one sense of the spin", one_sense, {"types": both_senses(limits).types})
+    yield _Limit(
+        "senses", "one sense of the spin", one_sense, {"types": allow_both_senses(limits).types}
+    )
 
 
 def _gain(search: Search, key: str, limits: Limits, design: Design) -> float:
@@ -107,12 +109,12 @@ def _gain(search: Search, key: str, limits: Limits, design: Design) -> float:
     if key == "sampling_rate":
         faster = search.plan.sampling_rate * (1.0 + RELAXATION)
         predictor = Predictor(predictor.information.sampled_at(faster))
-    starts = _starts(search, key, limits, design)
+    starts = _relaxed_starts(search, key, limits, design)
     after = min(before, *(_improve(search, predictor, limits, start) for start in starts))
     return 1.0 - math.exp(after - before)
 
 
-def _starts(search: Search, key: str, limits: Limits, design: Design) -> list[Design]:
+def _relaxed_starts(search: Search, key: str, limits: Limits, design: Design) -> list[Design]:
     """Return starting designs that use a relaxed limit where better lengths alone do not."""
     if key == "senses":
         turned = tuple(
@@ -121,21 +123,21 @@ def _starts(search: Search, key: str, limits: Limits, design: Design) -> list[De
         )
         return [design, replace(design, types=turned)]
     if key == "runs":
-        more = limits.runs - len(design.types)
+        addition_limits = limits.runs - len(design.types)
         # More of each type's shortest run: those are the ones there are many of.
         longest_first = np.argsort(-design.duration, kind="stable")
         run_types = {design.types[index]: index for index in longest_first}
         others = [
             Design(
-                (run_type,) * more,
-                np.repeat(design.rate[index], more),
-                np.repeat(design.revolutions[index], more),
+                (run_type,) * addition_limits,
+                np.repeat(design.rate[index], addition_limits),
+                np.repeat(design.revolutions[index], addition_limits),
             )
             for run_type, index in run_types.items()
         ]
-        return [design, *(design.joined(addition) for addition in others)]
+        return [design, *(design.concatenate(addition) for addition in others)]
     if key == "fewest_rates" and len(design.types) > 1:
-        slower = search.limits.runs_apart(design.rate)[1:]
+        slower = search.limits.distinct_rate_runs(design.rate)[1:]
         return [design, *(design.without(index) for index in slower)]
     if key == "rate" and limits.settings:
         rate = np.where(design.rate == max(limits.settings[:-1]), limits.rate[1], design.rate)
@@ -147,10 +149,10 @@ def _improve(search: Search, predictor: Predictor, limits: Limits, design: Desig
     if search.plan.goal.kind == "target":
         singles = [
             Criterion((place,), (scale,))
-            for place, scale in zip(search.criterion.places, search.criterion.scales, strict=True)
+            for place, scale in zip(search.criterion.indices, search.criterion.scales, strict=True)
         ]
         shorter = shortest_plan(predictor, limits, singles, design)
-        met = all(predictor.value(single, shorter) < 1e-5 for single in singles)
-        return math.log(limits.time(shorter)) if met else math.inf
-    start = fitted_into(design, limits) or design
+        reached = all(predictor.value(single, shorter) < 1e-5 for single in singles)
+        return math.log(limits.time(shorter)) if reached else math.inf
+    start = scale_to_time(design, limits) or design
     return polish(predictor, limits, search.criterion, start)[0]

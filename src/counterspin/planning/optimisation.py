@@ -1,6 +1,6 @@
 """The best campaign within limits: whole runs, free rates and lengths.
 
-From the relaxed optimum (`counterspin.planning.possibilities`) whole numbers of runs are made in
+From the relaxed optimum (`counterspin.planning.candidate_set`) whole numbers of runs are made in
 several ways; each start is improved in all rates and lengths at once (SLSQP, exact derivatives),
 then by exchanging the attitude or sense of a run, leaving one out or adding one. The relaxation
 says how far from any better plan the result can be.
@@ -19,22 +19,22 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError
+from counterspin.planning.candidate_set import Optimum, relax
 from counterspin.planning.design import (
     Criterion,
     Design,
     Limits,
     RunType,
-    brought_within,
-    fitted_into,
+    fit_to_limits,
+    scale_to_time,
 )
-from counterspin.planning.possibilities import Optimum, relax
 from counterspin.planning.run_information import Predictor
 
 #: Smallest relative gain of u (or of time) for which a plan is changed.
-_GAIN: Final = 2e-5
+_MIN_GAIN: Final = 2e-5
 #: Passes of exchanges, and how many candidates are polished in each.
 _PASSES: Final = 3
-_CANDIDATES_POLISHED: Final = 5
+_MAX_POLISHED: Final = 5
 #: Weight, in runs, from which a group of the relaxation may get a whole run.
 _WEIGHT_OF_A_RUN: Final = 0.02
 #: Relative difference in rate and length below which the exchanges take two runs as equal.
@@ -53,10 +53,10 @@ def optimise(
 
     relaxing: A predictor in which considered terms are estimated; None: no term is considered.
     """
-    if not limits.possible:
+    if not limits.is_feasible:
         raise NotIdentifiableError(
             f"no run fits into {limits.total_time:.6g} s: the shortest takes "
-            f"{limits.shortest:.6g} s with spin-up and settling"
+            f"{limits.shortest_time:.6g} s with spin-up and settling"
         )
     choices = [
         (*relax(relaxing or predictor, allowed, criterion), allowed) for allowed in _subsets(limits)
@@ -64,19 +64,19 @@ def optimise(
     choices.sort(key=lambda choice: choice[1].bound)
     best: tuple[float, Design] | None = None
     for support, relaxed, allowed in choices:
-        if best is not None and relaxed.bound > best[0] - _GAIN:
+        if best is not None and relaxed.bound > best[0] - _MIN_GAIN:
             break  # nor can those that follow be better
         starts = list(_integer_starts(support, relaxed, allowed))
-        if start is not None and (near := brought_within(start, allowed)) is not None:
-            starts = [near, *starts[:1]]
+        if start is not None and (adjusted := fit_to_limits(start, allowed)) is not None:
+            starts = [adjusted, *starts[:1]]
         if not starts:
             continue
-        polished = _best_of(predictor, allowed, criterion, starts)
+        polished = _polish_best(predictor, allowed, criterion, starts)
         exchanged = _exchange(predictor, allowed, criterion, polished)
-        if best is None or exchanged[0] < best[0] - _GAIN:
+        if best is None or exchanged[0] < best[0] - _MIN_GAIN:
             best = exchanged
     assert best is not None  # the choices hold one attitude alone, into which a run fits
-    value, design = _in_order(predictor, criterion, *best)
+    value, design = _order_runs(predictor, criterion, *best)
     return Optimum(design, value, min(choices[0][1].bound, value))
 
 
@@ -91,7 +91,7 @@ def _subsets(limits: Limits) -> Iterator[Limits]:
         return
     for count in range(1, len(attitudes) + 1):
         available = limits.total_time - (count - 1) * limits.attitude_change
-        if available < limits.shortest or count > limits.runs:
+        if available < limits.shortest_time or count > limits.runs:
             return
         for chosen in combinations(attitudes, count):
             yield replace(
@@ -105,54 +105,56 @@ def _subsets(limits: Limits) -> Iterator[Limits]:
 def _integer_starts(design: Design, relaxed: Optimum[Array], limits: Limits) -> Iterator[Design]:
     """Yield starts: whole runs in place of the relaxation's weights.
 
-    found: The runs that the relaxation uses.
+    design: The runs that the relaxation uses.
     """
     groups: dict[tuple[RunType, float], list[int]] = {}
     for index, (run_type, w) in enumerate(zip(design.types, design.rate, strict=True)):
-        near = float(w) if limits.settings else float(round(8.0 * math.log(w)))
-        groups.setdefault((run_type, near), []).append(index)
-    weight = np.array([relaxed.choice[index].sum() for index in groups.values()])
+        rate_group = float(w) if limits.settings else float(round(8.0 * math.log(w)))
+        groups.setdefault((run_type, rate_group), []).append(index)
+    weight = np.array([relaxed.design[index].sum() for index in groups.values()])
     run_types = [run_type for run_type, _ in groups]
-    rate = np.array([design.rate[i[np.argmax(relaxed.choice[i])]] for i in groups.values()])
+    rate = np.array([design.rate[i[np.argmax(relaxed.design[i])]] for i in groups.values()])
     turns = np.array(
-        [np.average(design.revolutions[i], weights=relaxed.choice[i]) for i in groups.values()]
+        [np.average(design.revolutions[i], weights=relaxed.design[i]) for i in groups.values()]
     )
     total = float(weight.sum())
     totals = {min(limits.runs, max(1, n)) for n in (math.floor(total), math.ceil(total))}
-    totals |= {limits.runs} if relaxed.price > 0.0 else set()
-    shares = [_share(weight, count) for count in sorted(totals, reverse=True)]
+    totals |= {limits.runs} if relaxed.shadow_price > 0.0 else set()
+    shares = [_largest_remainder(weight, count) for count in sorted(totals, reverse=True)]
     # A group with a fraction of a run may separate terms: then it needs a complete run.
-    shares += [_at_least_one(weight, share) for share in shares]
+    shares += [_keep_each_group(weight, share) for share in shares]
     for runs in shares:
         count = int(runs.sum())
         chosen = np.repeat(np.arange(weight.size), runs)
         types = tuple(run_types[i] for i in chosen)
         # As much time in each group as the relaxation spends there.
-        even = fitted_into(
+        scaled = scale_to_time(
             Design(types, rate[chosen], (turns * weight / np.maximum(runs, 1))[chosen]), limits
         )
-        if even is None:
+        if scaled is None:
             continue
-        yield even
-        types, count = even.types, len(even.types)
+        yield scaled
+        types, count = scaled.types, len(scaled.types)
         if count < 2:
             continue
         # Some optima have one long run that determines drifts, and many short ones.
         for index in np.unique(chosen, return_index=True)[1]:
-            longer = even.revolutions.copy()
+            longer = scaled.revolutions.copy()
             longer[index] *= 3.0
-            fitted = fitted_into(Design(types, even.rate, longer), limits)
+            fitted = scale_to_time(Design(types, scaled.rate, longer), limits)
             if fitted is not None:
                 yield fitted
         # Rates apart, in case the relaxation has put all runs into one point of a flat optimum.
-        spread = np.geomspace(max(limits.rate[0], 0.5 * limits.rate[1]), limits.rate[1], count)
+        spread_rates = np.geomspace(
+            max(limits.rate[0], 0.5 * limits.rate[1]), limits.rate[1], count
+        )
         if not limits.settings:
-            fitted = fitted_into(Design(types, spread, even.revolutions), limits)
+            fitted = scale_to_time(Design(types, spread_rates, scaled.revolutions), limits)
             if fitted is not None:
                 yield fitted
 
 
-def _share(weight: Array, count: int) -> npt.NDArray[np.int64]:
+def _largest_remainder(weight: Array, count: int) -> npt.NDArray[np.int64]:
     """Return whole numbers of a given sum nearest to proportional (largest remainders)."""
     exact = weight * (count / weight.sum())
     counts: npt.NDArray[np.int64] = np.floor(exact).astype(np.int64)
@@ -161,7 +163,7 @@ def _share(weight: Array, count: int) -> npt.NDArray[np.int64]:
     return counts
 
 
-def _at_least_one(weight: Array, runs: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _keep_each_group(weight: Array, runs: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """Return the runs with one for each group of some weight, taken from the largest groups."""
     changed = runs.copy()
     for index in np.flatnonzero((weight > _WEIGHT_OF_A_RUN) & (runs == 0)):
@@ -172,14 +174,12 @@ def _at_least_one(weight: Array, runs: npt.NDArray[np.int64]) -> npt.NDArray[np.
     return changed
 
 
-def _best_of(
+def _polish_best(
     predictor: Predictor, limits: Limits, criterion: Criterion, starts: Sequence[Design]
 ) -> tuple[float, Design]:
     """Polish the most promising starts."""
     ranked = sorted(starts, key=lambda design: predictor.value(criterion, design))
-    polished = [
-        polish(predictor, limits, criterion, design) for design in ranked[:_CANDIDATES_POLISHED]
-    ]
+    polished = [polish(predictor, limits, criterion, design) for design in ranked[:_MAX_POLISHED]]
     return min(polished, key=lambda pair: pair[0])
 
 
@@ -189,16 +189,16 @@ def _exchange(
     """Exchange, leave out or add runs for as long as it gains."""
     for _ in range(_PASSES):
         value, design = best
-        fitted = (fitted_into(candidate, limits) for candidate in _neighbours(design, limits))
+        fitted = (scale_to_time(candidate, limits) for candidate in _neighbours(design, limits))
         candidates = sorted(
             (candidate for candidate in fitted if candidate is not None),
             key=lambda candidate: predictor.value(criterion, candidate),
         )
         polished = (
             polish(predictor, limits, criterion, candidate)
-            for candidate in candidates[:_CANDIDATES_POLISHED]
+            for candidate in candidates[:_MAX_POLISHED]
         )
-        better = next((pair for pair in polished if pair[0] < value - _GAIN), None)
+        better = next((pair for pair in polished if pair[0] < value - _MIN_GAIN), None)
         if better is None:
             return best
         best = better
@@ -237,10 +237,10 @@ def _neighbours(design: Design, limits: Limits) -> Iterator[Design]:
             rates = np.array(limits.settings or limits.rate)
             for rate in rates:
                 turns = max(limits.revolutions, float(np.median(design.duration)) * rate / 6.3)
-                yield design.joined(Design((run_type,), np.array([rate]), np.array([turns])))
+                yield design.concatenate(Design((run_type,), np.array([rate]), np.array([turns])))
 
 
-def _in_order(
+def _order_runs(
     predictor: Predictor, criterion: Criterion, value: float, design: Design
 ) -> tuple[float, Design]:
     """Return the design with its runs in order of rate, or in a more informative order.
@@ -251,10 +251,10 @@ def _in_order(
     if not predictor.information.dated:
         return value, ordered
     n = len(design.types)
-    mirrored = ordered.taken([*range(0, n, 2), *reversed(range(1, n, 2))])
-    tried = (ordered, mirrored, design)
+    mirrored = ordered.select([*range(0, n, 2), *reversed(range(1, n, 2))])
+    candidates = (ordered, mirrored, design)
     return min(
-        ((predictor.value(criterion, candidate), candidate) for candidate in tried),
+        ((predictor.value(criterion, candidate), candidate) for candidate in candidates),
         key=lambda pair: pair[0],
     )
 
@@ -270,7 +270,7 @@ def _sort_runs(design: Design) -> Design:
             design.duration[i],
         ),
     )
-    return design.taken(order)
+    return design.select(order)
 
 
 def least_time(
@@ -286,17 +286,17 @@ def least_time(
         are logarithms of the time in s.
     """
     targets = replace(criterion, combination="sum")
-    singles = [Criterion((i,), (s,)) for i, s in zip(targets.places, targets.scales, strict=True)]
+    singles = [Criterion((i,), (s,)) for i, s in zip(targets.indices, targets.scales, strict=True)]
 
     def misses(design: Design) -> float:
         covariance = predictor.covariance(design.types, design.rate, design.revolutions)
         return max(float(single.value(covariance)) for single in singles)
 
-    design = optimise(predictor, limits, targets, relaxing=relaxing).choice
+    design = optimise(predictor, limits, targets, relaxing=relaxing).design
     if misses(design) > 0.0 and len(singles) > 1:
         # The mean hides the worst: give it more weight until all are below their targets.
         for _ in range(8):
-            ratio = predictor.u(design)[list(targets.places)] / np.array(criterion.scales)
+            ratio = predictor.u(design)[list(targets.indices)] / np.array(criterion.scales)
             scales = np.array(targets.scales) / np.sqrt(ratio)
             targets = replace(targets, scales=tuple(float(s) for s in scales))
             _, design = polish(predictor, limits, targets, design)
@@ -304,27 +304,29 @@ def least_time(
                 break
     if misses(design) > 1e-9:
         return None
-    bound = _relaxed_time(relaxing or predictor, limits, replace(criterion, combination="sum"))
+    bound = _lower_bound_of_time(
+        relaxing or predictor, limits, replace(criterion, combination="sum")
+    )
     best = shortest_plan(predictor, limits, singles, design)
     time = bound
     for _ in range(4):
-        tried = optimise(
+        scaled = optimise(
             predictor,
-            replace(limits, total_time=max(time, limits.shortest)),
+            replace(limits, total_time=max(time, limits.shortest_time)),
             targets,
             relaxing=relaxing,
         )
-        shorter = shortest_plan(predictor, limits, singles, tried.choice)
-        if misses(shorter) <= 1e-6 and limits.time(shorter) < limits.time(best) * (1.0 - _GAIN):
+        shorter = shortest_plan(predictor, limits, singles, scaled.design)
+        if misses(shorter) <= 1e-6 and limits.time(shorter) < limits.time(best) * (1.0 - _MIN_GAIN):
             best = shorter
         time = 0.5 * (time + limits.time(best))
-    _, best = _in_order(predictor, targets, predictor.value(targets, best), best)
+    _, best = _order_runs(predictor, targets, predictor.value(targets, best), best)
     return Optimum(best, math.log(limits.time(best)), math.log(bound))
 
 
-def _relaxed_time(predictor: Predictor, limits: Limits, criterion: Criterion) -> float:
+def _lower_bound_of_time(predictor: Predictor, limits: Limits, criterion: Criterion) -> float:
     """Return a time below which no plan reaches a criterion of 0, by bisection."""
-    low, high = math.log(limits.shortest), math.log(limits.total_time)
+    low, high = math.log(limits.shortest_time), math.log(limits.total_time)
     for _ in range(10):
         middle = 0.5 * (low + high)
         _, relaxed = relax(predictor, replace(limits, total_time=math.exp(middle)), criterion)
@@ -342,7 +344,7 @@ def polish(
         value, by_rate, by_turns = predictor.sensitivities(variables.design(x), criterion)
         return value, variables.gradient(by_rate, by_turns)
 
-    x = variables.solve(objective, [variables.time_left])
+    x = variables.solve(objective, [variables.time_margin])
     improved = _shorten_to_fit(variables.design(x), limits)
     candidates = [improved]
     if limits.time(design) <= limits.total_time * (1.0 + 1e-9):
@@ -359,7 +361,7 @@ class _Variables:
         self.start = design
         self.n = len(design.types)
         self.free = not limits.settings and limits.rate[1] > limits.rate[0] * (1.0 + 1e-9)
-        self.apart = limits.runs_apart(design.rate) if limits.fewest_rates > 1 else []
+        self.apart = limits.distinct_rate_runs(design.rate) if limits.fewest_rates > 1 else []
 
     def design(self, x: Array) -> Design:
         rate = np.exp(x[: self.n]) if self.free else self.start.rate
@@ -376,7 +378,7 @@ class _Variables:
         gradient = self.gradient(of_rate, design.duration / time)
         return math.log(time / self.limits.total_time), gradient
 
-    def time_left(self, x: Array) -> tuple[Array, Array]:
+    def time_margin(self, x: Array) -> tuple[Array, Array]:
         value, gradient = self.time(x)
         return np.array([-value]), -gradient[None]
 
@@ -395,8 +397,8 @@ class _Variables:
         bounds = [rate] * self.n * self.free + [turns] * self.n
         x = np.concatenate([np.log(start.rate)] * self.free + [np.log(start.revolutions)])
         low, high = np.array(bounds).T
-        all_constraints = [*constraints, self.length_left]
-        all_constraints += [self.rates_apart] if self.free and len(self.apart) > 1 else []
+        all_constraints = [*constraints, self.length_margins]
+        all_constraints += [self.rate_ratio_margins] if self.free and len(self.apart) > 1 else []
 
         def values(x: Array) -> Array:
             return np.concatenate([constraint(x)[0] for constraint in all_constraints])
@@ -415,7 +417,7 @@ class _Variables:
         )
         return np.asarray(np.clip(minimum.x, low, high))
 
-    def length_left(self, x: Array) -> tuple[Array, Array]:
+    def length_margins(self, x: Array) -> tuple[Array, Array]:
         """Return the margin of each record to the longest allowed, as logarithms."""
         duration = self.design(x).duration
         eye = np.eye(self.n)
@@ -424,19 +426,19 @@ class _Variables:
             np.hstack([eye, -eye]) if self.free else -eye,
         )
 
-    def rates_apart(self, x: Array) -> tuple[Array, Array]:
+    def rate_ratio_margins(self, x: Array) -> tuple[Array, Array]:
         """Return the excess of rate ratios over the required ratio, as logarithms."""
         slopes = np.zeros((len(self.apart) - 1, x.size))
         for row, (faster, slower) in enumerate(pairwise(self.apart)):
             slopes[row, [faster, slower]] = 1.0, -1.0
-        return slopes @ x - math.log(self.limits.apart), slopes
+        return slopes @ x - math.log(self.limits.min_rate_ratio), slopes
 
 
 def _shorten_to_fit(design: Design, limits: Limits) -> Design:
     """Return the design, shortened where rounding has put it over the available time."""
     if limits.time(design) <= limits.total_time:
         return design
-    return fitted_into(design, limits) or design
+    return scale_to_time(design, limits) or design
 
 
 def shortest_plan(

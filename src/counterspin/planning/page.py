@@ -34,21 +34,21 @@ _CHANGES: Final = {"senses": "both senses instead", "fewest_rates": "one fewer"}
 
 def plan_blocks(result: PlanResult) -> list[Block]:
     """Return a plan or a forecast as blocks, the answer first."""
-    blocks: list[Block] = [Heading(result.title, 1), *_answer(result)]
+    blocks: list[Block] = [Heading(result.title, 1), *_summary_blocks(result)]
     blocks += [Paragraph(f"Warning: {text}", "warning") for text in result.warnings]
-    blocks += _runs(result) if result.runs else []
-    blocks += _readings(result) if result.readings else []
+    blocks += _run_blocks(result) if result.runs else []
+    blocks += _reading_blocks(result) if result.readings else []
     for name, accelerometer in result.accelerometers.items():
-        blocks += _accelerometer(result, name, accelerometer)
-    blocks += _limits(result)
-    blocks += _others(result)
-    blocks += _requirements(result)
+        blocks += _accelerometer_blocks(result, name, accelerometer)
+    blocks += _limit_blocks(result)
+    blocks += _comparison_blocks(result)
+    blocks += _requirement_blocks(result)
     return blocks
 
 
-def _answer(result: PlanResult) -> Iterator[Block]:
+def _summary_blocks(result: PlanResult) -> Iterator[Block]:
     goal = result.goal
-    sought = goal.sizes if goal else {_first(result): 1.0}
+    sought = goal.sizes if goal else {_main_coefficient(result): 1.0}
     parts, dominated = [], []
     for name in sought:
         owner, _, symbol = name.partition(".")
@@ -57,7 +57,7 @@ def _answer(result: PlanResult) -> Iterator[Block]:
             if owner in result.accelerometers
             else result.platform[name]
         )
-        parts.append(f"u({_spoken(name)}) = {_u(predicted)}")
+        parts.append(f"u({_spoken_name(name)}) = {_format_u(predicted)}")
         if owner in result.accelerometers:
             dominated.append(dominance(result.accelerometers[owner], symbol))
     amounts = [
@@ -65,7 +65,7 @@ def _answer(result: PlanResult) -> Iterator[Block]:
         for count, word in ((len(result.runs), "run"), (len(result.readings), "reading"))
         if count
     ]
-    amounts += [_time(result.total_time)] if result.total_time > 0.0 else []
+    amounts += [_format_time(result.total_time)] if result.total_time > 0.0 else []
     yield Paragraph(f"{'; '.join(parts)}: {', '.join(amounts)}.", "answer")
     for sentence in (*dominated, assumption(result)):
         if sentence:
@@ -103,7 +103,7 @@ def _optimality(goal: GoalResult, timed: bool) -> str:
     return f"No plan within these limits needs {by} fewer readings."
 
 
-def _runs(result: PlanResult) -> Iterator[Block]:
+def _run_blocks(result: PlanResult) -> Iterator[Block]:
     planned = all(run.start is not None for run in result.runs)
     several = len({run.attitude for run in result.runs}) > 1
     yield Heading("Runs, in order" if planned else "Runs")
@@ -133,7 +133,7 @@ def _runs(result: PlanResult) -> Iterator[Block]:
         yield Paragraph(f"Attitude: {result.runs[0].attitude}.")
 
 
-def _readings(result: PlanResult) -> Iterator[Block]:
+def _reading_blocks(result: PlanResult) -> Iterator[Block]:
     """Show the readings: one of several at a place with the number of them."""
     yield Heading("Readings")
     places: dict[tuple[str, ...], int] = {}
@@ -171,14 +171,16 @@ def _readings(result: PlanResult) -> Iterator[Block]:
         yield Paragraph(f"The planned campaign has them {words[result.order]}.")
 
 
-def _accelerometer(
+def _accelerometer_blocks(
     result: PlanResult, name: str, accelerometer: PlannedAccelerometer
 ) -> Iterator[Block]:
     yield Heading(f"Expected uncertainties for {name}")
     rows, quiet = [], set()
-    shown = dict(accelerometer.coefficients) | result.platform
-    for index, (symbol, predicted) in enumerate(shown.items()):
-        rows.append((symbol, _u(predicted), _known(predicted), _from(predicted)))
+    displayed = dict(accelerometer.coefficients) | result.platform
+    for index, (symbol, predicted) in enumerate(displayed.items()):
+        rows.append(
+            (symbol, _format_u(predicted), _format_prior(predicted), _dominant_source(predicted))
+        )
         if not predicted.estimated:
             quiet.add(index)
     yield Table(
@@ -194,16 +196,16 @@ def _accelerometer(
     for item in accelerometer.confounded:
         yield Paragraph(
             f"{not_apart(item)} in this plan; determined: {item.determined}. "
-            f"{_advice(result, item.terms)}"
+            f"{_separation_advice(result, item.terms)}"
         )
-    sought = result.goal.sizes if result.goal else {_first(result): 1.0}
+    targets = result.goal.sizes if result.goal else {_main_coefficient(result): 1.0}
     for symbol, lines in accelerometer.budget.items():
-        if f"{name}.{symbol}" in sought:
-            yield from _budget(result, name, symbol, lines)
-    yield from _faults(result, name, accelerometer)
+        if f"{name}.{symbol}" in targets:
+            yield from _budget_blocks(result, name, symbol, lines)
+    yield from _fault_blocks(result, name, accelerometer)
 
 
-def _advice(result: PlanResult, terms: Sequence[str]) -> str:
+def _separation_advice(result: PlanResult, terms: Sequence[str]) -> str:
     """Return advice to separate terms: the other sense, other rates, another attitude."""
     rates = [run.rate for run in result.runs]
     if not rates:
@@ -228,7 +230,9 @@ def _advice(result: PlanResult, terms: Sequence[str]) -> str:
     return "A stated value of one of them would separate them."
 
 
-def _budget(result: PlanResult, name: str, symbol: str, lines: list[BudgetLine]) -> Iterator[Block]:
+def _budget_blocks(
+    result: PlanResult, name: str, symbol: str, lines: list[BudgetLine]
+) -> Iterator[Block]:
     unit, factor = field_unit(result.accelerometers[name].coefficients[symbol].unit)
     yield Heading(f"Expected uncertainty budget of {symbol} of {name}")
     gathered: dict[str, list[BudgetLine]] = {}
@@ -259,14 +263,16 @@ def _budget(result: PlanResult, name: str, symbol: str, lines: list[BudgetLine])
     )
 
 
-def _faults(result: PlanResult, name: str, accelerometer: PlannedAccelerometer) -> Iterator[Block]:
+def _fault_blocks(
+    result: PlanResult, name: str, accelerometer: PlannedAccelerometer
+) -> Iterator[Block]:
     """List faults that would shift K_II undetected, and state the share of K_II from a harmonic."""
     if accelerometer.faults is None:
         return
     yield Heading(f"Effects on {name} that the plan cannot detect")
-    unseen = [effect for effect in accelerometer.faults if not effect.noticed]
-    seen = [effect for effect in accelerometer.faults if effect.noticed]
-    if unseen:
+    undetected = [effect for effect in accelerometer.faults if not effect.noticed]
+    detected = [effect for effect in accelerometer.faults if effect.noticed]
+    if undetected:
         yield Paragraph(
             "Each of these is assumed perfect. Alone and of typical size, it would shift K_II "
             "by more than the standard uncertainty, and the residuals would still look like noise."
@@ -285,7 +291,7 @@ def _faults(result: PlanResult, name: str, accelerometer: PlannedAccelerometer) 
                     f"{effect.ratio:.3g} u" if effect.ratio < 1e3 else f"{effect.ratio:.0f} u",
                     "determined" if effect.deviation > _DETECTION_DEVIATIONS else "not determined",
                 )
-                for effect in unseen
+                for effect in undetected
             ),
         )
         yield Paragraph(
@@ -299,8 +305,8 @@ def _faults(result: PlanResult, name: str, accelerometer: PlannedAccelerometer) 
             else "Nothing is assumed perfect: each term without a prior contributes its "
             "default standard uncertainty."
         )
-    if seen:
-        named = ", ".join(effect.symbol for effect in seen)
+    if detected:
+        named = ", ".join(effect.symbol for effect in detected)
         yield Paragraph(f"The residuals would show {named}.")
     share = accelerometer.harmonic_share
     if share is None:
@@ -312,7 +318,7 @@ def _faults(result: PlanResult, name: str, accelerometer: PlannedAccelerometer) 
     )
 
 
-def _limits(result: PlanResult) -> Iterator[Block]:
+def _limit_blocks(result: PlanResult) -> Iterator[Block]:
     if result.goal is None:
         return
     yield Heading("Active limits")
@@ -338,18 +344,18 @@ def _limits(result: PlanResult) -> Iterator[Block]:
     )
 
 
-def _others(result: PlanResult) -> Iterator[Block]:
+def _comparison_blocks(result: PlanResult) -> Iterator[Block]:
     if not result.others:
         return
     yield Heading("Other plans")
     rows = []
     for plan in result.others:
         for name, u in plan.u.items():
-            unit, factor = field_unit(_unit(name))
+            unit, factor = field_unit(_unit_of_name(name))
             rows.append(
                 (
                     plan.words,
-                    f"u({_spoken(name)}) = {format_number(u * factor, 3)} {unit}",
+                    f"u({_spoken_name(name)}) = {format_number(u * factor, 3)} {unit}",
                     format_number(plan.ratio[name], 3),
                 )
             )
@@ -366,11 +372,11 @@ def _others(result: PlanResult) -> Iterator[Block]:
     yield Paragraph(words, "quiet")
 
 
-def _requirements(result: PlanResult) -> Iterator[Block]:
+def _requirement_blocks(result: PlanResult) -> Iterator[Block]:
     if not result.requirements:
         return
     yield Heading("Requirements for the centrifuge")
-    rows = tuple((line.words, _size(line)) for line in result.requirements)
+    rows = tuple((line.words, _format_size(line)) for line in result.requirements)
     yield Table((Column("Property", wraps=True), Column("Within", "right")), rows)
     yield Paragraph(
         f"Each of these alone would increase the uncertainty by 5 %, {result.requirements_for}.",
@@ -378,7 +384,7 @@ def _requirements(result: PlanResult) -> Iterator[Block]:
     )
 
 
-def _size(line: Requirement) -> str:
+def _format_size(line: Requirement) -> str:
     if line.size is None:
         return "no limit"
     unit, factor = line.unit, 1.0
@@ -390,23 +396,23 @@ def _size(line: Requirement) -> str:
 # Words
 
 
-def _first(result: PlanResult) -> str:
+def _main_coefficient(result: PlanResult) -> str:
     """Return the main coefficient of a forecast without a goal: K_II, or else the first."""
     name, accelerometer = next(iter(result.accelerometers.items()))
     symbols = list(accelerometer.coefficients)
     return f"{name}.{'K_II' if 'K_II' in symbols else symbols[0]}"
 
 
-def _unit(name: str) -> str:
-    return unit_of(_symbol(name))
+def _unit_of_name(name: str) -> str:
+    return unit_of(_symbol_of_name(name))
 
 
-def _symbol(name: str) -> str:
+def _symbol_of_name(name: str) -> str:
     return symbol_of(name)
 
 
-def _spoken(name: str) -> str:
-    symbol = _symbol(name)
+def _spoken_name(name: str) -> str:
+    symbol = _symbol_of_name(name)
     return name if symbol == name else f"{symbol} of {name.removesuffix(f'.{symbol}')}"
 
 
@@ -415,21 +421,21 @@ def _in_field_unit(size: float, unit: str) -> str:
     return f"{format_number(size * factor, 2)} {shown}"
 
 
-def _u(predicted: PredictedCoefficient) -> str:
+def _format_u(predicted: PredictedCoefficient) -> str:
     if predicted.u is None:
         return NOT_DETERMINED
     unit, factor = field_unit(predicted.unit)
     return f"{format_number(predicted.u * factor, 3)} {unit}"
 
 
-def _known(predicted: PredictedCoefficient) -> str:
+def _format_prior(predicted: PredictedCoefficient) -> str:
     if predicted.prior is None:
         return "-"
     unit, factor = field_unit(predicted.unit)
     return f"{format_number(predicted.prior * factor, 3)} {unit}"
 
 
-def _from(predicted: PredictedCoefficient) -> str:
+def _dominant_source(predicted: PredictedCoefficient) -> str:
     parts = {
         "noise": predicted.u_noise,
         "stated": predicted.u_stated,
@@ -446,7 +452,7 @@ def _from(predicted: PredictedCoefficient) -> str:
     )
 
 
-def _time(seconds: float) -> str:
+def _format_time(seconds: float) -> str:
     if seconds < 3600.0:
         return f"{format_number(seconds, 4)} s"
     return f"{format_number(seconds / 3600.0, 3)} h"

@@ -16,12 +16,12 @@ from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.output import make_folder, write_text
 from counterspin.planning.design import Design, Limits
-from counterspin.planning.faults import Requirement, requirements_of
+from counterspin.planning.faults import Requirement, fault_requirements
 from counterspin.planning.forecast import Forecast, forecast
-from counterspin.planning.limits import limits_of
+from counterspin.planning.limits import active_limits
 from counterspin.planning.plan_file import change_plan, load_plan, read_plan
 from counterspin.planning.reading_plan import ReadingSearch
-from counterspin.planning.recorded import from_records, lacks, with_pose_noise
+from counterspin.planning.recorded import add_pose_noise, apply_records, needs_records
 from counterspin.planning.result import OtherPlan, PlanResult, other_plan, result_of
 from counterspin.planning.search import Search, require_determined, unreachable
 from counterspin.planning.stations import read_reading_plan
@@ -137,30 +137,30 @@ def plan(
     """
     file = file if isinstance(where, Mapping) else Path(where)
     if "stations" in load_plan(where):
-        return _planned_readings(where, file)
+        return _plan_readings(where, file)
     described = read_plan(where, file)
     search = Search(described)
     require_determined(search)
     optimum = search.best()
     if optimum is None:
         raise unreachable(search)
-    design, prediction = _written(search, search.in_order(optimum.choice))
+    design, prediction = _round_to_targets(search, search.in_order(optimum.design))
     campaign = prediction.campaign
     total = search.limits.time(design)
     first = next(iter(described.goal.sizes))
-    words, requirements = _requirements(prediction, first, described.sampling_rate)
+    words, requirements = _accelerometer_requirements(prediction, first, described.sampling_rate)
     result = result_of(
         prediction,
         described.sampling_rate,
         total,
-        _attitudes(campaign, design),
-        _starts(campaign, design, search.limits),
+        _run_attitudes(campaign, design),
+        _start_times(campaign, design, search.limits),
     )
     result = result.model_copy(
         update={
             "goal": described.goal.met(optimum.efficiency if search.bounded else None),
-            "others": _others(search, design, prediction, total),
-            "limits": limits_of(search, optimum.choice),
+            "others": _alternative_plans(search, design, prediction, total),
+            "limits": active_limits(search, optimum.design),
             "requirements": requirements,
             "requirements_for": words,
         }
@@ -169,7 +169,7 @@ def plan(
     return PlannedCampaign(result, document, load_plan(where), file)
 
 
-def _planned_readings(where: Mapping[str, Any] | Path | str, file: Path | None) -> PlannedCampaign:
+def _plan_readings(where: Mapping[str, Any] | Path | str, file: Path | None) -> PlannedCampaign:
     """Return a plan of readings, with their values left blank in its campaign."""
     described = read_reading_plan(where, file)
     result, readings = ReadingSearch(described).best()
@@ -177,7 +177,7 @@ def _planned_readings(where: Mapping[str, Any] | Path | str, file: Path | None) 
     return PlannedCampaign(result, document, load_plan(where), file)
 
 
-def _written(search: Search, design: Design) -> tuple[Design, Forecast]:
+def _round_to_targets(search: Search, design: Design) -> tuple[Design, Forecast]:
     """Return a plan as it is written, and its forecast, which meets the targets."""
     goal = search.plan.goal
     if goal.kind == "minimise":
@@ -225,18 +225,18 @@ def check(
     CampaignError
         If the description is wrong, or lacks data that a forecast needs.
     """
-    campaign = with_pose_noise(read_campaign(where))
-    lacking = [run for run in campaign.runs if run.duration is None]
+    campaign = add_pose_noise(read_campaign(where))
+    unsized_runs = [run for run in campaign.runs if run.duration is None]
     if revolutions is not None:
-        lengths = {run.name: 2.0 * math.pi * revolutions / abs(run.rate) for run in lacking}
+        lengths = {run.name: 2.0 * math.pi * revolutions / abs(run.rate) for run in unsized_runs}
         runs = tuple(
             r.model_copy(update={"duration": lengths.get(r.name, r.duration)})
             for r in campaign.runs
         )
         campaign = replace(campaign, runs=runs)
     rates: float | Mapping[str, float] | None = sampling_rate
-    if revolutions is None and lacks(campaign, sampling_rate):
-        campaign, recorded = from_records(campaign)
+    if revolutions is None and needs_records(campaign, sampling_rate):
+        campaign, recorded = apply_records(campaign)
         if sampling_rate is None:
             # That of the slowest recorder is the one that a requirement may rest on.
             rates, sampling_rate = recorded, min(recorded.values())
@@ -251,11 +251,11 @@ def check(
     words: str = ""
     requirements: list[Requirement] = []
     if sampling_rate is not None and not campaign.readings:
-        words, requirements = _requirements(prediction, name, sampling_rate)
+        words, requirements = _accelerometer_requirements(prediction, name, sampling_rate)
     warnings = [
         f"{run.name}: {revolutions:g} revolutions are assumed; the campaign does not state the "
         "length of its record."
-        for run in (lacking if revolutions is not None else ())
+        for run in (unsized_runs if revolutions is not None else ())
     ]
     return result.model_copy(
         update={
@@ -266,7 +266,7 @@ def check(
     )
 
 
-def refuse_other_campaign(folder: Path) -> Path:
+def require_no_campaign(folder: Path) -> Path:
     """Return the description's path in a folder; raise CounterspinError if it exists already."""
     target = folder / DESCRIPTION_NAME
     if target.exists():
@@ -276,7 +276,7 @@ def refuse_other_campaign(folder: Path) -> Path:
 
 def write_campaign(planned: PlannedCampaign, folder: Path) -> Path:
     """Write the campaign's description into a folder."""
-    target = refuse_other_campaign(folder)
+    target = require_no_campaign(folder)
     make_folder(folder)
     write_text(target, planned.document)
     return target
@@ -295,46 +295,48 @@ def write_example(file: Path, example: Example = "records") -> Path:
     return file
 
 
-def _attitudes(campaign: Campaign, design: Design) -> dict[str, str]:
+def _run_attitudes(campaign: Campaign, design: Design) -> dict[str, str]:
     return {
         run.name: run_type.attitude
         for run, run_type in zip(campaign.runs, design.types, strict=True)
     }
 
 
-def _starts(campaign: Campaign, design: Design, limits: Limits) -> dict[str, float]:
+def _start_times(campaign: Campaign, design: Design, limits: Limits) -> dict[str, float]:
     """Return the start time of each record, after spin-up, spin-down and settling."""
-    now, starts = 0.0, {}
+    time, starts = 0.0, {}
     before = None
     overhead = limits.overhead(design.rate)
     for index, run in enumerate(campaign.runs):
         attitude = design.types[index].attitude
         if before is not None and attitude != before:
-            now += limits.attitude_change
+            time += limits.attitude_change
         before = attitude
-        now += float(overhead[index])
-        starts[run.name] = now
-        now += float(design.duration[index])
+        time += float(overhead[index])
+        starts[run.name] = time
+        time += float(design.duration[index])
     return starts
 
 
-def _requirements(
+def _accelerometer_requirements(
     prediction: Forecast, name: str, sampling_rate: float
 ) -> tuple[str, list[Requirement]]:
     if prediction.campaign.angle is None:
         return "", []  # the rotation is an unknown then
-    return requirements_of(prediction, name, sampling_rate)
+    return fault_requirements(prediction, name, sampling_rate)
 
 
-def _others(search: Search, design: Design, prediction: Forecast, total: float) -> list[OtherPlan]:
+def _alternative_plans(
+    search: Search, design: Design, prediction: Forecast, total: float
+) -> list[OtherPlan]:
     """Return plans for three rates as in the paper, equally spaced rates, and half of the time.
 
     Half of the time applies to plans that minimise u; a plan of least time has none to spare.
     """
     half = replace(search.limits, total_time=0.5 * total)
     shorter = None
-    if search.plan.goal.kind == "minimise" and half.possible:
-        start = search.smallest(half).choice
+    if search.plan.goal.kind == "minimise" and half.is_feasible:
+        start = search.smallest(half).design
         shorter = search.rounded(search.in_order(start), half)
     others = []
     for words, alternative in (

@@ -1,6 +1,6 @@
 """Conversion of ``PLAN.toml`` to a `Plan`: check every key and report all errors together.
 
-Most of a plan is a campaign without runs, and is checked as one: a stand-in campaign with one run
+Most of a plan is a campaign without runs, and is checked as one: a template campaign with one run
 in each attitude.
 """
 
@@ -37,14 +37,14 @@ from counterspin.planning.plan_sections import GoalSettings, LimitsSettings, Pla
 from counterspin.planning.result import GoalResult
 
 #: Lowest rate where none is given, as a part of the highest.
-_LOWEST_RATE_PART: Final = 0.125
+_MIN_RATE_FRACTION: Final = 0.125
 
 #: Default number of different rates of a plan, if that many are possible.
 _DEFAULT_RATES: Final = 2
 
 #: Fewest samples of the shortest run, and most revolutions of the longest.
-_FEWEST_SAMPLES: Final = 3.0
-_MOST_REVOLUTIONS: Final = 1e9
+_MIN_SAMPLES: Final = 3.0
+_MAX_REVOLUTIONS: Final = 1e9
 
 #: Columns of the records, where the plan does not say them.
 _RECORDS: Final[Mapping[str, Any]] = {
@@ -75,7 +75,7 @@ class Plan:
     path: Path  #: Of the file, absolute.
     #: The campaign to be, as a document without runs; ``truth`` has the expected values.
     document: Mapping[str, Any]
-    stand_in: Campaign  #: The campaign with one run for each attitude, named as the attitude is.
+    template: Campaign  #: The campaign with one run for each attitude, named as the attitude is.
     attitudes: Mapping[str, Any]  #: Name -> attitude as it is written in a campaign.
     limits: Limits  #: What the machine and the laboratory allow.
     sampling_rate: float  #: Hz.
@@ -96,7 +96,7 @@ def load_plan(path: Mapping[str, Any] | Path | str) -> dict[str, Any]:
 
 def change_plan(document: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return a plan's document with named changes; see `counterspin.PlannedCampaign.change`."""
-    made = dict(document)
+    changed = dict(document)
     for name, value in changes.items():
         if name in LimitsSettings.model_fields:
             path: tuple[str | int, ...] = ("limits", name)
@@ -107,12 +107,12 @@ def change_plan(document: Mapping[str, Any], changes: Mapping[str, Any]) -> dict
         patch = value
         for part in reversed(path):
             patch = {part: patch}
-        made = merge_patch(made, patch)
+        changed = merge_patch(changed, patch)
         # A plan either reaches a target or makes u least in the time there is.
         excluded = {"target": "minimise", "minimise": "target"}.get(str(path[-1]))
         if path[0] == "goal" and excluded is not None and value is not None:
-            made = merge_patch(made, {"goal": {excluded: None}})
-    return made
+            changed = merge_patch(changed, {"goal": {excluded: None}})
+    return changed
 
 
 def is_plan(document: Mapping[str, Any]) -> bool:
@@ -138,45 +138,45 @@ def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) ->
     problems.check(PlanDocument, raw, ())
     settings = problems.check(LimitsSettings, table_of(raw, "limits"), ("limits",), gravity=None)
     goal = problems.check(GoalSettings, table_of(raw, "goal"), ("goal",))
-    attitudes = _named(settings.attitudes if settings else ["level"], problems)
+    attitudes = _named_attitudes(settings.attitudes if settings else ["level"], problems)
     document = _campaign_document(raw, settings)
-    document["noise"] = _sizes(table_of(document, "noise"), problems)
-    if _refuse_dated(document, problems):
+    document["noise"] = _stated_sizes(table_of(document, "noise"), problems)
+    if _refuse_time_dependence(document, problems):
         raise campaign_error(file, problems.lines)
-    stand_ins = [
+    template_runs = [
         {"name": name, "rate": "1 rad/s", "record": f"run{i}.csv", "attitude": attitude}
         for i, (name, attitude) in enumerate(attitudes.items())
     ]
-    campaign = resolve_campaign({**document, "runs": stand_ins}, file, problems)
+    campaign = resolve_campaign({**document, "runs": template_runs}, file, problems)
     if campaign is not None and campaign.noise is not None and campaign.rest is not None:
-        document["noise"] = _found_sizes(campaign, campaign.noise, problems)
-        campaign = resolve_campaign({**document, "runs": stand_ins}, file, problems)
+        document["noise"] = _record_sizes(campaign, campaign.noise, problems)
+        campaign = resolve_campaign({**document, "runs": template_runs}, file, problems)
     plan = None
     if campaign is not None:
         _check_noise(campaign, problems)
-        limits = _limits(settings, attitudes, campaign, problems) if settings else None
-        sought = resolve_goal(goal, campaign, problems) if goal else None
-        if settings is not None and limits is not None and sought is not None:
+        limits = _resolve_limits(settings, attitudes, campaign, problems) if settings else None
+        goal_settings = resolve_goal(goal, campaign, problems) if goal else None
+        if settings is not None and limits is not None and goal_settings is not None:
             plan = Plan(
                 file.absolute(),
-                {**document, "truth": _expected(document, campaign)},
+                {**document, "truth": _expected_truth(document, campaign)},
                 campaign,
                 attitudes,
                 limits,
                 settings.sampling_rate,
-                sought,
+                goal_settings,
             )
     if problems.lines or plan is None:
         raise campaign_error(file, problems.lines)
     return plan
 
 
-def _refuse_dated(document: Mapping[str, Any], problems: Problems) -> bool:
+def _refuse_time_dependence(document: Mapping[str, Any], problems: Problems) -> bool:
     """Report terms that depend on the time or temperature of runs, which are not known yet.
 
     Return True if there are any.
     """
-    model, before = table_of(document, "model"), len(problems.lines)
+    model, error_count = table_of(document, "model"), len(problems.lines)
     for key in ("terms", "hold", "considered"):
         for index, name in enumerate(list_of(model, key)):
             row = CONDITION_TERMS.get(name) if isinstance(name, str) else None
@@ -187,7 +187,7 @@ def _refuse_dated(document: Mapping[str, Any], problems: Problems) -> bool:
                     f'"{name}" depends on the {condition} of each run, which a plan does not know; '
                     "leave it out here, add it to the planned campaign, and forecast that campaign",
                 )
-    return len(problems.lines) > before
+    return len(problems.lines) > error_count
 
 
 def _campaign_document(raw: Mapping[str, Any], settings: LimitsSettings | None) -> dict[str, Any]:
@@ -207,7 +207,7 @@ def _campaign_document(raw: Mapping[str, Any], settings: LimitsSettings | None) 
     return document
 
 
-def _named(attitudes: Sequence[Any], problems: Problems) -> dict[str, Any]:
+def _named_attitudes(attitudes: Sequence[Any], problems: Problems) -> dict[str, Any]:
     """Return the attitudes by the name under which reports show them."""
     named: dict[str, Any] = {}
     for index, attitude in enumerate(attitudes):
@@ -222,7 +222,7 @@ def _named(attitudes: Sequence[Any], problems: Problems) -> dict[str, Any]:
     return named
 
 
-def _expected(document: Mapping[str, Any], campaign: Campaign) -> dict[str, Any]:
+def _expected_truth(document: Mapping[str, Any], campaign: Campaign) -> dict[str, Any]:
     """Return [truth], completed by the prior values of the terms that it does not name."""
     truth = dict(table_of(document, "truth"))
     for name, accelerometer in campaign.accelerometers.items():
@@ -235,7 +235,7 @@ def _expected(document: Mapping[str, Any], campaign: Campaign) -> dict[str, Any]
     return truth
 
 
-def _sizes(noise: Mapping[str, Any], problems: Problems) -> dict[str, Any]:
+def _stated_sizes(noise: Mapping[str, Any], problems: Problems) -> dict[str, Any]:
     """Return [noise] without noise to be estimated, and report that: no record exists yet."""
     unknown = [key for key, size in noise.items() if size == ESTIMATE]
     for key in unknown:
@@ -243,7 +243,7 @@ def _sizes(noise: Mapping[str, Any], problems: Problems) -> dict[str, Any]:
     return {key: size for key, size in noise.items() if key not in unknown}
 
 
-def _found_sizes(campaign: Campaign, stated: NoiseSettings, problems: Problems) -> dict[str, str]:
+def _record_sizes(campaign: Campaign, stated: NoiseSettings, problems: Problems) -> dict[str, str]:
     """Return [noise] as it is written with the sizes that a record at rest says."""
     units = {**OBSERVABLES, **SI_UNITS, "quantisation": "m", "angle": "rad", "timing": "s"}
     sizes = {key: size for key, size in with_static_sizes(campaign, stated) if size}
@@ -276,15 +276,15 @@ def _check_noise(campaign: Campaign, problems: Problems) -> None:
             )
 
 
-def _limits(
+def _resolve_limits(
     settings: LimitsSettings,
     attitudes: Iterable[str],
     campaign: Campaign,
     problems: Problems,
 ) -> Limits | None:
     """Return the limits, or None with their contradictions noted."""
-    before = len(problems.lines)
-    rates = _rates(settings, campaign, problems)
+    error_count = len(problems.lines)
+    rates = _resolve_rates(settings, campaign, problems)
     if rates is None:
         return None
     (low, high), available = rates
@@ -299,13 +299,13 @@ def _limits(
             "at the highest rate; allow a longer run or fewer revolutions",
         )
     samples = fewest * 2.0 * math.pi / high * settings.sampling_rate
-    if samples < _FEWEST_SAMPLES:
+    if samples < _MIN_SAMPLES:
         problems.add(
             ("limits", "sampling_rate"),
             f"{fewest:g} revolutions at {high:.6g} rad/s have {samples:.3g} samples at "
             f"{settings.sampling_rate:.6g} Hz; give a higher one, or a lower highest_rate",
         )
-    if longest * high > 2.0 * math.pi * _MOST_REVOLUTIONS:
+    if longest * high > 2.0 * math.pi * _MAX_REVOLUTIONS:
         problems.add(
             ("limits", "total_time"),
             f"a run of {longest:.4g} s at {high:.6g} rad/s is longer than the longest possible "
@@ -324,23 +324,23 @@ def _limits(
         runs=settings.runs,
         fewest_rates=settings.fewest_rates or _DEFAULT_RATES,
     )
-    if settings.fewest_rates is None and (_too_few_rates(limits) or not limits.possible):
+    if settings.fewest_rates is None and (_rate_shortage(limits) or not limits.is_feasible):
         limits = replace(limits, fewest_rates=1)
-    if why := _too_few_rates(limits):
-        problems.add(("limits", "fewest_rates"), why)
-    if limits.total_time < limits.shortest:
+    if reason := _rate_shortage(limits):
+        problems.add(("limits", "fewest_rates"), reason)
+    if limits.total_time < limits.shortest_time:
         problems.add(
             ("limits", "total_time"),
-            f"no run fits: the shortest takes {limits.shortest:.4g} s with its spin-up, "
+            f"no run fits: the shortest takes {limits.shortest_time:.4g} s with its spin-up, "
             f"settling and {fewest:g} revolutions"
             if limits.fewest_rates == 1
             else f"{limits.fewest_rates} runs at different rates do not fit: the shortest take "
-            f"{limits.shortest:.4g} s with spin-up, settling and {fewest:g} revolutions each",
+            f"{limits.shortest_time:.4g} s with spin-up, settling and {fewest:g} revolutions each",
         )
-    return limits if len(problems.lines) == before else None
+    return limits if len(problems.lines) == error_count else None
 
 
-def _too_few_rates(limits: Limits) -> str:
+def _rate_shortage(limits: Limits) -> str:
     """Return the reason why too few different rates are possible; empty if enough are."""
     count = limits.fewest_rates
     if count > limits.runs:
@@ -351,7 +351,7 @@ def _too_few_rates(limits: Limits) -> str:
     if len(rates) < count:
         return (
             f"from {limits.rate[0]:.6g} to {limits.rate[1]:.6g} rad/s there are only {len(rates)} "
-            f"rates with a ratio of at least {limits.apart:g}"
+            f"rates with a ratio of at least {limits.min_rate_ratio:g}"
         )
     if limits.revolutions * 2.0 * math.pi / rates[-1] > limits.longest_run * (1.0 + 1e-9):
         return (
@@ -361,7 +361,7 @@ def _too_few_rates(limits: Limits) -> str:
     return ""
 
 
-def _rates(
+def _resolve_rates(
     settings: LimitsSettings, campaign: Campaign, problems: Problems
 ) -> tuple[tuple[float, float], tuple[float, ...]] | None:
     """Return smallest and largest rate, and the settings where not all between are available."""
@@ -385,7 +385,7 @@ def _rates(
         )
         return None
     if settings.rates is None:
-        return (low or _LOWEST_RATE_PART * high, high), ()
+        return (low or _MIN_RATE_FRACTION * high, high), ()
     available = tuple(
         sorted({w for w in settings.rates if (low or 0.0) <= w <= high * (1.0 + 1e-12)})
     )
@@ -407,40 +407,40 @@ def resolve_goal(
     if settings.target is not None and settings.criterion != "sum":
         problems.add(("goal", "criterion"), "has no meaning with target; leave it out")
     key: Literal["target", "minimise"] = "minimise" if settings.target is None else "target"
-    wanted = settings.target if settings.target is not None else settings.minimise
-    if wanted is None:
-        wanted = ["K_II"]
+    settings_path = settings.target if settings.target is not None else settings.minimise
+    if settings_path is None:
+        settings_path = ["K_II"]
     shared = [u for u in make_unknowns(campaign).of_interest if u.owner not in _run_names(campaign)]
-    before = len(problems.lines)
+    error_count = len(problems.lines)
     sizes: dict[str, float] = {}
     units: set[str] = set()
-    names = list(wanted)
+    names = list(settings_path)
     if not names:
         problems.add(("goal", key), "names no coefficient")
     for index, name in enumerate(names):
-        path = ("goal", key, name if isinstance(wanted, Mapping) else index)
+        path = ("goal", key, name if isinstance(settings_path, Mapping) else index)
         chosen = [u for u in shared if name in (u.name, u.symbol)]
         if not chosen:
-            known = dict.fromkeys(n for u in shared for n in (u.symbol, u.name))
-            problems.add(path, f'"{name}" is not estimated' + suggest_name(name, known))
+            known_names = dict.fromkeys(n for u in shared for n in (u.symbol, u.name))
+            problems.add(path, f'"{name}" is not estimated' + suggest_name(name, known_names))
             continue
         size: float | None = 1.0
-        if isinstance(wanted, Mapping):
-            size = _size(wanted[name], chosen[0], campaign, path, problems)
+        if isinstance(settings_path, Mapping):
+            size = _resolve_size(settings_path[name], chosen[0], campaign, path, problems)
         sizes |= {u.name: size for u in chosen if size is not None}
         units |= {unit_of(u.symbol) for u in chosen}
-    if not isinstance(wanted, Mapping) and settings.criterion == "sum" and len(units) > 1:
+    if not isinstance(settings_path, Mapping) and settings.criterion == "sum" and len(units) > 1:
         problems.add(
             ("goal", key),
             "these have different units; give for each the u that counts as 1, such as "
             'minimise = { K_II = "1e-8 g/g^2" }',
         )
-    if len(problems.lines) > before:
+    if len(problems.lines) > error_count:
         return None
     return GoalResult(kind=key, criterion=settings.criterion, sizes=sizes)
 
 
-def _size(
+def _resolve_size(
     text: Any, unknown: Unknown, campaign: Campaign, path: tuple[str | int, ...], problems: Problems
 ) -> float | None:
     unit = unit_of(unknown.symbol)
@@ -457,7 +457,7 @@ def _run_names(campaign: Campaign) -> set[str]:
     return {run.name for run in campaign.runs}
 
 
-def resolved_campaign(document: Mapping[str, Any], path: Path) -> Campaign:
+def resolve_plan_campaign(document: Mapping[str, Any], path: Path) -> Campaign:
     """Return the campaign of a document that a plan has made."""
     problems = Problems(document)
     campaign = resolve_campaign(document, path, problems)
@@ -466,13 +466,15 @@ def resolved_campaign(document: Mapping[str, Any], path: Path) -> Campaign:
     return campaign
 
 
-def campaign_of(plan: Plan, runs: Sequence[Mapping[str, Any]], title: str) -> dict[str, Any]:
+def campaign_document(plan: Plan, runs: Sequence[Mapping[str, Any]], title: str) -> dict[str, Any]:
     """Return the document of the campaign with given runs."""
     document = dict(plan.document)
     about = {"title": title, **table_of(document, "campaign")}
-    rest = {key: value for key, value in document.items() if key not in ("schema", "campaign")}
+    other_keys = {
+        key: value for key, value in document.items() if key not in ("schema", "campaign")
+    }
     # The sections in the order of the example that `counterspin init` writes.
     order = ("site", "centrifuge", "records", "accelerometers", "noise", "model", "runs")
-    rest["runs"] = [dict(run) for run in runs]
-    ordered = {key: rest[key] for key in (*order, *rest) if key in rest}
+    other_keys["runs"] = [dict(run) for run in runs]
+    ordered = {key: other_keys[key] for key in (*order, *other_keys) if key in other_keys}
     return {"schema": document["schema"], "campaign": about, **ordered}

@@ -38,16 +38,16 @@ from counterspin.readings.table import ReadingsSettings
 from counterspin.triads.section import TriadSettings
 
 #: Most attitudes among which is searched, which takes seconds, not minutes.
-MOST_ATTITUDES: Final = 24
+MAX_ATTITUDES: Final = 24
 
 
-def _not_negative(value: float) -> float:
+def _check_not_negative(value: float) -> float:
     if value < 0.0:
         raise ValueError("must not be negative")
     return value
 
 
-def _one_or_more(value: float) -> float:
+def _check_positive_count(value: float) -> float:
     # The functions of the angle are hardly separable within less than a revolution.
     if value < 1.0:
         raise ValueError("must be one revolution at least")
@@ -57,10 +57,10 @@ def _one_or_more(value: float) -> float:
 Rate = Annotated[float, read_exactly("rad/s"), AfterValidator(positive)]
 SpinUp = Annotated[float, read_exactly("rad/s^2"), AfterValidator(positive)]
 Force = Annotated[float, read_exactly("g"), AfterValidator(positive)]
-Duration = Annotated[float, read_exactly("s"), AfterValidator(_not_negative)]
+Duration = Annotated[float, read_exactly("s"), AfterValidator(_check_not_negative)]
 
 
-def _attitude(value: object) -> object:
+def _parse_attitude(value: object) -> object:
     attitude_rows(value)
     return value
 
@@ -100,7 +100,7 @@ class LimitsSettings(SettingsSection):
         None,
         absent="no time",
     )
-    fewest_revolutions: Annotated[PositiveRatio, AfterValidator(_one_or_more)] = key_field(
+    fewest_revolutions: Annotated[PositiveRatio, AfterValidator(_check_positive_count)] = key_field(
         "fewest revolutions of a run, at least 1", 10, 5.0
     )
     longest_run: Seconds | None = key_field(
@@ -116,13 +116,13 @@ class LimitsSettings(SettingsSection):
         None,
         absent="2, or 1 where the other limits leave no room for two",
     )
-    attitudes: list[Annotated[Any, PlainValidator(_attitude)]] = key_field(
+    attitudes: list[Annotated[Any, PlainValidator(_parse_attitude)]] = key_field(
         "list of allowed attitudes, written as in `campaign.toml`",
         ["level", "90 deg about east"],
         absent="level only",
         default_factory=lambda: ["level"],
         min_length=1,
-        max_length=MOST_ATTITUDES,
+        max_length=MAX_ATTITUDES,
     )
     attitude_change: Duration = key_field(
         "time for each change of attitude", "5 min", 0.0, absent="0 s"
@@ -157,7 +157,7 @@ class StationsSettings(SettingsSection):
         absent="each axis, every two and every three of them: 26",
     )
     about: Text = key_field("axis about which the positions turn", "east", "north")
-    u_angle: Annotated[float, read_exactly("rad"), AfterValidator(_not_negative)] = key_field(
+    u_angle: Annotated[float, read_exactly("rad"), AfterValidator(_check_not_negative)] = key_field(
         "random error of the dividing head at each position", "2 arcsec", 0.0, absent="0 rad"
     )
     rates: Annotated[list[Rate], Field(min_length=1)] | None = key_field(

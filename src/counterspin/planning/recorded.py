@@ -32,7 +32,7 @@ from counterspin.triads.groups import group_poses
 from counterspin.triads.record_poses import campaign_poses, pooled_noise
 
 
-def with_pose_noise(campaign: Campaign) -> Campaign:
+def add_pose_noise(campaign: Campaign) -> Campaign:
     """Return a campaign each of whose poses has a value and a standard uncertainty.
 
     Those of records are found in them; the noise of those that state none is that of their fit.
@@ -46,11 +46,11 @@ def with_pose_noise(campaign: Campaign) -> Campaign:
         return campaign
     *_, group = group_poses(campaign, poses, pooled_noise(fitted_poses, campaign.gravity.value))
     noise = solve_readings([group], make_unknowns(campaign)).groups[0].noise
-    noisy = tuple(_with_noise(pose, noise) for pose in poses)
+    noisy = tuple(_set_noise(pose, noise) for pose in poses)
     return replace(campaign, triad=replace(campaign.triad, poses=noisy, records=()))
 
 
-def _with_noise(pose: Sequence[Reading], noise: float) -> tuple[Reading, ...]:
+def _set_noise(pose: Sequence[Reading], noise: float) -> tuple[Reading, ...]:
     """Return a pose with a noise, of one repeat, where it states none."""
     if all(reading.u is not None for reading in pose):
         return tuple(pose)
@@ -58,49 +58,51 @@ def _with_noise(pose: Sequence[Reading], noise: float) -> tuple[Reading, ...]:
     return tuple(replace(reading, u=noise / math.sqrt(repeats)) for reading in pose)
 
 
-def lacks(campaign: Campaign, sampling_rate: float | None) -> bool:
+def needs_records(campaign: Campaign, sampling_rate: float | None) -> bool:
     """Check that a forecast needs data beyond the description and that the records exist.
 
     sampling_rate: Hz, where it is known.
     """
     if not campaign.runs or campaign.simulation is not None:
         return False
-    known = sampling_rate is not None and all(run.duration is not None for run in campaign.runs)
-    complete = all(run.record in campaign.frames or run.record.exists() for run in campaign.runs)
-    return complete and not (known and _missing_noise(campaign) == set())
+    is_described = sampling_rate is not None and all(
+        run.duration is not None for run in campaign.runs
+    )
+    is_recorded = all(run.record in campaign.frames or run.record.exists() for run in campaign.runs)
+    return is_recorded and not (is_described and _unstated_noise(campaign) == set())
 
 
-def from_records(campaign: Campaign) -> tuple[Campaign, dict[str, float]]:
+def apply_records(campaign: Campaign) -> tuple[Campaign, dict[str, float]]:
     """Return a campaign with the lengths and the noise of its records, and run -> rate, Hz."""
     campaign = with_recorded_conditions(campaign)
-    observed, noise = observed_with_noise(campaign)
-    return as_recorded(campaign, observed, noise), rates_of(observed)
+    observed, noise = observe_with_noise(campaign)
+    return apply_observations(campaign, observed, noise), sampling_rates(observed)
 
 
-def observed_with_noise(campaign: Campaign) -> tuple[list[ObservedRun], dict[str, Noise]]:
+def observe_with_noise(campaign: Campaign) -> tuple[list[ObservedRun], dict[str, Noise]]:
     """Return a campaign's records, and the noise of each accelerometer that it leaves to them."""
     observed = list(observe(campaign))
-    if not _missing_noise(campaign):
+    if not _unstated_noise(campaign):
         return observed, {}
     estimated, _ = estimate_campaign(JointProblem(campaign, observed))
-    return observed, noise_of_fit(estimated.fit)
+    return observed, fitted_noise(estimated.fit)
 
 
-def noise_of_fit(fit: JointFit) -> dict[str, Noise]:
+def fitted_noise(fit: JointFit) -> dict[str, Noise]:
     """Return the noise that was found, with the random walk that may be there and not show."""
-    hidden = {name: level for name, (level, _) in fit.undetected_walks.items()}
+    undetected = {name: level for name, (level, _) in fit.undetected_walks.items()}
     return {
-        name: replace(noise, random_walk=math.hypot(noise.random_walk, hidden.get(name, 0.0)))
+        name: replace(noise, random_walk=math.hypot(noise.random_walk, undetected.get(name, 0.0)))
         for name, noise in fit.noise.items()
     }
 
 
-def rates_of(observed: Sequence[ObservedRun]) -> dict[str, float]:
+def sampling_rates(observed: Sequence[ObservedRun]) -> dict[str, float]:
     """Return run -> samples a second, Hz."""
     return {run.run.name: 1.0 / run.record.report.step for run in observed}
 
 
-def as_recorded(
+def apply_observations(
     campaign: Campaign, observed: Sequence[ObservedRun], noise: Mapping[str, Noise]
 ) -> Campaign:
     """Return a campaign with the lengths of runs, and the noise, that it leaves to its records.
@@ -112,24 +114,24 @@ def as_recorded(
         r.model_copy(update={"duration": seconds.get(r.name, r.duration)}) for r in campaign.runs
     )
     largest: dict[str, float] = {}
-    for name, size_of in noise.items():
+    for name, noise_sizes in noise.items():
         sizes = {
-            campaign.accelerometers[name].observable: size_of.white,
-            "acceleration": size_of.random_walk,
-            "flicker": size_of.flicker,
-            "bias_walk": size_of.bias_walk,
+            campaign.accelerometers[name].observable: noise_sizes.white,
+            "acceleration": noise_sizes.random_walk,
+            "flicker": noise_sizes.flicker,
+            "bias_walk": noise_sizes.bias_walk,
         }
         for key, size in sizes.items():
             largest[key] = max(size, largest.get(key, 0.0))
     angles = [run.rotation.rms for run in observed if run.rotation is not None]
     stated = campaign.noise or NoiseSettings()
-    sizes = {key: largest.get(key, 0.0) for key in _missing_noise(campaign)}
+    sizes = {key: largest.get(key, 0.0) for key in _unstated_noise(campaign)}
     if not stated.angle and angles:
         sizes["angle"] = max(angles)
     return replace(campaign, runs=runs, noise=stated.model_copy(update=sizes))
 
 
-def _missing_noise(campaign: Campaign) -> set[str]:
+def _unstated_noise(campaign: Campaign) -> set[str]:
     """Return the components of noise that are left to the records."""
     stated = [stated_noise.sizes for stated_noise in resolve_noise(campaign).values()]
     return {
@@ -140,7 +142,7 @@ def _missing_noise(campaign: Campaign) -> set[str]:
 
 
 #: Attitudes that a double turntable is easily set to.
-_ATTITUDES: Final = (
+_SUGGESTED_ATTITUDES: Final = (
     "90 deg about east",
     "90 deg about north",
     "180 deg about east",
@@ -148,24 +150,24 @@ _ATTITUDES: Final = (
 )
 
 #: Runs are worth their time if they reduce u below this part of the u with fewer runs.
-_WORTH: Final = 0.8
+_MAX_REMAINING_FRACTION: Final = 0.8
 
 
 @frozen
-class FurtherRuns:
+class SuggestedRuns:
     """Runs to be added, and the uncertainty with them."""
 
     attitude: str  #: Of all of them.
     runs: list[dict[str, Any]]  #: As in ``[[runs]]``.
     seconds: float  #: That their records take.
     u: float  #: Standard uncertainty of the coefficient then.
-    u_now: float  #: And without them, by the same forecast.
+    u_without: float  #: And without them, by the same forecast.
 
 
 @one_blas_thread()
-def further_runs(
+def suggest_runs(
     campaign: Campaign, observed: Sequence[ObservedRun], noise: Mapping[str, Noise], name: str
-) -> FurtherRuns | None:
+) -> SuggestedRuns | None:
     """Return the cheapest runs in another attitude that help a coefficient; None if none does.
 
     campaign: As it was read, all of its runs with records.
@@ -174,51 +176,55 @@ def further_runs(
     """
     if not campaign.runs:
         return None
-    rates = rates_of(observed)
+    rates = sampling_rates(observed)
 
     def u_of(runs: Sequence[dict[str, Any]]) -> float:
-        described = list(require_source(campaign).document["runs"])
-        changed = campaign.change({"runs": [*described, *runs]}) if runs else campaign
-        fastest = max(rates.values())
-        sampled = {run.name: rates.get(run.name, fastest) for run in changed.runs}
-        return forecast(as_recorded(changed, observed, noise), sampling_rate=sampled).u[name]
+        existing = list(require_source(campaign).document["runs"])
+        extended = campaign.change({"runs": [*existing, *runs]}) if runs else campaign
+        highest = max(rates.values())
+        run_rates = {run.name: rates.get(run.name, highest) for run in extended.runs}
+        return forecast(apply_observations(extended, observed, noise), sampling_rate=run_rates).u[
+            name
+        ]
 
-    now = u_of(())
-    best: FurtherRuns | None = None
-    for attitude, runs in _candidates(as_recorded(campaign, observed, noise)):
+    u_without = u_of(())
+    best: SuggestedRuns | None = None
+    for attitude, runs in _candidate_runs(apply_observations(campaign, observed, noise)):
         seconds = sum(float(run["duration"].split()[0]) for run in runs)
         try:
             u = u_of(runs)
         except NotIdentifiableError:
             continue
-        candidate = FurtherRuns(attitude, runs, seconds, u, now)
-        longer = best is not None and seconds > best.seconds
-        if u < _WORTH * now and (best is None or u < (_WORTH if longer else 1.0) * best.u):
+        candidate = SuggestedRuns(attitude, runs, seconds, u, u_without)
+        is_longer = best is not None and seconds > best.seconds
+        if u < _MAX_REMAINING_FRACTION * u_without and (
+            best is None or u < (_MAX_REMAINING_FRACTION if is_longer else 1.0) * best.u
+        ):
             best = candidate
     return best
 
 
-def _candidates(campaign: Campaign) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+def _candidate_runs(campaign: Campaign) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     """Yield runs like those that there are, in other attitudes: the fastest, then all rates."""
     attitudes = [
-        words
-        for words in _ATTITUDES
-        if not any(np.allclose(run.attitude, attitude_rows(words)) for run in campaign.runs)
+        attitude
+        for attitude in _SUGGESTED_ATTITUDES
+        if not any(np.allclose(run.attitude, attitude_rows(attitude)) for run in campaign.runs)
     ]
     runs = sorted(campaign.runs, key=lambda run: -abs(run.rate))
     by_rate = list({run.rate: run for run in reversed(runs)}.values())[::-1]
     for chosen in ([runs[0]], by_rate)[: 1 + (len(by_rate) > 1)]:
-        for words in attitudes:
-            yield words, [_repeat_run(campaign, run, words) for run in chosen]
+        for attitude in attitudes:
+            yield attitude, [_repeat_run(campaign, run, attitude) for run in chosen]
 
 
 def _repeat_run(campaign: Campaign, run: Run, attitude: str) -> dict[str, Any]:
     """Return a run as it is described that repeats another one in an attitude."""
-    taken = {existing.name for existing in campaign.runs}
+    names = {existing.name for existing in campaign.runs}
     name = next(
         name
-        for number in range(1, len(taken) + 2)
-        if (name := f"{run.name} turned{'' if number == 1 else f' {number}'}") not in taken
+        for number in range(1, len(names) + 2)
+        if (name := f"{run.name} turned{'' if number == 1 else f' {number}'}") not in names
     )
     return {
         "name": name,

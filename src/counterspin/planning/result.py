@@ -27,7 +27,7 @@ from counterspin.inference.joint.summary import BudgetLine, WhatIf
 from counterspin.physics.station import FRAMES
 from counterspin.physics.terms import TERMS
 from counterspin.planning.design import Criterion
-from counterspin.planning.faults import FaultEffect, Requirement, unseen_effects
+from counterspin.planning.faults import FaultEffect, Requirement, undetected_faults
 from counterspin.planning.forecast import Forecast
 from counterspin.results import ReportableResult, ResultPart
 
@@ -203,16 +203,16 @@ def result_of(
 def other_plan(
     words: str,
     total_time: float,
-    here: Mapping[str, float],
-    there: Mapping[str, float],
+    u_of_plan: Mapping[str, float],
+    u_of_other: Mapping[str, float],
     names: Iterable[str],
 ) -> OtherPlan:
     """Return the comparison of another plan with this one.
 
-    here, there: u of this plan and of the other, by name.
+    u_of_plan, u_of_other: u of this plan and of the other, by name.
     """
-    u = {name: there[name] for name in names}
-    ratio = {name: here[name] / size for name, size in u.items()}
+    u = {name: u_of_other[name] for name in names}
+    ratio = {name: u_of_plan[name] / size for name, size in u.items()}
     return OtherPlan(words=words, total_time=total_time, u=u, ratio=ratio)
 
 
@@ -251,7 +251,9 @@ def _accelerometer(
     campaign = prediction.campaign
     others = [f"{prefix}." for prefix in campaign.accelerometers if prefix != name]
     determined = "K_II" in coefficients and coefficients["K_II"].estimated
-    share, faults = unseen_effects(prediction, name, places["K_II"]) if determined else (None, None)
+    share, faults = (
+        undetected_faults(prediction, name, places["K_II"]) if determined else (None, None)
+    )
     budgets = {
         symbol: budget(prediction.fit, index, name)
         for symbol, index in places.items()

@@ -31,8 +31,13 @@ from counterspin.campaign.conditions import DEFAULT_WARMING
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import CONDITION_TERMS
-from counterspin.planning.design import Criterion, Design, RunType, order_of
-from counterspin.planning.information_table import EvenSamples, InformationTable, averaged, root
+from counterspin.planning.design import Criterion, Design, RunType, measurement_order
+from counterspin.planning.information_table import (
+    EvenSamples,
+    InformationTable,
+    average_over_blocks,
+    sqrt_information,
+)
 from counterspin.planning.weights import (
     A_SECOND,
     Key,
@@ -261,7 +266,9 @@ class RunInformation:
         block = np.array([block_size(step, float(w)) for w in rate], dtype=np.float64)
         spread = rate * step * np.sqrt((block**2 - 1.0) / 12.0)
         if table is not None:
-            return table.root(averaged(weights, spread), rate, samples, with_ripple=with_ripple)
+            return table.sqrt_information(
+                average_over_blocks(weights, spread), rate, samples, with_ripple=with_ripple
+            )
         records = EvenSamples(
             first=0.5 * rate * step * (block - 1.0),
             step=rate * step * block,
@@ -272,7 +279,7 @@ class RunInformation:
         if instrument.order == 0:  # a random walk of the velocity is white in specific force
             variance = variance + instrument.noise.random_walk**2 / step
         size: Array = np.sqrt(block / variance)[:, None, None]
-        return np.asarray(size * root(records, weights, instrument.order))
+        return np.asarray(size * sqrt_information(records, weights, instrument.order))
 
 
 def _project_out_first(rows: Array, prior: Array) -> Array:
@@ -308,7 +315,7 @@ def _conditions(types: Sequence[RunType], duration: Array) -> tuple[Array, Array
 
     duration: s, shape (..., n).
     """
-    order = order_of(types)
+    order = measurement_order(types)
     start, warmth = np.empty_like(duration), np.zeros(len(order))
     start[..., order] = np.cumsum(duration[..., order], axis=-1) - duration[..., order]
     if len(order) > 1:

@@ -19,11 +19,17 @@ from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.budget import budget
 from counterspin.inference.least_squares import Block
 from counterspin.physics.terms import symbol_of, term
-from counterspin.planning.design import Design, Limits, RunType, both_senses, order_of
-from counterspin.planning.forecast import Forecast, forecast, setup_of
+from counterspin.planning.candidate_set import Optimum, relax
+from counterspin.planning.design import (
+    Design,
+    Limits,
+    RunType,
+    allow_both_senses,
+    measurement_order,
+)
+from counterspin.planning.forecast import Forecast, forecast, make_setup
 from counterspin.planning.optimisation import least_time, optimise
-from counterspin.planning.plan_file import Plan, campaign_of, resolved_campaign
-from counterspin.planning.possibilities import Optimum, relax
+from counterspin.planning.plan_file import Plan, campaign_document, resolve_plan_campaign
 from counterspin.planning.run_information import Predictor, RunInformation
 from counterspin.reports.numbers import format_distinct
 
@@ -42,7 +48,7 @@ class Search:
         longest = min(plan.limits.longest_run * 1.11, plan.limits.total_time)
         turns = longest * 1.11 * high * 1.11 / (2.0 * math.pi)
         information = RunInformation(
-            setup_of(plan.stand_in, plan.sampling_rate),
+            make_setup(plan.template, plan.sampling_rate),
             (low * 0.89, high * 1.11),
             (max(1.0, 0.89 * plan.limits.revolutions), turns),
             (1, -1),
@@ -59,7 +65,7 @@ class Search:
         information = self.predictor.information
         if not information.dated and not information.setup.considered_sizes.size:
             return None
-        setup = setup_of(self.plan.stand_in, self.plan.sampling_rate, considering=False)
+        setup = make_setup(self.plan.template, self.plan.sampling_rate, with_considered=False)
         return Predictor(information.of_model(setup))
 
     @property
@@ -98,7 +104,7 @@ class Search:
 
     def in_order(self, design: Design) -> Design:
         """Return the runs in the order in which to make them."""
-        return design.taken(order_of(design.types))
+        return design.select(measurement_order(design.types))
 
     def rounded(self, design: Design, limits: Limits | None = None) -> Design:
         """Return the design with durations and rates as they are written, still in the limits.
@@ -182,11 +188,11 @@ class Search:
             }
             written = self.plan.attitudes[run_type.attitude]
             runs.append(run if written == "level" else {**run, "attitude": written})
-        return campaign_of(self.plan, runs, title)
+        return campaign_document(self.plan, runs, title)
 
     def campaign(self, design: Design) -> Campaign:
         """Return the campaign with these runs."""
-        return resolved_campaign(self.document(design), self.plan.path)
+        return resolve_plan_campaign(self.document(design), self.plan.path)
 
     # Other plans in the same time
 
@@ -336,16 +342,16 @@ def assess_blocks(predictor: Predictor, blocks: Array) -> Assessment:
 def _find_helpful_attitude(search: Search, missing: list[str]) -> str | None:
     """Return an attitude with which the missing coefficients would be determined."""
     plan, limits = search.plan, search.limits
-    run = plan.stand_in.runs[0]
+    run = plan.template.runs[0]
     for words in _ATTITUDES_TRIED:
         if words in plan.attitudes:
             continue
         added = run.model_copy(update={"name": words, "stand": read_attitude(words)})
-        campaign = replace(plan.stand_in, runs=(*plan.stand_in.runs, added))
+        campaign = replace(plan.template, runs=(*plan.template.runs, added))
         turns = limits.longest_run * limits.rate[1] / (2.0 * math.pi)
         predictor = Predictor(
             RunInformation(
-                setup_of(campaign, plan.sampling_rate),
+                make_setup(campaign, plan.sampling_rate),
                 limits.rate,
                 (limits.revolutions, max(turns, limits.revolutions)),
                 (1, -1),
@@ -364,10 +370,10 @@ def unreachable(search: Search) -> CounterspinError:
     best = search.smallest()
     goal: Mapping[str, float] = search.plan.goal.sizes
     text = words_of_missed_target(
-        forecast(search.campaign(best.choice)),
+        forecast(search.campaign(best.design)),
         goal,
         f"no plan {'within the limits' if search.bounded else 'that was found'}",
-        f"The best, in {search.limits.time(best.choice):.4g} s,",
+        f"The best, in {search.limits.time(best.design):.4g} s,",
     )
     if len(goal) > 1:
         return CounterspinError(text + ".")
@@ -384,7 +390,7 @@ def unreachable(search: Search) -> CounterspinError:
         if floor > size:
             text += f". With any amount of time it would be {format_distinct(floor, size)} {unit}"
     if all(run_type.sense == 1 for run_type in search.limits.types):
-        both = search.smallest(both_senses(search.limits), best.choice)
-        u = search.predictor.u(both.choice)[search.predictor.names.index(name)]
+        both = search.smallest(allow_both_senses(search.limits), best.design)
+        u = search.predictor.u(both.design)[search.predictor.names.index(name)]
         text += f", with both senses of the spin {format_distinct(u, size)} {unit}"
     return CounterspinError(text + ".")

@@ -1,4 +1,4 @@
-"""The change of estimates by effects that a model lacks, and the residuals that they leave."""
+"""Changes of estimates by effects that a model lacks, and the residuals of these effects."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def sensitivities(fit: JointFit, columns: Columns) -> Sensitivities:
     """Return the effect of each further column, alone, on a fit."""
     model = fit.model
     # One after the other: the columns of all of them together would take much memory.
-    blocks = [_block(one, columns(one), fit) for one in fit.observations]
+    blocks = [_block(observation, columns(observation), fit) for observation in fit.observations]
     solution = solve_blocks(blocks, _with_further(model, blocks[0].considered.shape[1]))
-    owners = [_owner(one) for one in fit.observations]
+    owners = [_owner(observation) for observation in fit.observations]
     left, left_in = _left(blocks, owners, model)
     ends = np.cumsum([block.factor.shape[0] for block in blocks])
     freedom: dict[str, float] = {}
@@ -58,21 +58,25 @@ def _with_further(model: Unknowns, count: int) -> Unknowns:
     return Unknowns(model.unknowns, (*model.considered, *named))
 
 
-def _block(one: Observation, columns: Array, fit: JointFit) -> Block:
+def _block(observation: Observation, columns: Array, fit: JointFit) -> Block:
     """Return the block of an observation with columns (n, m) after the considered ones."""
     before = len(fit.model.considered)
     count = before + columns.shape[1]
     whole = replace(
-        one,
-        fixed=np.column_stack([one.fixed, columns]),
-        considered=(*one.considered, *range(before, count)),
+        observation,
+        fixed=np.column_stack([observation.fixed, columns]),
+        considered=(*observation.considered, *range(before, count)),
     )
     return whole.block_in(_with_further(fit.model, count), fit.noise)
 
 
-def _owner(one: Observation) -> str:
+def _owner(observation: Observation) -> str:
     """Return whose residuals an observation has."""
-    return one.group.accelerometer if isinstance(one, LinearReadings) else one.source
+    return (
+        observation.group.accelerometer
+        if isinstance(observation, LinearReadings)
+        else observation.source
+    )
 
 
 def columns_of(fit: JointFit, terms: Sequence[Considered], expected: Array) -> Columns:
@@ -85,17 +89,17 @@ def columns_of(fit: JointFit, terms: Sequence[Considered], expected: Array) -> C
     on = Unknowns(tuple(model.unknowns[i] for i in acting), tuple(terms))
     whole = Unknowns(model.unknowns, (*model.considered, *terms))
 
-    def shown(one: Observation) -> Array:
-        if isinstance(one, LinearReadings):
-            return one.group.linearize(whole, expected).fixed[:, len(model.considered) :]
-        assert isinstance(one, DesignBlock)
-        factors = {one.accelerometer: one.scale_factor}
-        (made,) = build_design_blocks([one.series], on, factors, expected[acting])
-        columns = np.zeros((len(one.design), len(terms)))
+    def columns_at(observation: Observation) -> Array:
+        if isinstance(observation, LinearReadings):
+            return observation.group.linearize(whole, expected).fixed[:, len(model.considered) :]
+        assert isinstance(observation, DesignBlock)
+        factors = {observation.accelerometer: observation.scale_factor}
+        (made,) = build_design_blocks([observation.series], on, factors, expected[acting])
+        columns = np.zeros((len(observation.design), len(terms)))
         columns[:, list(made.considered)] = made.fixed
         return columns
 
-    return shown
+    return columns_at
 
 
 def _left(

@@ -1,6 +1,6 @@
 """Conversion of ``PLAN.toml`` with [[stations]] to a `ReadingPlan` of possible readings.
 
-Every station becomes a run with a reading of a stand-in campaign, so that both are checked alike.
+Every station becomes a run with a reading of a template campaign, so that both are checked alike.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from counterspin.planning.plan_file import (
     plan_name,
     read_plan,
     resolve_goal,
-    resolved_campaign,
+    resolve_plan_campaign,
 )
 from counterspin.planning.plan_sections import (
     GoalSettings,
@@ -34,7 +34,7 @@ from counterspin.planning.plan_sections import (
     ReadingPlanDocument,
     StationsSettings,
 )
-from counterspin.planning.recorded import with_pose_noise
+from counterspin.planning.recorded import add_pose_noise
 from counterspin.planning.result import GoalResult
 from counterspin.readings.cells import BLANK
 from counterspin.triads.groups import make_group
@@ -42,7 +42,7 @@ from counterspin.triads.poses import TriadPoses, predict_indications
 from counterspin.triads.section import TriadSettings
 
 #: Most possible readings: the gain of an exchange is computed for all pairs.
-_MOST_POSSIBLE: Final = 3600
+_MAX_CANDIDATES: Final = 3600
 
 
 @frozen
@@ -68,8 +68,8 @@ class ReadingPlan:
     document: Mapping[str, Any]  #: The campaign to be, without runs.
     taken: tuple[Any, ...]  #: Runs that it has already, records and readings, as [[runs]] has them.
     sampling_rate: float | None  #: Of the records among them, Hz; None where there is none.
-    stand_in: Campaign  #: The campaign with existing observations and each possible reading once.
-    possible: tuple[PossibleReading, ...]  #: The possible readings.
+    template: Campaign  #: The campaign with existing observations and each possible reading once.
+    candidates: tuple[PossibleReading, ...]  #: The possible readings.
     poses: tuple[tuple[Reading, ...], ...]  #: Those that it has already, with their u.
     #: Most of them, and s; infinite without a limit.
     readings: float
@@ -94,14 +94,14 @@ class ReadingPlan:
 
     def campaign_as_it_is(self) -> Campaign:
         """Return the campaign with its existing observations only, of the same model."""
-        names = {reading.name for reading in self.possible}
-        existing = tuple(r for r in self.stand_in.readings if r.name not in names)
-        triad = self.stand_in.triad and replace(self.stand_in.triad, poses=self.poses)
-        return replace(self.stand_in, readings=existing, triad=triad)
+        names = {reading.name for reading in self.candidates}
+        existing = tuple(r for r in self.template.readings if r.name not in names)
+        triad = self.template.triad and replace(self.template.triad, poses=self.poses)
+        return replace(self.template, readings=existing, triad=triad)
 
     def campaign(self, chosen: Sequence[PossibleReading]) -> Campaign:
         """Return the campaign with readings in this order, their values zero."""
-        campaign = resolved_campaign(self.campaign_document(chosen, value="0"), self.path)
+        campaign = resolve_plan_campaign(self.campaign_document(chosen, value="0"), self.path)
         if campaign.triad is None:
             return campaign
         planned = _simulate_poses(campaign, dict(zip(_number_names(chosen), chosen, strict=True)))
@@ -202,23 +202,25 @@ def read_reading_plan(
         if isinstance(table, Mapping)
     }
     triad = problems.check(TriadSettings, raw["triad"], ("triad",)) if "triad" in raw else None
-    possible: list[PossibleReading] = []
+    candidates: list[PossibleReading] = []
     for index, entry in enumerate(list_of(raw, "stations")):
         path_of_entry = ("stations", index)
         settings = problems.check(StationsSettings, entry, path_of_entry, units=units)
         if settings is not None:
             read = triad.accelerometers if triad and settings.attitude else names
-            possible += _possible(settings, entry, read, raw, path_of_entry, problems)
+            candidates += _candidate_readings(settings, entry, read, raw, path_of_entry, problems)
     seen = {str(run.get("name")) for run in taken if isinstance(run, dict)}
-    for reading in possible:
+    for reading in candidates:
         if reading.name in seen:
             text = f'two have the name "{reading.name}"; give each entry its own name'
             problems.add(("stations",), text)
         seen.add(reading.name)
-    if len(possible) > _MOST_POSSIBLE:
-        words = f"make {len(possible)} possible readings, more than the limit of {_MOST_POSSIBLE}"
+    if len(candidates) > _MAX_CANDIDATES:
+        words = (
+            f"make {len(candidates)} possible readings, more than the limit of {_MAX_CANDIDATES}"
+        )
         problems.add(("stations",), words)
-    runs = [_with_value(reading.run, "0") for reading in possible]
+    runs = [_with_value(reading.run, "0") for reading in candidates]
     campaign = None
     if runs and not problems.lines:
         full_document = {**document, "runs": [*taken, *runs]}
@@ -229,14 +231,14 @@ def read_reading_plan(
         problems.lines += dict.fromkeys(line.partition(' (run "')[0] for line in lines)
     poses: tuple[tuple[Reading, ...], ...] = ()
     if campaign is not None and campaign.triad is not None:
-        campaign, poses = _add_poses(campaign, possible)
+        campaign, poses = _add_poses(campaign, candidates)
         # The number of poses decides the parameters of interest; here the minimum is enough.
         model = {"terms": list(campaign.model.terms), **table_of(raw, "model")}
         document = {**document, "model": model}
     sought = resolve_goal(goal, campaign, problems) if goal and campaign else None
     if limits is not None and limits.readings is None and limits.total_time is None:
         problems.add(("limits",), "give readings or total_time")
-    if limits is not None and limits.total_time is not None and not all(r.time for r in possible):
+    if limits is not None and limits.total_time is not None and not all(r.time for r in candidates):
         problems.add(("limits", "total_time"), "needs the time of a reading at every station")
     if limits is not None and campaign is not None and campaign.runs and not limits.sampling_rate:
         problems.add(("limits", "sampling_rate"), "is missing: that of the records in [[runs]]")
@@ -248,7 +250,7 @@ def read_reading_plan(
         tuple(taken),
         limits.sampling_rate,
         campaign,
-        tuple(possible),
+        tuple(candidates),
         poses,
         float(limits.readings or math.inf),
         limits.total_time or math.inf,
@@ -258,14 +260,14 @@ def read_reading_plan(
 
 
 def _add_poses(
-    campaign: Campaign, possible: Sequence[PossibleReading]
+    campaign: Campaign, candidates: Sequence[PossibleReading]
 ) -> tuple[Campaign, tuple[tuple[Reading, ...], ...]]:
-    """Return a stand-in campaign with the values of possible poses; and those taken already."""
+    """Return a template campaign with the values of possible poses; and those taken already."""
     assert campaign.triad is not None
-    planned = {reading.name: reading for reading in possible}
+    planned = {reading.name: reading for reading in candidates}
     pointed = _simulate_poses(campaign, planned)
     existing = tuple(pose for pose in campaign.triad.poses if pose[0].name not in planned)
-    complete = with_pose_noise(replace(campaign, triad=replace(campaign.triad, poses=existing)))
+    complete = add_pose_noise(replace(campaign, triad=replace(campaign.triad, poses=existing)))
     assert complete.triad is not None
     triad = replace(complete.triad, poses=(*complete.triad.poses, *pointed))
     return replace(campaign, triad=triad), complete.triad.poses
@@ -279,7 +281,7 @@ def _at_stations(line: str, taken: int) -> str:
     return f"stations{line[match.end() :]}"
 
 
-def _possible(
+def _candidate_readings(
     settings: StationsSettings,
     entry: Mapping[str, Any],
     names: Sequence[str],

@@ -27,7 +27,7 @@ from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import ORDERS
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import CONDITION_TERMS, INPUTS, term
-from counterspin.planning.information_table import functions, integration
+from counterspin.planning.information_table import basis_functions, integration_matrix
 
 
 @frozen
@@ -241,7 +241,7 @@ class TermWeights:
         weights, _ = _combination(forces, self.harmonics)
         # At a given angle forces are polynomials in the rate; times the rate, so is what grows with
         # time.
-        turning = integration(self.harmonics, instrument.order)
+        turning = integration_matrix(self.harmonics, instrument.order)
         values = self._nodes[:, None, None] * (turning @ weights)
         vander = chebyshev.chebvander(chebyshev.chebpts1(_RATE_NODES), _RATE_NODES - 1)
         coefficients = np.linalg.solve(vander, values.reshape(_RATE_NODES, -1))
@@ -318,7 +318,7 @@ def _combination(columns: Array, harmonics: int) -> tuple[Array, Array]:
     """
     points = columns.shape[-2] // 3
     angle: Array = np.arange(3.0 * points) * (2.0 * math.pi / points)
-    shapes = functions(angle, harmonics)
+    shapes = basis_functions(angle, harmonics)
     periodic = [0, *(place for m in range(1, harmonics + 1) for place in (4 * m, 4 * m + 1))]
     growing = [1, *(place for m in range(1, harmonics + 1) for place in (4 * m + 2, 4 * m + 3))]
     project = 2.0 / points * shapes[:points, periodic].T

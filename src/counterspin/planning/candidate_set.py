@@ -50,10 +50,12 @@ class Optimum(Generic[Chosen]):
 
     #: Runs, longest last within each type; or how often each observation is made, shape (n,), in
     #: whole numbers or, relaxed, in numbers that need not be whole.
-    choice: Chosen
+    design: Chosen
     value: float  #: Its criterion (a logarithm, see `Criterion.value`).
     bound: float  #: What no choice within the limits can be below.
-    price: float = 0.0  #: What the criterion gains for each further observation, where relaxed.
+    shadow_price: float = (
+        0.0  #: What the criterion gains for each further observation, where relaxed.
+    )
 
     @property
     def efficiency(self) -> float:
@@ -65,32 +67,32 @@ def relax(
     predictor: Predictor, limits: Limits, criterion: Criterion
 ) -> tuple[Design, Optimum[Array]]:
     """Solve the relaxation on a grid: the runs that it uses, and the number of each."""
-    grid, steps = _first_grid(limits)
-    possible = _possible(predictor, limits, grid)
+    grid, steps = _initial_grid(limits)
+    candidates = _candidate_runs(predictor, limits, grid)
     resources = (float(limits.runs), limits.total_time)
-    solved = possible.relaxed(criterion, *resources)
+    solution = candidates.relax(criterion, *resources)
     for level in range(1, _REFINEMENTS + 1):
-        used = np.flatnonzero(solved.choice > ZERO_WEIGHT)
-        finer = _refine_grid(limits, grid, used, steps * 0.5**level)
-        if not finer.types:
+        used = np.flatnonzero(solution.design > ZERO_WEIGHT)
+        finer_grid = _refine_grid(limits, grid, used, steps * 0.5**level)
+        if not finer_grid.types:
             break
-        grid = grid.joined(finer)
-        possible = possible.joined(_possible(predictor, limits, finer))
-        start = np.concatenate([solved.choice, np.zeros(len(finer.types))])
-        solved = possible.relaxed(criterion, *resources, start)
-    kept = np.flatnonzero(solved.choice > ZERO_WEIGHT)
-    return grid.taken(kept.tolist()), replace(solved, choice=solved.choice[kept])
+        grid = grid.concatenate(finer_grid)
+        candidates = candidates.concatenate(_candidate_runs(predictor, limits, finer_grid))
+        start = np.concatenate([solution.design, np.zeros(len(finer_grid.types))])
+        solution = candidates.relax(criterion, *resources, start)
+    selected = np.flatnonzero(solution.design > ZERO_WEIGHT)
+    return grid.select(selected.tolist()), replace(solution, design=solution.design[selected])
 
 
-def _possible(predictor: Predictor, limits: Limits, runs: Design) -> Possibilities:
+def _candidate_runs(predictor: Predictor, limits: Limits, runs: Design) -> CandidateSet:
     blocks = predictor.information.blocks(runs.types, runs.rate, runs.revolutions)
     design = triangle_of(blocks[:, :, : predictor.p])
     nothing = np.zeros((*design.shape[:2], 0)), np.zeros((predictor.p, 0))
     cost = runs.duration + limits.overhead(runs.rate)
-    return Possibilities(design, nothing[0], predictor.prior, nothing[1], cost)
+    return CandidateSet(design, nothing[0], predictor.prior, nothing[1], cost)
 
 
-def _first_grid(limits: Limits) -> tuple[Design, Array]:
+def _initial_grid(limits: Limits) -> tuple[Design, Array]:
     """Return a grid over all that is allowed, and its steps in log rate and log revolutions."""
     low, high = limits.rate
     if limits.settings:
@@ -100,9 +102,12 @@ def _first_grid(limits: Limits) -> tuple[Design, Array]:
     else:
         rates = np.geomspace(low, high, _GRID_RATES)
     rate, revolutions = [], []
-    most = np.array([_most_revolutions(limits, float(w)) for w in rates])
-    step = max(1e-9, math.log(max(2.0, float(most.max()) / limits.revolutions))) / _GRID_LENGTHS
-    for w, longest in zip(rates, most, strict=True):
+    max_revolutions = np.array([_max_revolutions(limits, float(w)) for w in rates])
+    step = (
+        max(1e-9, math.log(max(2.0, float(max_revolutions.max()) / limits.revolutions)))
+        / _GRID_LENGTHS
+    )
+    for w, longest in zip(rates, max_revolutions, strict=True):
         if longest >= limits.revolutions * (1.0 - 1e-12):
             span = math.log(max(longest / limits.revolutions, 1.0))
             turns = limits.revolutions * np.exp(np.linspace(0.0, span, math.ceil(span / step) + 1))
@@ -116,7 +121,7 @@ def _first_grid(limits: Limits) -> tuple[Design, Array]:
     return grid, np.array([0.0 if limits.settings else ratio, step])
 
 
-def _most_revolutions(limits: Limits, rate: float) -> float:
+def _max_revolutions(limits: Limits, rate: float) -> float:
     available = limits.total_time - float(limits.overhead(np.array(rate)))
     return min(limits.longest_run, available) * rate / (2.0 * math.pi)
 
@@ -124,21 +129,21 @@ def _most_revolutions(limits: Limits, rate: float) -> float:
 def _refine_grid(limits: Limits, grid: Design, used: Places, steps: Array) -> Design:
     """Return possible runs a step to each side of those in use."""
     low, high = limits.rate
-    nearby: dict[tuple[RunType, float, float], None] = {}
+    neighbours: dict[tuple[RunType, float, float], None] = {}
     for index in used:
-        for by_rate in (-1, 0, 1) if steps[0] > 0.0 else (0,):
-            w = float(np.clip(grid.rate[index] * math.exp(by_rate * steps[0]), low, high))
-            w = float(grid.rate[index]) if by_rate == 0 else w
-            most = _most_revolutions(limits, w)
-            for by_turns in (-1, 0, 1):
-                turns = float(grid.revolutions[index]) * math.exp(by_turns * steps[1])
-                turns = min(max(turns, limits.revolutions), most)
+        for rate_step in (-1, 0, 1) if steps[0] > 0.0 else (0,):
+            w = float(np.clip(grid.rate[index] * math.exp(rate_step * steps[0]), low, high))
+            w = float(grid.rate[index]) if rate_step == 0 else w
+            max_revolutions = _max_revolutions(limits, w)
+            for turn_step in (-1, 0, 1):
+                turns = float(grid.revolutions[index]) * math.exp(turn_step * steps[1])
+                turns = min(max(turns, limits.revolutions), max_revolutions)
                 if turns >= limits.revolutions:
-                    nearby[grid.types[index], w, turns] = None
-    known = set(zip(grid.types, grid.rate.tolist(), grid.revolutions.tolist(), strict=True))
-    fresh = [key for key in nearby if key not in known]
-    rate, turns_of = (np.array([key[i] for key in fresh]) for i in (1, 2))
-    return Design(tuple(run_type for run_type, _, _ in fresh), rate, turns_of)
+                    neighbours[grid.types[index], w, turns] = None
+    grid_keys = set(zip(grid.types, grid.rate.tolist(), grid.revolutions.tolist(), strict=True))
+    new_keys = [key for key in neighbours if key not in grid_keys]
+    rate, new_turns = (np.array([key[i] for key in new_keys]) for i in (1, 2))
+    return Design(tuple(run_type for run_type, _, _ in new_keys), rate, new_turns)
 
 
 Places = npt.NDArray[np.intp]
@@ -150,10 +155,10 @@ _RIDGE: Final = 1e-12
 _ILL_CONDITIONED: Final = 1e6
 #: Steps of the multiplicative algorithm before the first gradient step, and the least part of the
 #: largest weight that is kept of them.
-_FIRST_STEPS: Final = 20
-_FIRST_PART: Final = 0.03
+_INITIAL_STEPS: Final = 20
+_MIN_INITIAL_FRACTION: Final = 0.03
 #: Part of everything that is mixed into weights where their gains are taken.
-_MIXED_IN: Final = 1e-4
+_UNIFORM_FRACTION: Final = 1e-4
 #: Largest number of gradient steps.
 _GRADIENT_STEPS: Final = 30
 #: Part of the largest gain by which another has to be above an edge of the hull to be off it.
@@ -161,33 +166,33 @@ _ROUNDING: Final = 1e-12
 #: Smaller weights count as zero.
 ZERO_WEIGHT: Final = 1e-5
 #: Relative gap of u to the bound at which the relaxation is solved.
-_GAP_OF_U: Final = 3e-4
+_OPTIMALITY_GAP: Final = 3e-4
 
 
 @frozen(eq=False)
-class Possibilities:
+class CandidateSet:
     """The information and the cost of each of n possible observations."""
 
     #: Rows of unit variance: columns of the unknowns and of considered terms, each of the latter
     #: times its standard uncertainty, shapes (n, b, p) and (n, b, q).
     design: Array
-    fixed: Array
+    considered: Array
     #: Rows of prior knowledge and existing observations, shapes (r, p) and (r, q).
     known: Array
-    known_fixed: Array
+    known_considered: Array
     cost: Array  #: Of each observation, s, shape (n,); zero where time does not count.
 
-    def joined(self, other: Possibilities) -> Possibilities:
+    def concatenate(self, addition: CandidateSet) -> CandidateSet:
         """Return the observations of both."""
-        parts = ("design", "fixed", "cost")
+        parts = ("design", "considered", "cost")
         design, fixed, cost = (
-            np.concatenate([getattr(self, part), getattr(other, part)]) for part in parts
+            np.concatenate([getattr(self, part), getattr(addition, part)]) for part in parts
         )
-        return Possibilities(design, fixed, self.known, self.known_fixed, cost)
+        return CandidateSet(design, fixed, self.known, self.known_considered, cost)
 
     def covariance(self, counts: npt.ArrayLike) -> Array:
         """Return the covariance of the unknowns, shape (..., p, p), for numbers (..., n)."""
-        _, inner, moved = self._parts(np.asarray(counts, dtype=np.float64))
+        _, inner, moved = self._scaled_moments(np.asarray(counts, dtype=np.float64))
         spread = inner @ moved
         return np.asarray(inner + spread @ np.swapaxes(spread, -1, -2))
 
@@ -195,36 +200,36 @@ class Possibilities:
         """Return a criterion, see `Criterion.value`."""
         return criterion.value(self.covariance(counts))
 
-    def with_one_more(self, criterion: Criterion, counts: npt.ArrayLike) -> Array:
+    def values_with_addition(self, criterion: Criterion, counts: npt.ArrayLike) -> Array:
         """Return a criterion for numbers (n,) with one more of each observation, shape (n,).
 
         Each adds rows D to the information, so that P becomes P - P D' (1 + D P D')^-1 D P.
         """
         n = np.asarray(counts, dtype=np.float64)
-        scale, inner, moved = self._parts(n)
+        scale, inner, moved = self._scaled_moments(n)
         if np.max(np.diag(inner) / scale**2) > _ILL_CONDITIONED:
             return self.value(criterion, n + np.eye(n.size))
-        places, turned = list(criterion.places), np.swapaxes(self.design, 1, 2)
-        seen = self.design @ inner
-        gain = np.linalg.solve(np.eye(seen.shape[1]) + seen @ turned, seen)
-        rows = inner[places] - np.swapaxes(seen[..., places], 1, 2) @ gain
-        spread = rows @ moved + rows @ turned @ self.fixed
-        inside = rows[..., places] + spread @ np.swapaxes(spread, 1, 2)
-        return replace(criterion, places=tuple(range(len(places)))).value(inside)
+        indices, transposed = list(criterion.indices), np.swapaxes(self.design, 1, 2)
+        projected = self.design @ inner
+        gain = np.linalg.solve(np.eye(projected.shape[1]) + projected @ transposed, projected)
+        rows = inner[indices] - np.swapaxes(projected[..., indices], 1, 2) @ gain
+        spread = rows @ moved + rows @ transposed @ self.considered
+        block = rows[..., indices] + spread @ np.swapaxes(spread, 1, 2)
+        return replace(criterion, indices=tuple(range(len(indices)))).value(block)
 
-    def _parts(self, n: Array) -> tuple[Array, Array, Array]:
+    def _scaled_moments(self, n: Array) -> tuple[Array, Array, Array]:
         """Return the scales of the unknowns, their noise covariance, and the considered moments.
 
         Shapes (..., p), (..., p, p) and (..., p, q).
         """
-        both = np.concatenate([self.design, self.fixed], axis=2)
+        columns = np.concatenate([self.design, self.considered], axis=2)
         p = self.design.shape[2]
         if n.ndim == 1:  # of the rows themselves, without their products one by one
-            rows = (np.sqrt(n)[:, None, None] * both).reshape(-1, both.shape[2])
+            rows = (np.sqrt(n)[:, None, None] * columns).reshape(-1, columns.shape[2])
             moments = rows[:, :p].T @ rows
         else:
-            moments = np.tensordot(n, np.swapaxes(self.design, 1, 2) @ both, axes=1)
-        moments = moments + self.known.T @ np.hstack([self.known, self.known_fixed])
+            moments = np.tensordot(n, np.swapaxes(self.design, 1, 2) @ columns, axes=1)
+        moments = moments + self.known.T @ np.hstack([self.known, self.known_considered])
         diagonal = np.arange(p)
         # Scaled, or columns of very different size would cost digits.
         scale = 1.0 / np.sqrt(moments[..., diagonal, diagonal])
@@ -232,7 +237,7 @@ class Possibilities:
         inner = np.linalg.inv(moments[..., :p] * outer + _RIDGE * np.eye(p)) * outer
         return scale, inner, moments[..., p:]
 
-    def relaxed(
+    def relax(
         self, criterion: Criterion, number: float, total: float, start: Array | None = None
     ) -> Optimum[Array]:
         """Return the best numbers that need not be whole.
@@ -245,17 +250,17 @@ class Possibilities:
             cost, total = np.ones(len(cost)), number
         if not math.isfinite(number):
             number = total / float(cost.min())
-        known = np.hstack([self.known, self.known_fixed])
+        known = np.hstack([self.known, self.known_considered])
         identity = np.eye(known.shape[1])[self.known.shape[1] :]
-        solved = _Relaxation(
+        relaxation = _Relaxation(
             triangle_of(np.vstack([known, identity])),
             criterion,
-            np.concatenate([self.design, self.fixed], axis=2),
+            np.concatenate([self.design, self.considered], axis=2),
             cost,
             total,
             number,
         )
-        return solved.solve(solved.start() if start is None else start)
+        return relaxation.solve(relaxation.initial_weights() if start is None else start)
 
 
 class _Relaxation:
@@ -272,7 +277,7 @@ class _Relaxation:
     ) -> None:
         self.prior = prior
         self.criterion = criterion
-        self.root, self.cost = root, cost
+        self.sqrt_information, self.cost = root, cost
         self.total, self.number = total, number
 
     def solve(self, weight: Array) -> Optimum[Array]:
@@ -281,18 +286,18 @@ class _Relaxation:
         bound, price = -math.inf, 0.0
         for _ in range(_GRADIENT_STEPS):
             # With a little of everything no gain is infinite at nothing: the bound holds anywhere.
-            mixed = weight + _MIXED_IN * (self.even() - weight)
-            current, gains = self.gain(mixed)
-            best, price = self.most(gains)
-            bound = max(bound, current + float(gains @ mixed) - float(gains @ best))
-            if value - bound < _GAP_OF_U:
+            interior = weight + _UNIFORM_FRACTION * (self.uniform_weights() - weight)
+            current, gains = self.gain(interior)
+            best, price = self.linear_optimum(gains)
+            bound = max(bound, current + float(gains @ interior) - float(gains @ best))
+            if value - bound < _OPTIMALITY_GAP:
                 break
             support = np.flatnonzero((weight > ZERO_WEIGHT) | (best > ZERO_WEIGHT))
-            better = self.improved(support, weight, best)
-            after = self.value(better)
-            if after > value - 0.01 * _GAP_OF_U:
+            improved = self.optimise_support(support, weight, best)
+            improved_value = self.value(improved)
+            if improved_value > value - 0.01 * _OPTIMALITY_GAP:
                 break  # rounding is all that is left to gain
-            weight, value = better, after
+            weight, value = improved, improved_value
         return Optimum(weight, value, bound, price)
 
     def value(self, weight: Array) -> float:
@@ -305,40 +310,42 @@ class _Relaxation:
         used = np.flatnonzero(weight > 0.0)
         value, covariance = self._solve(used, weight[used])
         v = covariance @ self.criterion.directions(covariance)
-        return value, np.asarray(np.sum((self.root @ v) ** 2, axis=(1, 2)))
+        return value, np.asarray(np.sum((self.sqrt_information @ v) ** 2, axis=(1, 2)))
 
     def _solve(self, used: Places, weight: Array) -> tuple[float, Array]:
-        rows = self.root[used] * np.sqrt(weight)[:, None, None]
+        rows = self.sqrt_information[used] * np.sqrt(weight)[:, None, None]
         stacked = np.vstack([rows.reshape(-1, self.prior.shape[1]), self.prior])
         inverse = np.linalg.inv(np.linalg.qr(stacked, mode="r"))
         covariance = inverse @ inverse.T
         return float(self.criterion.value(covariance)), covariance
 
-    def start(self) -> Array:
+    def initial_weights(self) -> Array:
         """Return starting weights: equal, then in proportion to the gain of each for its cost.
 
         From all of them everything is determined that can be, and the gains are finite: where a
         few leave something open, its price hides all else.
         """
-        taken, weight = self._taken(), self.even()
-        for _ in range(_FIRST_STEPS):
+        resource_use, weight = self._resource_use(), self.uniform_weights()
+        for _ in range(_INITIAL_STEPS):
             _, phi = self.gain(weight)
-            weight = self._within(weight * np.sqrt(phi / taken))
-        return self._within(np.where(weight > _FIRST_PART * weight.max(), weight, 0.0))
+            weight = self._scale_to_limits(weight * np.sqrt(phi / resource_use))
+        return self._scale_to_limits(
+            np.where(weight > _MIN_INITIAL_FRACTION * weight.max(), weight, 0.0)
+        )
 
-    def even(self) -> Array:
+    def uniform_weights(self) -> Array:
         """Return weights by which everything takes as much of the limits."""
-        return self._within(1.0 / self._taken())
+        return self._scale_to_limits(1.0 / self._resource_use())
 
-    def _taken(self) -> Array:
+    def _resource_use(self) -> Array:
         return self.cost / self.total + 1.0 / self.number
 
-    def _within(self, weight: Array) -> Array:
+    def _scale_to_limits(self, weight: Array) -> Array:
         """Return weights of the same ratios that touch a limit."""
-        over = max(float(self.cost @ weight) / self.total, float(weight.sum()) / self.number)
-        return weight / over
+        excess = max(float(self.cost @ weight) / self.total, float(weight.sum()) / self.number)
+        return weight / excess
 
-    def most(self, phi: Array) -> tuple[Array, float]:
+    def linear_optimum(self, phi: Array) -> tuple[Array, float]:
         """Return the weights that gain most by the gradient, and the price of an observation.
 
         A linear program of two limits. Of observations that take what there is for each of them on
@@ -356,15 +363,15 @@ class _Relaxation:
             slope = (gain[upper] - gain[lower]) / (cost[upper] - cost[lower])
             above = gain - slope * cost
             price = float(above[lower])
-            over = int(np.argmax(above))
-            if above[over] <= price + _ROUNDING * gain[upper] or over in (lower, upper):
+            vertex = int(np.argmax(above))
+            if above[vertex] <= price + _ROUNDING * gain[upper] or vertex in (lower, upper):
                 break
-            lower, upper = (over, upper) if cost[over] <= share else (lower, over)
+            lower, upper = (vertex, upper) if cost[vertex] <= share else (lower, vertex)
         weight[upper] = self.number * (share - cost[lower]) / (cost[upper] - cost[lower])
         weight[lower] = self.number - weight[upper]
         return weight[:-1], price
 
-    def improved(self, support: Places, weight: Array, best: Array) -> Array:
+    def optimise_support(self, support: Places, weight: Array, best: Array) -> Array:
         """Return the best weights on a support."""
         from scipy.optimize import minimize
 
@@ -375,7 +382,7 @@ class _Relaxation:
         def objective(n: Array) -> tuple[float, Array]:
             value, covariance = self._solve(support, np.maximum(n, 0.0))
             v = covariance @ self.criterion.directions(covariance)
-            return value, -np.sum((self.root[support] @ v) ** 2, axis=(1, 2))
+            return value, -np.sum((self.sqrt_information[support] @ v) ** 2, axis=(1, 2))
 
         minimum = minimize(
             objective,
@@ -395,5 +402,5 @@ class _Relaxation:
         result = np.zeros_like(weight)
         result[support] = np.maximum(minimum.x, 0.0)
         # A step over the limits by rounding must not count as a gain.
-        over = max(float(self.cost @ result) / self.total, float(result.sum()) / self.number, 1.0)
-        return result / over
+        excess = max(float(self.cost @ result) / self.total, float(result.sum()) / self.number, 1.0)
+        return result / excess

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+from counterspin.planning.candidate_set import _Relaxation
 from counterspin.planning.design import Criterion
-from counterspin.planning.possibilities import _Relaxation
 
 
 @pytest.mark.parametrize("total", [3.0, 40.0, 150.0, 1e4])
@@ -24,7 +24,7 @@ def test_what_gains_most_is_that_of_a_linear_program(seed, spread, total):
     gains[cost < 2.0] *= 0.01
     criterion = Criterion((0,), (1.0,))
     found = _Relaxation(np.eye(1), criterion, np.ones((count, 1, 1)), cost, total, number)
-    weight, price = found.most(gains)
+    weight, price = found.linear_optimum(gains)
     limits = {"A_ub": [cost, np.ones(count)], "b_ub": [total, number]}
     expected = linprog(-gains, **limits, method="highs")
     assert gains @ weight == pytest.approx(-expected.fun, rel=1e-9)
