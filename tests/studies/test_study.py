@@ -371,19 +371,42 @@ sigma = "residuals"
     assert np.median(found.u[0] / still.u[0]) == pytest.approx(np.sqrt(1.75), rel=0.15)
 
 
-def test_joint_fit_of_a_varying_rotation_is_linear(tmp_path):
-    """Whole records scatter alike, though each trial turns otherwise."""
-    text = SHORT + VARYING[: VARYING.index("[study.analyses")]
-    folder = write(tmp_path / "a", text + '[study.analyses.joint]\nmethod = "joint"\n')
-    few = 60
-    fast, slow = study(folder, trials=20_000), study(folder, trials=few, engine="full")
-    assert fast.analyses["joint"].engine == "linear"
-    low, high = chi_square_bounds(few)
-    for name in ("Qx.K_F", "Qx.K_II", "Qx.K_III"):
-        c, full = (coefficient(result, "joint", name) for result in (fast, slow))
-        # The prior of K_F is exact here, so that it scatters less than u.
-        assert low < few * full.mse / c.mse < high
-        assert full.u == pytest.approx(c.u, rel=1e-2)
+def joint_part(folder, text):
+    """Return the truth and the engine of the joint analysis of a short plan."""
+    description = read_study(write(folder, text + '[study.analyses.joint]\nmethod = "joint"\n'))
+    (analysis,) = analyses_of(description)
+    world, truth = world_and_truth(description)
+    return truth, choose_engine(world, truth, analysis, "auto")
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        # Ripple makes K_II and K_III distinct, and u three times as large or small.
+        (("[[runs]]", VARYING[: VARYING.index("[study.analyses")] + "[[runs]]"), "rotation varies"),
+        # The fit attributes part of the angle's residuals to the time stamps.
+        (("[noise]", '[noise]\ntiming = "1e-3 s"'), "u of whole records differs"),
+        # The products of errors that nobody states are as large as such noise.
+        (('assume = "all" ', "# "), "whole records differ by"),
+    ],
+)
+def test_joint_fit_that_is_not_linear_needs_whole_records(tmp_path, change, reason):
+    text = change[1].join(SHORT.split(change[0], 1))
+    if "differ by" in reason:
+        text = text.replace('"0.01 m"', '"1e-5 m"').replace('"1e-6 rad"', '"1e-9 rad"')
+    _, part = joint_part(tmp_path / "a", text)
+    assert part.cost == "full"
+    assert reason in part.words
+
+
+@pytest.mark.parametrize("assumed", ['assume = "all" ', "# "])
+def test_base_value_of_linear_trials_is_the_mean_truth(tmp_path, assumed):
+    """Without noise the estimate of mean true values that equal their priors has no error."""
+    text = SHORT.replace('assume = "all" ', assumed).replace('K_IP = "6e-6', 'K_IP = "0')
+    truth, part = joint_part(tmp_path / "a", text)
+    assert part.cost == "linear"
+    mean = [truth.mean(c.owner, c.symbol) for c in part.reported]
+    assert np.abs((part.engine.constant - mean) / part.engine.u).max() < 1e-4
 
 
 # Who does the work

@@ -29,7 +29,6 @@ from counterspin.studies.draws import (
     RIPPLE_RATIO,
     WHITE,
     Draws,
-    RecordNoise,
     StudyTruth,
 )
 from counterspin.studies.linear import (
@@ -264,7 +263,8 @@ def _departures(world: World, truth: StudyTruth, analysis: Analysis, part: Engin
     """Return the reason against linear trials if whole records differ from them.
 
     The compared records have noise, which outlier rejection and other checks of residuals need.
-    The same noise in a second fit or a second trial removes its effect from the difference.
+    Its effect on the estimate is the same in all trials. For the joint fit, a single fit without
+    rejection finds it at the mean true values.
     """
     request, engine = analysis.request, part.engine
     rows: tuple[int, ...] = ()
@@ -280,18 +280,17 @@ def _departures(world: World, truth: StudyTruth, analysis: Analysis, part: Engin
         rows = engine.rows
     full = FullEngine(world, request, analysis.joint, analysis.owner, rows)
     middle = truth.middle()
-    # The rotation alone changes the columns of a fit, and with them the effect of the noise.
-    turns = truth.varies(DRIFT, RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE)
     departures, changes, noise = [], [], None
     for true in (middle, *_compared(truth)):
         draws = replace(true, white=middle.white, noise=middle.noise)
         slow = full.trials(draws, np.random.default_rng(0))
         fast = engine.trials(replace(draws, white=np.zeros(1)), np.random.default_rng(0))
-        if isinstance(request, JointRequest) and (noise is None or turns):
-            noise = _noise_of_fit(world, truth, request, draws)[list(rows), None]
-        elif noise is None:
-            # A two-stage engine is exact at the mean true values.
-            noise = slow.estimate - fast.estimate
+        if noise is None:
+            # The two-stage engine is exact at the mean true values.
+            fitted = slow.estimate
+            if isinstance(request, JointRequest):
+                fitted = _fit_estimate(world, truth, request, draws, rows)
+            noise = fitted - fast.estimate
         difference = (slow.estimate - noise - fast.estimate) / fast.u
         departures.append(float(np.abs(difference[list(part.rows)]).max()))
         changes.append(float(np.abs(slow.u / fast.u - 1.0)[list(part.rows)].max()))
@@ -302,16 +301,14 @@ def _departures(world: World, truth: StudyTruth, analysis: Analysis, part: Engin
     return []
 
 
-def _noise_of_fit(world: World, truth: StudyTruth, request: JointRequest, draws: Draws) -> Array:
-    """Return the effect of the noise of `draws` on one fit with the assumed noise, shape (p,)."""
-    noisy, quiet = (
-        fit_records(records, request, truth).estimate
-        for records in (
-            TrialRecords.of(world, draws, np.random.default_rng(0)),
-            TrialRecords(replace(world, noise=RecordNoise()), draws, np.random.default_rng(0)),
-        )
-    )
-    return np.asarray(noisy - quiet)
+def _fit_estimate(
+    world: World, truth: StudyTruth, request: JointRequest, draws: Draws, rows: Sequence[int]
+) -> Array:
+    """Return the estimates of a single fit, nominal values added, shape (c, 1)."""
+    records = TrialRecords.of(world, draws, np.random.default_rng(0))
+    estimate = fit_records(records, request, truth).estimate
+    nominal = [request.model.unknowns[row].nominal for row in rows]
+    return np.asarray(estimate[list(rows), None] + np.array(nominal)[:, None])
 
 
 def _compared(truth: StudyTruth) -> list[Draws]:
@@ -359,6 +356,8 @@ def against_strobes(world: World, truth: StudyTruth, request: TwoStageRequest) -
 def against_joint(world: World, truth: StudyTruth, request: JointRequest) -> list[str]:
     """Return the reasons against the linear engine for the joint fit; empty if it is valid."""
     reasons = _against(world, truth)
+    if truth.varies(DRIFT, RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
+        reasons.append("the rotation varies, and with it the weights of every sample")
     given = {name: replace(noise, covariance=()) for name, noise in request.noise.items()}
     if any(noise.has_bias_instability for noise in given.values()):
         reasons.append("the noise that the analysis assumes wanders")
