@@ -28,6 +28,11 @@ TYPESCRIPT := $(VENV)/typescript/.ready
 # Neighbours share what they set up: each process takes a stretch of the list, and none waits.
 PARALLEL = -n $(JOBS) --dist worksteal
 
+# Tests of the documentation, and tests that start a browser.
+PAGE_TESTS := $(wildcard tests/test_docs*.py) tests/reports/test_html_browser.py \
+  $(addprefix tests/application/,test_application_accessibility.py test_application_journey.py \
+  test_server_browser.py)
+
 # Without bytecode on disk every process that a test starts compiles 300 modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -50,8 +55,8 @@ demo: $(READY) ## Simulate and calibrate the paper's plan: a table and a figure
 	$(BIN)/counterspin demo
 
 test: PREPARED = $(COMPILED)
-test: lint ## Lint, types, import rules and all tests
-	$(BIN)/python -m pytest $(PARALLEL)
+test: lint ## Lint, types, import rules and all tests except those of docs-tests
+	$(BIN)/python -m pytest $(PARALLEL) $(PAGE_TESTS:%=--ignore=%)
 
 quick: $(READY) ## The short tests, for working: a minute at most
 	$(BIN)/python -m pytest $(PARALLEL) --quick 55
@@ -85,9 +90,9 @@ docs: $(READY) $(DOCS) ## Build the documentation's site in build/site
 	@$(BIN)/sphinx-build $(SPHINX) -q -b html -j 8 docs build/site
 	@echo "Open build/site/index.html."
 
-docs-tests: docs ## Try the site: its examples, its links, a browser that goes through it
+docs-tests: docs ## Build the site; test the documentation, and all pages in a browser
 	$(BIN)/sphinx-build $(SPHINX) -b doctest -q docs build/doctest
-	COUNTERSPIN_SITE=build/site $(BIN)/python -m pytest -q tests/test_docs_browser.py
+	COUNTERSPIN_SITE=build/site $(BIN)/python -m pytest $(PARALLEL) $(PAGE_TESTS)
 
 violations: $(READY) ## Make the tables of what violations of the model do again
 	$(BIN)/python docs/violations.py

@@ -599,6 +599,24 @@ def test_types_are_checked_for_every_platform_in_one_process():
     assert not any("--num-workers" in command for command in commands)
 
 
+def test_every_test_is_run_by_make_test_or_by_make_docs_tests():
+    make = shutil.which("make") or pytest.skip("there is no make")
+    shown = subprocess.run(
+        [make, "--dry-run", "test", "docs-tests"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    fast, pages = (line.split() for line in shown.stdout.splitlines() if " -m pytest -n " in line)
+    ignored = {word.removeprefix("--ignore=") for word in fast if word.startswith("--ignore=")}
+    files = {f"tests/{path.as_posix()}": ROOT / "tests" / path for path in TESTS}
+    assert ignored == {word for word in pages if word in files}
+    assert not [word for word in fast if word in files]
+    browser = {name for name, path in files.items() if "needs_chromium" in path.read_text("utf-8")}
+    assert browser - {"tests/test_house.py"} <= ignored
+
+
 TEXT = {".py", ".md", ".toml", ".txt", ".json", ".csv", ".svg", ".html", ".css", ".ts", ""}
 MACHINE_PATH = re.compile(r"(?<![\w.])/(?:home|root|Users|work)/|\b[A-Z]:\\+Users\b")
 
