@@ -245,14 +245,14 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
             {"result": result, "lab": "odd/LAB.toml", "output": "new.xml"},
         ],
         "POST certificate-preview": [
-            {"result": result, "text": lab},
-            {"result": result, "text": "[certificate]\n"},
+            labs | {"result": result},
+            labs | {"result": result, "text": "[certificate]\n"},
         ],
         "POST certificate-check": [
             {"name": "three/certificate.pdf"},
             {"name": "three/certificate.pdf", "certificate": key},
         ],
-        "POST profile": [{"text": lab.replace("Example Calibration", "Bench")}],
+        "POST profile": [{"file": "LAB.toml", "text": lab.replace("Example Calibration", "Bench")}],
         "GET file": [{"name": result}, {"name": "PLAN.toml"}],
         "POST ticket": [
             {"name": "file", "said": {"name": result}},

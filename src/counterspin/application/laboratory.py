@@ -7,8 +7,10 @@ laboratory, and fills in the data of the next one.
 from __future__ import annotations
 
 import datetime
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, Final
 
 from counterspin.application.desk import Desk
@@ -33,7 +35,7 @@ _KEYS: Final = ("language", "place", "traceability", "procedure")
 def lab_data(desk: Desk, file: str, result: str) -> dict[str, Any]:
     """Return the laboratory's data in a file; without a file, the template with the profile."""
     seen, found = desk.folder.read(file), desk.result(result)
-    text = seen.text or _initial_text(desk, found)
+    text = seen.text or _initial_text(desk, found, desk.folder.path(file).parent)
     return checked_lab(text, found).shown() | {
         "file": file,
         "version": seen.version,
@@ -43,16 +45,21 @@ def lab_data(desk: Desk, file: str, result: str) -> dict[str, Any]:
     }
 
 
-def draft_preview(desk: Desk, result: str, text: str) -> dict[str, Any]:
-    """Return the pages of the certificate as SVG images, marked as a draft."""
-    found, document = desk.result(result), parse_text(text)
+def draft_preview(desk: Desk, file: str, text: str, result: str) -> dict[str, Any]:
+    """Return the pages of the certificate as SVG images, marked as a draft.
+
+    file: That of the laboratory's data, from which the logo is found.
+    """
+    found, document, folder = desk.result(result), parse_text(text), desk.folder.path(file).parent
+    desk.require_inside(folder, document)
     with desk.drawing:
-        return {"pages": draft_pages(found, document)}
+        return {"pages": draft_pages(found, document, folder)}
 
 
-def save_profile(desk: Desk, text: str) -> dict[str, Any]:
+def save_profile(desk: Desk, file: str, text: str) -> dict[str, Any]:
     """Write the laboratory's profile from its data; return the file's name."""
-    document = parse_text(text)
+    document, folder = parse_text(text), desk.folder.path(file).parent
+    desk.require_inside(folder, document)
     kept: dict[str, Any] = {
         key: value for key in _SECTIONS if (value := _without_template(document.get(key), (key,)))
     }
@@ -60,19 +67,25 @@ def save_profile(desk: Desk, text: str) -> dict[str, Any]:
     kept["certificate"] = _without_template(
         {key: settings[key] for key in _KEYS if key in settings}, ("certificate",)
     )
+    _move_logo(kept, folder, desk.folder.root)
     if not any(kept.values()):
         raise CounterspinError("The profile would be empty: fill in the laboratory first.")
     desk.folder.write(PROFILE_NAME, write_document(kept), desk.folder.read(PROFILE_NAME).version)
     return {"file": PROFILE_NAME}
 
 
-def _initial_text(desk: Desk, result: Result) -> str:
-    """Return the template, with the values of the profile and the date of the campaign."""
+def _initial_text(desk: Desk, result: Result, folder: Path) -> str:
+    """Return the template, with the values of the profile and the date of the campaign.
+
+    folder: That of the laboratory's data.
+    """
     text = example_text()
     day = result.details.get("date")
     with suppress(TypeError, ValueError):
         text = _with_dates(text, datetime.date.fromisoformat(day or ""))
-    for path, value in _entries(_profile(desk)):
+    profile = dict(_profile(desk))
+    _move_logo(profile, desk.folder.root, folder)
+    for path, value in _entries(profile):
         try:
             text = with_value(text, path, value)
         except CounterspinError as error:
@@ -80,6 +93,14 @@ def _initial_text(desk: Desk, result: Result) -> str:
                 f"{PROFILE_NAME}: {key_path(path)}: cannot be used; correct or remove this file"
             ) from error
     return text
+
+
+def _move_logo(document: dict[str, Any], folder: Path, new_folder: Path) -> None:
+    """State the path of the logo relative to another folder."""
+    laboratory = table_of(document, "laboratory")
+    if isinstance(logo := laboratory.get("logo"), str):
+        path = Path(os.path.relpath(folder / logo, new_folder)).as_posix()
+        document["laboratory"] = {**laboratory, "logo": path}
 
 
 def _with_dates(text: str, day: datetime.date) -> str:

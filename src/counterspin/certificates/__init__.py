@@ -12,6 +12,7 @@ do not determine is named as such, and missing data of the laboratory is an erro
 - `conversion`: the numbers in SI, with the remaining uncertainty of g, and no U below the
   laboratory's capability
 - `completeness`: the data that a certificate lacks; with any it is a draft
+- `logo`: the laboratory's logo, checked and read
 - `codes`: codes of countries and languages in force
 - `evidence`: the bounds of terms that were assumed perfect
 - `amendment`: the replacement of an issued certificate

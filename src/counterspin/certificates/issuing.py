@@ -34,6 +34,7 @@ from counterspin.certificates.conversion import apply_cmc_floor, output_table, t
 from counterspin.certificates.evidence import require_evidence
 from counterspin.certificates.lab import Lab, read_lab, with_required_keys
 from counterspin.certificates.ledger import IssueDetails, checksum_of, record_certificate
+from counterspin.certificates.logo import read_logo
 from counterspin.certificates.pdf_pages import TITLE, page_blocks, page_title, results_table
 from counterspin.certificates.schema import check_schema
 from counterspin.certificates.signature import (
@@ -292,12 +293,18 @@ def certificate(
         source = "the result" if isinstance(result, Result) else str(result)
         raise RecordError(f"{source}: {problem}")
     source = "the laboratory's data" if isinstance(lab, Mapping) else str(lab)
+    folder = Path() if isinstance(lab, Mapping) else Path(lab).parent
     require_evidence(original.assumed, data.evidence, source)
     amended, old = (None, b"") if amends is None else read_amended(amends)
     accepted = tuple(reason for reason in (accept_misfit, accept_unsealed) if reason is not None)
     missing = missing_data(data, original)
     issue = _make_issue(data, original, amended, accepted, draft=bool(missing))
-    issue = replace(issue, accepted_unsealed=accept_unsealed, signed=signer is not None)
+    issue = replace(
+        issue,
+        accepted_unsealed=accept_unsealed,
+        signed=signer is not None,
+        logo=_read_logo(data, folder, source),
+    )
     if issue.draft and signer is not None:
         raise CampaignError(source, missing_lines(missing))
     if callable(signer):
@@ -335,8 +342,10 @@ def certificate(
     )
 
 
-def draft_pages(result: Result, lab: Mapping[str, Any]) -> list[str]:
+def draft_pages(result: Result, lab: Mapping[str, Any], folder: Path) -> list[str]:
     """Return the pages of a result's certificate as SVG images, marked as a draft.
+
+    folder: That of the laboratory's file, for the logo.
 
     Raises
     ------
@@ -350,11 +359,20 @@ def draft_pages(result: Result, lab: Mapping[str, Any]) -> list[str]:
     names, judged = data.certified(result), judge_result(result)
     check_certifiable(judged, names)
     issue = _make_issue(data, result, None, (), draft=True)
+    issue = replace(issue, logo=_read_logo(data, folder, "the laboratory's data"))
     certified = apply_cmc_floor(judged, data)
     if specifications is not None:
         certified = with_conformity(certified, specifications)
     verdicts = {name: certified.accelerometers[name].conformity for name in names}
     return _page_images(data, judged, issue, verdicts)
+
+
+def _read_logo(lab: Lab, folder: Path, source: str) -> bytes | None:
+    name = lab.laboratory.logo
+    try:
+        return None if name is None else read_logo(folder, name)
+    except ValueError as error:
+        raise CampaignError(source, [f"laboratory.logo: {error}"]) from error
 
 
 def _signed_pages(pages: bytes, signer: Signer | None) -> bytes:
@@ -478,12 +496,14 @@ def _page_images(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> 
 
 
 def _page_settings(issue: Issue) -> dict[str, Any]:
-    """Return title, identifier, date and watermark of the pages."""
+    """Return title, identifier, date and marks of the pages."""
+    from counterspin.reports.pdf import PageMarks
+
     return {
         "title": page_title(issue),
         "identifier": issue.identifier,
         "date": issue.date,
-        "watermark": "DRAFT" if issue.draft else "",
+        "marks": PageMarks("DRAFT" if issue.draft else "", issue.logo),
     }
 
 

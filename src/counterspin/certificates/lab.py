@@ -186,6 +186,11 @@ class Laboratory(Contact):
 
     country: Country = key_field("country code of two letters (ISO 3166-1)", "DE", kind="country")
     code: Text | None = key_field("identifier of the accreditation", "D-K-00000-01-00", None)
+    logo: Text | None = key_field(
+        "logo on the pages: a PNG or SVG file of at most 1 MB, relative to LAB.toml",
+        "logo.svg",
+        None,
+    )
 
 
 class Item(SettingsSection):

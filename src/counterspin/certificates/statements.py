@@ -41,6 +41,7 @@ class Issue:
     amended: AmendedCertificate | None = None  #: The certificate that this one replaces.
     #: Reason for certifying a result whose file has no seal; None if it has one.
     accepted_unsealed: str | None = None
+    logo: bytes | None = None  #: The laboratory's, PNG or SVG.
 
     def file_name(self, ending: str) -> str:
         """Return a file name made of the identifier; a slash in it would name a folder."""

@@ -52,6 +52,18 @@ class Attachment:
     relationship: Literal["source", "data", "alternative", "supplement"]
 
 
+@frozen
+class PageMarks:
+    """Marks on the pages of a document, besides its blocks."""
+
+    watermark: str = ""  #: Printed across every page; empty: none.
+    logo: bytes | None = None  #: At the top of the first page: PNG, or SVG that loads nothing.
+
+
+#: Pages without marks.
+_UNMARKED: Final = PageMarks()
+
+
 def pdf(
     blocks: Sequence[Block],
     *,
@@ -60,7 +72,7 @@ def pdf(
     date: datetime,
     kind: str = "a page",
     attachments: Sequence[Attachment] = (),
-    watermark: str = "",
+    marks: PageMarks = _UNMARKED,
 ) -> bytes:
     """Set blocks as a PDF/A-3a (ISO 19005-3) and PDF/UA-1 (ISO 14289-1).
 
@@ -69,13 +81,12 @@ def pdf(
     Cyrillic and Hebrew) is taken from the machine's fonts; a square replaces it if these lack it.
 
     title: Title on every page; also the heading, if the blocks have none of level 1.
-    watermark: Printed across every page.
     """
     names = [attachment.name for attachment in attachments]
     if len(set(names)) < len(names):
         raise ValueError(f"each attachment needs a unique name; got {', '.join(names)}")
     moment = date.astimezone(UTC).replace(microsecond=0)
-    data = _layout_data(blocks, title, identifier, moment, watermark)
+    data = _layout_data(blocks, title, identifier, moment, marks)
     data |= {
         "mark": mark(kind),
         "attachments": [
@@ -90,26 +101,51 @@ def pdf(
     }
     # The compiler accepts text only, so bytes are passed as a list of numbers.
     files = {
-        f"attachment-{index}.json": json.dumps(
-            list(attachment.data), separators=(",", ":")
-        ).encode()
+        f"attachment-{index}.json": _as_numbers(attachment.data)
         for index, attachment in enumerate(attachments)
     }
-    return _compile(data, files, moment)
+    return _compile(data, files | _logo_files(marks.logo), moment)
 
 
 def page_images(
-    blocks: Sequence[Block], *, title: str, identifier: str, date: datetime, watermark: str = ""
+    blocks: Sequence[Block],
+    *,
+    title: str,
+    identifier: str,
+    date: datetime,
+    marks: PageMarks = _UNMARKED,
 ) -> list[str]:
     """Return the pages that `pdf` sets as SVG images; parameters as there."""
     moment = date.astimezone(UTC).replace(microsecond=0)
-    data = _layout_data(blocks, title, identifier, moment, watermark)
-    pages = _typst(_layout_files(data), moment, own_fonts=True, output_format="svg")
+    data = _layout_data(blocks, title, identifier, moment, marks)
+    files = _layout_files(data) | _logo_files(marks.logo)
+    pages = _typst(files, moment, own_fonts=True, output_format="svg")
     return [page.decode() for page in (pages if isinstance(pages, list) else [pages])]
 
 
+def is_image(data: bytes) -> bool:
+    """Return whether data are a PNG or SVG image that can be set on a page."""
+    from typst import TypstError
+
+    page = '#set document(title: "x")\n#image(bytes(json("logo.json")), alt: "x")'
+    files = {"main.typ": page.encode()} | _logo_files(data)
+    try:
+        _typst(files, datetime(2000, 1, 1, tzinfo=UTC), own_fonts=True)
+    except TypstError:
+        return False
+    return True
+
+
+def _logo_files(logo: bytes | None) -> dict[str, bytes]:
+    return {} if logo is None else {"logo.json": _as_numbers(logo)}
+
+
+def _as_numbers(data: bytes) -> bytes:
+    return json.dumps(list(data), separators=(",", ":")).encode()
+
+
 def _layout_data(
-    blocks: Sequence[Block], title: str, identifier: str, moment: datetime, watermark: str
+    blocks: Sequence[Block], title: str, identifier: str, moment: datetime, marks: PageMarks
 ) -> dict[str, Any]:
     """Return the data of the layout, without attachments."""
     title, identifier = escape_controls(title), escape_controls(identifier)
@@ -119,7 +155,8 @@ def _layout_data(
     return {
         "title": title,
         "identifier": identifier,
-        "watermark": watermark,
+        "watermark": marks.watermark,
+        "has_logo": marks.logo is not None,
         "mark": "",
         "moment": moment.timetuple()[:6],
         "day": f"{moment:%Y-%m-%d %H:%M} UTC",

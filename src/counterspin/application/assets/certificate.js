@@ -15,7 +15,8 @@ class Preview {
   constructor() {
     this.sheets = make("div", { class: "sheets", tabindex: "0", role: "region", "aria-label": "Pages of the certificate" });
     this.state = make("p", { class: "quiet", role: "status" }, "Drawing the pages.");
-    this.element = make("section", { class: "pages" }, make("h2", {}, "Preview"), this.state, this.sheets);
+    this.wrong = make("div");
+    this.element = make("section", { class: "pages" }, make("h2", {}, "Preview"), this.state, this.wrong, this.sheets);
   }
 
   /**
@@ -95,10 +96,10 @@ export async function certificateView(result) {
       return;
     }
     preview.state.textContent = "Drawing the pages.";
-    const { pages } = await send("POST", "certificate-preview", { result, text });
     drawn = text;
+    const { pages } = await send("POST", "certificate-preview", { file, text, result });
     preview.show(pages, "As the data are now. DRAFT stands on every page until the certificate is issued.");
-  }, make("div"));
+  }, preview.wrong);
 
   const signing = new Signing(told.signer, () => judge());
   const form = new CertificateForm(told, {

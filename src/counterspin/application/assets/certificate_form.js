@@ -114,7 +114,7 @@ export class CertificateForm extends Editor {
 
   async saveProfile() {
     await this.last;
-    const { file } = await send("POST", "profile", { text: this.now.text });
+    const { file } = await send("POST", "profile", { file: this.file, text: this.now.text });
     this.hasProfile = true;
     say(`Saved the laboratory profile, ${file}.`);
   }
