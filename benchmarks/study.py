@@ -11,9 +11,11 @@ What is timed within a process is done by `study_jobs.py`, so that this one stay
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +36,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     found = json.loads(done.stdout)
     return [
         _paper(found, full),
-        _default(found["default"]),
+        _examples(found["examples"]),
         Table(
             "Cost against trials",
             "Seconds by each way, within one process, the fastest of three.",
@@ -101,19 +103,30 @@ def _suncal(linear: dict[str, Any], samples: int, u: float) -> dict[str, Any] | 
     return theirs
 
 
-def _default(found: dict[str, Any]) -> Table:
-    sizes, times = found["sizes"], found["times"]
-    rows: list[list[Cell]] = [
-        [f"{sizes['few']} trials", *times["few"], 5.0],
-        [f"{sizes['many']} trials", *times["many"], 30.0],
-        [f"{sizes['whole']} trials, whole records", *times["whole"], None],
-    ]
+#: Trials of the example -> the longest time that they may take, s.
+_EXAMPLE_TARGETS = {1000: 5.0, 100_000: 30.0}
+
+
+def _examples(rows: Sequence[dict[str, Any]]) -> Table:
+    cells: list[list[Cell]] = []
+    before: dict[str, Any] = {}
+    for row in rows:
+        linear = row["engine"] == "linear"
+        order = None
+        if linear and before.get("records") == row["records"]:
+            order = math.log(row["cpu"] / before["cpu"], row["trials"] / before["trials"])
+        target = _EXAMPLE_TARGETS.get(row["trials"])
+        name = f"{row['records']}, {row['engine']} engine"
+        cells.append([name, row["trials"], row["wall"], row["cpu"], target, order])
+        before = row
     return Table(
         "The study of the example",
-        "The campaign that `counterspin init` writes, with its three analyses and 42 quantities "
-        "that are drawn; preparation included. One core, within a process; medians.",
-        ["way", "median (s)", "processor (s)", "target (s)"],
-        rows,
+        "The campaign that `counterspin init` writes, with its three analyses, and the same with "
+        "records of velocity, which the joint fit alone analyses; preparation included. One core, "
+        "within a process; medians. The growth order is that of the processor time, from the row "
+        "above.",
+        ["study", "trials", "median (s)", "processor (s)", "target (s)", "growth order"],
+        cells,
     )
 
 

@@ -147,17 +147,38 @@ def paper_s_plan(full: bool, repeats: int, made: dict[str, StudyEngine]) -> dict
     return {"sizes": sizes, "times": times, "u": ours.u}
 
 
-def default_study(full: bool, repeats: int) -> dict[str, Any]:
-    """Time the study of the example that `init` writes, preparation included."""
+def example_of(observable: str) -> StudyDescription:
+    """Return the study of the example that `init` writes, with records of an observable."""
+    unit = {"displacement": "m", "velocity": "m/s"}[observable]
     with tempfile.TemporaryDirectory() as name:
-        description = read_study(init(Path(name) / "example"))
-    sizes = {"few": 1000, "many": 100_000 if full else 10_000, "whole": 4}
-    jobs: dict[str, Job] = {
-        "few": lambda: study(description, trials=sizes["few"]),
-        "many": lambda: study(description, trials=sizes["many"]),
-        "whole": lambda: study(description, trials=sizes["whole"], engine="full"),
-    }
-    return {"sizes": sizes, "times": in_turn(jobs, min(repeats, 3))}
+        file = init(Path(name) / "example")
+        text = file.read_text(encoding="utf-8")
+        column = f'{observable} = {{ column = "output", unit = "{unit}" }}'
+        text = text.replace('displacement = { column = "east_m", unit = "m" }', column)
+        text = text.replace('displacement = "0.01 m"', f'{observable} = "0.01 {unit}"')
+        assert text.count(f"{observable} = ") >= 3
+        file.write_text(text, encoding="utf-8")
+        return read_study(file)
+
+
+def example_studies(full: bool, repeats: int) -> list[dict[str, Any]]:
+    """Time the studies of the example, preparation included."""
+    rows: dict[str, dict[str, Any]] = {}
+    jobs: dict[str, Job] = {}
+    for observable in ("displacement", "velocity"):
+        description = example_of(observable)
+        for count in (1000, 10_000, 100_000) if full else (1000, 10_000):
+            name = f"{observable} {count}"
+            rows[name] = {"records": observable, "trials": count, "engine": "linear"}
+            jobs[name] = partial(study, description, trials=count)
+        few = 4
+        name = f"{observable} {few}"
+        rows[name] = {"records": observable, "trials": few, "engine": "full"}
+        jobs[name] = partial(study, description, trials=few, engine="full")
+    times = in_turn(jobs, min(repeats, 3))
+    return [
+        row | dict(zip(("wall", "cpu"), times[name], strict=True)) for name, row in rows.items()
+    ]
 
 
 def against_trials(full: bool, made: dict[str, StudyEngine]) -> list[dict[str, Any]]:
@@ -203,7 +224,7 @@ def main() -> None:
         json.dumps(
             {
                 "paper": paper_s_plan(chosen.full, chosen.repeats, made),
-                "default": default_study(chosen.full, chosen.repeats),
+                "examples": example_studies(chosen.full, chosen.repeats),
                 "against trials": against_trials(chosen.full, made),
                 "linear": {
                     "weights": [list(w) for w in plan.readings_to_k_ii()],
