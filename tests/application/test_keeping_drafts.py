@@ -2,10 +2,12 @@
 
 import os
 import stat
+from functools import partial
 
 import numpy as np
 import pytest
 from exports import EXPORTS, campaign_folder, write_records
+from posed_files import compound, waveforms
 from served import ANSWERS
 
 from counterspin.application.folder import OutsideError
@@ -186,3 +188,19 @@ def test_columns_of_words_are_shown_where_they_are_asked_for(page):
     assert [column["extent"] for column in told["columns"]][:2] == [[], []]
     told = page.post("/api/draft", json={"names": [name], "test": "double-turntable"}).json()
     assert [column["name"] for column in told["columns"]] == ["n_rpm", "out_V"]
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "note"),
+    [
+        ("a.h5", compound, "a sensor with three axes: columns 'ax', 'ay', 'az'"),
+        ("a.tdms", partial(waveforms, ends=(0, 1, 2)), "channels cut to the shortest"),
+        ("b.tdms", partial(waveforms, late=(0, 0, 200)), "channels aligned by their start"),
+    ],
+)
+def test_the_page_imports_tables_within_files(page, tmp_path, name, write, note):
+    write(tmp_path / name)
+    brought = bring(page, name, (tmp_path / name).read_bytes()).json()["name"]
+    told = page.post("/api/draft", json={"names": [brought]}).json()
+    assert told["test"] == "poses"
+    assert note in " ".join(told["statements"])

@@ -69,6 +69,8 @@ class FileContents:
     decimal: str = "."  #: What parts decimals in it.
     sheet: str | None = None  #: That of a workbook which has several tables.
     sheets: tuple[str, ...] = ()  #: All of these.
+    group: str | None = None  #: The group that holds the run, of a file with several runs.
+    runs: tuple[str, ...] = ()  #: Groups that hold a run each.
     interval: float | None = None  #: Time between rows by the file, s.
     #: Single numbers that stand beside the columns, by name.
     numbers: Mapping[str, float] = field(default_factory=dict)
@@ -85,9 +87,19 @@ class FileContents:
     remarks: tuple[str, ...] = ()  #: Faults of the rows, such as repeated values, a sentence each.
 
     @property
+    def title(self) -> str:
+        """The name of the file without its ending, and the sheet or the group."""
+        part = self.sheet or self.group
+        return f"{self.path.stem} {part}" if part else self.path.stem
+
+    @property
     def dialect_keys(self) -> dict[str, Any]:
         """The keys of a description by which the file is read."""
-        keys: dict[str, Any] = {"sheet": self.sheet, "skip_footer": len(self.footer)}
+        keys: dict[str, Any] = {
+            "sheet": self.sheet,
+            "group": self.group,
+            "skip_footer": len(self.footer),
+        }
         if self.sensors and self.selected:
             keys["select"] = {"column": self.sensors[0], "value": self.selected}
         return {key: value for key, value in keys.items() if value}
@@ -120,7 +132,9 @@ def read_files(
     for done, file in enumerate(files, 1):
         sheets = tuple(in_reader_process(table_sheets, file)) if is_workbook(file) else ()
         if len(sheets) < 2:
-            all_contents.append(read_contents(file, sensor=sensor))
+            contents = read_contents(file, sensor=sensor)
+            groups = [read_contents(file, sensor=sensor, group=run) for run in contents.runs]
+            all_contents += groups or [contents]
         else:
             taken = sheets if asked == ALL_SHEETS else (asked if asked in sheets else sheets[0],)
             all_contents += [read_contents(file, sheet, sheets, sensor) for sheet in taken]
@@ -134,19 +148,24 @@ def read_contents(
     sheet: str | None = None,
     sheets: tuple[str, ...] = (),
     sensor: str | None = None,
+    group: str | None = None,
 ) -> FileContents:
-    """Return the contents of a file, or of one of its sheets.
+    """Return the contents of a file, or of one of its sheets or groups.
 
     sensor: Value of the column that tells several sensors apart, of the rows that are read; or
         that column and the value, ``device=A``.
     """
-    return in_reader_process(_read_contents, path, sheet, sheets, sensor)
+    return in_reader_process(_read_contents, path, sheet, sheets, sensor, group)
 
 
 def _read_contents(
-    path: Path, sheet: str | None, sheets: tuple[str, ...], sensor: str | None
+    path: Path,
+    sheet: str | None,
+    sheets: tuple[str, ...],
+    sensor: str | None,
+    group: str | None,
 ) -> FileContents:
-    with open_columns(path, Dialect(sheet=sheet)) as file:
+    with open_columns(path, Dialect(sheet=sheet, group=group)) as file:
         footer = file.footer
         cells = file.first_cells([name for name in file.names if name], SHOWING_ROWS)
         told_apart, kinds = next(sensor_columns(cells), ("", []))
@@ -154,7 +173,7 @@ def _read_contents(
     chosen = (told_apart, sensor) if sensor is not None and sensor in kinds else None
     if chosen is None and value:
         chosen = told_apart, _ = stated.strip(), value.strip()
-    dialect = Dialect(sheet=sheet, skip_footer=len(footer), select=chosen)
+    dialect = Dialect(sheet=sheet, skip_footer=len(footer), select=chosen, group=group)
     with open_columns(path, dialect) as file:
         names = [name for name in dict.fromkeys(file.names) if name][:_MAX_COLUMNS]
         columns, others, spoilt, reasons = [], [], [], []
@@ -173,7 +192,7 @@ def _read_contents(
         if not told_apart:
             told_apart, kinds = _stacked(file, columns, file.first_cells(others, _FIRST_CELLS))
             if sensor in kinds:
-                return _read_contents(path, sheet, sheets, f"{told_apart}={sensor}")
+                return _read_contents(path, sheet, sheets, f"{told_apart}={sensor}", group)
         if not columns:
             seen = file.seen()
             lines = f"Its first lines:\n{seen}\n{_WANTED}" if seen else _WANTED
@@ -190,6 +209,8 @@ def _read_contents(
             file.decimal,
             sheet,
             sheets,
+            group,
+            file.runs,
             file.interval,
             file.single_numbers(),
             file.first_cells(others, _FIRST_CELLS),

@@ -221,8 +221,7 @@ def _runs(
 ) -> Iterator[dict[str, Any]]:
     """Yield the run of each file under a name that is not among `names`, and add the name."""
     for guess in guesses:
-        stem, sheet = guess.contents.path.stem, guess.contents.sheet
-        name = Path(record_name(f"{stem} {sheet}" if sheet else stem, "", names)).name
+        name = Path(record_name(guess.contents.title, "", names)).name
         names.append(name)
         run: dict[str, Any] = {
             "name": name,

@@ -44,6 +44,7 @@ def overview(all_contents: Sequence[FileContents]) -> list[str]:
 def _lines(contents: FileContents) -> Iterator[str]:
     guess = guessed_poses(contents, {}) if contents.is_mixed else guess_file(contents)
     place = f", sheet '{contents.sheet}'" if contents.sheet else ""
+    place += f", group '{contents.group}'" if contents.group else ""
     rate = _sampling(guess)
     said = [f"{contents.rows} rows", *filter(None, [contents.found, rate])]
     yield f"{contents.path.name}{place}: {', '.join(said)}"

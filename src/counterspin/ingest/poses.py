@@ -126,8 +126,15 @@ class PosesDraft(AnsweredDraft):
             rows = {"column": time.column, "unit": time.unit or said["time unit"]}
         names: list[Any] = []
         runs = []
+        keys = self.contents.dialect_keys
+        if any(guess.contents.dialect_keys != keys for guess in self.guesses):
+            text = (
+                "records of poses are read in one way, which [records] states: write each sheet or "
+                "group to a file of its own, and name one sensor"
+            )
+            raise CampaignError("init", [text])
         for contents in (guess.contents for guess in self.guesses):
-            names.append(Path(record_name(contents.path.stem, "", names)).name)
+            names.append(Path(record_name(contents.title, "", names)).name)
             run = {
                 "name": names[-1],
                 "motion": "static",
@@ -136,7 +143,7 @@ class PosesDraft(AnsweredDraft):
                 "poses": poses,
             }
             runs.append(run)
-        records = {"time": rows} | self.contents.dialect_keys | self.guesses[0].temperature_table
+        records = {"time": rows} | keys | self.guesses[0].temperature_table
         return {"records": records, "runs": runs}
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import struct
 import zlib
 from abc import abstractmethod
@@ -46,6 +47,12 @@ _MATLAB_NUMBERS = {"double", "single", "logical"} | {
 _SHOWN_BYTES = 4096
 
 
+#: A word in the name of a group that stands for a sensor.
+_SENSOR = re.compile(
+    r"(?i)(?<![a-z])(imu|sensor|device|acc(el(erometer)?)?|board|node|unit)(?![a-z])"
+)
+
+
 class ArrayFile(ColumnFile):
     """A file of named arrays."""
 
@@ -78,6 +85,7 @@ class ArrayFile(ColumnFile):
         if group is None:
             groups = {path.rpartition(within)[0] for path in paths}
             start = groups.pop() if len(groups) == 1 else ""
+            self.runs = tuple(run.replace(within, mark) for run in _runs(paths, within))
         else:
             start = group.strip(mark).replace(mark, within)
         start = f"{start}{within}" if start else ""
@@ -322,8 +330,12 @@ class MatlabFile(ArrayFile):
         del self._variables[name]
         while inside:
             path, value = inside.pop()
-            if value.dtype.names is not None and value.size == 1:
-                fields = [(f"{path}.{key}", value[key].item()) for key in value.dtype.names]
+            if value.dtype.names is not None and value.size <= _MOST_COLUMNS:
+                fields = [
+                    (f"{path}{f'({n})' if value.size > 1 else ''}.{key}", element[key])
+                    for n, element in enumerate(value.ravel(), 1)
+                    for key in value.dtype.names
+                ]
                 inside += reversed(fields)
             elif value.dtype.kind in "fiub":
                 self._variables[path] = (value.shape, "double")
@@ -355,6 +367,22 @@ class MatlabFile(ArrayFile):
             self._stream.seek(0)
             self._loaded |= loadmat(self._stream, variable_names=missing)
         yield {name: self._loaded[self._full[name]] for name in wanted}
+
+
+def _runs(paths: Sequence[str], within: str) -> list[str]:
+    """Return groups with the same columns whose names differ in a number alone; empty if none.
+
+    Groups that are called sensors are none: their rows are not those of one sensor.
+    """
+    groups: dict[str, set[str]] = {}
+    for path in paths:
+        group, _, name = path.rpartition(within)
+        groups.setdefault(group, set()).add(name)
+    alike: dict[tuple[str, frozenset[str]], list[str]] = {}
+    for group, names in groups.items():
+        if len(names) > 1 and re.search(r"\d", group) and not _SENSOR.search(group):
+            alike.setdefault((re.sub(r"\d+", "#", group), frozenset(names)), []).append(group)
+    return next((runs for runs in alike.values() if len(runs) > 1), [])
 
 
 def open_matlab(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:

@@ -188,6 +188,7 @@ class ColumnFile(ABC):
     first_stamp: int | None  #: The first time stamp, ns; None as long as it is unknown.
     found: str  #: How the file is written, where that is not plain.
     footer: tuple[str, ...] = ()  #: Lines at the end that are not rows.
+    runs: tuple[str, ...] = ()  #: Groups with the same columns, each of which holds a run.
     selection: np.ndarray | None = None  #: Rows that are selected, as a mask; None: all.
 
     def __init__(self, path: Path, stream: BinaryIO) -> None:

@@ -1,0 +1,126 @@
+"""Tables within HDF5, MATLAB and TDMS files: compound data, runs, channels of any length."""
+
+import h5py
+import numpy as np
+import pytest
+from posed_files import COLUMNS, POSED, compound, waveforms
+from scipy.io import savemat
+
+from counterspin.calibration.observed_runs import read_run
+from counterspin.campaign.description import read_campaign
+from counterspin.errors import CampaignError
+from counterspin.ingest.contents import read_files
+from counterspin.ingest.description import drafted, write_description
+from counterspin.ingest.overview import likely_test, overview
+
+PLACE = {"gravity": "9.81", "latitude": "48"}
+
+
+def pytables(path):
+    """A table of PyTables: a compound dataset with an index beside its data, in a group."""
+    kind = [("index", np.int64), ("time", float), ("acc", float, (3,))]
+    rows = np.empty(len(POSED.time), dtype=kind)
+    rows["index"], rows["time"], rows["acc"] = np.arange(len(rows)), POSED.time, POSED.values
+    with h5py.File(path, "w") as file:
+        group = file.create_group("sensor")
+        group.create_dataset("table", data=rows).attrs["CLASS"] = b"TABLE"
+
+
+def two_rates(path):
+    """A slower receiver beside the sensor, each with its time."""
+    with h5py.File(path, "w") as file:
+        slow = np.arange(0.0, POSED.time[-1], 1.0)
+        file["gps/time"], file["gps/lat"] = slow, 48.0 + 0.0 * slow
+        file["imu/time"] = POSED.time
+        for name, values in COLUMNS.items():
+            file[f"imu/{name}"] = values
+
+
+@pytest.mark.parametrize("write", [compound, pytables, two_rates])
+def test_tables_of_hdf5_become_poses(tmp_path, write):
+    write(tmp_path / "a.h5")
+    contents = read_files([tmp_path / "a.h5"])
+    assert likely_test(contents) == "poses"
+    found = drafted(contents, PLACE, "poses")
+    assert found.open_questions == []
+    assert found.guesses[0].time.column.rpartition("/")[2] == "time"
+    assert len(found.found.poses.start) == 12
+    read_campaign(write_description(found, tmp_path / "camp"))
+
+
+TIME = np.arange(800) * 0.05
+TURNS = {1: np.pi * TIME, 2: 0.5 * np.pi * TIME}
+
+
+def path_of(theta):
+    return np.column_stack([2.5 * np.cos(theta), 2.5 * np.sin(theta)])
+
+
+def structures(path):
+    """An array of structures, one for each run."""
+    runs = np.empty((1, 2), dtype=[("time_s", object), ("angle_rad", object), ("pos", object)])
+    for n, theta in TURNS.items():
+        runs[0, n - 1] = (TIME[:, None], theta[:, None], path_of(theta))
+    savemat(path, {"runs": runs})
+
+
+def groups(path):
+    with h5py.File(path, "w") as file:
+        for n, theta in TURNS.items():
+            group = file.create_group(f"run{n}")
+            group["time_s"], group["angle_rad"], group["pos"] = TIME, theta, path_of(theta)
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "names", "mark"),
+    [("a.mat", structures, ["runs(1)", "runs(2)"], "."), ("a.h5", groups, ["run1", "run2"], "/")],
+)
+def test_each_structure_or_group_of_a_file_is_a_run(tmp_path, name, write, names, mark):
+    write(tmp_path / name)
+    contents = read_files([tmp_path / name])
+    assert [run.group for run in contents] == names
+    assert any(f"group '{names[1]}': 800 rows" in line for line in overview(contents))
+    answers = PLACE | {"radius": "2.5 m", "sense": "counterclockwise"}
+    for n, axis in ((1, "east"), (2, "north")):
+        key = f"pos{mark}{n}"
+        answers |= {f"{key} is": "displacement", f"{key} unit": "m", f"{key} axis": axis}
+    found = drafted(contents, answers, "double-turntable")
+    campaign = read_campaign(write_description(found, tmp_path / "camp"))
+    assert [run.rate for run in campaign.runs] == pytest.approx([np.pi, 0.5 * np.pi])
+    for run, theta in zip(campaign.runs, TURNS.values(), strict=True):
+        record = read_run(campaign, run)
+        np.testing.assert_allclose(record.angle, theta, atol=1e-9)
+
+
+def test_poses_in_several_groups_need_a_file_each(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for n in range(2):
+            file[f"run{n}/time"], file[f"run{n}/acc"] = POSED.time, POSED.values
+    found = drafted(read_files([tmp_path / "a.h5"]), PLACE, "poses")
+    with pytest.raises(CampaignError, match="each sheet or group to a file of its own"):
+        found.document(tmp_path)
+
+
+def test_groups_of_sensors_are_no_runs(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for n in range(2):
+            file[f"imu{n}/time"], file[f"imu{n}/acc"] = POSED.time, POSED.values
+    (contents,) = read_files([tmp_path / "a.h5"])
+    assert contents.group is None
+
+
+@pytest.mark.parametrize(
+    ("ends", "late", "note"),
+    [
+        ((0, 1, 2), (0, 0, 0), "channels cut to the shortest"),
+        ((0, 0, 0), (0, 0, 200), "channels aligned by their start, up to 200 samples left out"),
+    ],
+)
+def test_channels_are_cut_or_aligned_and_the_overview_says_so(tmp_path, ends, late, note):
+    waveforms(tmp_path / "a.tdms", ends, late)
+    contents = read_files([tmp_path / "a.tdms"])
+    assert note in overview(contents)[0]
+    start, stop = max(late), len(POSED.time) - max(ends)
+    for column, values in zip(contents[0].columns, COLUMNS.values(), strict=True):
+        np.testing.assert_array_equal(column.values, values[start:stop])
+    assert likely_test(contents) == "poses"
