@@ -154,9 +154,10 @@ def usual_role(column: FileColumn) -> str:
     if _UNCERTAINTY.match(column.name):
         return "uncertainty"
     values = column.values[np.isfinite(column.values)]
-    constant = len(values) > _FEWEST_COUNTED and np.ptp(values) == 0.0
+    many = len(values) > _FEWEST_COUNTED
+    nominal = is_nominal(values) and not (column.unit or unit_in_name(column.name))
     # Residuals of zero, channels that are not used, and nominal orientations are no measurements.
-    return UNUSED if constant or is_nominal(values) else "reading"
+    return UNUSED if many and (nominal or np.ptp(values) == 0.0) else "reading"
 
 
 def _counts_rows(column: FileColumn) -> bool:
