@@ -112,7 +112,7 @@ def test_names_that_stand_again_are_told(tmp_path, frame):
     rows = (tmp_path / "run.csv").read_text()
     path = lines(tmp_path / "twice.csv", [rows.rstrip()], [rows.rstrip()])
     with pytest.raises(
-        CounterspinError, match=r"line 402: column 'time_s'.*names stand there again"
+        CounterspinError, match=r"line 402: column 'time_s'.*column names are repeated"
     ):
         read_files([path])
 

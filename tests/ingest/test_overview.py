@@ -7,6 +7,7 @@ import pytest
 
 from counterspin.cli import main
 from counterspin.errors import CampaignError
+from counterspin.ingest.column_roles import guess_file
 from counterspin.ingest.contents import FileColumn, FileContents, read_files
 from counterspin.ingest.description import drafted
 from counterspin.ingest.overview import UndecidedDraft, likely_test, overview
@@ -112,3 +113,19 @@ def test_constant_columns_and_nominal_orientations_are_no_measurements(tmp_path)
     (tmp_path / "r.csv").write_text("\n".join(["time_s,east_m,north residual_m", *rows]) + "\n")
     (signal,) = drafted(read_files([tmp_path / "r.csv"]), {}, "double-turntable").common.signals
     assert signal.column == "east_m"
+
+
+def test_lost_samples_and_bursts_are_reported(tmp_path):
+    rng = np.random.default_rng(1)
+    time = np.arange(2000) * 0.01
+    keep = np.append(rng.random(1999) > 0.2, True)
+    lost = contents_of({"time_s": time[keep], "a": rng.normal(size=int(keep.sum()))})
+    assert f"missing samples: about {2000 - keep.sum()}," in " ".join(overview([lost]))
+    packet = np.arange(2000) // 8
+    stamps = 0.01 * (8 * packet + rng.random(250)[packet])
+    burst = contents_of({"time_s": stamps, "a": rng.normal(size=2000)})
+    lines = overview([burst])
+    assert "times in bursts" in lines[1]
+    assert "rows are counted instead" in lines[-1]
+    assert guess_file(burst).unused[0] == "time_s"
+    assert guess_file(burst).sampling == pytest.approx(100.0, rel=2e-3)

@@ -189,10 +189,7 @@ def guess_file(
     sampling, shared, uncounted = None, None, ""
     seconds = np.arange(longest, dtype=float)
     if time_column is not None:
-        stated = answers.get("time unit") or _unit_of(time_column, "s")
-        stated = stated or _unit_by_rate(time_column, _sampling(contents, answers))
-        stated = stated or ("d" if _counts_days(time_column) else None)
-        unit = "iso" if time_column.stamps else stated
+        unit = "iso" if time_column.stamps else _time_unit(time_column, contents, answers)
         factor = 1.0 if time_column.stamps or unit is None else unit_factor(unit, "s")
         time = TimeGuess(time_column.name, unit, factor)
         seconds = time_column.values * factor
@@ -200,13 +197,15 @@ def guess_file(
         shared = _shared_times(rows) if answers.get("time") != NONE else None
         sampling, uncounted = _row_rate(contents, answers, shared)
         seconds = seconds / (sampling or 1.0)
-    rest = [column for column in columns if column is not time_column and not column.stamps]
-    long = [column for column in rest if len(column.values) == len(seconds)]
+    clocks = {column.name for column in (time_column, shared) if column}
+    rest = [c for c in columns if c.name not in clocks and not c.stamps]
+    long = [column for column in rest if len(column.values) == longest]
     swings = {c.name: None if contents.is_mixed else frequency(seconds, c.values) for c in long}
     advancing = [
         column
         for column in long
-        if _advance(column.values, seconds) is not None
+        if not contents.is_mixed
+        and _advance(column.values, seconds) is not None
         and not (time_column and np.array_equal(column.values, time_column.values, equal_nan=True))
     ]
     angle_column = _chosen(advancing, answers.get("angle"), _angle_column)
@@ -293,6 +292,13 @@ def _row_rate(
         return row_rate(shared.values), ""
     except ValueError as error:
         return None, str(error)
+
+
+def _time_unit(time: FileColumn, contents: FileContents, answers: Mapping[str, str]) -> str | None:
+    """Return the unit of a time: answered, stated, by a stated rate, or days; None if unknown."""
+    unit = answers.get("time unit") or _unit_of(time, "s")
+    unit = unit or _unit_by_rate(time, _sampling(contents, answers))
+    return unit or ("d" if _counts_days(time) else None)
 
 
 def _unit_by_rate(time: FileColumn, sampling: float | None) -> str | None:

@@ -197,7 +197,7 @@ def _read_contents(
             seen = file.seen()
             lines = f"Its first lines:\n{seen}\n{_WANTED}" if seen else _WANTED
             if reasons and len(reasons) == len(names):
-                more = "" if "give each run" in reasons[0] else f" {_ANOTHER_RUN}"
+                more = "" if "each run" in reasons[0] else f" {_ANOTHER_RUN}"
                 raise RecordError(f"{reasons[0]}{more}")
             shown = f"no column could be read as numbers. {lines}"
             raise RecordError(f"{path}: {shown}" if seen or not first else first)

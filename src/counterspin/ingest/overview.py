@@ -12,7 +12,7 @@ import numpy as np
 from counterspin.arrays import median
 from counterspin.frozen import frozen
 from counterspin.ingest.arm import shows_arm
-from counterspin.ingest.column_roles import FileGuess, guess_file, is_even, is_nominal
+from counterspin.ingest.column_roles import FileGuess, guess_file, is_nominal
 from counterspin.ingest.contents import FileColumn, FileContents
 from counterspin.ingest.poses import shows_poses
 from counterspin.ingest.questions import AnsweredDraft, FileQuestion
@@ -25,6 +25,10 @@ from counterspin.records.sampling import Holding, join_bursts
 #: Columns of a file that are shown, and different words of one.
 _SHOWN: Final = 24
 _SHOWN_WORDS: Final = 4
+#: Deviation of a step from a multiple of the usual one, and part of the steps that are multiples
+#: where samples are missing.
+_OFF_STEP: Final = 0.25
+_EVEN_PART: Final = 0.9
 #: Relative difference between the rate of an angle in a known unit and that of the waves.
 _SAME_RATE: Final = 0.02
 #: Kind of test -> what the files then are.
@@ -91,7 +95,7 @@ def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
             f"times in bursts: the rows of column '{guess.shared.name}' have {stamps} different "
             f"times or come in {stamps} bursts; {guess.uncounted or 'rows are counted instead'}"
         )
-    if guess.time is None:
+    if guess.time is None or guess.contents.is_mixed:
         return
     column = next(c for c in guess.contents.columns if c.name == guess.time.column)
     time = column.values[np.isfinite(column.values)]
@@ -102,7 +106,9 @@ def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
     usual = median(steps[steps > 0.0]) if (steps > 0.0).any() else math.nan
     far = steps[steps > 1.5 * usual] / usual
     missing = int(np.round(far).sum() - far.size - again)
-    if missing > 0 and is_even(time):
+    multiples = steps[steps > 0.0] / usual
+    even = np.mean(np.abs(multiples - np.round(multiples)) < _OFF_STEP) > _EVEN_PART
+    if missing > 0 and even:
         yield f"missing samples: about {missing}, where the time goes on by more than one step"
 
 
@@ -132,6 +138,7 @@ def _appearance(column: FileColumn, guess: FileGuess) -> str:
     name = column.name
     evidence = [
         (guess.time is not None and guess.time.column == name, "the time"),
+        (guess.shared is not None and guess.shared.name == name, "times in bursts"),
         (is_nominal(values), "only -1, 0 and 1: nominal orientations, not measurements"),
         (guess.angle is not None and guess.angle.column == name, "advances evenly as an angle"),
         (guess.temperature is not None and guess.temperature[0] == name, "a temperature"),
