@@ -184,7 +184,7 @@ NUMBERS = [
     ("conformity", "with a probability of at most {} %", [50 * (1 - distributions.COVERAGE)]),
     (
         "conformity",
-        "asks for `conformance_probability`, {} % if",
+        "requires `conformance_probability`, {} % by",
         [100 * conformity.DecisionRule("probability").needed],
     ),
     (
