@@ -1,6 +1,6 @@
 """Competing analyses of a study, and the engine of each analysis.
 
-Shortcuts apply under conditions: each reason against a shortcut is a sentence.
+The linear engine is valid under conditions. Each reason against it is a sentence.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def _drivers(truth: StudyTruth) -> tuple[Driver, ...]:
 def choose_engine(
     world: World, truth: StudyTruth, analysis: Analysis, engine: EngineName
 ) -> EnginePart:
-    """Return the fastest engine that is valid for an analysis, or the one asked for."""
+    """Return the fastest engine that is valid for an analysis, or the requested engine."""
     if engine == "full":
         return _full(world, truth, analysis, "full records")
     request = analysis.request

@@ -1,10 +1,10 @@
 """Trials of analyses that are linear in the true values and in the noise.
 
 Joint fit. Given the rotation it is linear, so that with Gaussian noise of known size its estimate
-is normal about a linear function of the true values. Each series is whitened and reduced once, with
-the columns of the true values as considered terms; a trial then costs as many normals as
-there are unknowns. An input that deviates from its stated value acts through the column
-of the fit, evaluated at the mean true coefficients.
+is normal about a linear function of the true values. The base value is the fit of noise-free
+records of the mean true values, simulated sample by sample. The columns of the drawn true values
+are considered terms of that fit, and their sensitivities are the responses. A trial costs as many
+normal numbers as there are unknowns. The column of an input is taken at the mean true coefficients.
 
 Two-stage method. With white Gaussian noise the first stage of a run is summed up by b2, which is
 normal about a linear function of the true values, and by the sum of squared residuals, a
@@ -278,7 +278,9 @@ class TwoStageEngine:
         fit, sigma_b2 = second.fit, np.array([p.u_b2 for p in second.parabolas])
         estimate = fit.solution.estimate
         rows = [(block.factor, block.considered) for block in fit.blocks]
-        design, held = (np.vstack(part) * sigma_b2[:, None] for part in zip(*rows, strict=True))
+        design, considered = (
+            np.vstack(part) * sigma_b2[:, None] for part in zip(*rows, strict=True)
+        )
         unknowns = fit.model.unknowns
         sd = [
             u.prior[1] if math.isfinite(u.prior[1]) else REGULARISATION * u.limit for u in unknowns
@@ -315,7 +317,7 @@ class TwoStageEngine:
             weighted=request.weighted,
             estimate=estimate,
             design=design,
-            considered=held * np.asarray(fit.model.considered_sds),
+            considered=considered * np.asarray(fit.model.considered_sds),
             prior=np.array([[u.prior_mean for u in unknowns] - estimate, sd]),
             remainder=_remainder(second, estimate),
             keys=keys,
