@@ -248,7 +248,7 @@ def test_trials_of_somebody_else_beside_a_study_are_not_replaced(campaign, tmp_p
 @pytest.mark.parametrize("name", ["z.svg", "bias-platform.svg"])
 def test_a_study_is_not_gone_on_with_over_somebody_elses_figure(campaign, begun, name):
     (begun / name).write_text("mine")
-    with pytest.raises(CounterspinError, match="is not a figure of a study of counterspin"):
+    with pytest.raises(CounterspinError, match="is not a figure of a study written by counterspin"):
         resumed(campaign, begun)
     assert (begun / name).read_text() == "mine"
 
