@@ -88,7 +88,7 @@ def test_the_certificate_prints_it():
     one = made(assuming("K_OO", "platform.tilt.north"), texts)
     (statement,) = find(one.xml, STATEMENT)
     said = "".join(statement.itertext())
-    assert "K_OO: Typprüfung 4714." in said
+    assert "K_OO (second-order output-axis coefficient): Typprüfung 4714." in said
     assert "platform.tilt: Bericht 4715." in said
     assert "Nr. 1" not in said
     read = pypdf.PdfReader(io.BytesIO(one.pdf()))

@@ -16,12 +16,13 @@ from counterspin.calibration.pages.methods import (
 )
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
+from counterspin.certificates.evidence import name_with_words
 from counterspin.certificates.lab import CertificateSettings, Equipment
 from counterspin.certificates.schema import format_decimal
 from counterspin.inference.distributions import COVERAGE, expanded_uncertainty
 from counterspin.inference.verdicts import Conformity
 from counterspin.physics.grades import GRADES
-from counterspin.physics.terms import TABLE, TERMS, symbol_of, words_of
+from counterspin.physics.terms import TABLE, TERMS, symbol_of
 from counterspin.reports.blocks import Paragraph
 from counterspin.reports.numbers import (
     field_unit,
@@ -230,7 +231,7 @@ def prior_lines(name: str, result: Result, settings: CertificateSettings) -> lis
         if line.u:
             size = f", standard uncertainty {format_uncertainty(line.u * scale)} {unit}"
         supplier = ", supplied by the customer" if symbol.rpartition(" ")[2] in supplied else ""
-        sentences.append(f"Prior for {name}: {_named(symbol)}{size}{supplier}.")
+        sentences.append(f"Prior for {name}: {name_with_words(symbol)}{size}{supplier}.")
     return sentences
 
 
@@ -250,17 +251,11 @@ def assumption_lines(name: str, result: Result) -> list[str]:
             unit, scale = field_unit(line.unit)
             size = f"{format_uncertainty(line.u * scale)} {unit}"
             sizes[line.source] = (
-                f"Default prior: {_named(line.source)}, standard uncertainty {size}"
+                f"Default prior: {name_with_words(line.source)}, standard uncertainty {size}"
                 f"{_source_of_default(line.source, line.u)}, {format_share(line.share)} of the "
                 "variance at most."
             )
     return [*sentences, *reversed(sizes.values())]
-
-
-def _named(source: str) -> str:
-    """Return a source of uncertainty by its symbol and, in parentheses, its description."""
-    words = words_of(source)
-    return f"{source} ({words})" if words else source
 
 
 def _source_of_default(source: str, u: float) -> str:

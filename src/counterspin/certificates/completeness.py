@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from counterspin.calibration.result import Result
 from counterspin.certificates.certificate_text import is_determined
-from counterspin.certificates.evidence import ALL, terms_without_evidence
+from counterspin.certificates.evidence import ALL, name_with_words, terms_without_evidence
 from counterspin.certificates.lab import Lab, read_lab, template_keys, with_required_keys
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
@@ -97,9 +97,9 @@ def _missing_evidence(lab: Lab, result: Result) -> Iterator[MissingEntry]:
     for source, (share, coefficient) in lacking.items():
         yield MissingEntry(
             f"evidence.{source}",
-            f"is missing; the default uncertainty of {source} makes {format_share(share)} of "
-            f"the variance of {coefficient}: state what bounds it, such as a data sheet, or "
-            "state its prior in the campaign",
+            f"is missing; the default uncertainty of {name_with_words(source)} makes "
+            f"{format_share(share)} of the variance of {coefficient}: state what bounds it, "
+            "such as a data sheet, or state its prior in the campaign",
         )
 
 
@@ -126,7 +126,7 @@ def _supports(key: str, name: str, source: str) -> bool:
 def default_evidence(lab: Lab, result: Result) -> list[str]:
     """Return the laboratory's texts for default uncertainties, each with its term."""
     lines = (
-        f"{source if key == ALL else key}: {text}"
+        f"{name_with_words(source if key == ALL else key)}: {text}"
         for name, source, *_ in _default_shares(lab, result)
         for key, text in lab.evidence.items()
         if _supports(key, name, source)

@@ -12,7 +12,7 @@ from fnmatch import fnmatchcase
 from typing import Final
 
 from counterspin.errors import CampaignError
-from counterspin.physics.terms import TABLE, is_term, symbol_of
+from counterspin.physics.terms import TABLE, is_term, symbol_of, words_of
 
 #: Key of [evidence], or name in `assume`, for all unstated terms.
 ALL: Final = "all"
@@ -69,4 +69,10 @@ def evidence_lines(assumed: Sequence[str], evidence: Mapping[str, str]) -> Itera
     """Yield the texts for assumed terms, each with its terms."""
     for key, text in evidence.items():
         if any(_covers(key, name) for name in assumed):
-            yield f"{', '.join(assumed) if key == ALL else key}: {text}"
+            yield f"{', '.join(assumed) if key == ALL else name_with_words(key)}: {text}"
+
+
+def name_with_words(source: str) -> str:
+    """Return a term or source of uncertainty with its description in parentheses."""
+    words = words_of(source)
+    return f"{source} ({words})" if words else source

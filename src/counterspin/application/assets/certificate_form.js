@@ -77,7 +77,7 @@ export class CertificateForm extends Editor {
     const needed = this.now.missing.filter(({ key }) => key.startsWith("evidence."));
     const names = needed.map(({ key }) => key.slice("evidence.".length));
     const text = (/** @type {string} */ key, /** @type {string} */ help) => ({
-      key, label: key, help, links: [], kind: "text", required: false, example: "Type test TR-12",
+      key, label: fields.find((field) => field.key === key)?.label ?? key, help, links: [], kind: "text", required: false, example: "Type test TR-12",
     });
     return [...needed.map(({ words }, place) => text(names[place], words)),
       ...Object.keys(this.now.document.evidence ?? {})
