@@ -381,7 +381,7 @@ def _rate_unit(column: FileColumn) -> str | None:
     wanted = "s" if _PERIOD.match(column.name) else "rad/s"
     units = [_REVOLUTIONS.get(unit, unit) for unit in [*known, unit_in_name(column.name)]]
     either = (wanted,) if _is_rate(column) else ("rad/s", "s")
-    return next((unit for unit in units if any(converts(unit, one) for one in either)), None)
+    return next((unit for unit in units if any(converts(unit, kind) for kind in either)), None)
 
 
 # Directions of the input axis

@@ -260,8 +260,8 @@ def _temperature(columns: Sequence[FileColumn]) -> tuple[str, str] | None:
     for column in columns:
         scale = column.unit or ("degC" if _TEMPERATURE.fullmatch(column.name) else "")
         low, high = _THERMOMETER.get(scale, (math.inf, -math.inf))
-        there = column.values[np.isfinite(column.values)]
-        if there.size and low < there.min() and there.max() < high:
+        known = column.values[np.isfinite(column.values)]
+        if known.size and low < known.min() and known.max() < high:
             return column.name, scale
     return None
 
@@ -353,9 +353,9 @@ def agreed(guesses: Sequence[FileGuess]) -> FileGuess:
     """
     first = guesses[0]
     for guess in guesses[1:]:
-        there = {column.name for column in guess.contents.columns}
+        names = {column.name for column in guess.contents.columns}
         asked = [p.column for p in (first.time, first.angle, *first.signals) if p and p.column]
-        missing = [name for name in asked if name not in there]
+        missing = [name for name in asked if name not in names]
         if missing:
             raise RecordError(
                 f"{guess.contents.path}: has no column '{missing[0]}', which "
@@ -369,10 +369,10 @@ def agreed(guesses: Sequence[FileGuess]) -> FileGuess:
 def _grown(signal: SignalGuess, guesses: Sequence[FileGuess]) -> SignalGuess:
     """Return a signal with the observable that its amplitudes at several rates show."""
     sizes = [
-        (guess.rate, other.amplitude)
+        (guess.rate, signal_of_run.amplitude)
         for guess in guesses
-        for other in guess.signals
-        if other.column == signal.column and guess.rate and other.amplitude > 0.0
+        for signal_of_run in guess.signals
+        if signal_of_run.column == signal.column and guess.rate and signal_of_run.amplitude > 0.0
     ]
     rates = np.log([rate for rate, _ in sizes])
     if signal.observable is not None or len(sizes) < 2 or np.ptp(rates) < 0.2:

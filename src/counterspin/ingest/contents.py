@@ -254,8 +254,8 @@ def _words(file: ColumnFile, names: Sequence[str], rows: int) -> dict[str, list[
     if not names or rows > MOST_READINGS:
         return {}
     frame = file.table()
-    there = [name for name in names if name in frame.columns]
-    return {name: ["" if c is None else str(c).strip() for c in frame[name]] for name in there}
+    known = [name for name in names if name in frame.columns]
+    return {name: ["" if c is None else str(c).strip() for c in frame[name]] for name in known}
 
 
 def _column(file: ColumnFile, name: str) -> tuple[FileColumn | None, str]:

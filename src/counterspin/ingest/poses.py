@@ -265,8 +265,8 @@ def _statements(
     )
     yield from poses.warnings
     yield from poses.rejected
-    for other in found.others:
-        named = ", ".join(f"{axis}={name}" for axis, name in zip(AXES, other, strict=True))
+    for axes in found.others:
+        named = ", ".join(f"{axis}={name}" for axis, name in zip(AXES, axes, strict=True))
         yield (
             "three more axes rest alike, as of a second sensor, and are not used; "
             f"to calibrate that one, answer {named}"

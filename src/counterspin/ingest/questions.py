@@ -124,7 +124,7 @@ class FileQuestion:
         if self.unit:
             unit = file_unit(clean) or clean
             wanted = OBSERVABLES.values() if self.unit == ANY_SIGNAL else (self.unit,)
-            errors = [error for one in wanted if (error := _unit_error(unit, one))]
+            errors = [error for si in wanted if (error := _unit_error(unit, si))]
             if len(errors) == len(tuple(wanted)):
                 raise ValueError(errors[0])
             return unit
@@ -323,7 +323,7 @@ def judged_answers(
     taken, problems = {}, []
     for key, answer in answers.items():
         if key not in known:
-            needed = [one.key for one in questions if one.guess is None]
+            needed = [question.key for question in questions if question.guess is None]
             problems.append(
                 f"{key}: is not a question here; questions: {', '.join(needed) or 'none'}"
             )
@@ -397,14 +397,14 @@ def _with_axis(
     """
     if signal.axis is not None or signal.phase is None or signal.observable is None:
         return signal
-    for other in signals:
-        if other.axis not in COMPASS or other.observable != signal.observable:
+    for reference in signals:
+        if reference.axis not in COMPASS or reference.observable != signal.observable:
             continue
-        if other.phase is None:
+        if reference.phase is None:
             continue
-        direction = COMPASS[other.axis] + forward * (other.phase - signal.phase)
+        direction = COMPASS[reference.axis] + forward * (reference.phase - signal.phase)
         for axis, known in COMPASS.items():
             across = abs(math.remainder(direction - known, 2.0 * math.pi))
-            if axis != other.axis and across < _PHASE_TOLERANCE:
+            if axis != reference.axis and across < _PHASE_TOLERANCE:
                 return replace(signal, axis=axis)
     return signal

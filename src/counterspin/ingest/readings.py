@@ -97,7 +97,8 @@ class ReadingsDraft(AnsweredDraft):
         """
         said, place = self.complete(), folder.resolve()
         readings = [
-            [column.name for column in own] for own in outputs_of(self.contents, self.roles, said)
+            [column.name for column in columns_of_output]
+            for columns_of_output in outputs_of(self.contents, self.roles, said)
         ]
         if not readings:
             known = ", ".join(column.name for column in self.contents.columns)
@@ -105,7 +106,10 @@ class ReadingsDraft(AnsweredDraft):
             raise CampaignError("init", [text])
         few = len(readings) <= len(ascii_uppercase)
         names = [ascii_uppercase[n] if few else f"A{n + 1}" for n in range(len(readings))]
-        written = (own if len(own) > 1 else own[0] for own in readings)
+        written = (
+            columns_of_output if len(columns_of_output) > 1 else columns_of_output[0]
+            for columns_of_output in readings
+        )
         given: dict[str, Any] = {"reading": dict(zip(names, written, strict=True))}
         beside = self._of("uncertainty")
         if len(beside) == len(readings):
@@ -113,7 +117,9 @@ class ReadingsDraft(AnsweredDraft):
         elif len(beside) == 1:
             given["u"] = dict.fromkeys(names, beside[0])
         given |= {
-            role: own[0] for role in ("name", "temperature", "time") if (own := self._of(role))
+            role: names_of_role[0]
+            for role in ("name", "temperature", "time")
+            if (names_of_role := self._of(role))
         }
         outputs = {}
         for name, (column, *_) in zip(names, readings, strict=True):
@@ -137,7 +143,7 @@ class ReadingsDraft(AnsweredDraft):
         }
 
     def _of(self, role: str) -> list[str]:
-        return [name for name, own in self.roles.items() if own == role]
+        return [name for name, role_of_column in self.roles.items() if role_of_column == role]
 
 
 # What is guessed
@@ -231,10 +237,10 @@ def part_question(
     part: str, text: str, names: Sequence[str], roles: Mapping[str, str], *, needed: bool
 ) -> FileQuestion:
     """Return the question about the column of a role that only one can have."""
-    there = next((name for name, role in roles.items() if role == part), None)
+    known = next((name for name, role in roles.items() if role == part), None)
     if needed:
-        return FileQuestion(part, text, names[0], tuple(names), there)
-    return FileQuestion(part, text, NONE, (*names, NONE), there or NONE)
+        return FileQuestion(part, text, names[0], tuple(names), known)
+    return FileQuestion(part, text, NONE, (*names, NONE), known or NONE)
 
 
 def role_questions(

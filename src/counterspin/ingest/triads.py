@@ -126,7 +126,7 @@ def guessed_poses(contents: FileContents, answers: Mapping[str, str]) -> FileGue
     if guess.time is None and not known and is_even(first.values) and not _counts_rows(first):
         guess = guess_file(contents, {**answers, "time": first.name})
     if guess.time is not None and guess.time.unit is None:
-        column = next(one for one in contents.columns if one.name == guess.time.column)
+        column = next(column for column in contents.columns if column.name == guess.time.column)
         step = _usual_step(column.values)
         unit = next(unit for unit, least in _STEPS_IN.items() if step > least)
         guess = guess_file(contents, {**answers, "time": column.name, "time unit": unit})
@@ -179,11 +179,15 @@ def _found_triad(
     if len(named) == len(AXES):
         return _looked_at(named, seconds, rest, answers.get("unit"))
     time = guess.time.column if guess.time else None
-    there = [one for one in columns.values() if one.name != time]
-    there = [one for one in there if len(one.values) == len(seconds) and not is_nominal(one.values)]
+    candidates = [column for column in columns.values() if column.name != time]
+    candidates = [
+        column
+        for column in candidates
+        if len(column.values) == len(seconds) and not is_nominal(column.values)
+    ]
     like: list[TriadColumns] = []
-    for three in islice(threes(there), _MOST_THREES):
-        if len({one.unit for one in three}) == 1 and _may_be_force(three[0].unit):
+    for three in islice(threes(candidates), _MOST_THREES):
+        if len({column.unit for column in three}) == 1 and _may_be_force(three[0].unit):
             found = _looked_at(three, seconds, rest, answers.get("unit"))
             if found.means is not None and _turns(found.means - found.zero) and _varies(found):
                 like.append(found)
@@ -203,11 +207,11 @@ def _varies(found: TriadColumns) -> bool:
 def without_gravity(guess: FileGuess) -> tuple[str, ...]:
     """Return the axes of a sensor that reads zero at rest, as if a filter removed gravity."""
     columns, seconds = _together([guess])
-    there = [one for one in columns.values() if len(one.values) == len(seconds)]
-    for three in islice(threes(there), _MOST_THREES):
-        if not all(converts(one.unit, "m/s^2") for one in three):
+    candidates = [column for column in columns.values() if len(column.values) == len(seconds)]
+    for three in islice(threes(candidates), _MOST_THREES):
+        if not all(converts(column.unit, "m/s^2") for column in three):
             continue
-        values = np.column_stack([one.values[:MOST_ROWS] for one in three])
+        values = np.column_stack([column.values[:MOST_ROWS] for column in three])
         try:
             poses = find_poses(seconds[:MOST_ROWS], values)
         except RecordError:
@@ -215,14 +219,14 @@ def without_gravity(guess: FileGuess) -> tuple[str, ...]:
         one_g = STANDARD_GRAVITY / unit_factor(three[0].unit, "m/s^2", gravity=STANDARD_GRAVITY)
         still = len(poses.start) > 1 and poses.contrast > MIN_CONTRAST
         if still and _norms(poses.mean).max() < _NOTHING_PART * one_g:
-            return tuple(one.name for one in three)
+            return tuple(column.name for column in three)
     return ()
 
 
-def _felt_alike(one: TriadColumns, other: TriadColumns) -> bool:
+def _felt_alike(triad: TriadColumns, reference: TriadColumns) -> bool:
     """Return whether two triads felt the same force: a magnetometer's rests turn differently."""
-    known = one.unit == other.unit and one.means is not None and other.means is not None
-    return known and bool(abs(one.gravity / other.gravity - 1.0) < _GRAVITY_PART)
+    known = triad.unit == reference.unit and triad.means is not None and reference.means is not None
+    return known and bool(abs(triad.gravity / reference.gravity - 1.0) < _GRAVITY_PART)
 
 
 def _together(guesses: Sequence[FileGuess]) -> tuple[dict[str, FileColumn], Array]:
@@ -231,16 +235,25 @@ def _together(guesses: Sequence[FileGuess]) -> tuple[dict[str, FileColumn], Arra
         {column.name: column for column in guess.contents.columns if not column.stamps}
         for guess in guesses
     ]
-    lengths = [max(len(column.values) for column in own.values()) for own in files]
+    lengths = [
+        max(len(column.values) for column in columns_of_file.values()) for columns_of_file in files
+    ]
     times, start = [], 0.0
     for guess, length in zip(guesses, lengths, strict=True):
-        own = _seconds(guess, length)
-        times.append(own - np.nanmin(own) + start)
+        seconds = _seconds(guess, length)
+        times.append(seconds - np.nanmin(seconds) + start)
         start = float(np.nanmax(times[-1])) + _BETWEEN_FILES
     columns = {
-        name: replace(column, values=np.concatenate([own[name].values for own in files]))
+        name: replace(
+            column,
+            values=np.concatenate([columns_of_file[name].values for columns_of_file in files]),
+        )
         for name, column in files[0].items()
-        if [len(own[name].values) if name in own else 0 for own in files] == lengths
+        if [
+            len(columns_of_file[name].values) if name in columns_of_file else 0
+            for columns_of_file in files
+        ]
+        == lengths
     }
     return columns, np.concatenate(times)
 
@@ -248,7 +261,7 @@ def _together(guesses: Sequence[FileGuess]) -> tuple[dict[str, FileColumn], Arra
 def _seconds(guess: FileGuess, rows: int) -> Array:
     if guess.time is None:
         return np.arange(rows) / (guess.sampling or USUAL_RATE)
-    column = next(one for one in guess.contents.columns if one.name == guess.time.column)
+    column = next(column for column in guess.contents.columns if column.name == guess.time.column)
     return column.values * guess.time.factor
 
 
@@ -274,10 +287,10 @@ def _looked_at(
     if unit is None and not (unit := columns[0].unit):
         felt = _norms(means)
         near = [
-            one
-            for one in UNITS
-            if converts(one, "m/s^2")
-            and _is_gravity(felt * unit_factor(one, "m/s^2", gravity=STANDARD_GRAVITY))
+            candidate
+            for candidate in UNITS
+            if converts(candidate, "m/s^2")
+            and _is_gravity(felt * unit_factor(candidate, "m/s^2", gravity=STANDARD_GRAVITY))
         ]
         unit = next(iter(near), "")
     # Counts and volts may be any number where nothing is felt, a specific force is none there.
@@ -288,13 +301,13 @@ def _looked_at(
 
 def _refuse_unsigned(columns: Sequence[FileColumn], values: Array) -> None:
     """Refuse counts below zero that were written as unsigned numbers: -1 as 65535."""
-    there = values[np.isfinite(values).all(axis=1)]
-    if not len(there) or not _whole(there) or there.min() < 0.0:
+    known = values[np.isfinite(values).all(axis=1)]
+    if not len(known) or not _whole(known) or known.min() < 0.0:
         return
     for bits in _WORD_BITS:
         most = 2.0**bits
-        jumps = (np.abs(np.diff(there, axis=0)) > 0.9 * most).sum(axis=0)
-        if 0.9 * most < there.max() < most and (jumps >= _FEWEST_JUMPS).any():
+        jumps = (np.abs(np.diff(known, axis=0)) > 0.9 * most).sum(axis=0)
+        if 0.9 * most < known.max() < most and (jumps >= _FEWEST_JUMPS).any():
             names = ", ".join(f"'{column.name}'" for column in columns)
             raise RecordError(
                 f"the columns {names} jump between 0 and {most - 1:.0f}: they are numbers of "
@@ -316,8 +329,8 @@ def _rows_of(values: Array) -> Array | None:
 
 def _whole(values: Array) -> bool:
     """Return whether all numbers are integers, as a converter counts."""
-    there = values[np.isfinite(values)]
-    return bool(np.all(there == np.round(there)) and np.ptp(there) > 1.0)
+    known = values[np.isfinite(values)]
+    return bool(np.all(known == np.round(known)) and np.ptp(known) > 1.0)
 
 
 def _middle(means: Array) -> Array:
@@ -378,7 +391,7 @@ def grade_of(found: TriadColumns, guess: FileGuess) -> str | None:
 def _step(guess: FileGuess) -> float:
     if guess.time is None:
         return 1.0 / (guess.sampling or USUAL_RATE)
-    column = next(one for one in guess.contents.columns if one.name == guess.time.column)
+    column = next(column for column in guess.contents.columns if column.name == guess.time.column)
     return _usual_step(column.values) * guess.time.factor
 
 
@@ -417,4 +430,8 @@ def _named(columns: Sequence[FileColumn]) -> list[Three]:
             before, behind = column.name[: letter.start()], column.name[letter.end() :]
             family = alike.setdefault((before, behind, letter[0].isupper()), {})
             family[letter[0].lower()] = column
-    return [(own["x"], own["y"], own["z"]) for own in alike.values() if len(own) == len("xyz")]
+    return [
+        (letters["x"], letters["y"], letters["z"])
+        for letters in alike.values()
+        if len(letters) == len("xyz")
+    ]

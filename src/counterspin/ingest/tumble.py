@@ -62,8 +62,8 @@ class TumbleDraft(ReadingsDraft):
         Seen from the south, where a head that turns about north turns clockwise.
         """
         said = self.said
-        axis, unit, here = (said.get(key) for key in ("axis at 0", "position unit", "position"))
-        column = next((c for c in self.contents.columns if c.name == here), None)
+        axis, unit, position = (said.get(key) for key in ("axis at 0", "position unit", "position"))
+        column = next((c for c in self.contents.columns if c.name == position), None)
         if axis not in _UP_AT or unit not in _ANGLES or column is None:
             return []
         angles = column.values[np.isfinite(column.values)] * unit_factor(unit, "rad")

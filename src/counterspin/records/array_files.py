@@ -98,12 +98,12 @@ class ArrayFile(ColumnFile):
         self.names, self._single, self._parts = [], [], {}
         for name, path in list(self._full.items()):
             count = _columns_of(shapes[path])
-            own = [name] if count == 1 else [f"{name}{mark}{n + 1}" for n in range(count)]
+            columns = [name] if count == 1 else [f"{name}{mark}{n + 1}" for n in range(count)]
             if count > 1:
-                self._full |= dict.fromkeys(own, path)
-                self._parts |= {part: place for place, part in enumerate(own)}
+                self._full |= dict.fromkeys(columns, path)
+                self._parts |= {part: place for place, part in enumerate(columns)}
             if name in short:
-                self.names += own
+                self.names += columns
                 self._single += [name] if count == 0 else []
 
     def single_numbers(self) -> dict[str, float]:
@@ -128,12 +128,12 @@ class ArrayFile(ColumnFile):
             size = 0 if shape is None else int(np.prod(shape, dtype=object))
             # HDF5 has datasets without any space, whose shape is None.
             if shape is None or size != max(shape, default=0):
-                own = [
+                columns = [
                     p
                     for p in self._parts
                     if self._full[p] == self._full[name] and p.startswith(name)
                 ]
-                hint = f": {quoted(own)}" if own else ""
+                hint = f": {quoted(columns)}" if columns else ""
                 raise RecordError(
                     f"{self.path}: '{name}' has the shape {shape}; one column is needed{hint}."
                 )
@@ -411,7 +411,7 @@ def _inflated_bytes(stream: BinaryIO) -> int:
         kind, size = struct.unpack(f"{order}II", tag)
         if kind == 0:
             break  # no element
-        here = stream.tell()
+        start = stream.tell()
         if kind == _MATLAB_COMPRESSED:
             try:
                 inside = zlib.decompressobj().decompress(stream.read(min(size, 256)), 8)
@@ -419,7 +419,7 @@ def _inflated_bytes(stream: BinaryIO) -> int:
                 break  # SciPy says so
             if len(inside) == 8:
                 total += struct.unpack(f"{order}II", inside)[1]
-        stream.seek(here + size)
+        stream.seek(start + size)
     stream.seek(0)
     return total
 

@@ -372,7 +372,7 @@ def _head(
         for key in _NAME_KEYS:
             if key in said and len(said[key][1]) >= width - 1:
                 number, names = said[key]
-                units = next((said[one][1] for one in _UNIT_KEYS if one in said), [])
+                units = next((said[key][1] for key in _UNIT_KEYS if key in said), [])
                 # Columns before the channels have their names in the last line.
                 before = above[-1][1] if not names[1] else []
                 named = [name or old for name, old in zip_longest(["", *names[1:width]], before)]
@@ -520,10 +520,10 @@ def split(line: str, delimiter: str) -> list[str]:
 def described_lines(lines: Sequence[Line], shown: int = 6) -> str:
     """Say what the first lines look like, where no table was found among them."""
     said = []
-    for number, line in [one for one in lines if one[1].strip()][:shown]:
+    for number, line in [line for line in lines if line[1].strip()][:shown]:
         mark = max(MARKS, key=line.count)
         cells = split(line, mark if mark in line else BLANKS)
-        numbers = sum(any(_is_number(cell, each) for each in _NUMBERS) for cell in cells)
+        numbers = sum(any(_is_number(cell, mark) for mark in _NUMBERS) for cell in cells)
         count = f"{len(cells)} cell" + "s" * (len(cells) > 1)
         said.append(f"  line {number}: {count}, {numbers or 'none'} a number: {line.strip()[:60]}")
     return "\n".join(said)

@@ -191,7 +191,7 @@ def _rows_of(book: Any, sheet: str, dialect: Dialect = TO_BE_FOUND) -> tuple[int
     ]
     # Cells of text, as a pasted file leaves them, may have commas.
     found = [find_rows(parted, dialect, mark) for mark in (".", ",")]
-    return max((one for one in found if one), key=lambda one: one[0], default=None)
+    return max((rows for rows in found if rows), key=lambda rows: rows[0], default=None)
 
 
 class ExcelFile(ColumnFile):
