@@ -1,5 +1,7 @@
 """Intervals of the noise where rows are not the sensor's samples, in seeded trials."""
 
+import os
+
 import numpy as np
 import pytest
 from scipy.stats import binom
@@ -7,7 +9,8 @@ from scipy.stats import binom
 from counterspin.inference.noise import static_noise
 from counterspin.inference.noise.static_noise import analyse, split_segments
 
-STEP, SIGMA, SAMPLES, TRIALS = 0.01, 1e-3, 1200, 10
+FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
+STEP, SIGMA, SAMPLES, TRIALS = 0.01, 1e-3, 1200, 250 if FULL else 10
 
 
 def lost(part):
@@ -32,10 +35,17 @@ def restamped(_, time, values):
     return time[place - (place % 3 == 2)], values
 
 
+def in_bursts(rng, time, values):
+    """Packets of 8 samples, stamped when they arrive, up to one sample late."""
+    packet = np.arange(time.size) // 8
+    return (8 * packet + rng.random(time.size)[packet]) * STEP, values
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "log",
-    [lost(0.05), lost(0.2), repeated(2.0), repeated(2.5), repeated(4.0), restamped],
-    ids=["5 % lost", "20 % lost", "2 rows", "2.5 rows", "4 rows", "stamps repeat"],
+    [lost(0.05), lost(0.2), repeated(2.0), repeated(2.5), repeated(4.0), restamped, in_bursts],
+    ids=["5 % lost", "20 % lost", "2 rows", "2.5 rows", "4 rows", "stamps repeat", "bursts"],
 )
 def test_intervals_of_n_hold(monkeypatch, log):
     """At 95 %, of so many trials fewer hold with a probability of 1e-4 than the bound."""
