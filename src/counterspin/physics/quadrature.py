@@ -20,8 +20,8 @@ from counterspin.physics.spindle import Spindle
 
 NODES: Final = 16  #: Gauss-Legendre nodes in a panel
 _CHUNK_TIMES: Final = 65536  #: sample times evaluated at once, which bounds the memory
-#: Part of the first panel by which times may lie before it: corrected time stamps do. Its
-#: polynomials are as good there, to 1e-9 of a third harmonic.
+#: Part of a panel by which times may lie before it: corrected time stamps do. Its polynomials are
+#: as good there, to 1e-9 of a third harmonic.
 _BEFORE: Final = 0.1
 _MOST_KEPT: Final = 16384  #: sample times, or panel edges, up to which places in panels are kept
 
@@ -151,13 +151,16 @@ class Panels:
     def at(self, times: Array, series: Array) -> Array:
         """Return the values of series of these panels at times between the edges, (k, n).
 
-        Times may lie before the first edge by a tenth of the first panel.
+        Times may lie before the first edge by a tenth of the widest panel. A kink can make the
+        first panel much shorter, so that its polynomials hold for less than that. The integral
+        over the rest is neglected: a few milliseconds of a product whose sign just changes.
         """
         edges = self._edges
-        first = edges[0] - _BEFORE * (edges[1] - edges[0])
+        first = edges[0] - _BEFORE * 2.0 * self._half.max()
         last = edges[-1] + 1e-12 * (edges[-1] - edges[0])
         if times.size and (times.min() < first or times.max() > last):
             raise ValueError("times lie outside the panels")
+        times = np.maximum(times, edges[0] - _BEFORE * (edges[1] - edges[0]))
         pieces = []
         for begin in range(0, times.size if len(series) else 0, _CHUNK_TIMES):
             t = times[begin : begin + _CHUNK_TIMES]
