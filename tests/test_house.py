@@ -291,12 +291,12 @@ LAYERS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["t
 ]["contracts"][0]["layers"]
 
 
-def test_house_s_table_has_every_room_in_the_order_of_imports():
+def test_table_of_packages_is_in_the_order_of_imports():
     page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    table = page.partition("| room |")[2].partition("\n\n")[0]
+    table = page.partition("| package |")[2].partition("\n\n")[0]
     rows = re.findall(r"^\| (`.*?) \|", table, re.M)
-    rooms = [set(re.findall(r"`(\w+)/?`", row)) for row in rows]
-    assert rooms == [set(layer.split(" | ")) for layer in reversed(LAYERS)]
+    packages = [set(re.findall(r"`(\w+)/?`", row)) for row in rows]
+    assert packages == [set(layer.split(" | ")) for layer in reversed(LAYERS)]
 
 
 def test_files_that_the_way_of_a_record_names_exist():
