@@ -100,7 +100,7 @@ NUMBERS = [
     ),
     ("methods", "| below {} | left out", [encoder._CONSIDERED_NORM_SQUARED]),
     ("methods", "further than {} typical sizes from nothing", [limits._MAX_DEFAULT_SDS]),
-    ("result", "further than {} of its typical sizes", [limits._MAX_DEFAULT_SDS]),
+    ("result", "more than {} default standard uncertainties", [limits._MAX_DEFAULT_SDS]),
     ("methods", "above {} of the noise of one row", [design_blocks._MIN_EFFECT]),
     ("methods", "With the typical {} ug/g^2 of navigation grade", [1e6 * TERMS["K_OO"].typical]),
     ("methods", "enter u as stated, or with {} arcsec", [ENCODER / ARCSEC]),
