@@ -186,7 +186,7 @@ def photograph_the_application(browser: Any) -> None:
             records = sorted((folder / "first").glob("*.csv"))
             page.get_by_label("The recorder's files").set_input_files(records)
             page.get_by_role("img", name="Double turntable").wait_for()
-            page.locator(".drop").screenshot(path=IMAGES / "application-import.png")
+            page.locator("#view").screenshot(path=IMAGES / "application-import.png")
             page.goto(door.link.partition("#")[0] + "#/campaign/first")
             page.get_by_role("heading", name="Quality checks").wait_for()
             page.evaluate("scrollTo(0, 0)")

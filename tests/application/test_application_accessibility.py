@@ -34,8 +34,8 @@ def bring_a_record(tab, path):
     """Bring a file, so that what is guessed of it is shown and mistakes stand at their fields."""
     tab.get_by_label("Folder of the new campaign").fill("mine")
     tab.get_by_label("The recorder's files").set_input_files(path)
-    tab.get_by_label("What is the local gravity").fill("9,81 apples")
-    tab.get_by_label("What is the latitude").focus()
+    tab.get_by_label("Local gravity", exact=True).fill("9,81 apples")
+    tab.get_by_label("Latitude", exact=True).focus()
     tab.locator("[aria-invalid]").first.wait_for()
 
 

@@ -1,5 +1,6 @@
 """A folder as `counterspin serve` finds it: a campaign, its records and its results."""
 
+import re
 import threading
 import time
 from contextlib import contextmanager
@@ -28,6 +29,7 @@ PLACES = (
     "/description/three",
     "/runs/three",
     "/live/three",
+    "/import",
     "/try/three",
     "/plans",
     "/compare",
@@ -68,6 +70,11 @@ def serving(desk):
         yield door
         server.should_exit = True
         thread.join()
+
+
+def answer_field(tab, words):
+    """Return the field of an answer by the beginning of its label."""
+    return tab.get_by_label(re.compile(f"{words}(?!.*, (standard uncertainty|unit)$)"))
 
 
 def token_of(door):

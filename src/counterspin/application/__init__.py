@@ -8,7 +8,8 @@ also a command, which the page shows.
 - `folder`: the files of the folder, and no others; versions, so that no edit is lost
 - `desk`: the state that all requests share; the command line of each action
 - `campaigns`: the folder's campaigns and results, with their state
-- `keeping`: campaigns made of uploaded exports, copied, renamed and moved to the trash
+- `drafts`: campaigns from uploaded exports: columns, questions and descriptions
+- `keeping`: files that are uploaded, and campaigns copied, renamed and moved to the trash
 - `form`, `editing`: a form made of the models' keys, next to the text of a campaign or laboratory
 - `jobs`: long work, each in its own process: calibrations, studies, plans; live views
 - `pages`: results, comparisons and histories as the reports' words and pictures; the documentation

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from counterspin.application import (
     campaigns,
     certification,
+    drafts,
     editing,
     improving,
     keeping,
@@ -114,8 +115,8 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Callable[..., Any]]] = {
     ("GET", "record"): record_plots.record_window,
     ("GET", "check"): record_plots.run_judgement,
     ("GET", "watch"): record_plots.campaign_state,
-    ("POST", "draft"): keeping.draft_overview,
-    ("POST", "drafted"): keeping.begin_drafted,
+    ("POST", "draft"): drafts.draft_overview,
+    ("POST", "drafted"): drafts.begin_drafted,
     ("POST", "certificate"): certification.begin_certificate,
     ("POST", "certificate-preview"): laboratory.draft_preview,
     ("POST", "certificate-check"): certification.check_file,

@@ -1,48 +1,30 @@
-"""Campaign folders: make, copy, rename and move to the trash; nothing is ever lost."""
+"""Campaign folders: upload, copy, rename and move to the trash; nothing is ever lost."""
 
 from __future__ import annotations
 
 import filecmp
 import re
 import shutil
-from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote, unquote
 
-import numpy as np
-
-from counterspin.application.desk import Desk, FileCache, export_command
+from counterspin.application.desk import Desk
 from counterspin.application.editing import checked_campaign, with_value
 from counterspin.application.folder import NotThereError, OutsideError, ServedFolder
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
-from counterspin.ingest.contents import FileColumn, read_files
-from counterspin.ingest.description import AnyDraft, further_runs, write_description
-from counterspin.ingest.description import drafted as described_as
-from counterspin.ingest.overview import (
-    TESTS,
-    UndecidedDraft,
-    likely_test,
-    overview,
-    sensor_question,
-)
-from counterspin.ingest.starter import Test
-from counterspin.ingest.tumble import TumbleDraft
+from counterspin.ingest.description import further_runs
 from counterspin.output import finish, make_folder
 from counterspin.records.endings import wrong_ending
 from counterspin.temporary_folders import remove_abandoned_folders, temporary_folder
 
-_CONTENTS: Final = FileCache(2)
 #: Prefixes of the temporary folders in which a campaign is copied, and a file arrives.
 _COPY_PREFIX: Final = ".counterspin-copy-"
 _UPLOAD_PREFIX: Final = ".counterspin-upload-"
-#: Rows, and parts of a column, that are shown before a campaign is written.
-_PREVIEW_ROWS: Final = 4
-_PREVIEW_PARTS: Final = 90
 
 
 @frozen
@@ -87,81 +69,6 @@ def complete_upload(desk: Desk, arrival: Arrival) -> dict[str, Any]:
     else:
         finish(arrival.part, arrival.path)
     return {"name": desk.folder.name(arrival.path), "bytes": size}
-
-
-def _draft(
-    desk: Desk, names: Sequence[str], answers: dict[str, str] | None, stated: Test | None
-) -> tuple[AnyDraft | UndecidedDraft, Test | None, list[str]]:
-    files = [desk.file(name) for name in names]
-    said = {key: answer for key, answer in (answers or {}).items() if answer.strip()}
-    choice = (said.get("sheet", ""), said.get("select", ""))
-    all_contents = _CONTENTS.get((*choice, *files), files, lambda: read_files(files, said))
-    seen = overview(all_contents)
-    chosen = said.pop("test", None)
-    if sensor_question(all_contents) is not None:
-        return UndecidedDraft.of(all_contents), None, seen
-    said.pop("select", None)
-    test = stated or next((test for test in TESTS if test == chosen), likely_test(all_contents))
-    if test is None:
-        return UndecidedDraft.of(all_contents), None, seen
-    return described_as(all_contents, said, test), test, seen
-
-
-def draft_overview(
-    desk: Desk,
-    names: list[str],
-    answers: dict[str, str] | None = None,
-    test: Test | None = None,
-) -> dict[str, Any]:
-    """Return the contents of files in sentences and columns, the questions and the mistakes.
-
-    Columns of words are included if a question asks for their role.
-    """
-    found, test, seen = _draft(desk, names, answers, test)
-    asked = {question.key for question in found.questions}
-    asked |= {f"{question.guess} is" for question in found.questions}
-    words = {name: cells for name, cells in found.contents.words.items() if f"{name} is" in asked}
-    return {
-        "test": test,
-        "statements": [*seen, *found.statements],
-        "questions": [vars(question) for question in found.questions],
-        "problems": list(found.problems),
-        "file": found.contents.path.name,
-        "columns": [
-            *({"name": n, "first": c[:_PREVIEW_ROWS], "extent": []} for n, c in words.items()),
-            *map(_preview, found.contents.columns),
-        ],
-        "directions": found.directions if isinstance(found, TumbleDraft) else [],
-    }
-
-
-def _preview(column: FileColumn) -> dict[str, Any]:
-    """Return a column's first values, and the least and greatest value of each part of it."""
-    parts = np.array_split(column.values, min(_PREVIEW_PARTS, len(column.values)))
-    known = [part[np.isfinite(part)] for part in parts]
-    return {
-        "name": column.name,
-        "first": ["" if np.isnan(v) else f"{v:.9g}" for v in column.values[:_PREVIEW_ROWS]],
-        "extent": [[float(part.min()), float(part.max())] if part.size else None for part in known],
-    }
-
-
-def begin_drafted(
-    desk: Desk,
-    folder: str,
-    names: list[str],
-    answers: dict[str, str] | None = None,
-    test: Test | None = None,
-) -> dict[str, Any]:
-    """Write the campaign from files and answers; return its name and the command."""
-    place = desk.place(folder)
-    found, test, _ = _draft(desk, names, answers, test)
-    if isinstance(found, UndecidedDraft) or test is None:
-        raise CampaignError("init", [f"test: {found.questions[0].text}"])
-    write_description(found, place)
-    files = [desk.file(name) for name in names]
-    command = export_command(place, files, dict(found.answers), test)
-    return {"name": desk.folder.name(place), "command": command}
 
 
 #: Where campaigns go that are put away; as a hidden folder it is no part of the page.

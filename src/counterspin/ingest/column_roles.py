@@ -456,13 +456,13 @@ def is_even(values: Array) -> bool:
 
 def _angle_column(advancing: Sequence[FileColumn]) -> FileColumn | None:
     """Return the angle column among those that advance evenly, perhaps wrapped."""
-    turning = [column for column in advancing if not _counts_rows(column)]
+    turning = [column for column in advancing if not counts_rows(column)]
     named = [column for column in turning if _ANGLE.match(column.name)]
     united = [c for c in turning if _unit_of(c, "rad") or _unit_of(c, "count")]
     return next(iter([*named, *united, *turning]), None)
 
 
-def _counts_rows(column: FileColumn) -> bool:
+def counts_rows(column: FileColumn) -> bool:
     """Return whether a column has row numbers, which advance at any rate."""
     return bool(_COUNTER.fullmatch(column.name)) or bool(
         column.values[0] in (0.0, 1.0) and (np.diff(column.values) == 1.0).all()

@@ -6,11 +6,14 @@ import { bring, enter, get, getTextNow, Refused, save, send } from "./api.js";
 import {
   attempt, commandLine, make, oneAtATime, say, stateMark, submitting, symbols, warning,
 } from "./dom.js";
-import { answersTo, asTable, lookUntilSettled, tipOf } from "./exports.js";
+import { answersTo, lookUntilSettled } from "./confirm.js";
+import { curvePath, tipOf } from "./curves.js";
+import { asTable, folderName } from "./import.js";
 import { knownTo, named, size } from "./improving.js";
 import { carryOut, follow, followRunning } from "./job.js";
 import { columnsOf, stepsAround, withPoint } from "./live.js";
 import { inUnit } from "./plan.js";
+import { partsOf, quantityText } from "./quantity.js";
 
 const KEY = "counterspin-key";
 
@@ -132,6 +135,33 @@ test("answers are sent to the questions that ask for them, and none is dropped",
   assert.deepEqual(answersTo([question("gravity"), question("time", ["s", "none"])], answers), { gravity: "9.81 m/s^2" });
   assert.deepEqual(answersTo([question("sense", ["ccw", "cw"]), question("radius")], answers), { sense: "ccw", radius: "2.5 m" });
   assert.equal(Object.keys(answers).length, 4);
+});
+
+test("a folder is named by the files' common beginning, and not as another campaign", () => {
+  const named = (/** @type {string[]} */ names, /** @type {string[]} */ taken = []) => folderName(names, "2026-03-01", new Set(taken));
+  assert.equal(named(["lot 7 run1.csv", "lot 7 run2.csv"]), "lot-7-run");
+  assert.equal(named(["book.xlsx"]), "book");
+  assert.equal(named(["slow.csv", "fast.csv"]), "campaign-2026-03-01");
+  assert.equal(named(["book.xlsx"], ["book", "book-2"]), "book-3");
+});
+
+test("a quantity is parted into value, uncertainty and unit, and put together again", () => {
+  const units = ["m", "mm"];
+  assert.deepEqual(partsOf("2.5 ± 1e-5 m", units), { value: "2.5", u: "1e-5", unit: "m" });
+  assert.deepEqual(partsOf("2500+/-0,01 mm", units), { value: "2500", u: "0,01", unit: "mm" });
+  assert.deepEqual(partsOf("9.81", units), { value: "9.81", u: "", unit: "" });
+  // The server judges everything else as it is typed.
+  assert.equal(partsOf("98.4 furlong", units), null);
+  assert.equal(partsOf("about 2", units), null);
+  assert.equal(quantityText("2.5", "1e-5", "m"), "2.5 ± 1e-5 m");
+  assert.equal(quantityText("2.5", "", "m"), "2.5 m");
+  assert.equal(quantityText("45.75N", "", "deg"), "45.75N");
+  assert.equal(quantityText("", "1e-5", "m"), "");
+});
+
+test("a curve is one line, which begins again after a gap", () => {
+  assert.equal(curvePath([[0, 1], [0, 1], null, [1, 1]]), "M0 45L0.5 3L1 3L1.5 45M3 3L3.5 3");
+  assert.equal(curvePath([[2, 2]]), "M0 24L0.5 24");
 });
 
 test("arrows on the circle begin at up and turn clockwise", () => {

@@ -65,6 +65,24 @@ export const commandLine = (text) =>
 export const warning = (text) => make("p", { class: "warning", role: "alert" }, text);
 
 /**
+ * A line that says at once what the page works at, with the seconds that it has taken.
+ * @param {string} text such as "Reading the files"
+ * @returns {HTMLElement}
+ */
+export function working(text) {
+  // Seconds are seen; a screen reader says only the text.
+  const seconds = make("span", { "aria-hidden": "true" });
+  const element = make("p", { class: "quiet working", role: "status" }, text, seconds);
+  const begun = Date.now();
+  const timer = setInterval(() => {
+    const passed = Math.round((Date.now() - begun) / 1000);
+    if (passed > 1 && !element.isConnected) clearInterval(timer);
+    else seconds.textContent = passed ? `, ${passed} s` : "";
+  }, 1000);
+  return element;
+}
+
+/**
  * Do something; what goes wrong is said in a place.
  * @template T
  * @param {HTMLElement} place

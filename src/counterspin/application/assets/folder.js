@@ -3,9 +3,8 @@
 
 import { campaignAddress, resultAddress } from "./addresses.js";
 import { get, send } from "./api.js";
-import { exportsPart } from "./exports.js";
+import { importEntry } from "./import.js";
 import { attempt, labelled, make, say, stateMark, submitting, symbols } from "./dom.js";
-import { carryOut } from "./job.js";
 import { pagePart } from "./result.js";
 
 /** @typedef {{name: string, state: string, words: string, title?: string,
@@ -89,16 +88,9 @@ function newCampaign() {
     }),
   }, labelled("Folder of the example", name), labelled("Kind of test", test),
   make("button", {}, "Write an example"));
-  const place = make("div");
-  const sample = make("button", {
-    type: "button",
-    onclick: carryOut(place, () => send("POST", "sample", {}), (job) => { location.hash = campaignAddress(job.output); }),
-  }, "Open a sample campaign");
   return [
-    make("h2", {}, "Begin a campaign"),
-    make("div", { class: "row" }, sample, make("p", { class: "quiet" }, "Simulated records of the paper's plan, already calibrated.")), place,
-    make("h3", {}, "From your recorder's files"), exportsPart(),
-    make("h3", {}, "From an example"), form, wrong,
+    make("h2", {}, "New campaign"), importEntry(),
+    make("details", {}, make("summary", {}, "Begin with an example to be filled in"), form, wrong),
   ];
 }
 

@@ -8,6 +8,7 @@ import { compareView, historyView } from "./compare.js";
 import { descriptionView } from "./description.js";
 import { unsaved } from "./editor.js";
 import { folderView } from "./folder.js";
+import { importView } from "./import.js";
 import { make, warning } from "./dom.js";
 import { liveView } from "./live.js";
 import { planView, plansView } from "./plan.js";
@@ -29,6 +30,7 @@ const PLACES = [
   { path: /^\/compare$/, name: "Compare", address: "#/compare", view: compareView },
   { path: /^\/history$/, name: "History", address: "#/history", view: historyView },
   { path: /^\/manual\/([^#]*)#?(.*)$/, name: "Help", address: "#/manual/application", view: manualView },
+  { path: /^\/import$/, view: importView },
   { path: /^\/plan\/(.*)$/, view: planView },
   { path: /^\/live\/(.*)$/, view: liveView },
   { path: /^\/runs\/(.*)$/, view: runsView },

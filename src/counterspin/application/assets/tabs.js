@@ -11,6 +11,19 @@ const PLACES = { description: "Description", runs: "Records", live: "Live", try:
 const STEPS = ["Import", "Confirm", "Calibrate", "Review", "Certify"];
 
 /**
+ * The steps as a list.
+ * @param {number} now the present step
+ * @param {(string|null)[]} [links] addresses of steps
+ */
+export const stepList = (now, links = []) => make("ol", {}, ...STEPS.map((words, place) => {
+  const link = links[place];
+  return make("li", {
+    class: place < now ? "done" : place === now ? "now" : "",
+    "aria-current": place === now ? "step" : null,
+  }, link && (place <= now || place === STEPS.length - 1) ? make("a", { href: link }, words) : make("span", {}, words));
+}));
+
+/**
  * The steps from files to a certificate, and links to the further places of a campaign.
  * @param {string} name
  * @param {string} here
@@ -21,11 +34,7 @@ export function campaignTabs(name, here, { step = "review", result } = {}) {
   const now = ["import", "confirm", "calibrate", "review", "certify"].indexOf(step);
   const links = [at("runs"), at("description"), at("campaign"), at("campaign"),
     result === undefined ? null : `#/certificate/${encodeURIComponent(result)}`];
-  const steps = STEPS.map((words, place) => make("li", {
-    class: place < now ? "done" : place === now ? "now" : "",
-    "aria-current": place === now ? "step" : null,
-  }, links[place] && (place <= now || place === 4) ? make("a", { href: links[place] }, words) : make("span", {}, words)));
-  return make("nav", { class: "steps", "aria-label": "The campaign" }, make("ol", {}, ...steps),
+  return make("nav", { class: "steps", "aria-label": "The campaign" }, stepList(now, links),
     make("details", { class: "menu" }, make("summary", {}, "More"),
       make("div", {}, ...Object.entries({ campaign: "Result", ...PLACES }).map(([place, words]) =>
         make("a", { href: at(place), "aria-current": place === here ? "page" : null }, words)))));

@@ -1,8 +1,7 @@
 """Exports that are brought: guessed, asked, and a campaign of them."""
 
-import os
-import stat
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,13 +9,13 @@ from exports import EXPORTS, campaign_folder, write_records
 from posed_files import compound, waveforms
 from served import ANSWERS
 
-from counterspin.application.folder import OutsideError
-from counterspin.application.keeping import complete_upload, place_for
+from counterspin.application.drafts import UNITS, curve_of
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
-from counterspin.errors import CounterspinError
-from counterspin.ingest.contents import read_files
+from counterspin.ingest.column_roles import guess_file
+from counterspin.ingest.contents import FileColumn, FileContents, read_files
 from counterspin.ingest.description import draft, write_description
+from counterspin.units import converts
 
 RUNS = ("slow", "middle", "fast")
 COUNTED = {"sampling_rate": "20 Hz"}
@@ -89,105 +88,88 @@ def test_every_make_of_export_gives_the_same_result(page, folder, plain, referen
     assert abs(found.value - reference.value) < 0.01 * reference.u
 
 
-def test_what_is_no_record_or_would_replace_one_is_not_taken(page, folder):
-    kept = (folder / "three" / "slow.csv").read_bytes()
-    before = sorted(folder.rglob("*"))
-    for name, status in (
-        ("three/slow.csv", 422),
-        ("three/campaign.toml", 403),
-        ("three/run.py", 403),
-        ("../slow.csv", 403),
-        (".hidden.csv", 403),
-        ("", 403),
-    ):
-        assert bring(page, name, b"time_s\n1\n").status_code == status
-    assert (folder / "three" / "slow.csv").read_bytes() == kept
-    assert sorted(folder.rglob("*")) == before
-
-
-def test_the_same_file_may_be_brought_again(page, folder):
-    content = (folder / "three" / "slow.csv").read_bytes()
-    before = sorted(folder.rglob("*"))
-    assert bring(page, "three/slow.csv", content).json() == {
-        "name": "three/slow.csv",
-        "bytes": len(content),
-    }
-    assert sorted(folder.rglob("*")) == before
+def columns_of(page, names, **more):
+    told = page.post("/api/draft", json={"names": names, **more}).json()
+    return told, {column["name"]: column for column in told["columns"]}
 
 
 def test_a_draft_shows_columns_and_what_is_wrong(page, brought):
-    told = page.post("/api/draft", json={"names": brought}).json()
-    names = [column["name"] for column in told["columns"]]
-    assert names[:2] == ["time_s", "angle_rad"]
-    assert [len(column["first"]) for column in told["columns"]] == [4] * len(names)
-    low, high = np.array(told["columns"][0]["extent"]).T
-    assert (low[0], sorted(low)) == (0.0, low.tolist())
-    assert (low < high).all()
+    told, columns = columns_of(page, brought)
+    assert list(columns)[:2] == ["time_s", "angle_rad"]
+    assert {len(column["first"]) for column in columns.values()} == {4}
+    time, angle, east = (columns[name]["curve"] for name in ("time_s", "angle_rad", "east_m"))
+    # A time has even steps; an angle at a steady rate is a straight line.
+    assert (time["words"], time["size"]) == ("step from row to row", pytest.approx(0.0, abs=1e-9))
+    assert angle["words"] == "minus a straight line"
+    assert angle["size"] < 1e-3
+    # The wave has the radius of 2.5 m as its amplitude, about a parabola that is subtracted.
+    assert east["words"] == "minus its parabola, first 4 revolutions"
+    assert (east["unit"], east["size"]) == ("m", pytest.approx(2.5, rel=0.05))
+    low, high = np.array(east["extent"]).T
+    assert (low <= high).all()
+    assert sum(np.diff(np.sign(low)) > 0) == 4
     answers = {"gravity": "9,81", "east_m unit": "s"}
-    told = page.post("/api/draft", json={"names": brought, "answers": answers}).json()
+    told, _ = columns_of(page, brought, answers=answers)
     (problem,) = told["problems"]
     assert problem.startswith("east_m unit: 's' is not a unit of")
 
 
-def test_a_file_that_does_not_arrive_leaves_nothing(page, folder, monkeypatch):
-    monkeypatch.setattr("counterspin.application.guard.FILE_BYTES", 1000)
-    assert bring(page, "new/a.csv", (b"x" * 100 for _ in range(20))).status_code == 413
-    assert not (folder / "new").exists()
+def test_an_unused_column_has_a_reason(page, folder):
+    head, *rows = (folder / "three" / "slow.csv").read_text().splitlines()
+    added = (f"{i},7,,ok,{(i * 7919) % 101},{row}" for i, row in enumerate(rows))
+    text = "\n".join([f"index,status,marker,note,count,{head}", *added])
+    name = bring(page, "odd/slow.csv", text.encode()).json()["name"]
+    _, columns = columns_of(page, [name], answers=COUNTED)
+    reasons = {name: columns[name]["reason"] for name in ("index", "status", "marker", "note")}
+    assert reasons == {
+        "index": "Counts the rows.",
+        "status": "Constant: 7 in every row.",
+        "marker": "Empty in every row.",
+        "note": "Text, not numbers: ok",
+    }
+    assert columns["count"]["reason"].startswith("Neither swings with the rotation")
+    assert columns["note"]["curve"] is None
 
 
-def test_a_packed_file_is_refused_before_it_is_brought(desk):
-    with pytest.raises(OutsideError, match=r"new/run\.csv\.gz: the file is packed; unpack it"):
-        place_for(desk, "new/run.csv.gz")
-    assert not desk.folder.path("new").exists()
+def test_site_values_are_remembered_from_measured_campaigns(page, folder, brought):
+    told, _ = columns_of(page, brought)
+    assert told["remembered"] == {}  # the campaign there is simulated
+    answers = {one["key"]: one["example"] for one in told["questions"] if one["guess"] is None}
+    said = {"folder": "new", "names": brought, "answers": answers | ANSWERS}
+    assert page.post("/api/drafted", json=said).status_code == 200
+    told, _ = columns_of(page, brought)
+    assert told["remembered"] == {
+        key: {"answer": answer, "campaign": "new"} for key, answer in ANSWERS.items()
+    }
 
 
-def test_folders_that_were_made_for_it_go_too(desk, folder):
-    first, second = place_for(desk, "far/away/a.csv"), place_for(desk, "far/b.csv")
-    first.end()
-    assert [path.name for path in (folder / "far").iterdir()] == [second.part.parent.name]
-    second.end()
-    assert (folder / "far").is_dir()  # it was there when the second one came
-    third = place_for(desk, "three/a.csv")
-    third.end()
-    assert (folder / "three").is_dir()
+def test_the_unit_menu_of_a_question_converts_to_its_unit(page, brought):
+    told, _ = columns_of(page, brought)
+    menus = {question["key"]: question["units"] for question in told["questions"]}
+    assert menus["radius"] == ["m", "mm", "um", "in"]
+    for quantity, units in UNITS.items():
+        assert all(converts(unit, quantity) for unit in units)
 
 
-def test_of_two_uploads_of_one_name_the_first_stays(desk, folder):
-    first, second = place_for(desk, "new/a.csv"), place_for(desk, "new/a.csv")
-    first.part.write_text("first")
-    second.part.write_text("second")
-    assert complete_upload(desk, first) == {"name": "new/a.csv", "bytes": 5}
-    with pytest.raises(CounterspinError, match=r"a\.csv exists; name another file"):
-        complete_upload(desk, second)
-    first.end()
-    second.end()
-    assert [(path.name, path.read_text()) for path in (folder / "new").iterdir()] == [
-        ("a.csv", "first")
-    ]
-
-
-def test_an_upload_has_the_rights_of_the_process(desk, folder):
-    before = os.umask(0o077)
-    try:
-        arrival = place_for(desk, "new/a.csv")
-        complete_upload(desk, arrival)
-        arrival.end()
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((folder / "new" / "a.csv").stat().st_mode) == 0o600
+def test_an_angle_that_is_wrapped_is_drawn_without_jumps():
+    time = np.arange(400) * 0.05
+    angle = FileColumn("angle", "deg", np.mod(36.0 * time, 360.0) + 0.01 * np.sin(time))
+    east = FileColumn("east_m", "m", 2.5 * np.cos(np.deg2rad(36.0 * time)))
+    seconds = FileColumn("time_s", "s", time)
+    contents = FileContents(Path("a.csv"), (seconds, angle, east), (), "")
+    curve = curve_of(angle, guess_file(contents))
+    assert curve.size == pytest.approx(0.01, rel=0.2)
 
 
 def test_columns_of_words_are_shown_where_they_are_asked_for(page):
-    table = "side,n_rpm,note,out_V\nin,30,first,1.0\nout,30,second,-1.0\n"
+    table = "side,n_rpm,note,out_V\nin,30,first,1.0\nout,60,second,-4.0\n"
     name = bring(page, "arm/arm.csv", table.encode()).json()["name"]
     told = page.post("/api/draft", json={"names": [name]}).json()
     assert told["test"] == "arm"
     shown = {column["name"]: column["first"] for column in told["columns"]}
     assert shown["side"] == ["in", "out"]
     assert shown["note"] == ["first", "second"]
-    assert [column["extent"] for column in told["columns"]][:2] == [[], []]
-    told = page.post("/api/draft", json={"names": [name], "test": "double-turntable"}).json()
-    assert [column["name"] for column in told["columns"]] == ["n_rpm", "out_V"]
+    assert [column["curve"] for column in told["columns"]][:2] == [None, None]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,168 @@
+// @ts-check
+// Import: the recorder's files of a new campaign, dropped, chosen or pasted.
+
+import { bring, get, Refused, send } from "./api.js";
+import { campaignAddress } from "./addresses.js";
+import { Confirmation } from "./confirm.js";
+import { attempt, labelled, make, working } from "./dom.js";
+import { carryOut } from "./job.js";
+import { stepList } from "./tabs.js";
+
+/** Kinds of test of a pasted table. */
+const TABLES = ["tumble", "arm"];
+/** Folders that are tried if files of the same name exist with other content. */
+const MOST_FOLDERS = 9;
+
+/** @type {{files: File[], folder: string} | null} files that another page has passed on */
+let passed = null;
+
+/**
+ * A name for the folder of a campaign: the common beginning of its files' names, or the date.
+ * @param {string[]} names of files
+ * @param {string} date such as 2026-03-01
+ * @param {Set<string>} taken names in use
+ */
+export function folderName(names, date, taken) {
+  const stems = names.map((name) => name.replace(/\.[^.]*$/, ""));
+  let common = stems[0] ?? "";
+  for (const stem of stems) while (!stem.startsWith(common)) common = common.slice(0, -1);
+  if (stems.length > 1) common = common.replace(/[\d\s._-]+$/u, "");
+  const clean = common.replace(/[^\p{L}\p{N}_-]+/gu, "-").replace(/^-+|-+$/g, "");
+  const base = clean.length < 3 ? `campaign-${date}` : clean;
+  for (let count = 1; ; count++) {
+    const name = count > 1 ? `${base}-${count}` : base;
+    if (!taken.has(name)) return name;
+  }
+}
+
+/**
+ * The area that takes files.
+ * @param {(files: File[], folder: string) => any} take
+ */
+function importPanel(take) {
+  const folder = make("input", { autocomplete: "off", placeholder: "suggested from the files" });
+  const files = make("input", { type: "file", multiple: true, id: "exports" });
+  const takeFiles = (/** @type {Iterable<File>|null|undefined} */ list) => {
+    const found = [...list ?? []];
+    if (found.length) take(found, folder.value.trim());
+  };
+  files.addEventListener("change", () => takeFiles(files.files));
+  const place = make("div");
+  const sample = make("button", {
+    type: "button",
+    onclick: carryOut(place, () => send("POST", "sample", {}), (job) => { location.hash = campaignAddress(job.output); }),
+  }, "Open a sample campaign");
+  const zone = make("div", { class: "drop" },
+    make("h2", {}, "Drop your recorder’s files here"),
+    make("p", { class: "quiet" }, "One file for each run, or one table of readings: CSV, text, Excel, Parquet, HDF5, MATLAB, TDMS or " +
+      "LabVIEW. The files stay on this machine."),
+    make("div", { class: "row" }, labelled("The recorder's files", files), labelled("Folder of the new campaign (optional)", folder), sample),
+    pastedTable((file) => takeFiles([file])), place);
+  zone.addEventListener("dragover", (event) => {
+    event.preventDefault();
+    zone.classList.add("over");
+  });
+  zone.addEventListener("dragleave", () => zone.classList.remove("over"));
+  zone.addEventListener("drop", (event) => {
+    event.preventDefault();
+    zone.classList.remove("over");
+    takeFiles(event.dataTransfer?.files);
+  });
+  return zone;
+}
+
+/** The same area on another page, which leads to that of the import. */
+export const importEntry = () => importPanel((files, folder) => {
+  passed = { files, folder };
+  location.hash = "#/import";
+});
+
+/**
+ * A table that is typed or pasted, as a file.
+ * @param {(file: File) => void} take
+ */
+function pastedTable(take) {
+  const text = make("textarea", { rows: 6, spellcheck: "false", autocomplete: "off",
+    placeholder: "position_deg\treading_mA\n0\t1.2503\n30\t1.0825" });
+  let count = 0;
+  return make("details", {}, make("summary", {}, "Paste a table"),
+    labelled("Names of the columns, then a line for each reading, as copied from a spreadsheet", text),
+    make("button", {
+      type: "button",
+      // A changed table is another file, because no file is replaced.
+      onclick: () => take(new File([asTable(text.value)], `readings${count++ ? `-${count}` : ""}.txt`, { type: PASTED })),
+    }, "Use this table"));
+}
+
+/** The media type that marks a pasted table. */
+const PASTED = "text/plain;pasted";
+
+/**
+ * A text as lines of a file, without empty ones.
+ * @param {string} text
+ */
+export const asTable = (text) =>
+  `${text.split(/\r\n?|\n/).map((line) => line.trimEnd()).filter(Boolean).join("\n")}\n`;
+
+/**
+ * Upload files into a folder, which has another name if one of them exists there with other content.
+ * @param {File[]} files
+ * @param {string} typed the folder; empty: suggested
+ * @param {(text: string) => void} show the progress
+ * @returns {Promise<{folder: string, names: string[]}>}
+ */
+async function upload(files, typed, show) {
+  const { campaigns } = await get("folder");
+  const taken = new Set(campaigns.map((/** @type {{name: string}} */ campaign) => campaign.name));
+  const date = new Date().toISOString().slice(0, 10);
+  for (let count = 1; ; count++) {
+    const folder = typed || folderName(files.map(({ name }) => name), date, taken);
+    try {
+      const names = [];
+      for (const [place, file] of files.entries()) {
+        show(`Uploading ${file.name}, ${place + 1} of ${files.length}`);
+        names.push((await bring(`${folder}/${file.name}`, file)).name);
+      }
+      return { folder, names };
+    } catch (error) {
+      const exists = error instanceof Refused && error.status === 422 && error.message.includes("exists");
+      if (typed || !exists || count === MOST_FOLDERS) throw error;
+      taken.add(folder);
+    }
+  }
+}
+
+/** The page that imports files, and confirms the contents found in them. */
+export async function importView() {
+  const place = make("div");
+  const title = make("h1", {}, "New campaign");
+  const steps = make("nav", { class: "steps", "aria-label": "Steps of the campaign" }, stepList(0));
+  let folder = "";
+  /** @type {Confirmation|null} */
+  let confirmation = null;
+  const take = (/** @type {File[]} */ files, /** @type {string} */ typed) => attempt(place, async () => {
+    confirmation?.end();
+    const show = (/** @type {string} */ text) => place.replaceChildren(working(text));
+    const uploaded = await upload(files, typed || folder, show);
+    folder = uploaded.folder;
+    show("Reading the files");
+    const readings = files[0].type === PASTED;
+    const next = new Confirmation(place, uploaded.names, folder, readings ? TABLES : null, confirmation?.answers);
+    confirmation = next;
+    await next.update();
+    if (next !== confirmation) return;
+    title.textContent = folder;
+    panel.classList.add("compact");
+    steps.replaceChildren(stepList(1));
+  });
+  const panel = importPanel(take);
+  if (passed) take(passed.files, passed.folder);
+  passed = null;
+  return {
+    title: "New campaign",
+    content: [
+      make("div", { class: "head" }, title, make("a", { class: "button", href: "#/" }, "Discard")),
+      steps, panel, place,
+    ],
+  };
+}

@@ -1,0 +1,88 @@
+"""Files that are uploaded into the served folder."""
+
+import os
+import stat
+
+import pytest
+
+from counterspin.application.folder import OutsideError
+from counterspin.application.keeping import complete_upload, place_for
+from counterspin.errors import CounterspinError
+
+
+def bring(page, name, content, **more):
+    return page.post("/api/files", params={"name": name}, content=content, **more)
+
+
+def test_what_is_no_record_or_would_replace_one_is_not_taken(page, folder):
+    kept = (folder / "three" / "slow.csv").read_bytes()
+    before = sorted(folder.rglob("*"))
+    for name, status in (
+        ("three/slow.csv", 422),
+        ("three/campaign.toml", 403),
+        ("three/run.py", 403),
+        ("../slow.csv", 403),
+        (".hidden.csv", 403),
+        ("", 403),
+    ):
+        assert bring(page, name, b"time_s\n1\n").status_code == status
+    assert (folder / "three" / "slow.csv").read_bytes() == kept
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_the_same_file_may_be_brought_again(page, folder):
+    content = (folder / "three" / "slow.csv").read_bytes()
+    before = sorted(folder.rglob("*"))
+    assert bring(page, "three/slow.csv", content).json() == {
+        "name": "three/slow.csv",
+        "bytes": len(content),
+    }
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_a_file_that_does_not_arrive_leaves_nothing(page, folder, monkeypatch):
+    monkeypatch.setattr("counterspin.application.guard.FILE_BYTES", 1000)
+    assert bring(page, "new/a.csv", (b"x" * 100 for _ in range(20))).status_code == 413
+    assert not (folder / "new").exists()
+
+
+def test_a_packed_file_is_refused_before_it_is_brought(desk):
+    with pytest.raises(OutsideError, match=r"new/run\.csv\.gz: the file is packed; unpack it"):
+        place_for(desk, "new/run.csv.gz")
+    assert not desk.folder.path("new").exists()
+
+
+def test_folders_that_were_made_for_it_go_too(desk, folder):
+    first, second = place_for(desk, "far/away/a.csv"), place_for(desk, "far/b.csv")
+    first.end()
+    assert [path.name for path in (folder / "far").iterdir()] == [second.part.parent.name]
+    second.end()
+    assert (folder / "far").is_dir()  # it was there when the second one came
+    third = place_for(desk, "three/a.csv")
+    third.end()
+    assert (folder / "three").is_dir()
+
+
+def test_of_two_uploads_of_one_name_the_first_stays(desk, folder):
+    first, second = place_for(desk, "new/a.csv"), place_for(desk, "new/a.csv")
+    first.part.write_text("first")
+    second.part.write_text("second")
+    assert complete_upload(desk, first) == {"name": "new/a.csv", "bytes": 5}
+    with pytest.raises(CounterspinError, match=r"a\.csv exists; name another file"):
+        complete_upload(desk, second)
+    first.end()
+    second.end()
+    assert [(path.name, path.read_text()) for path in (folder / "new").iterdir()] == [
+        ("a.csv", "first")
+    ]
+
+
+def test_an_upload_has_the_rights_of_the_process(desk, folder):
+    before = os.umask(0o077)
+    try:
+        arrival = place_for(desk, "new/a.csv")
+        complete_upload(desk, arrival)
+        arrival.end()
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((folder / "new" / "a.csv").stat().st_mode) == 0o600
