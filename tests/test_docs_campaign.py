@@ -10,7 +10,7 @@ from counterspin.campaign import settings, simulated_truth, specification, truth
 from counterspin.campaign.accelerometers import TRUTH_TABLES
 from counterspin.campaign.field_types import SettingsSection
 from counterspin.physics.terms import MOTION_TERMS
-from counterspin.records.endings import RECORD_FORMATS
+from counterspin.records.format_registry import RECORD_FORMATS
 from counterspin.units import UNITS
 from key_tables import filled, keys, model_of
 

@@ -43,7 +43,7 @@ def simulated(
     times = np.linspace(0.0, duration, revolutions * per_revolution + 1)
     trajectory = Trajectory(spindle or Spindle(rate), radius, site)
     axes = mounting or MOUNTINGS[accelerometer]
-    recorded = simulation.recorded(
+    recorded = simulation.simulate_record(
         trajectory, axes, coefficients, platform or {}, times, observable, attitude=attitude
     )
     start = (0.02 - 3e-3 * times, np.full(times.size, -3e-3), np.zeros(times.size))

@@ -8,7 +8,7 @@ from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Site
-from counterspin.physics.simulation import changed
+from counterspin.physics.simulation import coefficients_in_run
 from counterspin.physics.station import FRAMES, Station, mean_products
 from counterspin.physics.terms import TERMS, term
 from counterspin.readings.known_attitudes import Readings
@@ -83,7 +83,7 @@ def simulated(test, rng, sigma, machine=(), u_head=0.0, truth=TRUTH, temperature
     coefficients = []
     for index in range(count):
         lever = RunConditions(float(blank.time[index]), float(blank.temperature[index]))
-        own = changed(truth, lever, 0.0)
+        own = coefficients_in_run(truth, lever, 0.0)
         coefficients.append([own.get(symbol, row.nominal) for symbol, row in TERMS.items()])
     values = np.sum(mean_products(actual, SITE) * coefficients, axis=1)
     return values + rng.normal(0.0, sigma, count)

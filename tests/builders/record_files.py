@@ -11,8 +11,8 @@ from scipy.io import savemat
 
 from counterspin.errors import RecordError
 from counterspin.records.reading import read_record
-from counterspin.records.record import ColumnSpec, Record, RecordColumns, StatedMotion
-from counterspin.records.signals import Swing
+from counterspin.records.record import ColumnSpec, NominalMotion, Record, RecordColumns
+from counterspin.records.signals import FirstHarmonic
 
 RATE = math.pi
 RADIUS = 2.5
@@ -55,8 +55,8 @@ def read(path: Path, rate: float = RATE, block="auto", **changed) -> Record:
         "angle": ColumnSpec(ANGLE),
         "signals": {"Qx": ColumnSpec(SIGNAL)},
     }
-    swings = changed.pop("swings", {"Qx": Swing(RADIUS, "m")})
-    motion = StatedMotion(rate, swings)
+    swings = changed.pop("swings", {"Qx": FirstHarmonic(RADIUS, "m")})
+    motion = NominalMotion(rate, swings)
     return read_record(path, RecordColumns(**columns | changed), motion, block=block)
 
 

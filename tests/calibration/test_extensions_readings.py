@@ -25,7 +25,7 @@ OF_RECORDS = (
     "calibration/test_result.py",
     "campaign/test_validation.py",
     "inference/joint/test_outlier_rejection_rounds.py",
-    "records/test_temperature_course.py",
+    "records/test_temperature_profile.py",
 )
 
 #: A tumble in steps of 30 deg, in mA: 1.25 mA/g times the cosine of the angle.

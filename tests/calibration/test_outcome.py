@@ -10,7 +10,7 @@ from counterspin.calibration.joint import fit_jointly
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.observed_runs import observe
 from counterspin.calibration.outcome import check_outlier_share
-from counterspin.records.record import RecordReport, rejected_of
+from counterspin.records.record import RecordReport, rejected_count
 from counterspin.simulation.simulate import simulate
 
 
@@ -47,7 +47,7 @@ def test_counts_are_summed_over_the_columns():
         "gaps": 2,
         "block": 8,
     }
-    assert rejected_of(counts) == 26
+    assert rejected_count(counts) == 26
 
 
 @pytest.mark.parametrize(

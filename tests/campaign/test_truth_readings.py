@@ -7,7 +7,7 @@ from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
 from counterspin.campaign.accelerometers import TRUTH_TABLES
 from counterspin.campaign.truth import TruthSettings
 from counterspin.errors import CampaignError
-from counterspin.simulation.simulable import unfit_readings
+from counterspin.simulation.simulable import reading_problems
 
 RUN = on_arm("in", "9 rad/s", "? ± 2e-6 mA", pendulous="up", mounting="in")
 BASE = place("1 m") + ACCELEROMETER + RUN
@@ -92,7 +92,7 @@ def test_without_truth_a_reading_needs_its_value(tmp_path):
 
 def test_what_cannot_be_simulated_is_told(tmp_path):
     def said(text, base=BASE):
-        return unfit_readings(campaign_of(tmp_path, base + text))
+        return reading_problems(campaign_of(tmp_path, base + text))
 
     assert said("[truth.A]\n") == []
     (line,) = said("[truth.A]\n", BASE.replace(" ± 2e-6", ""))

@@ -64,7 +64,7 @@ def made(tmp_path_factory):
 def foreign(made, monkeypatch):
     """Be in that folder, with no process of the reader that was started elsewhere."""
     monkeypatch.chdir(made)
-    reader = reader_process._Reader()
+    reader = reader_process._ReaderProcess()
     monkeypatch.setattr(reader_process, "_READER", reader)
     yield made
     reader.close()

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from counterspin.physics.angle_error import HARMONICS, displaced
+from counterspin.physics.angle_error import HARMONICS, angle_sensitivity
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Ripple, Spindle, fit_spindle
 
@@ -97,7 +97,7 @@ def test_the_motion_changes_as_a_spindle_that_turns_so(order):
         spindle.angular_rate(TIMES),
         spindle.angular_acceleration(TIMES),
     )
-    changes = displaced(error.functions(TIMES), *rotation, order)
+    changes = angle_sensitivity(error.functions(TIMES), *rotation, order)
     site = Site(9.8, 0.8)
 
     def motion(turned):
@@ -126,7 +126,7 @@ def test_the_motion_changes_as_a_spindle_that_turns_so(order):
     # Rate and drift: a spindle without ripple, whose harmonics would move too.
     plain = replace(spindle, ripples=())
     rotation = plain.angle(TIMES), plain.angular_rate(TIMES), plain.angular_acceleration(TIMES)
-    changes = displaced(error.functions(TIMES), *rotation, order)
+    changes = angle_sensitivity(error.functions(TIMES), *rotation, order)
     middle = error.start + error.span / 2
 
     def slow(rate, drift):

@@ -10,7 +10,7 @@ from counterspin.physics.accelerometer import QX, QZ
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import ORDERS, columns, parabola
-from counterspin.physics.simulation import changed, recorded
+from counterspin.physics.simulation import coefficients_in_run, simulate_record
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import CONDITION_TERMS, TERMS, term
 
@@ -41,7 +41,7 @@ def test_column_is_what_the_simulation_adds(symbol, observable, mounting, condit
 
     def at(size):
         truth = {**others, symbol: size}
-        return recorded(trajectory, mounting, truth, {}, TIMES, observable)
+        return simulate_record(trajectory, mounting, truth, {}, TIMES, observable)
 
     (shown,) = columns(trajectory, mounting, [symbol], TIMES, observable, scale_factor=1.3).T
     got = (at(slope) - at(-slope)) / (2 * slope)
@@ -128,13 +128,13 @@ def test_heating_is_the_mean_of_k_ii_and_nothing_of_its_harmonic():
 
 def test_at_the_reference_nothing_changes():
     coefficients = {"K_F": 1e-3, **dict.fromkeys(CONDITION_TERMS, 1.0)}
-    assert changed(coefficients, RunConditions(), 0.0) == {
+    assert coefficients_in_run(coefficients, RunConditions(), 0.0) == {
         "K_F": 1e-3,
         **{s: TERMS[s].nominal for s in ("K_I", "K_II")},
     }
-    assert changed({"K_I.temperature": 1e-4}, RunConditions(temperature_offset=2.0), 0.0) == {
-        "K_I": 1.0002
-    }
+    assert coefficients_in_run(
+        {"K_I.temperature": 1e-4}, RunConditions(temperature_offset=2.0), 0.0
+    ) == {"K_I": 1.0002}
 
 
 @pytest.mark.parametrize("row", CONDITION_TERMS.values(), ids=CONDITION_TERMS)

@@ -10,7 +10,7 @@ import sympy as sp
 from counterspin.physics.accelerometer import QX, QY, Mounting
 from counterspin.physics.motion import Site, Trajectory, encoder_error, perturbed_trajectory
 from counterspin.physics.observation import ORDERS, columns, parabola, reference
-from counterspin.physics.simulation import recorded
+from counterspin.physics.simulation import simulate_record
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import MOTION_TERMS
 
@@ -67,7 +67,7 @@ def test_without_errors_the_path_is_the_circle():
 def test_columns_of_the_radius_are_what_the_simulation_shows_of_it(mounting, observable):
     """A perfect accelerometer shows all of it, at any size: the motion is linear in the radius."""
     table = columns(TRAJECTORY, mounting, list(ERRORS), TIMES, observable)
-    signal = recorded(TRAJECTORY, mounting, {}, ERRORS, TIMES, observable)
+    signal = simulate_record(TRAJECTORY, mounting, {}, ERRORS, TIMES, observable)
     expected = signal - reference(TRAJECTORY, mounting, TIMES, observable)
     np.testing.assert_allclose(
         table @ np.array(list(ERRORS.values())), expected, rtol=0, atol=2e-12
@@ -129,7 +129,7 @@ def test_columns_of_a_tilted_axis_are_what_the_simulation_shows_of_it(observable
     qz = Mounting.from_axes("up", "east")
     for mounting in (qz, QX):
         table = columns(TRAJECTORY, mounting, list(tilt), TIMES, observable)
-        signal = recorded(TRAJECTORY, mounting, {}, tilt, TIMES, observable)
+        signal = simulate_record(TRAJECTORY, mounting, {}, tilt, TIMES, observable)
         expected = signal - reference(TRAJECTORY, mounting, TIMES, observable)
         np.testing.assert_allclose(
             table @ np.array(list(tilt.values())), expected, rtol=0, atol=2e-12

@@ -5,7 +5,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from counterspin.physics.motion import Site
-from counterspin.physics.own_velocity import AxisError, coriolis, of_own_velocity, taken, unseen
+from counterspin.physics.own_velocity import (
+    AxisError,
+    computer_correction,
+    coriolis,
+    own_velocity_errors,
+    unobserved_projection,
+)
 
 SITE = Site(9.8066, 0.7985)
 OMEGA = 7.292115e-5 * np.array([0.0, np.cos(0.7985), np.sin(0.7985)])
@@ -62,9 +68,9 @@ def recorded(errors, axes, observables):
 def test_both_ways_against_the_equation_of_motion(with_own, observables):
     platform = recorded(with_platform(), AXES, observables)
     own = recorded(with_own, AXES, observables)
-    back = taken(SITE, own)
+    back = computer_correction(SITE, own)
     for before, after, found, part in zip(
-        platform, own, of_own_velocity(SITE, platform), back, strict=True
+        platform, own, own_velocity_errors(SITE, platform), back, strict=True
     ):
         size = np.abs(before.error).max()
         # What the computer does is 1e-2 of the error, and of that all is found.
@@ -77,21 +83,21 @@ def test_the_sign_by_hand():
     """Of an error v north, -2 Omega sin L v east is removed too much."""
     north = AxisError(np.array([0.0, 1.0, 0.0]), "velocity", TIMES, np.full(TIMES.size, 0.1))
     east = AxisError(np.array([1.0, 0.0, 0.0]), "velocity", TIMES, np.zeros(TIMES.size))
-    found, _ = of_own_velocity(SITE, [east, north])
+    found, _ = own_velocity_errors(SITE, [east, north])
     assert found[-1] == pytest.approx(2.0 * OMEGA[2] * 0.1 * 400.0, rel=1e-3)
     np.testing.assert_allclose(coriolis(SITE) @ [0, 0.1, 0], 2 * np.cross(OMEGA, [0, 0.1, 0]))
 
 
 def test_rows_that_are_missing_are_found_from_the_others(with_own):
     own = recorded(with_own, AXES, ("displacement",) * 3)
-    whole = taken(SITE, own)
+    whole = computer_correction(SITE, own)
     keep = np.ones(TIMES.size, dtype=bool)
     keep[3000:3100] = False  # five seconds of all
     short = [AxisError(a.input_axis, a.observable, TIMES[keep], a.error[keep]) for a in own]
     some = own[0].error.copy()
     some[5000:5010] = np.nan  # half a second of one
     short[0] = AxisError(AXES[0], "displacement", TIMES[keep], some[keep])
-    for part, all_of_it in zip(taken(SITE, short), whole, strict=True):
+    for part, all_of_it in zip(computer_correction(SITE, short), whole, strict=True):
         np.testing.assert_allclose(part, all_of_it[keep], rtol=0.0, atol=2e-5)
 
 
@@ -100,20 +106,22 @@ def test_an_axis_that_nobody_recorded_is_of_a_perfect_accelerometer():
     axes, names = np.eye(3), ("displacement", "displacement", "displacement")
     platform = recorded(with_platform(), axes, names)
     perfect = AxisError(axes[2], "displacement", TIMES, np.zeros(TIMES.size))
-    own = of_own_velocity(SITE, [*platform[:2], perfect])
+    own = own_velocity_errors(SITE, [*platform[:2], perfect])
     shown = [
         AxisError(one.input_axis, one.observable, TIMES, error)
         for one, error in zip(platform[:2], own[:2], strict=True)
     ]
-    for before, after, part in zip(platform[:2], own[:2], taken(SITE, shown), strict=True):
+    for before, after, part in zip(
+        platform[:2], own[:2], computer_correction(SITE, shown), strict=True
+    ):
         np.testing.assert_allclose(after + part, before.error, rtol=0.0, atol=1e-9 * 4000.0)
-    np.testing.assert_allclose(unseen(shown), np.diag([0.0, 0.0, 1.0]), atol=1e-12)
+    np.testing.assert_allclose(unobserved_projection(shown), np.diag([0.0, 0.0, 1.0]), atol=1e-12)
 
 
 def test_a_recorded_force_has_nothing_taken_away(with_own):
     names = ("specific_force", "displacement", "displacement")
     own = recorded(with_own, np.eye(3), names)
-    assert not taken(SITE, own)[0].any()
-    np.testing.assert_allclose(unseen(own), np.diag([1.0, 0.0, 0.0]), atol=1e-12)
-    (alone,) = taken(SITE, own[:1])
+    assert not computer_correction(SITE, own)[0].any()
+    np.testing.assert_allclose(unobserved_projection(own), np.diag([1.0, 0.0, 0.0]), atol=1e-12)
+    (alone,) = computer_correction(SITE, own[:1])
     assert not alone.any()

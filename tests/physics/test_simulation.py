@@ -16,7 +16,7 @@ from counterspin.physics.simulation import (
     accelerometer_walk,
     attitude_error,
     bias_wander,
-    recorded,
+    simulate_record,
 )
 from counterspin.physics.spindle import Ripple, Spindle
 
@@ -162,7 +162,7 @@ def test_recorded_is_the_differential_equation_s(mounting, attitude, rate, start
             spindle, mounting, coefficients, PLATFORM, times, attitude
         )
         for observable, values in expected.items():
-            found = recorded(
+            found = simulate_record(
                 motion, mounting, coefficients, PLATFORM, times, observable, attitude=attitude
             )
             np.testing.assert_allclose(found, values, rtol=0.0, atol=tolerance)
@@ -172,7 +172,7 @@ def test_perfect_system_records_the_reference():
     motion = Trajectory(Spindle(2.0, 1e-4, RIPPLES, 0.3), RADIUS, SITE)
     times = np.linspace(0.0, 30.0, 301)
     for observable in ("displacement", "velocity", "specific_force"):
-        found = recorded(motion, QX, {}, {}, times, observable)
+        found = simulate_record(motion, QX, {}, {}, times, observable)
         np.testing.assert_allclose(
             found, reference(motion, QX, times, observable), rtol=0.0, atol=1e-13
         )
@@ -183,13 +183,17 @@ def test_small_errors_are_the_columns():
     times = np.linspace(0.0, 30.0, 31)
     rounding = 1e-13  # of forces of 20 m/s^2, summed twice over 30 s
     for symbol, value in COEFFICIENTS.items():
-        error = recorded(motion, QX, {symbol: value}, {}, times) - reference(motion, QX, times)
+        error = simulate_record(motion, QX, {symbol: value}, {}, times) - reference(
+            motion, QX, times
+        )
         column = columns(motion, QX, [symbol], times)[:, 0]
         expected = (value - (1.0 if symbol == "K_I" else 0.0)) * column
         np.testing.assert_allclose(error, expected, rtol=1e-12, atol=rounding)
     small = 1e-9
     for symbol in PLATFORM:
-        error = recorded(motion, QX, {}, {symbol: small}, times) - reference(motion, QX, times)
+        error = simulate_record(motion, QX, {}, {symbol: small}, times) - reference(
+            motion, QX, times
+        )
         column = columns(motion, QX, [symbol], times)[:, 0]
         second_order = (small * 30.0) ** 2 * G * 30.0**2
         np.testing.assert_allclose(error, small * column, rtol=0.0, atol=rounding + second_order)

@@ -15,10 +15,10 @@ from counterspin.physics.terms import (
     TABLE,
     TERMS,
     accelerometer_of,
+    affects_readings,
     is_term,
     mounting_of,
     same_for_all,
-    shown_by_readings,
     symbol_of,
     term,
 )
@@ -159,7 +159,7 @@ def test_a_symbol_may_name_a_mounting(mounting):
     assert term(turn) is TABLE["fixture.misalignment.MOUNTING.east"]
     if mounting != "MOUNTING":
         assert (mounting_of(radius), mounting_of(turn)) == (mounting, mounting)
-    assert shown_by_readings(turn)
+    assert affects_readings(turn)
     assert symbol_of(turn) == turn
     assert symbol_of(f"A.{turn}") == turn
 
@@ -187,14 +187,14 @@ def test_a_symbol_may_name_an_accelerometer_and_a_mounting():
 def test_what_is_no_mounting_s_is_no_term(name):
     assert not is_term(name)
     assert mounting_of(name) == ""
-    assert not shown_by_readings(name)
+    assert not affects_readings(name)
 
 
 def test_readings_show_machine_and_conditions_and_no_platform():
     kinds = {type(row.effect).__name__ for row in READING_TERMS.values()}
     assert kinds == {"AttitudeError", "SetupError", "Slope", "TrajectoryError"}
-    assert not shown_by_readings("platform.tilt.east")
-    assert not shown_by_readings("encoder.harmonic.1.cos")
+    assert not affects_readings("platform.tilt.east")
+    assert not affects_readings("encoder.harmonic.1.cos")
 
 
 def test_each_row_says_whose_it_is():

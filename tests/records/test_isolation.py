@@ -13,8 +13,8 @@ from record_files import SIGNAL, read, refusal, table, write
 from counterspin.errors import DamagedFileError, RecordError
 from counterspin.records import isolation, reader_process
 from counterspin.records.isolation import (
-    in_reader_process,
-    in_reader_process_if_slow,
+    run_isolated,
+    run_isolated_if_slow,
     uses_reader_process,
 )
 
@@ -27,8 +27,8 @@ def file(tmp_path):
 
 
 def test_native_readers_have_a_process_of_their_own_and_csv_has_not(file):
-    assert in_reader_process(misbehaving.process, file) != os.getpid()
-    assert in_reader_process(misbehaving.process, file.with_suffix(".csv")) == os.getpid()
+    assert run_isolated(misbehaving.process, file) != os.getpid()
+    assert run_isolated(misbehaving.process, file.with_suffix(".csv")) == os.getpid()
     assert [uses_reader_process(Path(f"a{end}")) for end in (".H5", ".mat", ".txt")] == [
         True,
         True,
@@ -40,9 +40,9 @@ def test_long_text_is_read_there_where_little_comes_back(tmp_path, monkeypatch):
     text = write(tmp_path / "run.csv", table())
     here = read(text)
     monkeypatch.setattr(isolation, "_LONG_TEXT_BYTES", text.stat().st_size)
-    assert in_reader_process_if_slow(misbehaving.process, text) != os.getpid()
-    assert in_reader_process(misbehaving.process, text) == os.getpid()
-    assert in_reader_process_if_slow(misbehaving.process, tmp_path / "none.csv") == os.getpid()
+    assert run_isolated_if_slow(misbehaving.process, text) != os.getpid()
+    assert run_isolated(misbehaving.process, text) == os.getpid()
+    assert run_isolated_if_slow(misbehaving.process, tmp_path / "none.csv") == os.getpid()
     there = read(text)
     assert np.array_equal(there.time, here.time)
     assert np.array_equal(there.signals["Qx"], here.signals["Qx"])
@@ -52,71 +52,71 @@ def test_long_text_is_read_there_where_little_comes_back(tmp_path, monkeypatch):
 
 
 def test_the_process_is_kept_and_survives_a_refusal(file):
-    number = in_reader_process(misbehaving.process, file)
+    number = run_isolated(misbehaving.process, file)
     with pytest.raises(RecordError, match=r"run\.parquet: no"):
-        in_reader_process(misbehaving.refuse, file)
-    assert in_reader_process(misbehaving.process, file) == number
+        run_isolated(misbehaving.refuse, file)
+    assert run_isolated(misbehaving.process, file) == number
 
 
 def test_after_a_damaged_file_another_process_reads(file):
-    number = in_reader_process(misbehaving.process, file)
-    parent = in_reader_process(misbehaving.parent, file)
+    number = run_isolated(misbehaving.process, file)
+    parent = run_isolated(misbehaving.parent, file)
     for _ in range(2):
         with pytest.raises(DamagedFileError):
-            in_reader_process(misbehaving.damage, file)
-    assert in_reader_process(misbehaving.process, file) != number
+            run_isolated(misbehaving.damage, file)
+    assert run_isolated(misbehaving.process, file) != number
     assert len(read(file).time) == 1000
     if sys.platform == "linux":  # forked, with the limits of each file from the start
-        assert in_reader_process(misbehaving.parent, file) == parent != os.getpid()
-        seconds, _ = in_reader_process(misbehaving.limits, file)
+        assert run_isolated(misbehaving.parent, file) == parent != os.getpid()
+        seconds, _ = run_isolated(misbehaving.limits, file)
         assert 5.0 < seconds < 10.0
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no signals there")
 def test_a_crash_is_a_refusal_of_the_file(file):
     with pytest.raises(DamagedFileError, match=r"run\.parquet: .*its reader crashed .*SIGSEGV"):
-        in_reader_process(misbehaving.crash, file)
+        run_isolated(misbehaving.crash, file)
     assert len(read(file).time) == 1000
 
 
 @linux
 def test_memory_without_end_is_refused(file):
     with pytest.raises(DamagedFileError, match="more memory than is allowed"):
-        in_reader_process(misbehaving.take_memory, file)
+        run_isolated(misbehaving.take_memory, file)
 
 
 @linux
 def test_time_and_memory_are_bounded_by_the_files_size(file):
-    seconds, memory = in_reader_process(misbehaving.limits, file)
+    seconds, memory = run_isolated(misbehaving.limits, file)
     assert 5.0 < seconds < 10.0
     assert memory < 2 << 30 or memory < (1 << 30) + (8 << 20) * os.cpu_count() + (1 << 30)
     with file.open("ab") as stream:
         stream.truncate(200_000_000)
-    more_seconds, more_memory = in_reader_process(misbehaving.limits, file)
+    more_seconds, more_memory = run_isolated(misbehaving.limits, file)
     assert more_seconds == pytest.approx(seconds + 100.0, abs=2.0)
     assert more_memory - memory == pytest.approx(64 * 200_000_000, rel=0.01)
 
 
 def test_a_mistake_of_ours_stays_one(file):
     with pytest.raises(ZeroDivisionError, match="by nothing") as caught:
-        in_reader_process(misbehaving.fail, file)
+        run_isolated(misbehaving.fail, file)
     assert "misbehaving.py" in caught.value.__notes__[0]  # where it happened
 
 
 def test_where_no_process_can_be_started_files_are_read_here(file, monkeypatch):
-    reader = reader_process._Reader()
+    reader = reader_process._ReaderProcess()
     monkeypatch.setattr(reader_process, "_READER", reader)
     monkeypatch.setattr(sys, "path", [])
-    assert in_reader_process(misbehaving.process, file) == os.getpid()
+    assert run_isolated(misbehaving.process, file) == os.getpid()
     monkeypatch.undo()
-    embedding = reader_process._Reader()
+    embedding = reader_process._ReaderProcess()
     embedding._startable = False
     monkeypatch.setattr(reader_process, "_READER", embedding)
-    assert in_reader_process(misbehaving.process, file) == os.getpid()
+    assert run_isolated(misbehaving.process, file) == os.getpid()
 
 
 def test_relative_names_are_of_the_folder_where_they_are_given(file, monkeypatch):
-    in_reader_process(misbehaving.process, file)
+    run_isolated(misbehaving.process, file)
     monkeypatch.chdir(file.parent)
     assert len(read(Path("run.parquet")).time) == 1000
 
@@ -124,10 +124,10 @@ def test_relative_names_are_of_the_folder_where_they_are_given(file, monkeypatch
 def test_the_process_ends_with_the_one_that_started_it(file):
     program = (
         "import sys; from pathlib import Path; import misbehaving; "
-        "from counterspin.records.isolation import in_reader_process; "
+        "from counterspin.records.isolation import run_isolated; "
         "path = Path(sys.argv[1]); "
-        "print(in_reader_process(misbehaving.process, path), "
-        "in_reader_process(misbehaving.parent, path))"
+        "print(run_isolated(misbehaving.process, path), "
+        "run_isolated(misbehaving.parent, path))"
     )
     folders = os.pathsep.join([str(Path(misbehaving.__file__).parent), *filter(None, sys.path)])
     done = subprocess.run(

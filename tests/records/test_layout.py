@@ -4,24 +4,24 @@ import pytest
 
 from counterspin.records.dialect import Dialect
 from counterspin.records.layout import (
-    described_lines,
-    find_layout,
+    describe_lines,
+    detect_format,
     footer_lines,
-    is_plain,
-    plain_layout,
-    split,
+    is_plain_format,
+    plain_format,
+    split_cells,
 )
-from counterspin.records.unit_words import bracketed_unit, file_unit
+from counterspin.records.unit_notation import bracketed_unit, parse_file_unit
 
 ROWS = ["0,5;1,25;-3", "1;1,5;2", "1,5;1,75;2,5e-3", "2;2;"]
 
 
 def found(lines, **known):
-    return find_layout(list(enumerate(lines, 1)), Dialect(**known))
+    return detect_format(list(enumerate(lines, 1)), Dialect(**known))
 
 
 def parted(lines):
-    return [split(line, ";") for line in lines]
+    return [split_cells(line, ";") for line in lines]
 
 
 def test_names_units_and_rows_below_lines_about_the_measurement():
@@ -185,7 +185,7 @@ def test_any_number_of_blanks_parts_cells():
 
 
 def test_lines_that_make_no_table_are_described():
-    told = described_lines([(1, "Test 12"), (2, ""), (3, "a;1,5;x")])
+    told = describe_lines([(1, "Test 12"), (2, ""), (3, "a;1,5;x")])
     assert told.splitlines() == [
         "  line 1: 2 cells, 1 a number: Test 12",
         "  line 3: 3 cells, 1 a number: a;1,5;x",
@@ -194,7 +194,7 @@ def test_lines_that_make_no_table_are_described():
 
 def test_plain_files_are_told_by_their_first_rows():
     def plain(*lines):
-        return is_plain(list(enumerate(lines, 1)))
+        return is_plain_format(list(enumerate(lines, 1)))
 
     assert plain("# about", "a,b", "1,2", "3,nan", "2026-03-01 12:00:00.5,7")
     assert plain("a;b", "1;2.5")
@@ -205,15 +205,23 @@ def test_plain_files_are_told_by_their_first_rows():
 
 def test_the_usual_layout_is_taken_where_nothing_shows_another():
     lines = list(enumerate(["x", "a,b", "m,s", "", "q,1"], 1))
-    layout = plain_layout(lines, Dialect(skip_lines=1, units_row=True))
+    layout = plain_format(lines, Dialect(skip_lines=1, units_row=True))
     assert (layout.names, layout.units, layout.before_rows) == (("a", "b"), ("m", "s"), 4)
-    assert plain_layout(lines[:1], Dialect(skip_lines=1)) is None
+    assert plain_format(lines[:1], Dialect(skip_lines=1)) is None
 
 
 def test_units_as_files_write_them():
     written = ["[s]", "(m/s²)", "Seconds", "°", "µs", "degrees", "counts"]
-    assert [file_unit(text) for text in written] == ["s", "m/s^2", "s", "deg", "us", "deg", "count"]
+    assert [parse_file_unit(text) for text in written] == [
+        "s",
+        "m/s^2",
+        "s",
+        "deg",
+        "us",
+        "deg",
+        "count",
+    ]
     written = ["U/min", "RPM", "min-1", "VDC", "LSB"]
-    assert [file_unit(text) for text in written] == ["rpm", "rpm", "1/min", "V", "count"]
-    assert [file_unit(text) for text in ("", "raw", "East", "x" * 30)] == [None] * 4
+    assert [parse_file_unit(text) for text in written] == ["rpm", "rpm", "1/min", "V", "count"]
+    assert [parse_file_unit(text) for text in ("", "raw", "East", "x" * 30)] == [None] * 4
     assert [bracketed_unit(name) for name in ("t [ms]", "t", "t (raw)")] == ["ms", "", ""]

@@ -8,7 +8,7 @@ from counterspin.errors import RecordError
 from counterspin.records.formats import locate, read_numbers
 from counterspin.records.frames import memory_table
 from counterspin.records.reading import read_record
-from counterspin.records.record import ColumnSpec, RecordColumns, StatedMotion
+from counterspin.records.record import ColumnSpec, NominalMotion, RecordColumns
 
 TIMES = [0.0, 0.5, 1.0]
 ANGLES = [0.0, 1.0, float("nan")]
@@ -121,7 +121,7 @@ def samples(rows=400):
 def test_a_record_in_memory_is_read_as_its_file(tmp_path):
     frame = samples()
     pl.DataFrame(frame).write_csv(tmp_path / "run.csv")
-    motion = StatedMotion(1.0)
+    motion = NominalMotion(1.0)
     of_file = read_record(tmp_path / "run.csv", COLUMNS, motion)
     in_memory = read_record(memory_table("run", frame), COLUMNS, motion)
     np.testing.assert_array_equal(in_memory.signals["Qx"], of_file.signals["Qx"])
@@ -133,7 +133,7 @@ def test_mistakes_are_told_by_row():
     frame = samples()
     frame["t"][200] = 3.0
     with pytest.raises(RecordError, match=r"my run, row 201: time runs backwards"):
-        read_record(memory_table("my run", frame), COLUMNS, StatedMotion(1.0))
+        read_record(memory_table("my run", frame), COLUMNS, NominalMotion(1.0))
     with pytest.raises(RecordError, match=r"there is no column 's'; the file has 't', 'a'"):
-        read_record(memory_table("my run", {"t": [1.0], "a": [1.0]}), COLUMNS, StatedMotion(1.0))
+        read_record(memory_table("my run", {"t": [1.0], "a": [1.0]}), COLUMNS, NominalMotion(1.0))
     assert locate(memory_table("my run", frame), 4) == "row 5"

@@ -10,7 +10,7 @@ from record_files import ANGLE, RADIUS, SIGNAL, TIME, dense, read, table, write
 
 from counterspin.arrays import median
 from counterspin.records.record import ColumnSpec
-from counterspin.records.signals import Swing
+from counterspin.records.signals import FirstHarmonic
 
 
 @pytest.mark.parametrize("block", [None, "auto"])
@@ -80,7 +80,7 @@ def test_noise_free_and_constant_signals(tmp_path):
     record = read(
         write(tmp_path / "run.parquet", columns),
         signals={"Qx": ColumnSpec(SIGNAL), "Qz": ColumnSpec("up_m")},
-        swings={"Qx": Swing(RADIUS, "m")},
+        swings={"Qx": FirstHarmonic(RADIUS, "m")},
     )
     assert record.report.outliers == {ANGLE: 0, SIGNAL: 0, "up_m": 0}
 

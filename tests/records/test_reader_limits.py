@@ -10,7 +10,7 @@ from record_files import table, write
 
 from counterspin.errors import DamagedFileError
 from counterspin.records import reader_limits, reader_process
-from counterspin.records.isolation import in_reader_process
+from counterspin.records.isolation import run_isolated
 
 
 class Kernel:
@@ -81,12 +81,12 @@ def test_without_a_job_object_the_file_is_read_all_the_same(windows, tmp_path):
 def test_a_reader_that_waits_for_ever_is_ended(tmp_path, monkeypatch):
     """It takes no processor time, so that no limit of the system ends it."""
     file = write(tmp_path / "run.parquet", table())
-    process = in_reader_process(misbehaving.process, file)
+    process = run_isolated(misbehaving.process, file)
     monkeypatch.setattr(reader_limits, "_WAITING_FACTOR", 0.02)
     with pytest.raises(DamagedFileError, match=r"run\.parquet: .*far longer than its size"):
-        in_reader_process(misbehaving.wait, file)
+        run_isolated(misbehaving.wait, file)
     monkeypatch.undo()
-    assert in_reader_process(misbehaving.process, file) != process
+    assert run_isolated(misbehaving.process, file) != process
 
 
 @pytest.mark.parametrize(
@@ -100,4 +100,4 @@ def test_a_reader_that_waits_for_ever_is_ended(tmp_path, monkeypatch):
 def test_how_a_reader_ends_on_windows(monkeypatch, status, words):
     monkeypatch.setattr("sys.platform", "win32")
     with pytest.raises(AssertionError, match=words):
-        raise AssertionError(reader_process._death_words(status))
+        raise AssertionError(reader_process._exit_description(status))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from record_files import ANGLE, RADIUS, RATE, SIGNAL, TIME, dense, read, write
 
 from counterspin.records.record import ColumnSpec
-from counterspin.records.signals import Swing
+from counterspin.records.signals import FirstHarmonic
 
 
 def test_blocks_are_the_exact_means(tmp_path):
@@ -78,7 +78,7 @@ def test_two_accelerometers_share_a_blocks_rows(tmp_path):
     record = read(
         write(tmp_path / "run.parquet", columns),
         signals={"Qx": ColumnSpec(SIGNAL), "Qy": ColumnSpec("north_m")},
-        swings={"Qx": Swing(RADIUS, "m"), "Qy": Swing(1j * RADIUS, "m")},
+        swings={"Qx": FirstHarmonic(RADIUS, "m"), "Qy": FirstHarmonic(1j * RADIUS, "m")},
     )
     assert np.flatnonzero(np.isnan(record.signals["Qy"])).tolist() == [20, 21, 22, 23]
     assert not np.isnan(record.signals["Qx"]).any()

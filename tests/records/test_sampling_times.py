@@ -5,7 +5,7 @@ import pytest
 
 import counterspin as cs
 from counterspin.ingest.contents import read_contents
-from counterspin.records.dialect import TO_BE_FOUND
+from counterspin.records.dialect import AUTODETECT
 from counterspin.records.formats import read_scaled
 from counterspin.records.record import ColumnSpec
 from counterspin.records.sampling import SplitTime, find_split_time
@@ -38,7 +38,7 @@ def test_two_columns_make_one_time(tmp_path, coarse, fine, name):
     np.testing.assert_allclose(first.values, TIME, atol=1e-9)
     # The reader of records, by the name that a description states.
     spec = ColumnSpec(first.name, unit="iso", wanted="s", kind="stamps")
-    (read,) = read_scaled(file, [spec], TO_BE_FOUND)
+    (read,) = read_scaled(file, [spec], AUTODETECT)
     np.testing.assert_allclose(read, TIME, atol=1e-9)
     (noise,) = cs.noise(file, columns=["a"], unit="m/s^2").signals
     assert noise.sampling_rate == pytest.approx(RATE)

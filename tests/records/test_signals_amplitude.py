@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from record_files import ANGLE, RATE, SIGNAL, TIME, read, refusal, table, write
 
-from counterspin.records.signals import Swing
+from counterspin.records.signals import FirstHarmonic
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e-3, 1e2])
@@ -84,9 +84,9 @@ def test_a_wave_that_noise_hides_is_no_reason_to_refuse(tmp_path):
     rng = np.random.default_rng(5)
     columns[SIGNAL] = 1e-3 * np.cos(columns[ANGLE]) + 1e-2 * rng.standard_normal(1000)
     path = write(tmp_path / "run.csv", columns)
-    read(path, swings={"Qx": Swing(1e-3, "m/s^2")})
+    read(path, swings={"Qx": FirstHarmonic(1e-3, "m/s^2")})
     # What the records do show is told all the same.
-    message = refusal(path, swings={"Qx": Swing(0.1, "m/s^2")})
+    message = refusal(path, swings={"Qx": FirstHarmonic(0.1, "m/s^2")})
     assert "but the radius and the input axis give 0.1 m/s^2" in message
 
 
@@ -119,7 +119,7 @@ def test_a_weak_wave_of_few_samples_keeps_its_unit(tmp_path):
         columns = table(n=400, step=2 / 13, noise=0.0)
         rng = np.random.default_rng(seed)
         columns[SIGNAL] = 0.05 * np.cos(columns[ANGLE]) + 0.009 * rng.standard_normal(400)
-        read(write(tmp_path / "run.csv", columns), swings={"Qx": Swing(0.05, "m")})
+        read(write(tmp_path / "run.csv", columns), swings={"Qx": FirstHarmonic(0.05, "m")})
 
 
 @pytest.mark.parametrize("part", [0.72, 0.8, 0.88, 0.95])
@@ -127,4 +127,4 @@ def test_the_last_revolution_may_be_incomplete(tmp_path, part):
     # A trend that the fitted parabola does not follow passes for a wave in part of a revolution.
     columns = table(n=int(100 * (6 + part)), noise=0.0)
     columns[SIGNAL] = 0.05 * np.cos(columns[ANGLE]) + 0.02 * columns[TIME] ** 3
-    read(write(tmp_path / "run.csv", columns), swings={"Qx": Swing(0.05, "m")})
+    read(write(tmp_path / "run.csv", columns), swings={"Qx": FirstHarmonic(0.05, "m")})

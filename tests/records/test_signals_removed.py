@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from counterspin.records.signals import PolynomialParts, removed
+from counterspin.records.signals import PolynomialMoments, detrending_order
 
 ROWS = 20_000
 
@@ -23,7 +23,7 @@ def without(t, x, count):
 
 
 def parts_of(t, x, pieces=1):
-    sums = PolynomialParts(1)
+    sums = PolynomialMoments(1)
     for rows in np.array_split(np.arange(len(t)), pieces):
         sums.add(t[rows], [x[rows]])
     return np.append(sums.of(0), sums.ends(0))
@@ -49,7 +49,7 @@ def test_what_was_removed_is_found_in_rounded_rows_of_three_records(count, decim
     for _ in range(3):
         t, x = wave(rng)
         parts.append(parts_of(t, np.round(without(t, x, count), decimals)) / 0.01)
-    assert removed(parts) == count
+    assert detrending_order(parts) == count
 
 
 def test_the_mean_over_neighbours_keeps_what_was_removed():
@@ -59,7 +59,7 @@ def test_the_mean_over_neighbours_keeps_what_was_removed():
         t = np.arange(ROWS) * 0.02
         x = without(t, 2.5 * np.cos(1.57 * t) + 0.01 * rng.normal(size=ROWS), 3)
         parts.append(parts_of(*(v.reshape(-1, 4).mean(axis=1) for v in (t, x))) / 0.005)
-    assert removed(parts) == 3
+    assert detrending_order(parts) == 3
 
 
 def through_ends(t, x):
@@ -75,8 +75,8 @@ def test_a_line_through_the_ends_is_found_in_three_records_and_not_in_one(decima
     for _ in range(3):
         t, x = wave(rng)
         parts.append(parts_of(t, np.round(through_ends(t, x), decimals), pieces) / 0.01)
-    assert removed(parts) == 2
-    assert removed(parts[:1]) == 0
+    assert detrending_order(parts) == 2
+    assert detrending_order(parts[:1]) == 0
 
 
 def test_records_that_begin_at_zero_are_not_blamed():
@@ -88,7 +88,7 @@ def test_records_that_begin_at_zero_are_not_blamed():
         x -= x[0]
         x[-1] *= float(run != 1)
         parts.append(parts_of(t, x) / 0.01)
-    assert removed(parts) == 0
+    assert detrending_order(parts) == 0
 
 
 def test_records_that_begin_and_end_at_rest_are_not_blamed():
@@ -99,14 +99,14 @@ def test_records_that_begin_and_end_at_rest_are_not_blamed():
         t, x = wave(rng)
         x[:100] = x[-100:] = 0.0
         parts.append(parts_of(t, x) / 0.01)
-    assert removed(parts) == 0
+    assert detrending_order(parts) == 0
 
 
 def test_noise_alone_is_not_orthogonal_to_anything():
     # 3000 campaigns of three records: by chance 0.003 of them would be blamed.
     rng = np.random.default_rng(4)
-    assert not any(removed(parts) for parts in rng.normal(size=(3000, 3, 4)))
-    assert not any(removed([part]) for part in rng.normal(size=(3000, 4)))
+    assert not any(detrending_order(parts) for parts in rng.normal(size=(3000, 3, 4)))
+    assert not any(detrending_order([part]) for part in rng.normal(size=(3000, 4)))
 
 
 def test_a_record_from_which_less_was_removed_is_not_blamed_for_more():
@@ -114,9 +114,9 @@ def test_a_record_from_which_less_was_removed_is_not_blamed_for_more():
     for _ in range(1000):
         parts = rng.normal(size=(3, 4))
         parts[:, 0] = 1e-9
-        assert removed(parts) == 1
+        assert detrending_order(parts) == 1
 
 
 def test_a_record_without_noise_says_nothing():
-    assert removed([np.array([np.nan, np.inf, 0.0, np.inf])]) == 0
-    assert removed([]) == 0
+    assert detrending_order([np.array([np.nan, np.inf, 0.0, np.inf])]) == 0
+    assert detrending_order([]) == 0

@@ -8,7 +8,7 @@ import triads
 from counterspin.campaign.reading import PoseRecord
 from counterspin.cli import main
 from counterspin.errors import CampaignError
-from counterspin.simulation.pose_record import forces_in_record, record_seconds
+from counterspin.simulation.pose_record import record_seconds, simulate_forces
 from counterspin.simulation.readings import true_directions
 from counterspin.studies.description import read_study
 from counterspin.studies.study import study
@@ -39,7 +39,7 @@ def described(more="", clock='{ sampling_rate = "100 Hz" }', noise="[truth.noise
 
 def test_a_sensor_rests_and_is_turned(tmp_path):
     record = PoseRecord("all", tmp_path / "a.csv", 1.5, None, None, None)
-    time, force, along = forces_in_record(record, 40, 100.0, np.random.default_rng(2))
+    time, force, along = simulate_forces(record, 40, 100.0, np.random.default_rng(2))
     assert time[-1] == pytest.approx(record_seconds(record, 40)) == pytest.approx(40 * 5.5 - 1.5)
     np.testing.assert_allclose(np.linalg.norm(along, axis=1), 1.0)
     for k in range(40):
@@ -71,9 +71,9 @@ def test_what_was_simulated_comes_back(tmp_path):
     assert max(c.u for c in found) < 1e-4
     record = PoseRecord("all", tmp_path / "a.csv", 1.5, None, None, None)
     campaign = cs.read_campaign(tmp_path)
-    from counterspin.simulation.readings import stream
+    from counterspin.simulation.readings import reading_generator
 
-    _, _, along = forces_in_record(record, 30, 100.0, stream(campaign, 0, 3))
+    _, _, along = simulate_forces(record, 30, 100.0, reading_generator(campaign, 0, 3))
     directions = np.array([pose.direction for pose in result.triad.poses])
     np.testing.assert_allclose(directions, along, rtol=0, atol=10.0 * NOISE / np.sqrt(250))
 

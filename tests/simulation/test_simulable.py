@@ -13,7 +13,7 @@ from counterspin.campaign.runs import MOST_ROWS, MOST_SIMULATED_ROWS
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import check
-from counterspin.simulation.simulable import paper_rows, require_room
+from counterspin.simulation.simulable import check_size, computed_rows
 from counterspin.simulation.simulate import simulate
 from counterspin.studies.study import study
 
@@ -79,18 +79,18 @@ def test_a_sampling_rate_counts_for_what_takes_samples(tmp_path):
 
 def test_rows_are_those_of_the_calibration():
     w = 2.0 * 3.141592653589793
-    assert paper_rows(w, 100.0, 50.0, means=False) == pytest.approx(6400.0)
-    assert paper_rows(w, 100.0, 1000.0, means=False) == 1e5
-    assert paper_rows(w, 100.0, 1000.0, means=True) == pytest.approx(1e5 / 15)
+    assert computed_rows(w, 100.0, 50.0, means=False) == pytest.approx(6400.0)
+    assert computed_rows(w, 100.0, 1000.0, means=False) == 1e5
+    assert computed_rows(w, 100.0, 1000.0, means=True) == pytest.approx(1e5 / 15)
     # A block has 8192 samples at most.
-    assert paper_rows(1e-9, 1e6, 1000.0, means=True) == pytest.approx(1e9 / 8192)
-    assert paper_rows(1e-300, 1e300, 1e300, means=True) == float("inf")
+    assert computed_rows(1e-9, 1e6, 1000.0, means=True) == pytest.approx(1e9 / 8192)
+    assert computed_rows(1e-300, 1e300, 1e300, means=True) == float("inf")
 
 
 def test_runs_that_fit_alone_and_not_together(tmp_path):
     """A simulation makes one after the other, a forecast holds them all."""
     campaign = read_campaign(asked(tmp_path, "revolutions = 20", "revolutions = 8000"))
-    alone = [paper_rows(run.rate, run.duration, 20.0, means=True) for run in campaign.runs]
+    alone = [computed_rows(run.rate, run.duration, 20.0, means=True) for run in campaign.runs]
     assert max(alone) < MOST_ROWS < sum(alone)
     with pytest.raises(CampaignError, match="of the"):
         forecast(campaign)
@@ -101,10 +101,10 @@ def test_a_simulation_has_more_room_than_a_study(tmp_path):
     campaign = read_campaign(asked(tmp_path, "revolutions = 20", "revolutions = 20"))
     longest = max(run.duration for run in campaign.runs)
     fits, too_many = 0.99 * MOST_SIMULATED_ROWS / longest, 1.01 * MOST_SIMULATED_ROWS / longest
-    require_room(campaign, fits, "simulation")
+    check_size(campaign, fits, "simulation")
     for rate, purpose in ((too_many, "simulation"), (fits, "study")):
         with pytest.raises(CampaignError, match=f"a {purpose} has room for"):
-            require_room(campaign, rate, purpose)
+            check_size(campaign, rate, purpose)
 
 
 def test_trials_that_nobody_can_keep(tmp_path):

@@ -45,7 +45,7 @@ def test_without_noise_the_record_is_what_the_error_model_says(tmp_path):
     np.testing.assert_array_equal(columns["angle_rad"], spindle.angle(time))
     motion = Trajectory(spindle, 2.5, campaign.site)
     for name, column, start in (("Qx", "east_m", (0.02, -1e-3)), ("Qy", "north_m", (0.0, 0.0))):
-        expected = simulation.recorded(
+        expected = simulation.simulate_record(
             motion,
             campaign.accelerometers[name].mounting,
             campaign.simulation.truth.coefficients[name],

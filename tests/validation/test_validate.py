@@ -13,7 +13,7 @@ import counterspin as cs
 from certificates import SCHEMA, needs_schema
 from counterspin.cli import main
 from counterspin.physics.terms import TERMS
-from counterspin.records.endings import RECORD_FORMATS
+from counterspin.records.format_registry import RECORD_FORMATS
 from counterspin.validation import validate as validating
 from counterspin.validation.cases import case, cases
 from counterspin.validation.validate import DOSSIER_FILES, check, validate

@@ -27,10 +27,10 @@ from counterspin.inference.joint.summary import WhatIf
 from counterspin.physics.terms import (
     ACCELEROMETER_TERMS,
     INPUTS,
+    description_of,
     is_term,
     symbol_of,
     term,
-    words_of,
 )
 from counterspin.planning.recorded import SuggestedRuns
 from counterspin.reports.numbers import field_unit, format_number, format_uncertainty
@@ -160,7 +160,7 @@ def uncertainty_if(
         "sources": [
             {
                 "name": source,
-                "words": words_of(source),
+                "words": description_of(source),
                 "u": update.known[source],
                 "factor": field_unit(units[source])[1],
                 "unit": typeset(field_unit(units[source])[0]),
@@ -221,7 +221,7 @@ def _stated(result: Result, owner: str) -> Iterator[dict[str, Any]]:
         yield {
             "symbol": symbol,
             "source": source,
-            "words": words_of(source),
+            "words": description_of(source),
             "known": _size(size, unit_of_source),
             "now": _size(now, unit),
             "left": _size(left[source], unit),

@@ -19,7 +19,7 @@ from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.ingest.description import further_runs
 from counterspin.output import finish, make_folder
-from counterspin.records.endings import wrong_ending
+from counterspin.records.format_registry import suffix_problem
 from counterspin.temporary_folders import remove_abandoned_folders, temporary_folder
 
 #: Prefixes of the temporary folders in which a campaign is copied, and a file arrives.
@@ -47,7 +47,7 @@ class Arrival:
 def place_for(desk: Desk, name: str) -> Arrival:
     """Return the places of an uploaded file."""
     path = desk.folder.path(name)
-    if wrong := wrong_ending(path):
+    if wrong := suffix_problem(path):
         raise OutsideError(f"{name}: {wrong}")
     folders = tuple(folder for folder in path.parents if not folder.exists())
     make_folder(path.parent)

@@ -25,14 +25,14 @@ from counterspin.frozen import frozen
 from counterspin.physics import observation
 from counterspin.physics.effects import AT_REFERENCE, RunConditions
 from counterspin.physics.motion import Trajectory
-from counterspin.physics.own_velocity import AxisError, taken
+from counterspin.physics.own_velocity import AxisError, computer_correction
 from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
 from counterspin.records.formats import open_columns
 from counterspin.records.reading import read_record
-from counterspin.records.record import Record, RecordColumns, StatedMotion
+from counterspin.records.record import NominalMotion, Record, RecordColumns
 from counterspin.records.signals import WORDS as REMOVED
-from counterspin.records.signals import Swing, removed
-from counterspin.records.temperature_course import read_course
+from counterspin.records.signals import FirstHarmonic, detrending_order
+from counterspin.records.temperature_profile import read_temperature_profile
 from counterspin.units import ZERO_CELSIUS
 
 #: Horizontal part of an input axis from which its signal is held to the motion's wave.
@@ -106,8 +106,8 @@ def detect_detrending(moments_by_run: Mapping[str, Array]) -> tuple[int, list[st
     """
     if not moments_by_run:
         return 0, []
-    common_count = removed(list(moments_by_run.values()))
-    counts = {run: removed([moments]) for run, moments in moments_by_run.items()}
+    common_count = detrending_order(list(moments_by_run.values()))
+    counts = {run: detrending_order([moments]) for run, moments in moments_by_run.items()}
     count = max(common_count, *counts.values())
     return count, [run for run, moments in counts.items() if count in (common_count, moments)]
 
@@ -154,7 +154,7 @@ def read_run(campaign: Campaign, run: Run) -> Record:
         for name, accelerometer in campaign.accelerometers.items()
         if (harmonic := _expected_harmonic(campaign, run, accelerometer)) is not None
     }
-    columns, motion = record_columns(campaign, run), StatedMotion(run.rate, harmonics)
+    columns, motion = record_columns(campaign, run), NominalMotion(run.rate, harmonics)
     return read_record(campaign.record_at(run.record), columns, motion)
 
 
@@ -178,7 +178,9 @@ def _samples_digest(record: Record) -> bytes:
     return digest.digest()
 
 
-def _expected_harmonic(campaign: Campaign, run: Run, accelerometer: Accelerometer) -> Swing | None:
+def _expected_harmonic(
+    campaign: Campaign, run: Run, accelerometer: Accelerometer
+) -> FirstHarmonic | None:
     """Return the wave that the motion makes along an input axis; None where it is nearly upright.
 
     The position is R (cos th, sin th); each time derivative multiplies it with the rate and turns
@@ -189,7 +191,7 @@ def _expected_harmonic(campaign: Campaign, run: Run, accelerometer: Acceleromete
         return None
     derivatives = 2 - observation.ORDERS[accelerometer.observable]
     amplitude = campaign.radius.value * complex(east, north) * (-1j * run.rate) ** derivatives
-    return Swing(amplitude, OBSERVABLES[accelerometer.observable])
+    return FirstHarmonic(amplitude, OBSERVABLES[accelerometer.observable])
 
 
 def record_columns(campaign: Campaign, run: Run) -> RecordColumns:
@@ -266,7 +268,10 @@ def _with_platform_velocity(
         )
     site = campaign.site
     north = replace(site, latitude=site.latitude + _LATITUDE_STEP)
-    corrections, shifted_corrections = taken(site, errors), taken(north, errors)
+    corrections, shifted_corrections = (
+        computer_correction(site, errors),
+        computer_correction(north, errors),
+    )
     return {
         name: Signal(
             signal.accelerometer, signal.error + correction, (shifted - correction) / _LATITUDE_STEP
@@ -336,7 +341,7 @@ def recorded_temperatures(
     if isinstance(source, Path) and not source.exists():
         return item.temperature  # whoever reads the rest of it says so
     if key not in profiles:
-        profiles[key] = read_course(source, columns)
+        profiles[key] = read_temperature_profile(source, columns)
     profile = profiles[key]
     deviation = max(
         (max(min(profile) - stated, stated - max(profile)) for stated in item.temperature or ()),

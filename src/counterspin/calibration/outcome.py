@@ -43,7 +43,7 @@ from counterspin.inference.joint.unknowns import ROTATION, Unknown
 from counterspin.inference.noise.model import COMPONENTS, WALK_UNIT, Noise
 from counterspin.inference.noise.search import NoiseEstimate
 from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of
-from counterspin.records.record import rejected_of
+from counterspin.records.record import rejected_count
 
 #: More outliers than this part of a record's samples are worth a warning.
 OUTLIER_SHARE: Final = 0.05
@@ -386,7 +386,7 @@ def run_result(
         ripples=ripples,
         angle_rms=rotation.rms if rotation else None,
         samples=report.used,
-        rejected=rejected_of(counts),
+        rejected=rejected_count(counts),
         counts=counts,
         notes=report.notes(),
         parabolas=dict(parabolas or {}),

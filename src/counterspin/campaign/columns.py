@@ -30,7 +30,7 @@ from counterspin.campaign.field_types import (
 )
 from counterspin.campaign.quantity import Quantity
 from counterspin.frozen import frozen
-from counterspin.records.dialect import TO_BE_FOUND, Dialect
+from counterspin.records.dialect import AUTODETECT, Dialect
 from counterspin.records.record import ColumnSpec
 from counterspin.units import unit_factor
 
@@ -41,7 +41,7 @@ class Recording:
 
     time: ColumnSpec
     angle: ColumnSpec | None
-    dialect: Dialect = TO_BE_FOUND
+    dialect: Dialect = AUTODETECT
     temperature: ColumnSpec | None = None  #: Of the accelerometers; None: not recorded.
     recorder: str = ""  #: Whose clock it has; empty: that of all runs that name no other.
     clock: Quantity | None = None  #: By how much of itself that is fast; None: not stated.

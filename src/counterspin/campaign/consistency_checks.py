@@ -24,7 +24,7 @@ from counterspin.campaign.settings import OBSERVABLES, CentrifugeSettings, Noise
 from counterspin.campaign.terms import symbols_shown
 from counterspin.campaign.validation import Problems
 from counterspin.physics.effects import AttitudeError, TrajectoryError
-from counterspin.physics.terms import CONDITION_TERMS, SHARED_TERMS, shown_by_readings
+from counterspin.physics.terms import CONDITION_TERMS, SHARED_TERMS, affects_readings
 
 #: Where mistakes are, and what they are.
 Mistakes = Iterator[tuple[KeyPath, str]]
@@ -254,7 +254,7 @@ def _terms_that_cannot_act(
                 continue
             if reason := _reason_without_effect(row.effect, strapped):
                 yield ("model", key), f'"{symbol}" {reason}'
-            elif not (recorded or key == "priors" or shown_by_readings(symbol)):
+            elif not (recorded or key == "priors" or affects_readings(symbol)):
                 reason = "acts on records of the double turntable, and no run has one; leave it out"
                 yield ("model", key), f'"{symbol}" {reason}'
 

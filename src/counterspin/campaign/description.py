@@ -40,8 +40,8 @@ from counterspin.loading import load_name
 from counterspin.physics.grades import DEFAULT_GRADE, Size
 from counterspin.physics.motion import Site
 from counterspin.physics.terms import same_for_all, term
-from counterspin.records.dialect import TO_BE_FOUND, Dialect
-from counterspin.records.endings import RECORD_FORMATS
+from counterspin.records.dialect import AUTODETECT, Dialect
+from counterspin.records.format_registry import RECORD_FORMATS
 from counterspin.records.memory import MemoryTable
 from counterspin.records.record import ColumnSpec
 
@@ -139,7 +139,7 @@ class Campaign:
     rate_clock: Quantity | None = None
     own_velocity: bool = False
     strapped: bool = False
-    dialect: Dialect = TO_BE_FOUND
+    dialect: Dialect = AUTODETECT
     temperature: ColumnSpec | None = None
     skipped: tuple[str, ...] = ()
     triad: Triad | None = None

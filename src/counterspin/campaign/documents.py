@@ -142,7 +142,7 @@ def _describe_other_file(file: Path, content: bytes) -> str:
     file_type = looks_like(content)
     if file_type or file.suffix.lower() == ".toml":
         return file_type
-    from counterspin.records.endings import RECORD_FORMATS
+    from counterspin.records.format_registry import RECORD_FORMATS
 
     return "a record" if file.suffix.lower() in RECORD_FORMATS else ""
 

@@ -42,7 +42,7 @@ from counterspin.campaign.quantity import (
     read_direction,
 )
 from counterspin.physics.accelerometer import DIRECTIONS
-from counterspin.records.endings import RECORD_FORMATS
+from counterspin.records.format_registry import RECORD_FORMATS
 from counterspin.units import TEMPERATURE_SCALES, WORKING_TEMPERATURES, ZERO_CELSIUS, unit_factor
 
 #: Written as the unit of time stamps in ISO 8601.

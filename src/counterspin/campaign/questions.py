@@ -14,7 +14,7 @@ import numpy as np
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.physics.motion import HEIGHTS, gravity_range
-from counterspin.physics.own_velocity import NAVIGATED, AxisError, coriolis, unseen
+from counterspin.physics.own_velocity import NAVIGATED, AxisError, coriolis, unobserved_projection
 from counterspin.physics.terms import symbol_of
 
 #: Standard gravity, which a computer may take away at any place, m/s^2.
@@ -103,7 +103,7 @@ def _own_velocity(campaign: Campaign) -> Iterator[Question]:
             name: AxisError(a.mounting.turned(run.attitude).input_axis, a.observable, none, none)
             for name, a in campaign.accelerometers.items()
         }
-        away = unseen(list(axes.values()))
+        away = unobserved_projection(list(axes.values()))
         for name, axis_component in axes.items():
             if axis_component.observable in NAVIGATED:
                 coupled = float(np.linalg.norm(axis_component.input_axis @ turn @ away))

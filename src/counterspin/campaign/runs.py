@@ -35,7 +35,7 @@ from counterspin.campaign.validation import Problems, Section
 from counterspin.loading import load_name
 from counterspin.physics.terms import MotionKind
 from counterspin.records.dialect import Dialect
-from counterspin.records.endings import RECORD_FORMATS
+from counterspin.records.format_registry import RECORD_FORMATS
 
 #: Of which runs a key is that not all have.
 RECORDS: Final = "records"

@@ -28,7 +28,7 @@ from counterspin.physics.terms import (
     READING_TERMS,
     SHARED_TERMS,
     Term,
-    shown_by_readings,
+    affects_readings,
 )
 
 
@@ -194,7 +194,7 @@ def symbols_shown(readings: Sequence[Reading], *, recorded: bool = False) -> tup
 def of_readings(name: str) -> bool:
     """Return whether a name is that of a term shown by readings: of the machine, or of a slope."""
     is_family = "." in name and any(symbol.startswith(f"{name}.") for symbol in READING_TERMS)
-    if is_family or shown_by_readings(name):
+    if is_family or affects_readings(name):
         return True
     shown_by_records = any(f"{symbol}.".startswith(f"{name}.") for symbol in SHARED_TERMS)
     return name.startswith(_FAMILIES) and not shown_by_records

@@ -26,7 +26,7 @@ from counterspin.errors import (
 from counterspin.frozen import frozen
 from counterspin.input import read_file
 from counterspin.physics.terms import TERMS
-from counterspin.records.isolation import in_reader_process
+from counterspin.records.isolation import run_isolated
 from counterspin.units import from_si
 
 _PYPDF_MISSING: Final = (
@@ -45,13 +45,13 @@ def read_document(path: Path) -> bytes:
     A PDF is read in an isolated process, as records of native formats are.
     """
     if is_pdf(path):
-        return in_reader_process(_attached_xml, path)
+        return run_isolated(_attached_xml, path)
     return _read_xml(path)
 
 
 def verify_pages(path: Path, public: bytes) -> PdfSignatureStatus:
     """Return the state of a PDF's signature, as `verify_pdf_signature` does."""
-    return in_reader_process(_pdf_signature_status, path, public)
+    return run_isolated(_pdf_signature_status, path, public)
 
 
 def _read_xml(path: Path) -> bytes:

@@ -12,7 +12,7 @@ from fnmatch import fnmatchcase
 from typing import Final
 
 from counterspin.errors import CampaignError
-from counterspin.physics.terms import TABLE, is_term, symbol_of, words_of
+from counterspin.physics.terms import TABLE, description_of, is_term, symbol_of
 
 #: Key of [evidence], or name in `assume`, for all unstated terms.
 ALL: Final = "all"
@@ -74,5 +74,5 @@ def evidence_lines(assumed: Sequence[str], evidence: Mapping[str, str]) -> Itera
 
 def name_with_words(source: str) -> str:
     """Return a term or source of uncertainty with its description in parentheses."""
-    words = words_of(source)
+    words = description_of(source)
     return f"{source} ({words})" if words else source

@@ -40,7 +40,7 @@ from counterspin.physics.correction import (
     missing_axes,
 )
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
-from counterspin.records.dialect import TO_BE_FOUND, Dialect
+from counterspin.records.dialect import AUTODETECT, Dialect
 from counterspin.results import unsealed_sentences
 from counterspin.units import unit_factor
 
@@ -117,7 +117,7 @@ class ApplyOptions:
     temperature: npt.ArrayLike | str | None = None
     others: Mapping[str, npt.ArrayLike] = field(default_factory=dict)
     force: bool = False
-    dialect: Dialect = TO_BE_FOUND
+    dialect: Dialect = AUTODETECT
 
 
 def apply(

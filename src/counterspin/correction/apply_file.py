@@ -20,7 +20,7 @@ from counterspin.frozen import frozen
 from counterspin.output import FileType, holds, reserve, write_open, write_whole
 from counterspin.physics.correction import NotInvertibleError
 from counterspin.records.formats import locate, read_numbers, read_table
-from counterspin.records.unit_words import TEMPERATURES
+from counterspin.records.unit_notation import TEMPERATURES
 from counterspin.units import ZERO_CELSIUS, same_unit, unit_factor
 
 #: Examples of a constant in place of a column.

@@ -16,7 +16,7 @@ from counterspin.physics.correction import (
     CalibratedAccelerometer,
     Prediction,
     indication,
-    product_of,
+    product_of_symbol,
 )
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 
@@ -51,7 +51,7 @@ def with_unstated(
             continue
         if not (acts(symbol) or symbol == HYSTERESIS):
             continue
-        needed = {*product_of(symbol).factors}
+        needed = {*product_of_symbol(symbol).factors}
         needed |= {"temperature"} if symbol in CONDITION_TERMS and acts(symbol) else set()
         if needed <= set(given):
             own = accelerometers[name]

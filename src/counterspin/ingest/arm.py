@@ -45,7 +45,7 @@ from counterspin.ingest.readings import (
     usual_role,
 )
 from counterspin.readings.cells import SENSE_WORDS, mounting_of
-from counterspin.records.unit_words import unit_in_name
+from counterspin.records.unit_notation import unit_in_name
 from counterspin.units import STANDARD_GRAVITY, converts, unit_factor
 
 #: Directions in the frame of the arm; the horizontal ones as a turn about down passes them.

@@ -23,7 +23,7 @@ from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.ingest.contents import FileColumn, FileContents, frequency, wave
 from counterspin.records.sampling import is_bursty, row_rate
-from counterspin.records.unit_words import unit_in_name
+from counterspin.records.unit_notation import unit_in_name
 from counterspin.units import converts, unit_factor
 
 _TIME: Final = re.compile(

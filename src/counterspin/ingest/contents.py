@@ -17,8 +17,8 @@ from counterspin.readings.entries import MOST_READINGS
 from counterspin.records.column_file import ColumnFile
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import is_workbook, open_columns
-from counterspin.records.isolation import in_reader_process
-from counterspin.records.reading import LARGEST_VALUE
+from counterspin.records.isolation import run_isolated
+from counterspin.records.reading import MAX_MAGNITUDE
 from counterspin.records.sampling import find_split_time
 from counterspin.records.several_sensors import (
     SHOWING_ROWS,
@@ -130,7 +130,7 @@ def read_files(
     asked, sensor = (answers or {}).get("sheet"), (answers or {}).get("select")
     all_contents: list[FileContents] = []
     for done, file in enumerate(files, 1):
-        sheets = tuple(in_reader_process(table_sheets, file)) if is_workbook(file) else ()
+        sheets = tuple(run_isolated(table_sheets, file)) if is_workbook(file) else ()
         if len(sheets) < 2:
             contents = read_contents(file, sensor=sensor)
             groups = [read_contents(file, sensor=sensor, group=run) for run in contents.runs]
@@ -155,7 +155,7 @@ def read_contents(
     sensor: Value of the column that tells several sensors apart, of the rows that are read; or
         that column and the value, ``device=A``.
     """
-    return in_reader_process(_read_contents, path, sheet, sheets, sensor, group)
+    return run_isolated(_read_contents, path, sheet, sheets, sensor, group)
 
 
 def _read_contents(
@@ -271,7 +271,7 @@ def _column(file: ColumnFile, name: str) -> tuple[FileColumn | None, str]:
             why = why or str(error)
             continue
         numbers = np.array(values, dtype=float)
-        numbers[~(np.abs(numbers) < LARGEST_VALUE)] = np.nan  # what no instrument measures
+        numbers[~(np.abs(numbers) < MAX_MAGNITUDE)] = np.nan  # what no instrument measures
         if np.isfinite(numbers).any():
             return FileColumn(name, file.units.get(name, ""), numbers, stamps), ""
     return None, why

@@ -19,8 +19,8 @@ from counterspin.ingest.questions import AnsweredDraft, FileQuestion
 from counterspin.ingest.starter import Test
 from counterspin.ingest.triads import guessed_poses, without_gravity
 from counterspin.ingest.tumble import shows_tumble
-from counterspin.records.column_file import quoted
-from counterspin.records.sampling import Holding, join_bursts
+from counterspin.records.column_file import format_names
+from counterspin.records.sampling import ValueHolding, join_bursts
 
 #: Columns of a file that are shown, and different words of one.
 _SHOWN: Final = 24
@@ -78,7 +78,7 @@ def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
         if column.stamps or column.name in clocks:
             continue
         try:
-            holding = Holding.of(column.values)
+            holding = ValueHolding.of(column.values)
         except ValueError as error:
             yield f"column '{column.name}': {error}"
             continue
@@ -86,8 +86,8 @@ def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
             held.setdefault(round(100.0 * (1.0 - 1.0 / holding.rows)), []).append(column.name)
     for part, names in held.items():
         yield (
-            f"repeated values: {part:g} % of {quoted(names)}, as where a log is faster than the "
-            "sensor; only new values are used"
+            f"repeated values: {part:g} % of {format_names(names)}, as where a log is faster than "
+            "the sensor; only new values are used"
         )
     if guess.shared is not None:
         stamps = int(np.sum(np.diff(join_bursts(guess.shared.values)) > 0.0)) + 1
@@ -215,8 +215,8 @@ def no_test_reasons(all_contents: Sequence[FileContents]) -> Iterator[str]:
     for contents in all_contents:
         if axes := without_gravity(guess_file(contents)):
             yield (
-                f"columns {quoted(axes)} read nearly nothing at rest: a filter took gravity away, "
-                "which poses need; record what the sensor itself feels, with gravity in it"
+                f"columns {format_names(axes)} read nearly nothing at rest: a filter took gravity "
+                "away, which poses need; record what the sensor itself feels, with gravity in it"
             )
 
 

@@ -35,7 +35,7 @@ from counterspin.ingest.triads import (
     guessed_poses,
 )
 from counterspin.physics.grades import GRADES
-from counterspin.records.column_file import quoted
+from counterspin.records.column_file import format_names
 from counterspin.triads.static_intervals import MIN_CONTRAST, MIN_DURATION
 from counterspin.units import converts
 
@@ -248,7 +248,7 @@ def _statements(
     if found is None:
         return
     unit = f" in {found.unit}" if found.unit else ""
-    yield f"a sensor with three axes: columns {quoted(found.columns)}{unit}"
+    yield f"a sensor with three axes: columns {format_names(found.columns)}{unit}"
     poses = found.poses
     if poses is None:
         yield "no rest was found in it"
@@ -278,7 +278,7 @@ def _of_table(guess: FileGuess, found: TriadColumns) -> Iterator[str]:
     """Yield the messages about a table with a pose in each row."""
     assert found.means is not None
     unit = f" in {found.unit}" if found.unit else ""
-    yield f"a sensor with three axes: columns {quoted(found.columns)}{unit}"
+    yield f"a sensor with three axes: columns {format_names(found.columns)}{unit}"
     yield f"{len(found.means)} poses, one in each row; their attitudes are unknown"
     yield from _few(found)
     yield from guess.temperature_words

@@ -24,7 +24,7 @@ from counterspin.frozen import frozen
 from counterspin.ingest.column_roles import NONE, UNUSED, FileGuess, SignalGuess
 from counterspin.ingest.contents import ALL_SHEETS, FileContents
 from counterspin.readings.cells import SENSE_WORDS
-from counterspin.records.unit_words import file_unit
+from counterspin.records.unit_notation import parse_file_unit
 from counterspin.units import STANDARD_GRAVITY, unit_factor
 
 SENSES: Final = ("counterclockwise", "clockwise")
@@ -122,7 +122,7 @@ class FileQuestion:
             parse(text, self.quantity)
             return text
         if self.unit:
-            unit = file_unit(clean) or clean
+            unit = parse_file_unit(clean) or clean
             wanted = OBSERVABLES.values() if self.unit == ANY_SIGNAL else (self.unit,)
             errors = [error for si in wanted if (error := _unit_error(unit, si))]
             if len(errors) == len(tuple(wanted)):

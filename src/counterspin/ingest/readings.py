@@ -17,7 +17,7 @@ from counterspin.frozen import frozen
 from counterspin.ingest.column_roles import NONE, UNUSED, is_nominal
 from counterspin.ingest.contents import FileColumn, FileContents
 from counterspin.ingest.questions import AnsweredDraft, FileQuestion, relative_name
-from counterspin.records.unit_words import unit_in_name
+from counterspin.records.unit_notation import unit_in_name
 from counterspin.units import converts
 
 #: What a column of numbers may be in every table, and a column of words.

@@ -29,7 +29,7 @@ from counterspin.monitoring.run_state import (
 )
 from counterspin.planning.forecast import forecast
 from counterspin.planning.recorded import add_pose_noise, apply_observations, fitted_noise
-from counterspin.records.formats import opener_of
+from counterspin.records.formats import find_opener
 from counterspin.records.frames import memory_table
 from counterspin.records.memory import MemoryTable
 from counterspin.threads import one_blas_thread
@@ -73,7 +73,7 @@ def _check_record(record: object, campaign: Campaign, name: str | None) -> Check
     if file is not None:
         if not file.exists():
             raise RecordError(f"{file}: file not found.")
-        opener_of(file)  # checked first: it does not depend on the run
+        find_opener(file)  # checked first: it does not depend on the run
     selected_run = _select_run(campaign, file, name)
     if file is None:
         table: MemoryTable = memory_table(f"{selected_run.name} in memory", record)
@@ -96,7 +96,7 @@ def _check_record(record: object, campaign: Campaign, name: str | None) -> Check
             why_not="the record cannot be used as it is",
         )
     others, reached = _check_with_others(campaign, campaign_with_file, single_check.fit)
-    expected, why_not = _expected_estimates(campaign, campaign_with_file, single_check)
+    expected, reason = _expected_estimates(campaign, campaign_with_file, single_check)
     return CheckedRun(
         run=single_check.state,
         remarks=single_check.remarks,
@@ -106,7 +106,7 @@ def _check_record(record: object, campaign: Campaign, name: str | None) -> Check
         others=others,
         reached=reached,
         expected=expected,
-        why_not=why_not,
+        why_not=reason,
     )
 
 
@@ -117,13 +117,13 @@ def _replace_file(run: Recorded, file: Path) -> Recorded:
     return replace(run, record=file)
 
 
-def _map_records(campaign: Campaign, use: Callable[[Recorded], Recorded | None]) -> Campaign:
+def _map_records(campaign: Campaign, function: Callable[[Recorded], Recorded | None]) -> Campaign:
     """Return a campaign with a function applied to its runs and pose records; None removes one."""
-    runs = tuple(run for run in map(use, campaign.runs) if isinstance(run, Run))
+    runs = tuple(run for run in map(function, campaign.runs) if isinstance(run, Run))
     triad = campaign.triad
     if triad is not None:
         records = tuple(
-            record for record in map(use, triad.records) if isinstance(record, PoseRecord)
+            record for record in map(function, triad.records) if isinstance(record, PoseRecord)
         )
         triad = replace(triad, records=records)
     return replace(campaign, runs=runs, triad=triad)
@@ -168,25 +168,25 @@ class _SingleCheck:
 
 def _check_single(campaign: Campaign, run: Recorded) -> _SingleCheck:
     """Return the check of a single record."""
-    alone = _map_records(
+    single_campaign = _map_records(
         replace(campaign, readings=()), lambda candidate: run if candidate is run else None
     )
-    if alone.triad is not None:
-        alone = replace(alone, triad=replace(alone.triad, poses=()))
-    observer = Observer(alone)
-    observer.look()
+    if single_campaign.triad is not None:
+        single_campaign = replace(single_campaign, triad=replace(single_campaign.triad, poses=()))
+    observer = Observer(single_campaign)
+    observer.poll()
     part, observed = observer.usable_runs()
     poses = observer.poses_of(run.name)
     if not observed and not poses:
         state = observer.unread_state(run.name)
-        why = state.why if state.state == "failed" else f"too short: {state.why}"
-        state = state.model_copy(update={"state": "failed", "why": why})
-        return _SingleCheck(state, [why or ""], good=False, fit=None)
-    fit, refused = None, ""
+        reason = state.why if state.state == "failed" else f"too short: {state.why}"
+        state = state.model_copy(update={"state": "failed", "why": reason})
+        return _SingleCheck(state, [reason or ""], good=False, fit=None)
+    fit, refusal = None, ""
     try:
         fit = fit_runs(part, observed)
     except CounterspinError as error:
-        refused = str(error)
+        refusal = str(error)
     if isinstance(run, PoseRecord):
         state = poses_state(part, run, poses, fit)
         remarks, good = pose_remarks(poses, fit)
@@ -200,7 +200,7 @@ def _check_single(campaign: Campaign, run: Recorded) -> _SingleCheck:
             else ([], False)
         )
     if fit is None:
-        remarks, good = [refused, *remarks], False
+        remarks, good = [refusal, *remarks], False
     return _SingleCheck(state, remarks, good, fit, observed_run)
 
 
@@ -212,19 +212,21 @@ def _check_with_others(
     fit: Fit of this record alone; None if it does not determine enough.
     """
 
-    def existing(recorded: Recorded) -> Recorded | None:
+    def existing_record(recorded: Recorded) -> Recorded | None:
         in_memory = recorded.record in campaign.frames
         return recorded if recorded is run or in_memory or recorded.record.exists() else None
 
-    observer = Observer(_map_records(campaign, existing))
-    observer.look()
-    part, observed = observer.usable_runs()
+    observer = Observer(_map_records(campaign, existing_record))
+    observer.poll()
+    usable_campaign, observed = observer.usable_runs()
     others = [item.run.name for item in observed]
-    others += [item.name for item in (part.triad.records if part.triad else ())]
+    others += [
+        item.name for item in (usable_campaign.triad.records if usable_campaign.triad else ())
+    ]
     others.remove(run.name)
-    if others or part.readings or part.posed:
+    if others or usable_campaign.readings or usable_campaign.posed:
         try:
-            fit = fit_runs(part, observed)
+            fit = fit_runs(usable_campaign, observed)
         except CounterspinError:
             others = []
     names = displayed_names(campaign)

@@ -81,27 +81,29 @@ def check_mean(campaign: Campaign, run: MeanRun, file: Path) -> CheckedRun:
     state = _read_state(campaign, averaged)
     notes = list(dict.fromkeys(note for record in averaged for note in record.mean.report.notes()))
     remarks, good = run_remarks(state, notes, ())
-    others, reached = _fit_with_others(campaign, run.name)
+    others, estimates = _fit_with_others(campaign, run.name)
     return CheckedRun(
-        run=state, remarks=remarks, good=good, others=others, reached=reached, expected=[]
+        run=state, remarks=remarks, good=good, others=others, reached=estimates, expected=[]
     )
 
 
-def _map_readings(campaign: Campaign, use: Callable[[Reading], Reading | None]) -> Campaign:
+def _map_readings(campaign: Campaign, function: Callable[[Reading], Reading | None]) -> Campaign:
     """Return a campaign with a function applied to its readings; None removes one."""
     return replace(
         campaign,
-        readings=tuple(reading for reading in map(use, campaign.readings) if reading is not None),
+        readings=tuple(
+            reading for reading in map(function, campaign.readings) if reading is not None
+        ),
     )
 
 
-def _unread_state(campaign: Campaign, run: MeanRun, file: Path, why: str) -> RunState:
+def _unread_state(campaign: Campaign, run: MeanRun, file: Path, reason: str) -> RunState:
     """Return the state of a record that cannot be used."""
     return RunState(
         run=run.name,
         record=record_name(file, campaign.folder),
         state="failed",
-        why=why,
+        why=reason,
         rows=0,
         stated_seconds=run.readings[0].duration,
         nominal_rate=run.readings[0].rate,
@@ -138,22 +140,22 @@ def _read_state(campaign: Campaign, averaged: Sequence[AveragedRecord]) -> RunSt
 def _fit_with_others(campaign: Campaign, name: str) -> tuple[list[str], list[CurrentEstimate]]:
     """Return the other existing records, and the coefficients from all of them together."""
 
-    def exists(record: Path) -> bool:
+    def has_record(record: Path) -> bool:
         return record in campaign.frames or record.exists()
 
-    runs = tuple(run for run in campaign.runs if exists(run.record))
-    part = _map_readings(
+    runs = tuple(run for run in campaign.runs if has_record(run.record))
+    usable_campaign = _map_readings(
         replace(campaign, runs=runs),
-        lambda reading: reading if reading.record is None or exists(reading.record) else None,
+        lambda reading: reading if reading.record is None or has_record(reading.record) else None,
     )
-    observer = Observer(part)
-    observer.look()
-    part, observed = observer.usable_runs()
+    observer = Observer(usable_campaign)
+    observer.poll()
+    usable_campaign, observed = observer.usable_runs()
     others = [observed_run.run.name for observed_run in observed]
-    others += [run.name for run in mean_runs(part) if run.name != name]
+    others += [run.name for run in mean_runs(usable_campaign) if run.name != name]
     names = displayed_names(campaign)
     try:
-        part = with_recorded_conditions(part)
-        return others, current_estimates(fit_runs(part, observed), names)
+        usable_campaign = with_recorded_conditions(usable_campaign)
+        return others, current_estimates(fit_runs(usable_campaign, observed), names)
     except CounterspinError:
         return others, undetermined_estimates(campaign, names)

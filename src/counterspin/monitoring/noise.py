@@ -34,10 +34,10 @@ from counterspin.monitoring.result import (
     shown_unit,
 )
 from counterspin.physics import observation
-from counterspin.records.column_file import quoted
+from counterspin.records.column_file import format_names
 from counterspin.records.frames import memory_table
 from counterspin.records.memory import MemoryTable
-from counterspin.records.unit_words import unit_in_name
+from counterspin.records.unit_notation import unit_in_name
 from counterspin.reports.numbers import format_number
 from counterspin.threads import one_blas_thread
 from counterspin.units import STANDARD_GRAVITY, base_unit, converts, unit_factor
@@ -114,8 +114,8 @@ def noise(
     if file is not None and not file.exists():
         raise RecordError(f"{file}: file not found.")
     source = file if file is not None else memory_table("record in memory", record)
-    g = _quantity("gravity", gravity, "m/s^2") or STANDARD_GRAVITY
-    turning = _quantity("rate", rate, "rad/s")
+    g = _parse_quantity("gravity", gravity, "m/s^2") or STANDARD_GRAVITY
+    turning = _parse_quantity("rate", rate, "rad/s")
     unused: list[str] = []
     with one_blas_thread():
         if campaign is not None:
@@ -144,7 +144,7 @@ def noise(
     )
 
 
-def _quantity(name: str, text: str | None, unit: str) -> float | None:
+def _parse_quantity(name: str, text: str | None, unit: str) -> float | None:
     if text is None:
         return None
     try:
@@ -171,18 +171,18 @@ def _guess_signals(
 ) -> tuple[list[StaticSignal], list[str]]:
     """Return the signals of a file by its column names and units, and the other columns' names."""
     answers = {} if sampling_rate is None else {"sampling_rate": sampling_rate}
-    seen = _read_source(source, select)
-    guess = guess_file(seen, answers)
-    missing = [name for name in columns if name not in {c.name for c in seen.columns}]
+    samples = _read_source(source, select)
+    guess = guess_file(samples, answers)
+    missing = [name for name in columns if name not in {c.name for c in samples.columns}]
     if missing:
-        available = ", ".join(column.name for column in seen.columns)
+        available = ", ".join(column.name for column in samples.columns)
         problem = f"`columns`: there is no {missing[0]!r} among {available}"
-        problem += f". The file was read as follows: {seen.found}" if seen.found else ""
+        problem += f". The file was read as follows: {samples.found}" if samples.found else ""
         raise CampaignError("noise", [problem])
-    time = _row_times(source, guess, seen.columns, stated=sampling_rate is not None)
+    time = _row_times(source, guess, samples.columns, stated=sampling_rate is not None)
     time_column = guess.time.column if guess.time else None
-    rest = [c for c in seen.columns if c.name != time_column and not c.stamps]
-    taken: list[StaticSignal] = []
+    rest = [c for c in samples.columns if c.name != time_column and not c.stamps]
+    used_columns: list[StaticSignal] = []
     unused: list[str] = []
     for column in rest:
         if columns and column.name not in columns:
@@ -193,32 +193,34 @@ def _guess_signals(
         )
         if known is None or observable is None or len(column.values) != time.size:
             if columns:
-                why = f"is in {known!r}" if known else "has no unit; give `unit`"
-                wanted = "a length, a velocity or a specific force is needed"
-                raise CampaignError("noise", [f"column {column.name!r} {why}; {wanted}"])
+                reason = f"is in {known!r}" if known else "has no unit; give `unit`"
+                requested = "a length, a velocity or a specific force is needed"
+                raise CampaignError("noise", [f"column {column.name!r} {reason}; {requested}"])
             unused.append(column.name)
             continue
         factor = unit_factor(known, OBSERVABLES[observable], gravity=gravity)
         in_g = base_unit(known)[1]["[gravity]"] != 0.0
         values = column.values * factor
-        order = observation.ORDERS[observable]
-        taken.append(StaticSignal(column.name, column.name, order, in_g, time, values))
+        observable_order = observation.ORDERS[observable]
+        used_columns.append(
+            StaticSignal(column.name, column.name, observable_order, in_g, time, values)
+        )
     if unit is not None and not any(converts(unit, si) for si in OBSERVABLES.values()):
-        wanted = "a unit of length, velocity or specific force is needed, such as m/s^2"
-        raise CampaignError("noise", [f"`unit`: {unit!r}: {wanted}"])
-    if not taken:
+        requested = "a unit of length, velocity or specific force is needed, such as m/s^2"
+        raise CampaignError("noise", [f"`unit`: {unit!r}: {requested}"])
+    if not used_columns:
         raise RecordError(
             f"{source}: no column has a unit of length, velocity or specific force "
             f"({', '.join(unused) or 'only the time'}). Name it with `columns`, "
             "and its unit with `unit`."
         )
-    moving = [signal for signal in taken if np.unique(signal.values).size > 1]
-    if moving and not columns:
+    varying = [signal for signal in used_columns if np.unique(signal.values).size > 1]
+    if varying and not columns:
         # Zeros of a residual, or of an axis that is not connected.
-        used = {signal.column for signal in moving}
-        unused += [signal.column for signal in taken if signal.column not in used]
-        taken = moving
-    return taken, unused
+        used = {signal.column for signal in varying}
+        unused += [signal.column for signal in used_columns if signal.column not in used]
+        used_columns = varying
+    return used_columns, unused
 
 
 def _read_source(source: Path | MemoryTable, select: str | None) -> FileContents:
@@ -238,8 +240,8 @@ def _read_source(source: Path | MemoryTable, select: str | None) -> FileContents
     if contents.is_mixed and contents.sensors is not None:
         key, sensors = contents.sensors
         raise RecordError(
-            f"{source}: column '{key}' takes {len(sensors)} values ({quoted(sensors, 8)}): the "
-            "rows are those of several sensors. Select the rows of one with `select`, such as "
+            f"{source}: column '{key}' takes {len(sensors)} values ({format_names(sensors, 8)}): "
+            "the rows are those of several sensors. Select the rows of one with `select`, such as "
             f'"{key}={sensors[0]}".'
         )
     return contents
@@ -370,7 +372,7 @@ def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
                 f"The {name} depends on the few slowest periods of this record, hence "
                 f"its wide interval: use a record several times longer than {stated.seconds:.4g} s."
             )
-    yield from _sampling(record)
+    yield from _sampling_remarks(record)
     if stated.outliers:
         many = "1 sample" if stated.outliers == 1 else f"{stated.outliers} samples"
         yield f"Left out as outliers: {many}."
@@ -385,7 +387,7 @@ def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
             f"Components, lines and Allan deviation are computed from velocities {thin} "
             "samples apart; the spectrum from all samples."
         )
-    if stated.resolution and stated.resolution**2 / 12.0 > 0.1 * _scatter(record) ** 2:
+    if stated.resolution and stated.resolution**2 / 12.0 > 0.1 * _local_scatter(record) ** 2:
         yield (
             f"The samples are multiples of {stated.resolution:.3g} {OBSERVABLES[stated.observable]}"
             ": rounding contributes much of the white noise here, and it is not white "
@@ -395,7 +397,7 @@ def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
     yield from _misfit_remarks(record.analysis.noise.bands)
 
 
-def _sampling(record: StaticRecord) -> Iterator[str]:
+def _sampling_remarks(record: StaticRecord) -> Iterator[str]:
     """Yield remarks on rows that are not samples of their own, and on missing samples."""
     stretches = record.segments
     if stretches.repeated:
@@ -430,21 +432,22 @@ def _motion_remarks(record: StaticRecord) -> Iterator[str]:
     size = max(_MIN_SEGMENT_SAMPLES, values.size // _MOTION_SEGMENTS)
     parts = values[: values.size // size * size].reshape(-1, size)
     scatter = parts.std(axis=1)
-    usual, place = float(np.quantile(scatter, 0.25)), int(np.argmax(scatter))
+    median_scatter, index = float(np.quantile(scatter, 0.25)), int(np.argmax(scatter))
     if (
         record.signal.order == 0
         and len(parts) >= _MOTION_SEGMENTS // 2
-        and scatter[place] > _MOTION_RATIO * usual
+        and scatter[index] > _MOTION_RATIO * median_scatter
     ):
-        begin = start + place * size * record.segments.step
+        start_time = start + index * size * record.segments.step
         yield (
-            f"From {begin:.4g} s to {begin + size * record.segments.step:.4g} s the record "
-            f"scatters {scatter[place] / usual:.2g} times as much as where it is quiet: it is not "
-            "at rest all along, and these figures are not those of its noise. Cut it there."
+            f"From {start_time:.4g} s to {start_time + size * record.segments.step:.4g} s the "
+            f"record scatters {scatter[index] / median_scatter:.2g} times as much as where it is "
+            "quiet: it is not at rest all along, and these figures are not those of its noise. "
+            "Cut it there."
         )
 
 
-def _scatter(record: StaticRecord) -> float:
+def _local_scatter(record: StaticRecord) -> float:
     """Return the standard deviation of samples relative to their neighbours."""
     _, longest = record.segments.longest
     second = longest[2:] - 2.0 * longest[1:-1] + longest[:-2]
@@ -477,8 +480,8 @@ def noise_table(signals: Sequence[SignalNoise], gravity: float) -> str:
     for signal in signals:
         for key, size in signal.components.items():
             if size.value is not None and key != "quantisation":
-                before = largest.get(key, (0.0, False))
-                largest[key] = max(before, (size.value, signal.in_g))
+                existing = largest.get(key, (0.0, False))
+                largest[key] = max(existing, (size.value, signal.in_g))
     lines = ["[noise]"]
     for key, (value, in_g) in largest.items():
         unit, factor = shown_unit(SI_UNITS.get(key) or OBSERVABLES[key], in_g, gravity)

@@ -33,8 +33,8 @@ from counterspin.input import FileIdentity, open_file
 from counterspin.monitoring.result import RunState
 from counterspin.physics.effects import RunConditions
 from counterspin.records.column_file import Columns
-from counterspin.records.dialect import TO_BE_FOUND, Dialect
-from counterspin.records.endings import RECORD_FORMATS
+from counterspin.records.dialect import AUTODETECT, Dialect
+from counterspin.records.format_registry import RECORD_FORMATS
 from counterspin.records.formats import open_columns
 from counterspin.records.layout import HEAD_LINES
 from counterspin.records.memory import MemoryTable
@@ -64,7 +64,7 @@ class GrowingTable:
 
     path: Path  #: The file.
     names: Sequence[str]  #: Names of the columns to read.
-    dialect: Dialect = TO_BE_FOUND  #: Known format of the file.
+    dialect: Dialect = AUTODETECT  #: Known format of the file.
     _identity: FileIdentity | None = None
     _head: bytes = b""
     _tail: bytes = b""
@@ -216,7 +216,7 @@ class _WatchedRun:
     def files(self) -> tuple[Path, ...]:
         return self.run.files if isinstance(self.run, Run) else (self.run.record,)
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         self.record = self.observed = None
         self.found = ()
 
@@ -238,7 +238,7 @@ class Observer:
             table = _growing_table(run, columns, warm) if grow else None
             self._watched.append(_WatchedRun(run, columns, table))
 
-    def look(self) -> tuple[bool, list[str]]:
+    def poll(self) -> tuple[bool, list[str]]:
         """Read the new data; return whether they changed, and the events."""
         changed, events = False, []
         for watched in self._watched:
@@ -318,7 +318,7 @@ class Observer:
         """Read the record of the existing rows if they have changed."""
         if not watched.stale:
             return
-        watched.forget()
+        watched.reset()
         watched.trouble = watched.waits = None
         watched.stale = False
         source = self._campaign
@@ -345,7 +345,9 @@ class Observer:
 def _wait_reason(run: Recorded, columns: RecordColumns, table: MemoryTable) -> str | None:
     """Return the reason why a growing record is too short to read, or None."""
     clock, rows = columns.time, len(next(iter(table.columns.values())))
-    first, last = (0.0, rows - 1.0) if clock.is_made else table.columns[clock.name][[0, -1]]
+    first, last = (
+        (0.0, rows - 1.0) if clock.is_derived_column else table.columns[clock.name][[0, -1]]
+    )
     seconds = float(last - first) * clock.factor
     if isinstance(run, PoseRecord):
         return None if seconds >= run.rest else f"{seconds:.1f} s of {run.rest:g} s of rest"
@@ -368,7 +370,7 @@ def _poll_file(watched: _WatchedRun) -> tuple[bool, str | None]:
     except FileNotFoundError:
         gone = watched.identity is not None
         watched.identity = None
-        watched.forget()
+        watched.reset()
         watched.stale, watched.waits = False, _NO_FILE
         watched.fault = watched.trouble = None
         if watched.table is not None:

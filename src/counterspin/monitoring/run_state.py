@@ -206,14 +206,14 @@ def resolve_goals(
     if not target:
         return {}
     problems = Problems({})
-    sought = GoalSettings(target={n: _with_unit(campaign, n, u) for n, u in target.items()})
-    resolved = resolve_goal(sought, campaign, problems)
+    requested = GoalSettings(target={n: _parse_target(campaign, n, u) for n, u in target.items()})
+    resolved = resolve_goal(requested, campaign, problems)
     if resolved is None:
         raise CampaignError("goal", problems.lines)
     return dict(resolved.sizes)
 
 
-def _with_unit(campaign: Campaign, name: str, u: float | str) -> str:
+def _parse_target(campaign: Campaign, name: str, u: float | str) -> str:
     """Return the target u with its unit, by default the unit of the coefficient."""
     try:
         number = float(u)
@@ -225,13 +225,13 @@ def _with_unit(campaign: Campaign, name: str, u: float | str) -> str:
 
 def current_estimates(fit: CurrentFit, names: Sequence[str]) -> list[CurrentEstimate]:
     """Return the estimates of unknowns from a fit, None where it does not determine them."""
-    places = {u.name: i for i, u in enumerate(fit.estimate.fit.model.of_interest)}
-    reached = []
+    indices = {u.name: i for i, u in enumerate(fit.estimate.fit.model.of_interest)}
+    estimates = []
     for name in names:
-        if name not in places:
+        if name not in indices:
             continue
-        c = coefficient(fit.estimate, fit.estimate.fit.assessment, places[name])
-        reached.append(
+        c = coefficient(fit.estimate, fit.estimate.fit.assessment, indices[name])
+        estimates.append(
             CurrentEstimate(
                 name=name,
                 value=c.value if c.estimated else None,
@@ -239,7 +239,7 @@ def current_estimates(fit: CurrentFit, names: Sequence[str]) -> list[CurrentEsti
                 unit=c.unit,
             )
         )
-    return reached
+    return estimates
 
 
 def undetermined_estimates(campaign: Campaign, names: Sequence[str]) -> list[CurrentEstimate]:
@@ -262,16 +262,18 @@ def displayed_names(campaign: Campaign, goals: Iterable[str] = ()) -> list[str]:
     return list(dict.fromkeys([*squares, *requested, *goals]))
 
 
-def goal_states(goals: Mapping[str, float], reached: Sequence[CurrentEstimate]) -> list[GoalState]:
+def goal_states(
+    goals: Mapping[str, float], estimates: Sequence[CurrentEstimate]
+) -> list[GoalState]:
     """Return the state of each goal."""
-    by_name = {c.name: c for c in reached}
+    by_name = {c.name: c for c in estimates}
     return [
         GoalState(
             name=name,
             wanted=wanted,
-            u=(now := by_name[name]).u,
-            unit=now.unit,
-            met=now.u is not None and now.u <= wanted,
+            u=(estimate := by_name[name]).u,
+            unit=estimate.unit,
+            met=estimate.u is not None and estimate.u <= wanted,
         )
         for name, wanted in goals.items()
         if name in by_name
@@ -331,13 +333,13 @@ def pose_remarks(
     pose_record = found_poses[0].record
     assert pose_record is not None
     findings = pose_findings(fit.estimate.fit, fit.posed) if fit else []
-    unusual = [
+    is_unusual = [
         *pose_record.poses.warnings,
         *pose_record.poses.rejected,
         *pose_record.report.notes(),
     ]
     may_be_kept = not any(finding.contradicts for finding in findings)
-    return [*(finding.text for finding in findings), *unusual], may_be_kept
+    return [*(finding.text for finding in findings), *is_unusual], may_be_kept
 
 
 def missing_directions(
@@ -353,7 +355,7 @@ def missing_directions(
     point = fit.estimate.fit.solution.estimate if fit else np.zeros(len(model.unknowns))
     group = make_group(campaign, [found_pose.pose for found_pose in found_poses])
     ups = every_up(group.accelerometers)
-    known = [
+    priors = [
         {
             u.symbol: u.nominal + float(value)
             for u, value in zip(model.unknowns, point, strict=True)
@@ -361,9 +363,9 @@ def missing_directions(
         }
         for name in group.accelerometers
     ]
-    further = pointing_up(make_group(campaign, [found_poses[0].pose] * len(ups)), ups, known)
+    further = pointing_up(make_group(campaign, [found_poses[0].pose] * len(ups)), ups, priors)
     requested = [
-        place for place, u in enumerate(model.of_interest) if u.owner in group.accelerometers
+        index for index, u in enumerate(model.of_interest) if u.owner in group.accelerometers
     ]
     rows = group.linearize(model, point).design[:, requested]
     possible = further.linearize(model, point).design[:, requested]
@@ -372,11 +374,11 @@ def missing_directions(
     while len(missing) < _MAX_DIRECTIONS:
         # u^2 of |f| in each direction, relative to that of one pose.
         unknown = np.einsum("np,pn->n", possible, np.linalg.solve(information, possible.T))
-        most = int(np.argmax(unknown))
-        if unknown[most] <= 1.0:
+        max_count = int(np.argmax(unknown))
+        if unknown[max_count] <= 1.0:
             break
-        missing.append(words_of_up(ups[most]))
-        information += np.outer(possible[most], possible[most])
+        missing.append(words_of_up(ups[max_count]))
+        information += np.outer(possible[max_count], possible[max_count])
     return missing
 
 

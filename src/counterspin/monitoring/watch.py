@@ -30,7 +30,7 @@ from counterspin.monitoring.run_state import (
 from counterspin.threads import one_blas_thread
 
 #: Fraction of the stated duration from which a run is complete.
-_COMPLETE_PART: Final = 1.0 - 1e-3
+_COMPLETE_FRACTION: Final = 1.0 - 1e-3
 
 
 @frozen
@@ -89,7 +89,7 @@ def watch(
     if not recordings(campaign):
         raise CampaignError("watch", ["the campaign has no runs with a record to follow"])
     wanted = resolve_goals(campaign, goals)
-    return _states(campaign, wanted, pace, once=once)
+    return _iter_states(campaign, wanted, pace, once=once)
 
 
 @dataclass
@@ -106,19 +106,19 @@ class _Schedule:
         time.sleep(self.pace.interval)
 
 
-def _states(
+def _iter_states(
     campaign: Campaign, goals: Mapping[str, float], pace: Pace, *, once: bool
 ) -> Iterator[WatchState]:
     observer, clock = Observer(campaign, grow=True), _Schedule(pace)
     events: list[str] = []
     due = True
     while True:
-        changed, new_events = observer.look()
+        changed, new_events = observer.poll()
         events += new_events
         due |= changed
         if due and time.monotonic() >= clock.fit_due:
             begin = time.process_time()
-            state = _state(campaign, observer, goals, tuple(events))
+            state = _watch_state(campaign, observer, goals, tuple(events))
             clock.after_fit(time.process_time() - begin)
             events, due = [], False
             yield state
@@ -127,34 +127,34 @@ def _states(
         clock.wait()
 
 
-def _state(
+def _watch_state(
     campaign: Campaign, observer: Observer, goals: Mapping[str, float], events: Sequence[str]
 ) -> WatchState:
     with one_blas_thread():
-        part, observed = observer.usable_runs()
+        usable_campaign, observed = observer.usable_runs()
         fit, trouble = None, None
-        reached: list[CurrentEstimate] = []
-        if observed or part.readings or part.posed:
+        estimates: list[CurrentEstimate] = []
+        if observed or usable_campaign.readings or usable_campaign.posed:
             try:
-                fit = fit_runs(part, observed)
-                reached = current_estimates(fit, displayed_names(campaign, goals))
+                fit = fit_runs(usable_campaign, observed)
+                estimates = current_estimates(fit, displayed_names(campaign, goals))
             except CounterspinError as error:
                 trouble = str(error)
-        runs = _runs(campaign, observer, observed, fit)
-    if not reached:
-        reached = undetermined_estimates(campaign, displayed_names(campaign, goals))
+        runs = _run_states(campaign, observer, observed, fit)
+    if not estimates:
+        estimates = undetermined_estimates(campaign, displayed_names(campaign, goals))
     return WatchState(
         title=campaign.title,
         runs=runs,
-        coefficients=reached,
-        goals=goal_states(goals, reached),
+        coefficients=estimates,
+        goals=goal_states(goals, estimates),
         events=list(events),
         trouble=trouble,
         complete=all(map(_is_complete, runs)),
     )
 
 
-def _runs(
+def _run_states(
     campaign: Campaign, observer: Observer, observed: Sequence[ObservedRun], fit: CurrentFit | None
 ) -> list[RunState]:
     by_name = {observed_run.run.name: observed_run for observed_run in observed}
@@ -174,4 +174,8 @@ def _runs(
 
 def _is_complete(state: RunState) -> bool:
     stated = state.stated_seconds
-    return state.state == "read" and stated is not None and state.seconds >= _COMPLETE_PART * stated
+    return (
+        state.state == "read"
+        and stated is not None
+        and state.seconds >= _COMPLETE_FRACTION * stated
+    )

@@ -103,7 +103,7 @@ def slow_part(monomials: Array, rate: float, start: float, span: float) -> Array
     return rows
 
 
-def displaced(
+def angle_sensitivity(
     turned: tuple[Array, Array, Array], angle: Array, rate: Array, acceleration: Array, order: int
 ) -> Array:
     """Return the change of position, velocity or acceleration by changes of the angle.

@@ -69,11 +69,11 @@ def invert(
             s: value[rows] if np.ndim(value) else value  # type: ignore[index]
             for s, value in coefficients.items()
         }
-        force[rows] = _rising(row_coefficients, y[rows], p[rows], o[rows], rows)
+        force[rows] = _solve_rising_branch(row_coefficients, y[rows], p[rows], o[rows], rows)
     return force
 
 
-def _rising(
+def _solve_rising_branch(
     coefficients: Mapping[str, Array | float], y: Array, p: Array, o: Array, rows: np.ndarray
 ) -> Array:
     """Return the root of the indication less y on the branch that holds a_I = 0."""
@@ -99,15 +99,15 @@ def _rising(
     turn = _turning_point(poly)
     high = np.minimum(turn, 2.0 * -poly[0] / poly[1])
     while True:
-        short = (_value(poly, high) < 0.0) & (high < turn)
+        short = (_evaluate_polynomial(poly, high) < 0.0) & (high < turn)
         if not short.any():
             break
         high = np.where(short, np.minimum(2.0 * high, turn), high)
-    beyond = np.flatnonzero(_value(poly, high) < -_rounding(poly, high, y))
+    beyond = np.flatnonzero(_evaluate_polynomial(poly, high) < -_rounding_bound(poly, high, y))
     if beyond.size:
         worst = int(beyond[0])
         level = float(side[worst] * turn[worst])
-        worst_value = _value(poly[:, worst : worst + 1], turn[worst : worst + 1])
+        worst_value = _evaluate_polynomial(poly[:, worst : worst + 1], turn[worst : worst + 1])
         reach = float(y[worst] + side[worst] * worst_value[0])
         raise NotInvertibleError(
             int(rows[worst]),
@@ -166,11 +166,11 @@ def _positive_zeros(poly: Array) -> Array:
     stretches[1:-1] = np.minimum(_positive_zeros(_derivative(poly)), _MAX_FORCE)
     low, high = stretches[:-1], stretches[1:]
     of_stretches = poly[:, None]
-    rising, ends = (_value(of_stretches, at) > 0.0 for at in (low, high))
+    rising, ends = (_evaluate_polynomial(of_stretches, at) > 0.0 for at in (low, high))
     crosses = rising != ends
     zero = np.where(crosses, 0.5 * (low + high), np.inf)
     for _ in range(_MAX_STEPS if crosses.any() else 0):
-        before = _value(of_stretches, np.where(crosses, zero, 0.0)) > 0.0
+        before = _evaluate_polynomial(of_stretches, np.where(crosses, zero, 0.0)) > 0.0
         low, high = np.where(before == rising, zero, low), np.where(before == rising, high, zero)
         new = np.where(crosses, 0.5 * (low + high), np.inf)
         if np.all((new == zero) | ~crosses):
@@ -192,7 +192,7 @@ def _first_zero_of_parabola(poly: Array) -> Array:
     return zero
 
 
-def _value(poly: Array, x: Array) -> Array:
+def _evaluate_polynomial(poly: Array, x: Array) -> Array:
     total: Array = poly[-1]
     for row in poly[-2::-1]:
         total = total * x + row
@@ -200,24 +200,26 @@ def _value(poly: Array, x: Array) -> Array:
 
 
 def _slope(poly: Array, x: Array) -> Array:
-    return _value(_derivative(poly), x)
+    return _evaluate_polynomial(_derivative(poly), x)
 
 
-def _rounding(poly: Array, x: Array, y: Array) -> Array:
+def _rounding_bound(poly: Array, x: Array, y: Array) -> Array:
     """Return the bound of the rounding error of the polynomial minus y."""
-    return 2.0 * _EPSILON * (_value(np.abs(poly), x) + np.abs(y))
+    return 2.0 * _EPSILON * (_evaluate_polynomial(np.abs(poly), x) + np.abs(y))
 
 
 def _root(poly: Array, high: Array, y: Array, rows: np.ndarray) -> Array:
     low = np.zeros_like(high)
     x = np.minimum(-poly[0] / poly[1], high)
     for _ in range(_MAX_STEPS):
-        value, slope = _value(poly, x), _slope(poly, x)
+        value, slope = _evaluate_polynomial(poly, x), _slope(poly, x)
         low, high = np.where(value < 0.0, x, low), np.where(value < 0.0, high, x)
         step = np.divide(-value, slope, out=np.full_like(x, np.inf), where=slope > 0.0)
         new = x + step
         new = np.where((new >= low) & (new <= high), new, 0.5 * (low + high))
-        settled = (np.abs(value) <= _rounding(poly, x, y)) | (np.abs(new - x) <= 2.0 * _EPSILON * x)
+        settled = (np.abs(value) <= _rounding_bound(poly, x, y)) | (
+            np.abs(new - x) <= 2.0 * _EPSILON * x
+        )
         x = new
         if settled.all():
             return x
@@ -250,7 +252,8 @@ class CalibratedAccelerometer:
         return tuple(
             symbol
             for place, (symbol, value) in enumerate(self.coefficients.items())
-            if axis in product_of(symbol).factors and (value or self.covariance[place, place])
+            if axis in product_of_symbol(symbol).factors
+            and (value or self.covariance[place, place])
         )
 
     @property
@@ -273,7 +276,7 @@ class CalibratedAccelerometer:
         return values
 
 
-def product_of(symbol: str) -> SpecificForceProduct:
+def product_of_symbol(symbol: str) -> SpecificForceProduct:
     """Return the product of a term, or of that whose coefficient a slope changes."""
     effect = ACCELEROMETER_TERMS[symbol].effect
     return TERMS[effect.coefficient].effect if isinstance(effect, Slope) else effect
@@ -376,7 +379,7 @@ def correct(
     given = np.empty((n, len(known)))
     for place, item in enumerate(known):
         given[:, place] = item.force
-    force = _settled(instruments, indicated, given, weights, warmth.value)
+    force = _correct_jointly(instruments, indicated, given, weights, warmth.value)
     a_ipo = _along_axes(force, given, weights)
 
     jacobian = np.empty((n, m, m))
@@ -388,7 +391,7 @@ def correct(
         jacobian[:, k] = p * weights[k, 0, :m] + o * weights[k, 1, :m]
         jacobian[:, k, k] += _total_slope(at, a_ipo[k], "I")
         from_known[:, k, :-1] = p * weights[k, 0, m:] + o * weights[k, 1, m:]
-        from_known[:, k, -1] = _by_warmth(instrument, a_ipo[k], warmth.value)
+        from_known[:, k, -1] = _temperature_sensitivity(instrument, a_ipo[k], warmth.value)
         variance[:, k, k] = _variance(instrument, a_ipo[k], warmth)
     for (k, column), covariance in between.items():
         for weight, value in warmth.nodes:
@@ -470,7 +473,7 @@ def _along_axes(force: Array, given: Array, weights: Array) -> Array:
     return np.concatenate([force.T[:, None], weights @ all_known], axis=1)
 
 
-def _settled(
+def _correct_jointly(
     instruments: Sequence[CalibratedAccelerometer],
     indicated: Array,
     given: Array,
@@ -518,21 +521,23 @@ def _total_slope(coefficients: Mapping[str, Array | float], a_ipo: Array, axis: 
     return total
 
 
-def _by_warmth(instrument: CalibratedAccelerometer, a_ipo: Array, warmth: Array | float) -> Array:
+def _temperature_sensitivity(
+    instrument: CalibratedAccelerometer, a_ipo: Array, warmth: Array | float
+) -> Array:
     """Return by what an error of the temperature moves the indication, g/K, shape (n,)."""
     total = np.zeros(a_ipo.shape[1])
     for symbol, slope in instrument.slopes.items():
         if slope.condition == "temperature":
-            steep = slope.power * np.asarray(warmth) ** (slope.power - 1)
+            sensitivity = slope.power * np.asarray(warmth) ** (slope.power - 1)
             value = instrument.coefficients[symbol]
-            total += value * steep * product_of(symbol).evaluate(a_ipo)
+            total += value * sensitivity * product_of_symbol(symbol).evaluate(a_ipo)
     return total
 
 
 def _products(instrument: CalibratedAccelerometer, a_ipo: Array, warmth: Array | float) -> Array:
     """Return by what an error of each coefficient moves the indication, shape (n, t)."""
     slopes = instrument.slopes
-    columns = [product_of(symbol).evaluate(a_ipo) for symbol in instrument.coefficients]
+    columns = [product_of_symbol(symbol).evaluate(a_ipo) for symbol in instrument.coefficients]
     for place, symbol in enumerate(instrument.coefficients):
         if symbol in slopes:
             columns[place] = columns[place] * _design_factor(slopes[symbol], warmth)

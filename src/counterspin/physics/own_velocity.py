@@ -43,20 +43,21 @@ class AxisError:
     error: Array
 
 
-def taken(site: Site, errors: Sequence[AxisError]) -> list[Array]:
+def computer_correction(site: Site, errors: Sequence[AxisError]) -> list[Array]:
     """Return the Coriolis correction that a computer with its own velocity subtracted.
 
     site: For the Earth's rotation.
     """
-    return _along(site, errors, unseen(errors) @ coriolis(site))
+    return _coriolis_projections(site, errors, unobserved_projection(errors) @ coriolis(site))
 
 
-def of_own_velocity(site: Site, errors: Sequence[AxisError]) -> list[Array]:
+def own_velocity_errors(site: Site, errors: Sequence[AxisError]) -> list[Array]:
     """Return the errors of a computer with its own velocity.
 
-    site, errors: As for `taken`, but errors of a computer that is given the platform's motion.
+    site, errors: As for `computer_correction`, but errors of a computer that is given the
+        platform's motion.
     """
-    took = _along(site, errors, coriolis(site))
+    took = _coriolis_projections(site, errors, coriolis(site))
     return [record.error - part for record, part in zip(errors, took, strict=True)]
 
 
@@ -66,7 +67,7 @@ def coriolis(site: Site) -> Array:
     return matrix
 
 
-def unseen(errors: Sequence[AxisError]) -> Array:
+def unobserved_projection(errors: Sequence[AxisError]) -> Array:
     """Return the projection on the directions in which no displacement or velocity is recorded."""
     axes = _axes(errors)
     projection: Array = np.eye(3) - np.linalg.pinv(axes, rcond=_RECORDED_PART) @ axes
@@ -78,41 +79,43 @@ def _axes(errors: Sequence[AxisError]) -> Array:
     return np.reshape(axes, (len(axes), 3))
 
 
-def _along(site: Site, errors: Sequence[AxisError], acting: Array) -> list[Array]:
+def _coriolis_projections(
+    site: Site, errors: Sequence[AxisError], coriolis_matrix: Array
+) -> list[Array]:
     """Return the Coriolis part of each error, from d = d(recorded) - integral of acting @ d."""
     navigated = [record for record in errors if record.observable in NAVIGATED]
     if not navigated:
         return [np.zeros(record.time.size) for record in errors]
     grid = np.unique(np.concatenate([record.time for record in navigated]))
-    integral = _integral_over(grid)
+    integral = _make_integrator(grid)
     recorded = np.linalg.pinv(_axes(errors), rcond=_RECORDED_PART) @ [
-        _moved(record, grid) for record in navigated
+        _position_error(record, grid) for record in navigated
     ]
-    moved, term = recorded, recorded
+    positions, term = recorded, recorded
     for _ in range(_TERMS):
-        term = -acting @ integral(term)
-        moved = moved + term
-    velocity = coriolis(site) @ moved
-    shown = {"velocity": velocity, "displacement": integral(velocity)}
+        term = -coriolis_matrix @ integral(term)
+        positions = positions + term
+    velocity = coriolis(site) @ positions
+    projected = {"velocity": velocity, "displacement": integral(velocity)}
     return [
-        np.interp(record.time, grid, record.input_axis @ shown[record.observable])
+        np.interp(record.time, grid, record.input_axis @ projected[record.observable])
         if record.observable in NAVIGATED
         else np.zeros(record.time.size)
         for record in errors
     ]
 
 
-def _moved(record: AxisError, grid: Array) -> Array:
+def _position_error(record: AxisError, grid: Array) -> Array:
     """Return an accelerometer's error in position since the start of the record, m."""
     finite = np.isfinite(record.error)
     time, error = record.time[finite], record.error[finite]
     if record.observable == "velocity":
-        error = _integral_over(time)(error[None])[0]
+        error = _make_integrator(time)(error[None])[0]
     moved: Array = np.interp(grid, time, error - error[0])
     return moved
 
 
-def _integral_over(time: Array) -> Callable[[Array], Array]:
+def _make_integrator(time: Array) -> Callable[[Array], Array]:
     """Return a function that integrates values (k, n) at these times from the first time.
 
     A polynomial is integrated exactly, and trapezoids only what it leaves: a gap in the record

@@ -60,7 +60,7 @@ def attitude_error(
     return psi
 
 
-def recorded(
+def simulate_record(
     trajectory: Trajectory,
     mounting: Mounting,
     coefficients: Mapping[str, float],
@@ -93,15 +93,15 @@ def recorded(
         if symbol in CONDITION_TERMS and CONDITION_TERMS[symbol].effect.condition == "time"
     )
     conditions, all_coefficients = trajectory.conditions, coefficients
-    coefficients = changed(coefficients, conditions, trajectory.centripetal)
+    coefficients = coefficients_in_run(coefficients, conditions, trajectory.centripetal)
     scale_error = coefficients.get("K_I", 1.0) - 1.0
 
     def residual(t: Array) -> Array:
         """Return the indicated force's error less that of the scale factor, m/s^2."""
         force = trajectory.specific_force(t)
         psi = attitude_error(trajectory, platform, t, attitude)
-        felt = _turned(force, psi) / g
-        sensed = indicated(axes, coefficients, felt) + _since(
+        felt = _rotate_force(force, psi) / g
+        sensed = indicated(axes, coefficients, felt) + _change_since_start(
             all_coefficients, conditions, axes, felt, t
         )
         return g * (sensed + trend * t) - (1.0 + scale_error) * (force @ axes.input_axis)
@@ -125,14 +125,14 @@ def recorded(
     return base + scale_error * exact + error
 
 
-def _since(
+def _change_since_start(
     coefficients: Mapping[str, float],
     conditions: RunConditions,
     axes: Mounting,
     force: Array,
     times: Array,
 ) -> Array | float:
-    """Return the change of the indication with temperature, relative to that of `changed`.
+    """Return the change of the indication with temperature since that of `coefficients_in_run`.
 
     force: Sensed at the times, g, shape (n, 3).
     times: s from the run's start, shape (n,).
@@ -157,7 +157,7 @@ def _since(
     return more
 
 
-def changed(
+def coefficients_in_run(
     coefficients: Mapping[str, float], conditions: RunConditions, force: float
 ) -> dict[str, float]:
     """Return an accelerometer's coefficients at the start of a run, in its mean temperature."""
@@ -172,7 +172,7 @@ def changed(
     return at_start
 
 
-def _turned(force: Array, psi: Array) -> Array:
+def _rotate_force(force: Array, psi: Array) -> Array:
     """Return the specific force in the axes of a platform turned by psi (Rodrigues)."""
     angle = np.linalg.norm(psi, axis=1)[:, None]
     first = np.cross(psi, force)

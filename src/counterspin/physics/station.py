@@ -154,14 +154,14 @@ def _forces(
     forces = np.stack([along * cos + 2.0 * north * speed, along * sin, lifted], axis=-1)
     for k, station in enumerate(stations):
         if station.table:
-            forces[k] = _against(forces[k], _error_of_table(station, angles))
+            forces[k] = _rotate_about_up(forces[k], _error_of_table(station, angles))
     carried = np.array([station.motion == "arm" for station in stations])
     if not carried.any():
         return forces
     # The machine's axes lean with its spindle: gravity and the Earth's rotation as they see them.
     w, radius = w[carried], radius[carried]
     leaning = np.column_stack([about_east, about_north, np.zeros(len(stations))])[carried]
-    machine = _turned(np.broadcast_to(np.eye(3), (len(w), 3, 3)), leaning)
+    machine = _rotate_axes(np.broadcast_to(np.eye(3), (len(w), 3, 3)), leaning)
     earth = (machine @ site.earth_rotation)[:, :, None]
     plumb = site.gravity * machine[:, :, 2, None]
     forces[carried, :, 0] = (
@@ -180,7 +180,7 @@ def _error_of_table(station: Station, angles: Array) -> Array:
     return total
 
 
-def _against(forces: Array, turn: Array) -> Array:
+def _rotate_about_up(forces: Array, turn: Array) -> Array:
     """Return forces (n, 3) in a frame that is turned about up by (n,), rad."""
     cos, sin = np.cos(turn), np.sin(turn)
     east, north, up = forces.T
@@ -191,10 +191,10 @@ def _axes_under_load(stations: Sequence[Station]) -> Array:
     """Return `Station.axes_under_load` of several stations, shape (stations, 3, 3)."""
     turns = np.array([station.turn for station in stations])
     turns[:, 1] += [station.droop * station.rate**2 for station in stations]
-    return _turned(np.array([station.mounting.axes for station in stations]), turns)
+    return _rotate_axes(np.array([station.mounting.axes for station in stations]), turns)
 
 
-def _turned(axes: Array, turns: Array) -> Array:
+def _rotate_axes(axes: Array, turns: Array) -> Array:
     """Return axes, rows, after right-handed turns (Rodrigues), shapes (n, 3, 3) and (n, 3)."""
     if not turns.any():
         return axes
@@ -222,7 +222,7 @@ def mean_products(stations: Sequence[Station], site: Site) -> Array:
     lowest, highest = a_ipo[0].min(axis=1), a_ipo[0].max(axis=1)
     bent = (lowest < SIGN_WIDTH) & (highest > -SIGN_WIDTH) & (highest - lowest > _ROUNDING)
     for k in np.flatnonzero(bent).tolist():
-        means[k, _KINKED] = _means_of_kinked(stations[k], site)
+        means[k, _KINKED] = _means_with_kinks(stations[k], site)
     return means
 
 
@@ -236,7 +236,7 @@ _ROUNDING: Final = 1e-12
 _PANELS: Final = 8
 
 
-def _means_of_kinked(station: Station, site: Site) -> Array:
+def _means_with_kinks(station: Station, site: Site) -> Array:
     """Return the means of the products that have a kink, by panels that end at sign changes."""
     axis, end = station.axes_under_load()[0] / site.gravity, 2.0 * np.pi
     edges = np.linspace(0.0, end, _PANELS + 1)
@@ -278,7 +278,7 @@ def _products(a_ipo: Array, rotation: Array) -> Array:
     return np.stack([effect.evaluate(a_ipo, rotation, SIGN_WIDTH) for effect in rows])
 
 
-def moved(
+def perturb_station(
     station: Station, symbol: str, size: float, head: Array, head_angle: float = 0.0
 ) -> Station:
     """Return a station with one of the machine's terms larger by a size.
@@ -287,41 +287,45 @@ def moved(
     head: The axis about which the dividing head turns, in the station's frame, shape (3,).
     head_angle: What the head shows, rad.
     """
-    changed: dict[str, Any] = {}
+    perturbed: dict[str, Any] = {}
     match term(symbol).effect:
         case SetupError("radius"):
-            changed["radius"] = station.radius + size
+            perturbed["radius"] = station.radius + size
         case SetupError("rate") | Input("clock"):
             # A fast clock counts too few revolutions: the rate is larger than the one stated.
-            changed["rate"] = station.rate * (1.0 + size)
+            perturbed["rate"] = station.rate * (1.0 + size)
         case TrajectoryError("stretch"):
-            changed["stretch"] = station.stretch + size
+            perturbed["stretch"] = station.stretch + size
         case TrajectoryError("axis_tilt", about=axis):
             east, north = station.axis_tilt
-            changed["axis_tilt"] = (east + size, north) if axis == "east" else (east, north + size)
+            perturbed["axis_tilt"] = (
+                (east + size, north) if axis == "east" else (east, north + size)
+            )
         case SetupError("droop"):
-            changed["droop"] = station.droop + size
+            perturbed["droop"] = station.droop + size
         case AttitudeError("table", harmonic=n, quadrature=quadrature):
-            parts = (n, size, 0.0) if quadrature == "cos" else (n, 0.0, size)
-            changed["table"] = (*station.table, parts)
+            components = (n, size, 0.0) if quadrature == "cos" else (n, 0.0, size)
+            perturbed["table"] = (*station.table, components)
         case SetupError("misalignment", axis):
-            changed["turn"] = _turn_after(station, size * _axis_of(axis, station.motion))
+            perturbed["turn"] = _compose_rotations(
+                station, size * _named_axis(axis, station.motion)
+            )
         case SetupError("zero" | "wave", harmonic=n, quadrature=quadrature):
             # The zero is a wave of no turns.
             wave = np.sin if quadrature == "sin" else np.cos
-            changed["turn"] = _turn_after(station, size * wave(n * head_angle) * head)
+            perturbed["turn"] = _compose_rotations(station, size * wave(n * head_angle) * head)
         case _:
             raise ValueError(f"{symbol} moves no station")
-    return replace(station, **changed)
+    return replace(station, **perturbed)
 
 
-def _axis_of(name: str, motion: str) -> Array:
+def _named_axis(name: str, motion: str) -> Array:
     """Return the unit vector of a named axis in a motion's frame; zero where it has none."""
     names = ("outward", "forward", "up") if motion == "arm" else ("east", "north", "up")
     return np.array([float(name == axis_name) for axis_name in names])
 
 
-def _turn_after(station: Station, turn: Array) -> tuple[float, float, float]:
+def _compose_rotations(station: Station, turn: Array) -> tuple[float, float, float]:
     """Return the turn of a station's instrument after a further one, rad."""
     first, second, up = np.array(station.turn) + turn
     return float(first), float(second), float(up)

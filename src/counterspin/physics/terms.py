@@ -127,7 +127,7 @@ _UNITS: Final = {
 }
 
 
-def _products() -> Iterator[Term[SpecificForceProduct]]:
+def _product_rows() -> Iterator[Term[SpecificForceProduct]]:
     asymmetry = "asymmetry of the {}, positive less negative input"
     for symbol, factors, ieee, words in (
         ("K_F", "", "K0", "bias"),
@@ -156,7 +156,7 @@ def _products() -> Iterator[Term[SpecificForceProduct]]:
         yield _accelerometer_term(symbol, product, words, unit, 1.0 if symbol == "K_I" else 0.0)
 
 
-def _slopes() -> Iterator[Term[Slope]]:
+def _slope_rows() -> Iterator[Term[Slope]]:
     heating = "rise of K_F with the square of the centripetal force"
     warming = "change of {} with {}temperature"
     powers = ((1, ""), (2, "the square of "), (3, "the cube of "))
@@ -184,7 +184,7 @@ def _slopes() -> Iterator[Term[Slope]]:
 _NO_SOURCE: Final = "order of magnitude, no source"
 
 
-def _turns() -> Iterator[Term[AttitudeError]]:
+def _attitude_rows() -> Iterator[Term[AttitudeError]]:
     levelled = f"{_NO_SOURCE}: 0.5 arcsec, a good level or autocollimator", 0.5 * ARCSEC
     aligned = f"{_NO_SOURCE}: 10 arcsec, as azimuth is found less well", 10.0 * ARCSEC
     for axis, name in enumerate(_NAMES):
@@ -224,7 +224,9 @@ def _turns() -> Iterator[Term[AttitudeError]]:
                 called = words.format(*([name] if j is None else suffix))
                 turn = AttitudeError(kind, i, j)
                 yield Term(f"platform.{kind}.{suffix}", turn, called, unit, *sizes, "platform")
-    for n, quadrature, called in _waves((1, 2), "error of the counter-rotating table, {} a turn"):
+    for n, quadrature, called in _wave_orders(
+        (1, 2), "error of the counter-rotating table, {} a turn"
+    ):
         yield Term(
             f"table.harmonic.{n}.{quadrature}",
             AttitudeError("table", 2, harmonic=n, quadrature=quadrature),
@@ -238,7 +240,7 @@ def _turns() -> Iterator[Term[AttitudeError]]:
         )
 
 
-def _path_errors() -> Iterator[Term[TrajectoryError]]:
+def _trajectory_rows() -> Iterator[Term[TrajectoryError]]:
     yield Term(
         "centrifuge.stretch",
         TrajectoryError("stretch"),
@@ -250,7 +252,7 @@ def _path_errors() -> Iterator[Term[TrajectoryError]]:
         "machine",
         motions=_TURNING,
     )
-    yield from _harmonics(
+    yield from _harmonic_rows(
         "centrifuge.imbalance",
         (1, 2),
         ("m", 1e-3, 1e-6, f"{_NO_SOURCE}: run-out of a good spindle"),
@@ -268,7 +270,7 @@ def _path_errors() -> Iterator[Term[TrajectoryError]]:
             "machine",
             motions=_TURNING,
         )
-    yield from _harmonics(
+    yield from _harmonic_rows(
         "encoder.harmonic",
         (1, 2, 3, 4),
         ("rad", 1e-3, ARCSEC, "Lu et al.: 1 arcsec, the best angle encoders, properly mounted"),
@@ -276,17 +278,17 @@ def _path_errors() -> Iterator[Term[TrajectoryError]]:
     )
 
 
-def _harmonics(
+def _harmonic_rows(
     name: str, orders: tuple[int, ...], sizes: tuple[str, float, float, str], words: str
 ) -> Iterator[Term[TrajectoryError]]:
     """Yield both quadratures of harmonics; `sizes` are unit, credible and typical size, source."""
     kind = "encoder" if name.startswith("encoder") else "imbalance"
-    for n, quadrature, called in _waves(orders, words):
+    for n, quadrature, called in _wave_orders(orders, words):
         effect = TrajectoryError(kind, n, quadrature)
         yield Term(f"{name}.{n}.{quadrature}", effect, called, *sizes, "machine")
 
 
-def _waves(orders: tuple[int, ...], words: str) -> Iterator[tuple[int, str, str]]:
+def _wave_orders(orders: tuple[int, ...], words: str) -> Iterator[tuple[int, str, str]]:
     """Yield number, quadrature and words of both quadratures of harmonics."""
     times = ("once", "twice", "three times", "four times")
     for n in orders:
@@ -294,7 +296,7 @@ def _waves(orders: tuple[int, ...], words: str) -> Iterator[tuple[int, str, str]
             yield n, quadrature, f"{words.format(times[n - 1])} ({wave})"
 
 
-def _displacements() -> Iterator[Term[SetupError]]:
+def _setup_rows() -> Iterator[Term[SetupError]]:
     radius = "a fixture's drawing; measured, 1e-7 to 4e-6 of the radius"
     head = f"{_NO_SOURCE}: 5 arcsec"
     rate = f"{_NO_SOURCE}: the mean rate of a precision centrifuge"
@@ -349,13 +351,15 @@ def _displacements() -> Iterator[Term[SetupError]]:
         "order of magnitude: mounting errs by arcseconds (Lu et al.), ±5 shared out among the waves"
     )
     graduated = (1e-3, 1e-5, arcseconds)
-    for n, quadrature, called in _waves((1, 2, 3, 4), "error of the dividing head, {} a turn"):
+    for n, quadrature, called in _wave_orders(
+        (1, 2, 3, 4), "error of the dividing head, {} a turn"
+    ):
         effect = SetupError("wave", "", n, quadrature)
         symbol = f"{HEAD_WAVES}{n}.{quadrature}"
         yield Term(symbol, effect, called, "rad", *graduated, "machine", motions=("static",))
 
 
-def _inputs() -> Iterator[Term[Input]]:
+def _input_rows() -> Iterator[Term[Input]]:
     radius = "4e-6 of 2.5 m, the larger of what measured radii reach"
     # An absolute gravimeter does better by 1000.
     gravity = f"{_NO_SOURCE}: a gravity map, corrected for the height"
@@ -402,11 +406,11 @@ def _by_symbol(rows: Iterator[Term[Does]]) -> Mapping[str, Term[Does]]:
     return {row.symbol: row for row in rows}
 
 
-TERMS: Final = _by_symbol(_products())
-CONDITION_TERMS: Final = _by_symbol(_slopes())
-PLATFORM_TERMS: Final = _by_symbol(_turns())
-MOTION_TERMS: Final = _by_symbol(_path_errors())
-INPUTS: Final = _by_symbol(_inputs())
+TERMS: Final = _by_symbol(_product_rows())
+CONDITION_TERMS: Final = _by_symbol(_slope_rows())
+PLATFORM_TERMS: Final = _by_symbol(_attitude_rows())
+MOTION_TERMS: Final = _by_symbol(_trajectory_rows())
+INPUTS: Final = _by_symbol(_input_rows())
 
 ACCELEROMETER_TERMS: Final[Mapping[str, Term[SpecificForceProduct | Slope]]] = {
     **TERMS,
@@ -421,7 +425,7 @@ SHARED_TERMS: Final[Mapping[str, Term[AttitudeError | TrajectoryError]]] = {
 TABLE: Final[Mapping[str, Term[Effect]]] = {
     **ACCELEROMETER_TERMS,
     **SHARED_TERMS,
-    **_by_symbol(_displacements()),
+    **_by_symbol(_setup_rows()),
     **INPUTS,
 }
 
@@ -451,7 +455,7 @@ _NAMED: Final = [
 ]
 
 
-def _find(symbol: str) -> tuple[Term[Effect] | None, str]:
+def _find_row(symbol: str) -> tuple[Term[Effect] | None, str]:
     """Return the row that a symbol belongs to, if any, and the name in the symbol."""
     if symbol in TABLE:
         return TABLE[symbol], ""
@@ -467,17 +471,17 @@ def _find(symbol: str) -> tuple[Term[Effect] | None, str]:
 
 def is_term(symbol: str) -> bool:
     """Return True if the table has a row for a symbol."""
-    return _find(symbol)[0] is not None
+    return _find_row(symbol)[0] is not None
 
 
 def mounting_of(symbol: str) -> str:
     """Return the mounting, or position, that a symbol names; empty if it names none."""
-    return _find(symbol)[1].rpartition(".")[2]
+    return _find_row(symbol)[1].rpartition(".")[2]
 
 
 def accelerometer_of(symbol: str) -> str:
     """Return the accelerometer that the symbol of a machine's term names; empty without one."""
-    return _find(symbol)[1].rpartition(".")[0]
+    return _find_row(symbol)[1].rpartition(".")[0]
 
 
 def same_for_all(symbol: str) -> str:
@@ -486,15 +490,15 @@ def same_for_all(symbol: str) -> str:
     return symbol.replace(f".{owner}.", ".", 1) if owner else symbol
 
 
-def shown_by_readings(symbol: str) -> bool:
+def affects_readings(symbol: str) -> bool:
     """Return True if the term of a symbol may affect readings: machine terms and slopes."""
-    row, _ = _find(symbol)
+    row, _ = _find_row(symbol)
     return row is not None and bool(row.motions)
 
 
 def term(symbol: str) -> Term[Any]:
     """Return the row of the table with this symbol, whatever mounting the symbol names."""
-    row, _ = _find(symbol)
+    row, _ = _find_row(symbol)
     if row is None:
         raise ValueError(f"unknown term {symbol!r}; known: {', '.join(TABLE)}")
     return row
@@ -505,10 +509,10 @@ def symbol_of(name: str) -> str:
     return name if is_term(name) else name.partition(".")[2] or name
 
 
-def words_of(name: str) -> str:
+def description_of(name: str) -> str:
     """Return the description of the term in the name of an unknown, with mounting or position.
 
     Empty if the name contains no term.
     """
-    row, mounting = _find(symbol_of(name))
+    row, mounting = _find_row(symbol_of(name))
     return f"{row.words} {mounting}".rstrip() if row else ""

@@ -36,7 +36,7 @@ from counterspin.physics.terms import ACCELEROMETER_TERMS, CONDITION_TERMS
 from counterspin.planning.weights import PlannedInstrument, Setup, expected_record
 from counterspin.records.reduction import block_size
 from counterspin.reports.numbers import field_unit, format_number
-from counterspin.simulation.simulable import require_room
+from counterspin.simulation.simulable import check_size
 from counterspin.triads.groups import all_groups
 
 
@@ -132,7 +132,7 @@ def forecast(
         if isinstance(sampling_rate, Mapping)
         else dict.fromkeys((run.name for run in campaign.runs), sampling_rate)
     )
-    require_room(campaign, max(rates.values()), "forecast")
+    check_size(campaign, max(rates.values()), "forecast")
     series = [
         planned_series(campaign, run, name, rates[run.name])
         for run in campaign.runs

@@ -10,7 +10,7 @@ from counterspin.calibration.pages.accelerometer import not_apart
 from counterspin.calibration.pages.uncertainty import assumption, dominance
 from counterspin.inference.joint.summary import BudgetLine
 from counterspin.inference.joint.unknowns import unit_of
-from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of, words_of
+from counterspin.physics.terms import SHARED_TERMS, TERMS, description_of, symbol_of
 from counterspin.planning.faults import Requirement
 from counterspin.planning.result import (
     GoalResult,
@@ -248,7 +248,7 @@ def _budget_blocks(
         size = sizes.pop() if len(sizes) == 1 else None
         its_unit, its_factor = field_unit(together[0].unit)
         known = "" if size is None else f"{format_number(size * its_factor, 3)} {its_unit}"
-        words = words_of(source.removesuffix(", all runs"))
+        words = description_of(source.removesuffix(", all runs"))
         rows.append((share, (source, words, known, format_number(contribution * factor, 2))))
     rows.sort(key=lambda row: -row[0])
     yield Table(

@@ -21,7 +21,7 @@ from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Site
-from counterspin.physics.station import Station, mean_products, moved
+from counterspin.physics.station import Station, mean_products, perturb_station
 from counterspin.physics.terms import (
     CONDITION_TERMS,
     TABLE,
@@ -122,7 +122,7 @@ class Readings:
 
     def perturb_one(self, station: Station, index: int, symbol: str, size: float) -> Station:
         """Return the station of one of the readings, with one more of the machine's terms."""
-        return moved(station, symbol, size, self.head[index], self._head_angles[index])
+        return perturb_station(station, symbol, size, self.head[index], self._head_angles[index])
 
     @cached_property
     def _head_angles(self) -> list[float]:

@@ -28,9 +28,9 @@ from counterspin.arrays import Array, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.memory import MemoryTable
-from counterspin.records.outliers import FEWEST_SAMPLES, detect_outliers
+from counterspin.records.outliers import MIN_SAMPLES, detect_outliers
 from counterspin.records.reading import read_record
-from counterspin.records.record import Record, RecordColumns, RecordReport, StatedMotion
+from counterspin.records.record import NominalMotion, Record, RecordColumns, RecordReport
 
 #: Most stretches of a record whose means tell its noise; fewest samples of one.
 _MAX_SEGMENTS: Final = 64
@@ -101,7 +101,7 @@ def read_rows(path: Path | MemoryTable, columns: RecordColumns, rate: float) -> 
     columns: Time, the angle where it is recorded, and one signal.
     rate: The stated rate, rad/s; 0 at rest, where no angle is read.
     """
-    return read_record(path, columns, StatedMotion(rate, steady=True), block=None)
+    return read_record(path, columns, NominalMotion(rate, steady=True), block=None)
 
 
 def mean_of_record(
@@ -129,7 +129,7 @@ def mean_of_record(
         angles = np.abs(rotation.angle[rows] - rotation.angle[rows[0]])
         turns = math.floor(angles[-1] / (2.0 * math.pi) + 1e-9)
         rows = rows[angles < turns * 2.0 * math.pi * (1.0 + 1e-12)]
-    if rows.size < FEWEST_SAMPLES:
+    if rows.size < MIN_SAMPLES:
         raise RecordError(
             f"{record.report.path}: {rows.size} samples are too few for a mean and its uncertainty."
         )
@@ -171,7 +171,7 @@ def _burst_mask(t: Array, y: Array, rotation: RowRotation) -> np.ndarray:
     """Return a mask of the samples in stretches whose mean is an outlier, shape (n,)."""
     count = y.size // _BURST_ROWS
     mask = np.zeros(y.size, dtype=bool)
-    if count < FEWEST_SAMPLES:
+    if count < MIN_SAMPLES:
         return mask
     edges = np.linspace(0, y.size, count + 1).astype(int)
     sizes = np.diff(edges)

@@ -35,12 +35,12 @@ from counterspin.readings.cells import (
 )
 from counterspin.readings.entries import MOST_READINGS
 from counterspin.records.dialect import Dialect
-from counterspin.records.endings import RECORD_FORMATS
-from counterspin.records.frames import columns_of
+from counterspin.records.format_registry import RECORD_FORMATS
+from counterspin.records.frames import iter_columns
 from counterspin.units import same_unit, unit_factor
 
 if TYPE_CHECKING:
-    from counterspin.records.formats import FiledTable
+    from counterspin.records.formats import StoredTable
 
 #: A column's name, or those of the repeats of one reading.
 _Repeats = str | list[str]
@@ -197,7 +197,7 @@ def read_table(
     yield from rows.runs(frame.columns, frame.iter_rows(named=True), places)
 
 
-def load_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], str]:
+def load_table(path: Path, dialect: Dialect) -> tuple[StoredTable, list[str], str]:
     """Return a table, the places of its rows, and its checksum; ValueError if it is not a table.
 
     With a stated decimal comma, its numbers are returned with points.
@@ -234,7 +234,7 @@ def insert_readings(document: dict[str, Any], frame: Any, problems: Problems) ->
     settings = problems.check(ReadingsSettings, {**raw, "file": _IN_MEMORY}, ("readings",))
     columns = {
         name: values.to_list() if hasattr(values, "to_list") else list(values)
-        for name, values in columns_of(_IN_MEMORY, frame)
+        for name, values in iter_columns(_IN_MEMORY, frame)
     }
     if settings is None:
         return

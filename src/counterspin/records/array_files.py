@@ -22,10 +22,10 @@ import numpy as np
 
 from counterspin.errors import RecordError, installing
 from counterspin.frozen import frozen
-from counterspin.records.column_file import ColumnFile, Columns, joined, quoted
+from counterspin.records.column_file import ColumnFile, Columns, concatenate_batches, format_names
 from counterspin.records.csv_file import CsvFile
 from counterspin.records.dialect import Dialect
-from counterspin.records.unit_words import file_unit
+from counterspin.records.unit_notation import parse_file_unit
 
 if TYPE_CHECKING:
     import polars as pl
@@ -133,7 +133,7 @@ class ArrayFile(ColumnFile):
                     for p in self._parts
                     if self._full[p] == self._full[name] and p.startswith(name)
                 ]
-                hint = f": {quoted(columns)}" if columns else ""
+                hint = f": {format_names(columns)}" if columns else ""
                 raise RecordError(
                     f"{self.path}: '{name}' has the shape {shape}; one column is needed{hint}."
                 )
@@ -175,7 +175,7 @@ class ArrayFile(ColumnFile):
         import polars as pl
 
         self._require(self.names)
-        return pl.DataFrame(joined(list(self._batches(self.names)) or [{}]))
+        return pl.DataFrame(concatenate_batches(list(self._batches(self.names)) or [{}]))
 
 
 class Hdf5File(ArrayFile):
@@ -566,4 +566,4 @@ def _step(properties: Mapping[str, Any]) -> float | None:
 
 def _unit(properties: Mapping[str, Any]) -> str:
     stated = (properties.get(key) for key in _UNITS)
-    return next((unit for text in stated if text and (unit := file_unit(str(text)))), "")
+    return next((unit for text in stated if text and (unit := parse_file_unit(str(text)))), "")

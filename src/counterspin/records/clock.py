@@ -26,14 +26,14 @@ from counterspin.records.record import Gap
 LISTED = 100
 _TURN = 2 * math.pi
 #: Robust standard deviations that a step of the angle may stray from its neighbours.
-_STRAY_SDS = 10.0
+_RESIDUAL_SDS = 10.0
 #: Steps of the angle that stand off are taken for the encoder's own, whatever their size, if they
 #: are more than this part of all; otherwise up to this size, rad.
 _COMMON_PART = 0.01
 _ENCODER_STEP_RAD = 1e-3
 #: Largest plausible angle, rad, some 10^8 revolutions. Floating-point numbers beyond 1e16 do not
 #: resolve the fraction of a turn, so that no test of the advance rejects them.
-LARGEST_ANGLE = 1e9
+MAX_ANGLE = 1e9
 #: A time step longer than this many usual ones is a gap.
 _GAP_STEPS = 1.5
 #: The part of the advance across a gap by which the rate may have changed meanwhile.
@@ -135,7 +135,7 @@ class Clock:
         measured = median(advances / spans)
         ratio = measured / nominal
         if abs(ratio - 1) > 0.05:
-            raise RecordError(f"{self._path}: {_rate_words(measured, nominal)}")
+            raise RecordError(f"{self._path}: {_rate_mismatch_message(measured, nominal)}")
         turned = _wrap(advances - nominal * spans)
         self.rate = nominal + median(turned / spans)
 
@@ -175,7 +175,7 @@ class Clock:
             return None
         advance = self._differences(angle)
         low, high = float(advance.min()), float(advance.max())
-        if not (low > -LARGEST_ANGLE and high < LARGEST_ANGLE and abs(angle[0]) < LARGEST_ANGLE):
+        if not (low > -MAX_ANGLE and high < MAX_ANGLE and abs(angle[0]) < MAX_ANGLE):
             return None
         sample = advance[:: max(1, len(advance) // 512)]
         usual = upper_median(sample)
@@ -234,8 +234,8 @@ class Clock:
         if chunk.angle is not None:
             has_number = ~np.isnan(chunk.angle[rows])
             self.findings.empty_angle += int((~has_number).sum())
-            rows = self._plausible(first_row, rows[has_number], chunk.angle)
-            good, unwrapped = self._follow(first_row, rows, time[rows], chunk.angle[rows])
+            rows = self._plausible_rows(first_row, rows[has_number], chunk.angle)
+            good, unwrapped = self._unwrap_angle(first_row, rows, time[rows], chunk.angle[rows])
             rows = rows[good]
         chosen = chunk[rows]
         if chunk.angle is not None:
@@ -243,12 +243,12 @@ class Clock:
         unevenness = float(np.abs(np.diff(chosen.time) / self.step - 1).max(initial=0.0))
         return UsableRows(rows, chosen, unevenness)
 
-    def _plausible(self, first_row: int, rows: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    def _plausible_rows(self, first_row: int, rows: np.ndarray, angle: np.ndarray) -> np.ndarray:
         """Return the rows whose angle is plausible; count the others as outliers."""
-        large = np.abs(angle[rows]) > LARGEST_ANGLE
+        large = np.abs(angle[rows]) > MAX_ANGLE
         if large.any():
             self.findings.implausible_angles += int(large.sum())
-            self._note_strays(first_row + rows[large])
+            self._note_angle_outliers(first_row + rows[large])
         plausible: np.ndarray = rows[~large]
         return plausible
 
@@ -282,7 +282,7 @@ class Clock:
             if len(self.findings.gaps) < LISTED:
                 self.findings.gaps.append(Gap(float(time[place]) - length, length))
 
-    def _follow(
+    def _unwrap_angle(
         self, first_row: int, rows: np.ndarray, time: np.ndarray, angle: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Unwrap the angle along the expected advance; mark the samples that fit it."""
@@ -339,15 +339,15 @@ class Clock:
             if self._lost is None:
                 gone = float(time[place]) - last_time
                 stray = float(_wrap(angle[place] - last_angle - self.rate * gone))
-                self._lose(first_row + int(rows[place]), float(begun), gone, stray)
+                self._start_dropout(first_row + int(rows[place]), float(begun), gone, stray)
             if stop < len(rows):
-                raise self._jump()
+                raise self._jump_error()
             good[place:] = False
             break
-        self._note_strays(first_row + rows[~good])
+        self._note_angle_outliers(first_row + rows[~good])
         return good, self._unwrapped(time, angle, good)
 
-    def _note_strays(self, rows: np.ndarray) -> None:
+    def _note_angle_outliers(self, rows: np.ndarray) -> None:
         self.findings.angle_outliers += len(rows)
         room = LISTED - len(self.findings.outlier_rows)
         self.findings.outlier_rows += [int(row) for row in rows[:room]]
@@ -370,13 +370,13 @@ class Clock:
     def finish(self) -> None:
         """Refuse a record that ends on angles which do not fit, unless they are a few."""
         if self._lost is not None and self.findings.angle_outliers and self._open_rows() > 3:
-            raise self._jump()
+            raise self._jump_error()
 
-    def _lose(self, row: int, time: float, gone: float, stray: float) -> None:
+    def _start_dropout(self, row: int, time: float, gone: float, stray: float) -> None:
         self._lost, self._lost_time = row, time
-        self._lost_words = _jump_words(gone, self.step, stray, self.rate)
+        self._lost_words = _jump_message(gone, self.step, stray, self.rate)
 
-    def _jump(self) -> RecordError:
+    def _jump_error(self) -> RecordError:
         return self._fail(self._lost or 0, self._lost_words)
 
     def _open_rows(self) -> int:
@@ -398,7 +398,7 @@ def _tolerance(strays: np.ndarray, angle: np.ndarray) -> float:
         common = float(np.partition(size, -rare)[-rare])
         quantum = max(quantum, min(common, _ENCODER_STEP_RAD))
     return (
-        _STRAY_SDS * SIGMA_OF_MAD * upper_median(size) + 3 * quantum + rounding
+        _RESIDUAL_SDS * SIGMA_OF_MAD * upper_median(size) + 3 * quantum + rounding
         if len(size)
         else rounding
     )
@@ -408,7 +408,7 @@ def _wrap(angle: np.ndarray) -> np.ndarray:
     return angle - _TURN * np.round(angle / _TURN)
 
 
-def _rate_words(measured: float, nominal: float) -> str:
+def _rate_mismatch_message(measured: float, nominal: float) -> str:
     """Say that the angle does not advance at the run's rate (rad/s), and what may be the cause."""
     ratio = measured / nominal
     words = (
@@ -425,7 +425,7 @@ def _rate_words(measured: float, nominal: float) -> str:
     return words + " The two must agree within 5 %: check the rate, and the record's units."
 
 
-def _jump_words(gone: float, step: float, stray: float, rate: float) -> str:
+def _jump_message(gone: float, step: float, stray: float, rate: float) -> str:
     """Say that time and angle part company between two rows.
 
     gone, step: The time between the rows, and the usual one, s.

@@ -75,7 +75,7 @@ def iter_chunks(
             break
     if not sum(map(column_rows, head)):
         return
-    first = joined(head)
+    first = concatenate_batches(head)
     size = choose_rows(first)
     # What lies across two batches is brought together in a buffer; the rest are views.
     buffer = dict(zip(first, aligned(len(first), size), strict=True))
@@ -99,7 +99,7 @@ def iter_chunks(
         yield {name: column[:filled] for name, column in buffer.items()}
 
 
-def joined(batches: list[Columns]) -> Columns:
+def concatenate_batches(batches: list[Columns]) -> Columns:
     """Return the columns of several batches, one batch after the other."""
     if len(batches) == 1:
         return batches[0]
@@ -274,7 +274,7 @@ class ColumnFile(ABC):
             batches = list(self.batches(wanted))
         if not batches:
             raise RecordError(f"{self.path}: the file has no rows.")
-        return joined(batches)
+        return concatenate_batches(batches)
 
     def table(self) -> pl.DataFrame:
         """Return the whole file as it stands, cells of text remaining text."""
@@ -291,7 +291,7 @@ class ColumnFile(ABC):
         cells = [cell.strip() for cell in self.all_cells(column)]
         mask = np.array([_same_cell(cell, value) for cell in cells])
         if not mask.any():
-            known = quoted(sorted(set(cells)), 8)
+            known = format_names(sorted(set(cells)), 8)
             raise RecordError(
                 f"{self.path}: select: column '{column}' never has the value '{value}'; it has "
                 f"{known}."
@@ -393,7 +393,9 @@ class ColumnFile(ABC):
     def _missing_words(self, missing: Sequence[str]) -> str:
         from difflib import get_close_matches
 
-        words = f"there is no column {quoted(missing)}; the file has {quoted(self.names)}."
+        words = (
+            f"there is no column {format_names(missing)}; the file has {format_names(self.names)}."
+        )
         close = get_close_matches(missing[0], self.names, n=1)
         return words + (f" Did you mean '{close[0]}'?" if close else "")
 
@@ -436,7 +438,7 @@ def without_overflow(values: np.ndarray) -> np.ndarray:
     return np.where(over, np.nan, values)
 
 
-def quoted(names: Sequence[str], cap: int = 20) -> str:
+def format_names(names: Sequence[str], cap: int = 20) -> str:
     """Return column names for a message, in quotation marks, the first ones of many."""
     listed = ", ".join(f"'{name}'" for name in names[:cap])
     return listed + (f" and {len(names) - cap} more" if len(names) > cap else "") or "none"

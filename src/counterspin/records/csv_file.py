@@ -21,21 +21,21 @@ from counterspin.records.column_file import (
     plain_path,
     record_errors,
 )
-from counterspin.records.dialect import TO_BE_FOUND, Dialect
-from counterspin.records.heads import stated_head
+from counterspin.records.dialect import AUTODETECT, Dialect
+from counterspin.records.header_metadata import parse_header
 from counterspin.records.layout import (
     BLANKS,
-    EMPTY_WORDS,
+    EMPTY_CELL_TEXTS,
     HEAD_LINES,
     Line,
-    described_lines,
-    find_layout,
+    describe_lines,
+    detect_format,
+    find_thousands_separator,
     footer_lines,
-    grouping,
-    is_plain,
-    plain_layout,
-    split,
-    ungrouped,
+    is_plain_format,
+    plain_format,
+    split_cells,
+    strip_thousands,
 )
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ _FORM = "A .csv file holds a line of column names and lines of numbers."
 class CsvFile(ColumnFile):
     """A text table: perhaps names and units, then rows; '#' comments."""
 
-    def __init__(self, path: Path, stream: BinaryIO, dialect: Dialect = TO_BE_FOUND) -> None:
+    def __init__(self, path: Path, stream: BinaryIO, dialect: Dialect = AUTODETECT) -> None:
         super().__init__(path, stream)
         self._closely = False
         self._are_quotes_checked = False
@@ -96,16 +96,16 @@ class CsvFile(ColumnFile):
         self._transcode(dialect)
         head = list(islice(self._lines(), HEAD_LINES + (dialect.skip_lines or 0)))
         lines = self._head = [(number, self._decoded(raw)) for number, raw in head]
-        if (mark := grouping(text for _, text in lines)) is not None:
+        if (mark := find_thousands_separator(text for _, text in lines)) is not None:
             self._ungroup(mark)
             head = list(islice(self._lines(), len(head)))
             lines = self._head = [(number, self._decoded(raw)) for number, raw in head]
-        layout, plain = None, is_plain(lines)
+        layout, plain = None, is_plain_format(lines)
         if dialect.delimiter is None and dialect.decimal is None:
             unsaid = dialect.skip_lines is None and not dialect.units_row
-            layout = plain_layout(lines, dialect) if unsaid and plain else None
-        detected = layout or find_layout(lines, dialect)
-        layout = detected or plain_layout(lines, dialect)
+            layout = plain_format(lines, dialect) if unsaid and plain else None
+        detected = layout or detect_format(lines, dialect)
+        layout = detected or plain_format(lines, dialect)
         if detected is None and dialect.encoding is None:
             # What is in no known form may be no text at all.
             self._refuse_what_is_no_text(head)
@@ -126,9 +126,11 @@ class CsvFile(ColumnFile):
         self.units = dict(zip(layout.names, layout.units, strict=True))
         self.units_row = layout.units_row
         above = [
-            split(line, self.delimiter) for number, line in lines if number <= layout.before_rows
+            split_cells(line, self.delimiter)
+            for number, line in lines
+            if number <= layout.before_rows
         ]
-        units, self.interval = stated_head(above, self.names, self.decimal)
+        units, self.interval = parse_header(above, self.names, self.decimal)
         self.units |= units
         if not plain:
             self.found = layout.words(self._encoding)
@@ -142,7 +144,7 @@ class CsvFile(ColumnFile):
 
     def _ungroup(self, mark: str) -> None:
         """Take the content without the marks between groups of three digits."""
-        self._content = ungrouped(self.content().decode(self._encoding), mark).encode()
+        self._content = strip_thousands(self.content().decode(self._encoding), mark).encode()
         self._is_utf8 = True
 
     def _part_by_tabs(self) -> None:
@@ -161,7 +163,7 @@ class CsvFile(ColumnFile):
         whole = start == 0 and self._content is None
         rest = last[self._before_rows + _BODY_LINES :] if whole else last[1:]
         lines = [*body[:_BODY_LINES], *rest]
-        count = footer_lines([split(line, self.delimiter) for line in lines], self.decimal)
+        count = footer_lines([split_cells(line, self.delimiter) for line in lines], self.decimal)
         return tuple(lines[len(lines) - count :])
 
     def _drop_footer(self, count: int) -> None:
@@ -196,7 +198,7 @@ class CsvFile(ColumnFile):
 
     def seen(self) -> str:
         """Say what the first lines look like, a line each."""
-        return described_lines(self._head)
+        return describe_lines(self._head)
 
     def _transcode(self, dialect: Dialect) -> None:
         """Take the content as UTF-8 in an encoding of wide characters, with CR as ends of lines."""
@@ -374,7 +376,7 @@ class CsvFile(ColumnFile):
         """Return True for cells that are neither empty nor valid."""
         import polars as pl
 
-        empty = pl.col(name).str.strip_chars().str.to_lowercase().is_in(list(EMPTY_WORDS))
+        empty = pl.col(name).str.strip_chars().str.to_lowercase().is_in(list(EMPTY_CELL_TEXTS))
         value = nanoseconds(name) if name in self.stamps else self._number(name)
         return (value.is_null() & ~empty).fill_null(False).alias(name)
 
@@ -429,7 +431,7 @@ class CsvFile(ColumnFile):
                     f"{_CELL_LINE_ENDS} lines."
                 )
             elif not opened and line.count(self.delimiter) >= len(self.names):
-                width = len(split(line, self.delimiter))
+                width = len(split_cells(line, self.delimiter))
                 if width > len(self.names):
                     hint = ""
                     if self.delimiter == "," and width == 2 * len(self.names):
@@ -497,7 +499,7 @@ def _parted_by_tabs(line: bytes) -> bytes:
     """Return a line with one tab between cells that blanks part."""
     if b'"' not in line:
         return b"\t".join(line.split()) + b"\n"
-    cells = split(line.decode("latin-1").strip(), BLANKS)
+    cells = split_cells(line.decode("latin-1").strip(), BLANKS)
     return "\t".join(cells).encode("latin-1") + b"\n"
 
 

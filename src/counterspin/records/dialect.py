@@ -25,4 +25,4 @@ class Dialect:
 
 
 #: Everything is to be found.
-TO_BE_FOUND: Final = Dialect()
+AUTODETECT: Final = Dialect()

@@ -28,9 +28,9 @@ from counterspin.records.column_file import (
     column_rows,
     record_errors,
 )
-from counterspin.records.dialect import TO_BE_FOUND, Dialect
-from counterspin.records.endings import RECORD_FORMATS, wrong_ending
-from counterspin.records.isolation import in_reader_process
+from counterspin.records.dialect import AUTODETECT, Dialect
+from counterspin.records.format_registry import RECORD_FORMATS, suffix_problem
+from counterspin.records.isolation import run_isolated
 from counterspin.records.memory import MemoryFile, MemoryTable
 from counterspin.records.record import ColumnSpec
 
@@ -42,19 +42,19 @@ if TYPE_CHECKING:
 Opener = Callable[[Path, BinaryIO, Dialect], ColumnFile]
 
 
-def opener_of(path: Path) -> Opener:
+def find_opener(path: Path) -> Opener:
     """Return the opener of a file; RecordError for an unknown ending or a folder."""
-    if wrong := wrong_ending(path):
+    if wrong := suffix_problem(path):
         raise RecordError(f"{path}: {wrong}")
     return cast("Opener", load_name(RECORD_FORMATS[path.suffix.lower()].opener))
 
 
-def open_columns(path: Path | MemoryTable, dialect: Dialect = TO_BE_FOUND) -> ColumnFile:
+def open_columns(path: Path | MemoryTable, dialect: Dialect = AUTODETECT) -> ColumnFile:
     """Open a record file, as a context manager."""
     if isinstance(path, MemoryTable):
         return MemoryFile(path)
     require_thread_count()
-    opener = opener_of(path)
+    opener = find_opener(path)
     with record_errors(path), ExitStack() as stack:
         stream = stack.enter_context(open_file(path))
         if FileIdentity.of(stream.fileno()).size == 0:
@@ -70,7 +70,7 @@ def open_columns(path: Path | MemoryTable, dialect: Dialect = TO_BE_FOUND) -> Co
 
 
 @frozen(eq=False)
-class FiledTable:
+class StoredTable:
     """A file's columns, and how they are written."""
 
     frame: pl.DataFrame  #: Cells of text as they stand.
@@ -82,16 +82,16 @@ class FiledTable:
     found: str  #: How the file is written, where that is not plain.
 
 
-def read_table(path: Path, dialect: Dialect = TO_BE_FOUND) -> FiledTable:
+def read_table(path: Path, dialect: Dialect = AUTODETECT) -> StoredTable:
     """Return a whole file as it stands, cells of text remaining text."""
-    return in_reader_process(_table, path, dialect)
+    return run_isolated(_table, path, dialect)
 
 
 def read_small_table(
-    path: Path, dialect: Dialect = TO_BE_FOUND
-) -> tuple[FiledTable, list[str], str]:
+    path: Path, dialect: Dialect = AUTODETECT
+) -> tuple[StoredTable, list[str], str]:
     """Return a table, where each of its rows stands, and the SHA-256 of what was read."""
-    return in_reader_process(_small_table, path, dialect)
+    return run_isolated(_small_table, path, dialect)
 
 
 def is_workbook(path: Path) -> bool:
@@ -100,62 +100,62 @@ def is_workbook(path: Path) -> bool:
 
 
 def read_numbers(
-    path: Path | MemoryTable, names: Sequence[str], dialect: Dialect = TO_BE_FOUND
+    path: Path | MemoryTable, names: Sequence[str], dialect: Dialect = AUTODETECT
 ) -> Columns:
     """Return columns of numbers, NaN where a cell is empty, of a file in any dialect."""
-    return in_reader_process(_numbers, path, list(names), dialect)
+    return run_isolated(_numbers, path, list(names), dialect)
 
 
 def read_scaled(
-    path: Path | MemoryTable, columns: Sequence[ColumnSpec], dialect: Dialect = TO_BE_FOUND
+    path: Path | MemoryTable, columns: Sequence[ColumnSpec], dialect: Dialect = AUTODETECT
 ) -> list[Array]:
     """Return columns in SI, NaN where a cell is empty; rows may be counted, and stamps timed."""
-    return in_reader_process(_scaled, path, list(columns), dialect)
+    return run_isolated(_scaled, path, list(columns), dialect)
 
 
-def locate(path: Path | MemoryTable, row: int, dialect: Dialect = TO_BE_FOUND) -> str:
+def locate(path: Path | MemoryTable, row: int, dialect: Dialect = AUTODETECT) -> str:
     """Say where data row `row` (counted from 0) stands in the file."""
     if isinstance(path, Path) and is_workbook(path):
         return f"row {row + 1} below the names"
-    return in_reader_process(_locate, path, row, dialect)
+    return run_isolated(_locate, path, row, dialect)
 
 
-def places(path: Path, rows: int) -> list[str]:
+def row_locations(path: Path, rows: int) -> list[str]:
     """Say where each of the data rows stands in the file."""
     if is_workbook(path):
-        return _sheet_places(rows)
-    return in_reader_process(_places, path, rows)
+        return _sheet_locations(rows)
+    return run_isolated(_row_locations, path, rows)
 
 
-def _table(path: Path, dialect: Dialect) -> FiledTable:
+def _table(path: Path, dialect: Dialect) -> StoredTable:
     with open_columns(path, dialect) as file:
-        return _filed(file)
+        return _stored_table(file)
 
 
-def _filed(file: ColumnFile) -> FiledTable:
+def _stored_table(file: ColumnFile) -> StoredTable:
     units = file.units if file.units_row else {}
-    return FiledTable(file.table(), units, file.delimiter, file.decimal, file.found)
+    return StoredTable(file.table(), units, file.delimiter, file.decimal, file.found)
 
 
-def _small_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], str]:
+def _small_table(path: Path, dialect: Dialect) -> tuple[StoredTable, list[str], str]:
     try:
         with open_columns(path, dialect) as file:
             # On leaving, the file must still be what it was when it was opened.
-            table = _filed(file)
+            table = _stored_table(file)
             return table, file.places(table.frame.height), _checksum(file.content())
     except NoRowsError:  # of words, such as attitudes: names stand in the first row then
         with record_errors(path):
             content = read_file(path)
         frame = load_name("counterspin.records.table_files:excel_table")(path, dialect, content)
-        plain = FiledTable(frame, {}, ColumnFile.delimiter, ColumnFile.decimal, "")
-        return plain, _sheet_places(frame.height), _checksum(content)
+        plain = StoredTable(frame, {}, ColumnFile.delimiter, ColumnFile.decimal, "")
+        return plain, _sheet_locations(frame.height), _checksum(content)
 
 
 def _checksum(content: bytes) -> str:
     return f"sha256:{hashlib.sha256(content).hexdigest()}"
 
 
-def _sheet_places(rows: int) -> list[str]:
+def _sheet_locations(rows: int) -> list[str]:
     return [f"row {row + 1} below the names" for row in range(rows)]
 
 
@@ -166,7 +166,7 @@ def _numbers(path: Path | MemoryTable, names: list[str], dialect: Dialect) -> Co
 
 
 def _scaled(path: Path | MemoryTable, columns: list[ColumnSpec], dialect: Dialect) -> list[Array]:
-    filed = [spec.name for spec in columns if not spec.is_made]
+    filed = [spec.name for spec in columns if not spec.is_derived_column]
     with open_columns(path, dialect) as file:
         file.stamps = frozenset(spec.name for spec in columns if spec.kind == "stamps")
         file.require(filed)
@@ -174,7 +174,7 @@ def _scaled(path: Path | MemoryTable, columns: list[ColumnSpec], dialect: Dialec
         rows = np.arange(column_rows(read), dtype=float)
         resolved = [spec.resolved(file) for spec in columns]
         return [
-            (rows if spec.is_made else read[spec.name]) * spec.factor + spec.offset
+            (rows if spec.is_derived_column else read[spec.name]) * spec.factor + spec.offset
             for spec in resolved
         ]
 
@@ -184,6 +184,6 @@ def _locate(path: Path | MemoryTable, row: int, dialect: Dialect) -> str:
         return file.locate_row(row)
 
 
-def _places(path: Path, rows: int) -> list[str]:
+def _row_locations(path: Path, rows: int) -> list[str]:
     with open_columns(path) as file:
         return file.places(rows)

@@ -18,7 +18,7 @@ def memory_table(name: str, frame: Any) -> MemoryTable:
     """Copy the columns of a frame."""
     columns: dict[str, np.ndarray] = {}
     others = []
-    for key, values in columns_of(name, frame):
+    for key, values in iter_columns(name, frame):
         numbers = _numbers(values)
         if numbers is None:
             others.append(key)
@@ -38,7 +38,7 @@ def memory_table(name: str, frame: Any) -> MemoryTable:
     return MemoryTable(name, columns, tuple(others))
 
 
-def columns_of(name: str, frame: Any) -> Iterator[tuple[str, Any]]:
+def iter_columns(name: str, frame: Any) -> Iterator[tuple[str, Any]]:
     """Yield the names and values of a frame's columns."""
     if isinstance(frame, Mapping):
         yield from ((str(key), values) for key, values in frame.items())

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from counterspin.loading import load_name
-from counterspin.records.endings import RECORD_FORMATS
+from counterspin.records.format_registry import RECORD_FORMATS
 
 if TYPE_CHECKING:
     from counterspin.records.memory import MemoryTable
@@ -22,7 +22,7 @@ R = TypeVar("R")
 #: The functions that start the reader's process and ask it: loaded for the first file that is read
 #: there.
 PREPARE: Final = "counterspin.records.reader_process:prepare"
-ASK: Final = "counterspin.records.reader_process:ask"
+ASK: Final = "counterspin.records.reader_process:run_in_reader"
 
 #: Endings of the formats that are read by native code -> the libraries.
 NATIVE: Final = {
@@ -33,21 +33,17 @@ NATIVE: Final = {
 _LONG_TEXT_BYTES: Final = 1 << 24
 
 
-def in_reader_process(function: Callable[..., R], path: Path | MemoryTable, *args: Any) -> R:
+def run_isolated(function: Callable[..., R], path: Path | MemoryTable, *args: Any) -> R:
     """Return ``function(path, *args)``, called where it can do no harm."""
     if isinstance(path, Path) and path.suffix.lower() in NATIVE:
-        return _in_reader_process(function, path, *args)
+        return _run_isolated(function, path, *args)
     return function(path, *args)
 
 
-def in_reader_process_if_slow(
-    function: Callable[..., R], path: Path | MemoryTable, *args: Any
-) -> R:
-    """Return ``function(path, *args)``, small; as `in_reader_process`, for long text too."""
+def run_isolated_if_slow(function: Callable[..., R], path: Path | MemoryTable, *args: Any) -> R:
+    """Return ``function(path, *args)``, small; as `run_isolated`, for long text too."""
     return (
-        _in_reader_process(function, path, *args)
-        if uses_reader_process(path)
-        else function(path, *args)
+        _run_isolated(function, path, *args) if uses_reader_process(path) else function(path, *args)
     )
 
 
@@ -67,7 +63,7 @@ def prepare(path: Path) -> None:
         load_name(PREPARE)(path.suffix.lower())
 
 
-def _in_reader_process(function: Callable[..., R], path: Path | MemoryTable, *args: Any) -> R:
+def _run_isolated(function: Callable[..., R], path: Path | MemoryTable, *args: Any) -> R:
     reply = load_name(ASK)(function, path, *args)
     if isinstance(reply, BaseException):
         raise reply

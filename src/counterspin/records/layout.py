@@ -16,21 +16,21 @@ from typing import Final
 
 from counterspin.frozen import frozen
 from counterspin.records.dialect import Dialect
-from counterspin.records.unit_words import bracketed_unit, file_unit
+from counterspin.records.unit_notation import bracketed_unit, parse_file_unit
 
 #: Marks that may part the cells, the usual first.
-MARKS: Final = (",", ";", "\t")
+SINGLE_DELIMITERS: Final = (",", ";", "\t")
 #: Blanks, any number of them, as one delimiter.
 BLANKS: Final = " "
 #: What may part the cells, the usual first.
-DELIMITERS: Final = (*MARKS, BLANKS)
+DELIMITERS: Final = (*SINGLE_DELIMITERS, BLANKS)
 #: Lines in which the rows must begin.
 HEAD_LINES: Final = 400
 #: Rows that show whether a file is plain, and how many are wanted to tell a layout.
-_PLAIN_ROWS, _FEWEST_ROWS = 20, 3
+_PLAIN_ROWS, _MIN_ROWS = 20, 3
 #: What counts as an empty cell, in lower case and without surrounding blanks: no number, or one
 #: that the instrument could not measure.
-EMPTY_WORDS: Final = (
+EMPTY_CELL_TEXTS: Final = (
     *("", "nan", "n/a", "#n/a", "na", "null", "-", "--", "---"),
     *("ovld", "ovl", "overload", "overflow", "over"),
 )
@@ -101,7 +101,7 @@ _RESULT_LABEL: Final = re.compile(
 #: Part of the cells of a column of numbers that are numbers; lines below the rows have others.
 _NUMERIC_PART: Final = 0.6
 #: Most lines below the rows that are no rows.
-_MOST_FOOTER_LINES: Final = 40
+_MAX_FOOTER_LINES: Final = 40
 #: Delimiter -> how it is called.
 _DELIMITER_WORDS: Final = {
     ";": "semicolon-separated",
@@ -113,7 +113,7 @@ NUMBERED: Final = " #"
 
 
 @frozen
-class Layout:
+class TableFormat:
     """Where things stand in a table of text; lines count from 1."""
 
     header: int  #: Line of the names; 0 where there is none, and columns are numbered.
@@ -150,35 +150,35 @@ class Layout:
 Line = tuple[int, str]
 
 
-def find_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
+def detect_format(lines: Sequence[Line], dialect: Dialect) -> TableFormat | None:
     """Return the layout of a file whose rows stand out; None if nothing looks like rows."""
-    best: tuple[int, Layout] | None = None
+    best: tuple[int, TableFormat] | None = None
     for delimiter in [dialect.delimiter] if dialect.delimiter else DELIMITERS:
-        parted = [(number, _split_marked(line, delimiter)) for number, line in lines]
+        split_lines = [(number, _split_comment(line, delimiter)) for number, line in lines]
         if delimiter == BLANKS:
-            parted = _wide_names(parted, lines)
+            split_lines = _join_spaced_names(split_lines, lines)
         for decimal in [dialect.decimal] if dialect.decimal else (".", ","):
-            found = find_rows(parted, dialect, decimal, delimiter)
-            if found is not None and (best is None or found[0] > best[0]):
-                best = found
+            candidate = find_rows(split_lines, dialect, decimal, delimiter)
+            if candidate is not None and (best is None or candidate[0] > best[0]):
+                best = candidate
     return best and best[1]
 
 
-def _split_marked(line: str, delimiter: str) -> list[str]:
+def _split_comment(line: str, delimiter: str) -> list[str]:
     """Return the cells of a line, the first with '#' before it if the line is a comment."""
     mark = _COMMENT.match(line)
     if mark is None:
-        return split(line, delimiter)
-    first, *cells = split(line[mark.end() :], delimiter) or [""]
+        return split_cells(line, delimiter)
+    first, *cells = split_cells(line[mark.end() :], delimiter) or [""]
     return [f"#{first}", *cells]
 
 
-def _marked_line(line: str) -> str:
+def _normalise_comment(line: str) -> str:
     """Return a line with its mark of a comment, if it has one, as '#' without a blank behind it."""
     return _COMMENT.sub("#", line, count=1) if _COMMENT.match(line) else line
 
 
-def _wide_names(
+def _join_spaced_names(
     parted: Sequence[tuple[int, list[str]]], lines: Sequence[Line]
 ) -> list[tuple[int, list[str]]]:
     """Return lines parted by blanks, of which those above the rows may be parted by wide ones.
@@ -189,56 +189,64 @@ def _wide_names(
     width = max(set(widths), key=widths.count, default=0)
     result = []
     for (number, cells), (_, line) in zip(parted, lines, strict=True):
-        wide = [cell for cell in _WIDE_BLANKS.split(_marked_line(line).strip()) if cell]
+        wide = [cell for cell in _WIDE_BLANKS.split(_normalise_comment(line).strip()) if cell]
         text = cells and not _has_numbers(cells, ".")
         result.append((number, wide if text and len(wide) == width != len(cells) else cells))
     return result
 
 
-def is_plain(lines: Sequence[Line]) -> bool:
+def is_plain_format(lines: Sequence[Line]) -> bool:
     """Return whether names stand in the first line and numbers with points below it."""
-    written = [line for _, line in lines if line.strip() and not line.startswith("#")]
-    if len(written) < 2:
+    lines_with_text = [line for _, line in lines if line.strip() and not line.startswith("#")]
+    if len(lines_with_text) < 2:
         return False
-    delimiter = max(MARKS, key=written[0].count)
-    names = split(written[0], delimiter)
+    delimiter = max(SINGLE_DELIMITERS, key=lines_with_text[0].count)
+    names = split_cells(lines_with_text[0], delimiter)
     width = len(names)
     named = sum(bool(name) and name.lower() != "comment" for name in names)
-    rows = [split(line, delimiter) for line in written[1 : 1 + _PLAIN_ROWS]]
+    rows = [split_cells(line, delimiter) for line in lines_with_text[1 : 1 + _PLAIN_ROWS]]
     if _is_row(names, ".") or max(map(len, rows)) < named:
         return False
     return all(len(row) <= width and _is_row(row, ".") for row in rows)
 
 
-def plain_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
+def plain_format(lines: Sequence[Line], dialect: Dialect) -> TableFormat | None:
     """Return the layout if names stand in the first line that is there; None if there is none."""
-    written = [
+    lines_with_text = [
         (number, line)
         for number, line in lines
         if line.strip() and not line.startswith("#") and number > (dialect.skip_lines or 0)
     ]
-    if not written:
+    if not lines_with_text:
         return None
-    number, line = written[0]
+    number, line = lines_with_text[0]
     # The delimiter is the one that the header uses most; a lone column has none.
-    delimiter = dialect.delimiter or max(MARKS, key=line.count)
-    names = split(_COMMENT.sub("", line, count=1), delimiter)
+    delimiter = dialect.delimiter or max(SINGLE_DELIMITERS, key=line.count)
+    names = split_cells(_COMMENT.sub("", line, count=1), delimiter)
     # Among the rows a blank line is a row of empty cells; here it stops the parser.
     body = iter([place for place, below in lines if place > number and below.strip()])
     cells: list[str] = []
     if dialect.units_row:
         units_line = next(body, number + 1)
-        cells = next((split(below, delimiter) for place, below in lines if place == units_line), [])
-    units = [file_unit(cell) or "" for cell in [*cells, *[""] * len(names)][: len(names)]]
+        cells = next(
+            (split_cells(below, delimiter) for place, below in lines if place == units_line), []
+        )
+    units = [parse_file_unit(cell) or "" for cell in [*cells, *[""] * len(names)][: len(names)]]
     units = [unit or bracketed_unit(name) for unit, name in zip(units, names, strict=True)]
-    before = next(body, lines[-1][0] + 1) - 1
+    comments = next(body, lines[-1][0] + 1) - 1
     mark = dialect.decimal or "."
-    return Layout(
-        number, before, _distinct(names), tuple(units), bool(dialect.units_row), delimiter, mark
+    return TableFormat(
+        number,
+        comments,
+        _number_duplicates(names),
+        tuple(units),
+        bool(dialect.units_row),
+        delimiter,
+        mark,
     )
 
 
-def _distinct(names: Sequence[str]) -> tuple[str, ...]:
+def _number_duplicates(names: Sequence[str]) -> tuple[str, ...]:
     """Return names of columns, those that occur more than once with their number behind."""
     seen: dict[str, int] = {}
     numbered = []
@@ -250,46 +258,51 @@ def _distinct(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def find_rows(
-    parted: Sequence[tuple[int, list[str]]], dialect: Dialect, decimal: str, delimiter: str = ""
-) -> tuple[int, Layout] | None:
+    split_lines: Sequence[tuple[int, list[str]]],
+    dialect: Dialect,
+    decimal: str,
+    delimiter: str = "",
+) -> tuple[int, TableFormat] | None:
     """Return how many numbers more than texts the longest stretch of rows has, and its layout."""
     skipped = dialect.skip_lines
-    table = [(number, cells) for number, cells in parted if any(cells)]
-    begin, end = _longest(table, decimal, after=skipped or 0)
-    if end - begin < min(_FEWEST_ROWS, max(1, len(table) - 2)):
+    table = [(number, cells) for number, cells in split_lines if any(cells)]
+    begin, end = _longest_run(table, decimal, start_line=skipped or 0)
+    if end - begin < min(_MIN_ROWS, max(1, len(table) - 2)):
         return None
     while begin < end - 1 and table[begin][1][0].startswith("#"):
         begin += 1
     width = len(table[begin][1])
-    above = [
+    lines_above = [
         (number, cells)
         for number, cells in table[:begin]
         if not cells[0].startswith("#") and number > (skipped or 0)
     ]
     if skipped is not None:
-        above = above[:2]
-    if any(len(cells) == width and _is_row(cells, decimal) for _, cells in above):
+        lines_above = lines_above[:2]
+    if any(len(cells) == width and _is_row(cells, decimal) for _, cells in lines_above):
         return None  # a row like any other stands above: what parts the two is no row of names
     rows = [cells for _, cells in table[begin:end]]
-    head, mismatch = _marked(table[:begin], width, decimal), ""
-    head = head or _head(above, dialect, width, decimal)
+    head, mismatch = _header_in_comment(table[:begin], width, decimal), ""
+    head = head or _find_header(lines_above, dialect, width, decimal)
     if head is not None:
         (header, names), below = head
-        if len(names) == width - 1 and _are_row_names(rows, decimal, delimiter):
+        if len(names) == width - 1 and _contains_row_names(rows, decimal, delimiter):
             names = ["column 1", *names]  # as R writes it: nothing above the names of the rows
             below = ["", *below] if below else below
-    unnamed = head is not None and _more_columns_than(names, rows, decimal)
-    nearest = above or [(number, cells) for number, cells in table[:begin][-1:]]
-    if unnamed or (head is None and _miscounted(nearest, width, decimal)):
+    unnamed = head is not None and _has_unnamed_columns(names, rows, decimal)
+    nearest = lines_above or [(number, cells) for number, cells in table[:begin][-1:]]
+    if unnamed or (head is None and _has_miscounted_names(nearest, width, decimal)):
         number, cells = (header, names) if unnamed else nearest[-1]
-        if not _need_no_names(rows, decimal, delimiter):
+        if not _are_unnamed_rows(rows, decimal, delimiter):
             return None
-        mismatch = f"line {number} has {_count(cells, 'name')} for {width} columns, so the columns "
+        mismatch = (
+            f"line {number} has {_count_noun(cells, 'name')} for {width} columns, so the columns "
+        )
         mismatch += "are numbered"
         header, names, below = 0, [], []
     elif head is not None:
         pass
-    elif all(2 * len(cells) <= width for _, cells in above[-1:]) and _need_no_names(
+    elif all(2 * len(cells) <= width for _, cells in lines_above[-1:]) and _are_unnamed_rows(
         rows, decimal, delimiter
     ):
         header, names, below = 0, [], []
@@ -306,38 +319,45 @@ def find_rows(
         else ""
         for place in range(len(names), width)
     ]
-    units = [file_unit(cell) or "" for cell in [*below, *[""] * (len(names) - len(below))]]
+    units = [parse_file_unit(cell) or "" for cell in [*below, *[""] * (len(names) - len(below))]]
     units = [unit or bracketed_unit(name) for unit, name in zip(units, names, strict=True)]
-    written = [cell for row in rows for cell in row if cell]
-    numbers = sum(_is_number(cell, decimal) for cell in written)
-    texts = sum(not STAMP.fullmatch(cell) for cell in written) - numbers
+    text_count = [cell for row in rows for cell in row if cell]
+    numbers = sum(_is_number(cell, decimal) for cell in text_count)
+    texts = sum(not STAMP.fullmatch(cell) for cell in text_count) - numbers
     before = table[begin][0] - 1
-    layout = Layout(
-        header, before, _distinct(names), tuple(units), bool(below), delimiter, decimal, mismatch
+    layout = TableFormat(
+        header,
+        before,
+        _number_duplicates(names),
+        tuple(units),
+        bool(below),
+        delimiter,
+        decimal,
+        mismatch,
     )
     return numbers - texts, layout
 
 
-def _are_row_names(rows: Sequence[Sequence[str]], decimal: str, delimiter: str) -> bool:
+def _contains_row_names(rows: Sequence[Sequence[str]], decimal: str, delimiter: str) -> bool:
     """Return whether the first cells are names of rows: words, or whole numbers that rise."""
     first = [row[0] for row in rows]
     if not all(_is_number(row[-1], decimal) for row in rows):
         return False
     if all(cell.isdigit() for cell in first):
         return all(int(after) - int(cell) == 1 for cell, after in pairwise(first))
-    if delimiter not in (BLANKS, "\t") or len(rows) < _FEWEST_ROWS:
+    if delimiter not in (BLANKS, "\t") or len(rows) < _MIN_ROWS:
         return False
     return not any(_is_number(cell, decimal) or STAMP.fullmatch(cell) for cell in first)
 
 
-def _more_columns_than(names: Sequence[str], rows: Sequence[Sequence[str]], decimal: str) -> bool:
+def _has_unnamed_columns(names: Sequence[str], rows: Sequence[Sequence[str]], decimal: str) -> bool:
     """Return whether rows have numbers in columns behind the last name."""
     return bool(names) and any(
         _is_number(cell, decimal) for row in rows for cell in row[len(names) :]
     )
 
 
-def _miscounted(above: Sequence[tuple[int, list[str]]], width: int, decimal: str) -> bool:
+def _has_miscounted_names(above: Sequence[tuple[int, list[str]]], width: int, decimal: str) -> bool:
     """Return whether the line above the rows seems to have names, but not one for each column."""
     cells = above[-1][1] if above else []
     if len(cells) < 2 or any(_is_number(cell, decimal) for cell in cells):
@@ -347,12 +367,12 @@ def _miscounted(above: Sequence[tuple[int, list[str]]], width: int, decimal: str
     return 0 < abs(len(cells) - width) <= most
 
 
-def _count(cells: Sequence[str], noun: str) -> str:
+def _count_noun(cells: Sequence[str], noun: str) -> str:
     count = sum(map(bool, cells))
     return f"{count} {noun}" + "s" * (count != 1)
 
 
-def _need_no_names(rows: Sequence[Sequence[str]], decimal: str, delimiter: str) -> bool:
+def _are_unnamed_rows(rows: Sequence[Sequence[str]], decimal: str, delimiter: str) -> bool:
     """Return whether rows of numbers alone are plain without names above them.
 
     Where commas part cells, points must part decimals: 0,5,1,25 may be four numbers or two.
@@ -362,45 +382,49 @@ def _need_no_names(rows: Sequence[Sequence[str]], decimal: str, delimiter: str) 
     return delimiter != "," or any("." in cell for row in rows for cell in row)
 
 
-def _head(
-    above: Sequence[tuple[int, list[str]]], dialect: Dialect, width: int, decimal: str
+def _find_header(
+    lines_above: Sequence[tuple[int, list[str]]], dialect: Dialect, width: int, decimal: str
 ) -> tuple[tuple[int, list[str]], list[str]] | None:
     """Return the line of names above the rows, and the cells of units; None if it is none."""
     units_row = dialect.units_row
     if dialect.skip_lines is None:
-        said = {cells[0].lower(): (number, cells) for number, cells in reversed(above)}
+        labelled_rows = {
+            cells[0].lower(): (number, cells) for number, cells in reversed(lines_above)
+        }
         for key in _NAME_KEYS:
-            if key in said and len(said[key][1]) >= width - 1:
-                number, names = said[key]
-                units = next((said[key][1] for key in _UNIT_KEYS if key in said), [])
+            if key in labelled_rows and len(labelled_rows[key][1]) >= width - 1:
+                number, names = labelled_rows[key]
+                units = next(
+                    (labelled_rows[key][1] for key in _UNIT_KEYS if key in labelled_rows), []
+                )
                 # Columns before the channels have their names in the last line.
-                before = above[-1][1] if not names[1] else []
+                before = lines_above[-1][1] if not names[1] else []
                 named = [name or old for name, old in zip_longest(["", *names[1:width]], before)]
                 return (number, [name or "" for name in named[:width]]), ["", *units[1:width]]
         # Names stand right above the rows, or above the units, below which more may be told.
-        paired = None if units_row is not None else _named_and_united(above, width)
-        above = paired or above[-2:]
-    if not above:
+        paired = None if units_row is not None else _header_and_unit_rows(lines_above, width)
+        lines_above = paired or lines_above[-2:]
+    if not lines_above:
         return None
     if units_row is None:
-        units_row = len(above) > 1 and _are_units(above[1][1], above[0][1], width)
-    if len(above) < 1 + units_row:
+        units_row = len(lines_above) > 1 and _are_units(lines_above[1][1], lines_above[0][1], width)
+    if len(lines_above) < 1 + units_row:
         return None
-    stated = dialect.skip_lines is not None or units_row
-    number, names = above[0] if stated else above[-1]
+    stated_units = dialect.skip_lines is not None or units_row
+    number, names = lines_above[0] if stated_units else lines_above[-1]
     values = [cell for cell in names if _is_number(cell, decimal)]
     damaged = 2 * len(values) >= len(names) or any(decimal in cell for cell in values)
     # Names of columns that the rows do not have; LabVIEW's rows may end before an empty remark.
     too_many = any(name.lower() not in ("", "comment") for name in names[width:])
     if damaged or too_many or 2 * sum(map(bool, names)) < max(2, width):
         return None
-    return (number, names[:width]), above[1][1] if units_row else []
+    return (number, names[:width]), lines_above[1][1] if units_row else []
 
 
-def _marked(
+def _header_in_comment(
     above: Sequence[tuple[int, list[str]]], width: int, decimal: str
 ) -> tuple[tuple[int, list[str]], list[str]] | None:
-    """Return the names in comments right above the rows, and the units below them, as of `_head`.
+    """Return the names in comments right above the rows, and the units below them.
 
     The line that is nearest to the rows and has a name for each column is that of the names.
     """
@@ -414,14 +438,16 @@ def _marked(
             continue
         if any(_is_number(name, decimal) for name in written):
             continue
-        if not units and all(file_unit(name) or name.lower() in _NO_UNITS for name in written):
+        if not units and all(
+            parse_file_unit(name) or name.lower() in _NO_UNITS for name in written
+        ):
             units = names
             continue
-        return (number, names), [file_unit(unit) or "" for unit in units]
+        return (number, names), [parse_file_unit(unit) or "" for unit in units]
     return None
 
 
-def _named_and_united(
+def _header_and_unit_rows(
     above: Sequence[tuple[int, list[str]]], width: int
 ) -> Sequence[tuple[int, list[str]]] | None:
     """Return the line of names and that of units below it; None if there are none near the rows."""
@@ -433,62 +459,66 @@ def _named_and_united(
     return None
 
 
-def _longest(table: Sequence[tuple[int, list[str]]], decimal: str, after: int) -> tuple[int, int]:
+def _longest_run(
+    table: Sequence[tuple[int, list[str]]], decimal: str, start_line: int
+) -> tuple[int, int]:
     """Return from where to where the longest stretch of rows of one width goes."""
     best, begin = (0, 0), 0
     for place in range(len(table) + 1):
         number, cells = table[place] if place < len(table) else (0, [])
         comment = bool(cells) and cells[0].startswith("#")
-        fits = number > after and (comment or _has_numbers(cells, decimal))
+        matches = number > start_line and (comment or _has_numbers(cells, decimal))
         same = place > begin and len(cells) == len(table[begin][1])
-        if fits and (comment or place == begin or same):
+        if matches and (comment or place == begin or same):
             continue
         if place - begin > best[1] - best[0]:
             best = (begin, place)
-        begin = place if fits and not comment else place + 1
+        begin = place if matches and not comment else place + 1
     return best
 
 
-def footer_lines(parted: Sequence[Sequence[str]], decimal: str) -> int:
+def footer_lines(split_lines: Sequence[Sequence[str]], decimal: str) -> int:
     """Return the number of lines at the end of a table that are not rows, such as a mean.
 
     parted: Cells of the rows of the table and of what stands below them.
     """
-    body = [cells for cells in parted[:_PLAIN_ROWS] if any(cells)]
-    if len(body) < _FEWEST_ROWS:
+    body = [cells for cells in split_lines[:_PLAIN_ROWS] if any(cells)]
+    if len(body) < _MIN_ROWS:
         return 0
     width = max(set(map(len, body)), key=list(map(len, body)).count)
-    full = [cells for cells in body if len(cells) == width]
-    numeric = [n for n in range(width) if any(_is_number(cells[n], decimal) for cells in full)]
-    most = [sum(_is_row_cell(cells[n], decimal) for cells in full) for n in range(width)]
-    numeric = [n for n in numeric if most[n] >= _NUMERIC_PART * len(full)]
+    full_rows = [cells for cells in body if len(cells) == width]
+    numeric = [n for n in range(width) if any(_is_number(cells[n], decimal) for cells in full_rows)]
+    max_lines = [sum(_is_row_cell(cells[n], decimal) for cells in full_rows) for n in range(width)]
+    numeric = [n for n in numeric if max_lines[n] >= _NUMERIC_PART * len(full_rows)]
     if not numeric:
         return 0
     count = 0
-    for place, cells in enumerate(reversed(parted[-_MOST_FOOTER_LINES:]), 1):
+    for place, cells in enumerate(reversed(split_lines[-_MAX_FOOTER_LINES:]), 1):
         if not any(cells) or cells[0].startswith("#"):
             count += place == count + 1 and count > 0
             continue
         fits = all(_is_row_cell(cells[n], decimal) for n in numeric if n < len(cells))
         fits = fits and any(n < len(cells) and _is_number(cells[n], decimal) for n in numeric)
         # A row may have a word where most have a number, such as `up` among `+1` and `-1`.
-        beside = [n for n in numeric if n > 0]
+        adjacent = [n for n in numeric if n > 0]
         fits = fits or bool(
-            beside and len(cells) == width and all(_is_number(cells[n], decimal) for n in beside)
+            adjacent
+            and len(cells) == width
+            and all(_is_number(cells[n], decimal) for n in adjacent)
         )
         if fits and not _RESULT_LABEL.fullmatch(cells[0]):
             break
         count = place
-    return count if count < len(parted) - _FEWEST_ROWS else 0
+    return count if count < len(split_lines) - _MIN_ROWS else 0
 
 
 def _is_row_cell(cell: str, decimal: str) -> bool:
     """Return whether a cell is a number, a time or empty."""
-    empty = cell.lower() in EMPTY_WORDS
+    empty = cell.lower() in EMPTY_CELL_TEXTS
     return empty or _is_number(cell, decimal) or bool(STAMP.fullmatch(cell))
 
 
-def grouping(lines: Iterable[str]) -> str | None:
+def find_thousands_separator(lines: Iterable[str]) -> str | None:
     """Return the thousands separator of cells that have decimals too; None without one."""
     text = "\n".join(lines)
     for mark, decimal in _GROUPED.items():
@@ -499,14 +529,14 @@ def grouping(lines: Iterable[str]) -> str | None:
     return None
 
 
-def ungrouped(text: str, mark: str) -> str:
+def strip_thousands(text: str, mark: str) -> str:
     """Return a text without the marks that part groups of three digits."""
     edge = '"' if mark == "," else r'["\t;\r\n]'
     cell = rf"(?<={edge})[-+]?\d{{1,3}}(?:{re.escape(mark)}\d{{3}})+(?=[.,]?\d*{edge})"
     return re.sub(cell, lambda found: found[0].replace(mark, ""), f"\n{text}\n")[1:-1]
 
 
-def split(line: str, delimiter: str) -> list[str]:
+def split_cells(line: str, delimiter: str) -> list[str]:
     """Return the cells of a line, without blanks around them."""
     if delimiter == BLANKS:
         return [cell.strip('"') for cell in _BETWEEN_BLANKS.findall(line)]
@@ -517,21 +547,23 @@ def split(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def described_lines(lines: Sequence[Line], shown: int = 6) -> str:
+def describe_lines(lines: Sequence[Line], max_lines: int = 6) -> str:
     """Say what the first lines look like, where no table was found among them."""
-    said = []
-    for number, line in [line for line in lines if line[1].strip()][:shown]:
-        mark = max(MARKS, key=line.count)
-        cells = split(line, mark if mark in line else BLANKS)
+    descriptions = []
+    for number, line in [line for line in lines if line[1].strip()][:max_lines]:
+        mark = max(SINGLE_DELIMITERS, key=line.count)
+        cells = split_cells(line, mark if mark in line else BLANKS)
         numbers = sum(any(_is_number(cell, mark) for mark in _NUMBERS) for cell in cells)
         count = f"{len(cells)} cell" + "s" * (len(cells) > 1)
-        said.append(f"  line {number}: {count}, {numbers or 'none'} a number: {line.strip()[:60]}")
-    return "\n".join(said)
+        descriptions.append(
+            f"  line {number}: {count}, {numbers or 'none'} a number: {line.strip()[:60]}"
+        )
+    return "\n".join(descriptions)
 
 
 def _are_units(cells: Sequence[str], names: Sequence[str], width: int) -> bool:
     """Return whether cells are units, and those above them names."""
-    units = [file_unit(cell) is not None for cell in cells if cell.lower() not in _NO_UNITS]
+    units = [parse_file_unit(cell) is not None for cell in cells if cell.lower() not in _NO_UNITS]
     named = [name for name in names if name]
     return (
         len(cells) <= width
@@ -539,7 +571,7 @@ def _are_units(cells: Sequence[str], names: Sequence[str], width: int) -> bool:
         and all(units)
         and len(named) >= max(1, width - 1)
         and len(names) <= width
-        and not all(file_unit(name) for name in named)
+        and not all(parse_file_unit(name) for name in named)
     )
 
 
@@ -549,16 +581,16 @@ def _is_row(cells: Iterable[str], decimal: str) -> bool:
     for cell in cells:
         if _is_number(cell, decimal):
             some = True
-        elif cell.lower() not in EMPTY_WORDS and not STAMP.fullmatch(cell):
+        elif cell.lower() not in EMPTY_CELL_TEXTS and not STAMP.fullmatch(cell):
             return False
     return some
 
 
 def _has_numbers(cells: Sequence[str], decimal: str) -> bool:
     """Return whether at least half of what is not empty are numbers: there may be remarks."""
-    written = [cell for cell in cells if cell]
-    numbers = sum(_is_number(cell, decimal) or bool(STAMP.fullmatch(cell)) for cell in written)
-    return 2 * numbers >= len(written) and any(_is_number(cell, decimal) for cell in written)
+    nonempty = [cell for cell in cells if cell]
+    numbers = sum(_is_number(cell, decimal) or bool(STAMP.fullmatch(cell)) for cell in nonempty)
+    return 2 * numbers >= len(nonempty) and any(_is_number(cell, decimal) for cell in nonempty)
 
 
 def _is_number(cell: str, decimal: str) -> bool:

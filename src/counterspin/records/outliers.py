@@ -23,7 +23,7 @@ from counterspin.arrays import SIGMA_OF_MAD, aligned, median
 #: Samples in a window.
 WINDOW_SAMPLES = 128
 #: Fewest samples that can be judged at all: up to nine functions are fitted to them.
-FEWEST_SAMPLES = 24
+MIN_SAMPLES = 24
 #: How many of the functions are fitted first, while outliers are still in.
 _FIRST_FUNCTIONS = 5
 #: Standard deviations beyond which a sample is an outlier.
@@ -59,37 +59,37 @@ def detect_outliers(
     step: The usual spacing of the samples, s.
     weight: (n,) optional: the square root of each sample's weight (short block means are noisier).
     """
-    if len(signal) < FEWEST_SAMPLES:
+    if len(signal) < MIN_SAMPLES:
         return np.empty(0, dtype=int)
     # At rest there is no wave: a turn so slow that a window sees a polynomial of it.
     rate = rate or _SHIFT_RAD / _SHIFT_STEPS / step
     width = min(WINDOW_SAMPLES, len(signal))
     uneven_time = time if unevenness > _IGNORED_UNEVENNESS else None
     phase_step = rate * step
-    peak, broken, scale = _screen_all(signal, uneven_time, width, phase_step, step)
-    if not (peak.any() or broken.any()):
+    peak, is_incomplete, scale = _screen_all(signal, uneven_time, width, phase_step, step)
+    if not (peak.any() or is_incomplete.any()):
         return np.empty(0, dtype=int)
     finite = None
     # A sample that is no number shows in its window's peak, unless that was not judged.
-    if (np.isnan(peak) | broken).any() and not np.isfinite(signal.sum()):
+    if (np.isnan(peak) | is_incomplete).any() and not np.isfinite(signal.sum()):
         finite = np.isfinite(signal)
         if not finite.any():
             return np.empty(0, dtype=int)
         signal = np.interp(time, time[finite], signal[finite])
-        peak, broken, scale = _screen_all(signal, uneven_time, width, phase_step, step)
-    suspect = broken | (peak > _SCREEN_SDS * scale)
+        peak, is_incomplete, scale = _screen_all(signal, uneven_time, width, phase_step, step)
+    suspect = is_incomplete | (peak > _SCREEN_SDS * scale)
     if not suspect.any():
         return np.empty(0, dtype=int)
     starts = np.minimum(np.arange(len(peak)) * width, len(signal) - width)
     # A filler such as 1e30 in place of an empty cell would drown its window by rounding alone.
-    usual = upper_median(np.abs(signal))
-    sentinel = np.abs(signal) > _SENTINEL_RATIO * usual
-    if usual > 0.0 and sentinel.any():
+    typical_scale = upper_median(np.abs(signal))
+    sentinel = np.abs(signal) > _SENTINEL_RATIO * typical_scale
+    if typical_scale > 0.0 and sentinel.any():
         measured = np.where(sentinel if finite is None else sentinel | ~finite, np.nan, signal)
         others = detect_outliers(time, measured, rate, step, unevenness, weight)
         return np.union1d(np.flatnonzero(sentinel if finite is None else sentinel & finite), others)
 
-    def robust(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def fit_windows(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         index = starts[chosen, None] + np.arange(width)
         if uneven_time is None:
             basis = _even_basis(width, phase_step)[0]
@@ -103,14 +103,14 @@ def detect_outliers(
 
     if 10 * suspect.sum() > len(suspect):
         # Where outliers are many they inflate the plain scale: take it from robust fits.
-        _, _, scales = robust(np.unique(np.linspace(0, len(starts) - 1, 32).astype(int)))
+        _, _, scales = fit_windows(np.unique(np.linspace(0, len(starts) - 1, 32).astype(int)))
         scale = median(scales)
     scale = max(scale, resolution(signal) / 2)
     suspect |= peak > _SCREEN_SDS * scale
     marked = np.zeros(len(signal), dtype=bool)
     suspects = np.flatnonzero(suspect)
     for begin in range(0, len(suspects), 1024):
-        index, residuals, scales = robust(suspects[begin : begin + 1024])
+        index, residuals, scales = fit_windows(suspects[begin : begin + 1024])
         limit = LIMIT_SDS * np.clip(scales, scale, _NOISE_RATIO * scale)
         out = np.abs(residuals) > limit[:, None]
         # Where most of a window is out, something has changed; that is not for us to judge.
@@ -134,20 +134,20 @@ def _screen_all(
     signal: np.ndarray, time: np.ndarray | None, width: int, phase_step: float, step: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Screen all windows of a signal: `peak` and `broken` of each, `scale` of the whole ones."""
-    whole = len(signal) // width * width
-    first_time = None if time is None else time[:whole]
-    peak, broken, scale = _screen(signal[:whole], first_time, width, phase_step, step)
-    if whole == len(signal):
+    whole_windows = len(signal) // width * width
+    first_time = None if time is None else time[:whole_windows]
+    peak, broken, scale = _screen(signal[:whole_windows], first_time, width, phase_step, step)
+    if whole_windows == len(signal):
         return peak, broken, scale
     # The last window overlaps the one before, so that every sample has a full window.
     last = signal[-width:]
     if time is None and not peak.any():
         # The usual case again, at a fraction of the time that `_screen` takes for one window.
         basis, functions, _ = _even_basis(width, phase_step)
-        rest = last - (last @ basis) @ functions
-        top, limit = np.abs(rest).max(), _SCREEN_SDS * scale
+        remainder = last - (last @ basis) @ functions
+        top, limit = np.abs(remainder).max(), _SCREEN_SDS * scale
         # Residuals have no mean, and no median is farther from it than their standard deviation.
-        if top <= limit and top + math.sqrt(rest @ rest / width) <= limit:
+        if top <= limit and top + math.sqrt(remainder @ remainder / width) <= limit:
             return np.append(peak, 0.0), np.append(broken, False), scale
     last_time = None if time is None else time[-width:]
     last_peak, last_broken, _ = _screen(last, last_time, width, phase_step, step)
@@ -230,9 +230,9 @@ def _robust_fit(
     windows: np.ndarray, basis: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fit each window by least absolute deviations, then bisquare; weighted residuals, scales."""
-    have = weight > 0
-    middle = np.maximum(have.sum(axis=1), 1) // 2
-    tiny = 1e-15 * np.abs(windows).max(axis=1) + 1e-300
+    is_finite = weight > 0
+    middle = np.maximum(is_finite.sum(axis=1), 1) // 2
+    floor = 1e-15 * np.abs(windows).max(axis=1) + 1e-300
 
     def fit(w: np.ndarray, basis: np.ndarray) -> np.ndarray:
         ridge = 1e-12 * np.eye(basis.shape[-1])
@@ -244,9 +244,9 @@ def _robust_fit(
         return residuals
 
     def spread(residuals: np.ndarray) -> np.ndarray:
-        size = np.sort(np.where(have, np.abs(residuals), np.inf), axis=1)
+        size = np.sort(np.where(is_finite, np.abs(residuals), np.inf), axis=1)
         median: np.ndarray = np.take_along_axis(size, middle[:, None], axis=1)[:, 0]
-        floored: np.ndarray = np.maximum(SIGMA_OF_MAD * median, tiny)
+        floored: np.ndarray = np.maximum(SIGMA_OF_MAD * median, floor)
         return floored
 
     # Fewer functions withstand more outliers: the first ones part these from the rest, then all
@@ -260,5 +260,5 @@ def _robust_fit(
         reach = np.clip(residuals / (6.0 * spread(residuals)[:, None]), -1, 1)
         residuals = fit(weight**2 * ((1 - reach**2) ** 2 + 1e-12), basis)
     scale = spread(residuals)
-    used = np.maximum(have.sum(axis=1), basis.shape[-1] + 1)
+    used = np.maximum(is_finite.sum(axis=1), basis.shape[-1] + 1)
     return residuals, scale * np.sqrt(used / (used - basis.shape[-1]))

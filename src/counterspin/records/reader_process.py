@@ -44,8 +44,8 @@ _THREADED: Final = ("polars",)
 _IDLE_SECONDS: Final = 60.0
 
 #: Status of a process that another one is to follow.
-_NEXT: Final = 75
-_TOO_LONG: Final = "the file is damaged: reading it takes far longer than its size explains."
+_RESTART_STATUS: Final = 75
+_TIMEOUT_STATUS: Final = "the file is damaged: reading it takes far longer than its size explains."
 #: How processes end on Windows -> what that means.
 _WINDOWS_DEATHS: Final = {
     0xC000_0005: "access violation",
@@ -53,7 +53,7 @@ _WINDOWS_DEATHS: Final = {
     0xC000_0409: "abort",
 }
 #: Seconds that a process is given to end.
-_ENDING_SECONDS: Final = 5.0
+_TERMINATION_SECONDS: Final = 5.0
 
 #: What the reader's process runs; its arguments are the path of modules and those to load.
 _PROGRAM: Final = (
@@ -62,7 +62,7 @@ _PROGRAM: Final = (
 )
 
 
-class _Reader:
+class _ReaderProcess:
     """The reader's process, seen from the process that asks it."""
 
     def __init__(self) -> None:
@@ -96,7 +96,7 @@ class _Reader:
                     if reply is not None:
                         return reply
                     if not in_time:
-                        return DamagedFileError(f"{path}: {_TOO_LONG}")
+                        return DamagedFileError(f"{path}: {_TIMEOUT_STATUS}")
                     if not self._ready:
                         self._kill()
                         self._startable = False
@@ -105,7 +105,7 @@ class _Reader:
                     status = process.wait()
                     if status != 0:
                         break
-                return DamagedFileError(f"{path}: {_death_words(status)}")
+                return DamagedFileError(f"{path}: {_exit_description(status)}")
             except BaseException:
                 self._kill()  # what it still answers would be taken for the next answer
                 raise
@@ -141,7 +141,7 @@ class _Reader:
 
         def expire() -> None:
             expired.set()
-            _end(process)
+            _terminate(process)
 
         timer = threading.Timer(waiting_seconds(path), expire)
         timer.daemon = True
@@ -181,7 +181,7 @@ class _Reader:
                     with suppress(OSError):
                         stream.close()
             if process.poll() is None:
-                _end(process)
+                _terminate(process)
 
     def close(self) -> None:
         """End the process, at the end of this one."""
@@ -195,7 +195,7 @@ class _Reader:
             self._process = None
 
 
-_READER: Final = _Reader()
+_READER: Final = _ReaderProcess()
 atexit.register(_READER.close)
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_READER.forget)
@@ -206,12 +206,14 @@ def prepare(suffix: str) -> None:
     _READER.prepare(suffix)
 
 
-def ask(function: Callable[..., Any], path: Path, *args: Any) -> tuple[Any] | BaseException | None:
+def run_in_reader(
+    function: Callable[..., Any], path: Path, *args: Any
+) -> tuple[Any] | BaseException | None:
     """Return (``function(path, *args)``,), its error, or None if no process can be started."""
     return _READER.ask(path.suffix.lower(), path, (_directory(), function, (path, *args)))
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _terminate(process: subprocess.Popen[bytes]) -> None:
     """End a process, and before it the one that it forked."""
     if sys.platform == "win32":
         process.kill()
@@ -222,7 +224,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         with suppress(ProcessLookupError):
             os.killpg(process.pid, number)
         with suppress(subprocess.TimeoutExpired):
-            process.wait(_ENDING_SECONDS)
+            process.wait(_TERMINATION_SECONDS)
             return
 
 
@@ -256,8 +258,8 @@ def _read_in_forks(libraries: list[str], requests: Any, replies: BinaryIO) -> No
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
             _read_and_exit(libraries, requests, replies)
         status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-        if status != _NEXT:
-            _end_as(status)
+        if status != _RESTART_STATUS:
+            _exit_like(status)
         # Where one file is damaged others may be, of any format.
         for name in set(chain(*NATIVE.values())).difference(_THREADED):
             _load(name)
@@ -281,12 +283,12 @@ def _read_and_exit(libraries: list[str], requests: Any, replies: BinaryIO) -> No
     try:
         for name in libraries:
             _load(name)
-        status = 0 if _answer_all(requests, replies) else _NEXT
+        status = 0 if _answer_all(requests, replies) else _RESTART_STATUS
     finally:
         os._exit(status)
 
 
-def _end_as(status: int) -> NoReturn:
+def _exit_like(status: int) -> NoReturn:
     """End as the process that was forked did: with its status, or of its signal."""
     if status < 0:
         omit_core_file()
@@ -298,11 +300,11 @@ def _end_as(status: int) -> NoReturn:
 
 def _answer_all(requests: Any, replies: BinaryIO) -> bool:
     """Answer requests until there are none; return False after a file that did harm, perhaps."""
-    while _comes_in_time(requests.fileno()):
+    while _is_readable_in_time(requests.fileno()):
         size = requests.read(8)
         if len(size) < 8:
             return True
-        reply = _answer(_read_all(requests, int.from_bytes(size, "little")))
+        reply = _answer(_read_exactly(requests, int.from_bytes(size, "little")))
         try:
             answer = pickle.dumps(reply)
         except Exception:  # an error that cannot be pickled still tells what it is
@@ -331,7 +333,7 @@ def _answer(message: bytes) -> tuple[Any] | BaseException:
         return error
 
 
-def _read_all(stream: Any, size: int) -> bytes:
+def _read_exactly(stream: Any, size: int) -> bytes:
     parts = []
     while size:
         part = stream.read(size)
@@ -342,7 +344,7 @@ def _read_all(stream: Any, size: int) -> bytes:
     return b"".join(parts)
 
 
-def _comes_in_time(number: int) -> bool:
+def _is_readable_in_time(number: int) -> bool:
     if sys.platform == "win32":  # which cannot wait for a pipe
         return True
     return bool(select.select([number], [], [], _IDLE_SECONDS)[0])
@@ -355,14 +357,14 @@ def _directory() -> str | None:
         return None
 
 
-def _death_words(status: int) -> str:
+def _exit_description(status: int) -> str:
     """Say how the reader's process ended: an exit status, or less than 0 for a signal."""
     try:
         name = signal.Signals(-status).name
     except ValueError:
         name = _WINDOWS_DEATHS.get(status, f"exit status {status}")
     if name == "SIGXCPU" or (sys.platform == "win32" and status == WINDOWS_TIME_STATUS):
-        return _TOO_LONG
+        return _TIMEOUT_STATUS
     if name == "SIGABRT":
         return (
             "the file is damaged or needs more memory than is allowed: its reader "

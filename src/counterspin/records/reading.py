@@ -18,7 +18,7 @@ import numpy as np
 from counterspin.arrays import median
 from counterspin.errors import RecordError
 from counterspin.input import FileIdentity
-from counterspin.records.clock import LARGEST_ANGLE, LISTED, Clock
+from counterspin.records.clock import LISTED, MAX_ANGLE, Clock
 from counterspin.records.column_file import (
     Chunk,
     ColumnFile,
@@ -27,57 +27,57 @@ from counterspin.records.column_file import (
     column_rows,
     iter_chunks,
 )
-from counterspin.records.dialect import TO_BE_FOUND
+from counterspin.records.dialect import AUTODETECT
 from counterspin.records.formats import open_columns
-from counterspin.records.isolation import in_reader_process, in_reader_process_if_slow
+from counterspin.records.isolation import run_isolated, run_isolated_if_slow
 from counterspin.records.memory import MemoryTable
 from counterspin.records.outliers import detect_outliers
 from counterspin.records.record import (
     ColumnSpec,
     Gap,
+    NominalMotion,
     Outlier,
     Record,
     RecordColumns,
     RecordReport,
-    StatedMotion,
 )
 from counterspin.records.reduction import BlockAverager, BlockMeans, block_size, main_segment
 from counterspin.records.run_file import RunFile, is_derived, pulse_angle
 from counterspin.records.sampling import RepeatedValues
 from counterspin.records.several_sensors import refuse_several_sensors
 from counterspin.records.signals import (
-    PolynomialParts,
+    HarmonicFit,
+    PolynomialMoments,
     UnitChange,
-    Waves,
-    against_reference,
-    change_of_unit,
-    lost_samples,
-    noise_of,
-    switch,
-    waves,
+    check_first_harmonic,
+    find_changepoint,
+    find_dropout,
+    find_unit_change,
+    fit_harmonics,
+    residual_noise,
 )
 
 #: More empty cells than this part of a run's rows refuse the record.
-MOST_EMPTY = 0.05
+MAX_EMPTY_PART = 0.05
 #: Fewest revolutions of a record, and of one whose mean is a reading.
-FEWEST_REVOLUTIONS = 3.0
-FEWEST_REVOLUTIONS_OF_A_MEAN = 1.0
+MIN_REVOLUTIONS = 3.0
+MIN_REVOLUTIONS_OF_MEAN = 1.0
 #: Most revolutions from one row to the next, in the mean.
-MOST_REVOLUTIONS_A_ROW = 20.0
+MAX_REVOLUTIONS_PER_ROW = 20.0
 #: Revolutions that any record may have, and further ones for each of its rows: the motion is
 #: integrated through all of them, which takes some 0.03 MB for each.
 ANY_REVOLUTIONS = 5000.0
-FURTHER_REVOLUTIONS_A_ROW = 1.0 / 16.0
+MAX_REVOLUTIONS_PER_ROW_ANY_PHASE = 1.0 / 16.0
 #: No record holds larger values, in SI units; their squares would be beyond all numbers.
-LARGEST_VALUE = 1e100
+MAX_MAGNITUDE = 1e100
 #: Rows that stand alone do so beyond a gap of as many steps, and of a revolution.
-_LONE_STEPS = 10
+_ISOLATION_STEPS = 10
 
 
 def read_record(
     path: str | Path | MemoryTable,
     columns: RecordColumns,
-    motion: StatedMotion,
+    motion: NominalMotion,
     *,
     block: Literal["auto"] | None = "auto",
 ) -> Record:
@@ -92,7 +92,7 @@ def read_record(
     pulses = None
     if columns.angle is not None and columns.angle.kind == "pulses":
         source = record if columns.pulses is None else columns.pulses
-        pulses = in_reader_process(_pulse_times, source, columns)
+        pulses = run_isolated(_pulse_times, source, columns)
         if pulses is None:
             columns = replace(columns, angle=None)
     if columns.angle is not None and pulses is not None:
@@ -101,24 +101,24 @@ def read_record(
         except ValueError as error:
             raise RecordError(f"{source}: column '{columns.angle.name}': {error}.") from None
     # Every sample of a long record would be much to hand over.
-    place = in_reader_process_if_slow if block == "auto" else in_reader_process
-    return place(_read, record, columns, motion, block, pulses)
+    place = run_isolated_if_slow if block == "auto" else run_isolated
+    return place(_read_file, record, columns, motion, block, pulses)
 
 
-def _read(
+def _read_file(
     path: Path | MemoryTable,
     columns: RecordColumns,
-    motion: StatedMotion,
+    motion: NominalMotion,
     block: Literal["auto"] | None,
     pulses: tuple[np.ndarray, FileIdentity | None] | None,
 ) -> Record:
-    with opened(path, columns, motion.rate, pulses and pulses[0]) as (file, columns_found, files):
+    with open_record(path, columns, motion.rate, pulses and pulses[0]) as (file, resolved, files):
         try:
-            record = _read_tested(file, columns_found, motion, block)
+            record = _read_tested(file, resolved, motion, block)
         except RecordError:
             if not file.use_strict_parser():
                 raise
-            record = _read_tested(file, columns_found, motion, block)
+            record = _read_tested(file, resolved, motion, block)
         others = {
             file_read.path: file_read.identity for file_read in files[1:] if file_read.identity
         }
@@ -128,7 +128,7 @@ def _read(
 
 
 @contextmanager
-def opened(
+def open_record(
     path: Path | MemoryTable,
     columns: RecordColumns,
     rate: float,
@@ -140,7 +140,10 @@ def opened(
     """
     with ExitStack() as stack:
         files = [stack.enter_context(open_columns(path, columns.dialect))]
-        files += [stack.enter_context(open_columns(more, columns.dialect)) for more in columns.more]
+        files += [
+            stack.enter_context(open_columns(continuation, columns.dialect))
+            for continuation in columns.more
+        ]
         columns = columns.required(files[0])
         for record_file in files:
             record_file.stamps = columns.stamps
@@ -161,7 +164,7 @@ def _pulse_times(
 
     Returns: None where the file has no such column and does not need it.
     """
-    with open_columns(path, columns.dialect if columns.pulses is None else TO_BE_FOUND) as file:
+    with open_columns(path, columns.dialect if columns.pulses is None else AUTODETECT) as file:
         spec = columns.required(file).angle
         if spec is None:
             return None
@@ -175,7 +178,7 @@ def _pulse_times(
 def _read_tested(
     file: ColumnFile | RunFile,
     columns: RecordColumns,
-    motion: StatedMotion,
+    motion: NominalMotion,
     block: Literal["auto"] | None,
 ) -> Record:
     """Read a file, and read it again without isolated rows at its ends."""
@@ -196,7 +199,7 @@ class _RecordReader:
         self,
         file: ColumnFile | RunFile,
         columns: RecordColumns,
-        motion: StatedMotion,
+        motion: NominalMotion,
         block: Literal["auto"] | None,
     ) -> None:
         self._file = file
@@ -205,7 +208,7 @@ class _RecordReader:
         self._motion = motion
         self._wants_blocks = block == "auto" and bool(motion.rate)
         self._clock = Clock(file.path, file.locate_row, motion.rate)
-        self._polynomials = PolynomialParts(len(self._signals))
+        self._polynomials = PolynomialMoments(len(self._signals))
         self._rows = 0
         self._lone = 0
         self._outside = 0
@@ -236,7 +239,9 @@ class _RecordReader:
             first, last = self._rows_within(columns, time_range)
             excluded = rows - (last - first)
             outside = (
-                rows - _count(*self._rows_within(columns, self._columns.part)) if excluded else 0
+                rows - _row_count(*self._rows_within(columns, self._columns.part))
+                if excluded
+                else 0
             )
             self._outside += outside
             self._lone += excluded - outside
@@ -278,7 +283,7 @@ class _RecordReader:
         """Return the times, in the file's own clock, between which no rows stand alone."""
         rate = abs(self._motion.rate)
         revolution = 2 * np.pi / rate if rate else 0.0
-        within = main_segment(blocks, max(revolution, _LONE_STEPS * self._clock.step))
+        within = main_segment(blocks, max(revolution, _ISOLATION_STEPS * self._clock.step))
         return within and (within[0] + self._start_time, within[1] + self._start_time)
 
     def _rows_within(self, columns: Columns, time_range: tuple[float, float]) -> tuple[int, int]:
@@ -316,8 +321,8 @@ class _RecordReader:
         if self._first_time:
             seconds = seconds - self._first_time
         return Chunk(
-            _scaled(seconds, time.factor),
-            None if angle is None else _scaled(columns[angle.name], angle.factor, angle.offset),
+            _scale(seconds, time.factor),
+            None if angle is None else _scale(columns[angle.name], angle.factor, angle.offset),
             [columns[spec.name] for spec in self._signals],
         )
 
@@ -344,9 +349,9 @@ class _RecordReader:
             self._empty[place] += int(np.isnan(signal).sum())
             infinite = np.flatnonzero(np.isinf(signal))
             if len(infinite):
-                where = self._file.locate_row(first_row + int(infinite[0]))
+                mask = self._file.locate_row(first_row + int(infinite[0]))
                 raise RecordError(
-                    f"{self._file.path}, {where}: column '{self._signals[place].name}' "
+                    f"{self._file.path}, {mask}: column '{self._signals[place].name}' "
                     "holds an infinite value."
                 )
 
@@ -369,20 +374,20 @@ class _RecordReader:
             # looked for in those that are not.
             counts = {self._columns.time.name: counts[self._columns.time.name]}
         for name, count in counts.items():
-            if count > MOST_EMPTY * self._rows:
+            if count > MAX_EMPTY_PART * self._rows:
                 raise RecordError(
                     f"{self._file.path}: column '{name}' has {count} empty cells in "
-                    f"{self._rows} rows; at most {MOST_EMPTY:.0%} may be empty."
+                    f"{self._rows} rows; at most {MAX_EMPTY_PART:.0%} may be empty."
                 )
         large = self._clock.findings.implausible_angles
-        if self._columns.angle is not None and large > MOST_EMPTY * self._rows:
+        if self._columns.angle is not None and large > MAX_EMPTY_PART * self._rows:
             raise RecordError(
                 f"{self._file.path}: column '{self._columns.angle.name}' has {large} angles beyond "
-                f"{LARGEST_ANGLE:g} rad in {self._rows} rows; at most {MOST_EMPTY:.0%} may be so "
-                "large. Check the unit of the column, or subtract its first value."
+                f"{MAX_ANGLE:g} rad in {self._rows} rows; at most {MAX_EMPTY_PART:.0%} may be "
+                "so large. Check the unit of the column, or subtract its first value."
             )
         differing = self._clock.findings.differing
-        if differing > MOST_EMPTY * self._rows:
+        if differing > MAX_EMPTY_PART * self._rows:
             raise RecordError(
                 f"{self._file.path}: {differing} of {self._rows} rows repeat the time of "
                 "the row before with other values; the time column may be too coarse."
@@ -406,13 +411,13 @@ class _RecordReader:
         signals: dict[str, np.ndarray] = {}
         parts: dict[str, np.ndarray] = {}
         for place, (name, spec) in enumerate(self._columns.signals.items()):
-            signal = _scaled(blocks.signals[place], spec.factor, spec.offset)
+            signal = _scale(blocks.signals[place], spec.factor, spec.offset)
             self._check_magnitude(spec, signal)
             if self._block > 1:
                 signal = self._reject_outlying_blocks(blocks, place, signal)
             if not self._motion.steady:
                 signal, fitted = self._check_amplitude(place, name, blocks, phase, signal)
-                noise = noise_of(fitted) * np.sqrt(median(blocks.count))
+                noise = residual_noise(fitted) * np.sqrt(median(blocks.count))
                 ends = self._polynomials.ends(place)
                 moments = np.append(self._polynomials.of(place), ends)
                 parts[name] = moments * (spec.factor / noise)
@@ -434,7 +439,7 @@ class _RecordReader:
         duration = float(blocks.time[-1] - blocks.time[0])
         revolutions = duration * abs(self._motion.rate) / (2 * np.pi)
         steady = self._motion.steady
-        fewest = FEWEST_REVOLUTIONS_OF_A_MEAN if steady else FEWEST_REVOLUTIONS
+        fewest = MIN_REVOLUTIONS_OF_MEAN if steady else MIN_REVOLUTIONS
         if self._motion.rate and revolutions < fewest * (1.0 - 1e-9):
             needed = f"{fewest:g} are" if fewest > 1.0 else "1 is"
             raise RecordError(
@@ -442,12 +447,12 @@ class _RecordReader:
                 f"revolutions at the run's rate; at least {needed} needed. "
                 "Check the unit of the time column."
             )
-        if revolutions > MOST_REVOLUTIONS_A_ROW * self._rows:
+        if revolutions > MAX_REVOLUTIONS_PER_ROW * self._rows:
             raise RecordError(
                 f"{self._file.path}: the record has {self._rows} rows in {revolutions:.4g} "
                 "revolutions, too few to follow the rotation. Check the unit of the time column."
             )
-        most = ANY_REVOLUTIONS + FURTHER_REVOLUTIONS_A_ROW * self._rows
+        most = ANY_REVOLUTIONS + MAX_REVOLUTIONS_PER_ROW_ANY_PHASE * self._rows
         if revolutions > most and not steady:
             raise RecordError(
                 f"{self._file.path}: the record has {self._rows} rows in {revolutions:.6g} "
@@ -457,7 +462,7 @@ class _RecordReader:
 
     def _check_magnitude(self, spec: ColumnSpec, values: np.ndarray) -> None:
         largest = float(np.abs(values[~np.isnan(values)]).max(initial=0.0))
-        if not largest < LARGEST_VALUE:
+        if not largest < MAX_MAGNITUDE:
             raise RecordError(
                 f"{self._file.path}: column '{spec.name}' holds values up to {largest:.3g} in SI "
                 "units, which is not plausible."
@@ -470,34 +475,35 @@ class _RecordReader:
         blocks: BlockMeans,
         phase: np.ndarray,
         signal: np.ndarray,
-    ) -> tuple[np.ndarray, Waves]:
+    ) -> tuple[np.ndarray, HarmonicFit]:
         """Return a signal without what a dead channel recorded, and its waves.
 
         Refuses waves that change their size or are not the motion's.
         """
-        expected = self._motion.swings.get(accelerometer)
-        fitted = waves(phase, signal)
+        expected = self._motion.expected_harmonics.get(accelerometer)
+        fitted = fit_harmonics(phase, signal)
         none = np.empty(0, dtype=int)
-        dead = none if expected is None else lost_samples(fitted, phase, signal)
-        if len(dead) > MOST_EMPTY * len(signal):
+        dead = none if expected is None else find_dropout(fitted, phase, signal)
+        if len(dead) > MAX_EMPTY_PART * len(signal):
             begin, end = blocks.time[dead[0]], blocks.time[dead[-1]]
             raise RecordError(
                 f"{self._file.path}: column '{self._columns.signals[accelerometer].name}' does not "
                 f"follow the rotation for {len(dead) / len(signal):.2g} of the record, between "
                 f"{begin:.6g} s and {end:.6g} s after its start, and does so again after that, as "
-                f"where a channel is dead; at most {MOST_EMPTY:.0%} may be. Cut the record here."
+                f"where a channel is dead; at most {MAX_EMPTY_PART:.0%} may be. Cut the record "
+                "here."
             )
         if len(dead):
             dead = dead[~np.isnan(signal[dead])]  # what is empty or out already is counted
             self._outliers[place] += int(blocks.count[dead].sum())
             signal = signal.copy()
             signal[dead] = np.nan
-            fitted = waves(phase, signal)
-        change = change_of_unit(fitted, may_grow=expected is None)
+            fitted = fit_harmonics(phase, signal)
+        change = find_unit_change(fitted, may_grow=expected is None)
         if change is not None:
             raise self._unit_change_error(accelerometer, fitted, change, blocks.time, phase)
         if expected is not None:
-            wrong = against_reference(fitted, expected, self._columns.angle is not None)
+            wrong = check_first_harmonic(fitted, expected, self._columns.angle is not None)
             if wrong is not None:
                 column = self._columns.signals[accelerometer].name
                 raise RecordError(f"{self._file.path}: column '{column}' {wrong}.")
@@ -506,7 +512,7 @@ class _RecordReader:
     def _unit_change_error(
         self,
         accelerometer: str,
-        fitted: Waves,
+        fitted: HarmonicFit,
         change: UnitChange,
         block_times: np.ndarray,
         phase: np.ndarray,
@@ -525,10 +531,10 @@ class _RecordReader:
             inside = np.flatnonzero((time >= begin) & (time <= end))
             rows.append(row + inside)
             times.append(time[inside])
-            signals.append(_scaled(columns[spec.name][inside], spec.factor, spec.offset))
+            signals.append(_scale(columns[spec.name][inside], spec.factor, spec.offset))
             row += len(time)
         angle = np.interp(np.concatenate(times), block_times, phase)
-        at = min(switch(fitted, change, angle, np.concatenate(signals)), len(angle) - 1)
+        at = min(find_changepoint(fitted, change, angle, np.concatenate(signals)), len(angle) - 1)
         where = self._file.locate_row(int(np.concatenate(rows)[at]))
         return RecordError(
             f"{self._file.path}, {where}: column '{spec.name}' changes its unit or its scale: "
@@ -583,10 +589,10 @@ class _RecordReader:
         )
 
 
-def _scaled(values: np.ndarray, factor: float, offset: float = 0.0) -> np.ndarray:
+def _scale(values: np.ndarray, factor: float, offset: float = 0.0) -> np.ndarray:
     scaled = values if factor == 1 else values * factor
     return scaled + offset if offset else scaled
 
 
-def _count(first: int, last: int) -> int:
+def _row_count(first: int, last: int) -> int:
     return last - first

@@ -14,8 +14,8 @@ from counterspin.arrays import Array
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.input import FileIdentity
-from counterspin.records.dialect import TO_BE_FOUND, Dialect
-from counterspin.records.signals import Swing
+from counterspin.records.dialect import AUTODETECT, Dialect
+from counterspin.records.signals import FirstHarmonic
 from counterspin.units import TEMPERATURE_SCALES, base_unit, same_unit, unit_factor
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ class RecordReport:
         return notes
 
 
-def rejected_of(counts: Mapping[str, int]) -> int:
+def rejected_count(counts: Mapping[str, int]) -> int:
     """Return the number of unused samples in `RecordReport.counts`."""
     return counts["repeated"] + counts["empty"] + counts["outliers"]
 
@@ -156,7 +156,7 @@ class ColumnSpec:
         return filed
 
     @property
-    def is_made(self) -> bool:
+    def is_derived_column(self) -> bool:
         """True if the column is derived and no row of the file contains it."""
         return self.kind in ("rows", "pulses")
 
@@ -196,7 +196,7 @@ class RecordColumns:
     time: ColumnSpec
     angle: ColumnSpec | None
     signals: Mapping[str, ColumnSpec]  #: By accelerometer.
-    dialect: Dialect = TO_BE_FOUND  #: How the file is written, as far as that is known.
+    dialect: Dialect = AUTODETECT  #: How the file is written, as far as that is known.
     #: From where to where the record is used, s in its own time; of stamps, and of rows that are
     #: counted, from the first row.
     part: tuple[float, float] = (-math.inf, math.inf)
@@ -243,18 +243,18 @@ class RecordColumns:
     @property
     def filed(self) -> list[str]:
         """The columns that a file contains."""
-        made = [spec.name for spec in (self.time, self.angle) if spec and spec.is_made]
+        made = [spec.name for spec in (self.time, self.angle) if spec and spec.is_derived_column]
         return [name for name in self.names if name not in made]
 
 
 @frozen
-class StatedMotion:
+class NominalMotion:
     """The stated motion of a run, against which its record is checked."""
 
     rate: float  #: rad/s; negative turns from north to east; 0 at rest.
     #: Accelerometer -> the wave that the motion puts into its signal; those without are not checked
     #: against it.
-    swings: Mapping[str, Swing] = field(default_factory=dict)
+    expected_harmonics: Mapping[str, FirstHarmonic] = field(default_factory=dict)
     #: Whether the signal is one level, as at rest or on an arm, beside which its waves are small.
     steady: bool = False
     #: Whether it is moved between rests in an unknown way, so that no sample counts as an outlier.

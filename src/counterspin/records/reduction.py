@@ -24,7 +24,7 @@ _BLOCK_SAMPLES = 8192
 #: Steps less uneven than this give a block's times the spread of an even grid.
 _IGNORED_UNEVENNESS = 1e-3
 #: Up to so many rows beyond a gap stand alone.
-_LONE_ROWS = 5
+_MAX_ISOLATED_ROWS = 5
 #: Steps less uneven than this let a block be a number of rows; else it is a span of time.
 _ROW_UNEVENNESS = 0.5
 
@@ -77,13 +77,13 @@ def main_segment(blocks: BlockMeans, shortest_gap: float) -> tuple[float, float]
     begin, end = (blocks.time - half)[1:], (blocks.time + half)[:-1]
     middle = (begin + end) / 2
     gaps = np.flatnonzero(begin - end > shortest_gap)
-    earlier = np.cumsum(blocks.count)[gaps]
-    before = gaps[earlier <= _LONE_ROWS]
-    after = gaps[blocks.count.sum() - earlier <= _LONE_ROWS]
-    if not len(before) and not len(after):
+    earlier_gaps = np.cumsum(blocks.count)[gaps]
+    rows_before = gaps[earlier_gaps <= _MAX_ISOLATED_ROWS]
+    rows_after = gaps[blocks.count.sum() - earlier_gaps <= _MAX_ISOLATED_ROWS]
+    if not len(rows_before) and not len(rows_after):
         return None
-    first = float(middle[before[-1]]) if len(before) else -math.inf
-    last = float(middle[after[0]]) if len(after) else math.inf
+    first = float(middle[rows_before[-1]]) if len(rows_before) else -math.inf
+    last = float(middle[rows_after[0]]) if len(rows_after) else math.inf
     return first, last
 
 

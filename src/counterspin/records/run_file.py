@@ -14,7 +14,7 @@ from counterspin.records.column_file import ColumnFile, Columns, column_rows
 from counterspin.records.record import RecordColumns
 
 #: How far a pulse may stand from its place, in parts of the interval.
-_OFF_PLACE = 0.2
+_MAX_PULSE_DEVIATION = 0.2
 
 
 def is_derived(columns: RecordColumns) -> bool:
@@ -118,9 +118,9 @@ def pulse_angle(pulses: Array, time: Array, rate: float, per_revolution: float) 
         )
     # A pulse that is missing leaves an interval of two.
     turns = np.round(steps / interval)
-    off = np.abs(steps / interval - turns) > _OFF_PLACE
-    if off.any() or (turns < 1).any():
-        place = int(np.flatnonzero(off | (turns < 1))[0]) + 2
+    offset = np.abs(steps / interval - turns) > _MAX_PULSE_DEVIATION
+    if offset.any() or (turns < 1).any():
+        place = int(np.flatnonzero(offset | (turns < 1))[0]) + 2
         raise ValueError(
             f"pulse {place} comes {steps[place - 2]:.6g} s after the one before it, others after "
             f"{interval:.6g} s"
@@ -128,13 +128,13 @@ def pulse_angle(pulses: Array, time: Array, rate: float, per_revolution: float) 
     unit = math.copysign(2 * math.pi / per_revolution, rate)
     angles = unit * np.concatenate([[0.0], np.cumsum(turns)])
     # Of the two parabolas that pass through an interval's ends, the mean weighted by nearness.
-    left = np.clip(np.searchsorted(pulses, time, side="right") - 1, 0, len(pulses) - 2)
-    share = np.clip((time - pulses[left]) / steps[left], 0.0, 1.0)
-    before = _parabola(pulses, angles, np.clip(left, 1, len(pulses) - 2), time)
-    after = _parabola(pulses, angles, np.clip(left + 1, 1, len(pulses) - 2), time)
+    revolutions_left = np.clip(np.searchsorted(pulses, time, side="right") - 1, 0, len(pulses) - 2)
+    share = np.clip((time - pulses[revolutions_left]) / steps[revolutions_left], 0.0, 1.0)
+    before = _parabola(pulses, angles, np.clip(revolutions_left, 1, len(pulses) - 2), time)
+    after = _parabola(pulses, angles, np.clip(revolutions_left + 1, 1, len(pulses) - 2), time)
     angle: Array = (1.0 - share) * before + share * after
-    beyond = (time < pulses[0] - interval) | (time > pulses[-1] + interval)
-    angle[beyond] = np.nan
+    outside = (time < pulses[0] - interval) | (time > pulses[-1] + interval)
+    angle[outside] = np.nan
     return angle
 
 

@@ -21,7 +21,7 @@ from counterspin.arrays import Array, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.outliers import resolution
-from counterspin.records.unit_words import bracketed_unit
+from counterspin.records.unit_notation import bracketed_unit
 
 #: Rows that show whether values repeat.
 _SHOWING_ROWS: Final = 100_000
@@ -37,21 +37,21 @@ _OUTLYING_STEPS: Final = 8.0
 #: Steps of the resolution by which values change if they are not those of a smooth coarse signal.
 _COARSE_STEPS: Final = 1.25
 #: Most rows for a sample.
-_MOST_ROWS: Final = 1000
+_MAX_ROWS: Final = 1000
 #: Fewest rows that tell.
-_FEWEST: Final = 32
+_MIN_CHANGES: Final = 32
 
 #: Part of the mean step below which a step is within a burst; the fewest bursts that tell, and the
 #: part of the steps between them where the times within a burst differ.
 _BURST_PART: Final = 0.5
-_FEWEST_BURSTS: Final = 4
+_MIN_BURSTS: Final = 4
 _PAUSES_PART: Final = 0.01
 
 Mask = npt.NDArray[np.bool_]
 
 
 @frozen
-class Holding:
+class ValueHolding:
     """The way in which a log repeats the values of a slower sensor."""
 
     rows: float  #: Mean number of rows for a sample.
@@ -59,14 +59,14 @@ class Holding:
     phase: int  #: Row of the first new value, from 0, where the period is not 0.
 
     @classmethod
-    def of(cls, values: Array) -> Holding | None:
+    def of(cls, values: Array) -> ValueHolding | None:
         """Return how values repeat; None if they do not. ValueError if it cannot be told.
 
         values: As logged, NaN where a cell is empty, shape (n,).
         """
         part = values[:_SHOWING_ROWS]
         good = part[np.isfinite(part)]
-        if good.size < _FEWEST or np.ptp(good) == 0.0:
+        if good.size < _MIN_CHANGES or np.ptp(good) == 0.0:
             return None
         steps = np.diff(good)
         changed = steps[steps != 0.0]
@@ -79,9 +79,11 @@ class Holding:
         places = np.flatnonzero(np.diff(part, prepend=math.nan) != 0.0)[1:]
         # Of samples that are equal by chance, many differ from both neighbours.
         lengths = np.diff(places)
-        few = lengths.size < _FEWEST or step < _COARSE_STEPS * resolution(good)
+        few = lengths.size < _MIN_CHANGES or step < _COARSE_STEPS * resolution(good)
         alternate = few or np.quantile(lengths, 0.01) < 2.0
-        if (repeated <= limit and alternate) or _is_stuck(lengths, 1.0 / (1.0 - repeated)):
+        if (repeated <= limit and alternate) or _is_constant_stretch(
+            lengths, 1.0 / (1.0 - repeated)
+        ):
             return None
         if period := _period(places):
             return cls(float(period), period, int(places[0]) % period)
@@ -113,7 +115,7 @@ class RepeatedValues:
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = names
-        self._holding: list[Holding | None] = []
+        self._holding: list[ValueHolding | None] = []
         self._held = [0] * len(names)
         self._last = [math.nan] * len(names)
         self._first_row = 0
@@ -128,8 +130,8 @@ class RepeatedValues:
         later = np.diff(time, prepend=math.nan) != 0.0
         for name, signal in zip(self._names, signals, strict=True):
             try:
-                repeats = later.all() or Holding.of(signal[later]) is not None
-                self._holding.append(Holding.of(signal) if repeats else None)
+                repeats = later.all() or ValueHolding.of(signal[later]) is not None
+                self._holding.append(ValueHolding.of(signal) if repeats else None)
             except ValueError as error:
                 raise RecordError(f"{path}: column '{name}': {error}.") from None
 
@@ -181,11 +183,11 @@ def join_bursts(time: Array) -> Array:
 
 def is_bursty(steps: Array) -> bool:
     """Return whether rows come in bursts, by the steps of their times; these never fall."""
-    if steps.size < _FEWEST or not (steps >= 0.0).all() or not steps.any():
+    if steps.size < _MIN_CHANGES or not (steps >= 0.0).all() or not steps.any():
         return False
     mean = float(np.mean(steps))
     pauses = int(np.sum(steps > _BURST_PART * mean))
-    fewest = _FEWEST_BURSTS if median(steps) == 0.0 else _PAUSES_PART * steps.size
+    fewest = _MIN_BURSTS if median(steps) == 0.0 else _PAUSES_PART * steps.size
     return median(steps) < _BURST_PART * mean and pauses >= fewest
 
 
@@ -237,7 +239,7 @@ def count_times(time: Array, restamped: int) -> Array:
     return np.concatenate(counted)
 
 
-def _is_stuck(lengths: npt.NDArray[np.int_], rows: float) -> bool:
+def _is_constant_stretch(lengths: npt.NDArray[np.int_], rows: float) -> bool:
     """Return whether values stand still in places, as of a dead channel or beyond a range."""
     several = lengths[lengths > 1]
     return bool(several.size == 0 or np.quantile(several, 0.95) > 3.0 * rows + 2.0)
@@ -246,7 +248,10 @@ def _is_stuck(lengths: npt.NDArray[np.int_], rows: float) -> bool:
 def _period(places: npt.NDArray[np.int_]) -> int:
     """Return the whole number of rows between changes, of which some may be missing; 0: none is."""
     lengths = np.diff(places)
-    if lengths.size < _FEWEST or not 1 < (shortest := int(np.quantile(lengths, 0.01))) < _MOST_ROWS:
+    if (
+        lengths.size < _MIN_CHANGES
+        or not 1 < (shortest := int(np.quantile(lengths, 0.01))) < _MAX_ROWS
+    ):
         return 0
     for period in range(shortest, 1, -1):
         at_phase = np.bincount(places % period).max()

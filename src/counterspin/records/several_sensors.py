@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 from counterspin.errors import RecordError
-from counterspin.records.column_file import ColumnFile, quoted
+from counterspin.records.column_file import ColumnFile, format_names
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,12 +24,12 @@ STACKED_NAME: Final = re.compile(
     r"(?i)(.*[^a-z])?(device|sensor|instance|imu|node|mac|addr(ess)?|serial|board|probe|topic)"
     r"([ _-]?(id|no|nr|num|number|name|index|address))?(?P<beside>[^a-z].*)?$"
 )
-_FEWEST_STACKED_ROWS: Final = 20
+_MIN_STACKED_ROWS: Final = 20
 #: Rows that show whether values alternate, and most different values.
 SHOWING_ROWS: Final = 2000
-_MOST_VALUES: Final = 32
+_MAX_VALUES: Final = 32
 #: Part of the rows that each value has at least, and part at which the value changes.
-_FEWEST_PART: Final = 0.01
+_MIN_FRACTION: Final = 0.01
 _CHANGING_PART: Final = 0.05
 
 
@@ -41,7 +41,7 @@ def sensor_columns(cells: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, li
     for name, column in cells.items():
         values = list(dict.fromkeys(cell for cell in column if cell))
         count = len(values)
-        if not 2 <= count <= min(_MOST_VALUES, len(column) // 4):
+        if not 2 <= count <= min(_MAX_VALUES, len(column) // 4):
             continue
         in_turn = column[count:] == column[:-count] and not all(map(_is_number, values))
         whole = all(
@@ -51,7 +51,7 @@ def sensor_columns(cells: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, li
         often = changes >= _CHANGING_PART * len(column)
         fewest = min(column.count(value) for value in values)
         named = _NAME.fullmatch(name) and whole and often
-        if (in_turn or named) and fewest >= max(2.0, _FEWEST_PART * len(column)):
+        if (in_turn or named) and fewest >= max(2.0, _MIN_FRACTION * len(column)):
             yield name, sorted(values)
 
 
@@ -70,7 +70,7 @@ def stacked_sensors(
         values = list(dict.fromkeys(column))
         edges = [0, *starts, len(column)]
         shortest = min(end - start for start, end in pairwise(edges))
-        if not 1 < len(values) <= _MOST_VALUES or shortest < _FEWEST_STACKED_ROWS:
+        if not 1 < len(values) <= _MAX_VALUES or shortest < _MIN_STACKED_ROWS:
             continue
         named = STACKED_NAME.fullmatch(name)
         once = len(starts) == len(values) - 1
@@ -93,15 +93,15 @@ def refuse_several_sensors(file: ColumnFile, wanted: Sequence[str]) -> None:
         return
     named = [name for name in file.names if name and name not in wanted]
     for name, values in sensor_columns(file.first_cells(named, SHOWING_ROWS)):
-        raise RecordError(f"{file.path}: {several_words(name, values)}")
+        raise RecordError(f"{file.path}: {sensors_message(name, values)}")
 
 
-def several_words(name: str, values: Sequence[str]) -> str:
+def sensors_message(name: str, values: Sequence[str]) -> str:
     """Return a message about a column that tells sensors apart."""
     example = f'select = {{ column = "{name}", value = "{values[0]}" }}'
     return (
-        f"column '{name}' takes {len(values)} values ({quoted(values, 8)}): the rows are those of "
-        f"several sensors. Select the rows of one: {example} in [records]."
+        f"column '{name}' takes {len(values)} values ({format_names(values, 8)}): the rows are "
+        f"those of several sensors. Select the rows of one: {example} in [records]."
     )
 
 

@@ -24,11 +24,11 @@ from counterspin.arrays import SIGMA_OF_MAD, Array, median
 from counterspin.frozen import frozen
 
 #: Fewest samples from which one revolution's amplitude is taken.
-_FEWEST_SAMPLES = 12
+_MIN_SAMPLES = 12
 #: Standard deviations of an amplitude by which it must differ from the others to be refused.
 _CHANGE_SDS = 8.0
 #: A revolution that lacks more than the rest of its samples tells wave and trend badly apart.
-_WHOLE_PART = 0.9
+_MIN_REVOLUTION_FRACTION = 0.9
 #: An amplitude that differs from the others by this factor or more is refused.
 _CHANGE_RATIO = 2.0
 
@@ -37,8 +37,8 @@ _DEVIATIONS = 5.0
 
 #: Part of a wave's amplitude, and standard deviations beside it, by which the samples of a channel
 #: that is dead for a while are off its wave; the joint fit judges finer.
-_LOST_PART = 0.05
-_LOST_SDS = 50.0
+_DROPOUT_FRACTION = 0.05
+_DROPOUT_SDS = 50.0
 
 #: Amplitudes of three revolutions differ by less than this factor where they are steady.
 _STEADY_RATIO = 1.2
@@ -61,7 +61,7 @@ _UNIT_RATIOS = (
 
 
 @frozen
-class Swing:
+class FirstHarmonic:
     """The wave of one period a revolution that the motion makes."""
 
     #: Of the cosine of the angle, and of its sine as the imaginary part, in `unit`; not zero.
@@ -70,7 +70,7 @@ class Swing:
 
 
 @frozen
-class Waves:
+class HarmonicFit:
     """A wave and a slow trend, fitted to each revolution."""
 
     #: (m, 5) of cos, sin, 1, u, u^2, where u is the angle from `centre` over pi.
@@ -91,50 +91,52 @@ class Waves:
 
     def value(self, place: int, angle: np.ndarray) -> np.ndarray:
         """Return the wave and trend of revolution `place` at (n,) angles."""
-        value: np.ndarray = _functions(angle, self.centre[place]) @ self.coefficients[place]
+        value: np.ndarray = (
+            _harmonic_functions(angle, self.centre[place]) @ self.coefficients[place]
+        )
         return value
 
 
-def _functions(angle: np.ndarray, centre: np.ndarray) -> np.ndarray:
+def _harmonic_functions(angle: np.ndarray, centre: np.ndarray) -> np.ndarray:
     u = (angle - centre) / math.pi
     return np.stack([np.cos(angle), np.sin(angle), np.ones_like(u), u, u**2], axis=-1)
 
 
-def waves(angle: np.ndarray, signal: np.ndarray) -> Waves:
+def fit_harmonics(angle: np.ndarray, signal: np.ndarray) -> HarmonicFit:
     """Fit a wave to each revolution (or to a few, where samples are sparse).
 
     angle: (n,) rad, unwrapped.
     """
     turns = np.abs(angle - angle[0]) / (2 * math.pi)
-    per_turn = len(angle) / max(float(turns[-1]), 1.0)
-    together = math.ceil(2 * _FEWEST_SAMPLES / max(per_turn, 1e-9))
-    bins = (turns // together).astype(int)
+    samples_per_turn = len(angle) / max(float(turns[-1]), 1.0)
+    turns_per_fit = math.ceil(2 * _MIN_SAMPLES / max(samples_per_turn, 1e-9))
+    bins = (turns // turns_per_fit).astype(int)
     order = np.flatnonzero(np.isfinite(signal))
     bins, th, s = bins[order], angle[order], signal[order]
     edges = np.flatnonzero(np.diff(bins, prepend=-1))
     sizes = np.diff(edges, append=len(bins))
     # An incomplete revolution tells the wave badly from the trend.
-    least = _WHOLE_PART * median(sizes) if len(sizes) else 0.0
-    enough = sizes >= max(_FEWEST_SAMPLES, least)
+    min_samples = _MIN_REVOLUTION_FRACTION * median(sizes) if len(sizes) else 0.0
+    enough = sizes >= max(_MIN_SAMPLES, min_samples)
     edges, sizes = edges[enough], sizes[enough]
     index = edges[:, None] + np.arange(sizes.max(initial=0))
     valid = np.arange(sizes.max(initial=0)) < sizes[:, None]
     index = np.where(valid, index, edges[:, None])
     th, s = th[index], np.where(valid, s[index], 0.0)
     centre = th.sum(axis=1, where=valid) / sizes
-    functions = _functions(th, centre[:, None]) * valid[..., None]
+    functions = _harmonic_functions(th, centre[:, None]) * valid[..., None]
     transposed = np.swapaxes(functions, -1, -2)
     normal = transposed @ functions + 1e-12 * np.eye(5)
     fitted = np.linalg.solve(normal, transposed @ s[..., None])
-    rest = s - (functions @ fitted)[..., 0]
-    deviation = np.sqrt((rest**2).sum(axis=1) / np.maximum(sizes - 5, 1))
+    residuals = s - (functions @ fitted)[..., 0]
+    deviation = np.sqrt((residuals**2).sum(axis=1) / np.maximum(sizes - 5, 1))
     spread = np.linalg.inv(normal)[:, :2, :2]
     u_amplitude = deviation * np.sqrt(np.trace(spread, axis1=1, axis2=2) / 2)
     first, last = order[edges], order[edges + sizes - 1]
-    return Waves(fitted[..., 0], centre, deviation, u_amplitude, first, last)
+    return HarmonicFit(fitted[..., 0], centre, deviation, u_amplitude, first, last)
 
 
-def noise_of(fitted: Waves) -> float:
+def residual_noise(fitted: HarmonicFit) -> float:
     """Return the noise of a signal around its harmonics, in its unit; NaN if unknown."""
     return median(fitted.deviation) if len(fitted.deviation) else math.nan
 
@@ -148,7 +150,7 @@ class UnitChange:
     words: str
 
 
-def _odd_turns(fitted: Waves) -> np.ndarray:
+def _outlying_revolutions(fitted: HarmonicFit) -> np.ndarray:
     """Return (m,) bool: revolutions whose amplitude is another than the usual one by a factor."""
     size = np.abs(fitted.amplitude)
     if len(size) < 3:
@@ -161,7 +163,7 @@ def _odd_turns(fitted: Waves) -> np.ndarray:
     return odd
 
 
-def change_of_unit(fitted: Waves, *, may_grow: bool) -> UnitChange | None:
+def find_unit_change(fitted: HarmonicFit, *, may_grow: bool) -> UnitChange | None:
     """Find where the amplitude of a signal's wave changes by a factor.
 
     None where all is well, or where the signal has no wave to judge by.
@@ -170,12 +172,12 @@ def change_of_unit(fitted: Waves, *, may_grow: bool) -> UnitChange | None:
     may_grow: Whether the wave may be that of errors, which grows with time: only a sudden change
         between steady amplitudes is one of the unit then.
     """
-    odd = _odd_turns(fitted)
-    if not odd.any():
+    outlying = _outlying_revolutions(fitted)
+    if not outlying.any():
         return None
     size = np.abs(fitted.amplitude)
-    turn = int(np.flatnonzero(odd != odd[0])[0])
-    if may_grow and not (_steady(size[:turn][-4:-1]) and _steady(size[turn + 1 : turn + 4])):
+    turn = int(np.flatnonzero(outlying != outlying[0])[0])
+    if may_grow and not (_is_steady(size[:turn][-4:-1]) and _is_steady(size[turn + 1 : turn + 4])):
         return None
     # The revolution in which the unit changes is a mixture of both: take those beside it.
     before, after = max(turn - 2, 0), min(turn + 1, len(size) - 1)
@@ -186,54 +188,59 @@ def change_of_unit(fitted: Waves, *, may_grow: bool) -> UnitChange | None:
     if not 1e-9 < factor < 1e9:
         return UnitChange(before, after, words + ("stops" if factor < 1.0 else "only begins"))
     words += f"changes by a factor of {factor:.4g}"
-    near, off = _nearest_units(factor)
-    if off < 0.02:
-        words += f", as between {near}"
+    nearest, distance = _nearest_unit_ratio(factor)
+    if distance < 0.02:
+        words += f", as between {nearest}"
     return UnitChange(before, after, words)
 
 
-def lost_samples(fitted: Waves, angle: np.ndarray, signal: np.ndarray) -> np.ndarray:
+def find_dropout(fitted: HarmonicFit, angle: np.ndarray, signal: np.ndarray) -> np.ndarray:
     """Return the indices of lost samples: off the harmonic, which is the same before and after.
 
     A channel that is dead for a while, a filler or a burst: all from the first to the last sample
     that is off the waves of both the revolution before and the one after.
     """
-    odd = _odd_turns(fitted)
-    if not odd.any() or odd[0] or odd[-1]:
+    outlying = _outlying_revolutions(fitted)
+    if not outlying.any() or outlying[0] or outlying[-1]:
         return np.empty(0, dtype=int)
-    edges = np.flatnonzero(np.diff(odd))
+    edges = np.flatnonzero(np.diff(outlying))
     lost = []
     for first, last in zip(edges[::2], edges[1::2] + 1, strict=True):
-        neighbours = (max(int(first) - 1, 0), min(int(last) + 1, len(odd) - 1))
+        neighbours = (max(int(first) - 1, 0), min(int(last) + 1, len(outlying) - 1))
         samples = np.arange(fitted.first[neighbours[0]], fitted.last[neighbours[1]] + 1)
-        off = np.ones(len(samples), dtype=bool)
+        deviation = np.ones(len(samples), dtype=bool)
         for turn in neighbours:
-            least = _LOST_PART * abs(fitted.amplitude[turn]) + _LOST_SDS * fitted.deviation[turn]
-            off &= np.abs(signal[samples] - fitted.value(turn, angle[samples])) > least
-        if off.any():
+            min_count = (
+                _DROPOUT_FRACTION * abs(fitted.amplitude[turn])
+                + _DROPOUT_SDS * fitted.deviation[turn]
+            )
+            deviation &= np.abs(signal[samples] - fitted.value(turn, angle[samples])) > min_count
+        if deviation.any():
             # Between them the wave crosses what a dead channel shows.
-            lost.append(np.arange(samples[off][0], samples[off][-1] + 1))
+            lost.append(np.arange(samples[deviation][0], samples[deviation][-1] + 1))
     return np.concatenate([np.empty(0, dtype=int), *lost])
 
 
-def _steady(sizes: np.ndarray) -> bool:
+def _is_steady(sizes: np.ndarray) -> bool:
     return len(sizes) == 3 and float(sizes.max()) < _STEADY_RATIO * float(sizes.min())
 
 
-def _nearest_units(factor: float) -> tuple[str, float]:
+def _nearest_unit_ratio(factor: float) -> tuple[str, float]:
     """Return the units whose ratio comes nearest to a factor, and how near (logarithm)."""
     size = abs(math.log(factor))
     return min(((names, abs(size - math.log(r))) for r, names in _UNIT_RATIOS), key=lambda n: n[1])
 
 
-def switch(fitted: Waves, change: UnitChange, angle: np.ndarray, signal: np.ndarray) -> int:
+def find_changepoint(
+    fitted: HarmonicFit, change: UnitChange, angle: np.ndarray, signal: np.ndarray
+) -> int:
     """Return the sample, of (n,) signal, at which it leaves the wave before for the one after."""
     before = np.abs(signal - fitted.value(change.before, angle))
     after = np.abs(signal - fitted.value(change.after, angle))
     return int(np.argmin(np.append(0.0, np.cumsum(np.nan_to_num(before - after)))))
 
 
-def against_reference(fitted: Waves, swing: Swing, has_angle: bool) -> str | None:
+def check_first_harmonic(fitted: HarmonicFit, swing: FirstHarmonic, has_angle: bool) -> str | None:
     """Compare a signal's wave with the motion's; say what is wrong, or return None.
 
     fitted: The signal's waves, in the unit of `swing`.
@@ -244,9 +251,9 @@ def against_reference(fitted: Waves, swing: Swing, has_angle: bool) -> str | Non
     expected, unit = swing.amplitude, swing.unit
     mean = complex(median(fitted.amplitude.real), median(fitted.amplitude.imag))
     ratio, size = mean / expected, abs(mean / expected)
-    slack = _DEVIATIONS * _spread(fitted, mean) / abs(expected)
-    if (has_angle and abs(ratio - 1) < 0.5 + slack) or (
-        not has_angle and 0.5 - slack < size < 2 + slack
+    tolerance = _DEVIATIONS * _sd_of_median(fitted, mean) / abs(expected)
+    if (has_angle and abs(ratio - 1) < 0.5 + tolerance) or (
+        not has_angle and 0.5 - tolerance < size < 2 + tolerance
     ):
         return None
     words = (
@@ -259,13 +266,13 @@ def against_reference(fitted: Waves, swing: Swing, has_angle: bool) -> str | Non
             f"is turned by {turn:.0f} degrees against the input axis: "
             "check the input axis, its sign, and which column is which"
         )
-    near, off = _nearest_units(size) if size > 0.0 else ("", math.inf)
-    if off < 0.05:
-        return f"{words}; the factor {size:.4g} is that between {near}: check the column's unit"
+    nearest, distance = _nearest_unit_ratio(size) if size > 0.0 else ("", math.inf)
+    if distance < 0.05:
+        return f"{words}; the factor {size:.4g} is that between {nearest}: check the column's unit"
     return f"{words}: check the column's unit, the radius and the input axis"
 
 
-def _spread(fitted: Waves, mean: complex) -> float:
+def _sd_of_median(fitted: HarmonicFit, mean: complex) -> float:
     """Return the standard deviation of the median wave, from what the revolutions differ by."""
     turns = len(fitted.amplitude)
     between = SIGMA_OF_MAD * median(np.abs(fitted.amplitude - mean))
@@ -280,16 +287,16 @@ def _spread(fitted: Waves, mean: complex) -> float:
 WORDS: Final = ("", "mean", "line", "parabola")
 
 #: Probability by chance below which something was removed.
-_CHANCE: Final = 1e-6
+_SIGNIFICANCE: Final = 1e-6
 
 #: What rounding leaves of a part, over the noise, is less than this.
 _ROUNDING: Final = 0.02
 
 #: And of a row, over the rows beside it; where these are as small they are all rounded to zero.
-_ROUNDING_OF_A_ROW: Final = 1e-3
+_ROW_ROUNDING: Final = 1e-3
 
 
-class PolynomialParts:
+class PolynomialMoments:
     """The parts along 1, t and t^2 of columns that are read in pieces.
 
     signals: How many columns there are.
@@ -341,7 +348,7 @@ class PolynomialParts:
         (first, *second), (*before, last) = self._first[place] or [0.0], self._final[place] or [0.0]
         size = max(abs(first), abs(last))
         beside = min((abs(row) for row in (*second, *before)), default=0.0)
-        return size if size < _ROUNDING_OF_A_ROW * beside else math.inf
+        return size if size < _ROW_ROUNDING * beside else math.inf
 
     def of(self, place: int) -> Array:
         """Return a column's parts along the polynomials made orthonormal, shape (3,).
@@ -357,7 +364,7 @@ class PolynomialParts:
         return np.asarray(np.linalg.solve(root, self._of_signals[place] * scale))
 
 
-def removed(parts: Sequence[Array]) -> int:
+def detrending_order(parts: Sequence[Array]) -> int:
     """Return the number of terms of 1, t, t^2 that one recorder removed from its records.
 
     A line through the ends counts as one of least squares. One record does not show it: a recorder
@@ -366,8 +373,8 @@ def removed(parts: Sequence[Array]) -> int:
     By chance, where noise is all that there is, the answer is wrong once in a million times; any
     part of an error along them makes it rarer.
 
-    parts: Of each record as of `PolynomialParts`, over the noise of one row, shape (4,): along the
-        polynomials, and of the ends.
+    parts: Of each record as of `PolynomialMoments`, over the noise of one row, shape (4,): along
+        the polynomials, and of the ends.
     """
     sizes = np.abs(np.array(parts).reshape(-1, 4))
     if len(sizes) > 1 and float(sizes[:, 3].max()) < _ROUNDING:
@@ -375,6 +382,6 @@ def removed(parts: Sequence[Array]) -> int:
     for count in (3, 2, 1) if np.isfinite(sizes[:, :3]).all() else ():
         largest = float(sizes[:, :count].max(initial=0.0))
         chance = math.erf(largest / math.sqrt(2.0)) ** (count * len(sizes))
-        if largest < _ROUNDING and chance < _CHANCE:
+        if largest < _ROUNDING and chance < _SIGNIFICANCE:
             return count
     return 0

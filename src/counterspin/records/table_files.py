@@ -14,14 +14,20 @@ from counterspin.records.column_file import (
     ColumnFile,
     Columns,
     NoRowsError,
+    format_names,
     frame_columns,
     nanoseconds,
     plain_path,
-    quoted,
     record_errors,
 )
-from counterspin.records.dialect import TO_BE_FOUND, Dialect
-from counterspin.records.layout import EMPTY_WORDS, HEAD_LINES, Layout, find_rows, footer_lines
+from counterspin.records.dialect import AUTODETECT, Dialect
+from counterspin.records.layout import (
+    EMPTY_CELL_TEXTS,
+    HEAD_LINES,
+    TableFormat,
+    find_rows,
+    footer_lines,
+)
 
 if TYPE_CHECKING:
     import polars as pl
@@ -102,7 +108,7 @@ _UNPACKED_PER_BYTE: Final = 50
 
 
 def excel_table(
-    path: Path, dialect: Dialect = TO_BE_FOUND, content: bytes | None = None
+    path: Path, dialect: Dialect = AUTODETECT, content: bytes | None = None
 ) -> pl.DataFrame:
     """Return one sheet of a workbook, cells of text remaining text.
 
@@ -110,7 +116,7 @@ def excel_table(
     """
     with record_errors(path):
         content = read_file(path) if content is None else content
-        book, sheet = _sheet_of(path, dialect.sheet, content)
+        book, sheet = _find_sheet(path, dialect.sheet, content)
         import polars as pl
 
         head = {
@@ -130,10 +136,10 @@ def excel_table(
 
 
 #: Rows of a sheet of Excel, at most.
-_MOST_ROWS: Final = 1 << 20
+_MAX_ROWS: Final = 1 << 20
 
 
-def _opened(path: Path, content: bytes) -> Any:
+def _open_workbook(path: Path, content: bytes) -> Any:
     """Return a workbook."""
     try:
         import fastexcel
@@ -146,19 +152,23 @@ def _opened(path: Path, content: bytes) -> Any:
     return fastexcel.read_excel(content)
 
 
-def _sheet_of(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str]:
+def _find_sheet(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str]:
     """Return the workbook and the name of the sheet that is asked for, or of the only table."""
-    book = _opened(path, content)
+    book = _open_workbook(path, content)
     names = book.sheet_names
     if sheet is not None:
         if sheet not in names:
-            raise RecordError(f"{path}: there is no sheet '{sheet}'; it has {quoted(names)}.")
+            raise RecordError(f"{path}: there is no sheet '{sheet}'; it has {format_names(names)}.")
         return book, sheet
     # A workbook may come with empty sheets, and with one of remarks.
     full = [name for name in names if book.load_sheet(name).height > 0]
-    found = full if len(full) == 1 else _tables_of(book, full)
+    found = full if len(full) == 1 else _table_sheets(book, full)
     if len(found) != 1:
-        held = f"the sheets {quoted(found or full)} hold rows; name one" if full else "it has none"
+        held = (
+            f"the sheets {format_names(found or full)} hold rows; name one"
+            if full
+            else "it has none"
+        )
         raise RecordError(f"{path}: which sheet is the table: {held}.")
     return book, found[0]
 
@@ -166,32 +176,36 @@ def _sheet_of(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str]:
 def table_sheets(path: Path) -> list[str]:
     """Return the sheets of a workbook in which rows of numbers stand below names."""
     with record_errors(path):
-        book = _opened(path, read_file(path))
-        return _tables_of(book, book.sheet_names)
+        book = _open_workbook(path, read_file(path))
+        return _table_sheets(book, book.sheet_names)
 
 
-def _tables_of(book: Any, sheets: Sequence[str]) -> list[str]:
+def _table_sheets(book: Any, sheets: Sequence[str]) -> list[str]:
     """Return the sheets that hold rows with more numbers than texts."""
-    return [sheet for sheet in sheets if (found := _rows_of(book, sheet)) and found[0] > 0]
+    return [sheet for sheet in sheets if (found := _score_rows(book, sheet)) and found[0] > 0]
 
 
-def _loaded(book: Any, sheet: str, kind: Any, skip: int, rows: int | None = None) -> pl.DataFrame:
+def _load_cells(
+    book: Any, sheet: str, kind: Any, skip: int, rows: int | None = None
+) -> pl.DataFrame:
     """Return the cells of a sheet below `skip` rows, all of one kind."""
     loaded = book.load_sheet(sheet, header_row=None, skip_rows=skip, n_rows=rows, dtypes=kind)
     frame: pl.DataFrame = loaded.to_polars()
     return frame
 
 
-def _rows_of(book: Any, sheet: str, dialect: Dialect = TO_BE_FOUND) -> tuple[int, Layout] | None:
+def _score_rows(
+    book: Any, sheet: str, dialect: Dialect = AUTODETECT
+) -> tuple[int, TableFormat] | None:
     """Return how many numbers more than texts a sheet's rows have, and where they stand."""
-    head = _loaded(book, sheet, "string", 0, HEAD_LINES + (dialect.skip_lines or 0)).rows()
-    parted = [
+    head = _load_cells(book, sheet, "string", 0, HEAD_LINES + (dialect.skip_lines or 0)).rows()
+    split_rows = [
         (number, ["" if cell is None else cell.strip() for cell in row])
         for number, row in enumerate(head, 1)
     ]
     # Cells of text, as a pasted file leaves them, may have commas.
-    found = [find_rows(parted, dialect, mark) for mark in (".", ",")]
-    return max((rows for rows in found if rows), key=lambda rows: rows[0], default=None)
+    candidates = [find_rows(split_rows, dialect, mark) for mark in (".", ",")]
+    return max((rows for rows in candidates if rows), key=lambda rows: rows[0], default=None)
 
 
 class ExcelFile(ColumnFile):
@@ -199,9 +213,9 @@ class ExcelFile(ColumnFile):
 
     def __init__(self, path: Path, stream: BinaryIO, dialect: Dialect) -> None:
         super().__init__(path, stream)
-        self._rows = _MOST_ROWS
-        self._book, self._sheet = _sheet_of(path, dialect.sheet, self.content())
-        found = _rows_of(self._book, self._sheet, dialect)
+        self._rows = _MAX_ROWS
+        self._book, self._sheet = _find_sheet(path, dialect.sheet, self.content())
+        found = _score_rows(self._book, self._sheet, dialect)
         if found is None:
             raise NoRowsError(f"{path}: sheet '{self._sheet}' has no rows of numbers below names.")
         self._layout = found[1]
@@ -230,7 +244,7 @@ class ExcelFile(ColumnFile):
 
     def _loaded(self, kind: Any, skip: int) -> pl.DataFrame:
         """Return the rows below `skip` rows, without those of a footer that is skipped."""
-        return _loaded(self._book, self._sheet, kind, skip).head(self._rows)
+        return _load_cells(self._book, self._sheet, kind, skip).head(self._rows)
 
     def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         import polars as pl
@@ -242,7 +256,7 @@ class ExcelFile(ColumnFile):
         for name in wanted:
             place = self.names.index(name)
             written = text.to_series(place).alias("text").str.strip_chars()
-            empty = written.is_null() | written.str.to_lowercase().is_in(list(EMPTY_WORDS))
+            empty = written.is_null() | written.str.to_lowercase().is_in(list(EMPTY_CELL_TEXTS))
             if name in self.stamps:
                 whole = times.to_series(place).cast(pl.Datetime("ns")).cast(pl.Int64())
                 parsed = written.to_frame().select(nanoseconds("text")).to_series()

@@ -18,14 +18,14 @@ from counterspin.triads.poses import TriadPoses, predict_indications
 _MOTION: Final = 1.5
 
 #: How it trembles meanwhile: size of each axis, g, and frequencies, Hz.
-_TREMBLING: Final = 0.1
-_HERTZ: Final = (2.0, 6.0)
+_TREMOR: Final = 0.1
+_TREMOR_FREQUENCIES: Final = (2.0, 6.0)
 
 #: Rows whose products of all terms are in memory at once.
 _ROWS: Final = 50_000
 
 #: Beside so small a sine of the angle between them two directions are opposite, or one.
-_ALONG: Final = 1e-6
+_MIN_ANGLE: Final = 1e-6
 
 
 def pose_seconds(record: PoseRecord) -> float:
@@ -41,7 +41,7 @@ def record_seconds(record: PoseRecord, poses: int) -> float:
     return poses * (pose_seconds(record) + _MOTION) - _MOTION
 
 
-def forces_in_record(
+def simulate_forces(
     record: PoseRecord, poses: int, rate: float, generator: np.random.Generator
 ) -> tuple[Array, Array, Array]:
     """Return times, s, the specific force in the triad's frame, g, and the directions at rest.
@@ -53,33 +53,35 @@ def forces_in_record(
 
     Returns: shapes (n,), (n, 3) and (poses, 3).
     """
-    along = generator.standard_normal((poses, 3))
-    along /= np.linalg.norm(along, axis=1)[:, None]
+    directions = generator.standard_normal((poses, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
     time = np.arange(sample_count(record_seconds(record, poses), rate)) / rate
     interval = pose_seconds(record) + _MOTION
-    place = np.minimum((time / interval).astype(int), poses - 1)
-    moved = np.clip((time - place * interval - pose_seconds(record)) / _MOTION, 0.0, 1.0)
-    part = 0.5 * (1.0 - np.cos(np.pi * moved))
-    first, last = along[place], along[np.minimum(place + 1, poses - 1)]
-    aside = _aside(first, last)
-    angle = part * np.arctan2(np.sum(aside * last, axis=1), np.sum(first * last, axis=1))
-    force = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * aside
-    hertz = generator.uniform(*_HERTZ, 3)
+    pose_index = np.minimum((time / interval).astype(int), poses - 1)
+    progress = np.clip((time - pose_index * interval - pose_seconds(record)) / _MOTION, 0.0, 1.0)
+    fraction = 0.5 * (1.0 - np.cos(np.pi * progress))
+    first, last = directions[pose_index], directions[np.minimum(pose_index + 1, poses - 1)]
+    perpendicular = _perpendicular_directions(first, last)
+    angle = fraction * np.arctan2(
+        np.sum(perpendicular * last, axis=1), np.sum(first * last, axis=1)
+    )
+    force = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * perpendicular
+    frequencies = generator.uniform(*_TREMOR_FREQUENCIES, 3)
     phase = generator.uniform(0.0, 2.0 * math.pi, 3)
-    swing = _TREMBLING * np.sin(2.0 * np.pi * hertz * time[:, None] + phase)
-    force += np.where((moved > 0.0) & (moved < 1.0), 1.0, 0.0)[:, None] * swing
-    return time, force, along
+    tremor = _TREMOR * np.sin(2.0 * np.pi * frequencies * time[:, None] + phase)
+    force += np.where((progress > 0.0) & (progress < 1.0), 1.0, 0.0)[:, None] * tremor
+    return time, force, directions
 
 
-def _aside(first: Array, last: Array) -> Array:
+def _perpendicular_directions(first: Array, last: Array) -> Array:
     """Return unit vectors at right angles to the first ones, towards the last ones, (n, 3)."""
-    aside = last - np.sum(first * last, axis=1)[:, None] * first
-    size = np.linalg.norm(aside, axis=1)
+    projected = last - np.sum(first * last, axis=1)[:, None] * first
+    size = np.linalg.norm(projected, axis=1)
     fallback = np.cross(first, np.eye(3)[np.argmin(np.abs(first), axis=1)])
     fallback /= np.linalg.norm(fallback, axis=1)[:, None]
-    near = size < _ALONG
+    is_parallel = size < _MIN_ANGLE
     perpendicular: Array = np.where(
-        near[:, None], fallback, aside / np.where(near, 1.0, size)[:, None]
+        is_parallel[:, None], fallback, projected / np.where(is_parallel, 1.0, size)[:, None]
     )
     return perpendicular
 
@@ -89,7 +91,7 @@ def indicated_forces(
 ) -> dict[str, Array]:
     """Return the noiseless indication of each accelerometer of the triad, m/s^2, shape (n,).
 
-    time, force: As of `forces_in_record`.
+    time, force: As of `simulate_forces`.
     """
     assert campaign.triad is not None
     assert campaign.simulation is not None
@@ -97,9 +99,9 @@ def indicated_forces(
     coefficients = [truth.get(name, {}) for name in names]
     axes = np.array([campaign.accelerometers[name].mounting.matrix for name in names])
     origin = reference_point(campaign)
-    course = np.array(record.temperature or (origin.temperature,)) - origin.temperature
-    knots = np.linspace(time[0], time[-1], len(course))
-    begun = 0.0 if record.time is None else record.time - origin.time
+    temperature_offsets = np.array(record.temperature or (origin.temperature,)) - origin.temperature
+    knots = np.linspace(time[0], time[-1], len(temperature_offsets))
+    start_time = 0.0 if record.time is None else record.time - origin.time
     values = []
     for first in range(0, len(time), _ROWS):
         chunk = time[first : first + _ROWS]
@@ -111,12 +113,12 @@ def indicated_forces(
             gravity=campaign.site.gravity,
             value=np.zeros((n, 3)),
             u=None,
-            temperature=np.interp(chunk, knots, course),
-            time=begun + chunk,
+            temperature=np.interp(chunk, knots, temperature_offsets),
+            time=start_time + chunk,
             repeats=np.ones(n),
             scatter=np.zeros(n),
             in_si=np.zeros((n, 3)),
         )
         values.append(predict_indications(rows, coefficients, force[first : first + n]))
-    whole = campaign.site.gravity * np.concatenate(values)
-    return dict(zip(names, whole.T, strict=True))
+    forces = campaign.site.gravity * np.concatenate(values)
+    return dict(zip(names, forces.T, strict=True))

@@ -32,16 +32,16 @@ from counterspin.readings.cells import BLANK, is_empty
 from counterspin.readings.groups import group_readings, numbered_groups
 from counterspin.readings.known_attitudes import Readings
 from counterspin.readings.table import ReadingsSettings, ReadingsTable, load_table
-from counterspin.simulation.simulable import at_true_inputs, with_true_inputs
+from counterspin.simulation.simulable import apply_inputs_to_readings, apply_true_inputs
 from counterspin.toml_text import parse_toml, write_document
 from counterspin.triads.groups import make_group
 from counterspin.triads.poses import predict_indications
 from counterspin.units import unit_factor
 
 #: Simulated readings are written with so many digits beyond their standard uncertainty.
-_DIGITS: Final = 3
+_EXTRA_DIGITS: Final = 3
 
-_WRITTEN = re.compile(rf"\s*({NUMBER}|{re.escape(BLANK)})\s*(.*)", re.DOTALL)
+_NUMBER_PATTERN = re.compile(rf"\s*({NUMBER}|{re.escape(BLANK)})\s*(.*)", re.DOTALL)
 
 
 def indications(
@@ -60,11 +60,11 @@ def indications(
     """
     stations = group.rotate_head(group.stations_with(machine), head_error)
     products = mean_products(stations, group.site)
-    indicated: Array = np.sum(products * _effective(group, coefficients), axis=1)
+    indicated: Array = np.sum(products * _effective_coefficients(group, coefficients), axis=1)
     return indicated
 
 
-def _effective(group: Readings, coefficients: Mapping[str, float]) -> Array:
+def _effective_coefficients(group: Readings, coefficients: Mapping[str, float]) -> Array:
     """Return the coefficients at each reading, under its conditions, shape (n, terms)."""
     nominal = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
     effective = np.tile(nominal, (group.size, 1))
@@ -76,26 +76,26 @@ def _effective(group: Readings, coefficients: Mapping[str, float]) -> Array:
 
 def head_errors(readings: Sequence[Reading], generator: np.random.Generator) -> Array:
     """Return errors of the dividing head's angle, rad: one for all accelerometers of a run."""
-    return drawn_by_run(readings, generator) * [reading.u_head for reading in readings]
+    return draw_by_run(readings, generator) * [reading.u_head for reading in readings]
 
 
 def rate_errors(campaign: Campaign) -> Array:
     """Return relative errors of the stated rates: one for all accelerometers of a run."""
     readings = campaign.readings
     u = [(r.u_rate or 0.0) / abs(r.rate) if r.rate else 0.0 for r in readings]
-    return drawn_by_run(readings, stream(campaign, 1, 1)) * u
+    return draw_by_run(readings, reading_generator(campaign, 1, 1)) * u
 
 
-def drawn_by_run(readings: Sequence[Reading], generator: np.random.Generator) -> Array:
+def draw_by_run(readings: Sequence[Reading], generator: np.random.Generator) -> Array:
     """Return standard normal numbers: one for all accelerometers of a run, shape (n,)."""
     drawn: dict[tuple[str, int], float] = {}
     numbers = np.zeros(len(readings))
-    seen: Counter[tuple[str, str]] = Counter()
+    first_indices: Counter[tuple[str, str]] = Counter()
     for index, reading in enumerate(readings):
         # A table may name several readings alike; each is a position of its own.
         key = (reading.accelerometer, reading.name)
-        position = (reading.name, seen[key])
-        seen[key] += 1
+        position = (reading.name, first_indices[key])
+        first_indices[key] += 1
         if position not in drawn:
             drawn[position] = float(generator.standard_normal())
         numbers[index] = drawn[position]
@@ -111,7 +111,7 @@ def setting_spread(campaign: Campaign) -> dict[str, float]:
 def true_machine(campaign: Campaign) -> dict[str, float]:
     """Return the true machine terms, including drawn errors of setting positions."""
     assert campaign.simulation is not None
-    generator, spread = stream(campaign, 0, 1), setting_spread(campaign)
+    generator, spread = reading_generator(campaign, 0, 1), setting_spread(campaign)
     errors = {symbol: u * float(generator.standard_normal()) for symbol, u in spread.items()}
     return errors | dict(campaign.simulation.truth.machine)
 
@@ -123,14 +123,14 @@ def true_readings(campaign: Campaign) -> tuple[tuple[Reading, ...], Array]:
     """
     assert campaign.simulation is not None
     truth, readings = campaign.simulation.truth, campaign.readings
-    errors = head_errors(readings, stream(campaign, 0))
+    errors = head_errors(readings, reading_generator(campaign, 0))
     values, machine = np.zeros(len(readings)), true_machine(campaign)
-    rates, of_rates = true_rates(campaign), rate_errors(campaign)
-    for group, places in numbered_groups(campaign, campaign.readings):
+    rates, errors_of_rates = true_rates(campaign), rate_errors(campaign)
+    for group, indices in numbered_groups(campaign, campaign.readings):
         coefficients = truth.coefficients.get(group.accelerometer, {})
-        was = with_rates(at_true_inputs(campaign, group), rates[places])
-        was = was.with_rate_errors(of_rates[places])
-        values[places] = indications(was, coefficients, machine, errors[places])
+        stated_reading = apply_rates(apply_inputs_to_readings(campaign, group), rates[indices])
+        stated_reading = stated_reading.with_rate_errors(errors_of_rates[indices])
+        values[indices] = indications(stated_reading, coefficients, machine, errors[indices])
     return tuple(
         reading if reading.record else replace(reading, value=value)
         for reading, value in zip(readings, values.tolist(), strict=True)
@@ -163,7 +163,7 @@ def _mean_rate(spindle: Spindle, duration: float) -> float:
     return math.copysign(math.sqrt(slow + ripple), spindle.rate)
 
 
-def with_rates(group: Readings, rates: Array) -> Readings:
+def apply_rates(group: Readings, rates: Array) -> Readings:
     """Return readings that were taken at these rates than the stated ones, rad/s, shape (n,)."""
     stated = np.array(group.stated_rates)
     errors = np.divide(rates, stated, out=np.ones_like(rates), where=stated != 0.0) - 1.0
@@ -195,11 +195,11 @@ def true_poses(campaign: Campaign) -> tuple[tuple[Reading, ...], ...]:
 def true_directions(campaign: Campaign) -> Array:
     """Return the directions of the specific force in the poses, unit vectors, shape (n, 3)."""
     count = len(campaign.triad.poses) if campaign.triad else 0
-    along = stream(campaign, 0, 2).standard_normal((count, 3))
+    along = reading_generator(campaign, 0, 2).standard_normal((count, 3))
     return np.asarray(along / np.linalg.norm(along, axis=1)[:, None], np.float64)
 
 
-def stream(campaign: Campaign, *which: int) -> np.random.Generator:
+def reading_generator(campaign: Campaign, *which: int) -> np.random.Generator:
     """Return random numbers that no run of the double turntable has.
 
     So a run that is added changes no reading, and the other way round.
@@ -228,18 +228,18 @@ def simulate_mean_record(
         raise ValueError(f'the run "{reading.name}" states no duration')
     time = np.arange(sample_count(reading.duration, rate)) / rate
     (group,) = (
-        at_true_inputs(campaign, reading_group)
+        apply_inputs_to_readings(campaign, reading_group)
         for reading_group in group_readings(campaign, [reading])
     )
     stations = group.stations_with(true_machine(campaign))
     (station,) = group.rotate_head(stations, np.array([head_error]))
-    (effective,) = _effective(group, truth.coefficients.get(reading.accelerometer, {}))
+    (effective,) = _effective_coefficients(group, truth.coefficients.get(reading.accelerometer, {}))
     if not reading.rate:
         still = np.zeros_like(time)
         return (
             time,
             still,
-            _instantaneous(group, effective, station, station.force(group.site, still)),
+            _instantaneous_force(group, effective, station, station.force(group.site, still)),
         )
     of_run = truth.read[reading.name, reading.rate]
     spindle = of_run.spindle
@@ -250,13 +250,15 @@ def simulate_mean_record(
         spindle.angular_rate(time),
         spindle.angular_acceleration(time),
     )
-    late = with_true_inputs(campaign).timing_offset
+    late = apply_true_inputs(campaign).timing_offset
     angle = spindle.angle(time + (late.value if late else 0.0))
     angle = angle + encoder_error(of_run.shared, angle)
-    return time, angle, _instantaneous(group, effective, station, force)
+    return time, angle, _instantaneous_force(group, effective, station, force)
 
 
-def _instantaneous(group: Readings, effective: Array, station: Station, force: Array) -> Array:
+def _instantaneous_force(
+    group: Readings, effective: Array, station: Station, force: Array
+) -> Array:
     """Return the indicated specific force, m/s^2, shape (n,).
 
     force: In the station's frame, m/s^2, shape (n, 3).
@@ -276,7 +278,7 @@ class NoiselessReadings:
     poses: tuple[tuple[Reading, ...], ...]  #: At unknown ones.
 
 
-def filled_description(
+def fill_description(
     campaign: Campaign, exact: NoiselessReadings, generator: np.random.Generator
 ) -> str | None:
     """Return a campaign's description with values in place of those of its runs.
@@ -285,54 +287,54 @@ def filled_description(
 
     Returns: none if no run has a reading, so that nothing is to be changed.
     """
-    text = _description(campaign)
+    text = _description_text(campaign)
     document = parse_toml(text)
     runs = [run for run in document.get("runs", []) if is_reading(run)]
     if not any("reading" in run for run in runs):
         return None
-    ready, posed = iter(exact.readings), iter(exact.poses)
-    place, edited = 0, text
+    readings, poses = iter(exact.readings), iter(exact.poses)
+    index, edited = 0, text
     for run in runs:
         if "reading" not in run:
             # A record, of all accelerometers; that of poses is none of a reading.
             for _ in () if is_pose(run) else campaign.accelerometers:
-                next(ready)
+                next(readings)
             continue
-        old = _texts(run["reading"])
+        old = _repeat_texts(run["reading"])
         new = []
-        filled = _of_pose(next(posed), run["reading"]) if is_pose(run) else ready
+        filled = _pose_readings(next(poses), run["reading"]) if is_pose(run) else readings
         for texts in old:
             reading = next(filled)
-            new.append([_with_value(text, campaign, reading, generator) for text in texts])
-        run["reading"] = _like(run["reading"], new)
+            new.append([_replace_value(text, campaign, reading, generator) for text in texts])
+        run["reading"] = _format_like(run["reading"], new)
         for before, after in zip(chain(*old), chain(*new), strict=True):
-            where = edited.find(f'"{before}"', place)
+            where = edited.find(f'"{before}"', index)
             if where >= 0:
                 edited = f'{edited[:where]}"{after}"{edited[where + len(before) + 2 :]}'
-                place = where + len(after)
-    return edited if _reads_as(edited, document) else write_document(document)
+                index = where + len(after)
+    return edited if _parses_to(edited, document) else write_document(document)
 
 
-def _of_pose(pose: Sequence[Reading], names: Iterable[str]) -> Iterator[Reading]:
+def _pose_readings(pose: Sequence[Reading], names: Iterable[str]) -> Iterator[Reading]:
     """Return the readings of a pose in the order in which accelerometers are named."""
     by_name = {reading.accelerometer: reading for reading in pose}
     return iter([by_name[name] for name in names])
 
 
-def _description(campaign: Campaign) -> str:
+def _description_text(campaign: Campaign) -> str:
     """Return a campaign's description as it is written."""
     if campaign.source is not None and campaign.source.in_memory:
         return campaign.source.text
     return read_file(campaign.path).decode("utf-8-sig")
 
 
-def _texts(reading: Any) -> list[list[str]]:
+def _repeat_texts(reading: Any) -> list[list[str]]:
     """Return the repeats of each accelerometer's reading as they are written."""
     cells = list(reading.values()) if isinstance(reading, dict) else [reading]
     return [[cell] if isinstance(cell, str) else cell for cell in cells]
 
 
-def _like(reading: Any, new: list[list[str]]) -> Any:
+def _format_like(reading: Any, new: list[list[str]]) -> Any:
     """Return new texts in the form of the old ones."""
     cells = list(reading.values()) if isinstance(reading, dict) else [reading]
     written: list[Any] = [
@@ -341,32 +343,32 @@ def _like(reading: Any, new: list[list[str]]) -> Any:
     return dict(zip(reading, written, strict=True)) if isinstance(reading, dict) else written[0]
 
 
-def _reads_as(text: str, document: Mapping[str, Any]) -> bool:
+def _parses_to(text: str, document: Mapping[str, Any]) -> bool:
     try:
         return parse_toml(text) == document
     except ValueError:
         return False
 
 
-def _with_value(
+def _replace_value(
     old: str, campaign: Campaign, reading: Reading, generator: np.random.Generator
 ) -> str:
     """Return the text of a reading with another value, in the unit and with the ± that it has."""
     output, zero = campaign.accelerometers[reading.accelerometer].output, 0.0
-    match = _WRITTEN.fullmatch(old)
+    match = _NUMBER_PATTERN.fullmatch(old)
     assert match is not None
     rest = match[2] or (output.unit if output else "g")
     unit = re.sub(rf"^{PLUS_MINUS}{NUMBER}\s*", "", rest)
     if output is None:
-        per_g = unit_factor("g", unit, gravity=with_true_inputs(campaign).gravity.value)
+        per_g = unit_factor("g", unit, gravity=apply_true_inputs(campaign).gravity.value)
     else:
         size = unit_factor(output.unit, unit)
         per_g, zero = size * output.sensitivity, size * output.zero
     stated = parse(f"0 {rest}", unit).u
-    return f"{_read(campaign, reading, (per_g, zero), stated, generator)!r} {rest}"
+    return f"{_noisy_reading(campaign, reading, (per_g, zero), stated, generator)!r} {rest}"
 
 
-def _read(
+def _noisy_reading(
     campaign: Campaign,
     reading: Reading,
     scale: tuple[float, float],
@@ -379,13 +381,13 @@ def _read(
     """
     per_g, zero = scale
     assert campaign.simulation is not None
-    known = campaign.simulation.truth.reading_noise.get(reading.accelerometer)
-    u = stated if known is None else known * abs(per_g)
+    uncertainty = campaign.simulation.truth.reading_noise.get(reading.accelerometer)
+    u = stated if uncertainty is None else uncertainty * abs(per_g)
     value = zero + reading.value * per_g + u * float(generator.standard_normal())
-    return round(value, _DIGITS - math.floor(math.log10(u))) if u > 0.0 else value
+    return round(value, _EXTRA_DIGITS - math.floor(math.log10(u))) if u > 0.0 else value
 
 
-def filled_table(
+def fill_table(
     campaign: Campaign, exact: NoiselessReadings, generator: np.random.Generator
 ) -> tuple[Path, Any] | None:
     """Return the file that [readings] names, and the table, a polars frame, with values in it.
@@ -399,45 +401,49 @@ def filled_table(
         return None
     settings = ReadingsSettings.model_validate(raw["readings"])
     path = campaign.folder / settings.file
-    plain = settings.model_copy(update={"decimal": None, "sheet": None}).dialect
-    said = [key for key, value in vars(plain).items() if value is not None]
-    if said:
+    is_plain = settings.model_copy(update={"decimal": None, "sheet": None}).dialect
+    stated_names = [key for key, value in vars(is_plain).items() if value is not None]
+    if stated_names:
         raise CampaignError(
             str(campaign.path),
-            [f"readings.{key}: a simulated table is plain; leave it out" for key in said],
+            [f"readings.{key}: a simulated table is plain; leave it out" for key in stated_names],
         )
     frame = load_table(path, settings.dialect)[0].frame
     outputs = {name: a.output for name, a in campaign.accelerometers.items()}
     table = ReadingsTable(settings, outputs, Problems(raw), raw)
     rows = [
-        (place, row)
-        for place, row in enumerate(frame.iter_rows(named=True))
+        (index, row)
+        for index, row in enumerate(frame.iter_rows(named=True))
         if table.is_reading_row(row)
     ]
     values = {
         column: [None if is_empty(cell) else cell for cell in frame[column].to_list()]
         for view in table.mounting_views({})
-        for own in view.value_columns("reading").values()
-        for column in own
+        for accelerometer_rows in view.value_columns("reading").values()
+        for column in accelerometer_rows
     }
-    unknown = [is_pose(table.make_run(row, place, ())) for place, row in rows]
+    unknown = [is_pose(table.make_run(row, index, ())) for index, row in rows]
     # The rows of the table come last.
     start = len(exact.readings) - sum(
         len(view.value_columns("reading"))
         for (_, row), is_posed in zip(rows, unknown, strict=True)
         for view in ([] if is_posed else table.mounting_views(row))
     )
-    ready, posed = iter(exact.readings[start:]), iter(exact.poses[-sum(unknown) or None :])
-    for (place, row), is_posed in zip(rows, unknown, strict=True):
-        taken = _of_pose(next(posed), table.value_columns("reading")) if is_posed else ready
+    readings, poses = iter(exact.readings[start:]), iter(exact.poses[-sum(unknown) or None :])
+    for (index, row), is_posed in zip(rows, unknown, strict=True):
+        used_rows = (
+            _pose_readings(next(poses), table.value_columns("reading")) if is_posed else readings
+        )
         views = table.mounting_views(row)
-        for view, name, own in [
+        for view, name, accelerometer_rows in [
             (v, n, c) for v in views for n, c in v.value_columns("reading").items()
         ]:
-            reading = next(taken)
+            reading = next(used_rows)
             output = outputs[name]
             stated = view.u(row, name, ()) or 0.0
-            for column in [c for c in own if not is_empty(row[c])] or own:
+            for column in [
+                c for c in accelerometer_rows if not is_empty(row[c])
+            ] or accelerometer_rows:
                 scale = (output.sensitivity, output.zero) if output else (1.0, 0.0)
-                values[column][place] = _read(campaign, reading, scale, stated, generator)
+                values[column][index] = _noisy_reading(campaign, reading, scale, stated, generator)
     return path, frame.with_columns([pl.Series(c, cells) for c, cells in values.items()])

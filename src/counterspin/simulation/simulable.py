@@ -30,7 +30,7 @@ _MAX_RATE_CHANGE: Final = 0.5
 #: Highest ripple harmonic that is simulated.
 _MAX_RIPPLE_HARMONIC: Final = 1000
 #: Why a record at rest cannot be simulated.
-_NO_LENGTH: Final = "a record at rest that is simulated needs a duration"
+_MISSING_DURATION: Final = "a record at rest that is simulated needs a duration"
 
 
 def simulation_problems(campaign: Campaign) -> list[str]:
@@ -52,30 +52,32 @@ def simulation_problems(campaign: Campaign) -> list[str]:
     for name, coefficients in truth.coefficients.items():
         for symbol, value in coefficients.items():
             limit = campaign.limit_of(symbol, name)
-            problems += _incredible(f"truth.{name}.{symbol}", symbol, value, limit)
+            problems += _implausible_size(f"truth.{name}.{symbol}", symbol, value, limit)
     for index, run in enumerate(campaign.runs):
-        if (of_run := truth.runs.get(run.name)) is None:
+        if (run_truth := truth.runs.get(run.name)) is None:
             continue
-        place = f'truth of runs[{index}] ("{run.name}")'
-        for symbol, value in of_run.shared.items():
+        location = f'truth of runs[{index}] ("{run.name}")'
+        for symbol, value in run_truth.shared.items():
             limit = campaign.limit_of(symbol)
-            problems += _incredible(f"{place}, {symbol}", symbol, value, limit)
-        problems += [f"{place}: {words}" for words in _unsteady(of_run.spindle, run.duration)]
+            problems += _implausible_size(f"{location}, {symbol}", symbol, value, limit)
+        problems += [
+            f"{location}: {text}" for text in _unsteady_rate(run_truth.spindle, run.duration)
+        ]
     return problems
 
 
-def _incredible(place: str, symbol: str, value: float, limit: float) -> Iterator[str]:
+def _implausible_size(location: str, symbol: str, value: float, limit: float) -> Iterator[str]:
     row = term(symbol)
     if abs(value - row.nominal) > TRUTH_MARGIN * limit:
         yield (
-            f"{place}: {value:.6g} {row.unit} is more than {TRUTH_MARGIN:g} times the largest "
+            f"{location}: {value:.6g} {row.unit} is more than {TRUTH_MARGIN:g} times the largest "
             f"credible size, {limit:.6g} {row.unit}"
             + (f" about {row.nominal:g}" if row.nominal else "")
             + f'; check its unit, or raise "{symbol}" in [model.limits]'
         )
 
 
-def _unsteady(spindle: Spindle, duration: float | None) -> Iterator[str]:
+def _unsteady_rate(spindle: Spindle, duration: float | None) -> Iterator[str]:
     if spindle.highest_harmonic > _MAX_RIPPLE_HARMONIC:
         yield (
             f"a ripple of harmonic {spindle.highest_harmonic} is above {_MAX_RIPPLE_HARMONIC}, the "
@@ -90,7 +92,7 @@ def _unsteady(spindle: Spindle, duration: float | None) -> Iterator[str]:
         )
 
 
-def unfit_readings(campaign: Campaign) -> list[str]:
+def reading_problems(campaign: Campaign) -> list[str]:
     """Return why a campaign's readings cannot be simulated: no noise or length, incredible sizes.
 
     Calibration does not ask.
@@ -99,20 +101,22 @@ def unfit_readings(campaign: Campaign) -> list[str]:
         return []
     truth = campaign.simulation.truth
     problems = []
-    if campaign.triad and campaign.triad.records and _is_still(truth.noise):
+    if campaign.triad and campaign.triad.records and _is_noiseless(truth.noise):
         problems.append(
             "truth.noise.specific_force: missing; a sensor without noise at rest would look like "
             "a stopped one, and counterspin would find no pose in its record"
         )
-    for (name, _), of_run in truth.read.items():
-        length = max((r.duration or 0.0 for r in campaign.readings if r.name == name), default=0.0)
+    for (name, _), run_truth in truth.read.items():
+        duration = max(
+            (r.duration or 0.0 for r in campaign.readings if r.name == name), default=0.0
+        )
         problems += [
-            f'truth of run "{name}": {words}' for words in _unsteady(of_run.spindle, length)
+            f'truth of run "{name}": {text}' for text in _unsteady_rate(run_truth.spindle, duration)
         ]
     for reading in campaign.all_readings:
         if reading.record is not None:
             if reading.motion == "static" and reading.duration is None:
-                problems.append(f'run "{reading.name}": {_NO_LENGTH}')
+                problems.append(f'run "{reading.name}": {_MISSING_DURATION}')
         elif reading.u is None and reading.accelerometer not in truth.reading_noise:
             problems.append(
                 f'truth.noise.reading: missing; "{reading.name}" states no uncertainty, so '
@@ -129,19 +133,23 @@ def unfit_readings(campaign: Campaign) -> list[str]:
     return problems
 
 
-def _is_still(noise: StatedNoise) -> bool:
-    of_record = isinstance(noise, NoiseSettings) and noise.rest is not None
-    return not (of_record or noise.specific_force or noise.acceleration)
+def _is_noiseless(noise: StatedNoise) -> bool:
+    has_static_record = isinstance(noise, NoiseSettings) and noise.rest is not None
+    return not (has_static_record or noise.specific_force or noise.acceleration)
 
 
 def refuse_unsupported(campaign: Campaign) -> None:
     """Raise CampaignError if records are read in a way in which none are simulated."""
     problems = []
-    common = Recording(campaign.time, campaign.angle, campaign.dialect, campaign.temperature)
+    campaign_recording = Recording(
+        campaign.time, campaign.angle, campaign.dialect, campaign.temperature
+    )
     run_recordings = {f'run "{r.name}", records': r.recording for r in campaign.runs if r.recording}
-    for where, recording in ({"records": common} | run_recordings).items():
-        said = [key for key, value in vars(recording.dialect).items() if value is not None]
-        problems += [f"{where}.{key}: simulated records are plain; leave it out" for key in said]
+    for where, recording in ({"records": campaign_recording} | run_recordings).items():
+        stated_keys = [key for key, value in vars(recording.dialect).items() if value is not None]
+        problems += [
+            f"{where}.{key}: simulated records are plain; leave it out" for key in stated_keys
+        ]
         for key, channel in (("time", recording.time), ("angle", recording.angle)):
             if channel is not None and channel.name and (channel.kind != "numbers"):
                 problems.append(f"{where}.{key}: simulated records have numbers in every row")
@@ -153,8 +161,8 @@ def refuse_unsupported(campaign: Campaign) -> None:
         if accelerometer.channel.name and not accelerometer.channel.unit:
             key = f"accelerometers.{name}.{accelerometer.observable}.unit"
             problems.append(f"{key}: is missing, to simulate records")
-    problems += _unfit_clock(campaign)
-    problems += _untold_temperatures(campaign)
+    problems += _clock_problems(campaign)
+    problems += _missing_temperatures(campaign)
     records = [run.record for run in campaign.runs]
     for run in campaign.runs:
         if records.count(run.record) > 1:
@@ -165,7 +173,7 @@ def refuse_unsupported(campaign: Campaign) -> None:
         raise CampaignError(str(campaign.path), problems)
 
 
-def _untold_temperatures(campaign: Campaign) -> Iterator[str]:
+def _missing_temperatures(campaign: Campaign) -> Iterator[str]:
     """Yield the runs whose record has a column of a temperature that nothing states."""
     runs = [run for run in campaign.runs if campaign.recording_of(run).temperature]
     read = [item for item in campaign.readings if item.record is not None and campaign.temperature]
@@ -178,17 +186,20 @@ def _untold_temperatures(campaign: Campaign) -> Iterator[str]:
         )
 
 
-def _unfit_clock(campaign: Campaign) -> Iterator[str]:
+def _clock_problems(campaign: Campaign) -> Iterator[str]:
     """Yield why records of poses whose rows are counted are not simulated as they are read."""
     if campaign.time.kind != "rows" or campaign.runs or campaign.simulation is None:
         return
     if campaign.triad and campaign.triad.records:
-        rate, said = campaign.simulation.sampling_rate, 1.0 / campaign.time.factor
-        if not math.isclose(rate, said, rel_tol=1e-9):
-            yield f"simulation.sampling_rate: is {rate:g} Hz, and records.time says {said:g} Hz"
+        rate, stated_rate = campaign.simulation.sampling_rate, 1.0 / campaign.time.factor
+        if not math.isclose(rate, stated_rate, rel_tol=1e-9):
+            yield (
+                f"simulation.sampling_rate: is {rate:g} Hz, and records.time says "
+                f"{stated_rate:g} Hz"
+            )
 
 
-def paper_rows(rate: float, duration: float, sampling_rate: float, *, means: bool) -> float:
+def computed_rows(rate: float, duration: float, sampling_rate: float, *, means: bool) -> float:
     """Return the number of rows of a computed record.
 
     rate, duration, sampling_rate: rad/s, s, Hz.
@@ -203,7 +214,7 @@ def paper_rows(rate: float, duration: float, sampling_rate: float, *, means: boo
     return max(samples, BLOCKS_PER_REVOLUTION * abs(rate) * duration / (2.0 * math.pi))
 
 
-def require_room(
+def check_size(
     campaign: Campaign, sampling_rate: float, purpose: Literal["forecast", "study", "simulation"]
 ) -> None:
     """Raise CampaignError if the records of a campaign would be too much to compute.
@@ -230,7 +241,7 @@ def require_room(
     sizes = [
         (
             (1 if purpose == "simulation" else count)
-            * paper_rows(rate, duration, sampling_rate, means=purpose == "forecast"),
+            * computed_rows(rate, duration, sampling_rate, means=purpose == "forecast"),
             f"{where}: {duration:.4g} s at {abs(rate) / (2.0 * math.pi):.3g} rev/s, sampled at "
             f"{sampling_rate:.4g} Hz,",
         )
@@ -240,25 +251,25 @@ def require_room(
     total = sum(rows for rows, _ in sizes)
     records = len(campaign.runs) * len(campaign.accelerometers)
     if purpose != "simulation" and records > MOST_RECORDS:
-        words = f"runs: they have {records} records, and a {purpose} has room for {MOST_RECORDS}"
-        raise CampaignError(str(campaign.path), [words])
-    most = MOST_SIMULATED_ROWS if purpose == "simulation" else MOST_ROWS
+        text = f"runs: they have {records} records, and a {purpose} has room for {MOST_RECORDS}"
+        raise CampaignError(str(campaign.path), [text])
+    max_rows = MOST_SIMULATED_ROWS if purpose == "simulation" else MOST_ROWS
     advice = (
-        f"rows to compute, and a {purpose} has room for {most:.2g}; choose fewer "
+        f"rows to compute, and a {purpose} has room for {max_rows:.2g}; choose fewer "
         "revolutions, a shorter duration or a lower sampling rate"
     )
     if purpose == "simulation":
-        problems = [f"{w} makes {rows:.3g} {advice}" for rows, w in sizes if rows > most]
-    elif total > most:
-        rows, words = max(sizes)
-        problems = [f"{words} makes {rows:.3g} of the {total:.3g} {advice}"]
+        problems = [f"{w} makes {rows:.3g} {advice}" for rows, w in sizes if rows > max_rows]
+    elif total > max_rows:
+        rows, text = max(sizes)
+        problems = [f"{text} makes {rows:.3g} of the {total:.3g} {advice}"]
     else:
         problems = []
     if problems:
         raise CampaignError(str(campaign.path), problems)
 
 
-def with_true_inputs(campaign: Campaign) -> Campaign:
+def apply_true_inputs(campaign: Campaign) -> Campaign:
     """Return the campaign with radius, gravity, latitude and delay of the angle as they truly are.
 
     Its columns and clocks stay as the description has them: with these its records are read.
@@ -273,42 +284,44 @@ def with_true_inputs(campaign: Campaign) -> Campaign:
             ("centrifuge.radius", campaign.radius),
         )
     )
-    late = true.get(("", TIMING))
+    angle_delay = true.get(("", TIMING))
     return replace(
         campaign,
         site=replace(campaign.site, gravity=gravity.value, latitude=latitude.value),
         gravity=gravity,
         latitude=latitude,
         radius=radius,
-        timing_offset=campaign.timing_offset if late is None else Quantity(late, 0.0, "s"),
+        timing_offset=campaign.timing_offset
+        if angle_delay is None
+        else Quantity(angle_delay, 0.0, "s"),
     )
 
 
-def at_true_inputs(campaign: Campaign, group: Readings) -> Readings:
+def apply_inputs_to_readings(campaign: Campaign, group: Readings) -> Readings:
     """Return readings where radius, gravity, latitude and clocks are what they truly are.
 
     The radius of a mounting that is a term of its own is no matter of the centrifuge's.
     """
     assert campaign.simulation is not None
-    true, model = with_true_inputs(campaign), campaign.model
+    true, model = apply_true_inputs(campaign), campaign.model
     symbols = {*model.terms, *model.considered, *model.priors}
     symbols |= campaign.simulation.truth.machine.keys()
-    for symbol, (was, stated) in {
+    for symbol, (stated_value, stated) in {
         "centrifuge.radius": (true.radius, campaign.radius),
         "site.gravity": (true.gravity, campaign.gravity),
         "site.latitude": (true.latitude, campaign.latitude),
     }.items():
-        group = with_input(group, symbol, was.value - stated.value, symbols)
+        group = with_input(group, symbol, stated_value.value - stated.value, symbols)
     inputs = campaign.simulation.truth.inputs
     for owner, symbol in dict.fromkeys(rate_clock_input(campaign, r) for r in campaign.readings):
-        known = campaign.rate_clock if symbol == RATE_CLOCK else campaign.clock
-        assumed = known.value if known else 0.0
+        stated_symbols = campaign.rate_clock if symbol == RATE_CLOCK else campaign.clock
+        assumed = stated_symbols.value if stated_symbols else 0.0
         name = f"{owner}.{symbol}" if owner else symbol
         group = with_input(group, name, inputs.get((owner, symbol), assumed) - assumed, symbols)
     return group
 
 
-def stamped_over_true(campaign: Campaign, recording: Recording) -> float:
+def clock_ratio(campaign: Campaign, recording: Recording) -> float:
     """Return recorded over true time, with the stated clock error removed."""
     assert campaign.simulation is not None
     stated = recording.clock.value if recording.clock else 0.0
@@ -316,7 +329,7 @@ def stamped_over_true(campaign: Campaign, recording: Recording) -> float:
     return (1.0 + true) / (1.0 + stated)
 
 
-def stated_over_true(campaign: Campaign, channel: ColumnSpec) -> float:
+def gravity_ratio(campaign: Campaign, channel: ColumnSpec) -> float:
     """Return the gravity that a column is read with over the true one, in whose g an output is."""
-    true = with_true_inputs(campaign).gravity.value
+    true = apply_true_inputs(campaign).gravity.value
     return campaign.gravity.value / true if channel.in_g else 1.0

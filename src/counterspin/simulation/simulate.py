@@ -28,28 +28,28 @@ from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import make_folder, write_text, write_whole
 from counterspin.physics import observation, simulation
 from counterspin.physics.motion import Trajectory, encoder_error, perturbed_trajectory
-from counterspin.physics.own_velocity import AxisError, of_own_velocity
+from counterspin.physics.own_velocity import AxisError, own_velocity_errors
 from counterspin.records.frames import memory_table
 from counterspin.records.memory import MemoryTable
 from counterspin.records.record import ColumnSpec
-from counterspin.simulation.pose_record import forces_in_record, indicated_forces
+from counterspin.simulation.pose_record import indicated_forces, simulate_forces
 from counterspin.simulation.readings import (
     NoiselessReadings,
-    filled_description,
-    filled_table,
+    fill_description,
+    fill_table,
+    reading_generator,
     simulate_mean_record,
-    stream,
     true_poses,
     true_readings,
 )
 from counterspin.simulation.simulable import (
+    apply_true_inputs,
+    check_size,
+    clock_ratio,
+    gravity_ratio,
+    reading_problems,
     refuse_unsupported,
-    require_room,
     simulation_problems,
-    stamped_over_true,
-    stated_over_true,
-    unfit_readings,
-    with_true_inputs,
 )
 from counterspin.toml_text import parse_toml
 from counterspin.units import TEMPERATURE_SCALES
@@ -105,18 +105,18 @@ def simulate(
         If a file is in the way or cannot be written.
     """
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
-    _refuse_unfit(campaign)
+    _check_simulable(campaign)
     refuse_unsupported(campaign)
     if folder is None:
-        return _simulated_in_memory(campaign)
+        return _simulate_in_memory(campaign)
     folder = Path(folder)
-    targets = _targets(campaign, folder)
+    targets = _record_targets(campaign, folder)
     readings, head_errors = true_readings(campaign)
-    noise, exact = stream(campaign, 1), NoiselessReadings(readings, true_poses(campaign))
+    noise, exact = reading_generator(campaign, 1), NoiselessReadings(readings, true_poses(campaign))
     read = bool(readings or exact.poses)
-    text = filled_description(campaign, exact, noise) if read else None
-    if (table := filled_table(campaign, exact, noise) if read else None) is not None:
-        targets = (*targets, *_inside(campaign, folder, {"readings.file": table[0]}))
+    text = fill_description(campaign, exact, noise) if read else None
+    if (table := fill_table(campaign, exact, noise) if read else None) is not None:
+        targets = (*targets, *_targets_in_folder(campaign, folder, {"readings.file": table[0]}))
     if text is None and campaign.source is not None and campaign.source.in_memory:
         text = campaign.source.text
     description = folder / DESCRIPTION_NAME
@@ -128,16 +128,16 @@ def simulate(
             "simulate into another folder"
         )
     replaced = [description] if text is not None or not own else []
-    taken_along = _rest_taken_along(campaign, folder)
-    _refuse_in_the_way((*targets, *taken_along, *replaced), description, overwrite=overwrite)
+    taken_along = _static_record_copy(campaign, folder)
+    _check_targets((*targets, *taken_along, *replaced), description, overwrite=overwrite)
     for place in (folder, *(target.parent for target in (*targets, *taken_along))):
         make_folder(place)
 
     # Each is made when its turn comes, so that never two of them are in memory.
     frames = chain(
-        _run_records(campaign),
-        _mean_records(campaign, head_errors),
-        _pose_records(campaign),
+        _simulate_run_records(campaign),
+        _simulate_mean_records(campaign, head_errors),
+        _simulate_pose_records(campaign),
         [table[1]] if table else [],
     )
     # The description comes first: by it the records of a simulation that was interrupted are known.
@@ -154,33 +154,33 @@ def simulate(
     return targets
 
 
-def _refuse_in_the_way(paths: Sequence[Path], description: Path, *, overwrite: bool) -> None:
+def _check_targets(paths: Sequence[Path], description: Path, *, overwrite: bool) -> None:
     """Raise CounterspinError for files that would be replaced, if they may not be."""
-    in_the_way = [path for path in paths if path.exists()]
-    if in_the_way and not description.exists():
+    existing = [path for path in paths if path.exists()]
+    if existing and not description.exists():
         raise CounterspinError(
-            f"{in_the_way[0]} exists, and no {DESCRIPTION_NAME} in its folder describes it as "
+            f"{existing[0]} exists, and no {DESCRIPTION_NAME} in its folder describes it as "
             "simulated, so it is not replaced. Simulate into another folder"
         )
-    if in_the_way and not overwrite:
+    if existing and not overwrite:
         raise CounterspinError(
-            f"{in_the_way[0]} exists; simulate into another folder, or give `overwrite=True`"
+            f"{existing[0]} exists; simulate into another folder, or give `overwrite=True`"
         )
 
 
-def _refuse_unfit(campaign: Campaign) -> None:
+def _check_simulable(campaign: Campaign) -> None:
     """Raise CampaignError for a campaign that cannot be simulated."""
     if campaign.simulation is None:
         raise CampaignError(
             str(campaign.path),
             ["truth: missing; `simulate` needs [truth.NAME] tables with the true coefficients"],
         )
-    require_room(campaign, campaign.simulation.sampling_rate, "simulation")
-    if problems := [*simulation_problems(campaign), *unfit_readings(campaign)]:
+    check_size(campaign, campaign.simulation.sampling_rate, "simulation")
+    if problems := [*simulation_problems(campaign), *reading_problems(campaign)]:
         raise CampaignError(str(campaign.path), problems)
 
 
-def _simulated_in_memory(campaign: Campaign) -> Campaign:
+def _simulate_in_memory(campaign: Campaign) -> Campaign:
     """Return a campaign with simulated records and readings."""
     source = require_source(campaign)
     if "readings" in source.document:
@@ -188,23 +188,23 @@ def _simulated_in_memory(campaign: Campaign) -> Campaign:
             str(campaign.path), ["readings: a table of readings is simulated into a folder only"]
         )
     readings, head_errors = true_readings(campaign)
-    noise, exact = stream(campaign, 1), NoiselessReadings(readings, true_poses(campaign))
+    noise, exact = reading_generator(campaign, 1), NoiselessReadings(readings, true_poses(campaign))
     read = bool(readings or exact.poses)
-    text = filled_description(campaign, exact, noise) if read else None
+    text = fill_description(campaign, exact, noise) if read else None
     if text is not None:
         source = replace(source, document=parse_toml(text))
     files: dict[Path, None] = dict.fromkeys(run.record for run in campaign.runs)
     files |= dict.fromkeys(r.record for r in campaign.readings if r.record is not None)
-    posed = campaign.triad.records if campaign.triad else ()
-    files |= dict.fromkeys(record.record for record in posed)
+    pose_records = campaign.triad.records if campaign.triad else ()
+    files |= dict.fromkeys(record.record for record in pose_records)
     frames = [
-        *_run_records(campaign),
-        *_mean_records(campaign, head_errors),
-        *_pose_records(campaign),
+        *_simulate_run_records(campaign),
+        *_simulate_mean_records(campaign, head_errors),
+        *_simulate_pose_records(campaign),
     ]
     names = {run.record: run.name for run in campaign.runs}
     names |= {r.record: r.name for r in campaign.readings if r.record is not None}
-    names |= {record.record: record.name for record in posed}
+    names |= {record.record: record.name for record in pose_records}
     tables = {
         file: memory_table(f"{names[file]} in memory", frame)
         for file, frame in zip(files, frames, strict=True)
@@ -213,7 +213,7 @@ def _simulated_in_memory(campaign: Campaign) -> Campaign:
     return Campaign.of(source, campaign.folder, {**campaign.frames, **tables})
 
 
-def _run_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
+def _simulate_run_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
     """Yield the records of the double turntable's runs."""
     assert campaign.simulation is not None
     streams = np.random.SeedSequence(campaign.simulation.seed).spawn(len(campaign.runs))
@@ -221,7 +221,7 @@ def _run_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
         yield pl.DataFrame(simulate_run(campaign, run, np.random.default_rng(run_streams)))
 
 
-def _mean_records(campaign: Campaign, head_errors: Array) -> Iterator[pl.DataFrame]:
+def _simulate_mean_records(campaign: Campaign, head_errors: Array) -> Iterator[pl.DataFrame]:
     """Yield the records whose means are readings, with a column for each accelerometer."""
     assert campaign.simulation is not None
     noise = simulated_noise(campaign)
@@ -231,49 +231,49 @@ def _mean_records(campaign: Campaign, head_errors: Array) -> Iterator[pl.DataFra
         if reading.record is not None:
             by_file.setdefault(reading.record, []).append((reading, error))
     for index, file_readings in enumerate(by_file.values()):
-        generator = stream(campaign, 2 + index)
+        generator = reading_generator(campaign, 2 + index)
         columns: dict[str, Array] = {}
         for reading, error in file_readings:
             accelerometer = campaign.accelerometers[reading.accelerometer]
             time, angle, signal = simulate_mean_record(campaign, reading, error)
             if not columns:
-                shown = stamped_over_true(campaign, campaign.recording)
-                stamps = _noisy(generator, time * shown, noise.timing)
+                shown = clock_ratio(campaign, campaign.recording)
+                stamps = _add_noise(generator, time * shown, noise.timing)
                 columns[campaign.time.name] = stamps / campaign.time.factor
                 if campaign.angle is not None:
-                    angle = _noisy(generator, angle, noise.angle)
+                    angle = _add_noise(generator, angle, noise.angle)
                     columns[campaign.angle.name] = campaign.angle.filed(angle)
-                columns |= _warm(campaign.temperature, reading.temperature, time)
-            signal = _measured(generator, time, signal, accelerometer, noise)
+                columns |= _temperature_column(campaign.temperature, reading.temperature, time)
+            signal = _add_output_noise(generator, time, signal, accelerometer, noise)
             channel = accelerometer.channel
-            columns[channel.name] = channel.filed(signal * stated_over_true(campaign, channel))
+            columns[channel.name] = channel.filed(signal * gravity_ratio(campaign, channel))
         yield pl.DataFrame(columns)
 
 
-def _pose_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
+def _simulate_pose_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
     """Yield the records of poses."""
     assert campaign.simulation is not None
     noise, rate = simulated_noise(campaign), campaign.simulation.sampling_rate
     for index, record in enumerate(campaign.triad.records if campaign.triad else ()):
-        generator = stream(campaign, 0, 3 + index)
-        time, force, _ = forces_in_record(record, campaign.simulation.poses, rate, generator)
+        generator = reading_generator(campaign, 0, 3 + index)
+        time, force, _ = simulate_forces(record, campaign.simulation.poses, rate, generator)
         columns: dict[str, Array] = {}
         if campaign.time.kind != "rows":
-            stamps = _noisy(generator, time, noise.timing)
+            stamps = _add_noise(generator, time, noise.timing)
             columns[campaign.time.name] = stamps / campaign.time.factor
-        columns |= _warm(campaign.temperature, record.temperature, time)
-        indicated = indicated_forces(with_true_inputs(campaign), record, time, force)
+        columns |= _temperature_column(campaign.temperature, record.temperature, time)
+        indicated = indicated_forces(apply_true_inputs(campaign), record, time, force)
         for name, signal in indicated.items():
             accelerometer = campaign.accelerometers[name]
             channel = accelerometer.force
             assert channel is not None
             felt = accelerometer.with_private(observable="specific_force", channel=channel)
-            noisy = _measured(generator, time, signal, felt, noise)
-            columns[channel.name] = channel.filed(noisy * stated_over_true(campaign, channel))
+            noisy = _add_output_noise(generator, time, signal, felt, noise)
+            columns[channel.name] = channel.filed(noisy * gravity_ratio(campaign, channel))
         yield pl.DataFrame(columns)
 
 
-def _warm(
+def _temperature_column(
     column: ColumnSpec | None, course: Sequence[float] | None, times: Array
 ) -> dict[str, Array]:
     """Return the column of a temperature that went as was stated, in K; empty without."""
@@ -291,7 +291,7 @@ def _is_simulated(description: Path) -> bool:
         return False
 
 
-def _targets(campaign: Campaign, folder: Path) -> tuple[Path, ...]:
+def _record_targets(campaign: Campaign, folder: Path) -> tuple[Path, ...]:
     """Return the target path of each record, relative as in the campaign's own folder."""
     records = {f"runs[{index}].record": run.record for index, run in enumerate(campaign.runs)}
     of_readings = dict.fromkeys(r.record for r in campaign.readings if r.record is not None)
@@ -299,10 +299,10 @@ def _targets(campaign: Campaign, folder: Path) -> tuple[Path, ...]:
     records |= {f'record of the run "{names[path]}"': path for path in of_readings}
     for record in campaign.triad.records if campaign.triad else ():
         records[f'record of the run "{record.name}"'] = record.record
-    return _inside(campaign, folder, records)
+    return _targets_in_folder(campaign, folder, records)
 
 
-def _rest_taken_along(campaign: Campaign, folder: Path) -> dict[Path, Path | MemoryTable]:
+def _static_record_copy(campaign: Campaign, folder: Path) -> dict[Path, Path | MemoryTable]:
     """Return target -> record at rest; empty if there is none or it is not copied."""
     named, place = campaign.noise and campaign.noise.rest, campaign.rest
     if not named or place is None or Path(named).is_absolute():
@@ -315,7 +315,9 @@ def _rest_taken_along(campaign: Campaign, folder: Path) -> dict[Path, Path | Mem
     return {} if same_file else {target: rest}
 
 
-def _inside(campaign: Campaign, folder: Path, files: Mapping[str, Path]) -> tuple[Path, ...]:
+def _targets_in_folder(
+    campaign: Campaign, folder: Path, files: Mapping[str, Path]
+) -> tuple[Path, ...]:
     """Return the target paths of files, relative as in the campaign's own folder."""
     targets, problems = [], []
     for key, file in files.items():
@@ -343,26 +345,26 @@ def simulate_run(
     """
     if campaign.simulation is None or run.duration is None:
         raise ValueError("this campaign does not state what to simulate")
-    of_run = campaign.simulation.truth.runs[run.name]
+    run_truth = campaign.simulation.truth.runs[run.name]
     rate = campaign.simulation.sampling_rate
-    true, recording = with_true_inputs(campaign), campaign.recording_of(run)
+    true, recording = apply_true_inputs(campaign), campaign.recording_of(run)
     trajectory = Trajectory(
-        of_run.spindle,
+        run_truth.spindle,
         true.radius.value,
         true.site,
         conditions=run_conditions(campaign)[run.name],
     )
     times = np.arange(sample_count(run.duration, rate)) / rate
     noise = simulated_noise(campaign)
-    stamps = _noisy(generator, times * stamped_over_true(campaign, recording), noise.timing)
+    stamps = _add_noise(generator, times * clock_ratio(campaign, recording), noise.timing)
     columns = {recording.time.name: stamps / recording.time.factor}
     if recording.angle is not None:
-        late = true.timing_offset.value if true.timing_offset else 0.0
-        angle = of_run.spindle.angle(times + late)
-        angle = _noisy(generator, angle + encoder_error(of_run.shared, angle), noise.angle)
+        angle_delay = true.timing_offset.value if true.timing_offset else 0.0
+        angle = run_truth.spindle.angle(times + angle_delay)
+        angle = _add_noise(generator, angle + encoder_error(run_truth.shared, angle), noise.angle)
         columns[recording.angle.name] = recording.angle.filed(angle)
-    columns |= _warm(recording.temperature, run.temperature, times)
-    indicated = _indicated(true, run, trajectory, times)
+    columns |= _temperature_column(recording.temperature, run.temperature, times)
+    indicated = _indicated_output(true, run, trajectory, times)
     for name, accelerometer in campaign.accelerometers.items():
         signal = indicated[name]
         order = observation.ORDERS[accelerometer.observable]
@@ -370,18 +372,18 @@ def simulate_run(
             signal = signal + simulation.bias_wander(
                 generator,
                 times,
-                _number(noise.flicker),
-                _number(noise.bias_walk),
+                _noise_size(noise.flicker),
+                _noise_size(noise.bias_walk),
                 order,
                 trajectory.conditions.start,
             )
-        signal = _measured(generator, times, signal, accelerometer, noise)
+        signal = _add_output_noise(generator, times, signal, accelerometer, noise)
         channel = accelerometer.channel
-        columns[channel.name] = channel.filed(signal * stated_over_true(campaign, channel))
+        columns[channel.name] = channel.filed(signal * gravity_ratio(campaign, channel))
     return columns
 
 
-def _indicated(
+def _indicated_output(
     campaign: Campaign, run: Run, trajectory: Trajectory, times: Array
 ) -> dict[str, Array]:
     """Return the noiseless output of the navigation computer along each input axis."""
@@ -390,7 +392,7 @@ def _indicated(
     shared = truth.runs[run.name].shared
     signals = {}
     for name, accelerometer in campaign.accelerometers.items():
-        signal = simulation.recorded(
+        signal = simulation.simulate_record(
             trajectory,
             accelerometer.mounting,
             truth.coefficients.get(name, {}),
@@ -410,7 +412,7 @@ def _indicated(
         axis = accelerometer.mounting.turned(run.attitude).input_axis
         true = observation.reference(moved, accelerometer.mounting, times, observable, run.attitude)
         errors.append(AxisError(axis, observable, times, signals[name] - true))
-    felt = of_own_velocity(site, errors)
+    felt = own_velocity_errors(site, errors)
     return {
         name: signal + new - error.error
         for (name, signal), new, error in zip(signals.items(), felt, errors, strict=True)
@@ -425,11 +427,11 @@ def _start_error(truth: SimulatedTruth, name: str, times: Array, observable: str
     return velocity if observable == "velocity" else 0.0
 
 
-def _noisy(generator: np.random.Generator, values: Array, sigma: float | str) -> Array:
-    return values + _number(sigma) * generator.standard_normal(values.size)
+def _add_noise(generator: np.random.Generator, values: Array, sigma: float | str) -> Array:
+    return values + _noise_size(sigma) * generator.standard_normal(values.size)
 
 
-def _measured(
+def _add_output_noise(
     generator: np.random.Generator,
     times: Array,
     signal: Array,
@@ -438,15 +440,15 @@ def _measured(
 ) -> Array:
     """Add the accelerometer's and the record's noise, then quantise."""
     order = observation.ORDERS[accelerometer.observable]
-    walk = simulation.accelerometer_walk(generator, times, _number(noise.acceleration), order)
-    white = _number(getattr(noise, accelerometer.observable))
-    signal = _noisy(generator, signal + walk, white)
-    step = _number(noise.quantisation)
+    walk = simulation.accelerometer_walk(generator, times, _noise_size(noise.acceleration), order)
+    white = _noise_size(getattr(noise, accelerometer.observable))
+    signal = _add_noise(generator, signal + walk, white)
+    step = _noise_size(noise.quantisation)
     if step > 0.0 and accelerometer.observable == "displacement":
         signal = np.round(signal / step) * step
     return signal
 
 
-def _number(sigma: float | str) -> float:
+def _noise_size(sigma: float | str) -> float:
     """Return a true noise; the description has made sure that it is a number."""
     return float(sigma)

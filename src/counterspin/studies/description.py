@@ -46,9 +46,9 @@ from counterspin.inference.joint.series import CLOCK
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS, SHARED_TERMS, term
 from counterspin.simulation.simulable import (
-    require_room,
+    check_size,
+    reading_problems,
     simulation_problems,
-    unfit_readings,
 )
 from counterspin.studies.draws import NOISE_LEVELS, OTHERS, WHITE, VariedQuantity
 from counterspin.studies.world import with_noise_of_poses, with_poses_read
@@ -231,8 +231,8 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
     if campaign.simulation is None:
         problems.add(("truth",), "missing; a study needs [truth.NAME] with the true coefficients")
     else:
-        require_room(campaign, campaign.simulation.sampling_rate, "study")
-    problems.lines += [*simulation_problems(campaign), *unfit_readings(campaign)]
+        check_size(campaign, campaign.simulation.sampling_rate, "study")
+    problems.lines += [*simulation_problems(campaign), *reading_problems(campaign)]
     records = campaign.triad.records if campaign.triad else ()
     if records and not problems.lines:
         document = with_poses_read(document, campaign)

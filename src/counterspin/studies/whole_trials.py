@@ -31,19 +31,19 @@ from counterspin.inference.two_stage.second_stage import (
 from counterspin.physics import observation, simulation
 from counterspin.physics.motion import encoder_error
 from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
-from counterspin.physics.terms import shown_by_readings, symbol_of
+from counterspin.physics.terms import affects_readings, symbol_of
 from counterspin.readings.groups import numbered_groups
 from counterspin.readings.joint_data import estimate_with_groups
 from counterspin.readings.known_attitudes import INPUT_STEPS, Readings, with_input
 from counterspin.readings.means import segment_count
 from counterspin.simulation.readings import (
-    drawn_by_run,
+    apply_rates,
+    draw_by_run,
     head_errors,
     indications,
     true_directions,
     true_poses,
     true_rates,
-    with_rates,
 )
 from counterspin.studies.draws import NOISE_LEVELS, Draws, of_run
 from counterspin.studies.work import JointRequest, Trials
@@ -154,7 +154,7 @@ class TrialRecords:
     def _recorded(self, run: int, name: str, spindle: Spindle, times: Array) -> Array:
         """Return the noisy output at the times."""
         world = self.world
-        signal = simulation.recorded(
+        signal = simulation.simulate_record(
             world.true_trajectory(run, spindle, self.draws),
             world.mountings[name],
             self._values(name, run),
@@ -287,13 +287,13 @@ class TrialReadings:
         """Yield the readings of one trial."""
         errors = head_errors(self.readings, generator)
         uncertain = any(np.any(group.u_rate) for group, _ in self.grouped)
-        of_rates = drawn_by_run(self.readings, generator) if uncertain else np.zeros_like(errors)
+        of_rates = draw_by_run(self.readings, generator) if uncertain else np.zeros_like(errors)
         noise = self.noise * generator.standard_normal(self.noise.size)
         true = {key: float(value.mean()) for key, value in draws.values.items()}
         machine = {
             symbol: value
             for (owner, symbol), value in true.items()
-            if not owner and shown_by_readings(symbol)
+            if not owner and affects_readings(symbol)
         }
         off = {symbol: float(draws.off(symbol)[0]) for symbol in INPUT_STEPS}
         # A radius with its default prior is a deviation from that of the centrifuge.
@@ -306,7 +306,7 @@ class TrialReadings:
                 s: value for (owner, s), value in true.items() if owner == group.accelerometer
             }
             # The analysis assumes the stated values of the inputs, not the true ones.
-            actual = with_rates(group, self.rates[at])
+            actual = apply_rates(group, self.rates[at])
             for symbol, by in off.items():
                 actual = with_input(actual, symbol, by, known)
             for name in dict.fromkeys(filter(None, group.clocks)):

@@ -22,7 +22,7 @@ from counterspin.frozen import frozen
 from counterspin.records.memory import MemoryTable
 from counterspin.records.outliers import resolution
 from counterspin.records.reading import read_record
-from counterspin.records.record import Record, RecordColumns, StatedMotion
+from counterspin.records.record import NominalMotion, Record, RecordColumns
 
 #: Shortest pose, s, where nothing else is stated.
 MIN_DURATION: Final = 1.5
@@ -114,7 +114,7 @@ def read_poses(
 
     rest, threshold: As of `find_poses`; the threshold in the unit that the columns come in.
     """
-    record = read_record(path, columns, StatedMotion(0.0, steady=True, posed=True), block=None)
+    record = read_record(path, columns, NominalMotion(0.0, steady=True, posed=True), block=None)
     values = np.column_stack(list(record.signals.values()))
     try:
         poses = find_poses(record.time + record.start_time, values, rest, threshold)

@@ -19,9 +19,9 @@ from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates.issuing import certificate
 from counterspin.errors import CounterspinError, RecordError
 from counterspin.physics.terms import ACCELEROMETER_TERMS
-from counterspin.records.endings import RECORD_FORMATS
-from counterspin.records.record import ColumnSpec, RecordColumns, StatedMotion
-from counterspin.records.signals import Swing
+from counterspin.records.format_registry import RECORD_FORMATS
+from counterspin.records.record import ColumnSpec, NominalMotion, RecordColumns
+from counterspin.records.signals import FirstHarmonic
 from counterspin.validation.cases import DATA, document
 
 _RATE, _RADIUS = math.pi, 2.5  #: rate and radius of the cases' records, rad/s and m
@@ -52,7 +52,9 @@ def read_record(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         angle=ColumnSpec("angle_rad"),
         signals={"Qx": ColumnSpec("east_m")},
     )
-    record = module.read_record(path, columns, StatedMotion(_RATE, {"Qx": Swing(_RADIUS, "m")}))
+    record = module.read_record(
+        path, columns, NominalMotion(_RATE, {"Qx": FirstHarmonic(_RADIUS, "m")})
+    )
     rows = given["rows"]
     return {
         "time": record.time[rows],

@@ -95,7 +95,9 @@ def test_columns_are_what_the_simulation_does(observable, attitude):
 
     def recorded(turned):
         motion = replace(one.trajectory, spindle=turned)
-        return simulation.recorded(motion, QX, LARGE, {}, one.time, observable, attitude=attitude)
+        return simulation.simulate_record(
+            motion, QX, LARGE, {}, one.time, observable, attitude=attitude
+        )
 
     def turned(symbol, step):
         if symbol == "encoder.angle":

@@ -40,7 +40,7 @@ def run_of(rate, rng, *, mounting=QX, drift=0.0, nominal=False, n=100):
     phase = strobe_angle(mounting.input_axis)
     time = known.spindle.time_at(phase + 2 * math.pi * np.arange(1, n + 1))
     factor = rng.uniform(0.7, 1.0, n)
-    error = simulation.recorded(true, mounting, TRUTH, {}, time)
+    error = simulation.simulate_record(true, mounting, TRUTH, {}, time)
     error = error - observation.reference(known, mounting, time)
     error = error + SIGMA * factor * rng.standard_normal(n)
     parabola = first_stage(Strobes(time, error, factor, lost=0), SIGMA)

@@ -46,7 +46,7 @@ def strobed(spindle, *, mounting=QX, site=STILL, truth=None, platform=None, atti
     time = spindle.time_at(phase + sense * 2 * math.pi * np.arange(1, n + 1))
     error = np.zeros(n)
     if truth is not None:
-        error = simulation.recorded(
+        error = simulation.simulate_record(
             motion, mounting, truth, platform or {}, time, attitude=attitude
         ) - observation.reference(motion, mounting, time, attitude=attitude)
     parabola = first_stage(Strobes(time, error, np.ones(n), lost=0), SIGMA)
@@ -231,7 +231,7 @@ def test_nominal_angle_s_drift_column_estimates_c():
         motion = Trajectory(Spindle(w, drift), R, STILL)
         nominal = Trajectory(Spindle(w), R, STILL)
         time = (math.pi / 2 + 2 * math.pi * np.arange(1, 101)) / w
-        error = simulation.recorded(motion, QX, truth, {}, time)
+        error = simulation.simulate_record(motion, QX, truth, {}, time)
         error = error - observation.reference(nominal, QX, time)
         parabola = first_stage(Strobes(time, error, np.ones(100), lost=0), SIGMA)
         runs.append(StrobedRun(f"{w}", nominal, parabola))

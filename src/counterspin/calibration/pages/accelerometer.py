@@ -18,8 +18,8 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.summary import Jackknife
-from counterspin.physics.terms import is_term, term, words_of
-from counterspin.records.record import rejected_of
+from counterspin.physics.terms import description_of, is_term, term
+from counterspin.records.record import rejected_count
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
@@ -114,7 +114,9 @@ def _readings(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[B
 
 def _samples(line: ReadingResult) -> tuple[str, str]:
     """Return the cells of samples used and rejected; a value that was read has none."""
-    return ("", "") if line.samples is None else (str(line.samples), str(rejected_of(line.counts)))
+    return (
+        ("", "") if line.samples is None else (str(line.samples), str(rejected_count(line.counts)))
+    )
 
 
 def in_field_units(coefficient: Coefficient) -> tuple[float | None, float | None, str]:
@@ -149,7 +151,7 @@ def _names(symbol: str) -> tuple[str, str]:
     bare, bracket, run = symbol.partition(" (")
     if not is_term(bare):
         return _SPINDLE.get(bare, (symbol, ""))
-    return symbol, words_of(bare) + bracket + run
+    return symbol, description_of(bare) + bracket + run
 
 
 def coefficient_cells(coefficient: Coefficient) -> tuple[str, str, str, str]:

@@ -10,7 +10,7 @@ from counterspin.calibration.pages.uncertainty import decisive_lines
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.inference.joint.summary import BudgetLine
-from counterspin.physics.terms import words_of
+from counterspin.physics.terms import description_of
 from counterspin.reports.blocks import Block, Column, Heading, Table
 from counterspin.reports.numbers import (
     field_unit,
@@ -49,7 +49,7 @@ def budget_table(
     rows: list[tuple[str, ...]] = [
         (
             line.source,
-            words_of(line.source),
+            description_of(line.source),
             evaluations[line.kind],
             *_prior_cells(line, values.get(line.source)),
             _sensitivity(line, factor),

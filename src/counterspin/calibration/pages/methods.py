@@ -24,7 +24,7 @@ from counterspin.physics.terms import (
     SHARED_TERMS,
     TERMS,
     Term,
-    shown_by_readings,
+    affects_readings,
 )
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact, format_number
@@ -269,7 +269,7 @@ def reading_blocks(result: Result) -> Iterator[Block]:
     )
     for motion in motions:
         yield Paragraph(_FORCES[motion], "equation")
-    machine = [s for s in result.platform if s not in SHARED_TERMS and shown_by_readings(s)]
+    machine = [s for s in result.platform if s not in SHARED_TERMS and affects_readings(s)]
     if machine:
         yield Paragraph(
             f"Terms of the machine, estimated with the coefficients: {', '.join(machine)}."

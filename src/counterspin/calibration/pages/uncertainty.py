@@ -8,7 +8,7 @@ from typing import Final, Protocol
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Knowledge
 from counterspin.inference.joint.summary import BudgetLine, WhatIf
-from counterspin.physics.terms import words_of
+from counterspin.physics.terms import description_of
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     field_unit,
@@ -107,13 +107,13 @@ def dominance(accelerometer: HasAnswer, symbol: str = "K_II") -> str:
 
 def label_of(source: str) -> str:
     """Return a term or source of uncertainty as a table names it: words and symbol."""
-    words = words_of(source)
+    words = description_of(source)
     return f"{words}, {source}" if words else source
 
 
 def in_words(source: str) -> str:
     """Return a term or source of uncertainty as a sentence names it."""
-    return f"the {label_of(source)}" if words_of(source) else source
+    return f"the {label_of(source)}" if description_of(source) else source
 
 
 def largest_part(accelerometer: HasAnswer, symbol: str = "K_II") -> str:
@@ -188,7 +188,7 @@ def _row(row: Knowledge, share: float) -> tuple[str, ...]:
         after = format_estimate(row.found * factor, row.u_found * factor, unit)
     return (
         row.name,
-        words_of(row.name),
+        description_of(row.name),
         row.kind,
         format_estimate(row.value * factor, row.u * factor, unit),
         after,

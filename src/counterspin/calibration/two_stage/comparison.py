@@ -14,7 +14,7 @@ from counterspin.calibration.two_stage.method import two_stage_view, walk_is_sta
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.fit import JointFit
-from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS, shown_by_readings
+from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS, affects_readings
 
 
 def compare_k_ii(view: AccelerometerView) -> Comparison | None:
@@ -140,5 +140,5 @@ def _considered_effects(fit: JointFit, index: int) -> dict[str, tuple[float, flo
             strict=False,
         )
         if parameter.symbol not in (*encoder.SYMBOLS, *INPUTS)
-        and (parameter.symbol in ACCELEROMETER_TERMS or not shown_by_readings(parameter.symbol))
+        and (parameter.symbol in ACCELEROMETER_TERMS or not affects_readings(parameter.symbol))
     }

@@ -21,7 +21,7 @@ from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics import observation, quadrature
-from counterspin.physics.angle_error import SLOW, AngleError, displaced
+from counterspin.physics.angle_error import SLOW, AngleError, angle_sensitivity
 from counterspin.physics.effects import SpecificForceProduct
 from counterspin.physics.spindle import MAX_HARMONICS
 from counterspin.physics.terms import TERMS
@@ -91,7 +91,7 @@ def columns(
         spindle = motion.spindle
         rotation = spindle.angle(t), spindle.angular_rate(t), spindle.angular_acceleration(t)
         change = np.zeros((t.size, error.deviation.size, 3))
-        change[..., :2] = motion.radius * displaced(
+        change[..., :2] = motion.radius * angle_sensitivity(
             spindle.angle_functions(error, t), *rotation, order
         )
         return change

@@ -30,7 +30,7 @@ from counterspin.inference.joint.series import (
 from counterspin.inference.joint.unknowns import ROTATION, Considered
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.own_velocity import AxisError, taken
+from counterspin.physics.own_velocity import AxisError, computer_correction
 from counterspin.physics.terms import SHARED_TERMS, TERMS, term
 
 SCALE: Final = "scale"  #: relative change of an accelerometer's recorded output
@@ -192,7 +192,7 @@ def coriolis_mistakes(fit: JointFit, *, own_velocity: bool) -> Iterator[Alternat
             errors.append(
                 AxisError(axis, series.observable, series.time, series.error + residual_gravity)
             )
-        for i, part in zip(places, taken(site, errors), strict=True):
+        for i, part in zip(places, computer_correction(site, errors), strict=True):
             if part.any():
                 columns[i] = part if own_velocity else -part
     if columns:

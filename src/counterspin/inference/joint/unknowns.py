@@ -25,7 +25,7 @@ from counterspin.physics.terms import (
     INPUTS,
     SHARED_TERMS,
     TERMS,
-    shown_by_readings,
+    affects_readings,
     term,
 )
 
@@ -100,7 +100,7 @@ class Unknown:
             return self.owner == series.accelerometer
         if self.symbol in INPUTS:
             return input_affects(series, self.symbol, self.owner)
-        if self.symbol not in SHARED_TERMS and shown_by_readings(self.symbol):
+        if self.symbol not in SHARED_TERMS and affects_readings(self.symbol):
             return False
         return self.owner in ("", series.run)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from counterspin.arrays import Array, median
 from counterspin.frozen import frozen
-from counterspin.records.sampling import Holding, count_times, is_bursty, join_bursts
+from counterspin.records.sampling import ValueHolding, count_times, is_bursty, join_bursts
 
 #: Part of the rows that may repeat a time with other values.
 _DIFFERING_PART: Final = 1e-3
@@ -45,7 +45,7 @@ class SensorSamples:
         else:
             keep = np.append(True, np.diff(time) > 0.0)
             time, values = time[keep], values[keep]
-        holding = Holding.of(values)
+        holding = ValueHolding.of(values)
         if holding is None:
             return cls(time, values, 0, restamped)
         row = median(np.diff(time))

@@ -16,15 +16,15 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.errors import RecordError
 from counterspin.records.column_file import ColumnFile, chunk_size, iter_chunks
-from counterspin.records.isolation import in_reader_process
+from counterspin.records.isolation import run_isolated
 from counterspin.records.memory import MemoryTable
-from counterspin.records.reading import opened
+from counterspin.records.reading import open_record
 from counterspin.records.record import RecordColumns
 from counterspin.records.run_file import RunFile
 from counterspin.units import WORKING_TEMPERATURES, ZERO_CELSIUS
 
 #: Most values of a course.
-MOST_KNOTS: Final = 64
+MAX_KNOTS: Final = 64
 
 #: Parts of a chunk of a record whose means are kept, and of the record whose means are fitted.
 _PARTS_OF_PIECE: Final = 256
@@ -37,26 +37,26 @@ _LONGEST_GAP: Final = 0.25
 _STIFFNESS: Final = 1e-4
 
 
-def read_course(path: Path | MemoryTable, columns: RecordColumns) -> tuple[float, ...]:
+def read_temperature_profile(path: Path | MemoryTable, columns: RecordColumns) -> tuple[float, ...]:
     """Return the temperature in a record, K, at even times from its first row to its last.
 
     columns: Time, and the temperature as their only signal.
-    Returns: One value of a temperature that did not change, else 2 to `MOST_KNOTS`.
+    Returns: One value of a temperature that did not change, else 2 to `MAX_KNOTS`.
     """
-    return in_reader_process(_read, path, columns)
+    return run_isolated(_read, path, columns)
 
 
 def _read(path: Path | MemoryTable, columns: RecordColumns) -> tuple[float, ...]:
-    with opened(path, columns, 0.0) as (file, resolved, _):
+    with open_record(path, columns, 0.0) as (file, resolved, _):
         try:
-            return _course(file, resolved)
+            return _temperature_profile(file, resolved)
         except RecordError:
             if not file.use_strict_parser():
                 raise
-            return _course(file, resolved)
+            return _temperature_profile(file, resolved)
 
 
-def _course(file: ColumnFile | RunFile, columns: RecordColumns) -> tuple[float, ...]:
+def _temperature_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> tuple[float, ...]:
     (spec,) = columns.signals.values()
     where = f"{file.path}: column '{spec.name}'"
     span, last, gap, rows = (math.inf, -math.inf), math.nan, (0.0, 0.0, 0.0), 0
@@ -90,7 +90,7 @@ def _course(file: ColumnFile | RunFile, columns: RecordColumns) -> tuple[float, 
         widest = int(np.argmax(steps))
         gap = max(gap, (float(steps[widest]), float(before[widest]), float(t[widest])))
         last = float(t[-1])
-        parts.append(_means(np.stack([t, x, np.ones(len(t))]), _PARTS_OF_PIECE))
+        parts.append(_segment_means(np.stack([t, x, np.ones(len(t))]), _PARTS_OF_PIECE))
     if not parts:
         raise RecordError(f"{where} has no number in the part that is used.")
     gap = max(gap, (span[1] - last, last, span[1]))
@@ -101,10 +101,10 @@ def _course(file: ColumnFile | RunFile, columns: RecordColumns) -> tuple[float, 
         )
     values = np.concatenate(parts, axis=1)
     low, high = float(values[1].min()), float(values[1].max())
-    return _fitted(values, span) if high > low else (low,)
+    return _fit_broken_line(values, span) if high > low else (low,)
 
 
-def _means(values: Array, parts: int) -> Array:
+def _segment_means(values: Array, parts: int) -> Array:
     """Return means of time and value over consecutive parts, and their weights, shape (3, m).
 
     values: Times, values and weights, shape (3, n).
@@ -118,13 +118,13 @@ def _means(values: Array, parts: int) -> Array:
     return np.concatenate([means, weight[None]])
 
 
-def _fitted(values: Array, span: tuple[float, float]) -> tuple[float, ...]:
+def _fit_broken_line(values: Array, span: tuple[float, float]) -> tuple[float, ...]:
     """Return the values at even times of the broken line that fits best.
 
     values: Times (s), values and weights, shape (3, n).
     """
-    time, value, weight = _means(values, _PARTS)
-    count = min(MOST_KNOTS, max(2, time.size // 2))
+    time, value, weight = _segment_means(values, _PARTS)
+    count = min(MAX_KNOTS, max(2, time.size // 2))
     place = (time - span[0]) / (span[1] - span[0]) * (count - 1)
     knots = np.arange(count)
     hats = np.maximum(1.0 - np.abs(place[:, None] - knots), 0.0)

@@ -50,11 +50,11 @@ RECORD_FORMATS: Final[Mapping[str, RecordFormat]] = {
 }
 
 #: Endings of files that hold other files, made small.
-_PACKED: Final = (".gz", ".zip", ".bz2", ".xz", ".zst", ".7z", ".rar", ".tar", ".tgz")
+_COMPRESSED_SUFFIXES: Final = (".gz", ".zip", ".bz2", ".xz", ".zst", ".7z", ".rar", ".tar", ".tgz")
 
 
 #: Ending of a file that is no record, though it may hold one -> what to do with it.
-_INSTEAD: Final[Mapping[str, str]] = {
+_ALTERNATIVES: Final[Mapping[str, str]] = {
     ".npy": "NumPy's own format is not read; write it as text: "
     'savetxt("NAME.csv", load("NAME.npy"), delimiter=",").',
     ".npz": "NumPy's own format is not read; write an array as text: "
@@ -75,14 +75,14 @@ _INSTEAD: Final[Mapping[str, str]] = {
 }
 
 
-def wrong_ending(path: Path) -> str:
+def suffix_problem(path: Path) -> str:
     """Return why a file is no record by its ending, and what to do; empty if it may be one."""
     ending = path.suffix.lower()
     if ending in RECORD_FORMATS:
         return ""
-    if ending in _PACKED:
+    if ending in _COMPRESSED_SUFFIXES:
         return "the file is packed; unpack it, and give the file inside."
-    if ending in _INSTEAD and not path.is_dir():
-        return _INSTEAD[ending]
+    if ending in _ALTERNATIVES and not path.is_dir():
+        return _ALTERNATIVES[ending]
     kind = "this is a folder" if path.is_dir() else "this one does not"
     return f"a record file ends in one of {', '.join(RECORD_FORMATS)}; {kind}."

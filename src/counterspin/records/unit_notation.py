@@ -78,7 +78,7 @@ _WORDS: Final = {
 TEMPERATURES: Final = ("°C", "degC", "deg C", "℃")
 
 
-def file_unit(text: str) -> str | None:
+def parse_file_unit(text: str) -> str | None:
     """Return a unit as a file writes it, perhaps in brackets, in plain signs; None if none."""
     bare = text.strip()
     while bare and bare[0] + bare[-1] in ("[]", "()", "<>", "{}"):
@@ -90,7 +90,7 @@ def bracketed_unit(name: str) -> str:
     """Return the unit in brackets at the end of a column's name; empty text if there is none."""
     match = _IN_BRACKETS.fullmatch(name)
     # A number in brackets counts the elements of an array.
-    return (file_unit(match[1]) or "") if match and not match[1].isdigit() else ""
+    return (parse_file_unit(match[1]) or "") if match and not match[1].isdigit() else ""
 
 
 def unit_in_name(name: str) -> str:
@@ -103,7 +103,7 @@ def unit_in_name(name: str) -> str:
         return ""
     if not before and len(ending) < 2:
         return ""
-    return file_unit(ending) or file_unit(ending.partition("/")[2]) or ""
+    return parse_file_unit(ending) or parse_file_unit(ending.partition("/")[2]) or ""
 
 
 @lru_cache(maxsize=256)

@@ -7,7 +7,7 @@ import pytest
 from counterspin.errors import RecordError
 from counterspin.records.frames import memory_table
 from counterspin.records.record import ColumnSpec, RecordColumns
-from counterspin.records.temperature_course import MOST_KNOTS, read_course
+from counterspin.records.temperature_profile import MAX_KNOTS, read_temperature_profile
 
 CELSIUS = ColumnSpec("T", unit="degC", wanted="K", kind="temperature")
 TIME = ColumnSpec("t", unit="s", wanted="s")
@@ -16,13 +16,13 @@ T = np.arange(0.0, 400.0, 0.05)
 
 def course(values, *, time=T, spec=CELSIUS, **columns):
     table = memory_table("record", pl.DataFrame({"t": time, "T": values}))
-    return read_course(table, RecordColumns(TIME, None, {"T": spec}, **columns))
+    return read_temperature_profile(table, RecordColumns(TIME, None, {"T": spec}, **columns))
 
 
 def test_a_ramp_is_a_ramp():
     found = course(20.0 + 0.01 * T)
-    assert len(found) == MOST_KNOTS
-    expected = 293.15 + np.linspace(0.0, 0.01 * T[-1], MOST_KNOTS)
+    assert len(found) == MAX_KNOTS
+    expected = 293.15 + np.linspace(0.0, 0.01 * T[-1], MAX_KNOTS)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
 
 
@@ -31,7 +31,7 @@ def test_a_slow_wave_read_to_a_sixteenth_of_a_kelvin_every_two_seconds():
     true = 25.0 + 5.0 * np.sin(2.0 * np.pi * T / 300.0)
     read = np.where(np.arange(T.size) % 40 == 0, np.round(true * 16.0) / 16.0, np.nan)
     found = np.array(course(read)) - 273.15
-    at = np.linspace(0.0, T[-1], MOST_KNOTS)
+    at = np.linspace(0.0, T[-1], MAX_KNOTS)
     assert np.abs(found - 25.0 - 5.0 * np.sin(2.0 * np.pi * at / 300.0)).max() < 0.07
 
 
@@ -59,12 +59,12 @@ def test_the_files_unit_is_taken_where_none_is_stated(tmp_path):
     file.write_text(f"t (s),T (°C)\n{rows}", encoding="utf-8")
     time = ColumnSpec("t (s)", wanted="s")
     spec = ColumnSpec("T (°C)", wanted="K", kind="temperature")
-    found = read_course(file, RecordColumns(time, None, {"T": spec}))
+    found = read_temperature_profile(file, RecordColumns(time, None, {"T": spec}))
     assert (found[0], found[-1]) == pytest.approx((293.15, 332.15))
     file.write_text(f"t (s),T (V)\n{rows}", encoding="utf-8")
     spec = ColumnSpec("T (V)", wanted="K", kind="temperature")
     with pytest.raises(RecordError, match=r"column 'T \(V\)' is in 'V' by the file"):
-        read_course(file, RecordColumns(time, None, {"T": spec}))
+        read_temperature_profile(file, RecordColumns(time, None, {"T": spec}))
 
 
 def _hole(first, last):
@@ -101,4 +101,4 @@ def test_an_infinite_time_is_refused_with_its_row(row, infinity):
 
 def test_what_goes_straight_on_over_a_gap():
     found = course(_hole(100.0, 190.0))
-    np.testing.assert_allclose(found, 293.15 + np.linspace(0, 0.01 * T[-1], MOST_KNOTS), atol=1e-6)
+    np.testing.assert_allclose(found, 293.15 + np.linspace(0, 0.01 * T[-1], MAX_KNOTS), atol=1e-6)

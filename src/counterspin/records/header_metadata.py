@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from counterspin.records.layout import NUMBERED
-from counterspin.records.unit_words import file_unit
+from counterspin.records.unit_notation import parse_file_unit
 from counterspin.units import unit_factor
 
 #: Lines of the head, by their first cell: units of the columns, what x is, and its step.
@@ -19,7 +19,7 @@ _UNITS: Final = "Y_Unit_Label"
 _DIMENSION: Final = "X_Dimension"
 _STEP: Final = "Delta_X"
 #: The column of x, as the line of names calls it.
-_X: Final = "X_Value"
+_TIME_ZERO: Final = "X_Value"
 
 
 #: Lines of other heads, in lower case: rows a second, and the time between rows.
@@ -32,7 +32,7 @@ _INTERVAL_KEY: Final = re.compile(
 _STATED: Final = re.compile(r"\s*([\d.,]+(?:[eE][-+]?\d+)?)\s*(\S*)")
 
 
-def stated_head(
+def parse_header(
     above: Iterable[Sequence[str]], names: Sequence[str], decimal: str
 ) -> tuple[dict[str, str], float | None]:
     """Return units by column, in plain signs, and the time between rows, s; None: not stated.
@@ -43,29 +43,29 @@ def stated_head(
     stated = {cells[0]: cells[1:] for cells in above if cells and cells[1:]}
     columns = [name for name in names if name.lower() != "comment"]
     plain = {name: name.partition(NUMBERED)[0] for name in names}
-    named = columns[1:] if columns and plain[columns[0]] in (_X, "") else columns
+    named = columns[1:] if columns and plain[columns[0]] in (_TIME_ZERO, "") else columns
     units = {
         name: unit
         for name, text in zip(named, stated.get(_UNITS, ()), strict=False)
-        if name and (unit := file_unit(text))
+        if name and (unit := parse_file_unit(text))
     }
     if set(filter(None, stated.get(_DIMENSION, ()))) != {"Time"}:
-        return units, _interval(above, decimal)
-    units |= {name: "s" for name in names if plain[name] == _X}
-    steps = {_number(text, decimal) for text in stated.get(_STEP, ()) if text}
+        return units, _parse_interval(above, decimal)
+    units |= {name: "s" for name in names if plain[name] == _TIME_ZERO}
+    steps = {_parse_number(text, decimal) for text in stated.get(_STEP, ()) if text}
     step = steps.pop() if len(steps) == 1 else None
     return units, step if step is not None and step > 0.0 else None
 
 
-def _interval(above: Iterable[Sequence[str]], decimal: str) -> float | None:
+def _parse_interval(above: Iterable[Sequence[str]], decimal: str) -> float | None:
     """Return the time between rows that a line of the head states, s; None: none does."""
     for cells in above:
         key, _, behind = cells[0].partition(":") if cells else ("", "", "")
         value = _STATED.fullmatch(behind or next(iter(cells[1:]), ""))
-        number = _number(value[1], decimal) if value else None
+        number = _parse_number(value[1], decimal) if value else None
         if not value or not number:
             continue
-        unit = file_unit(value[2]) if value[2] else ""
+        unit = parse_file_unit(value[2]) if value[2] else ""
         try:
             key = key.strip("#%;/ \t").lower()
             if _RATE_KEY.fullmatch(key):
@@ -77,7 +77,7 @@ def _interval(above: Iterable[Sequence[str]], decimal: str) -> float | None:
     return None
 
 
-def _number(text: str, decimal: str) -> float | None:
+def _parse_number(text: str, decimal: str) -> float | None:
     try:
         return float(text.replace(decimal, "."))
     except ValueError:

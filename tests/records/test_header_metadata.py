@@ -1,7 +1,7 @@
 """What the head of a LabVIEW measurement file states."""
 
 from counterspin.records.formats import read_table
-from counterspin.records.heads import stated_head
+from counterspin.records.header_metadata import parse_header
 
 HEAD = [
     ["LabVIEW Measurement", ""],
@@ -14,18 +14,18 @@ NAMES = ["X_Value", "Angle", "East", "Raw", "Comment"]
 
 
 def test_units_and_step_stand_above_their_columns():
-    units, step = stated_head(HEAD, NAMES, ",")
+    units, step = parse_header(HEAD, NAMES, ",")
     assert units == {"X_Value": "s", "Angle": "deg", "East": "m", "Raw": "V"}
     assert step == 0.02
 
 
 def test_what_is_not_stated_is_not_invented():
-    assert stated_head([["about"], []], NAMES, ",") == ({}, None)
+    assert parse_header([["about"], []], NAMES, ",") == ({}, None)
     frequencies = [["X_Dimension", "Frequency"], ["Delta_X", "0,5"]]
-    assert stated_head(frequencies, NAMES, ",") == ({}, None)
+    assert parse_header(frequencies, NAMES, ",") == ({}, None)
     uneven = [*HEAD[:3], ["Delta_X", "0,02", "0,04", "0,02"]]
-    assert stated_head(uneven, NAMES, ",")[1] is None
-    assert stated_head([*HEAD[:3], ["Delta_X", "x"]], NAMES, ",")[1] is None
+    assert parse_header(uneven, NAMES, ",")[1] is None
+    assert parse_header([*HEAD[:3], ["Delta_X", "x"]], NAMES, ",")[1] is None
 
 
 def test_names_that_look_like_a_number_with_a_unit_stay_names(tmp_path):
