@@ -1,4 +1,4 @@
-"""What can go wrong, in words a user can act on.
+"""Errors in words that a user can act on.
 
 Every error that counterspin raises on purpose is a `CounterspinError`. The command line prints
 its message as one short paragraph and ends with `exit_status`; Python users catch the class.

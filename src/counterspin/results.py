@@ -344,7 +344,7 @@ class ReportableResult(ResultFile):
 
     @classmethod
     def report_kind(cls) -> str:
-        """Return what the file of a report calls itself, such as "a history"."""
+        """Return the name that the file of a report has for itself, such as "a history"."""
         return cls.REPORT_KIND or f"a {cls.KIND}"
 
     def publication(self, identifier: str | None = None) -> Any:

@@ -1,4 +1,4 @@
-"""What is wrong, if something is: the likely causes of a misfit, each tried on the records.
+"""Search for the likely causes of a misfit, each tried on the records.
 
 Priors are always held to the records, for that is algebra on the solved equations. The other
 mistakes that are likely are tried only where something is suspicious: residuals, runs or priors.

@@ -109,7 +109,7 @@ def sections(result: Result, *, budget: bool = False, details: bool = False) -> 
 
 
 def first_screen(result: Result) -> list[Block]:
-    """Return what a cell of a notebook shows: the answer, whether it is good, the coefficients."""
+    """Return the blocks of a notebook cell: the answer, whether it is good, the coefficients."""
     result = judge_result(result)
     blocks: list[Block] = [*answer_blocks(result), *verdict_blocks(result)]
     for name, accelerometer in result.accelerometers.items():

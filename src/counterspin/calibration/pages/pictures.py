@@ -1,4 +1,4 @@
-"""What a report draws: parts of a result as plots, bars and heat maps, still without a pen."""
+"""Pictures of a report: parts of a result as plots, bars and heat maps, still without a pen."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def decisive_lines(
 
 
 def dominance(accelerometer: HasAnswer, symbol: str = "K_II") -> str:
-    """Return what decides the u of a coefficient, where unstated sources do; else empty."""
+    """Return the unstated sources that decide the u of a coefficient; empty if none do."""
     coefficient = accelerometer.coefficients.get(symbol)
     lines = accelerometer.budget.get(symbol, [])
     unstated = [line for line in lines if line.kind == "unstated"]
@@ -117,7 +117,7 @@ def in_words(source: str) -> str:
 
 
 def largest_part(accelerometer: HasAnswer, symbol: str = "K_II") -> str:
-    """Return what most of the u of a coefficient comes from, in a sentence; empty if not known."""
+    """Return a sentence on the main source of the u of a coefficient; empty if not known."""
     lines = accelerometer.budget.get(symbol, [])
     if not lines:
         return ""
@@ -132,7 +132,7 @@ def _size(line: BudgetLine, part: float) -> str:
 
 
 def assumption(result: HasAssumptions) -> str:
-    """Return what is taken as perfect, in a sentence; empty if nothing is."""
+    """Return a sentence on the terms assumed to be perfect; empty if there are none."""
     names = result.assumed
     if not names:
         return ""

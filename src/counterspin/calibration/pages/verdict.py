@@ -75,7 +75,7 @@ def _opening(accelerometer: AccelerometerResult) -> str:
 
 
 def finding_text(finding: Finding) -> str:
-    """Return what was found, and of a cause what it accounts for."""
+    """Return the text of a finding, and the part of the misfit that a cause accounts for."""
     if not finding.explains:
         return finding.text
     others = " ".join(other.text for other in finding.explains)
@@ -117,7 +117,7 @@ def verdict_tables(result: Result) -> Iterator[Block]:
 
 
 def _check(name: str, finding: Finding) -> str:
-    """Return what a finding is about, in a word or two, and of what it is."""
+    """Return the subject of a finding in a word or two, and its owner."""
     words, about = finding.code.replace("-", " "), finding.subject.removeprefix(f"{name}.")
     return _capital(words) if about in ("", name) else f"{_capital(words)}: {about}"
 

@@ -1,4 +1,4 @@
-"""What a two-stage result must say beside its numbers: what they stand for, what they leave out."""
+"""Findings of a two-stage result: the meaning of its numbers and their omissions."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def unstated_considered(campaign: Campaign, name: str, second: SecondStage) -> t
 def inseparable_sums(
     view: AccelerometerView, second: SecondStage, coefficients: Mapping[str, Coefficient]
 ) -> list[ConfoundedTerms]:
-    """Return what the estimates really are of: sums with terms that act exactly alike."""
+    """Return the sums of collinear terms that the estimates really determine."""
     sets = []
     for symbol in second.symbols:
         inseparable = second.alike(symbol, unstated_considered(view.campaign, view.name, second))
@@ -88,7 +88,7 @@ def check_two_stage(
     coefficients: Mapping[str, Coefficient],
     model: str,
 ) -> list[Finding]:
-    """Return what speaks against the coefficients of one accelerometer by one of the models."""
+    """Return the findings against one accelerometer's coefficients by one of the models."""
     all_findings, name = [], view.name
     if model == "as-printed":
         text = (

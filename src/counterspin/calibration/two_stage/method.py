@@ -167,7 +167,7 @@ def two_stage_view(
     corrected_series: Sequence[ResidualSeries],
     known_values: Mapping[tuple[str, str], tuple[float, float]] | None = None,
 ) -> tuple[AccelerometerView, SecondStage]:
-    """Return what the method estimates, as a joint fit of one accelerometer, and its stages.
+    """Return the estimate as a joint fit of one accelerometer, and the stages of the method.
 
     noise_components: Estimated noise, by accelerometer.
     corrected_series: The records at corrected times, in the order of the problem's.
@@ -331,7 +331,7 @@ def make_request(
     options: TwoStageOptions,
     components: NoiseEstimate | None = None,
 ) -> TwoStageRequest:
-    """Return what a campaign asks of the two-stage method for one accelerometer.
+    """Return the request of a campaign to the two-stage method for one accelerometer.
 
     `components` is noise that was found, where the campaign states none. It raises
     NotIdentifiableError if the record is not a displacement along a horizontal axis, or the bias
