@@ -64,12 +64,12 @@ def chi_square_tail(dof: float, chi2: float) -> float:
     else:
         size = math.exp(a * math.log(x) - x - math.lgamma(a + 1.0))
     if x < a + 1.0:
-        total = part = 1.0
+        total = term = 1.0
         n = a
-        while part > total * _SERIES_TOLERANCE:
+        while term > total * _SERIES_TOLERANCE:
             n += 1.0
-            part *= x / n
-            total += part
+            term *= x / n
+            total += term
         return max(1.0 - size * total, 0.0)
     return size * a * _gamma_continued_fraction(a, x)
 

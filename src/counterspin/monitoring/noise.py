@@ -430,12 +430,12 @@ def _motion_remarks(record: StaticRecord) -> Iterator[str]:
     """Yield a remark on the segment whose scatter of specific force indicates motion."""
     start, values = record.segments.longest
     size = max(_MIN_SEGMENT_SAMPLES, values.size // _MOTION_SEGMENTS)
-    parts = values[: values.size // size * size].reshape(-1, size)
-    scatter = parts.std(axis=1)
+    segments = values[: values.size // size * size].reshape(-1, size)
+    scatter = segments.std(axis=1)
     median_scatter, index = float(np.quantile(scatter, 0.25)), int(np.argmax(scatter))
     if (
         record.signal.order == 0
-        and len(parts) >= _MOTION_SEGMENTS // 2
+        and len(segments) >= _MOTION_SEGMENTS // 2
         and scatter[index] > _MOTION_RATIO * median_scatter
     ):
         start_time = start + index * size * record.segments.step

@@ -88,8 +88,8 @@ def watch(
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
     if not recordings(campaign):
         raise CampaignError("watch", ["the campaign has no runs with a record to follow"])
-    wanted = resolve_goals(campaign, goals)
-    return _iter_states(campaign, wanted, pace, once=once)
+    targets = resolve_goals(campaign, goals)
+    return _iter_states(campaign, targets, pace, once=once)
 
 
 @dataclass

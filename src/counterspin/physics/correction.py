@@ -403,8 +403,8 @@ def correct(
             )
         variance[:, column, k] = variance[:, k, column]
     inverse = np.full_like(jacobian, np.nan)
-    present = np.isfinite(jacobian).all(axis=(1, 2))
-    inverse[present] = np.linalg.inv(jacobian[present])
+    is_finite = np.isfinite(jacobian).all(axis=(1, 2))
+    inverse[is_finite] = np.linalg.inv(jacobian[is_finite])
     total = np.sum((inverse @ variance) * inverse, axis=2)
     spread = inverse @ from_known * [*(item.u for item in known), warmth.u]
     total += np.sum(spread**2, axis=2)
