@@ -345,6 +345,16 @@ def test_a_counter_of_packets_is_no_time(tmp_path, values):
     assert [one.key for one in poses_draft(looks, PLACE).open_questions] == ["sampling_rate"]
 
 
+def test_an_unnamed_time_follows_a_counter_of_rows(tmp_path, values):
+    count = np.arange(len(values))
+    looks = write_rows(
+        tmp_path, np.column_stack([count, count / 100.0]), values, "index,v0,v1,v2,v3"
+    )
+    draft = poses_draft(looks, PLACE)
+    assert draft.open_questions == []
+    assert draft.document(tmp_path)["records"]["time"]["column"] == "v0"
+
+
 def test_rests_of_a_second_are_found(tmp_path):
     truth = posed(1.0, 0.6, 20)
     found = drafted(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")

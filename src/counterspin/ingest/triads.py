@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
-from itertools import islice
+from itertools import filterfalse, islice
 from typing import Final
 
 import numpy as np
@@ -121,7 +121,7 @@ class TriadColumns:
 def guessed_poses(contents: FileContents, answers: Mapping[str, str]) -> FileGuess:
     """Return the role of each column without rotation: the time is what rises in even steps."""
     guess = guess_file(contents, answers)
-    first = contents.columns[0]
+    first = next(filterfalse(_counts_rows, contents.columns), contents.columns[0])
     known = {"time", "sampling_rate"} & set(answers)
     if guess.time is None and not known and is_even(first.values) and not _counts_rows(first):
         guess = guess_file(contents, {**answers, "time": first.name})
