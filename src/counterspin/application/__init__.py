@@ -9,6 +9,7 @@ also a command, which the page shows.
 - `desk`: the state that all requests share; the command line of each action
 - `campaigns`: the folder's campaigns and results, with their state
 - `drafts`: campaigns from uploaded exports: columns, questions and descriptions
+- `checklist`: optional entries of a description that matter to its result
 - `keeping`: files that are uploaded, and campaigns copied, renamed and moved to the trash
 - `form`, `editing`: a form made of the models' keys, next to the text of a campaign or laboratory
 - `jobs`: long work, each in its own process: calibrations, studies, plans; live views

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
+from counterspin.application.checklist import checklist
 from counterspin.application.desk import Desk, calibrate_command, demo_command, init_command
 from counterspin.application.jobs import Job, Progress, calibrate_into, report_progress
-from counterspin.application.keeping import free_name, trash_contents
+from counterspin.application.keeping import COPY_PREFIX, free_name, trash_contents
 from counterspin.application.laboratory import PROFILE_NAME
 from counterspin.application.record_plots import STUDY_NAME
 from counterspin.calibration.options import Method
 from counterspin.calibration.pages.accelerometer import in_field_units
+from counterspin.calibration.pages.card import STATE_WORDS
 from counterspin.calibration.result import Result
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, table_of
 from counterspin.errors import CampaignError, CounterspinError, RecordError
@@ -26,20 +28,18 @@ from counterspin.physics.terms import TERMS
 from counterspin.planning.plan_file import is_plan
 from counterspin.reports.numbers import format_estimate
 from counterspin.reports.typography import typeset
+from counterspin.temporary_folders import temporary_folder
 
 #: The file of a campaign's own result; other results beside it are tries.
 _RESULT_NAME: Final = "result.json"
 
-#: Words for what a campaign is, beside the states of its result.
-_WORDS: Final = {
+#: State of a campaign -> its words.
+_WORDS: Final[Mapping[str, str]] = {
     "mistakes": "The description has mistakes",
     "records missing": "Records are missing",
     "not calibrated": "Not calibrated yet",
     "changed": "Changed since its result",
-    "good": "Good",
-    "reservations": "With reservations",
-    "not-determined": "Not determined by its data",
-    "contradicted": "Contradicted by its records",
+    **{str(state): words for state, words in STATE_WORDS.items()},
 }
 
 
@@ -207,6 +207,7 @@ def campaign_overview(desk: Desk, name: str) -> dict[str, Any]:
         "text": text.text,
         "version": text.version,
         "run_list": _runs(desk, name, path),
+        "checklist": [] if line["mistakes"] else checklist(desk.campaign(name)),
         "command": calibrate_command(path.parent, output, "joint", None),
         "jobs": [job.shown() for job in desk.jobs.all() if job.campaign == name],
     }
@@ -289,9 +290,13 @@ def sample_into(there: Connection, folder: Path) -> None:
         from counterspin.reproduction.demo import write_description
         from counterspin.simulation.simulate import simulate
 
-        write_description(folder)
-        simulate(folder, folder)
-        calibrate(folder, progress=progress).write(folder / _RESULT_NAME)
+        # A sample that fails or is stopped leaves no folder.
+        with temporary_folder(COPY_PREFIX, folder.parent) as temporary:
+            sample = temporary / folder.name
+            write_description(sample)
+            simulate(sample, sample)
+            calibrate(sample, progress=progress).write(sample / _RESULT_NAME)
+            sample.rename(folder)
 
     report_progress(there, work)
 

@@ -22,8 +22,8 @@ from counterspin.output import finish, make_folder
 from counterspin.records.format_registry import suffix_problem
 from counterspin.temporary_folders import remove_abandoned_folders, temporary_folder
 
-#: Prefixes of the temporary folders in which a campaign is copied, and a file arrives.
-_COPY_PREFIX: Final = ".counterspin-copy-"
+#: Prefixes of the temporary folders in which a campaign is made or copied, and a file is uploaded.
+COPY_PREFIX: Final = ".counterspin-copy-"
 _UPLOAD_PREFIX: Final = ".counterspin-upload-"
 
 
@@ -81,7 +81,7 @@ _TRASHED: Final = re.compile(r"\d{8}T\d{12}-(?P<name>.+)")
 def remove_abandoned_parts(served: ServedFolder) -> None:
     """Remove the incomplete uploads and copies of campaigns that killed servers left."""
     for folder, _ in served.folders():
-        for prefix in (_COPY_PREFIX, _UPLOAD_PREFIX):
+        for prefix in (COPY_PREFIX, _UPLOAD_PREFIX):
             remove_abandoned_folders(prefix, folder)
 
 
@@ -89,7 +89,7 @@ def copy_campaign(desk: Desk, name: str, to: str) -> dict[str, Any]:
     """Copy a campaign's folder, with records and results; return the copy's name."""
     source, place = _source(desk, name), _new_place(desk, name, to)
     try:
-        with temporary_folder(_COPY_PREFIX, place.parent) as part:
+        with temporary_folder(COPY_PREFIX, place.parent) as part:
             whole = shutil.copytree(source, part / place.name, ignore=shutil.ignore_patterns(".*"))
             whole.rename(place)
     except OSError as error:

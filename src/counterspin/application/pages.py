@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 #: is full of formulas is not among them.
 PAGES: Final = (
     "application",
+    "glossary",
     "exports",
     "double-turntable",
     "tumble",

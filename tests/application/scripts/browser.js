@@ -72,6 +72,9 @@ globalThis.BroadcastChannel = class {
 };
 globalThis.document = { createElement: (name) => new Element(name), getElementById: () => said };
 globalThis.addEventListener = () => {};
+// A clock of the page does not keep the tests from ending.
+const { setInterval } = globalThis;
+globalThis.setInterval = (...words) => setInterval(...words).unref();
 globalThis.location = { hash: "" };
 globalThis.history = { replaceState: (_state, _title, to) => (globalThis.location.hash = to) };
 globalThis.fetch = async (path, request) => {

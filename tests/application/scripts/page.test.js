@@ -10,7 +10,7 @@ import { answersTo, lookUntilSettled } from "./confirm.js";
 import { curvePath, tipOf } from "./curves.js";
 import { asTable, folderName } from "./import.js";
 import { knownTo, named, size } from "./improving.js";
-import { carryOut, follow, followRunning } from "./job.js";
+import { carryOut, follow, followRunning, remaining } from "./job.js";
 import { columnsOf, stepsAround, withPoint } from "./live.js";
 import { inUnit } from "./plan.js";
 import { partsOf, quantityText } from "./quantity.js";
@@ -157,6 +157,14 @@ test("a quantity is parted into value, uncertainty and unit, and put together ag
   assert.equal(quantityText("2.5", "", "m"), "2.5 m");
   assert.equal(quantityText("45.75N", "", "deg"), "45.75N");
   assert.equal(quantityText("", "1e-5", "m"), "");
+});
+
+test("the remaining time follows from the time for what is done", () => {
+  assert.equal(remaining(0, 10, 30), "");
+  assert.equal(remaining(5, 10, 1), "");
+  assert.equal(remaining(5, 10, 20), ", about 20 s left");
+  assert.equal(remaining(100, 300, 196), ", about 7 min left");
+  assert.equal(remaining(1, 1001, 36), ", about 10.0 h left");
 });
 
 test("a curve is one line, which begins again after a gap", () => {

@@ -1,13 +1,14 @@
 // @ts-check
 // One campaign: calibrate, and what came of it.
 
-import { campaignAddress, resultAddress } from "./addresses.js";
+import { campaignAddress, descriptionAddress, resultAddress } from "./addresses.js";
 import { bring, get, send } from "./api.js";
 import { attempt, command, commandLine, labelled, make, say, stateMark, warning } from "./dom.js";
 import { resultLines } from "./folder.js";
 import { carryOut, followRunning } from "./job.js";
 import { dashboard, pagePart } from "./result.js";
 import { campaignTabs } from "./tabs.js";
+import { tourOf } from "./tour.js";
 
 /**
  * Show a result that has just been made: here, or in its own place if it is not the campaign's.
@@ -52,6 +53,16 @@ function calibration(campaign) {
   followRunning(campaign.jobs, "calibration", place, show);
   return { button, below: [place, form] };
 }
+
+/**
+ * The optional entries of the description that matter to the result, with links to their fields.
+ * @param {any} campaign
+ */
+const checklistPart = (campaign) => make("section", { class: "panel" }, make("h2", {}, "Checklist"),
+  make("p", { class: "quiet" }, "All entries are optional."),
+  make("ul", { class: "checklist" }, ...campaign.checklist.map((/** @type {any} */ { words, stated, effect, key }) =>
+    make("li", { class: stated ? "done" : "optional" },
+      make("a", { href: descriptionAddress(campaign.name, `f-${key}`) }, words), make("span", { class: "quiet" }, effect)))));
 
 /**
  * What can be done with the campaign as a folder.
@@ -133,13 +144,14 @@ export async function campaignView(name) {
       make("div", { class: "head" },
         make("div", {}, make("h1", {}, campaign.title, " ", state), name ? make("p", { class: "quiet" }, `Folder ${name}`) : null),
         make("div", { class: "row" }, button)),
-      steps, ...troubles, ...below);
+      steps, ...troubles, ...campaign.checklist.length ? [checklistPart(campaign)] : [], ...below);
   }
   if (campaign.results.length > 1) {
     content.push(make("section", {}, make("h2", {}, "Results"),
       make("ul", { class: "cards" }, ...campaign.results.map(/** @param {any} r */ (r) =>
         make("li", { class: "card" }, ...resultLines(r))))));
   }
-  content.push(keeping(name));
+  const tour = good ? tourOf(name) : null;
+  content.push(keeping(name), ...tour ? [tour] : []);
   return { title: campaign.title, content };
 }

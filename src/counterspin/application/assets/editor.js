@@ -121,10 +121,13 @@ export class Editor {
     });
     this.notes = make("div", { "aria-live": "polite" });
     this.button = make("button", { type: "button", class: "main", onclick: () => this.save() }, "Save");
+    /** @type {string[]} texts before each change, the newest last */
+    this.history = [];
+    this.undoButton = make("button", { type: "button", disabled: true, onclick: () => this.undo() }, "Undo");
     this.element = make("div", { class: "editor" },
       make("div", {}, this.notes, this.fields),
       make("div", { class: "file" }, labelled(`${this.file}, as text`, this.area),
-        make("div", { class: "row" }, this.button)));
+        make("div", { class: "row" }, this.button, this.undoButton)));
     this.show();
   }
 
@@ -143,11 +146,30 @@ export class Editor {
     return this.last;
   }
 
+  /** Keep the present text for Undo, before another one replaces it. */
+  remember() {
+    if (this.history.at(-1) !== this.now.text) this.history.push(this.now.text);
+    this.undoButton.disabled = false;
+  }
+
+  /** Take back the last change of a field, or of the text. */
+  undo() {
+    return this.next(async () => {
+      const text = this.history.pop();
+      this.undoButton.disabled = !this.history.length;
+      if (text !== undefined) this.take(await send("POST", "check", { ...this.said(), text }));
+    });
+  }
+
   textTyped() {
+    // What is typed without a pause is taken back together.
+    if (!this.typing) this.remember();
+    this.typing = true;
     this.now = { ...this.now, text: this.area.value };
     this.button.disabled = !this.changed && this.version !== "";
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.next(async () => {
+      this.typing = false;
       const told = await send("POST", "check", this.said());
       if (told.text === this.area.value) this.take(told);
     }), 250);
@@ -164,7 +186,9 @@ export class Editor {
    */
   change(path, value, kind = "") {
     return this.next(async () => {
-      this.take(await send("POST", "change", { ...this.said(), path, value, kind }));
+      const changed = await send("POST", "change", { ...this.said(), path, value, kind });
+      if (changed.text !== this.now.text) this.remember();
+      this.take(changed);
     });
   }
 
@@ -263,7 +287,13 @@ export class Editor {
       control?.setAttribute("aria-invalid", "true");
       const ids = [control?.getAttribute("aria-describedby"), id].filter(Boolean);
       control?.setAttribute("aria-describedby", ids.join(" "));
-      field.append(make("span", { class: "wrong", id }, place === key ? words : line));
+      const mistake = make("span", { class: "wrong", id }, place === key ? words : line);
+      field.append(mistake);
+      // A mistake is of the value before it was edited.
+      control?.addEventListener("input", () => {
+        control.removeAttribute("aria-invalid");
+        mistake.remove();
+      }, { once: true });
       for (let up = field.closest("details"); up; up = up.parentElement?.closest("details") ?? null) up.open = true;
       list.push(make("li", {}, make("a", {
         href: "#",

@@ -7,6 +7,7 @@ import { Confirmation } from "./confirm.js";
 import { attempt, labelled, make, working } from "./dom.js";
 import { carryOut } from "./job.js";
 import { stepList } from "./tabs.js";
+import { requestTour } from "./tour.js";
 
 /** Kinds of test of a pasted table. */
 const TABLES = ["tumble", "arm"];
@@ -50,7 +51,10 @@ function importPanel(take) {
   const place = make("div");
   const sample = make("button", {
     type: "button",
-    onclick: carryOut(place, () => send("POST", "sample", {}), (job) => { location.hash = campaignAddress(job.output); }),
+    onclick: carryOut(place, () => send("POST", "sample", {}), (job) => {
+      requestTour(job.output);
+      location.hash = campaignAddress(job.output);
+    }),
   }, "Open a sample campaign");
   const zone = make("div", { class: "drop" },
     make("h2", {}, "Drop your recorder’s files here"),

@@ -2,7 +2,7 @@
 // Jobs that go on while the page is used: progress, and what came of them.
 
 import { get, send } from "./api.js";
-import { attempt, make, say, submitting, warning } from "./dom.js";
+import { attempt, make, say, submitting, warning, working } from "./dom.js";
 
 /** @typedef {{number: number, campaign: string, output: string, command: string, kind: string,
  *   state: string, progress: [number, number], error: string, seconds: number}} Job */
@@ -43,9 +43,23 @@ export function followRunning(jobs, kind, place, done) {
  * @returns {(event?: Event) => Promise<void>} for a form that is sent, or a button
  */
 export const carryOut = (place, begin, done) => submitting(place, async () => {
+  place.replaceChildren(working("Starting"));
   const job = await begin();
   follow(job, place, () => done(job));
 });
+
+/**
+ * The remaining time in words, from the time for what is done; empty at the beginning.
+ * @param {number} done
+ * @param {number} all
+ * @param {number} seconds
+ */
+export function remaining(done, all, seconds) {
+  if (!done || seconds < 2) return "";
+  const left = seconds * (all - done) / done;
+  if (left < 100) return `, about ${Math.max(1, Math.round(left))} s left`;
+  return left < 6000 ? `, about ${Math.round(left / 60)} min left` : `, about ${(left / 3600).toFixed(1)} h left`;
+}
 
 /**
  * Follow a job to its end.
@@ -77,7 +91,8 @@ export function follow(job, place, done) {
     const waits = now.state === "waiting";
     const what = waits ? "Waiting for another job" : all && read === all ? ending : working;
     if (doing.textContent !== what) doing.textContent = what;
-    numbers.textContent = `${!waits && all && read < all ? `: ${read} of ${all}` : ""}, ${Math.round(now.seconds)} s`;
+    const counted = !waits && all && read < all;
+    numbers.textContent = `${counted ? `: ${read} of ${all}` : ""}, ${Math.round(now.seconds)} s${counted ? remaining(read, all, now.seconds) : ""}`;
   };
   const ask = () => attempt(place, async () => {
     if (!place.isConnected && asked++ > 4) return;

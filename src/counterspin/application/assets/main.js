@@ -29,6 +29,7 @@ const PLACES = [
   { path: /^\/plans$/, name: "Plans", address: "#/plans", view: plansView },
   { path: /^\/compare$/, name: "Compare", address: "#/compare", view: compareView },
   { path: /^\/history$/, name: "History", address: "#/history", view: historyView },
+  { path: /^\/manual\/glossary$/, name: "Glossary", address: "#/manual/glossary", view: () => manualView("glossary") },
   { path: /^\/manual\/([^#]*)#?(.*)$/, name: "Help", address: "#/manual/application", view: manualView },
   { path: /^\/import$/, view: importView },
   { path: /^\/plan\/(.*)$/, view: planView },

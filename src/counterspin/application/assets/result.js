@@ -2,7 +2,7 @@
 // A result on one screen: the answer on cards, its chapters as tabs.
 
 import { get, getText, getTextNow, save } from "./api.js";
-import { attempt, commandLine, make, say, stateMark } from "./dom.js";
+import { attempt, commandLine, make, say, stateMark, working } from "./dom.js";
 import { addSliders, waysPart } from "./improving.js";
 import { follow } from "./job.js";
 
@@ -64,7 +64,7 @@ export async function pagePart(kind, names, term) {
  * @param {string} [term]
  */
 export async function fill(place, kind, names, term) {
-  place.replaceChildren(make("p", { class: "quiet" }, "Working."));
+  place.replaceChildren(working("Calculating"));
   return attempt(place, async () => {
     const { told, part } = await pagePart(kind, names, term);
     if (!part) {
@@ -114,7 +114,7 @@ const copyButton = (part) => make("button", {
       [card.querySelector("h2"), ...card.querySelectorAll(".value, .halves p:not(.value)")]
         .map((element) => element?.textContent?.trim()).join("\t"));
     navigator.clipboard.writeText(lines.join("\n"))
-      .then(() => say("The result is copied."), () => say("The browser does not allow copying."));
+      .then(() => say("The result is copied."), () => say("Not copied: the browser refuses access to the clipboard. Select the values and copy them, or save the report."));
   },
 }, "Copy result");
 

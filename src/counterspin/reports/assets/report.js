@@ -146,15 +146,20 @@ var counterspin = (() => {
 
   /** @type {(words: string, of: string, work: (button: HTMLElement) => void | Promise<void>) => HTMLElement} */
   function tool(words, of, work) {
-    const one = make("button", { type: "button", "aria-label": `${words}: ${of}` }, words);
-    one.addEventListener("click", async () => {
+    const button = make("button", { type: "button", "aria-label": `${words}: ${of}` }, words);
+    const failure = make("span", { role: "alert" });
+    button.addEventListener("click", async () => {
+      failure.remove();
       try {
-        await work(one);
-      } catch {
-        one.textContent = "Failed";
+        await work(button);
+      } catch (error) {
+        failure.textContent = words === "Copy"
+          ? "Not copied: the browser refuses access to the clipboard. Select the table and copy it, or save it as CSV."
+          : `Not saved as ${words}: ${/** @type {Error} */ (error).message || "the browser cannot draw the figure"}. Reload the page and try again.`;
+        button.after(failure);
       }
     });
-    return one;
+    return button;
   }
 
   /** @param {HTMLTableElement} table */
@@ -168,8 +173,9 @@ var counterspin = (() => {
     const area = /** @type {HTMLTextAreaElement} */ (make("textarea", {}, text));
     document.body.append(area);
     area.select();
-    document.execCommand("copy");
+    const copied = document.execCommand("copy");
     area.remove();
+    if (!copied) throw new Error("copying is refused");
   }
 
   /** @param {HTMLElement} box */

@@ -1,0 +1,59 @@
+"""Optional entries of a description that matter to its result, before a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from counterspin.campaign.description import Campaign
+from counterspin.frozen import frozen
+from counterspin.physics.terms import COMMON_NAMES, TERMS
+
+
+@frozen
+class ChecklistEntry:
+    """An entry of the checklist, and the field of the description that states it."""
+
+    words: str  #: The name of the entry.
+    stated: bool  #: Whether the description states it.
+    effect: str  #: What the calibration does.
+    key: str  #: The key of the description.
+
+
+def checklist(campaign: Campaign) -> list[dict[str, Any]]:
+    """Return the entries of a campaign's checklist; none of them blocks a calibration."""
+    return [vars(entry) for entry in _entries(campaign)]
+
+
+def _entries(campaign: Campaign) -> Iterator[ChecklistEntry]:
+    for key, symbol in COMMON_NAMES.items():
+        yield _prior(campaign, key, symbol)
+    if campaign.runs:
+        stated = campaign.noise is not None
+        effect = "stated (Type B)" if stated else "estimated from the residuals (Type A)"
+        yield ChecklistEntry("Noise", stated, effect, "noise")
+    unnumbered = [n for n, a in campaign.accelerometers.items() if not a.serial_number]
+    effect = f"not stated for {', '.join(unnumbered)}; history and certificate need it"
+    first = next(iter([*unnumbered, *campaign.accelerometers]), "")
+    yield ChecklistEntry(
+        "Serial number",
+        not unnumbered,
+        effect if unnumbered else "stated",
+        f"accelerometers.{first}.serial_number",
+    )
+    dated = "date" in campaign.details
+    effect = "stated" if dated else "not stated; the history needs it"
+    yield ChecklistEntry("Date", dated, effect, "campaign.date")
+
+
+def _prior(campaign: Campaign, key: str, symbol: str) -> ChecklistEntry:
+    """Return the entry of a coefficient that may be known beforehand."""
+    without = [n for n, a in campaign.accelerometers.items() if symbol not in a.priors]
+    first = next(iter([*without, *campaign.accelerometers]), "")
+    effect = "stated: a prior (Type B)"
+    if without:
+        effect = f"not stated for {', '.join(without)}; only the data determine it"
+    words = TERMS[symbol].words
+    return ChecklistEntry(
+        f"{words[:1].upper()}{words[1:]}", not without, effect, f"accelerometers.{first}.{key}"
+    )

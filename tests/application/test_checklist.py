@@ -1,0 +1,43 @@
+"""The checklist before a calibration."""
+
+import re
+
+from campaigns import SMALL, write
+
+from counterspin.application.checklist import checklist
+from counterspin.campaign.description import read_campaign
+
+STATED = (
+    SMALL.replace(
+        "[accelerometers.Qx]", '[accelerometers.Qx]\nserial_number = "17"\nbias = "5e-3 ± 2e-6 g"'
+    )
+    .replace(
+        "[accelerometers.Qy]", '[accelerometers.Qy]\nserial_number = "18"\nbias = "4e-3 ± 2e-6 g"'
+    )
+    .replace("[site]", '[campaign]\ndate = "2026-01-12"\n\n[site]')
+)
+
+
+def entries(folder, text):
+    write(folder, text)
+    return {entry["words"]: entry for entry in checklist(read_campaign(folder))}
+
+
+def test_a_stated_entry_is_marked_and_a_missing_one_names_its_field(tmp_path):
+    stated = entries(tmp_path, STATED)
+    assert list(stated) == ["Bias", "Scale factor", "Noise", "Serial number", "Date"]
+    assert all(entry["stated"] for entry in stated.values())
+    without = entries(tmp_path, STATED.replace('serial_number = "17"\n', ""))
+    assert not without["Serial number"]["stated"]
+    assert without["Serial number"]["key"] == "accelerometers.Qx.serial_number"
+    assert "not stated for Qx" in without["Serial number"]["effect"]
+
+
+def test_bias_and_noise_that_are_not_stated_come_from_the_data(tmp_path):
+    text = re.sub(r"(?m)^bias = .*$", "", STATED)
+    before, _, after = text.partition("[noise]")
+    text = before + after[after.index("\n[") :] if after else before
+    found = entries(tmp_path, text)
+    assert (found["Bias"]["stated"], found["Scale factor"]["stated"]) == (False, True)
+    assert found["Bias"]["effect"] == "not stated for Qx, Qy; only the data determine it"
+    assert found["Noise"]["effect"] == "estimated from the residuals (Type A)"
