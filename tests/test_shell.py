@@ -63,7 +63,7 @@ def test_a_program_of_the_working_folder_is_not_found_on_windows(windows, tmp_pa
     (tmp_path / "sign.exe").touch()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PATH", os.pathsep.join([".", str(tools)]))
-    with pytest.raises(FileNotFoundError, match="no such program in PATH"):
+    with pytest.raises(FileNotFoundError, match="program not found in PATH"):
         find_program("sign")
     (tools / "sign.exe").touch()
     assert find_program("sign") == find_program("sign.exe") == str(tools / "sign.exe")

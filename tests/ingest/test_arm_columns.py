@@ -140,7 +140,7 @@ def test_the_last_digit_of_a_rate_changes_the_force_twice_as_much(name, values, 
 
 
 def test_rows_turn_or_rest():
-    numbers = {"n_rpm": [0.0, 30.0, math.nan, -42.0], "out_V": [1.0, 1.0, 1.0, 1.0]}
+    numbers = {"n_rpm": [0.0, 30.0, math.nan, -42.0], "out_V": [1.0, 1.2, 0.8, 1.4]}
     found = table(numbers, {"side": ["up", "in", "out", "in"]})
     assert found.rests.tolist() == [True, False, False, False]
     assert found.turning == ("in",)

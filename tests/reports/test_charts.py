@@ -398,7 +398,9 @@ def test_only_an_earlier_figure_is_replaced_and_only_where_that_is_asked_for(tmp
     assert file.read_bytes() != before
     foreign.write_text("<svg>drawn by hand</svg>")
     for overwrite in (False, True):
-        with pytest.raises(CounterspinError, match=r"own\.svg exists and is not a figure of c"):
+        with pytest.raises(
+            CounterspinError, match=r"own\.svg exists and is not a figure written by c"
+        ):
             save_figure(PICTURES, foreign, overwrite=overwrite)
     assert foreign.read_text() == "<svg>drawn by hand</svg>"
 

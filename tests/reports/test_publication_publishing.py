@@ -44,7 +44,9 @@ def test_a_report_is_returned_as_it_is_written(kind, tmp_path):
 def test_a_report_replaces_no_other_file(tmp_path):
     record = tmp_path / "record.md"
     record.write_text("mine", encoding="utf-8")
-    with pytest.raises(CounterspinError, match="is not a calibration report of counterspin"):
+    with pytest.raises(
+        CounterspinError, match="is not a calibration report written by counterspin"
+    ):
         write_report(result(), record, issued=FIXED, overwrite=True)
     assert record.read_text(encoding="utf-8") == "mine"
 
@@ -80,7 +82,7 @@ def test_the_date_of_reproducible_builds(monkeypatch):
     assert issue_date() == datetime(1970, 1, 2, tzinfo=UTC)
     assert issue_date("2026-03-01").year == 2026
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "soon")
-    with pytest.raises(CampaignError, match="SOURCE_DATE_EPOCH: 'soon' is no date"):
+    with pytest.raises(CampaignError, match="SOURCE_DATE_EPOCH: 'soon' is not a date"):
         issue_date()
 
 
@@ -138,8 +140,8 @@ def test_a_description_is_calibrated_first(tmp_path, capsys):
     [
         (["-o", "{}/report.doc"], 2, "report.doc: name the file .html, .pdf or .md"),
         (["-o", "{}/none/report.md"], 1, "report.md: cannot be written"),
-        (["--date", "yesterday"], 2, "--date: 'yesterday' is no date"),
-        (["--date", "9999-12-31T23:59:00-05:00"], 2, "is no date"),
+        (["--date", "yesterday"], 2, "--date: 'yesterday' is not a date"),
+        (["--date", "9999-12-31T23:59:00-05:00"], 2, "is not a date"),
     ],
 )
 def test_what_cannot_be_is_said(arguments, status, words, stored, tmp_path, capsys):
@@ -200,4 +202,4 @@ def test_the_result_of_any_command_has_a_report(
     # What is not a report of the same kind stays.
     write_report(result(), tmp_path / "other.md", issued=FIXED)
     assert main(["report", str(file), "-o", str(tmp_path / "other.md"), "--overwrite"]) == 1
-    assert f"is not {mark} of counterspin" in capsys.readouterr().err
+    assert f"is not {mark} written by counterspin" in capsys.readouterr().err

@@ -351,7 +351,7 @@ def test_details_are_written_when_asked_for():
     assert "campaign.toml sha256:" + "0f" * 32 in text
     assert "bias, K_F second-order coefficient, K_II -0.9612" in text
     assert "run1: rows 20113, outliers 12." in text
-    assert "rms 0.206 arcsec" in text
+    assert "0.206 arcsec rms" in text
     assert "Radius 2.5 m, latitude 45.75 deg." in text
 
 

@@ -107,7 +107,7 @@ def test_the_page_says_from_which_ratio_on():
     page = " ".join((Path(__file__).parents[3] / "docs" / "diagnosis.md").read_text().split())
     level = SIGNIFICANCE / 4.0
     least = [f"{np.sqrt(stats.chi2.ppf(level, dof) / dof):.2f} times" for dof in (5, 20)]
-    assert f"at most {100.0 * level:.3f} % of good campaigns" in page
+    assert f"a false-alarm rate of {100.0 * level:.3f} % of good campaigns" in page
     assert f"below {least[0]} the stated uncertainty, with 20 below {least[1]}" in page
 
 

@@ -336,7 +336,7 @@ def row_of(mistake):
 
 def test_the_documentation_s_table_is_these_rows():
     page = PAGE.read_text(encoding="utf-8")
-    table = page[page.index("| mistake | noise |") :].split("\n\n")[0].splitlines()
+    table = page[page.index("| error | noise |") :].split("\n\n")[0].splitlines()
     assert table[2:] == [row_of(mistake) for mistake in MISTAKES]
     assert len(MISTAKES) >= 25
 
