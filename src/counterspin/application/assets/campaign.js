@@ -62,7 +62,7 @@ const checklistPart = (campaign) => make("section", { class: "panel" }, make("h2
   make("p", { class: "quiet" }, "All entries are optional."),
   make("ul", { class: "checklist" }, ...campaign.checklist.map((/** @type {any} */ { words, stated, effect, key }) =>
     make("li", { class: stated ? "done" : "optional" },
-      make("a", { href: descriptionAddress(campaign.name, `f-${key}`) }, words), make("span", { class: "quiet" }, effect)))));
+      make("a", { href: descriptionAddress(campaign.name, `${key.includes(".") ? "f" : "s"}-${key}`) }, words), make("span", { class: "quiet" }, effect)))));
 
 /**
  * What can be done with the campaign as a folder.
