@@ -102,7 +102,7 @@ def test_a_server_removes_at_its_start_what_killed_servers_left(killed, tmp_path
     (served / "below").mkdir(parents=True)
     left = [
         killed(server._PREFIX, private),
-        killed(keeping._COPY_PREFIX, served / "below"),
+        killed(keeping.COPY_PREFIX, served / "below"),
         killed(keeping._UPLOAD_PREFIX, served),
     ]
     monkeypatch.setattr(server, "_private_place", lambda: private)
