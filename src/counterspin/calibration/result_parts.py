@@ -359,10 +359,10 @@ class TriadResult(ResultPart):
     bias: list[float] | None = None
     #: Reason for a missing matrix; null with a matrix, and in files of earlier versions.
     why_no_matrix: str | None = None
-    #: Root mean square over the poses of |f| - g, with the nominal sensitivities, m/s^2; null
+    #: Root mean square over the poses of norm(f) - g, with the nominal sensitivities, m/s^2; null
     #: without poses.
     rms_before: float | None = None
-    #: Root mean square over the poses of |f| - g after correction by matrix, bias and
+    #: Root mean square over the poses of norm(f) - g after correction by matrix, bias and
     #: requested second-order terms.
     rms_after: float | None = None
     poses: list[PoseResult] = []  #: Those at unknown attitudes.
@@ -393,7 +393,7 @@ class TriadResult(ResultPart):
         ]
         if self.rms_before is not None and self.rms_after is not None:
             rms = f"{self.rms_before:.3g} m/s^2 before, {self.rms_after:.3g} m/s^2 after"
-            lines.append(f"  rms of |f| - g: {rms}")
+            lines.append(f"  rms of norm(f) - g: {rms}")
         return "\n".join(lines)
 
     __str__ = __repr__
