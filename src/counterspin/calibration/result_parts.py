@@ -393,7 +393,7 @@ class TriadResult(ResultPart):
         ]
         if self.rms_before is not None and self.rms_after is not None:
             rms = f"{self.rms_before:.3g} m/s^2 before, {self.rms_after:.3g} m/s^2 after"
-            lines.append(f"  rms of norm(f) - g: {rms}")
+            lines.append(f"  rms of |f| - g: {rms}")
         return "\n".join(lines)
 
     __str__ = __repr__
