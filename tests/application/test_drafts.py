@@ -127,7 +127,7 @@ def test_an_unused_column_has_a_reason(page, folder):
         "marker": "Empty in every row.",
         "note": "Text, not numbers: ok",
     }
-    assert columns["count"]["reason"].startswith("Neither swings with the rotation")
+    assert columns["count"]["reason"].startswith("Does not vary with the rotation")
     assert columns["note"]["curve"] is None
 
 

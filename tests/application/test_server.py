@@ -157,7 +157,7 @@ def test_a_port_that_is_taken_and_a_folder_that_is_not_there(tmp_path, capsys):
     assert "give another --port" in told
     assert cli.main(["serve", str(tmp_path), "--port", "99999"]) == 1
     assert cli.main(["serve", str(tmp_path / "nowhere")]) == 1
-    assert "no such folder" in capsys.readouterr().err
+    assert "folder not found" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["a" * 5000 + ".js", "..%2fserver.js", "%00.js", "%ff.css", ".js"])

@@ -123,7 +123,7 @@ def test_work_that_fails(tmp_path, capsys):
     assert "exists; edit it, or choose another folder" in capsys.readouterr().err
     assert cli.main(["calibrate", str(tmp_path)]) == 1
     told = capsys.readouterr().err
-    assert all(f"run{i}.csv: file not found.\n" in told for i in (1, 2, 3))
+    assert all(f"run{i}.csv: file not found\n" in told for i in (1, 2, 3))
 
 
 def test_advice_can_be_typed_as_it_stands(tmp_path, capsys):

@@ -47,7 +47,7 @@ def _entries(campaign: Campaign) -> Iterator[ChecklistEntry]:
 
 
 def _prior(campaign: Campaign, key: str, symbol: str) -> ChecklistEntry:
-    """Return the entry of a coefficient that may be known beforehand."""
+    """Return the entry of a coefficient that can have a prior."""
     without = [n for n, a in campaign.accelerometers.items() if symbol not in a.priors]
     first = next(iter([*without, *campaign.accelerometers]), "")
     effect = "stated: a prior (Type B)"

@@ -138,7 +138,7 @@ def _reason(column: FileColumn, guess: FileGuess | None) -> str:
     """Return why a column of numbers is unused, if it is."""
     values = column.values[np.isfinite(column.values)]
     if column.stamps:
-        return "Holds time stamps beside the time."
+        return "Contains time stamps in addition to the time."
     if values.min() == values.max():
         return f"Constant: {values[0]:.6g} in every row."
     if counts_rows(column):
@@ -146,8 +146,8 @@ def _reason(column: FileColumn, guess: FileGuess | None) -> str:
     if column.unit and not any(converts(column.unit, si) for si in OBSERVABLES.values()):
         return f"Its unit, {column.unit}, is not that of a signal."
     if guess is not None:
-        return "Neither swings with the rotation nor has the name of a signal."
-    return "Neither its name nor its unit shows what it is."
+        return "Does not vary with the rotation, and its name is not that of a signal."
+    return "Neither its name nor its unit identifies the quantity."
 
 
 @frozen

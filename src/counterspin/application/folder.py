@@ -68,7 +68,7 @@ class ServedFolder:
 
     def __init__(self, root: Path) -> None:
         if not root.is_dir():
-            kind = "is a file, not a folder" if root.exists() else "there is no such folder"
+            kind = "is a file, not a folder" if root.exists() else "folder not found"
             raise CounterspinError(f"{root}: {kind}; give the folder that holds the campaigns")
         self.root = root.resolve()
         self._writing = threading.Lock()

@@ -144,7 +144,7 @@ def _check_files_exist(campaign: Campaign) -> None:
     if isinstance(rest, Path) and not rest.exists():
         missing.append(f"{rest} (noise.from): ")
     if missing:
-        raise RecordError("\n".join(f"{file}file not found." for file in missing))
+        raise RecordError("\n".join(f"{file}file not found" for file in missing))
 
 
 def read_run(campaign: Campaign, run: Run) -> Record:

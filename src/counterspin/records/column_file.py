@@ -144,7 +144,7 @@ def record_errors(path: Path, where: Callable[[], str] = str) -> Iterator[None]:
     except PermissionError:
         raise RecordError(f"{path}: the file cannot be read; check its permissions.") from None
     except FileNotFoundError:
-        raise RecordError(f"{path}: file not found.") from None
+        raise RecordError(f"{path}: file not found") from None
     except OSError as error:
         if error.errno is None:  # a library's
             raise DamagedFileError(_damage_words(path, where())) from error
