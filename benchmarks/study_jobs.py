@@ -33,14 +33,14 @@ from counterspin.ingest.starter import init
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.observation import columns
 from counterspin.physics.terms import term
-from counterspin.studies.choice import analyses_of, prepare
+from counterspin.studies.batch_runner import BatchResults, StudyEngine, run_batches
 from counterspin.studies.description import StudyDescription, read_study
 from counterspin.studies.draws import StudyTruth
-from counterspin.studies.linear import curvature_gain
+from counterspin.studies.engine_selection import list_analyses, prepare_study
+from counterspin.studies.linear_engines import curvature_gain
 from counterspin.studies.result import summarise
+from counterspin.studies.simulation_setup import make_setup
 from counterspin.studies.study import study
-from counterspin.studies.work import Ledger, StudyEngine, run_batches
-from counterspin.studies.world import world_of
 from study_campaigns import GIVEN, RESIDUALS, VARYING, campaign_of
 
 Job = Callable[[], object]
@@ -57,14 +57,14 @@ def study_of(text: str) -> StudyDescription:
 
 def engine_of(text: str) -> StudyEngine:
     """Return the engine of a study of the paper's plan."""
-    return prepare(study_of(text), 1)
+    return prepare_study(study_of(text), 1)
 
 
 def trials(engine: StudyEngine, count: int) -> np.ndarray:
     """Do trials as `counterspin study` does, and return their sums."""
-    ledger = Ledger(engine, count)
-    run_batches(engine, ledger)
-    return ledger.sums
+    batch_results = BatchResults(engine, count)
+    run_batches(engine, batch_results)
+    return batch_results.sums
 
 
 def in_turn(jobs: Mapping[str, Job], repeats: int) -> Times:
@@ -86,19 +86,22 @@ def in_turn(jobs: Mapping[str, Job], repeats: int) -> Times:
 def plan_of(text: str) -> peers.Plan:
     """Return a study of the paper's plan as numbers."""
     study = study_of(text)
-    (analysis,) = analyses_of(study)
+    (analysis,) = list_analyses(study)
     request = analysis.request
     assert isinstance(request, TwoStageRequest)
-    world, draws = world_of(study.campaign), StudyTruth.of(study.campaign, study.varying).middle()
+    setup, draws = (
+        make_setup(study.campaign),
+        StudyTruth.from_campaign(study.campaign, study.varying).mean_draw(),
+    )
     own = {symbol: value for (owner, symbol), value in draws.values.items() if owner}
     true = np.array([float(v[0, 0]) - term(symbol).nominal for symbol, v in own.items()])
     times, readings, effects = [], [], []
-    for run, spindle in enumerate(world.spindles):
-        strobes = spindle.time_at(world.strobes(run, "Qx"))
-        path = Trajectory(spindle, world.radius, world.site)
+    for run, spindle in enumerate(setup.spindles):
+        strobes = spindle.time_at(setup.strobes(run, "Qx"))
+        path = Trajectory(spindle, setup.radius, setup.site)
 
         def shown(symbols: list[str], path: Trajectory = path, strobes: Array = strobes) -> Array:
-            return columns(path, world.mountings["Qx"], symbols, strobes)
+            return columns(path, setup.mountings["Qx"], symbols, strobes)
 
         times.append(strobes)
         readings.append(shown(list(own)) @ true)
@@ -134,7 +137,7 @@ def paper_s_plan(full: bool, repeats: int, made: dict[str, StudyEngine]) -> dict
         "uncertainties": lambda: peers.with_uncertainties(plan, sizes["uncertainties"]),
     }
     times = in_turn(jobs, repeats)
-    ours = summarise(made["given"].tally, trials(made["given"], million)[:, 0])
+    ours = summarise(made["given"].accumulator, trials(made["given"], million)[:, 0])
     mean, sd, covered = peers.brute_force(plan, sizes["brute force"])
     n = sizes["brute force"]
     # Five standard errors.

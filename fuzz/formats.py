@@ -534,12 +534,12 @@ def study_progress(place: Path) -> Format:
         if done:
             raise KeyboardInterrupt
 
-    from counterspin.studies import work
+    from counterspin.studies import batch_runner
     from counterspin.studies.folder import StudyFolder
 
-    before, work._TASK_DURATION = work._TASK_DURATION, 0.0
+    before, batch_runner._TASK_DURATION = batch_runner._TASK_DURATION, 0.0
     study(place, trials=20_000, output=StudyFolder(out, keep_trials=True), progress=stop)
-    work._TASK_DURATION = before
+    batch_runner._TASK_DURATION = before
     for file in out.rglob("*"):
         if file.is_file():
             begun[file.relative_to(out)] = file.read_bytes()

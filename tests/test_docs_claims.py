@@ -41,7 +41,7 @@ from counterspin.readings import fitted, patterns
 from counterspin.readings.entries import MOST_READINGS, MOST_RECORDS
 from counterspin.records import column_file, outliers, reduction
 from counterspin.reproduction import plan as paper
-from counterspin.studies.result import FEWEST_TRIALS
+from counterspin.studies.result import MIN_TRIALS
 from counterspin.validation.cases import cases
 from counterspin.validation.validate import check
 from kept_table import RATES
@@ -84,7 +84,7 @@ NUMBERS = [
         "has at most {} records, one for each run and accelerometer, and a campaign {} readings.",
         [MOST_RECORDS, MOST_READINGS],
     ),
-    ("study", "With fewer than {} trials it says that they are too few", [FEWEST_TRIALS]),
+    ("study", "With fewer than {} trials it says that they are too few", [MIN_TRIALS]),
     ("methods", "blocks of at most {} revolution.", [1 / reduction.BLOCKS_PER_REVOLUTION]),
     (
         "methods",

@@ -32,7 +32,7 @@ from counterspin.planning import design, faults, limits, plan_file
 from counterspin.records import clock, reading, reduction, table_files
 from counterspin.reproduction import plan as paper
 from counterspin.simulation import simulable
-from counterspin.studies import choice, description, result, study
+from counterspin.studies import description, engine_selection, result, study
 
 DOCS = Path(__file__).parents[1] / "docs"
 ARCSEC = math.radians(1.0) / 3600.0
@@ -94,15 +94,15 @@ ROWS = {
         ("u would grow by {}. If", math.hypot(1.0, faults._TOLERABLE_FRACTION_OF_U) - 1.0),
     ],
     "study": [
-        ("known with an uncertainty, and {} analyses compete", len(description._DEFAULT)),
+        ("known with an uncertainty, and {} analyses compete", len(description._DEFAULT_ANALYSES)),
         ("share of trials whose {}, {} and {} % intervals", *(100.0 * p for p in result.LEVELS)),
-        ("contain the truth in {} to {} % of", *(100.0 * p for p in result._GOOD_COVERAGE)),
-        ("must not exceed {} of the stated u", result._LARGEST_BIAS),
-        ("mean true values, and of {} drawn sets of them", choice._COMPARED),
-        ("an estimate differs by more than {} u", choice._LARGEST_DEPARTURE),
-        ("or u by more than {} %, the study", 100.0 * choice._LARGEST_CHANGE_OF_U),
+        ("contain the truth in {} to {} % of", *(100.0 * p for p in result._ACCEPTED_COVERAGE)),
+        ("must not exceed {} of the stated u", result._MAX_BIAS_RATIO),
+        ("mean true values, and of {} drawn sets of them", engine_selection._COMPARED_TRIALS),
+        ("an estimate differs by more than {} u", engine_selection._MAX_ESTIMATE_DIFFERENCE),
+        ("or u by more than {} %, the study", 100.0 * engine_selection._MAX_U_DIFFERENCE),
         ("by the same factor, down to {}.", math.sqrt(0.5)),
-        ("A study that will take {} an hour or more", study._LONG_HOURS),
+        ("A study that will take {} an hour or more", study._WARNING_HOURS),
         ("at most {} for each processor core", workers._PROCESSES_PER_CORE),
         ("it waits up to {} minutes for the first", workers._FIRST_WORKER_TIMEOUT / 60.0),
     ],

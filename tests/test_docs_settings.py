@@ -8,8 +8,8 @@ from counterspin.physics.terms import READING_TERMS
 from counterspin.planning.plan_file import SHORT
 from counterspin.readings.table import _COLUMNS, ReadingsSettings
 from counterspin.studies import description
-from counterspin.studies.choice import EngineName
 from counterspin.studies.draws import NOISE_LEVELS
+from counterspin.studies.engine_selection import EngineName
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = {name: (DOCS / f"{name}.md").read_text("utf-8") for name in ("plan", "readings")}

@@ -110,8 +110,10 @@ def test_a_calibration_takes_one_thread_and_gives_the_others_back(tmp_path, monk
 @pytest.mark.usefixtures("two_threads")
 def test_so_does_a_study(monkeypatch):
     seen = []
-    prepare = study_module.prepare
-    monkeypatch.setattr(study_module, "prepare", lambda *a: seen.append(threads()) or prepare(*a))
+    prepare = study_module.prepare_study
+    monkeypatch.setattr(
+        study_module, "prepare_study", lambda *a: seen.append(threads()) or prepare(*a)
+    )
     study_module.study(make_campaign(frames.small()), trials=2, seed=1)
     assert (seen, threads()) == ([{1}], {2})
 

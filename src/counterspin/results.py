@@ -1,4 +1,4 @@
-"""What every command's result is made of, and how it is written and read: one way for all."""
+"""Base classes of all results, and their JSON files, reports and figures."""
 
 from __future__ import annotations
 

@@ -11,11 +11,11 @@ from campaigns import changed, write
 from counterspin.calibration.calibrate import calibrate
 from counterspin.errors import CampaignError
 from counterspin.simulation.simulate import simulate
-from counterspin.studies.choice import analyses_of, choose_engine
 from counterspin.studies.description import read_study
-from counterspin.studies.draws import StudyTruth, stream
+from counterspin.studies.draws import StudyTruth, random_stream
+from counterspin.studies.engine_selection import choose_engine, list_analyses
+from counterspin.studies.simulation_setup import make_setup
 from counterspin.studies.study import study
-from counterspin.studies.world import world_of
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 
@@ -43,19 +43,19 @@ def varied(**fixed):
 def made(folder, text, engine):
     """Return engine, estimates and u by symbol, of one trial without noise."""
     description = read_study(write(folder, text))
-    world, truth = (
-        world_of(description.campaign),
-        StudyTruth.of(description.campaign, description.varying),
+    setup, truth = (
+        make_setup(description.campaign),
+        StudyTruth.from_campaign(description.campaign, description.varying),
     )
-    (analysis,) = analyses_of(description)
-    part = choose_engine(world, truth, analysis, engine)
-    draws = truth.draw(stream(1, 0, 0), 1)
+    (analysis,) = list_analyses(description)
+    part = choose_engine(setup, truth, analysis, engine)
+    draws = truth.draw(random_stream(1, 0, 0), 1)
     draws.white[:] = 0.0
-    trials = part.engine.trials(draws, stream(1, 0, 1))
-    names = [one.symbol for one in part.reported]
+    trials = part.engine.run_trials(draws, random_stream(1, 0, 1))
+    names = [one.symbol for one in part.coefficients]
     rows = list(part.rows)
     values = zip(trials.estimate[rows, 0], trials.u[rows, 0], strict=True)
-    return part.cost, dict(zip(names, values, strict=True))
+    return part.cost_class, dict(zip(names, values, strict=True))
 
 
 # K_F shows as g t^2/2, K_I - 1 as R cos wt beside the reference R cos wt, K_II as
@@ -158,10 +158,10 @@ def test_each_recorder_may_have_its_own_clock(tmp_path):
     assert {v.owner for v in read.varying if v.symbol == "records.clock"} == {"", "B"}
     true = '[truth.records]\nclock = { B = "7 ppm" }\n'
     read = read_study(write(tmp_path / "true", text + true))
-    truth = StudyTruth.of(read.campaign, read.varying)
+    truth = StudyTruth.from_campaign(read.campaign, read.varying)
     assert truth.inputs["B", "records.clock"] == 7e-6
     assert ("", "records.clock") not in truth.inputs
-    assert truth.draw(stream(3, 0, 0), 2).inputs["", "records.clock"].any()
+    assert truth.draw(random_stream(3, 0, 0), 2).inputs["", "records.clock"].any()
 
 
 def test_an_input_far_from_what_is_stated_needs_full_records(tmp_path):

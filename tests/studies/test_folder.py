@@ -13,8 +13,8 @@ import pytest
 from counterspin.cli import main
 from counterspin.errors import CounterspinError, CounterspinWarning
 from counterspin.output import write_whole
+from counterspin.studies import batch_runner
 from counterspin.studies import study as study_module
-from counterspin.studies import work
 from counterspin.studies.folder import StudyFolder
 from counterspin.studies.study import study
 
@@ -31,7 +31,7 @@ def stop(done, _):
 @pytest.fixture(scope="module", autouse=True)
 def one_batch_a_task():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(work, "_TASK_DURATION", 0.0)
+        patch.setattr(batch_runner, "_TASK_DURATION", 0.0)
         yield
 
 

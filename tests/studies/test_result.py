@@ -4,11 +4,11 @@ import pytest
 from campaigns import SMALL, write
 
 from counterspin.reports.blocks import Paragraph
-from counterspin.studies.result import FEWEST_TRIALS, StudyResult
+from counterspin.studies.result import MIN_TRIALS, StudyResult
 from counterspin.studies.study import study
 
 
-@pytest.mark.parametrize("trials", [4, FEWEST_TRIALS - 1])
+@pytest.mark.parametrize("trials", [4, MIN_TRIALS - 1])
 def test_too_few_trials_are_not_judged(tmp_path, trials):
     """At 4 trials of 4, of 3 and of 2 the intervals of every analysis hold 95 %, or may."""
     result = study(write(tmp_path, SMALL), trials=trials)
@@ -33,14 +33,14 @@ def test_a_study_that_was_stopped_is_judged_by_the_trials_done(tmp_path):
             raise KeyboardInterrupt
 
     folder = write(tmp_path, f'{SMALL}\n[study.analyses.joint]\nmethod = "joint"\n')
-    result = study(folder, trials=FEWEST_TRIALS, engine="full", progress=stop)
+    result = study(folder, trials=MIN_TRIALS, engine="full", progress=stop)
     assert not result.complete
-    assert result.trials < FEWEST_TRIALS == result.trials_asked
+    assert result.trials < MIN_TRIALS == result.trials_asked
     assert {one.trustworthy for one in result.analyses.values()} == {None}
     assert result.verdict[0].startswith(f"{result.trials} trials are too few")
 
 
 def test_enough_trials_are_judged(tmp_path):
-    result = study(write(tmp_path, SMALL), trials=FEWEST_TRIALS)
+    result = study(write(tmp_path, SMALL), trials=MIN_TRIALS)
     assert None not in {one.trustworthy for one in result.analyses.values()}
     assert "too few" not in " ".join(result.verdict)

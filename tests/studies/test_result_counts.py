@@ -5,11 +5,11 @@ import pytest
 from scipy import stats
 
 from counterspin.physics.spindle import Spindle
-from counterspin.studies.draws import DRIFT, StudyTruth, VariedQuantity, stream
+from counterspin.studies.draws import DRIFT, StudyTruth, VariedQuantity, random_stream
 from counterspin.studies.result import (
     LEVELS,
-    Driver,
-    Tally,
+    BiasCovariate,
+    TrialAccumulator,
     binomial_interval,
     coverage_factor,
     summarise,
@@ -21,10 +21,12 @@ def test_batches_put_together_are_the_trials_at_once():
     estimate, truth = rng.normal(3.0, 1e-3, 5000), rng.normal(2.0, 1e-4, 5000)
     u, dof = np.full(5000, 1.1e-3), np.full(5000, np.inf)
     driven = rng.uniform(0.0, 1.0, 5000)
-    tally = Tally((Driver(DRIFT, 0.0, 1.0),))
+    accumulator = TrialAccumulator((BiasCovariate(DRIFT, 0.0, 1.0),))
     parts = [slice(0, 700), slice(700, 5000)]
-    sums = np.array([tally.count(estimate[p], truth[p], u[p], dof[p], [driven[p]]) for p in parts])
-    found = summarise(tally, sums)
+    sums = np.array(
+        [accumulator.accumulate(estimate[p], truth[p], u[p], dof[p], [driven[p]]) for p in parts]
+    )
+    found = summarise(accumulator, sums)
     error = estimate - truth
     assert found.trials == 5000
     assert found.bias == pytest.approx(error.mean(), rel=1e-12)
@@ -46,8 +48,8 @@ def test_batches_put_together_are_the_trials_at_once():
 def test_coverage_with_degrees_of_freedom_of_each_trial():
     rng = np.random.default_rng(6)
     z, dof = 3.0 * rng.standard_normal(20_000), rng.uniform(3.0, 60.0, 20_000)
-    kept = Tally(()).count(z, np.zeros_like(z), np.ones_like(z), dof, [])
-    found = summarise(Tally(()), kept[None])
+    kept = TrialAccumulator(()).accumulate(z, np.zeros_like(z), np.ones_like(z), dof, [])
+    found = summarise(TrialAccumulator(()), kept[None])
     for level, share in zip(LEVELS, found.covered, strict=True):
         direct = np.mean(np.abs(z) <= stats.t.ppf(0.5 + level / 2, dof))
         # The table's error of 1e-5 may move a trial or two across.
@@ -77,7 +79,7 @@ def test_distributions_are_what_they_say():
         VariedQuantity("Qx", "K_II", "normal", 1e-5, 1e-6),
         VariedQuantity("", DRIFT, "uniform", -1e-7, 3e-7, per_run=True),
     )
-    draws = truth(*varying).draw(stream(1, 0, 0), 4000)
+    draws = truth(*varying).draw(random_stream(1, 0, 0), 4000)
     assert draws.drift.shape == (2, 4000)
     assert stats.kstest(draws.mean("Qx", "K_II"), "norm", (1e-5, 1e-6)).pvalue > 1e-3
     for row in draws.drift:
@@ -87,6 +89,6 @@ def test_distributions_are_what_they_say():
 
 
 def test_streams_are_told_apart_by_batch_and_purpose():
-    first = [stream(1, b, w).random() for b in (0, 1) for w in (0, 1)]
+    first = [random_stream(1, b, w).random() for b in (0, 1) for w in (0, 1)]
     assert len(set(first)) == 4
-    assert stream(1, 1, 0).random() == first[2]
+    assert random_stream(1, 1, 0).random() == first[2]

@@ -22,17 +22,16 @@ from counterspin.inference.joint.estimation import estimate
 from counterspin.physics.terms import term
 from counterspin.reports.blocks import Heading
 from counterspin.simulation.simulate import simulate
-from counterspin.studies import whole_trials
-from counterspin.studies import work as study_work
-from counterspin.studies.choice import analyses_of, choose_engine, prepare
+from counterspin.studies import batch_runner, full_simulation
+from counterspin.studies.batch_runner import StudyEngine
 from counterspin.studies.description import read_study
-from counterspin.studies.draws import StudyTruth, stream
+from counterspin.studies.draws import StudyTruth, random_stream
+from counterspin.studies.engine_selection import choose_engine, list_analyses, prepare_study
 from counterspin.studies.folder import StudyFolder
 from counterspin.studies.page import study_blocks
 from counterspin.studies.result import StudyResult
+from counterspin.studies.simulation_setup import make_setup
 from counterspin.studies.study import study
-from counterspin.studies.work import StudyEngine
-from counterspin.studies.world import world_of
 from counterspin.workers import Workers
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
@@ -108,17 +107,17 @@ def test_paper_s_plan_exact_unbiased_and_as_printed_half_the_truth(paper):
 # Each shortcut against the slower one
 
 
-def world_and_truth(description):
+def setup_and_truth(description):
     campaign = description.campaign
-    return world_of(campaign), StudyTruth.of(campaign, description.varying)
+    return make_setup(campaign), StudyTruth.from_campaign(campaign, description.varying)
 
 
 def engines(folder, *names):
     description = read_study(folder)
-    world, truth = world_and_truth(description)
-    analyses = analyses_of(description)
+    setup, truth = setup_and_truth(description)
+    analyses = list_analyses(description)
     return truth, [
-        [choose_engine(world, truth, one, name).engine for one in analyses] for name in names
+        [choose_engine(setup, truth, one, name).engine for one in analyses] for name in names
     ]
 
 
@@ -129,9 +128,9 @@ def test_linear_trials_follow_whole_records(tmp_path):
         '[study.analyses.printed]\nmethod = "two-stage"\nmodel = "as-printed"\n'
     )
     truth, made = engines(write(tmp_path / "a", SHORT + analyses), "linear", "full")
-    draws = replace(truth.draw(stream(3, 0, 0), 12), white=np.zeros(1))
+    draws = replace(truth.draw(random_stream(3, 0, 0), 12), white=np.zeros(1))
     for fast, slow in zip(*made, strict=True):
-        a, b = (one.trials(draws, stream(3, 0, 1)) for one in (fast, slow))
+        a, b = (one.run_trials(draws, random_stream(3, 0, 1)) for one in (fast, slow))
         # K_II is the first unknown of each; what is printed beside it is not reported.
         assert np.abs((a.estimate - b.estimate) / b.u)[0].max() < 0.1
         assert np.abs(a.u / b.u - 1.0)[0].max() < 2e-3
@@ -197,9 +196,12 @@ def test_sufficient_statistics_are_distributed_as_whole_records(tmp_path):
     folder = write(tmp_path / "a", SHORT + varying + analyses + joint)
     n = 2000 if FULL else 25
     truth, made = engines(folder, "auto", "full")
-    few, many = truth.draw(stream(3, 0, 0), n), truth.draw(stream(4, 0, 0), 20 * n)
+    few, many = truth.draw(random_stream(3, 0, 0), n), truth.draw(random_stream(4, 0, 0), 20 * n)
     for fast, slow in zip(*made, strict=True):
-        a, b = fast.trials(many, stream(4, 0, 1)), slow.trials(few, stream(3, 0, 1))
+        a, b = (
+            fast.run_trials(many, random_stream(4, 0, 1)),
+            slow.run_trials(few, random_stream(3, 0, 1)),
+        )
         for row in range(b.estimate.shape[0]):
             # Each is one in a thousand, and there are a dozen.
             assert stats.ks_2samp(a.estimate[row], b.estimate[row]).pvalue > 1e-3
@@ -226,11 +228,11 @@ _FAR = '[study.vary]\ncentrifuge.radius = { normal = "2.5 ± 0.1 m" }\n'
 def test_the_linear_engine_refuses_outside_its_validity(tmp_path, change, reason):
     folder = write(tmp_path / "a", change[1].join(PAPER.rsplit(change[0], 1)))
     description = read_study(folder)
-    world, truth = world_and_truth(description)
-    two_stage = next(one for one in analyses_of(description) if one.name == "two-stage")
+    setup, truth = setup_and_truth(description)
+    two_stage = next(one for one in list_analyses(description) if one.name == "two-stage")
     with pytest.raises(NotIdentifiableError, match=reason):
-        choose_engine(world, truth, two_stage, "linear")
-    assert choose_engine(world, truth, two_stage, "auto").cost == "full"
+        choose_engine(setup, truth, two_stage, "linear")
+    assert choose_engine(setup, truth, two_stage, "auto").cost_class == "full"
 
 
 @pytest.mark.parametrize("engine", ["auto", "full"])
@@ -242,7 +244,7 @@ def test_uncertain_gravity_and_radius_are_in_u_as_calibrate_has_them(tmp_path, e
     said = []
     for name, text in (("sure", sure), ("unsure", with_uncertain_inputs(sure))):
         truth, ((made,),) = engines(write(tmp_path / name, text + analysis), engine)
-        said.append(made.trials(truth.draw(stream(3, 0, 0), 1), stream(3, 0, 1)))
+        said.append(made.run_trials(truth.draw(random_stream(3, 0, 0), 1), random_stream(3, 0, 1)))
     without, found = said
     assert np.array_equal(found.estimate, without.estimate)
     # b2 is K_II R^2 w^4/(4 g) + K_F g/2, with 1e-3 of R and 5e-4 of g.
@@ -259,7 +261,7 @@ def test_both_engines_hold_a_prior_of_the_bias_against_another_gravity(tmp_path)
     for engine in ("auto", "full"):
         folder = write(tmp_path / engine, with_uncertain_inputs(SHORT) + analysis)
         truth, ((made,),) = engines(folder, engine)
-        said.append(made.trials(truth.draw(stream(3, 0, 0), 1), stream(3, 0, 1)))
+        said.append(made.run_trials(truth.draw(random_stream(3, 0, 0), 1), random_stream(3, 0, 1)))
     fast, whole = said
     off = np.abs(fast.u / whole.u - 1.0)
     # The two have other noise, and what inputs do goes with the estimates.
@@ -274,14 +276,14 @@ def with_uncertain_inputs(text):
 
 
 def two_stage_part(folder, noise):
-    """Return the world, the truth and the engine of the two-stage analysis of a short plan."""
+    """Return the setup, the truth and the engine of the two-stage analysis of a short plan."""
     given = '[noise]\ndisplacement = "0.01 m"'
     assert given in SHORT
     analysis = '[study.analyses.two-stage]\nmethod = "two-stage"\n'
     description = read_study(write(folder, SHORT.replace(given, noise) + analysis))
-    world, truth = world_and_truth(description)
-    (analysis,) = analyses_of(description)
-    return world, truth, choose_engine(world, truth, analysis, "auto")
+    setup, truth = setup_and_truth(description)
+    (analysis,) = list_analyses(description)
+    return setup, truth, choose_engine(setup, truth, analysis, "auto")
 
 
 @pytest.mark.parametrize(
@@ -294,13 +296,13 @@ def two_stage_part(folder, noise):
 )
 def test_analysis_that_assumes_other_noise_than_white_needs_whole_records(tmp_path, noise, reason):
     _, truth, part = two_stage_part(tmp_path / "a", f'[noise]\ndisplacement = "0.01 m"\n{noise}')
-    assert part.cost == "full"
-    assert reason in part.words
-    draws = truth.draw(stream(3, 0, 0), 2)
-    found = part.engine.trials(draws, stream(3, 0, 1))
+    assert part.cost_class == "full"
+    assert reason in part.description
+    draws = truth.draw(random_stream(3, 0, 0), 2)
+    found = part.engine.run_trials(draws, random_stream(3, 0, 1))
     assert np.all(np.abs(found.estimate[0] - draws.mean("Qx", "K_II")) < 5.0 * found.u[0])
     plain = two_stage_part(tmp_path / "b", '[noise]\ndisplacement = "0.01 m"')[2].engine
-    ratio = found.u[1] / plain.trials(draws, stream(3, 0, 1)).u[1]
+    ratio = found.u[1] / plain.run_trials(draws, random_stream(3, 0, 1)).u[1]
     if "timing" in noise:
         # The angle corrects the time stamps: only the encoder's noise is left.
         np.testing.assert_allclose(ratio, 1.0, atol=1e-2)
@@ -318,11 +320,11 @@ def test_time_stamps_that_scatter_move_angle_and_output_together(tmp_path, metho
     assert text.count(timing) == 2
     analysis = f'[study.analyses.{method}]\nmethod = "{method}"\n'
     description = read_study(write(tmp_path / "a", text + analysis))
-    world, truth = world_and_truth(description)
-    (analysis,) = analyses_of(description)
-    part = choose_engine(world, truth, analysis, "full")
-    draws = truth.draw(stream(3, 0, 0), trials)
-    found = part.engine.trials(draws, stream(3, 0, 1))
+    setup, truth = setup_and_truth(description)
+    (analysis,) = list_analyses(description)
+    part = choose_engine(setup, truth, analysis, "full")
+    draws = truth.draw(random_stream(3, 0, 0), trials)
+    found = part.engine.run_trials(draws, random_stream(3, 0, 1))
     place = 0 if method == "two-stage" else 1
     z = (found.estimate[place] - draws.mean("Qx", "K_II")) / found.u[place]
     assert math.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=4.0 / math.sqrt(2 * trials))
@@ -339,8 +341,8 @@ def test_study_claims_the_u_of_the_joint_fit_whole(tmp_path, monkeypatch):
         estimates.append(estimate(*arguments))
         return estimates[-1]
 
-    monkeypatch.setattr(whole_trials, "estimate", remembered)
-    found = made.trials(truth.draw(stream(3, 0, 0), 1), stream(3, 0, 1))
+    monkeypatch.setattr(full_simulation, "estimate", remembered)
+    found = made.run_trials(truth.draw(random_stream(3, 0, 0), 1), random_stream(3, 0, 1))
     (fit,) = (one.fit for one in estimates)
     assert fit.undetected_walks
     assert found.u[:, 0] == pytest.approx(fit.solution.u[list(made.rows)], rel=1e-12)
@@ -357,16 +359,19 @@ method = "two-stage"
 sigma = "residuals"
 """
     description = read_study(write(tmp_path / "a", SHORT + levels))
-    world, truth = world_and_truth(description)
-    (analysis,) = analyses_of(description)
-    part = choose_engine(world, truth, analysis, "auto")
-    assert "noise.angle, noise.quantisation, noise.acceleration, noise.timing varies" in part.words
-    draws = truth.draw(stream(3, 0, 0), 40)
+    setup, truth = setup_and_truth(description)
+    (analysis,) = list_analyses(description)
+    part = choose_engine(setup, truth, analysis, "auto")
+    assert (
+        "noise.angle, noise.quantisation, noise.acceleration, noise.timing varies"
+        in part.description
+    )
+    draws = truth.draw(random_stream(3, 0, 0), 40)
     assert draws.noise["noise.acceleration"] == pytest.approx(9.8e-5)
     assert np.all((draws.noise["noise.angle"] >= 1e-6) & (draws.noise["noise.angle"] <= 3e-6))
-    found = part.engine.trials(draws, stream(3, 0, 1))
+    found = part.engine.run_trials(draws, random_stream(3, 0, 1))
     quiet = replace(draws, noise={})
-    still = part.engine.trials(quiet, stream(3, 0, 1))
+    still = part.engine.run_trials(quiet, random_stream(3, 0, 1))
     # Steps of 30 mm add 30/sqrt(12) = 8.7 mm to 10 mm of noise: sigma grows by sqrt(1 + 0.75).
     assert np.median(found.u[0] / still.u[0]) == pytest.approx(np.sqrt(1.75), rel=0.15)
 
@@ -374,9 +379,9 @@ sigma = "residuals"
 def joint_part(folder, text):
     """Return the truth and the engine of the joint analysis of a short plan."""
     description = read_study(write(folder, text + '[study.analyses.joint]\nmethod = "joint"\n'))
-    (analysis,) = analyses_of(description)
-    world, truth = world_and_truth(description)
-    return truth, choose_engine(world, truth, analysis, "auto")
+    (analysis,) = list_analyses(description)
+    setup, truth = setup_and_truth(description)
+    return truth, choose_engine(setup, truth, analysis, "auto")
 
 
 @pytest.mark.parametrize(
@@ -395,8 +400,8 @@ def test_joint_fit_that_is_not_linear_needs_whole_records(tmp_path, change, reas
     if "differ by" in reason:
         text = text.replace('"0.01 m"', '"1e-5 m"').replace('"1e-6 rad"', '"1e-9 rad"')
     _, part = joint_part(tmp_path / "a", text)
-    assert part.cost == "full"
-    assert reason in part.words
+    assert part.cost_class == "full"
+    assert reason in part.description
 
 
 @pytest.mark.parametrize("assumed", ['assume = "all" ', "# "])
@@ -404,8 +409,8 @@ def test_base_value_of_linear_trials_is_the_mean_truth(tmp_path, assumed):
     """Without noise the estimate of mean true values that equal their priors has no error."""
     text = SHORT.replace('assume = "all" ', assumed).replace('K_IP = "6e-6', 'K_IP = "0')
     truth, part = joint_part(tmp_path / "a", text)
-    assert part.cost == "linear"
-    mean = [truth.mean(c.owner, c.symbol) for c in part.reported]
+    assert part.cost_class == "linear"
+    mean = [truth.mean(c.owner, c.symbol) for c in part.coefficients]
     assert np.abs((part.engine.constant - mean) / part.engine.u).max() < 1e-4
 
 
@@ -419,7 +424,7 @@ def varying(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def engine(varying):
-    return prepare(read_study(varying), 3)
+    return prepare_study(read_study(varying), 3)
 
 
 def test_heating_that_is_held_is_covered(tmp_path):
@@ -523,9 +528,9 @@ def test_result_is_the_same_for_any_number_of_workers(varying):
 
 @pytest.mark.parametrize("size", [1, 2, 64])
 def test_result_is_the_same_for_any_sharing_out(engine, size):
-    whole, parts = (study_work.Ledger(engine, 5000) for _ in range(2))
-    study_work.run_batches(engine, whole)
-    study_work.run_batches(engine, parts, batches_per_task=size)
+    whole, parts = (batch_runner.BatchResults(engine, 5000) for _ in range(2))
+    batch_runner.run_batches(engine, whole)
+    batch_runner.run_batches(engine, parts, batches_per_task=size)
     assert np.array_equal(whole.sums, parts.sums)
 
 
@@ -552,8 +557,8 @@ def test_cluster_that_does_not_answer_is_told(varying, monkeypatch):
 
 
 def test_worker_that_is_killed_loses_and_doubles_nothing(engine):
-    whole, other = (study_work.Ledger(engine, 100_000) for _ in range(2))
-    study_work.run_batches(engine, whole)
+    whole, other = (batch_runner.BatchResults(engine, 100_000) for _ in range(2))
+    batch_runner.run_batches(engine, whole)
     killed = []
 
     def kill_one(done, total):
@@ -564,7 +569,9 @@ def test_worker_that_is_killed_loses_and_doubles_nothing(engine):
             os.kill(worker.pid, signal.SIGKILL)
             killed.append(worker.pid)
 
-    study_work.run_batches(engine, other, workers=Workers(2), progress=kill_one, batches_per_task=2)
+    batch_runner.run_batches(
+        engine, other, workers=Workers(2), progress=kill_one, batches_per_task=2
+    )
     assert killed
     assert other.trials_done == 100_000
     assert np.array_equal(whole.sums, other.sums)
@@ -607,7 +614,7 @@ def test_engine_travels_in_a_pickle(engine):
 
     travelled = pickle.loads(pickle.dumps(engine))
     assert isinstance(travelled, StudyEngine)
-    assert np.array_equal(travelled.batch(1, 50)[0], engine.batch(1, 50)[0])
+    assert np.array_equal(travelled.run_batch(1, 50)[0], engine.run_batch(1, 50)[0])
 
 
 # The description

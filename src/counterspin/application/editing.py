@@ -39,7 +39,7 @@ from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.planning.plan_file import is_plan
 from counterspin.planning.stations import read_any_plan
-from counterspin.studies.description import study_of
+from counterspin.studies.description import parse_study
 from counterspin.toml_text import parse_toml
 
 KeyPath = Sequence[str | int]
@@ -83,7 +83,7 @@ def checked_campaign(desk: Desk, file: Path, text: str) -> EditedText:
     asked = () if campaign is None else tuple(q.text for q in questions(campaign))
     if "study" in document and not problems.lines:
         try:
-            study_of(document, file)
+            parse_study(document, file)
         except CampaignError as error:
             return EditedText(text, document, _split(error.problems), asked)
     return EditedText(text, document, _split(problems.lines), asked)

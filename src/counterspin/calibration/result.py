@@ -205,9 +205,9 @@ class Result(ReportableResult):
         pendulous: npt.ArrayLike = 0.0,
         output_axis: npt.ArrayLike = 0.0,
     ) -> Prediction:
-        """Return what an accelerometer will indicate (Eq. 7), with its uncertainty.
+        """Predict the indication of an accelerometer (Eq. 7) with its uncertainty.
 
-        It is at the temperature from which slopes count, `inputs.reference_temperature`.
+        The prediction holds at `inputs.reference_temperature`, the reference of the slopes.
 
         Parameters
         ----------

@@ -156,7 +156,7 @@ class Residual(ResultPart):
 
 
 class Knowledge(ResultPart):
-    """What a result rests on beside its data: a term or an input that nobody asked for."""
+    """Prior information on a nuisance parameter: a term or an input."""
 
     name: str  #: Name of the term or input, such as ``Qx.K_OO`` or ``run1.platform.tilt.north``.
     kind: Kind  #: Whether the prior is stated, unstated (default) or held (fixed).
@@ -321,7 +321,7 @@ class PoseResult(ResultPart):
 
 
 class PosesInRecord(ResultPart):
-    """What was found in a record with poses."""
+    """Poses found in a record."""
 
     poses: int  #: Number of poses.
     threshold: float  #: Scatter below which the triad counts as at rest, m/s^2.
@@ -408,7 +408,7 @@ class Shift(ResultPart):
 
 
 class MethodAgreement(ResultPart):
-    """What one test method says of an accelerometer, and how far it agrees with the others."""
+    """Records and readings of a test method, and their agreement with the other methods."""
 
     kind: str  #: ``at rest``, ``arm`` or ``double turntable``.
     count: int  #: Number of records and readings.
@@ -504,7 +504,7 @@ class ParabolaResult(ResultPart):
 
 
 class RunResult(ResultPart):
-    """What one run showed: its rotation, its samples, its own terms.
+    """Results of a run: its rotation, its samples and its terms.
 
     `rejected` counts every sample, of any accelerometer, that was recorded but not used: repeated
     rows, empty cells and outliers; `counts` says how many of each.
@@ -531,7 +531,7 @@ class RunResult(ResultPart):
 
 
 class Inputs(ResultPart):
-    """What the result depends on beside the records; u is 0 where it was stated as exact."""
+    """Stated inputs of the calibration; u is 0 for an input that was stated as exact."""
 
     gravity: float  #: Gravity, which defines g in all g-units, in `gravity_unit`.
     u_gravity: float = 0.0  #: Standard uncertainty of gravity; 0 if stated as exact.
@@ -549,7 +549,7 @@ class Inputs(ResultPart):
 
 
 class Provenance(ResultPart):
-    """What made the result: program, options and inputs."""
+    """Provenance of the result: program, options and inputs."""
 
     version: str  #: Version of counterspin.
     #: SHA-256 of each input file; for data in memory, of the text as it would be written, or

@@ -50,8 +50,8 @@ from counterspin.simulation.simulable import (
     reading_problems,
     simulation_problems,
 )
-from counterspin.studies.draws import NOISE_LEVELS, OTHERS, WHITE, VariedQuantity
-from counterspin.studies.world import with_noise_of_poses, with_poses_read
+from counterspin.studies.draws import NOISE_LEVELS, OTHER_QUANTITIES, WHITE, VariedQuantity
+from counterspin.studies.simulation_setup import expand_pose_records, set_pose_noise
 
 #: Kinds of distribution, as they are written.
 _DISTRIBUTIONS: Final = ("normal", "uniform", "fixed")
@@ -196,7 +196,7 @@ class StudyDescription:
 
 #: What competes where the study names nothing: the two methods, and the paper's equations. Of
 #: readings, velocity and force only the first.
-_DEFAULT: Final[Mapping[str, Mapping[str, Any]]] = {
+_DEFAULT_ANALYSES: Final[Mapping[str, Mapping[str, Any]]] = {
     "joint": {"method": "joint"},
     "two-stage": {"method": "two-stage"},
     "as-printed": {"method": "two-stage", "model": "as-printed", "weighted": False},
@@ -210,20 +210,26 @@ def read_study(path: Path | str | Campaign) -> StudyDescription:
     """
     if not isinstance(path, Campaign):
         file = description_file(path)
-        return study_of(load_document(file, CAMPAIGN_ADVICE, "campaign"), file)
-    return study_of(dict(require_source(path).document), path.path, path.folder / DESCRIPTION_NAME)
+        return parse_study(load_document(file, CAMPAIGN_ADVICE, "campaign"), file)
+    return parse_study(
+        dict(require_source(path).document), path.path, path.folder / DESCRIPTION_NAME
+    )
 
 
-def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> StudyDescription:
+def parse_study(
+    raw: dict[str, Any], file: Path, campaign_file: Path | None = None
+) -> StudyDescription:
     """Read and check the content of a study's file; raise the errors of `read_study`.
 
     described: Path of the description of a campaign already read; None: `raw` may name another
         one.
     """
     problems = Problems(raw)
-    document, where = (raw, described) if described else _document(raw, file, problems)
-    named = () if where in (file, described) else (str(where),)
-    campaign = _campaign(document, where, problems, named)
+    document, source = (
+        (raw, campaign_file) if campaign_file else _campaign_document(raw, file, problems)
+    )
+    file_names = () if source in (file, campaign_file) else (str(source),)
+    campaign = _campaign(document, source, problems, file_names)
     section = raw.get("study", {})
     settings = problems.check(StudySettings, section, ("study",))
     if campaign is None or settings is None:
@@ -235,58 +241,64 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
     problems.lines += [*simulation_problems(campaign), *reading_problems(campaign)]
     records = campaign.triad.records if campaign.triad else ()
     if records and not problems.lines:
-        document = with_poses_read(document, campaign)
-        read_one_by_one = _campaign(document, where, problems, named)
-        campaign = read_one_by_one and with_noise_of_poses(read_one_by_one, records)
+        document = expand_pose_records(document, campaign)
+        expanded_campaign = _campaign(document, source, problems, file_names)
+        campaign = expanded_campaign and set_pose_noise(expanded_campaign, records)
         if campaign is None:
             raise campaign_error(file, problems.lines)
     recorders = recorders_of(document.get("records", {}), campaign.runs)
     varying: list[VariedQuantity] = []
-    for key, path_, entry in _entries(settings.vary, ("study", "vary")):
-        varying += _varying(key, path_, entry, campaign, recorders, problems)
+    for key, entry_path, entry in _walk_entries(settings.vary, ("study", "vary")):
+        varying += _varied_quantities(key, entry_path, entry, campaign, recorders, problems)
     for index, quantity in enumerate(varying):
-        if any(_same(quantity, earlier) for earlier in varying[:index]):
+        if any(_is_same_quantity(quantity, earlier) for earlier in varying[:index]):
             problems.add(("study", "vary"), f"{quantity.symbol} is listed twice")
     analyses = []
-    read = campaign.readings or campaign.posed
-    displaced = {a.observable for a in campaign.accelerometers.values()} == {"displacement"}
-    default = {"joint": _DEFAULT["joint"]} if read or not displaced else _DEFAULT
+    has_readings = campaign.readings or campaign.posed
+    only_displacement = {a.observable for a in campaign.accelerometers.values()} == {"displacement"}
+    default = (
+        {"joint": _DEFAULT_ANALYSES["joint"]}
+        if has_readings or not only_displacement
+        else _DEFAULT_ANALYSES
+    )
     for name, table in (settings.analyses or default).items():
         two_stage = isinstance(table, Mapping) and table.get("method") == "two-stage"
-        if two_stage and (read or not displaced):
-            others = "readings" if read else "records of velocity or force"
+        if two_stage and (has_readings or not only_displacement):
+            data = "readings" if has_readings else "records of velocity or force"
             problems.add(
                 ("study", "analyses", name, "method"),
                 "the two-stage method takes records of displacement of a double turntable; "
-                f"this campaign has {others}, which need the joint method",
+                f"this campaign has {data}, which need the joint method",
             )
             continue
-        analysis = _analysis(name, table, document, where, problems)
+        analysis = _parse_analysis(name, table, document, source, problems)
         if analysis is not None:
             analyses.append(analysis)
     if problems.lines:
         raise campaign_error(file, problems.lines)
-    varying += _known(campaign, varying)
+    varying += _prior_quantities(campaign, varying)
     return StudyDescription(
         campaign, settings.trials, settings.seed, tuple(varying), tuple(analyses)
     )
 
 
-def _known(campaign: Campaign, varying: Sequence[VariedQuantity]) -> Iterator[VariedQuantity]:
+def _prior_quantities(
+    campaign: Campaign, varying: Sequence[VariedQuantity]
+) -> Iterator[VariedQuantity]:
     """Yield the nuisance parameters with their stated or default priors.
 
     Parameters that vary already or have a value in [truth] are left out.
     """
     assert campaign.simulation is not None
     truth = campaign.simulation.truth
-    known = {(quantity.owner, quantity.symbol) for quantity in varying}
-    known |= {
+    excluded = {(quantity.owner, quantity.symbol) for quantity in varying}
+    excluded |= {
         (name, symbol)
         for name, coefficients in truth.coefficients.items()
         for symbol in coefficients
     }
-    known |= {("", symbol) for symbol in truth.machine} | truth.inputs.keys()
-    known |= {("", symbol) for run in truth.runs.values() for symbol in run.shared}
+    excluded |= {("", symbol) for symbol in truth.machine} | truth.inputs.keys()
+    excluded |= {("", symbol) for run in truth.runs.values() for symbol in run.shared}
     stated = inputs_by_owner(campaign)
     model = make_unknowns(campaign)
     for parameter in (*model.unknowns, *model.considered):
@@ -294,18 +306,18 @@ def _known(campaign: Campaign, varying: Sequence[VariedQuantity]) -> Iterator[Va
         if (
             parameter.is_of_interest
             or parameter.prior[1] == 0.0
-            or (owner, parameter.symbol) in known
+            or (owner, parameter.symbol) in excluded
         ):
             continue
-        known.add((owner, parameter.symbol))
+        excluded.add((owner, parameter.symbol))
         value, u = parameter.prior
-        middle = stated[owner, parameter.symbol].value if parameter.symbol in INPUTS else value
+        mean = stated[owner, parameter.symbol].value if parameter.symbol in INPUTS else value
         yield VariedQuantity(
-            owner, parameter.symbol, "normal", middle, u, term(parameter.symbol).per_run
+            owner, parameter.symbol, "normal", mean, u, term(parameter.symbol).per_run
         )
 
 
-def _document(
+def _campaign_document(
     raw: dict[str, Any], file: Path, problems: Problems
 ) -> tuple[Mapping[str, Any], Path]:
     """Return the campaign's document and file: this one, or the one that a study's file names."""
@@ -332,26 +344,26 @@ def _campaign(
     return campaign
 
 
-def _same(first: VariedQuantity, second: VariedQuantity) -> bool:
+def _is_same_quantity(first: VariedQuantity, second: VariedQuantity) -> bool:
     ripples = {"spindle.ripple.ratio", "spindle.ripple.amplitude"}
     if {first.symbol, second.symbol} == ripples:
         return True
     return (first.owner, first.symbol) == (second.owner, second.symbol)
 
 
-def _entries(
+def _walk_entries(
     table: Mapping[str, Any], path: KeyPath, prefix: str = ""
 ) -> Iterator[tuple[str, KeyPath, Any]]:
     """Yield name, path and entry; names may be written with quotation marks or without."""
     for key, value in table.items():
         nested = isinstance(value, Mapping) and not any(name in value for name in _DISTRIBUTIONS)
-        if nested and value and all(isinstance(inner, Mapping) for inner in value.values()):
-            yield from _entries(value, (*path, key), f"{prefix}{key}.")
+        if nested and value and all(isinstance(entry, Mapping) for entry in value.values()):
+            yield from _walk_entries(value, (*path, key), f"{prefix}{key}.")
         else:
             yield prefix + key, (*path, key), value
 
 
-def _varying(
+def _varied_quantities(
     key: str,
     path: KeyPath,
     entry: Any,
@@ -360,25 +372,30 @@ def _varying(
     problems: Problems,
 ) -> list[VariedQuantity]:
     settings = problems.check(DistributionSettings, entry, path)
-    names = _names(key, path, campaign, recorders, problems)
+    names = _resolve_names(key, path, campaign, recorders, problems)
     if settings is None or not names:
         return []
-    given = [name for name in _DISTRIBUTIONS if getattr(settings, name) is not None]
-    if len(given) != 1:
+    distributions = [name for name in _DISTRIBUTIONS if getattr(settings, name) is not None]
+    if len(distributions) != 1:
         problems.add(path, "needs one of normal, uniform and fixed")
         return []
-    (distribution,) = given
+    (distribution,) = distributions
     symbol = names[0][1]
-    unit = OTHERS.get(symbol) or unit_of(symbol)
-    read = problems.collect(
-        path, _read, distribution, getattr(settings, distribution), unit, campaign.gravity.value
+    unit = OTHER_QUANTITIES.get(symbol) or unit_of(symbol)
+    parameters = problems.collect(
+        path,
+        _parse_distribution,
+        distribution,
+        getattr(settings, distribution),
+        unit,
+        campaign.gravity.value,
     )
     per_run = settings.per == "run"
     if per_run and (symbol in (*INPUTS, *NOISE_LEVELS) or not campaign.runs):
         problems.add(path, "is the same in all runs and readings of a campaign; remove per")
-    if read is None:
+    if parameters is None:
         return []
-    first, second = read
+    first, second = parameters
     if symbol == WHITE and first <= 0.0:
         problems.add(path, "must be greater than zero")
     if symbol in INPUTS:
@@ -396,7 +413,7 @@ def _varying(
     ]
 
 
-def _names(
+def _resolve_names(
     key: str,
     path: KeyPath,
     campaign: Campaign,
@@ -404,71 +421,79 @@ def _names(
     problems: Problems,
 ) -> list[tuple[str, str]]:
     """Return owner and symbol of everything that a name stands for."""
-    owner, _, last = key.partition(".")
-    if owner in campaign.accelerometers and last in ACCELEROMETER_TERMS:
-        return [(owner, last)]
+    owner, _, symbol_name = key.partition(".")
+    if owner in campaign.accelerometers and symbol_name in ACCELEROMETER_TERMS:
+        return [(owner, symbol_name)]
     if key in ACCELEROMETER_TERMS:
         return [(name, key) for name in campaign.accelerometers]
-    shown = symbols_shown(campaign.readings)
-    if key in INPUTS or last == CLOCK:
-        return _inputs(key, path, campaign, recorders, problems)
-    if key in OTHERS and not campaign.runs:
+    observable_symbols = symbols_shown(campaign.readings)
+    if key in INPUTS or symbol_name == CLOCK:
+        return _resolve_inputs(key, path, campaign, recorders, problems)
+    if key in OTHER_QUANTITIES and not campaign.runs:
         problems.add(path, "acts on records of a double turntable only, and there are none")
-    exact = (key,) if key in SHARED_TERMS or key in OTHERS else ()
-    if symbols := exact or expand(key, shown):
+    shared = (key,) if key in SHARED_TERMS or key in OTHER_QUANTITIES else ()
+    if symbols := shared or expand(key, observable_symbols):
         return [("", symbol) for symbol in symbols]
     if key in BARE_NAMES:
         mountings = [a.mounting for a in campaign.accelerometers.values()]
         rows = rows_of(key, mountings, [run.attitude for run in campaign.runs])
         return [("", row.symbol) for row in rows]
-    known = [*OTHERS, *ACCELEROMETER_TERMS, *BARE_NAMES, *SHARED_TERMS, *shown]
-    hint = suggest_name(key, known)
+    candidates = [
+        *OTHER_QUANTITIES,
+        *ACCELEROMETER_TERMS,
+        *BARE_NAMES,
+        *SHARED_TERMS,
+        *observable_symbols,
+    ]
+    hint = suggest_name(key, candidates)
     if "known:" in hint:
-        hint = f"; known: {', '.join([*OTHERS, *ACCELEROMETER_TERMS, *BARE_NAMES])}"
+        hint = f"; known: {', '.join([*OTHER_QUANTITIES, *ACCELEROMETER_TERMS, *BARE_NAMES])}"
     problems.add(path, "cannot be varied in a study" + hint)
     return []
 
 
-def _inputs(
+def _resolve_inputs(
     key: str, path: KeyPath, campaign: Campaign, recorders: Mapping[str, str], problems: Problems
 ) -> list[tuple[str, str]]:
     """Return recorder and symbol of an input; of a clock without a recorder's name those of all."""
-    owner, _, last = key.partition(".")
-    symbol = last if last == CLOCK else key
-    named = [
+    owner, _, symbol_name = key.partition(".")
+    symbol = symbol_name if symbol_name == CLOCK else key
+    matches = [
         (recorder, input_symbol)
         for recorder, input_symbol in inputs_by_owner(campaign)
-        if input_symbol == symbol and (last != CLOCK or recorder == recorders.get(owner))
+        if input_symbol == symbol and (symbol_name != CLOCK or recorder == recorders.get(owner))
     ]
-    if not named:
+    if not matches:
         problems.add(path, "does not apply to any record or reading here")
-    return named
+    return matches
 
 
-def _read(distribution: str, value: Any, unit: str, gravity: float) -> tuple[float, float]:
+def _parse_distribution(
+    distribution: str, value: Any, unit: str, gravity: float
+) -> tuple[float, float]:
     """Return the two numbers of a distribution."""
     if distribution == "normal":
-        quantity = parse(_text(value, unit), unit, gravity=gravity)
+        quantity = parse(_as_quantity(value, unit), unit, gravity=gravity)
         if quantity.u <= 0.0:
             raise ValueError('a normal distribution is written "MEAN ± SD UNIT"')
         return quantity.value, quantity.u
     if distribution == "fixed":
-        return exact(_text(value, unit), unit, gravity), 0.0
+        return exact(_as_quantity(value, unit), unit, gravity), 0.0
     if not isinstance(value, list) or len(value) != 2:
         raise ValueError('a uniform distribution is written ["LEAST UNIT", "GREATEST UNIT"]')
-    low, high = (exact(_text(bound, unit), unit, gravity) for bound in value)
+    low, high = (exact(_as_quantity(bound, unit), unit, gravity) for bound in value)
     if not low < high:
         raise ValueError("the least value must be below the greatest")
     return low, high
 
 
-def _text(value: Any, unit: str) -> Any:
+def _as_quantity(value: Any, unit: str) -> Any:
     """Write a plain number where a ratio is wanted as a quantity."""
-    plain = isinstance(value, int | float) and not isinstance(value, bool)
-    return f"{float(value) * 1e6!r} ppm" if plain and unit == "1" else value
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return f"{float(value) * 1e6!r} ppm" if is_number and unit == "1" else value
 
 
-def _analysis(
+def _parse_analysis(
     name: str, table: Any, document: Mapping[str, Any], file: Path, problems: Problems
 ) -> AnalysisDescription | None:
     path = ("study", "analyses", name)
@@ -479,9 +504,9 @@ def _analysis(
         for key in ("model", "weighted", "ripple", "fit_bias", "sigma"):
             if isinstance(table, Mapping) and key in table:
                 problems.add((*path, key), "applies to the two-stage method only")
-    before = len(problems.lines)
-    campaign = _campaign(_with_terms(document, settings), file, problems, (".".join(path),))
-    if campaign is None or len(problems.lines) > before:
+    error_count = len(problems.lines)
+    campaign = _campaign(_apply_terms(document, settings), file, problems, (".".join(path),))
+    if campaign is None or len(problems.lines) > error_count:
         return None
     if settings.method == "joint":
         return AnalysisDescription(name, None, campaign)
@@ -495,7 +520,7 @@ def _analysis(
     return AnalysisDescription(name, options, campaign)
 
 
-def _with_terms(document: Mapping[str, Any], settings: AnalysisSettings) -> dict[str, Any]:
+def _apply_terms(document: Mapping[str, Any], settings: AnalysisSettings) -> dict[str, Any]:
     """Return the campaign's document with the terms of one analysis."""
     model = dict(document.get("model", {}))
     if not (settings.terms is settings.hold is settings.considered is None):

@@ -1,8 +1,8 @@
 """True values of each trial of a study, fixed or drawn, and draws of the noise.
 
-Trials are drawn in batches of a fixed size. Each batch has random streams of its own
-(`counterspin.studies.draws.stream`), derived from the study's seed and the batch's number alone,
-so that a trial does not depend on the worker, the order or the number of other trials.
+Trials are drawn in batches of a fixed size. Each batch has its own random streams
+(`random_stream`), derived from the study's seed and the batch's number alone. So a trial does not
+depend on the worker, the order or the number of other trials.
 """
 
 from __future__ import annotations
@@ -44,12 +44,13 @@ TRUTH_STREAM: Final = 0
 NOISE_STREAM: Final = 1
 
 
-def stream(seed: int, batch: int, which: int) -> np.random.Generator:
-    """Return the random numbers of one batch, for its truth or for its noise.
+def random_stream(seed: int, batch: int, number: int) -> np.random.Generator:
+    """Return a random generator for the truth or for the noise of one batch.
 
-    batch: Number of the batch, from 0.
+    batch: Index of the batch, from 0.
+    number: `TRUTH_STREAM`, or `NOISE_STREAM` plus the noise stream of an analysis.
     """
-    sequence = np.random.SeedSequence(seed, spawn_key=(batch, which))
+    sequence = np.random.SeedSequence(seed, spawn_key=(batch, number))
     return np.random.Generator(np.random.SFC64(sequence))
 
 
@@ -71,54 +72,57 @@ class RecordNoise:
     bias_walk: float = 0.0
 
     @property
-    def wanders(self) -> bool:
+    def has_bias_instability(self) -> bool:
         """True if the bias has coloured noise."""
         return self.flicker > 0.0 or self.bias_walk > 0.0
 
-    def stamps(self, generator: np.random.Generator, times: Array) -> Array:
+    def noisy_timestamps(self, generator: np.random.Generator, times: Array) -> Array:
         """Return the time stamps of samples taken at these times, s."""
         return np.asarray(times + self.timing * generator.standard_normal(times.size))
 
-    def angles(self, generator: np.random.Generator, angles: Array) -> Array:
-        """Return these angles as they are recorded, rad."""
+    def noisy_angles(self, generator: np.random.Generator, angles: Array) -> Array:
+        """Return angles with the noise of the encoder, rad."""
         return np.asarray(angles + self.angle * generator.standard_normal(angles.size))
 
-    def white_of(self, observable: str) -> float:
+    def white_sd(self, observable: str) -> float:
         """Return the standard deviation of a sample, SI."""
-        sizes = {"velocity": self.velocity, "specific_force": self.specific_force}
-        return sizes.get(observable, self.white)
+        sds = {"velocity": self.velocity, "specific_force": self.specific_force}
+        return sds.get(observable, self.white)
 
-    def signals(
+    def noisy_signal(
         self,
         generator: np.random.Generator,
         times: Array,
         signal: Array,
         observable: str = "displacement",
-        before: float = 0.0,
+        elapsed: float = 0.0,
     ) -> Array:
-        """Return a signal as it is recorded, `before` s after a bias began to walk, SI."""
+        """Return a signal with all noise, SI.
+
+        elapsed: Time from the start of the bias's random walk to the first sample, s.
+        """
         order = ORDERS[observable]
-        if self.wanders:
+        if self.has_bias_instability:
             signal = signal + simulation.bias_wander(
-                generator, times, self.flicker, self.bias_walk, order, before
+                generator, times, self.flicker, self.bias_walk, order, elapsed
             )
         walk = simulation.accelerometer_walk(generator, times, self.random_walk, order)
-        white = self.white_of(observable)
+        white = self.white_sd(observable)
         recorded = signal + walk + white * generator.standard_normal(times.size)
         step = self.quantisation if observable == "displacement" else 0.0
         return np.asarray(np.round(recorded / step) * step if step > 0.0 else recorded)
 
 
 def curvature_noise(
-    generator: np.random.Generator, white: Array, sizes: Array, trials: int
+    generator: np.random.Generator, white: Array, curvature_scale: Array, trials: int
 ) -> Array:
     """Return the error of b2 due to white noise, m/s^2, shape (runs, trials).
 
     white: Standard deviation of a strobe in each trial, m, shape (trials,) or (1,).
-    sizes: sigma/u(b2) of each run, s^2, shape (runs, trials) or (runs, 1).
+    curvature_scale: sigma/u(b2) of each run, s^2, shape (runs, trials) or (runs, 1).
     """
-    noise = generator.standard_normal((sizes.shape[0], trials))
-    noise *= white / sizes
+    noise = generator.standard_normal((curvature_scale.shape[0], trials))
+    noise *= white / curvature_scale
     return noise
 
 
@@ -129,21 +133,21 @@ def residual_variances(
 
     dof: Degrees of freedom of each run's residuals, shape (runs,).
     """
-    variances = np.stack([generator.standard_gamma(0.5 * freedom, trials) for freedom in dof])
+    variances = np.stack([generator.standard_gamma(0.5 * run_dof, trials) for run_dof in dof])
     variances *= 2.0 * white**2 / dof[:, None]
     return variances
 
 
 def estimate_noise(
-    generator: np.random.Generator, spread: Array, scale: Array | float, trials: int
+    generator: np.random.Generator, sqrt_covariance: Array, noise_ratio: Array | float, trials: int
 ) -> Array:
     """Return the errors of the estimates of a joint fit due to noise, shape (c, trials).
 
-    spread: A square root of the estimates' covariance, shape (c, c).
-    scale: True over assumed noise, shape (trials,) or one number.
+    sqrt_covariance: A square root of the estimates' covariance, shape (c, c).
+    noise_ratio: True noise divided by assumed noise, shape (trials,) or one number.
     """
-    noise: Array = spread @ generator.standard_normal((spread.shape[1], trials))
-    noise *= scale
+    noise: Array = sqrt_covariance @ generator.standard_normal((sqrt_covariance.shape[1], trials))
+    noise *= noise_ratio
     return noise
 
 
@@ -153,7 +157,7 @@ RIPPLE_AMPLITUDE: Final = "spindle.ripple.amplitude"  #: or its w_1, rad/s
 RIPPLE_PHASE: Final = "spindle.ripple.phase"  #: its phase, rad
 
 #: Quantities that may vary in addition to the terms of the model, with their units.
-OTHERS: Final[Mapping[str, str]] = {
+OTHER_QUANTITIES: Final[Mapping[str, str]] = {
     DRIFT: "1/s",
     RIPPLE_RATIO: "1",
     RIPPLE_AMPLITUDE: "rad/s",
@@ -162,8 +166,8 @@ OTHERS: Final[Mapping[str, str]] = {
     **{symbol: unit for symbol, (unit, _) in NOISE_LEVELS.items()},
 }
 
-#: How many standard deviations of a normal distribution a study must be valid for.
-_VALID_SDS: Final = 4.5
+#: Half width of the range of a normal distribution for which a study must be valid, in sd.
+_RANGE_IN_SDS: Final = 4.5
 
 
 @frozen
@@ -171,7 +175,7 @@ class VariedQuantity:
     """A quantity that varies from trial to trial."""
 
     owner: str  #: The accelerometer of a term of its own, the recorder of a clock; else empty.
-    symbol: str  #: A term of the tables or a key of `OTHERS`.
+    symbol: str  #: A term of the tables or a key of `OTHER_QUANTITIES`.
     distribution: Literal["normal", "uniform", "fixed"]
     #: Mean and standard deviation; least and greatest value; value and 0.
     first: float
@@ -194,10 +198,13 @@ class VariedQuantity:
         return np.full((1, 1), self.first)
 
     @property
-    def reach(self) -> tuple[float, float]:
-        """The least and greatest value that matter."""
+    def value_range(self) -> tuple[float, float]:
+        """The lowest and highest value for which the study must be valid."""
         if self.distribution == "normal":
-            return self.first - _VALID_SDS * self.second, self.first + _VALID_SDS * self.second
+            return (
+                self.first - _RANGE_IN_SDS * self.second,
+                self.first + _RANGE_IN_SDS * self.second,
+            )
         return (self.first, self.second if self.distribution == "uniform" else self.first)
 
 
@@ -225,64 +232,71 @@ class Draws:
     noise: Mapping[str, Array]  #: Other noise levels that vary, shape (n,) or (1,).
 
     def take(self, trial: int) -> Draws:
-        """Return one of the trials by itself."""
-        return self.part(trial, trial + 1)
+        """Return the draws of one trial."""
+        return self.slice_trials(trial, trial + 1)
 
-    def part(self, start: int, stop: int) -> Draws:
-        """Return some of the trials by themselves."""
+    def slice_trials(self, start: int, stop: int) -> Draws:
+        """Return the draws of the trials from `start` to `stop`."""
 
-        def some(values: Array) -> Array:
+        def select(values: Array) -> Array:
             return values if values.shape[-1] == 1 else values[..., start:stop]
 
         return Draws(
             stop - start,
-            {key: some(value) for key, value in self.values.items()},
-            some(self.drift),
-            some(self.ripple_cos),
-            some(self.ripple_sin),
-            {key: some(value) for key, value in self.inputs.items()},
-            some(self.white),
-            {key: some(value) for key, value in self.noise.items()},
+            {key: select(value) for key, value in self.values.items()},
+            select(self.drift),
+            select(self.ripple_cos),
+            select(self.ripple_sin),
+            {key: select(value) for key, value in self.inputs.items()},
+            select(self.white),
+            {key: select(value) for key, value in self.noise.items()},
         )
 
-    def small(self, run: int) -> list[Array]:
-        """Return drift and ripple's cosine and sine parts of a run, (n,) or (1,) each."""
-        return [of_run(part, run) for part in (self.drift, self.ripple_cos, self.ripple_sin)]
+    def rotation_parameters(self, run: int) -> list[Array]:
+        """Return a run's drift, and cosine and sine amplitudes of its ripple, (n,) or (1,) each."""
+        return [
+            run_values(values, run) for values in (self.drift, self.ripple_cos, self.ripple_sin)
+        ]
 
     def deviation(self, key: Key) -> Array:
         """Return a true value minus its nominal or stated one, shape (n,) or (1,)."""
         owner, symbol, run = key
         if symbol in INPUTS:
-            return self.off(symbol, owner)
-        return of_run(self.values[owner, symbol], run or 0) - nominal(owner, symbol)
+            return self.input_error(symbol, owner)
+        return run_values(self.values[owner, symbol], run or 0) - nominal_value(owner, symbol)
 
-    def displaced(self, place: int, by: Array) -> Draws:
-        """Return the draws with drift (0), cosine (1) or sine (2) of the ripple of each run moved.
+    def shift_rotation(self, index: int, shift: Array) -> Draws:
+        """Return the draws with one rotation parameter of each run shifted.
 
-        by: Shape (runs,).
+        index: 0 for the drift, 1 for the ripple's cosine, 2 for its sine.
+        shift: Shape (runs,).
         """
-        parts = [self.drift, self.ripple_cos, self.ripple_sin]
-        parts[place] = parts[place] + by[:, None]
-        return replace(self, drift=parts[0], ripple_cos=parts[1], ripple_sin=parts[2])
+        parameters = [self.drift, self.ripple_cos, self.ripple_sin]
+        parameters[index] = parameters[index] + shift[:, None]
+        return replace(
+            self, drift=parameters[0], ripple_cos=parameters[1], ripple_sin=parameters[2]
+        )
 
-    def off(self, symbol: str, recorder: str = "") -> Array:
+    def input_error(self, symbol: str, recorder: str = "") -> Array:
         """Return the deviation of an input from its stated value, shape (n,) or (1,)."""
         return self.inputs.get((recorder, symbol), np.zeros(1))
 
     def mean(self, owner: str, symbol: str) -> Array:
         """Return a coefficient's mean over the runs in each trial, shape (n,)."""
         if (owner, symbol) not in self.values:
-            return np.full(self.trials, nominal(owner, symbol))
+            return np.full(self.trials, nominal_value(owner, symbol))
         value = self.values[owner, symbol]
         return np.broadcast_to(value.mean(axis=0), self.trials)
 
-    def spindle(self, base: Spindle, run: int) -> Spindle:
-        """Return the true motion of one run in the first of the trials."""
-        cos, sin = (float(of_run(part, run)[0]) for part in (self.ripple_cos, self.ripple_sin))
-        others = tuple(ripple for ripple in base.ripples if ripple.harmonic != 1)
-        first = Ripple(1, base.rate * float(np.hypot(cos, sin)), float(np.arctan2(sin, cos)))
-        drift = float(of_run(self.drift, run)[0])
-        return Spindle(base.rate, drift, (first, *others), base.start_angle)
+    def true_spindle(self, base: Spindle, run: int) -> Spindle:
+        """Return the true rotation of one run in the first trial."""
+        cos, sin = (float(run_values(part, run)[0]) for part in (self.ripple_cos, self.ripple_sin))
+        harmonics = tuple(ripple for ripple in base.ripples if ripple.harmonic != 1)
+        first_harmonic = Ripple(
+            1, base.rate * float(np.hypot(cos, sin)), float(np.arctan2(sin, cos))
+        )
+        drift = float(run_values(self.drift, run)[0])
+        return Spindle(base.rate, drift, (first_harmonic, *harmonics), base.start_angle)
 
 
 @frozen
@@ -294,14 +308,14 @@ class StudyTruth:
     spindles: tuple[Spindle, ...]  #: Of each run, with the constant values.
     #: (recorder of a clock, else empty; symbol) -> the stated value of an active input, SI.
     stated: Mapping[tuple[str, str], float]
-    inputs: Mapping[tuple[str, str], float]  #: What is true of those that do not vary.
+    inputs: Mapping[tuple[str, str], float]  #: True values of the inputs that do not vary.
     #: Standard deviation of a sample of the first accelerometer, SI, where it does not vary.
     white: float
-    varying: tuple[VariedQuantity, ...]  #: What does.
+    varying: tuple[VariedQuantity, ...]  #: The quantities that vary.
 
     @classmethod
-    def of(cls, campaign: Campaign, varying: tuple[VariedQuantity, ...]) -> StudyTruth:
-        """Return the true values: a campaign's [truth], and the quantities that vary instead."""
+    def from_campaign(cls, campaign: Campaign, varying: tuple[VariedQuantity, ...]) -> StudyTruth:
+        """Combine a campaign's [truth] with the quantities that vary."""
         assert campaign.simulation is not None
         fixed: dict[tuple[str, str], Array] = {
             ("", symbol): np.array([value])
@@ -314,10 +328,10 @@ class StudyTruth:
         platforms = [run.shared for run in campaign.simulation.truth.runs.values()]
         for symbol in dict.fromkeys(symbol for platform in platforms for symbol in platform):
             fixed["", symbol] = np.array([platform.get(symbol, 0.0) for platform in platforms])
-        first = next(iter(campaign.accelerometers.values()))
-        stated = {key: known.value for key, known in inputs_by_owner(campaign).items()}
-        true = campaign.simulation.truth.inputs
-        inputs = {key: true.get(key, value) for key, value in stated.items()}
+        first_accelerometer = next(iter(campaign.accelerometers.values()))
+        stated = {key: input_value.value for key, input_value in inputs_by_owner(campaign).items()}
+        true_inputs = campaign.simulation.truth.inputs
+        inputs = {key: true_inputs.get(key, value) for key, value in stated.items()}
         for quantity in varying:
             fixed.pop((quantity.owner, quantity.symbol), None)
             inputs.pop((quantity.owner, quantity.symbol), None)
@@ -326,7 +340,7 @@ class StudyTruth:
             spindles=tuple(run.spindle for run in campaign.simulation.truth.runs.values()),
             stated=stated,
             inputs=inputs,
-            white=float(getattr(simulated_noise(campaign), first.observable)),
+            white=float(getattr(simulated_noise(campaign), first_accelerometer.observable)),
             varying=varying,
         )
 
@@ -335,52 +349,56 @@ class StudyTruth:
         runs = len(self.spindles)
         values = {key: value[:, None] for key, value in self.fixed.items()}
         drift = np.array([[s.drift] for s in self.spindles])
-        ratio, phase = (np.array(part)[:, None] for part in self._first())
+        ratio, phase = (
+            np.array(values_by_run)[:, None] for values_by_run in self._first_harmonics()
+        )
         white = np.array([self.white])
         inputs = {key: np.array([value - self.stated[key]]) for key, value in self.inputs.items()}
         noise: dict[str, Array] = {}
         for quantity in self.varying:
-            drawn = quantity.draw(generator, runs, trials)
+            drawn_values = quantity.draw(generator, runs, trials)
             if quantity.symbol == DRIFT:
-                drift = drawn
+                drift = drawn_values
             elif quantity.symbol == RIPPLE_RATIO:
-                ratio = drawn
+                ratio = drawn_values
             elif quantity.symbol == RIPPLE_AMPLITUDE:
-                ratio = drawn / np.array([[spindle.rate] for spindle in self.spindles])
+                ratio = drawn_values / np.array([[spindle.rate] for spindle in self.spindles])
             elif quantity.symbol == RIPPLE_PHASE:
-                phase = drawn
+                phase = drawn_values
             elif (key := (quantity.owner, quantity.symbol)) in self.stated:
-                inputs[key] = drawn[0] - self.stated[key]
+                inputs[key] = drawn_values[0] - self.stated[key]
             elif quantity.symbol == WHITE:
-                white = np.abs(drawn[0])
+                white = np.abs(drawn_values[0])
             elif quantity.symbol in NOISE_LEVELS:
-                noise[quantity.symbol] = np.abs(drawn[0])
+                noise[quantity.symbol] = np.abs(drawn_values[0])
             else:
-                values[quantity.owner, quantity.symbol] = drawn
+                values[quantity.owner, quantity.symbol] = drawn_values
         cos, sin = ratio * np.cos(phase), ratio * np.sin(phase)
         return Draws(trials, values, drift, cos, sin, inputs, white, noise)
 
-    def middle(self) -> Draws:
+    def mean_draw(self) -> Draws:
         """Return a trial in which every quantity that varies has its mean value."""
         fixed = tuple(
-            replace(quantity, distribution="fixed", first=0.5 * sum(quantity.reach), per_run=False)
+            replace(
+                quantity, distribution="fixed", first=0.5 * sum(quantity.value_range), per_run=False
+            )
             for quantity in self.varying
         )
         draws = replace(self, varying=fixed).draw(np.random.default_rng(0), 1)
         runs = range(len(self.spindles))
-        drift, cos, sin = np.array([self.small_bounds(run).mean(axis=1) for run in runs]).T
+        drift, cos, sin = np.array([self.rotation_bounds(run).mean(axis=1) for run in runs]).T
         return replace(
             draws, drift=drift[:, None], ripple_cos=cos[:, None], ripple_sin=sin[:, None]
         )
 
-    def small_bounds(self, run: int) -> Array:
-        """Return least and greatest drift and ripple's cosine and sine parts, (3, 2)."""
+    def rotation_bounds(self, run: int) -> Array:
+        """Return the lowest and highest drift, ripple cosine and ripple sine, shape (3, 2)."""
         ratio, phase = self.bounds(RIPPLE_RATIO, run), self.bounds(RIPPLE_PHASE, run)[0]
         if self.varies(RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
             largest = max(map(abs, ratio))
             cos, sin = (-largest, largest), (-largest, largest)
         else:
-            cos, sin = ((ratio[0] * part(phase),) * 2 for part in (np.cos, np.sin))
+            cos, sin = ((ratio[0] * function(phase),) * 2 for function in (np.cos, np.sin))
         return np.array([self.bounds(DRIFT, run), cos, sin])
 
     def mean(self, owner: str, symbol: str) -> float:
@@ -392,33 +410,33 @@ class StudyTruth:
         stated = self.stated.get((owner, symbol), 0.0)
         for quantity in self.varying:
             if (quantity.owner, quantity.symbol) == (owner, symbol):
-                return 0.5 * sum(quantity.reach) - stated
+                return 0.5 * sum(quantity.value_range) - stated
         if (owner, symbol) in self.inputs:
             return self.inputs[owner, symbol] - stated
         value = self.fixed.get((owner, symbol))
-        return nominal(owner, symbol) if value is None else float(value.mean())
+        return nominal_value(owner, symbol) if value is None else float(value.mean())
 
-    def _first(self) -> tuple[list[float], list[float]]:
+    def _first_harmonics(self) -> tuple[list[float], list[float]]:
         """Return ratio and phase of every run's first harmonic."""
         ratios, phases = [], []
         for spindle in self.spindles:
-            first = [ripple for ripple in spindle.ripples if ripple.harmonic == 1]
-            ratios.append(first[0].amplitude / spindle.rate if first else 0.0)
-            phases.append(first[0].phase if first else 0.0)
+            first_harmonics = [ripple for ripple in spindle.ripples if ripple.harmonic == 1]
+            ratios.append(first_harmonics[0].amplitude / spindle.rate if first_harmonics else 0.0)
+            phases.append(first_harmonics[0].phase if first_harmonics else 0.0)
         return ratios, phases
 
     def varies(self, *symbols: str) -> bool:
         """Check for variation in any of the given quantities."""
         return any(
-            varying.symbol in symbols and varying.distribution != "fixed"
-            for varying in self.varying
+            quantity.symbol in symbols and quantity.distribution != "fixed"
+            for quantity in self.varying
         )
 
     @property
     def symbols(self) -> dict[str, tuple[str, ...]]:
         """Owner -> the terms that are not nominal in every trial; the platform's owner is ''."""
         keys = [*self.fixed, *((quantity.owner, quantity.symbol) for quantity in self.varying)]
-        keys = [key for key in keys if key[1] not in OTHERS]
+        keys = [key for key in keys if key[1] not in OTHER_QUANTITIES]
         owners = dict.fromkeys(owner for owner, _ in keys)
         return {
             owner: tuple(dict.fromkeys(symbol for key_owner, symbol in keys if key_owner == owner))
@@ -429,12 +447,14 @@ class StudyTruth:
         """Return the least and greatest value of a spindle quantity in a run."""
         for quantity in self.varying:
             if symbol == RIPPLE_RATIO and quantity.symbol == RIPPLE_AMPLITUDE:
-                low, high = sorted(bound / self.spindles[run].rate for bound in quantity.reach)
+                low, high = sorted(
+                    bound / self.spindles[run].rate for bound in quantity.value_range
+                )
                 return low, high
             if quantity.symbol == symbol:
-                return quantity.reach
+                return quantity.value_range
         spindle = self.spindles[run]
-        ratios, phases = self._first()
+        ratios, phases = self._first_harmonics()
         value = {
             DRIFT: spindle.drift,
             RIPPLE_RATIO: ratios[run],
@@ -443,12 +463,12 @@ class StudyTruth:
         return value, value
 
 
-def of_run(values: Array, run: int) -> Array:
-    """Return one run's row of values that the runs may have in common, shape (n,) or (1,)."""
+def run_values(values: Array, run: int) -> Array:
+    """Return the values of one run, shape (n,) or (1,); a single row applies to all runs."""
     row: Array = values[min(run, values.shape[0] - 1)]
     return row
 
 
-def nominal(owner: str, symbol: str) -> float:
+def nominal_value(owner: str, symbol: str) -> float:
     """Return the value of a coefficient in a perfect system."""
     return ACCELEROMETER_TERMS[symbol].nominal if owner else 0.0

@@ -14,19 +14,19 @@ from counterspin.arrays import Array
 from counterspin.errors import CounterspinError, CounterspinWarning
 from counterspin.frozen import frozen
 from counterspin.output import FileType, make_folder, reserve, write_whole
+from counterspin.studies.batch_runner import BatchResults
 from counterspin.studies.result import StudyResult
-from counterspin.studies.work import Ledger
 
 _RESULT: Final = "study.json"
 _TRIALS: Final = "trials.parquet"
 _PROGRESS: Final = "progress.npz"
 _PARTS: Final = "progress"
 
-#: Endings of the columns of a trial.
-_OF_A_COEFFICIENT: Final = (".truth", ".estimate", ".u")
+#: Suffixes of the columns of a coefficient.
+_COLUMN_SUFFIXES: Final = (".truth", ".estimate", ".u")
 
-#: No sum of a study comes near it, in any unit; squares of it can still be added.
-_LARGEST_SUM: Final = 1e100
+#: Largest plausible sum in any unit; the square of a larger number might overflow.
+_MAX_SUM: Final = 1e100
 
 
 @frozen
@@ -51,126 +51,139 @@ class StudyFolder:
     overwrite: bool = False
 
     @property
-    def place(self) -> Path:
+    def directory(self) -> Path:
         """The folder."""
         return Path(self.path)
 
     def reserve(self) -> None:
-        """Make the folder, and refuse one in which a file or a begun study would be lost.
+        """Create the folder; raise an error if a file or an unfinished study would be lost.
 
         Raises
         ------
         CounterspinError
             If so, or if the folder cannot be made.
         """
-        make_folder(self.place)
+        make_folder(self.directory)
         reserve(
-            self.place / _RESULT, StudyResult.file_kind, overwrite=self.overwrite or self.resume
+            self.directory / _RESULT, StudyResult.file_kind, overwrite=self.overwrite or self.resume
         )
         figures = [
-            *(self.place / "z.svg", self.place / "coverage.svg"),
-            *sorted(self.place.glob("bias-*.svg")),
+            *(self.directory / "z.svg", self.directory / "coverage.svg"),
+            *sorted(self.directory.glob("bias-*.svg")),
         ]
-        trials = self.place / _TRIALS
-        if self.keep_trials and trials.exists() and not _holds_trials(trials):
-            raise _not_of_a_study(trials)
-        begun = (self.place / _PROGRESS).exists()
-        if (self.place / _RESULT).exists() or self.resume or (begun and self.overwrite):
+        trials = self.directory / _TRIALS
+        if self.keep_trials and trials.exists() and not _is_trials_file(trials):
+            raise _foreign_file_error(trials)
+        has_progress = (self.directory / _PROGRESS).exists()
+        if (self.directory / _RESULT).exists() or self.resume or (has_progress and self.overwrite):
             if any(figure.exists() for figure in figures):
                 from counterspin.reports.charts import reserve_figures
                 from counterspin.studies.page import FIGURE
 
                 reserve_figures(figures, FIGURE, overwrite=True)
             return
-        if begun:
+        if has_progress:
             raise CounterspinError(
-                f"{self.place}: contains an unfinished study; continue it with `resume=True`, "
+                f"{self.directory}: contains an unfinished study; continue it with `resume=True`, "
                 "choose another folder, or discard it with `overwrite=True`"
             )
-        for path in (trials, self.place / _PARTS, *figures):
+        for path in (trials, self.directory / _PARTS, *figures):
             if path.exists():
-                raise _not_of_a_study(path)
+                raise _foreign_file_error(path)
 
-    def write(self, result: StudyResult, ledger: Ledger) -> None:
+    def write(self, result: StudyResult, batch_results: BatchResults) -> None:
         """Write the result, and the trials where they were kept."""
-        result.write(self.place / _RESULT, overwrite=self.overwrite or self.resume)
-        if not ledger.keep:
+        result.write(self.directory / _RESULT, overwrite=self.overwrite or self.resume)
+        if not batch_results.keep:
             return
-        names = [f"{coefficient.analysis}.{coefficient.name}" for coefficient in ledger.reported]
+        names = [
+            f"{coefficient.analysis}.{coefficient.name}"
+            for coefficient in batch_results.coefficients
+        ]
         write_whole(
-            self.place / _TRIALS,
-            lambda part: _parquet(part, names, ledger),
-            lambda: _KEPT_TRIALS,
+            self.directory / _TRIALS,
+            lambda part: _write_parquet(part, names, batch_results),
+            lambda: _TRIALS_FILE_TYPE,
             overwrite=self.overwrite or self.resume,
         )
 
 
-def _not_of_a_study(path: Path) -> CounterspinError:
+def _foreign_file_error(path: Path) -> CounterspinError:
     return CounterspinError(
         f"{path} exists and was not written by a study, so it is not replaced: name another folder"
     )
 
 
-def _holds_trials(path: Path) -> bool:
-    """Check that a file has the columns that `_parquet` writes."""
+def _is_trials_file(path: Path) -> bool:
+    """Check that a file has the columns that `_write_parquet` writes."""
     try:
-        first, *others = pl.read_parquet_schema(path)
+        first_column, *other_columns = pl.read_parquet_schema(path)
     except (OSError, ValueError, pl.exceptions.PolarsError):
         return False
-    return first == "trial" and all(name.endswith(_OF_A_COEFFICIENT) for name in others)
+    return first_column == "trial" and all(
+        name.endswith(_COLUMN_SUFFIXES) for name in other_columns
+    )
 
 
-#: What is written of each trial.
-_KEPT_TRIALS: Final = FileType("a file of a study's trials", _holds_trials)
+#: File with the values of each trial.
+_TRIALS_FILE_TYPE: Final = FileType("a file of a study's trials", _is_trials_file)
 
 
-def _parquet(path: Path, names: list[str], ledger: Ledger) -> None:
-    """Write one row a trial: its number, and truth, estimate and u of each coefficient."""
-    batches = np.flatnonzero(ledger.done)
+def _write_parquet(path: Path, names: list[str], batch_results: BatchResults) -> None:
+    """Write a row for each trial: its number, and truth, estimate and u of each coefficient."""
+    batches = np.flatnonzero(batch_results.done)
     number = np.concatenate(
-        [int(b) * ledger.size + np.arange(ledger.trials_of(int(b))) for b in batches]
+        [
+            int(b) * batch_results.batch_size + np.arange(batch_results.trial_count(int(b)))
+            for b in batches
+        ]
     )
     columns = {"trial": pl.Series(number)}
-    for place, name in enumerate(names):
-        for part, word in enumerate(_OF_A_COEFFICIENT):
-            values = [ledger.values[int(b)][place, part] for b in batches]
-            columns[f"{name}{word}"] = pl.Series(np.concatenate(values))
+    for index, name in enumerate(names):
+        for offset, suffix in enumerate(_COLUMN_SUFFIXES):
+            values = [batch_results.values[int(b)][index, offset] for b in batches]
+            columns[f"{name}{suffix}"] = pl.Series(np.concatenate(values))
     pl.DataFrame(columns).write_parquet(path)
 
 
 class StudyProgress:
     """The copy on disk of the finished batches of a study."""
 
-    def __init__(self, folder: Path, ledger: Ledger, fingerprint: str) -> None:
-        self.folder, self.ledger = folder, ledger
-        self._fingerprint = f"{fingerprint}/{ledger.size}/{ledger.keep}"
+    def __init__(self, folder: Path, batch_results: BatchResults, fingerprint: str) -> None:
+        self.folder, self.batch_results = folder, batch_results
+        self._fingerprint = f"{fingerprint}/{batch_results.batch_size}/{batch_results.keep}"
         self._written: set[int] = set()
 
     @property
     def _file(self) -> Path:
         return self.folder / _PROGRESS
 
-    def _part(self, batch: int) -> Path:
+    def _batch_file(self, batch: int) -> Path:
         return self.folder / _PARTS / f"{batch:07d}.npz"
 
     def save(self) -> None:
-        """Write the copy, whole or not at all."""
-        ledger = self.ledger
+        """Write the copy atomically."""
+        batch_results = self.batch_results
         if not self._file.exists():
-            # Whatever comes to lie there from now on is known as a study's.
-            self._save_done(np.zeros_like(ledger.done))
-        for batch in set(ledger.values) - self._written:
+            # This file marks the folder as a study's before other files are written.
+            self._save_sums(np.zeros_like(batch_results.done))
+        for batch in set(batch_results.values) - self._written:
             # Trials first, so that batches marked as done are complete.
-            self._part(batch).parent.mkdir(parents=True, exist_ok=True)
-            self._save(self._part(batch), values=ledger.values[batch])
+            self._batch_file(batch).parent.mkdir(parents=True, exist_ok=True)
+            self._save_arrays(self._batch_file(batch), values=batch_results.values[batch])
             self._written.add(batch)
-        self._save_done(ledger.done)
+        self._save_sums(batch_results.done)
 
-    def _save_done(self, done: Array) -> None:
-        ledger = self.ledger
-        self._save(self._file, trials=np.array(ledger.trials), done=done, sums=ledger.sums[done])
+    def _save_sums(self, done: Array) -> None:
+        batch_results = self.batch_results
+        self._save_arrays(
+            self._file,
+            trials=np.array(batch_results.trials),
+            done=done,
+            sums=batch_results.sums[done],
+        )
 
-    def _save(self, path: Path, **arrays: Any) -> None:
+    def _save_arrays(self, path: Path, **arrays: Any) -> None:
         fingerprint = np.array(self._fingerprint)
         write_whole(path, partial(np.savez, fingerprint=fingerprint, **arrays), overwrite=True)
 
@@ -181,82 +194,86 @@ class StudyProgress:
                 f"{self.folder}: contains no study to resume; leave out `resume`, or "
                 "give its folder as `output`"
             )
-        kept = _read(self._file)
-        if kept is not None and str(kept.get("fingerprint")) != self._fingerprint:
+        arrays = _load_arrays(self._file)
+        if arrays is not None and str(arrays.get("fingerprint")) != self._fingerprint:
             raise CounterspinError(
                 f"{self.folder}: the study begun there differs (in its description, "
                 "engine or `keep_trials`); use another folder"
             )
         try:
-            before, batches, sums = self._sums(kept)
+            saved_trials, batches, sums = self._check_sums(arrays)
         except (KeyError, TypeError, ValueError):
-            _tell(f"{self._file} is damaged: the study starts again from the beginning")
+            _warn(f"{self._file} is damaged: the study starts again from the beginning")
             return
-        lost = 0
-        ledger = self.ledger
+        lost_count = 0
+        batch_results = self.batch_results
         for batch, row in zip(batches, sums, strict=True):
             # A last batch that another study truncated runs again.
-            complete = min(ledger.size, before - batch * ledger.size)
-            if batch >= ledger.done.size or complete != ledger.trials_of(batch):
+            complete = min(
+                batch_results.batch_size, saved_trials - batch * batch_results.batch_size
+            )
+            if batch >= batch_results.done.size or complete != batch_results.trial_count(batch):
                 continue
-            if ledger.keep:
-                values = self._values(batch)
+            if batch_results.keep:
+                values = self._load_trials(batch)
                 if values is None:
-                    lost += 1
+                    lost_count += 1
                     continue
-                ledger.values[batch] = values
+                batch_results.values[batch] = values
                 self._written.add(batch)
-            ledger.sums[batch], ledger.done[batch] = row, True
-        if lost:
-            _tell(
-                f"{self.folder / _PARTS}: {lost} of {len(batches)} files are missing, damaged "
-                "or from another study: their trials are repeated"
+            batch_results.sums[batch], batch_results.done[batch] = row, True
+        if lost_count:
+            _warn(
+                f"{self.folder / _PARTS}: {lost_count} of {len(batches)} files are missing, "
+                "damaged or from another study: their trials are repeated"
             )
 
-    def _sums(self, kept: dict[str, Array] | None) -> tuple[int, list[int], Array]:
-        """Return trials, batches that are done and their sums; raises if they do not fit."""
-        if kept is None:
+    def _check_sums(self, arrays: dict[str, Array] | None) -> tuple[int, list[int], Array]:
+        """Return trials, finished batches and their sums; raise ValueError on a mismatch."""
+        if arrays is None:
             raise ValueError
-        before, done, sums = int(kept["trials"]), kept["done"], kept["sums"]
+        saved_trials, done, sums = int(arrays["trials"]), arrays["done"], arrays["sums"]
         batches = [int(batch) for batch in np.flatnonzero(done)]
-        fits = done.dtype == bool and done.shape == (-(-before // self.ledger.size),)
-        if not fits or sums.shape != (len(batches), *self.ledger.sums.shape[1:]):
+        matches = done.dtype == bool and done.shape == (
+            -(-saved_trials // self.batch_results.batch_size),
+        )
+        if not matches or sums.shape != (len(batches), *self.batch_results.sums.shape[1:]):
             raise ValueError
-        if sums.dtype != np.float64 or not (np.abs(sums) < _LARGEST_SUM).all():
+        if sums.dtype != np.float64 or not (np.abs(sums) < _MAX_SUM).all():
             raise ValueError
-        return before, batches, sums
+        return saved_trials, batches, sums
 
-    def _values(self, batch: int) -> Array | None:
-        """Return the trials of a batch, or None where its file does not hold them."""
-        kept = _read(self._part(batch))
-        if kept is None or str(kept.get("fingerprint")) != self._fingerprint:
+    def _load_trials(self, batch: int) -> Array | None:
+        """Return the trials of a batch, or None if its file is missing or does not match."""
+        arrays = _load_arrays(self._batch_file(batch))
+        if arrays is None or str(arrays.get("fingerprint")) != self._fingerprint:
             return None
-        values = kept.get("values")
-        shape = (len(self.ledger.reported), 3, self.ledger.trials_of(batch))
+        values = arrays.get("values")
+        shape = (len(self.batch_results.coefficients), 3, self.batch_results.trial_count(batch))
         if values is None or values.dtype != np.float64 or values.shape != shape:
             return None
         return values
 
     def clear(self) -> None:
-        """Remove the copy: everything is in the result, or it is given up."""
+        """Remove the copy of a study that is finished or discarded."""
         self._file.unlink(missing_ok=True)
-        place = self.folder / _PARTS
-        for part in place.glob("[0-9]" * 7 + ".npz"):
-            part.unlink(missing_ok=True)
-        if place.is_dir() and not any(place.iterdir()):
-            place.rmdir()
+        directory = self.folder / _PARTS
+        for batch_file in directory.glob("[0-9]" * 7 + ".npz"):
+            batch_file.unlink(missing_ok=True)
+        if directory.is_dir() and not any(directory.iterdir()):
+            directory.rmdir()
 
 
-def _read(path: Path) -> dict[str, Array] | None:
-    """Return a file's arrays; None where it is missing or damaged."""
+def _load_arrays(path: Path) -> dict[str, Array] | None:
+    """Return a file's arrays, or None if it is missing or damaged."""
     if not path.is_file():
         return None
     try:
-        with path.open("rb") as file, np.load(file) as kept:
-            return dict(kept)
+        with path.open("rb") as file, np.load(file) as arrays:
+            return dict(arrays)
     except Exception:  # whatever NumPy, zipfile and zlib raise on a damaged file
         return None
 
 
-def _tell(text: str) -> None:
+def _warn(text: str) -> None:
     warnings.warn(text, CounterspinWarning, stacklevel=4)

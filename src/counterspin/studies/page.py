@@ -27,9 +27,9 @@ from counterspin.studies.result import LEVELS, Z_BINS, Z_EDGE, CoefficientResult
 FIGURE: Final = "a figure of a study"
 
 #: Height of one of many panels, of that of a plot by itself.
-_PANEL: Final = 0.7
+_PANEL_HEIGHT: Final = 0.7
 
-_ERRORS = (
+_ERROR_COLUMNS = (
     Column("Coefficient"),
     Column("Unit"),
     Column("Bias", align="right"),
@@ -38,7 +38,7 @@ _ERRORS = (
     Column("Efficiency", align="right"),
 )
 
-_COVERAGE = (
+_COVERAGE_COLUMNS = (
     Column("Coefficient"),
     *(Column(f"In {100 * level:.0f} %", align="right") for level in LEVELS),
 )
@@ -49,13 +49,18 @@ def study_blocks(result: StudyResult) -> list[Block]:
     state = "" if result.complete else f" of {result.trials_asked} (interrupted)"
     blocks: list[Block] = [
         Heading(f"{result.title}: {result.trials} trials{state}, seed {result.seed}"),
-        *_verdict(result),
+        *_verdict_blocks(result),
     ]
     for name, analysis in result.analyses.items():
         blocks += [
             Heading(f"{name} ({analysis.engine})"),
-            Table(_ERRORS, tuple(_errors(*item) for item in analysis.coefficients.items())),
-            Table(_COVERAGE, tuple(_coverage(*item) for item in analysis.coefficients.items())),
+            Table(
+                _ERROR_COLUMNS, tuple(_error_row(*item) for item in analysis.coefficients.items())
+            ),
+            Table(
+                _COVERAGE_COLUMNS,
+                tuple(_coverage_row(*item) for item in analysis.coefficients.items()),
+            ),
         ]
         if analysis.undetermined:
             listed = ", ".join(analysis.undetermined)
@@ -69,20 +74,20 @@ def study_blocks(result: StudyResult) -> list[Block]:
             "quiet",
         )
     )
-    return [*blocks, *_varying(result)]
+    return [*blocks, *_varied_quantity_blocks(result)]
 
 
-def _verdict(result: StudyResult) -> Iterator[Block]:
+def _verdict_blocks(result: StudyResult) -> Iterator[Block]:
     yield Heading("Verdict")
     trusted = [analysis.trustworthy for analysis in result.analyses.values()]
-    judged = None not in trusted
-    good = trusted.count(True) if judged else 0  # their lines come first
-    for place, line in enumerate(result.verdict):
-        style: Style = "answer" if place < good else "warning"
-        yield Paragraph(line, style if judged or place == 0 else "quiet")
+    has_verdict = None not in trusted
+    trustworthy_count = trusted.count(True) if has_verdict else 0  # their lines come first
+    for index, line in enumerate(result.verdict):
+        style: Style = "answer" if index < trustworthy_count else "warning"
+        yield Paragraph(line, style if has_verdict or index == 0 else "quiet")
 
 
-def _varying(result: StudyResult) -> Iterator[Block]:
+def _varied_quantity_blocks(result: StudyResult) -> Iterator[Block]:
     yield Heading("Varied quantities")
     if not result.varying:
         yield Paragraph("Only the noise.")
@@ -96,7 +101,7 @@ def report_blocks(result: StudyResult) -> list[Block]:
     return [*study_blocks(result), *coverage_plots(result)]
 
 
-def _errors(name: str, coefficient: CoefficientResult) -> tuple[str, ...]:
+def _error_row(name: str, coefficient: CoefficientResult) -> tuple[str, ...]:
     unit, factor = field_unit(coefficient.unit)
     bias, error = (format_number(factor * x, 2) for x in (coefficient.bias, coefficient.se_bias))
     efficiency = coefficient.efficiency
@@ -110,7 +115,7 @@ def _errors(name: str, coefficient: CoefficientResult) -> tuple[str, ...]:
     )
 
 
-def _coverage(name: str, coefficient: CoefficientResult) -> tuple[str, ...]:
+def _coverage_row(name: str, coefficient: CoefficientResult) -> tuple[str, ...]:
     return (
         name,
         *(
@@ -126,12 +131,12 @@ def z_plots(result: StudyResult) -> Iterator[Plot]:
     centres = tuple((0.5 * (edges[1:] + edges[:-1])).tolist())
     fine = tuple(np.linspace(-Z_EDGE, Z_EDGE, 241).tolist())
     normal = tuple(math.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi) for z in fine)
-    for name, coefficient in _coefficients(result):
+    for name, coefficient in _named_coefficients(result):
         counts = np.array(coefficient.histogram)
         density = counts[1:-1] / (counts.sum() * (edges[1] - edges[0]))
-        beyond = 100.0 * (counts[0] + counts[-1]) / counts.sum()
+        percent_outside = 100.0 * (counts[0] + counts[-1]) / counts.sum()
         yield Plot(
-            title=f"{name}: {beyond:.3g} % beyond ± {Z_EDGE:g}",
+            title=f"{name}: {percent_outside:.3g} % beyond ± {Z_EDGE:g}",
             x_label="error / stated standard uncertainty",
             y_label="density",
             series=(
@@ -139,13 +144,13 @@ def z_plots(result: StudyResult) -> Iterator[Plot]:
                 PlotSeries("", fine, normal, colour=1),
             ),
             x_range=(-Z_EDGE, Z_EDGE),
-            height=_PANEL,
+            height=_PANEL_HEIGHT,
         )
 
 
 def coverage_plots(result: StudyResult) -> Iterator[Plot]:
     """Yield for each level how often the intervals contained the truth; bars: binomial, 95 %."""
-    names, coefficients = zip(*_coefficients(result), strict=True)
+    names, coefficients = zip(*_named_coefficients(result), strict=True)
     for index, level in enumerate(LEVELS):
         low, high = zip(*(c.intervals[index] for c in coefficients), strict=True)
         share = tuple(c.covered[index] for c in coefficients)
@@ -157,46 +162,46 @@ def coverage_plots(result: StudyResult) -> Iterator[Plot]:
                 PlotSeries(
                     "",
                     tuple(map(float, range(len(names)))),
-                    _percent(share),
-                    _percent(low),
-                    _percent(high),
+                    _to_percent(share),
+                    _to_percent(low),
+                    _to_percent(high),
                     "points",
                     colour=index,
                 ),
             ),
             levels=(100.0 * level,),
             x_names=names,
-            height=_PANEL,
+            height=_PANEL_HEIGHT,
         )
 
 
-def bias_plots(result: StudyResult, driver: str) -> Iterator[Plot]:
+def bias_plots(result: StudyResult, covariate: str) -> Iterator[Plot]:
     """Yield each coefficient's bias against one of the quantities that varied."""
-    for name, coefficient in _coefficients(result):
-        against = coefficient.against[driver]
-        columns = (against.value, against.trials, against.bias, against.se_bias)
+    for name, coefficient in _named_coefficients(result):
+        bias_table = coefficient.against[covariate]
+        columns = (bias_table.value, bias_table.trials, bias_table.bias, bias_table.se_bias)
         value, trials, bias, spread = (np.array(column, dtype=float) for column in columns)
         half_bin = 0.5 * (value[1] - value[0])
-        seen = trials > 1
+        has_trials = trials > 1
         unit, factor = field_unit(coefficient.unit)
-        middle, half = factor * bias[seen], 2.0 * factor * spread[seen]
+        bias_values, expanded_errors = factor * bias[has_trials], 2.0 * factor * spread[has_trials]
         yield Plot(
             title=f"Bias of {name}; bars: two standard errors",
-            x_label=driver,
+            x_label=covariate,
             y_label=f"bias, {unit}" if unit else "bias",
             series=(
                 PlotSeries(
                     "",
-                    tuple(value[seen].tolist()),
-                    tuple(middle.tolist()),
-                    tuple((middle - half).tolist()),
-                    tuple((middle + half).tolist()),
+                    tuple(value[has_trials].tolist()),
+                    tuple(bias_values.tolist()),
+                    tuple((bias_values - expanded_errors).tolist()),
+                    tuple((bias_values + expanded_errors).tolist()),
                     "points",
                 ),
             ),
             levels=(0.0,),
             x_range=(float(value[0] - half_bin), float(value[-1] + half_bin)),
-            height=_PANEL,
+            height=_PANEL_HEIGHT,
         )
 
 
@@ -205,24 +210,26 @@ def write_figures(result: StudyResult, folder: Path | str, *, overwrite: bool = 
 
     overwrite: Whether earlier figures may be replaced; no other file is.
     """
-    drivers = dict.fromkeys(driver for _, c in _coefficients(result) for driver in c.against)
+    covariates = dict.fromkeys(
+        covariate for _, c in _named_coefficients(result) for covariate in c.against
+    )
     figures = {
         Path(folder) / "z.svg": z_plots(result),
         Path(folder) / "coverage.svg": coverage_plots(result),
-        **{Path(folder) / f"bias-{d}.svg": bias_plots(result, d) for d in drivers},
+        **{Path(folder) / f"bias-{d}.svg": bias_plots(result, d) for d in covariates},
     }
     reserve_figures(figures, FIGURE, overwrite=overwrite)
     for path, plots in figures.items():
         save_figure(list(plots), path, FIGURE, overwrite=overwrite)
 
 
-def _coefficients(result: StudyResult) -> list[tuple[str, CoefficientResult]]:
+def _named_coefficients(result: StudyResult) -> list[tuple[str, CoefficientResult]]:
     return [
-        (f"{words}: {name}", coefficient)
-        for words, analysis in result.analyses.items()
+        (f"{analysis_name}: {name}", coefficient)
+        for analysis_name, analysis in result.analyses.items()
         for name, coefficient in analysis.coefficients.items()
     ]
 
 
-def _percent(shares: Iterable[float]) -> tuple[float, ...]:
+def _to_percent(shares: Iterable[float]) -> tuple[float, ...]:
     return tuple(100.0 * share for share in shares)

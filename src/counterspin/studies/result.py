@@ -1,7 +1,7 @@
 """The result of a study: statistics of many trials, a verdict, JSON.
 
-Bias, spread, stated uncertainty and coverage of each coefficient. Trials are summed up batch by
-batch in arrays of fixed shape, which are put together in the order of the batches. So the result
+Bias, spread, stated uncertainty and coverage of each coefficient. The sums of each
+batch are arrays of fixed shape, which are combined in the order of the batches. So the result
 does not depend on the worker of a batch.
 """
 
@@ -26,19 +26,19 @@ Z_EDGE: Final = 6.0
 Z_BINS: Final = 60
 
 #: Bins of a quantity against which the bias is shown.
-DRIVER_BINS: Final = 10
+COVARIATE_BINS: Final = 10
 
 #: Entries of the table of Student's t over 1/dof.
-_STEPS: Final = 4000
+_TABLE_STEPS: Final = 4000
 
 _MOMENTS: Final = 5  # n, mean and squares of the error, sums of truth and u
-_COVERED: Final = slice(_MOMENTS, _MOMENTS + len(LEVELS))
-_HISTOGRAM: Final = slice(_MOMENTS + len(LEVELS), _MOMENTS + len(LEVELS) + Z_BINS + 2)
-_FIRST_DRIVER: Final = _HISTOGRAM.stop
+_COVERAGE_COLUMNS: Final = slice(_MOMENTS, _MOMENTS + len(LEVELS))
+_HISTOGRAM_COLUMNS: Final = slice(_MOMENTS + len(LEVELS), _MOMENTS + len(LEVELS) + Z_BINS + 2)
+_FIRST_COVARIATE: Final = _HISTOGRAM_COLUMNS.stop
 
 
 @frozen
-class Driver:
+class BiasCovariate:
     """A varying quantity against which the bias is shown."""
 
     symbol: str  #: Symbol of the quantity.
@@ -47,64 +47,64 @@ class Driver:
 
 
 @frozen
-class Tally:
+class TrialAccumulator:
     """The sums of each coefficient over its trials."""
 
-    drivers: tuple[Driver, ...]  #: Quantities against which the bias is shown.
+    covariates: tuple[BiasCovariate, ...]  #: Quantities against which the bias is shown.
 
     @property
     def width(self) -> int:
-        """Numbers kept of a coefficient and a batch."""
-        return _FIRST_DRIVER + 3 * DRIVER_BINS * len(self.drivers)
+        """Number of sums for a coefficient and a batch."""
+        return _FIRST_COVARIATE + 3 * COVARIATE_BINS * len(self.covariates)
 
-    def count(
-        self, estimate: Array, truth: Array, u: Array, dof: Array, driven: Sequence[Array]
+    def accumulate(
+        self, estimate: Array, truth: Array, u: Array, dof: Array, covariate_values: Sequence[Array]
     ) -> Array:
-        """Sum up one coefficient in one batch of n trials.
+        """Return the sums of one coefficient over a batch of n trials.
 
         estimate, truth, u, dof: Shape (n,).
-        driven: The drivers' values, each of shape (n,).
+        covariate_values: Values of the covariates, each of shape (n,).
         Returns: shape (width,).
         """
-        kept = np.zeros(self.width)
+        sums = np.zeros(self.width)
         error = estimate - truth
         mean = error.mean()
-        kept[0] = error.size
-        kept[1] = mean
-        kept[2] = np.sum((error - mean) ** 2)
-        kept[3] = truth.sum()
-        kept[4] = u.sum()
+        sums[0] = error.size
+        sums[1] = mean
+        sums[2] = np.sum((error - mean) ** 2)
+        sums[3] = truth.sum()
+        sums[4] = u.sum()
         z = error / u
-        size = np.abs(z)
-        # Between the least and the greatest factor lie a few trials only.
-        extremes = np.array([dof.max(), dof.min()])
-        for place, level in enumerate(LEVELS, _COVERED.start):
-            low, high = coverage_factor(extremes, level)
-            kept[place] = np.count_nonzero(size <= low)
+        magnitude = np.abs(z)
+        # Only a few trials lie between the smallest and the largest factor.
+        dof_range = np.array([dof.max(), dof.min()])
+        for column, level in enumerate(LEVELS, _COVERAGE_COLUMNS.start):
+            low, high = coverage_factor(dof_range, level)
+            sums[column] = np.count_nonzero(magnitude <= low)
             if low < high:
-                open_ = np.flatnonzero((size > low) & (size <= high))
-                factor = coverage_factor(dof[open_], level)
-                kept[place] += np.count_nonzero(size[open_] <= factor)
+                undecided = np.flatnonzero((magnitude > low) & (magnitude <= high))
+                factor = coverage_factor(dof[undecided], level)
+                sums[column] += np.count_nonzero(magnitude[undecided] <= factor)
         scaled = (z + Z_EDGE) * (Z_BINS / (2.0 * Z_EDGE)) + 1.0
         bins = np.clip(scaled, 0.0, Z_BINS + 1.0).astype(np.intp)
-        kept[_HISTOGRAM] = np.bincount(bins, minlength=Z_BINS + 2)
-        start = _FIRST_DRIVER
-        for driver, values in zip(self.drivers, driven, strict=True):
-            scaled = (values - driver.low) * (DRIVER_BINS / (driver.high - driver.low))
-            chosen = np.clip(scaled, 0, DRIVER_BINS - 1).astype(np.intp)
+        sums[_HISTOGRAM_COLUMNS] = np.bincount(bins, minlength=Z_BINS + 2)
+        start = _FIRST_COVARIATE
+        for covariate, values in zip(self.covariates, covariate_values, strict=True):
+            scaled = (values - covariate.low) * (COVARIATE_BINS / (covariate.high - covariate.low))
+            bin_indices = np.clip(scaled, 0, COVARIATE_BINS - 1).astype(np.intp)
             for weights in (np.ones_like(error), error, error**2):
-                kept[start : start + DRIVER_BINS] = np.bincount(
-                    chosen, weights=weights, minlength=DRIVER_BINS
+                sums[start : start + COVARIATE_BINS] = np.bincount(
+                    bin_indices, weights=weights, minlength=COVARIATE_BINS
                 )
-                start += DRIVER_BINS
-        return kept
+                start += COVARIATE_BINS
+        return sums
 
 
 @lru_cache(maxsize=8)
-def _quantiles(level: float) -> tuple[Array, Array]:
+def _tabulate_quantiles(level: float) -> tuple[Array, Array]:
     from scipy.special import stdtrit
 
-    inverse = np.arange(_STEPS + 1) / _STEPS
+    inverse = np.arange(_TABLE_STEPS + 1) / _TABLE_STEPS
     with np.errstate(divide="ignore"):
         dof = np.where(inverse > 0.0, 1.0 / np.maximum(inverse, 1e-12), 1e12)
     quantile: Array = np.asarray(stdtrit(dof, 0.5 * (1.0 + level)), dtype=np.float64)
@@ -112,22 +112,22 @@ def _quantiles(level: float) -> tuple[Array, Array]:
 
 
 def coverage_factor(dof: Array, level: float) -> Array:
-    """Return Student's t for a two-sided level, any number of degrees of freedom from 1 up."""
-    quantile, slope = _quantiles(level)
+    """Return Student's t for a two-sided level and at least one degree of freedom."""
+    quantile, slope = _tabulate_quantiles(level)
     # The table is even, so that no search is needed.
-    place = _STEPS / np.maximum(dof, 1.0)
-    index = place.astype(np.intp)
-    return np.asarray(quantile[index] + (place - index) * slope[index])
+    position = _TABLE_STEPS / np.maximum(dof, 1.0)
+    index = position.astype(np.intp)
+    return np.asarray(quantile[index] + (position - index) * slope[index])
 
 
-#: A coverage of 95 % intervals between these is as good as it gets in practice.
-_GOOD_COVERAGE: Final = (0.94, 0.96)
+#: Accepted range of the coverage of 95 % intervals.
+_ACCEPTED_COVERAGE: Final = (0.94, 0.96)
 
-#: With fewer trials the share of intervals that contain the truth is known too badly to judge.
-FEWEST_TRIALS: Final = 200
+#: With fewer trials the coverage is too uncertain for a verdict.
+MIN_TRIALS: Final = 200
 
-#: A bias below this part of the stated u leaves the coverage within 0.4 % of 95 %.
-_LARGEST_BIAS: Final = 0.2
+#: A bias below this fraction of the stated u leaves the coverage within 0.4 % of 95 %.
+_MAX_BIAS_RATIO: Final = 0.2
 
 
 class BiasAgainst(ResultPart):
@@ -197,9 +197,13 @@ class StudyResult(ReportableResult):
 
 
 def summarise(
-    tally: Tally, batches: Array, name: str = "", unit: str = "", bound: float | None = None
+    accumulator: TrialAccumulator,
+    batches: Array,
+    name: str = "",
+    unit: str = "",
+    bound: float | None = None,
 ) -> CoefficientResult:
-    """Put the batches of one coefficient together.
+    """Combine the batches of one coefficient.
 
     batches: Shape (batches, width), in the order of the batches.
     name: Name of the coefficient in its finding, such as "K_II of Qx".
@@ -210,36 +214,38 @@ def summarise(
     mean = float(counts @ batches[:, 1] / n)
     squares = float(batches[:, 2].sum() + counts @ (batches[:, 1] - mean) ** 2)
     sd = math.sqrt(squares / (n - 1.0)) if n > 1.0 else math.nan
-    total = batches.sum(axis=0)
-    covered = tuple(float(value) / n for value in total[_COVERED])
+    totals = batches.sum(axis=0)
+    covered = tuple(float(value) / n for value in totals[_COVERAGE_COLUMNS])
     against = {}
-    for index, driver in enumerate(tally.drivers):
-        start = _FIRST_DRIVER + 3 * DRIVER_BINS * index
-        trials_in_bin, sums, sums_of_squares = total[start : start + 3 * DRIVER_BINS].reshape(3, -1)
-        edges = np.linspace(driver.low, driver.high, DRIVER_BINS + 1)
+    for index, covariate in enumerate(accumulator.covariates):
+        start = _FIRST_COVARIATE + 3 * COVARIATE_BINS * index
+        trials_in_bin, sums, sums_of_squares = totals[start : start + 3 * COVARIATE_BINS].reshape(
+            3, -1
+        )
+        edges = np.linspace(covariate.low, covariate.high, COVARIATE_BINS + 1)
         with np.errstate(divide="ignore", invalid="ignore"):
             bias = sums / trials_in_bin
-            spread = np.sqrt(
+            standard_errors = np.sqrt(
                 np.maximum(sums_of_squares / trials_in_bin - bias**2, 0.0) / trials_in_bin
             )
-        against[driver.symbol] = BiasAgainst(
+        against[covariate.symbol] = BiasAgainst(
             value=(0.5 * (edges[1:] + edges[:-1])).tolist(),
             trials=trials_in_bin.tolist(),
-            bias=_numbers(bias),
-            se_bias=_numbers(spread),
+            bias=_null_if_not_finite(bias),
+            se_bias=_null_if_not_finite(standard_errors),
         )
     mse = squares / n + mean**2
-    summed = CoefficientResult(
+    coefficient = CoefficientResult(
         trials=int(n),
-        truth=float(total[3]) / n,
+        truth=float(totals[3]) / n,
         bias=mean,
         se_bias=sd / math.sqrt(n),
         sd=sd,
         mse=mse,
-        u=float(total[4]) / n,
+        u=float(totals[4]) / n,
         covered=covered,
         intervals=tuple(binomial_interval(share * n, n) for share in covered),
-        histogram=total[_HISTOGRAM].astype(np.int64).tolist(),
+        histogram=totals[_HISTOGRAM_COLUMNS].astype(np.int64).tolist(),
         against=against,
         unit=unit,
         bound=bound,
@@ -247,12 +253,12 @@ def summarise(
         trustworthy=None,
         finding="",
     )
-    trustworthy, finding = trust_in(name, summed)
-    return summed.model_copy(update={"trustworthy": trustworthy, "finding": finding})
+    trustworthy, finding = judge_coverage(name, coefficient)
+    return coefficient.model_copy(update={"trustworthy": trustworthy, "finding": finding})
 
 
-def _numbers(values: Array) -> list[float | None]:
-    """Return numbers that JSON can hold: a bin without trials has no bias."""
+def _null_if_not_finite(values: Array) -> list[float | None]:
+    """Replace numbers that JSON cannot hold by None: a bin without trials has no bias."""
     return [value if math.isfinite(value) else None for value in values.tolist()]
 
 
@@ -267,52 +273,53 @@ def binomial_interval(hits: float, trials: float) -> tuple[float, float]:
     return low, high
 
 
-def trust_in(name: str, summary: CoefficientResult) -> tuple[bool | None, str]:
+def judge_coverage(name: str, summary: CoefficientResult) -> tuple[bool | None, str]:
     """Return the verdict on a coefficient's uncertainty with its reason; None: too few trials."""
     share, (low, high) = summary.covered[1], summary.intervals[1]
     biased = (
-        abs(summary.bias) > 3.0 * summary.se_bias and abs(summary.bias) > _LARGEST_BIAS * summary.u
+        abs(summary.bias) > 3.0 * summary.se_bias
+        and abs(summary.bias) > _MAX_BIAS_RATIO * summary.u
     )
-    covered = f"its 95 % intervals contain the truth in {100.0 * share:.4g} % of the trials"
-    if summary.trials < FEWEST_TRIALS:
-        return None, f"{name}: {covered}"
-    if low <= _GOOD_COVERAGE[1] and high >= _GOOD_COVERAGE[0] and not biased:
-        return True, f"{name} is unbiased, and {covered}"
+    coverage_text = f"its 95 % intervals contain the truth in {100.0 * share:.4g} % of the trials"
+    if summary.trials < MIN_TRIALS:
+        return None, f"{name}: {coverage_text}"
+    if low <= _ACCEPTED_COVERAGE[1] and high >= _ACCEPTED_COVERAGE[0] and not biased:
+        return True, f"{name} is unbiased, and {coverage_text}"
     if biased:
         factor = summary.truth and 1.0 + summary.bias / summary.truth
-        times = f": it is {factor:.3g} times the truth" if abs(factor - 1.0) > 0.05 else ""
+        ratio_text = f": it is {factor:.3g} times the truth" if abs(factor - 1.0) > 0.05 else ""
         return False, (
             f"{name} is biased by {abs(summary.bias) / summary.u:.3g} standard "
-            f"uncertainties{times}, and {covered}"
+            f"uncertainties{ratio_text}, and {coverage_text}"
         )
     ratio = summary.sd / summary.u
-    if high < _GOOD_COVERAGE[0]:
+    if high < _ACCEPTED_COVERAGE[0]:
         return False, (
-            f"{name}: the scatter is {ratio:.3g} times the stated uncertainty, and {covered}"
+            f"{name}: the scatter is {ratio:.3g} times the stated uncertainty, and {coverage_text}"
         )
     return True, (
         f"{name}: the stated uncertainty is {1.0 / ratio:.3g} times the scatter "
-        f"(conservative), and {covered}"
+        f"(conservative), and {coverage_text}"
     )
 
 
-def verdict_of(analyses: Mapping[str, AnalysisResult]) -> list[str]:
-    """Return a line for each analysis: the best first, then others without fault, the rest."""
+def summarise_analyses(analyses: Mapping[str, AnalysisResult]) -> list[str]:
+    """Return a line for each analysis: the best, other trustworthy ones, then the rest."""
     if any(analysis.trustworthy is None for analysis in analyses.values()):
         return _summarise_few_trials(analyses)
-    good = {name: analysis for name, analysis in analyses.items() if analysis.trustworthy}
+    trustworthy = {name: analysis for name, analysis in analyses.items() if analysis.trustworthy}
     lines = []
-    if not good:
+    if not trustworthy:
         lines.append("Every analysis has a fault.")
     else:
-        best = min(good, key=lambda name: _mean_square_error(good[name]))
+        best = min(trustworthy, key=lambda name: _mean_square_error(trustworthy[name]))
         lines.append(
             f"{best}: no fault found"
-            + (", and the smallest errors" if len(good) > 1 else "")
+            + (", and the smallest errors" if len(trustworthy) > 1 else "")
             + ". "
-            + _findings(good[best].coefficients.values())
+            + _findings(trustworthy[best].coefficients.values())
         )
-        lines += [f"{name}: no fault found either." for name in good if name != best]
+        lines += [f"{name}: no fault found either." for name in trustworthy if name != best]
     for name, analysis in analyses.items():
         if not analysis.trustworthy:
             faulty = [c for c in analysis.coefficients.values() if not c.trustworthy]
@@ -328,8 +335,7 @@ def _summarise_few_trials(analyses: Mapping[str, AnalysisResult]) -> list[str]:
     """Return the findings of a study with too few trials for a verdict."""
     trials = min(c.trials for analysis in analyses.values() for c in analysis.coefficients.values())
     return [
-        f"{trials} trials are too few for a verdict: use at least {FEWEST_TRIALS}, preferably "
-        f"1000.",
+        f"{trials} trials are too few for a verdict: use at least {MIN_TRIALS}, preferably 1000.",
         *(
             f"{name}. {_findings(analysis.coefficients.values())}"
             for name, analysis in analyses.items()
@@ -340,6 +346,6 @@ def _summarise_few_trials(analyses: Mapping[str, AnalysisResult]) -> list[str]:
 def _mean_square_error(analysis: AnalysisResult) -> float:
     """Return the mean square error of K_II, or of all coefficients where it is not reported."""
     coefficients = analysis.coefficients
-    chosen = [c for name, c in coefficients.items() if name.rpartition(".")[2] == "K_II"]
-    chosen = chosen or list(coefficients.values())
-    return sum(c.mse for c in chosen) / len(chosen)
+    selected = [c for name, c in coefficients.items() if name.rpartition(".")[2] == "K_II"]
+    selected = selected or list(coefficients.values())
+    return sum(c.mse for c in selected) / len(selected)

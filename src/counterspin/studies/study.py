@@ -15,29 +15,35 @@ from counterspin._version import __version__
 from counterspin.campaign.description import Campaign
 from counterspin.errors import CounterspinError, CounterspinWarning
 from counterspin.inference.joint.unknowns import unit_of
-from counterspin.studies.choice import EngineName, prepare
+from counterspin.studies.batch_runner import (
+    BatchResults,
+    StudyEngine,
+    expected_duration,
+    run_batches,
+    run_task,
+)
 from counterspin.studies.description import StudyDescription, read_study
-from counterspin.studies.draws import OTHERS, VariedQuantity
+from counterspin.studies.draws import OTHER_QUANTITIES, VariedQuantity
+from counterspin.studies.engine_selection import EngineName, prepare_study
 from counterspin.studies.folder import StudyFolder, StudyProgress
 from counterspin.studies.result import (
     AnalysisResult,
     CoefficientResult,
     StudyResult,
     summarise,
-    verdict_of,
+    summarise_analyses,
 )
-from counterspin.studies.work import Ledger, StudyEngine, expected_duration, run_batches, work
 from counterspin.threads import one_blas_thread
 from counterspin.workers import ALONE, Workers, worker_pool
 
 #: Hours of work above which a user is told before it begins.
-_LONG_HOURS: Final = 0.5
+_WARNING_HOURS: Final = 0.5
 
-#: More trials than this would take days, and their ledger much of the memory.
-_MOST_TRIALS: Final = 10**9
+#: More trials would take days, and their results much of the memory.
+_MAX_TRIALS: Final = 10**9
 
 #: Most bytes for the stored values of each batch of trials.
-_LARGEST_LEDGER: Final = 5 * 10**8
+_MAX_RESULTS_SIZE: Final = 5 * 10**8
 
 
 @one_blas_thread()
@@ -92,8 +98,8 @@ def study(
     """
     description = where if isinstance(where, StudyDescription) else read_study(where)
     trials = description.trials if trials is None else trials
-    if not 2 <= trials <= _MOST_TRIALS:
-        raise CounterspinError(f"`trials` must be at least 2 and at most {_MOST_TRIALS:.0e}")
+    if not 2 <= trials <= _MAX_TRIALS:
+        raise CounterspinError(f"`trials` must be at least 2 and at most {_MAX_TRIALS:.0e}")
     if seed is not None and seed < 0:
         raise CounterspinError("`seed` must not be negative")
     folder = StudyFolder(output) if isinstance(output, Path | str) else output
@@ -101,53 +107,60 @@ def study(
         folder.reserve()
     workers = workers.capped()
     # Workers start while the engine is prepared.
-    with nullcontext() if workers.alone else worker_pool(workers, work.__module__) as pool:
-        prepared = prepare(description, description.seed if seed is None else seed, engine)
-        _refuse_full_ledger(prepared, trials)
-        ledger = Ledger(prepared, trials, keep=folder is not None and folder.keep_trials)
-        kept = None
+    with nullcontext() if workers.alone else worker_pool(workers, run_task.__module__) as pool:
+        prepared = prepare_study(description, description.seed if seed is None else seed, engine)
+        _check_memory(prepared, trials)
+        batch_results = BatchResults(
+            prepared, trials, keep=folder is not None and folder.keep_trials
+        )
+        study_progress = None
         if folder is not None:
-            kept = StudyProgress(folder.place, ledger, _fingerprint(prepared))
+            study_progress = StudyProgress(folder.directory, batch_results, _fingerprint(prepared))
             if folder.resume:
-                kept.resume()
+                study_progress.resume()
             else:
-                kept.clear()
-        _warn_of_hours(prepared, trials - ledger.trials_done, pool.size if pool else 1)
+                study_progress.clear()
+        _warn_of_duration(prepared, trials - batch_results.trials_done, pool.size if pool else 1)
         complete = run_batches(
             prepared,
-            ledger,
+            batch_results,
             workers=workers,
             pool=pool,
             progress=progress,
-            save=kept.save if kept else None,
+            save=study_progress.save if study_progress else None,
         )
-    result = _result(description, prepared, ledger, complete)
-    if folder is not None and kept is not None:
-        folder.write(result, ledger)
+    result = _make_result(description, prepared, batch_results, complete)
+    if folder is not None and study_progress is not None:
+        folder.write(result, batch_results)
         if complete:
-            kept.clear()
+            study_progress.clear()
     return result
 
 
-def _refuse_full_ledger(engine: StudyEngine, trials: int) -> None:
+def _check_memory(engine: StudyEngine, trials: int) -> None:
     """Raise CounterspinError if the stored values of all trials would fill the memory."""
-    of_a_batch = 8 * engine.tally.width * len(engine.reported)
-    most = _LARGEST_LEDGER // of_a_batch * engine.batch_size
-    if trials > most:
+    batch_bytes = 8 * engine.accumulator.width * len(engine.coefficients)
+    max_trials = _MAX_RESULTS_SIZE // batch_bytes * engine.batch_size
+    if trials > max_trials:
         raise CounterspinError(
-            f"{trials:.3g} `trials` need too much memory; this study can have at most {most:.3g}"
+            f"{trials:.3g} `trials` need too much memory; "
+            f"this study can have at most {max_trials:.3g}"
         )
 
 
-def _warn_of_hours(engine: StudyEngine, trials: int, workers: int) -> None:
+def _warn_of_duration(engine: StudyEngine, trials: int, workers: int) -> None:
     hours = expected_duration(engine, trials) / workers / 3600.0
-    if hours < _LONG_HOURS:
+    if hours < _WARNING_HOURS:
         return
-    slow = [part for part in engine.parts if part.cost == "full"]
-    why = "; ".join(f"{part.reported[0].analysis}: {part.words}" for part in slow)
+    slow_analyses = [
+        analysis for analysis in engine.analysis_engines if analysis.cost_class == "full"
+    ]
+    reasons = "; ".join(
+        f"{analysis.coefficients[0].analysis}: {analysis.description}" for analysis in slow_analyses
+    )
     warnings.warn(
         f"{trials} trials will take about {hours:.1g} h"
-        + (f" ({why})" if why else "")
+        + (f" ({reasons})" if reasons else "")
         + "; use fewer `trials`, more `workers` or a `cluster` to shorten it; Ctrl-C ends "
         "it with a valid result of the completed trials",
         CounterspinWarning,
@@ -161,34 +174,34 @@ def _fingerprint(engine: StudyEngine) -> str:
         return hashlib.sha256(repr((__version__, engine)).encode()).hexdigest()
 
 
-def _result(
-    description: StudyDescription, engine: StudyEngine, ledger: Ledger, complete: bool
+def _make_result(
+    description: StudyDescription, engine: StudyEngine, batch_results: BatchResults, complete: bool
 ) -> StudyResult:
-    if not ledger.done.any():
+    if not batch_results.done.any():
         raise CounterspinError(
             "the study was stopped before the first batch of trials was complete"
         )
-    sums = ledger.sums[ledger.done]
+    sums = batch_results.sums[batch_results.done]
     coefficients: dict[str, dict[str, CoefficientResult]] = {}
     undetermined: dict[str, list[str]] = {}
-    words: dict[str, str] = {}
+    engine_descriptions: dict[str, str] = {}
     row = 0
-    for part in engine.parts:
+    for analysis_engine in engine.analysis_engines:
         # A two-stage analysis has an engine for each accelerometer.
-        name = part.reported[0].analysis
-        words.setdefault(name, part.words)
-        undetermined.setdefault(name, []).extend(part.lost)
-        for reported in part.reported:
-            unit = unit_of(reported.symbol)
-            called = reported.symbol + (f" of {reported.owner}" if reported.owner else "")
-            coefficients.setdefault(name, {})[reported.name] = summarise(
-                engine.tally, sums[:, row], called, unit, reported.bound
+        name = analysis_engine.coefficients[0].analysis
+        engine_descriptions.setdefault(name, analysis_engine.description)
+        undetermined.setdefault(name, []).extend(analysis_engine.undetermined)
+        for coefficient in analysis_engine.coefficients:
+            unit = unit_of(coefficient.symbol)
+            label = coefficient.symbol + (f" of {coefficient.owner}" if coefficient.owner else "")
+            coefficients.setdefault(name, {})[coefficient.name] = summarise(
+                engine.accumulator, sums[:, row], label, unit, coefficient.bound
             )
             row += 1
     analyses = {
         name: AnalysisResult(
-            engine=words[name],
-            trustworthy=_all_of([c.trustworthy for c in results.values()]),
+            engine=engine_descriptions[name],
+            trustworthy=_combine_verdicts([c.trustworthy for c in results.values()]),
             coefficients=results,
             undetermined=undetermined[name],
         )
@@ -197,28 +210,28 @@ def _result(
     return StudyResult(
         title=description.campaign.title,
         trials=next(c.trials for results in coefficients.values() for c in results.values()),
-        trials_asked=ledger.trials,
+        trials_asked=batch_results.trials,
         complete=complete,
         seed=engine.seed,
-        varying=[_in_words(varying) for varying in description.varying],
+        varying=[_describe_quantity(varying) for varying in description.varying],
         analyses=analyses,
-        verdict=verdict_of(analyses),
+        verdict=summarise_analyses(analyses),
         provenance={"version": __version__},
     )
 
 
-def _all_of(judged: list[bool | None]) -> bool | None:
-    return None if None in judged else all(judged)
+def _combine_verdicts(verdicts: list[bool | None]) -> bool | None:
+    return None if None in verdicts else all(verdicts)
 
 
-def _in_words(varying: VariedQuantity) -> str:
-    name = f"{varying.owner}.{varying.symbol}" if varying.owner else varying.symbol
-    unit = OTHERS.get(varying.symbol) or unit_of(varying.symbol)
+def _describe_quantity(quantity: VariedQuantity) -> str:
+    name = f"{quantity.owner}.{quantity.symbol}" if quantity.owner else quantity.symbol
+    unit = OTHER_QUANTITIES.get(quantity.symbol) or unit_of(quantity.symbol)
     unit = "" if unit == "1" else f" {unit}"
-    low, high = f"{varying.first:.6g}{unit}", f"{varying.second:.6g}{unit}"
-    how = {
+    low, high = f"{quantity.first:.6g}{unit}", f"{quantity.second:.6g}{unit}"
+    text = {
         "normal": f"normal, mean {low}, standard deviation {high}",
         "uniform": f"uniform from {low} to {high}",
         "fixed": low,
-    }[varying.distribution]
-    return f"{name}: {how}" + (", drawn separately for each run" if varying.per_run else "")
+    }[quantity.distribution]
+    return f"{name}: {text}" + (", drawn separately for each run" if quantity.per_run else "")

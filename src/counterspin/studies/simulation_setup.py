@@ -35,21 +35,21 @@ from counterspin.studies.draws import Draws, RecordNoise
 _ROUNDING: Final = 1e-9
 
 #: A displacement begins with an offset and a velocity of its own, which two samples would fit.
-_FEWEST_SAMPLES: Final = 3
+_MIN_SAMPLES: Final = 3
 
 
 @frozen
-class World:
-    """A campaign as it is simulated."""
+class SimulationSetup:
+    """Simulated set-up of a campaign."""
 
-    runs: tuple[str, ...]  #: Names.
+    runs: tuple[str, ...]  #: Names of the runs.
     #: Of each run; the spindles have the constant values.
     spindles: tuple[Spindle, ...]
     attitudes: tuple[Array, ...]
     durations: tuple[float, ...]
     mountings: Mapping[str, Mounting]  #: Accelerometer -> its axes.
     observables: Mapping[str, str]  #: Accelerometer -> what its records hold.
-    in_g: frozenset[str]  #: Accelerometers whose records are in g.
+    outputs_in_g: frozenset[str]  #: Accelerometers whose records are in g.
     #: As the analyses assume them.
     site: Site
     radius: float
@@ -57,7 +57,7 @@ class World:
     angle_recorded: bool  #: Whether the records have an angle.
     noise: RecordNoise  #: Of the records, where it does not vary.
     #: Noise of the time stamps, s, and of the encoder, rad, that the analyses assume; 0: none.
-    stated_times: tuple[float, float]
+    stated_timing_noise: tuple[float, float]
     conditions: tuple[RunConditions, ...]  #: Of each run.
     recorders: tuple[str, ...]  #: Whose clock the record of each run has, where there are several.
 
@@ -67,13 +67,13 @@ class World:
         return np.arange(count) / self.sampling_rate
 
     def trajectory(self, run: int, spindle: Spindle) -> Trajectory:
-        """Return a run's motion as the analyses assume it."""
+        """Return the motion of a run that the analyses assume."""
         return Trajectory(spindle, self.radius, self.site, conditions=self.conditions[run])
 
     def true_trajectory(self, run: int, spindle: Spindle, draws: Draws) -> Trajectory:
-        """Return a run's motion in the first of some trials."""
+        """Return the true motion of a run in the first trial."""
         radius, gravity, latitude = (
-            stated + float(draws.off(symbol)[0])
+            stated + float(draws.input_error(symbol)[0])
             for symbol, stated in (
                 ("centrifuge.radius", self.radius),
                 ("site.gravity", self.site.gravity),
@@ -91,7 +91,7 @@ class World:
         times: Array | None = None,
         error: Array | None = None,
     ) -> ResidualSeries:
-        """Return a record, without errors where none are given.
+        """Return a record with errors; without `error`, they are zero.
 
         times: Of its rows, s; None: those of the samples.
         """
@@ -108,10 +108,10 @@ class World:
             count=np.ones_like(times),
             spacing=1.0 / self.sampling_rate,
             error=np.zeros_like(times) if error is None else error,
-            in_g=name in self.in_g,
+            in_g=name in self.outputs_in_g,
             recorder=self.recorders[run],
         )
-        return series.with_timestamp_noise(self.stated_times[0])
+        return series.with_timestamp_noise(self.stated_timing_noise[0])
 
     def strobes(self, run: int, name: str) -> Array:
         """Return the spindle angles of an accelerometer's strobes, rad, in the order of time."""
@@ -123,35 +123,37 @@ class World:
         angles: Array = phase + TURN * turns
         return angles if spindle.rate > 0.0 else angles[::-1]
 
-    def noise_of(self, name: str) -> Noise:
+    def true_noise(self, name: str) -> Noise:
         """Return the true noise of an accelerometer's records."""
         noise, observable = self.noise, self.observables[name]
         step = noise.quantisation if observable == "displacement" else 0.0
-        white = noise.white_of(observable)
+        white = noise.white_sd(observable)
         return Noise(white, noise.random_walk, step, noise.flicker, noise.bias_walk)
 
 
-def world_of(campaign: Campaign) -> World:
+def make_setup(campaign: Campaign) -> SimulationSetup:
     """Return the simulated set-up of a campaign."""
     assert campaign.simulation is not None
     rate = campaign.simulation.sampling_rate
-    short = [
+    errors = [
         f"runs[{index}]: {run.duration:.4g} s have too few samples at {rate:.4g} Hz; a trial "
         "needs at least three, preferably many"
         for index, run in enumerate(campaign.runs)
-        if run.duration is not None and sample_count(run.duration, rate) < _FEWEST_SAMPLES
+        if run.duration is not None and sample_count(run.duration, rate) < _MIN_SAMPLES
     ]
-    if short:
-        raise CampaignError(str(campaign.path), short)
+    if errors:
+        raise CampaignError(str(campaign.path), errors)
     noise = simulated_noise(campaign)
-    return World(
+    return SimulationSetup(
         runs=tuple(run.name for run in campaign.runs),
         spindles=tuple(run.spindle for run in campaign.simulation.truth.runs.values()),
         attitudes=tuple(run.attitude for run in campaign.runs),
         durations=tuple(run.duration for run in campaign.runs if run.duration),
         mountings={name: a.mounting for name, a in campaign.accelerometers.items()},
         observables={name: a.observable for name, a in campaign.accelerometers.items()},
-        in_g=frozenset(name for name, a in campaign.accelerometers.items() if a.channel.in_g),
+        outputs_in_g=frozenset(
+            name for name, a in campaign.accelerometers.items() if a.channel.in_g
+        ),
         site=campaign.site,
         radius=campaign.radius.value,
         sampling_rate=rate,
@@ -167,14 +169,14 @@ def world_of(campaign: Campaign) -> World:
             flicker=float(noise.flicker),
             bias_walk=float(noise.bias_walk),
         ),
-        stated_times=stated_timing_noise(campaign),
+        stated_timing_noise=stated_timing_noise(campaign),
         conditions=tuple(run_conditions(campaign).values()),
         recorders=tuple(campaign.recording_of(run).recorder for run in campaign.runs),
     )
 
 
-def with_poses_read(document: Mapping[str, Any], campaign: Campaign) -> dict[str, Any]:
-    """Return a description in which the poses of records are readings, whose values are drawn.
+def expand_pose_records(document: Mapping[str, Any], campaign: Campaign) -> dict[str, Any]:
+    """Replace the pose records of a description by poses with readings, whose values are drawn.
 
     campaign: As it describes it, with [simulation].
     """
@@ -186,11 +188,11 @@ def with_poses_read(document: Mapping[str, Any], campaign: Campaign) -> dict[str
     runs: list[Any] = []
     for run in document.get("runs", ()):
         record = records.get(run.get("name")) if is_pose(run) else None
-        runs += [run] if record is None else _poses(record, campaign)
+        runs += [run] if record is None else _pose_runs(record, campaign)
     return {**document, "runs": runs}
 
 
-def _poses(record: PoseRecord, campaign: Campaign) -> Iterator[dict[str, Any]]:
+def _pose_runs(record: PoseRecord, campaign: Campaign) -> Iterator[dict[str, Any]]:
     """Yield the poses of a record as runs."""
     assert campaign.simulation is not None
     assert campaign.triad is not None
@@ -199,38 +201,42 @@ def _poses(record: PoseRecord, campaign: Campaign) -> Iterator[dict[str, Any]]:
     reading = {}
     for name in campaign.triad.accelerometers:
         output = campaign.accelerometers[name].output
-        unit, size = ("g", 1.0) if output is None else (output.unit, output.sensitivity)
-        u = "" if record.u is None else f" ± {record.u / campaign.gravity.value * abs(size)!r}"
+        unit, sensitivity = ("g", 1.0) if output is None else (output.unit, output.sensitivity)
+        u = (
+            ""
+            if record.u is None
+            else f" ± {record.u / campaign.gravity.value * abs(sensitivity)!r}"
+        )
         reading[name] = f"?{u} {unit}"
-    middles = (np.arange(count) + 0.5) / count
-    for place, middle in enumerate(middles.tolist()):
+    centres = (np.arange(count) + 0.5) / count
+    for index, centre in enumerate(centres.tolist()):
         pose = {
-            "name": f"{record.name} {place + 1}",
+            "name": f"{record.name} {index + 1}",
             "motion": "static",
             "attitude": "unknown",
             "reading": reading,
-            "time": f"{(record.time or 0.0) + place * interval!r} s",
+            "time": f"{(record.time or 0.0) + index * interval!r} s",
         }
         if record.temperature is not None:
             knots = np.linspace(0.0, 1.0, len(record.temperature))
-            pose["temperature"] = f"{float(np.interp(middle, knots, record.temperature))!r} K"
+            pose["temperature"] = f"{float(np.interp(centre, knots, record.temperature))!r} K"
         yield pose
 
 
-def with_noise_of_poses(campaign: Campaign, records: tuple[PoseRecord, ...]) -> Campaign:
-    """Return a campaign whose poses have the true noise of means in such records."""
+def set_pose_noise(campaign: Campaign, records: tuple[PoseRecord, ...]) -> Campaign:
+    """Return a campaign whose poses have the true noise of means in the records."""
     assert campaign.simulation is not None
     assert campaign.triad is not None
     truth = campaign.simulation.truth
     # A record's rest is twice the requested length, plus the length that its search takes.
-    size = noise_of_mean(campaign, 2.0 * min(record.rest for record in records))
-    noise = dict.fromkeys(campaign.triad.accelerometers, size) | dict(truth.reading_noise)
-    known = replace(truth, reading_noise=noise)
-    return replace(campaign, simulation=campaign.simulation.with_private(truth=known))
+    sd = mean_noise(campaign, 2.0 * min(record.rest for record in records))
+    noise = dict.fromkeys(campaign.triad.accelerometers, sd) | dict(truth.reading_noise)
+    simulated_truth = replace(truth, reading_noise=noise)
+    return replace(campaign, simulation=campaign.simulation.with_private(truth=simulated_truth))
 
 
-def noise_of_mean(campaign: Campaign, seconds: float) -> float:
-    """Return the true standard deviation of the mean of so much of a record, g."""
+def mean_noise(campaign: Campaign, seconds: float) -> float:
+    """Return the true standard deviation of the mean of `seconds` of a record, g."""
     assert campaign.simulation is not None
     noise, rate = simulated_noise(campaign), campaign.simulation.sampling_rate
     white = float(noise.specific_force) / math.sqrt(max(seconds * rate, 1.0))

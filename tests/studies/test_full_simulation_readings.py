@@ -12,8 +12,8 @@ from scipy import stats
 
 import counterspin as cs
 from counterspin.errors import CampaignError, NotIdentifiableError
-from counterspin.studies.choice import prepare
 from counterspin.studies.description import read_study
+from counterspin.studies.engine_selection import prepare_study
 from counterspin.studies.study import study
 
 HEAD = """schema = 1
@@ -183,7 +183,9 @@ def test_noise_that_varies_is_that_of_the_records_beside_readings_too(tmp_path):
     """A hundred times what the analysis assumes, from the same random numbers."""
     noisy = TILTED + '"noise.displacement" = { fixed = "0.1 m" }\n'
     trials = [
-        prepare(read_study(beside_records(tmp_path / name, varying)), 5).batch(0, 1, keep=True)
+        prepare_study(read_study(beside_records(tmp_path / name, varying)), 5).run_batch(
+            0, 1, keep=True
+        )
         for name, varying in (("stated", TILTED), ("varied", noisy))
     ]
     (truth, estimate, u), (_, varied, _) = (values[:, :, 0].T for _, values in trials)
@@ -243,8 +245,8 @@ def test_what_readings_do_not_determine_is_named(tmp_path):
 
 def test_a_trial_is_the_same_whoever_makes_it(tmp_path):
     parts = STUDIES["arm, noise estimated"]
-    engine = prepare(read_study(described(tmp_path, *parts)), 7)
-    one, again = engine.batch(3, 5, keep=True), engine.batch(3, 5, keep=True)
+    engine = prepare_study(read_study(described(tmp_path, *parts)), 7)
+    one, again = engine.run_batch(3, 5, keep=True), engine.run_batch(3, 5, keep=True)
     np.testing.assert_array_equal(one[1], again[1])
 
 

@@ -1,0 +1,460 @@
+"""Competing analyses of a study, and the engine of each analysis.
+
+The linear engine is valid under conditions. Each reason against it is a sentence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final, Literal
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.calibration.joint_problem import JointProblem
+from counterspin.calibration.two_stage.method import make_request
+from counterspin.campaign.description import Campaign
+from counterspin.errors import NotIdentifiableError
+from counterspin.frozen import frozen
+from counterspin.inference.joint.unknowns import RIPPLE, Unknown, Unknowns
+from counterspin.inference.two_stage.model import TwoStageRequest
+from counterspin.physics import observation
+from counterspin.studies.batch_runner import (
+    AnalysisEngine,
+    CostClass,
+    JointRequest,
+    ReportedCoefficient,
+    StudyEngine,
+)
+from counterspin.studies.description import StudyDescription
+from counterspin.studies.draws import (
+    DRIFT,
+    NOISE_LEVELS,
+    RIPPLE_AMPLITUDE,
+    RIPPLE_PHASE,
+    RIPPLE_RATIO,
+    WHITE,
+    Draws,
+    StudyTruth,
+)
+from counterspin.studies.full_simulation import FullEngine, TrialReadings, TrialRecords
+from counterspin.studies.linear_engines import (
+    JointEngine,
+    TwoStageEngine,
+    fit_records,
+    lower_bounds,
+    noise_free_second_stage,
+)
+from counterspin.studies.result import BiasCovariate, TrialAccumulator
+from counterspin.studies.simulation_setup import SimulationSetup, make_setup
+
+#: What the linear engine is called in a result.
+_LINEAR_DESCRIPTION: Final = "linear"
+
+EngineName = Literal["auto", "linear", "full"]
+
+
+@frozen
+class Analysis:
+    """One of the competing analyses."""
+
+    name: str  #: As the study calls it.
+    owner: str  #: The accelerometer of a two-stage analysis; empty for the joint fit of all.
+    request: TwoStageRequest | JointRequest  #: Options of the method.
+    #: The joint fit of the same campaign, which estimates noise that is not stated.
+    joint_request: JointRequest
+
+
+def list_analyses(study: StudyDescription) -> tuple[Analysis, ...]:
+    """Return the competing analyses: a two-stage analysis counts once for each accelerometer."""
+    analyses = []
+    for description in study.analyses:
+        name, options, campaign = description.name, description.two_stage, description.campaign
+        problem = JointProblem(campaign)
+        joint = JointRequest(problem.model, problem.noise)
+        if options is None:
+            analyses.append(Analysis(name, "", joint, joint))
+            continue
+        if campaign.angle is None:
+            raise NotIdentifiableError(
+                f"{name}: a study of the two-stage method needs a recorded angle ([records] "
+                "angle); without it study the joint fit alone ([study.analyses])"
+            )
+        for owner, accelerometer in campaign.accelerometers.items():
+            request = make_request(problem, accelerometer, options)
+            analyses.append(Analysis(name, owner, request, joint))
+    return tuple(analyses)
+
+
+def prepare_study(study: StudyDescription, seed: int, engine: EngineName = "auto") -> StudyEngine:
+    """Choose and prepare an engine for each analysis of a study."""
+    campaign = study.campaign
+    truth = StudyTruth.from_campaign(campaign, study.varying)
+    # Readings alone need no records, and so no set-up of records.
+    has_readings = campaign.readings or campaign.posed
+    setup = make_setup(campaign) if campaign.runs or not has_readings else None
+    engines = []
+    for analysis in list_analyses(study):
+        if has_readings:
+            engines.append(_engine_with_readings(campaign, setup, truth, analysis, engine))
+        else:
+            assert setup is not None
+            engines.append(choose_engine(setup, truth, analysis, engine))
+        if not engines[-1].coefficients:
+            raise NotIdentifiableError(f"{analysis.name}: the records determine no coefficient")
+    return StudyEngine(truth, seed, tuple(engines), TrialAccumulator(_bias_covariates(truth)))
+
+
+def _bias_covariates(truth: StudyTruth) -> tuple[BiasCovariate, ...]:
+    """Return the quantities against which the bias is shown: drift and ripple, if they vary."""
+    covariates = []
+    if truth.varies(DRIFT):
+        covariates.append(BiasCovariate(DRIFT, *truth.bounds(DRIFT, 0)))
+    if truth.varies(RIPPLE_RATIO, RIPPLE_AMPLITUDE):
+        largest = max(map(abs, truth.bounds(RIPPLE_RATIO, 0)))
+        covariates.append(BiasCovariate(RIPPLE_RATIO, 0.0, largest))
+    return tuple(covariates)
+
+
+def choose_engine(
+    setup: SimulationSetup, truth: StudyTruth, analysis: Analysis, engine: EngineName
+) -> AnalysisEngine:
+    """Return the fastest engine that is valid for an analysis, or the requested engine."""
+    if engine == "full":
+        return _full_engine(setup, truth, analysis, "full records")
+    request = analysis.request
+    obstacles = (
+        joint_engine_obstacles(setup, truth, request)
+        if isinstance(request, JointRequest)
+        else two_stage_engine_obstacles(setup, truth, request)
+    )
+    selected = None if obstacles else _linear_engine(setup, truth, analysis)
+    if selected is not None:
+        obstacles = _compare_with_full_records(setup, truth, analysis, selected)
+    if obstacles and engine == "linear":
+        raise NotIdentifiableError(
+            f'{analysis.name}: `engine="linear"` is not valid here: {"; ".join(obstacles)}; '
+            'use `engine="full"`, or omit `engine`'
+        )
+    if obstacles or selected is None:
+        return _full_engine(setup, truth, analysis, f"full records ({obstacles[0]})")
+    return selected
+
+
+def _engine_with_readings(
+    campaign: Campaign,
+    setup: SimulationSetup | None,
+    truth: StudyTruth,
+    analysis: Analysis,
+    engine: EngineName,
+) -> AnalysisEngine:
+    """Return the engine of a campaign with readings, with or without records."""
+    if engine == "linear":
+        raise NotIdentifiableError(
+            f'{analysis.name}: `engine="linear"` is not valid here: there are readings; '
+            'use `engine="full"`, or omit `engine`'
+        )
+    try:
+        readings = TrialReadings.from_campaign(campaign)
+    except ValueError as error:
+        raise NotIdentifiableError(f"{analysis.name}: {error}") from error
+    description = "readings" if setup is None else "full records and readings"
+    return _full_joint_engine(setup, truth, analysis, analysis.joint_request, description, readings)
+
+
+def _linear_engine(setup: SimulationSetup, truth: StudyTruth, analysis: Analysis) -> AnalysisEngine:
+    request = analysis.request
+    if isinstance(request, JointRequest):
+        return _linear_joint_engine(setup, truth, analysis, request)
+    two_stage_engine = TwoStageEngine.prepare(setup, truth, request, analysis.owner)
+    cost_class: CostClass = "sampled" if request.sigma is None else "linear"
+    rows, coefficients = _reported_unknowns(setup, truth, analysis, request)
+    return AnalysisEngine(
+        two_stage_engine,
+        cost_class,
+        _noise_stream(setup, analysis),
+        _LINEAR_DESCRIPTION,
+        rows,
+        coefficients,
+    )
+
+
+def _noise_stream(setup: SimulationSetup, analysis: Analysis) -> int:
+    """Return a stream that two-stage analyses of one accelerometer share, and joint ones too."""
+    names = list(setup.mountings)
+    return names.index(analysis.owner) if analysis.owner else len(names)
+
+
+def _linear_joint_engine(
+    setup: SimulationSetup, truth: StudyTruth, analysis: Analysis, request: JointRequest
+) -> AnalysisEngine:
+    joint_engine, undetermined = JointEngine.prepare(setup, request, truth)
+    bounds_by_name = lower_bounds(truth, request.model, setup)
+    coefficients = _reported_coefficients(
+        analysis, [request.model.unknowns[place] for place in joint_engine.rows], bounds_by_name
+    )
+    rows, stream = tuple(range(len(coefficients))), _noise_stream(setup, analysis)
+    return AnalysisEngine(
+        joint_engine, "linear", stream, _LINEAR_DESCRIPTION, rows, coefficients, undetermined
+    )
+
+
+def _full_engine(
+    setup: SimulationSetup, truth: StudyTruth, analysis: Analysis, description: str
+) -> AnalysisEngine:
+    request = analysis.request
+    if isinstance(request, JointRequest):
+        return _full_joint_engine(setup, truth, analysis, request, description)
+    rows, coefficients = _reported_unknowns(setup, truth, analysis, request)
+    full_engine = FullEngine(setup, request, analysis.joint_request, analysis.owner)
+    return AnalysisEngine(
+        full_engine, "full", _noise_stream(setup, analysis), description, rows, coefficients
+    )
+
+
+def _full_joint_engine(
+    setup: SimulationSetup | None,
+    truth: StudyTruth,
+    analysis: Analysis,
+    request: JointRequest,
+    description: str,
+    readings: TrialReadings | None = None,
+) -> AnalysisEngine:
+    noisy_readings = () if readings is None else readings.with_true_noise
+    bounds_by_name = lower_bounds(truth, request.model, setup, noisy_readings)
+    unknowns = request.model.unknowns
+    determined = tuple(
+        index for index in request.reported_indices if unknowns[index].name in bounds_by_name
+    )
+    undetermined = tuple(
+        unknowns[index].name for index in request.reported_indices if index not in determined
+    )
+    return AnalysisEngine(
+        engine=FullEngine(setup, request, request, rows=determined, readings=readings),
+        cost_class="readings" if setup is None else "full",
+        noise_stream=0 if setup is None or readings is not None else _noise_stream(setup, analysis),
+        description=description,
+        rows=tuple(range(len(determined))),
+        coefficients=_reported_coefficients(
+            analysis, [unknowns[index] for index in determined], bounds_by_name
+        ),
+        undetermined=undetermined,
+    )
+
+
+def _reported_unknowns(
+    setup: SimulationSetup, truth: StudyTruth, analysis: Analysis, request: TwoStageRequest
+) -> tuple[tuple[int, ...], tuple[ReportedCoefficient, ...]]:
+    """Return the reported unknowns of a two-stage analysis: all except the printed ripple."""
+    symbols = list(request.unknowns)
+    rows = tuple(row for row, symbol in enumerate(symbols) if symbol != RIPPLE)
+    unknowns = [
+        Unknown(analysis.owner, symbol, request.unknowns[symbol], request.limit_of(symbol))
+        for symbol in (symbols[row] for row in rows)
+    ]
+    return rows, _reported_coefficients(
+        analysis, unknowns, lower_bounds(truth, Unknowns(tuple(unknowns)), setup)
+    )
+
+
+def _reported_coefficients(
+    analysis: Analysis, unknowns: Sequence[Unknown], bounds_by_name: Mapping[str, float]
+) -> tuple[ReportedCoefficient, ...]:
+    return tuple(
+        ReportedCoefficient(
+            analysis.name, unknown.owner, unknown.symbol, bounds_by_name.get(unknown.name)
+        )
+        for unknown in unknowns
+    )
+
+
+#: Largest noise of angle and time that is neglected, in parts of the displacement noise.
+_MAX_NEGLECTED_NOISE: Final = 0.01
+
+#: Largest rms of what is no parabola in the residuals of strobes, in parts of the noise.
+_MAX_RESIDUAL_RMS: Final = 0.1
+
+#: Trials whose true values are drawn, and compared with whole records.
+_COMPARED_TRIALS: Final = 2
+
+#: Largest difference that is allowed, in parts of u, and of u itself, relative. Such a bias lowers
+#: a coverage of 95 % by 0.1 %, such a u changes it by 0.2 %.
+_MAX_ESTIMATE_DIFFERENCE: Final = 0.1
+_MAX_U_DIFFERENCE: Final = 0.01
+
+
+def _compare_with_full_records(
+    setup: SimulationSetup, truth: StudyTruth, analysis: Analysis, linear: AnalysisEngine
+) -> list[str]:
+    """Return the reason against linear trials if whole records differ from them.
+
+    The compared records have noise, which outlier rejection and other checks of residuals need.
+    Its effect on the estimate is the same in all trials. For the joint fit, a single fit without
+    rejection finds it at the mean true values.
+    """
+    request, engine = analysis.request, linear.engine
+    rows: tuple[int, ...] = ()
+    if isinstance(request, TwoStageRequest):
+        assert isinstance(engine, TwoStageEngine)
+        reason = _residual_obstacles(setup, truth, analysis, request)
+        if reason:
+            return reason
+        sigma = request.sigma or truth.white
+        request, engine = replace(request, sigma=sigma), replace(engine, sigma=sigma)
+    else:
+        assert isinstance(engine, JointEngine)
+        rows = engine.rows
+    full = FullEngine(setup, request, analysis.joint_request, analysis.owner, rows)
+    mean_draw = truth.mean_draw()
+    estimate_differences, u_differences, noise = [], [], None
+    for trial_draws in (mean_draw, *_comparison_draws(truth)):
+        draws = replace(trial_draws, white=mean_draw.white, noise=mean_draw.noise)
+        slow = full.run_trials(draws, np.random.default_rng(0))
+        fast = engine.run_trials(replace(draws, white=np.zeros(1)), np.random.default_rng(0))
+        if noise is None:
+            # The two-stage engine is exact at the mean true values.
+            fitted = slow.estimate
+            if isinstance(request, JointRequest):
+                fitted = _fit_estimate(setup, truth, request, draws, rows)
+            noise = fitted - fast.estimate
+        difference = (slow.estimate - noise - fast.estimate) / fast.u
+        estimate_differences.append(float(np.abs(difference[list(linear.rows)]).max()))
+        u_differences.append(float(np.abs(slow.u / fast.u - 1.0)[list(linear.rows)].max()))
+    if max(estimate_differences) > _MAX_ESTIMATE_DIFFERENCE:
+        return [
+            f"the analysis is not linear: whole records differ by {max(estimate_differences):.2g} u"
+        ]
+    if max(u_differences) > _MAX_U_DIFFERENCE:
+        return [
+            f"the analysis is not linear: u of whole records differs by {max(u_differences):.1%}"
+        ]
+    return []
+
+
+def _fit_estimate(
+    setup: SimulationSetup,
+    truth: StudyTruth,
+    request: JointRequest,
+    draws: Draws,
+    rows: Sequence[int],
+) -> Array:
+    """Return the estimates of a single fit, nominal values added, shape (c, 1)."""
+    records = TrialRecords.from_draws(setup, draws, np.random.default_rng(0))
+    estimate = fit_records(records, request, truth).estimate
+    nominal = [request.model.unknowns[row].nominal for row in rows]
+    return np.asarray(estimate[list(rows), None] + np.array(nominal)[:, None])
+
+
+def _comparison_draws(truth: StudyTruth) -> list[Draws]:
+    """Return the drawn trials that are compared with whole records."""
+    drawn = truth.draw(np.random.default_rng(2), _COMPARED_TRIALS)
+    return [drawn.take(trial) for trial in range(_COMPARED_TRIALS)]
+
+
+def _residual_obstacles(
+    setup: SimulationSetup, truth: StudyTruth, analysis: Analysis, request: TwoStageRequest
+) -> list[str]:
+    """Return the reason against sigma from residuals of strobes that are no parabola."""
+    if request.sigma is not None:
+        return []
+    largest = max(
+        float(np.std(parabola.residuals))
+        for draws in (truth.mean_draw(), *_comparison_draws(truth))
+        for parabola in noise_free_second_stage(
+            setup, truth, request, analysis.owner, draws
+        ).parabolas
+    )
+    if largest <= _MAX_RESIDUAL_RMS * _smallest_white_noise(truth):
+        return []
+    return [
+        "sigma is estimated from residuals, which contain non-parabolic errors up to "
+        f"{largest:.1e} m"
+    ]
+
+
+def two_stage_engine_obstacles(
+    setup: SimulationSetup, truth: StudyTruth, request: TwoStageRequest
+) -> list[str]:
+    """Return the reasons against the linear engine for the two-stage method; empty if valid."""
+    obstacles = _common_obstacles(setup, truth)
+    if setup.noise.random_walk > 0.0:
+        obstacles.append("the accelerometer's noise is not white in displacement")
+    if request.random_walk is None:
+        obstacles.append("the accelerometer's noise has to be estimated")
+    elif request.random_walk > 0.0:
+        obstacles.append("the noise that the analysis assumes is not white in displacement")
+    speed = setup.radius * max(abs(spindle.rate) for spindle in setup.spindles)
+    if request.timing * speed > _MAX_NEGLECTED_NOISE * _smallest_white_noise(truth):
+        obstacles.append(
+            "the noise of the recorded time that the analysis assumes is not negligible"
+        )
+    return obstacles
+
+
+def joint_engine_obstacles(
+    setup: SimulationSetup, truth: StudyTruth, request: JointRequest
+) -> list[str]:
+    """Return the reasons against the linear engine for the joint fit; empty if it is valid."""
+    obstacles = _common_obstacles(setup, truth)
+    if truth.varies(DRIFT, RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
+        obstacles.append("the rotation varies, and with it the weights of every sample")
+    assumed_noise = {name: replace(noise, covariance=()) for name, noise in request.noise.items()}
+    if any(noise.has_bias_instability for noise in assumed_noise.values()):
+        obstacles.append("the noise that the analysis assumes wanders")
+    if any(noise.to_estimate for noise in assumed_noise.values()):
+        obstacles.append("the noise is estimated, so that the estimate is not linear")
+        return obstacles
+    true_noise = {name: setup.true_noise(name) for name in assumed_noise}
+    if true_noise == assumed_noise and not truth.varies(WHITE):
+        return obstacles
+    if any(noise.random_walk for noise in (*true_noise.values(), *assumed_noise.values())):
+        obstacles.append(
+            "the true noise is neither white nor equal to the noise that the analysis assumes"
+        )
+    displacement = set(setup.observables.values()) == {"displacement"}
+    if len(set(assumed_noise.values())) > 1 or not displacement:
+        obstacles.append("the accelerometers' assumed noises differ from the true one")
+    return obstacles
+
+
+def _common_obstacles(setup: SimulationSetup, truth: StudyTruth) -> list[str]:
+    obstacles = (
+        ["the bias wanders, which only complete records simulate"]
+        if setup.noise.has_bias_instability
+        else []
+    )
+    if not setup.angle_recorded:
+        obstacles.append("no angle is recorded, and the rotation has to be estimated")
+    other_levels = NOISE_LEVELS.keys() - {WHITE}
+    varying = [quantity.symbol for quantity in truth.varying if quantity.symbol in other_levels]
+    if varying:
+        obstacles.append(f"{', '.join(varying)} varies, which only complete records simulate")
+    if setup.noise.quantisation > 0.0:
+        obstacles.append("quantisation is not Gaussian")
+    fastest = max(abs(spindle.rate) for spindle in setup.spindles)
+    for observable in sorted(set(setup.observables.values())):
+        is_displacement = observable == "displacement"
+        white = (
+            _smallest_white_noise(truth) if is_displacement else setup.noise.white_sd(observable)
+        )
+        if white <= 0.0:
+            obstacles.append("there is no white noise")
+        # A derivative more with each integration less.
+        amplitude = setup.radius * fastest ** (2 - observation.ORDERS[observable])
+        for size, column in (
+            (amplitude * setup.noise.angle, "angle"),
+            (amplitude * fastest * setup.noise.timing, "time"),
+        ):
+            if size > _MAX_NEGLECTED_NOISE * white:
+                obstacles.append(f"the noise of the recorded {column} is not negligible")
+    return obstacles
+
+
+def _smallest_white_noise(truth: StudyTruth) -> float:
+    """Return the smallest white noise that matters."""
+    varying = [quantity for quantity in truth.varying if quantity.symbol == WHITE]
+    if not varying:
+        return truth.white
+    draws = truth.draw(np.random.default_rng(0), 256)
+    return float(draws.white.min())

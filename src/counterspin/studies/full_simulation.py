@@ -1,0 +1,498 @@
+"""Trials simulated without any shortcut, sample by sample, and analysed as `calibrate` does.
+
+The check of the faster engines, and the only one for readings, for noise that is not white or not
+stated, for a rotation that the joint fit has to find, and for terms with a kink.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.reading import MeasuredRate, Reading
+from counterspin.frozen import frozen
+from counterspin.inference.joint.estimation import correct_series, estimate
+from counterspin.inference.joint.series import CLOCK, TIMING, ResidualSeries
+from counterspin.inference.joint.time_stamps import find_stamp_errors
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.two_stage.first_stage import Strobes, by_angle, strobe_angle
+from counterspin.inference.two_stage.model import TwoStageRequest
+from counterspin.inference.two_stage.second_stage import (
+    StrobedRun,
+    second_stage,
+    with_estimated_noise,
+)
+from counterspin.physics import observation, simulation
+from counterspin.physics.motion import encoder_error
+from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
+from counterspin.physics.terms import affects_readings, symbol_of
+from counterspin.readings.groups import numbered_groups
+from counterspin.readings.joint_data import estimate_with_groups
+from counterspin.readings.known_attitudes import INPUT_STEPS, Readings, with_input
+from counterspin.readings.means import segment_count
+from counterspin.simulation.readings import (
+    apply_rates,
+    draw_by_run,
+    head_errors,
+    indications,
+    true_directions,
+    true_poses,
+    true_rates,
+)
+from counterspin.studies.batch_runner import JointRequest, TrialResults
+from counterspin.studies.draws import NOISE_LEVELS, Draws, run_values
+from counterspin.studies.simulation_setup import SimulationSetup, mean_noise
+from counterspin.triads.groups import make_group
+from counterspin.triads.poses import TriadPoses, predict_indications
+
+
+class RunRotation(NamedTuple):
+    """The rotation of a run in one trial, as the analysis assumes it."""
+
+    spindle: Spindle
+    fit: SpindleFit | None = None  #: Fit to the recorded angle; None: exact, or no angle recorded.
+
+
+@frozen
+class TrialRecords:
+    """The records of all runs in one trial."""
+
+    setup: SimulationSetup  #: The set-up, with this trial's noise.
+    draws: Draws  #: The true values.
+    generator: np.random.Generator  #: Random generator of the noise.
+
+    @classmethod
+    def from_draws(
+        cls, setup: SimulationSetup, draws: Draws, generator: np.random.Generator
+    ) -> TrialRecords:
+        """Return the records of a trial, with the trial's true levels of noise."""
+        levels = {NOISE_LEVELS[symbol][1]: float(level[0]) for symbol, level in draws.noise.items()}
+        noise = replace(setup.noise, white=float(draws.white[0]), **levels)
+        return cls(replace(setup, noise=noise), draws, generator)
+
+    def series(self) -> list[ResidualSeries]:
+        """Return the records of all runs and accelerometers."""
+        setup = self.setup
+        series = []
+        for run in range(len(setup.runs)):
+            spindle = self.draws.true_spindle(setup.spindles[run], run)
+            times = setup.times(run)
+            indicated = times * self._clock_scale(run)
+            timestamps = setup.noise.noisy_timestamps(self.generator, indicated)
+            rotation = self._estimate_rotation(run, spindle, timestamps, times)
+            assumed_spindle = rotation.spindle
+            for name in setup.mountings:
+                signal = self._noisy_output(run, name, spindle, times)
+                assumed = setup.trajectory(run, assumed_spindle)
+                error = signal - observation.reference(
+                    assumed,
+                    setup.mountings[name],
+                    timestamps,
+                    setup.observables[name],
+                    setup.attitudes[run],
+                )
+                record = setup.series(run, name, assumed_spindle, timestamps, error)
+                series.append(self._correct_timestamps(record, rotation))
+        return series
+
+    def _correct_timestamps(self, record: ResidualSeries, rotation: RunRotation) -> ResidualSeries:
+        """Correct a record's time stamps by the recorded angle, as `calibrate` does."""
+        if rotation.fit is None:
+            return record
+        stated_times = self.setup.stated_timing_noise
+        stamp_errors = find_stamp_errors(rotation.fit, record.time, record.count, stated_times)
+        if stamp_errors is None:
+            return record
+        record = replace(record, angle_error=rotation.fit.error, timestamp_errors=stamp_errors)
+        return record.correct_times(stamp_errors.prior[0])
+
+    def strobed_run(self, run: int, name: str, request: TwoStageRequest) -> StrobedRun:
+        """Return a run with one reading at each strobe."""
+        setup = self.setup
+        spindle = self.draws.true_spindle(setup.spindles[run], run)
+        # The row in which the angle passes a strobe began earlier by the angle's delay.
+        strobe_times = spindle.time_at(setup.strobes(run, name)) - float(
+            self.draws.input_error(TIMING)[0]
+        )
+        row_times, clock_scale = setup.times(run), self._clock_scale(run)
+        assumed_spindle = self._estimate_rotation(
+            run, spindle, row_times * clock_scale, row_times
+        ).spindle
+        times, noise = strobe_times * clock_scale, setup.noise
+        sample_times = (
+            noise.noisy_timestamps(self.generator, strobe_times)
+            if noise.timing > 0.0
+            else strobe_times
+        )
+        signal = self._noisy_output(run, name, spindle, sample_times)
+        assumed = setup.trajectory(run, assumed_spindle)
+        error = signal - observation.reference(
+            assumed, setup.mountings[name], times, attitude=setup.attitudes[run]
+        )
+        readings = Strobes(times, error, np.ones_like(times), 0)
+        parabola = request.first_stage(readings, assumed, request.timing)
+        return StrobedRun(setup.runs[run], assumed, parabola, setup.attitudes[run])
+
+    def _clock_scale(self, run: int) -> float:
+        """Return the indicated time of a run's recorder over the true time."""
+        return 1.0 + float(self.draws.input_error(CLOCK, self.setup.recorders[run])[0])
+
+    def _estimate_rotation(
+        self, run: int, true_spindle: Spindle, timestamps: Array, times: Array
+    ) -> RunRotation:
+        """Return the rotation that a run's recorded angle shows.
+
+        timestamps: Recorded times of the rows, s.
+        times: Their true times, s.
+        """
+        setup, delay = self.setup, float(self.draws.input_error(TIMING)[0])
+        if not setup.angle_recorded:
+            return RunRotation(Spindle(setup.spindles[run].rate))
+        angle = true_spindle.angle(times + delay)
+        angle_error = encoder_error(self._true_values("", run), angle)
+        # Drawn in any case, so that trials of other true values have the same noise of the output.
+        recorded = setup.noise.noisy_angles(self.generator, angle + angle_error)
+        if (
+            setup.noise.angle == 0.0
+            and not angle_error.any()
+            and np.array_equal(timestamps, times + delay)
+        ):
+            return RunRotation(true_spindle)
+        fit = fit_spindle(timestamps, recorded, setup.spindles[run].rate)
+        return RunRotation(fit.spindle, fit)
+
+    def _noisy_output(self, run: int, name: str, spindle: Spindle, times: Array) -> Array:
+        """Return the noisy output at the times."""
+        setup = self.setup
+        signal = simulation.simulate_record(
+            setup.true_trajectory(run, spindle, self.draws),
+            setup.mountings[name],
+            self._true_values(name, run),
+            self._true_values("", run),
+            times,
+            setup.observables[name],
+            attitude=setup.attitudes[run],
+        )
+        if name in setup.outputs_in_g:
+            # In g of the true gravity, and read with the stated one.
+            stated_gravity = setup.site.gravity
+            signal = signal * (
+                stated_gravity / (stated_gravity + float(self.draws.input_error("site.gravity")[0]))
+            )
+        return setup.noise.noisy_signal(
+            self.generator,
+            times,
+            signal,
+            setup.observables[name],
+            setup.conditions[run].start,
+        )
+
+    def _true_values(self, owner: str, run: int) -> dict[str, float]:
+        """Return the true values of an accelerometer in a run, or of the shared terms."""
+        return {
+            symbol: float(run_values(values, run)[0])
+            for (key_owner, symbol), values in self.draws.values.items()
+            if key_owner == owner
+        }
+
+
+@frozen
+class DrawnPoses:
+    """Poses of a triad whose attitudes the analysis does not know."""
+
+    group: TriadPoses  #: As the fit takes them, with the noise-free indications.
+    directions: Array  #: True directions of the specific force, shape (n, 3).
+    noise: Array  #: True standard deviation of each indication, g, shape (n, 3).
+
+
+_NO_NOISE: Final = "the readings have no noise, so that results do not scatter"
+
+
+@frozen
+class TrialReadings:
+    """The readings of a campaign in each trial."""
+
+    readings: tuple[Reading, ...]  #: Of the campaign, m of them, in its order.
+    #: Groups of readings for the fit, with the indices of each group's readings.
+    numbered_groups: tuple[tuple[Readings, tuple[int, ...]], ...]
+    noise: Array  #: True standard deviation of the mean of each reading's repeats, g, shape (m,).
+    #: Degrees of freedom of an uncertainty that each trial estimates again, as that of a record
+    #: is; infinite where it is stated; shape (m,).
+    estimated_dof: Array
+    poses: tuple[DrawnPoses, ...]  #: Poses at unknown attitudes, in addition.
+    rates: Array  #: True rate of each reading, rad/s, shape (m,).
+
+    @classmethod
+    def from_campaign(cls, campaign: Campaign) -> TrialReadings:
+        """Return the readings of a campaign; raise ValueError if they have no noise."""
+        assert campaign.simulation is not None
+        stated_noises, rates = campaign.simulation.truth.reading_noise, true_rates(campaign)
+        readings, noise, estimated_dof = [], [], []
+        for reading, rate in zip(campaign.readings, rates.tolist(), strict=True):
+            stated_noise = stated_noises.get(reading.accelerometer)
+            true_noise = (
+                (reading.u or 0.0)
+                if stated_noise is None
+                else stated_noise / math.sqrt(reading.repeats)
+            )
+            dof = math.inf
+            if reading.record is not None:
+                true_noise, dof = _record_noise(campaign, reading)
+            if true_noise <= 0.0 and reading.u is None:
+                raise ValueError(f"{_NO_NOISE}: {reading.name}")
+            # Drawn values are not rounded.
+            reading_u = true_noise if math.isfinite(dof) else reading.u
+            # An angle shows the true rate; of its noise, u of the rate is negligible.
+            measured_rate = MeasuredRate(rate, 0.0) if reading.by_clock else None
+            readings.append(
+                replace(reading, value=0.0, u=reading_u, resolution=0.0, measured=measured_rate)
+            )
+            noise.append(true_noise)
+            estimated_dof.append(dof)
+        noise_free_campaign = replace(campaign, readings=tuple(readings))
+        return cls(
+            noise_free_campaign.readings,
+            tuple(
+                (group, tuple(indices))
+                for group, indices in numbered_groups(
+                    noise_free_campaign, noise_free_campaign.readings
+                )
+            ),
+            np.array(noise),
+            np.array(estimated_dof),
+            tuple(_make_drawn_poses(campaign)),
+            rates,
+        )
+
+    def groups(
+        self, draws: Draws, generator: np.random.Generator, model: Unknowns
+    ) -> list[Readings | TriadPoses]:
+        """Return the readings of one trial, as the fit takes them."""
+        return [*self._draw_readings(draws, generator, model), *self._draw_poses(draws, generator)]
+
+    @property
+    def with_true_noise(self) -> list[Readings | TriadPoses]:
+        """Readings and poses, each with its true standard deviation as its uncertainty."""
+        readings = [
+            replace(group, u=np.maximum(self.noise[list(indices)], 1e-15))
+            for group, indices in self.numbered_groups
+        ]
+        poses = [
+            replace(drawn_poses.group, u=np.maximum(drawn_poses.noise, 1e-15))
+            for drawn_poses in self.poses
+        ]
+        return [*readings, *poses]
+
+    def _draw_poses(self, draws: Draws, generator: np.random.Generator) -> Iterator[TriadPoses]:
+        """Yield the poses of one trial."""
+        true_values = {key: float(value.mean()) for key, value in draws.values.items()}
+        for drawn_poses in self.poses:
+            group = drawn_poses.group
+            coefficients = [
+                {symbol: value for (owner, symbol), value in true_values.items() if owner == name}
+                for name in group.accelerometers
+            ]
+            value = predict_indications(group, coefficients, drawn_poses.directions)
+            gravity = float(draws.input_error("site.gravity")[0])
+            value = value * (1.0 + group.in_si * gravity / group.gravity)
+            value = value + drawn_poses.noise * generator.standard_normal(value.shape)
+            repeats = group.repeats[:, None]
+            sums_of_squares = 2.0 * generator.standard_gamma(np.tile(0.5 * (repeats - 1.0), 3))
+            scatter = np.sum(sums_of_squares * drawn_poses.noise**2 * repeats, axis=1)
+            yield replace(group, value=value, scatter=scatter)
+
+    def _draw_readings(
+        self, draws: Draws, generator: np.random.Generator, model: Unknowns
+    ) -> Iterator[Readings]:
+        """Yield the readings of one trial."""
+        errors = head_errors(self.readings, generator)
+        has_rate_noise = any(np.any(group.u_rate) for group, _ in self.numbered_groups)
+        rate_errors = (
+            draw_by_run(self.readings, generator) if has_rate_noise else np.zeros_like(errors)
+        )
+        noise = self.noise * generator.standard_normal(self.noise.size)
+        true_values = {key: float(value.mean()) for key, value in draws.values.items()}
+        shared_values = {
+            symbol: value
+            for (owner, symbol), value in true_values.items()
+            if not owner and affects_readings(symbol)
+        }
+        input_errors = {symbol: float(draws.input_error(symbol)[0]) for symbol in INPUT_STEPS}
+        # A radius with its default prior is a deviation from that of the centrifuge.
+        parameters = (*model.unknowns, *model.considered)
+        known_symbols = {*shared_values, *(parameter.symbol for parameter in parameters)}
+        known_symbols -= {
+            parameter.symbol for parameter in parameters if parameter.has_default_prior
+        }
+        for group, index_tuple in self.numbered_groups:
+            indices = list(index_tuple)
+            coefficients = {
+                s: value
+                for (owner, s), value in true_values.items()
+                if owner == group.accelerometer
+            }
+            # The analysis assumes the stated values of the inputs, not the true ones.
+            actual = apply_rates(group, self.rates[indices])
+            for symbol, input_error in input_errors.items():
+                actual = with_input(actual, symbol, input_error, known_symbols)
+            for name in dict.fromkeys(filter(None, group.clocks)):
+                symbol = symbol_of(name)
+                clock_error = draws.input_error(
+                    symbol, name.removesuffix(symbol).removesuffix(".")
+                )[0]
+                actual = with_input(actual, name, float(clock_error), known_symbols)
+            actual = actual.with_rate_errors(rate_errors[indices] * group.u_rate)
+            value = indications(actual, coefficients, shared_values, errors[indices])
+            value = value * (1.0 + group.in_si * input_errors["site.gravity"] / group.site.gravity)
+            value = value + noise[indices]
+            result = replace(group, value=value)
+            if group.u is None:
+                repeats = group.repeats - 1.0
+                scatter = 2.0 * generator.standard_gamma(0.5 * repeats)
+                variances = self.noise[indices] ** 2 * group.repeats
+                result = replace(result, scatter=scatter * variances)
+            elif np.isfinite(self.estimated_dof[indices]).any():
+                dof = np.where(
+                    np.isfinite(self.estimated_dof[indices]), self.estimated_dof[indices], 1.0
+                )
+                sigma = self.noise[indices] * np.sqrt(
+                    2.0 * generator.standard_gamma(0.5 * dof) / dof
+                )
+                result = replace(
+                    result, u=np.where(np.isfinite(self.estimated_dof[indices]), sigma, group.u)
+                )
+            yield result
+
+
+def _make_drawn_poses(campaign: Campaign) -> Iterator[DrawnPoses]:
+    """Yield the poses of a campaign in two groups: those with a stated noise, and the rest."""
+    assert campaign.simulation is not None
+    poses, directions = true_poses(campaign), true_directions(campaign)
+    stated_noises = campaign.simulation.truth.reading_noise
+    for states_noise in (True, False):
+        indices = [
+            index
+            for index, pose in enumerate(poses)
+            if all(reading.u is not None for reading in pose) is states_noise
+        ]
+        if not indices:
+            continue
+        noise = np.array(
+            [
+                [
+                    stated_noises[reading.accelerometer] / math.sqrt(reading.repeats)
+                    if reading.accelerometer in stated_noises
+                    else reading.u or 0.0
+                    for reading in poses[index]
+                ]
+                for index in indices
+            ]
+        )
+        if not states_noise and not noise.all():
+            raise ValueError(f"{_NO_NOISE}: {poses[indices[0]][0].name}")
+        # Drawn values are not rounded.
+        group = replace(make_group(campaign, [poses[index] for index in indices]), resolution=0.0)
+        yield DrawnPoses(group, directions[indices], noise)
+
+
+def _record_noise(campaign: Campaign, reading: Reading) -> tuple[float, float]:
+    """Return the standard deviation of a record's mean, g, and its degrees of freedom."""
+    assert campaign.simulation is not None
+    duration = reading.duration or 0.0
+    rate = campaign.simulation.sampling_rate
+    revolutions = math.floor(duration * abs(reading.rate) / (2.0 * math.pi) + 1e-9)
+    if reading.rate and revolutions:
+        duration = revolutions * 2.0 * math.pi / abs(reading.rate)
+    dof = max(segment_count(math.floor(duration * rate)) - 1.0, 1.0)
+    return mean_noise(campaign, duration), dof
+
+
+@frozen
+class FullEngine:
+    """Full simulation of the trials of any analysis, one by one."""
+
+    setup: SimulationSetup | None  #: Set-up of the records; None: there are none.
+    request: TwoStageRequest | JointRequest  #: Options of the analysis.
+    joint_request: JointRequest  #: The joint fit that estimates noise that is not stated.
+    owner: str = ""  #: The accelerometer of a two-stage analysis.
+    rows: tuple[int, ...] = ()  #: Places of the joint model's unknowns that are reported.
+    readings: TrialReadings | None = None  #: Of a joint analysis; None: there are none.
+
+    def run_trials(self, draws: Draws, generator: np.random.Generator) -> TrialResults:
+        """Return the results of the analysis for n trials; see `TrialEngine`."""
+        results = [self._run_trial(draws.take(index), generator) for index in range(draws.trials)]
+        return TrialResults(*(np.array(values).T for values in zip(*results, strict=True)))
+
+    def _run_trial(
+        self, draws: Draws, generator: np.random.Generator
+    ) -> tuple[Array, Array, Array]:
+        """Return estimate, u and degrees of freedom of one trial, shape (c,) each."""
+        records = (
+            None if self.setup is None else TrialRecords.from_draws(self.setup, draws, generator)
+        )
+        if isinstance(self.request, TwoStageRequest):
+            assert records is not None
+            return self._run_two_stage(self.request, records)
+        model, estimation = self.request.model, None
+        if records is not None:
+            estimation = estimate(records.series(), model, self.request.noise)
+        if self.readings is not None:
+            groups = self.readings.groups(draws, generator, model)
+            estimation, _ = estimate_with_groups(estimation, model, groups)
+        assert estimation is not None
+        solution, unknowns = estimation.fit.solution, estimation.fit.model.unknowns
+        rows = list(self.rows)
+        nominal = np.array([unknowns[i].nominal for i in rows])
+        return solution.estimate[rows] + nominal, solution.u[rows], estimation.dof[rows]
+
+    def _run_two_stage(
+        self, request: TwoStageRequest, records: TrialRecords
+    ) -> tuple[Array, Array, Array]:
+        setup, components = records.setup, None
+        has_timing_noise = setup.noise.timing > 0.0 or setup.stated_timing_noise[0] > 0.0
+        corrects = setup.angle_recorded and has_timing_noise
+        if request.random_walk is None or corrects:
+            series = tuple(records.series())
+            if request.random_walk is None:
+                estimation = estimate(series, self.joint_request.model, self.joint_request.noise)
+                components = estimation.estimated_noise[self.owner]
+                request = request.with_noise(components.noise)
+                corrected = estimation.series
+            else:
+                corrected = correct_series(
+                    series, self.joint_request.model, self.joint_request.noise
+                )
+            runs = [
+                _make_strobed_run(
+                    record.correct_times(corrected_record.corrected_fraction).with_timestamp_noise(
+                        corrected_record.timestamp_sd
+                    ),
+                    request,
+                )
+                for record, corrected_record in zip(series, corrected, strict=True)
+                if record.accelerometer == self.owner
+            ]
+        else:
+            runs = [records.strobed_run(run, self.owner, request) for run in range(len(setup.runs))]
+        second_stage_result = second_stage(runs, setup.mountings[self.owner], request, ignored=())
+        if components is not None:
+            second_stage_result = with_estimated_noise(
+                second_stage_result, components.noise, components
+            )
+        solution = second_stage_result.fit.solution
+        return solution.estimate, solution.u, np.asarray(second_stage_result.dof)
+
+
+def _make_strobed_run(record: ResidualSeries, request: TwoStageRequest) -> StrobedRun:
+    """Return a run whose strobes are read from its whole record, as `calibrate` does."""
+    phase = strobe_angle(record.mounting.turned(record.attitude).input_axis)
+    angle = record.trajectory.spindle.angle(record.time)
+    strobes = by_angle(record.time, angle, record.error, phase)
+    parabola = request.first_stage(strobes, record.trajectory, record.timestamp_sd)
+    return StrobedRun(record.run, record.trajectory, parabola, record.attitude)
