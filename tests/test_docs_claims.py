@@ -43,7 +43,7 @@ from counterspin.records import column_file, outliers, reduction
 from counterspin.reproduction import plan as paper
 from counterspin.studies.result import MIN_TRIALS
 from counterspin.validation.cases import cases
-from counterspin.validation.validate import check
+from counterspin.validation.validate import check_case
 from kept_table import RATES
 
 ARCSEC = math.radians(1.0 / 3600.0)
@@ -465,7 +465,7 @@ def test_integrals_are_as_good_as_is_told():
         ("integrals, ", 8, number),
         ("integrals of a jump, ", 4, of_jumps),
     ):
-        checked = [check(case) for case in cases() if case.name.startswith(beginning)]
+        checked = [check_case(case) for case in cases() if case.name.startswith(beginning)]
         assert len(checked) == count
         for case in checked:
             allowed = value_of(limit) * abs(case.expected) + 1e-12

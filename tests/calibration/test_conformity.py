@@ -5,7 +5,7 @@ from campaigns import SMALL, write
 from results import accelerometer
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.conformity import conformity, with_conformity
+from counterspin.calibration.conformity import judge_accelerometer, judge_conformity
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.pages.document import sections
 from counterspin.calibration.pages.verdict import conformity_blocks
@@ -97,7 +97,7 @@ def specified(**table):
 def test_a_prior_is_no_measurement(value):
     stated = specified(K_II="abs <= 5e-5 g/g^2")
     known = having(value=value, u=None if value is None else 1e-6, estimated=False)
-    verdict = conformity(known, stated.terms["Qx"], stated.rule, model="exact")["K_II"]
+    verdict = judge_accelerometer(known, stated.terms["Qx"], stated.rule, model="exact")["K_II"]
     assert verdict.verdict == "undecided"
     assert verdict.reason == "the records do not determine K_II"
     assert (verdict.guard_band, verdict.probability, verdict.risk) == (None, None, None)
@@ -116,7 +116,7 @@ def test_a_prior_is_no_measurement(value):
 def test_undecided_says_why(rule, reason):
     stated = specified(K_II="<= 5e-5 g/g^2", **rule)
     near = having(value=4.8e-5, u=1e-6, dof=5.0, estimated=True)
-    verdict = conformity(near, stated.terms["Qx"], stated.rule, model="exact")["K_II"]
+    verdict = judge_accelerometer(near, stated.terms["Qx"], stated.rule, model="exact")["K_II"]
     assert verdict.verdict == "undecided"
     assert reason in verdict.reason
     assert verdict.risk is None
@@ -162,6 +162,6 @@ def test_report_shows_verdicts_before_the_rest(found):
     ],
 )
 def test_rule_is_stated(found, rule, words):
-    told = texts(conformity_blocks(with_conformity(found, specified(K_II="<= 1 g/g^2", **rule))))
+    told = texts(conformity_blocks(judge_conformity(found, specified(K_II="<= 1 g/g^2", **rule))))
     assert words in told
     assert "Guard bands" not in told

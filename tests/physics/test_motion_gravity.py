@@ -6,13 +6,13 @@ import pytest
 
 from counterspin.physics.motion import HEIGHTS, gravity_range, latitudes_with, normal_gravity
 from counterspin.validation.cases import case
-from counterspin.validation.validate import check
+from counterspin.validation.validate import check_case
 
 
 @pytest.mark.parametrize("where", ["at the equator", "at a pole", "at 45 degrees"])
 def test_on_the_ellipsoid(where):
     stated = case(f"normal gravity {where}")
-    assert check(stated).state == "passed"
+    assert check_case(stated).state == "passed"
     south = normal_gravity(-math.radians(stated.given["degrees"]))
     assert south == pytest.approx(float(stated.expected["gravity"]), abs=stated.absolute)
 

@@ -10,7 +10,7 @@ import pytest
 
 from counterspin.inference.least_squares import fit
 from counterspin.validation.cases import case
-from counterspin.validation.validate import check
+from counterspin.validation.validate import check_case
 
 CASE = case("GUM H.3")
 READING = 20.0 + np.array(CASE.given["x"])
@@ -21,7 +21,7 @@ def test_curve_and_its_prediction():
     result = fit(np.column_stack([np.ones(11), READING - 20.0]), CORRECTION)
     correlation = result.covariance[0, 1] / np.prod(result.u)
     # Half a unit of the last digit printed.
-    assert check(CASE).state == "passed"
+    assert check_case(CASE).state == "passed"
     assert correlation == pytest.approx(-0.930, abs=0.5e-3)
     assert result.sigma_from_residuals
     assert result.dof == 9

@@ -11,13 +11,13 @@ import pytest
 
 from counterspin.inference.least_squares import fit
 from counterspin.validation.cases import case
-from counterspin.validation.validate import check
+from counterspin.validation.validate import check_case
 
 
 @pytest.mark.parametrize("weights", ["equal weights", "unequal weights"])
 def test_example(weights):
     stated = case(f"ISO/TS 28037, {weights}")
-    assert check(stated).state == "passed"
+    assert check_case(stated).state == "passed"
     design = [[1.0, x] for x in stated.given["x"]]
     result = fit(design, stated.given["y"], stated.given["sigma"])
     assert not result.sigma_from_residuals

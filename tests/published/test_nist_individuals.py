@@ -7,14 +7,14 @@ factor 1.128 of the moving range, which has more digits here.
 
 from counterspin.histories.consistency import individuals_chart
 from counterspin.validation.cases import case
-from counterspin.validation.validate import check
+from counterspin.validation.validate import check_case
 
 CASE = case("individuals chart of a flow rate")
 
 
 def test_flow_rate():
     # The limits' own: 1.128 and 1.128379 differ by 3.4e-4 of the distance of 4.99 from the centre.
-    assert check(CASE).state == "passed"
+    assert check_case(CASE).state == "passed"
     values = CASE.given["values"]
     found = individuals_chart(values, [str(place) for place in range(len(values))])
     assert (f"{found.action_low:.2f}", f"{found.action_high:.2f}") == ("45.82", "55.80")

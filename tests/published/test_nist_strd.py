@@ -11,22 +11,22 @@ import pytest
 
 from counterspin.inference.least_squares import fit
 from counterspin.validation.cases import case, cases
-from counterspin.validation.kernels import ask
-from counterspin.validation.validate import check
+from counterspin.validation.kernels import run_case
+from counterspin.validation.validate import check_case
 
 NIST = [one.name for one in cases() if one.name.startswith("NIST")]
 
 
 def digits(name, quantity):
     """Right digits of the worst number, at most the 15 that are certified."""
-    computed, certified = ask(case(name))[quantity], case(name).expected[quantity]
+    computed, certified = run_case(case(name))[quantity], case(name).expected[quantity]
     error = np.abs(np.asarray(computed) - certified) / np.abs(certified)
     return -np.log10(np.maximum(error, 1e-15)).min()
 
 
 @pytest.mark.parametrize("name", NIST)
 def test_certified_values(name):
-    checked = check(case(name))
+    checked = check_case(case(name))
     assert checked.state == "passed", checked
 
 

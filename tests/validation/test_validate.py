@@ -16,7 +16,7 @@ from counterspin.physics.terms import TERMS
 from counterspin.records.format_registry import RECORD_FORMATS
 from counterspin.validation import validate as validating
 from counterspin.validation.cases import case, cases
-from counterspin.validation.validate import DOSSIER_FILES, check, validate
+from counterspin.validation.validate import DOSSIER_FILES, check_case, validate
 
 #: What says yes or no, or makes a document, and is tried on its own.
 CHECKS = (
@@ -149,7 +149,7 @@ def test_a_kernel_that_is_off_by_a_millionth_is_named(kernel, monkeypatch):
         owner = getattr(owner, part)
     right = getattr(owner, last)
     monkeypatch.setattr(owner, last, lambda *given, **more: off(right(*given, **more)))
-    states = {one.name: check(one).state for one in cases() if one.kernel == kernel}
+    states = {one.name: check_case(one).state for one in cases() if one.kernel == kernel}
     assert "failed" in states.values(), states
 
 
@@ -184,7 +184,7 @@ def test_a_kernel_that_raises_is_a_failure(monkeypatch):
     from counterspin.inference import least_squares
 
     monkeypatch.setattr(least_squares, "fit", lambda *_: 1 / 0)
-    checked = check(case("GUM H.3"))
+    checked = check_case(case("GUM H.3"))
     assert checked.state == "failed"
     assert "ZeroDivisionError" in checked.note
 

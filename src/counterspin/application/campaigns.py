@@ -17,7 +17,7 @@ from counterspin.application.keeping import COPY_PREFIX, free_name, trash_conten
 from counterspin.application.laboratory import PROFILE_NAME
 from counterspin.application.record_plots import STUDY_NAME
 from counterspin.calibration.options import Method
-from counterspin.calibration.pages.accelerometer import in_field_units
+from counterspin.calibration.pages.accelerometer import to_field_units
 from counterspin.calibration.pages.card import STATE_WORDS
 from counterspin.calibration.result import Result
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, table_of
@@ -118,7 +118,7 @@ def _result_line(desk: Desk, path: Path) -> dict[str, Any] | None:
     answers = []
     for accelerometer, found in result.accelerometers.items():
         if (k_ii := found.coefficients.get("K_II")) is not None:
-            value, u, unit = in_field_units(k_ii)
+            value, u, unit = to_field_units(k_ii)
             text = format_estimate(value, u, unit) if k_ii.estimated else "not determined"
             answers.append({"name": f"K_II of {accelerometer}", "text": typeset(text)})
     return {

@@ -17,7 +17,7 @@ from counterspin.application.folder import NotThereError
 from counterspin.application.jobs import Job, Progress, report_progress
 from counterspin.application.keeping import copy_campaign, free_name
 from counterspin.arrays import Array
-from counterspin.calibration.pages.uncertainty import KNOWN_BETTER
+from counterspin.calibration.pages.uncertainty import IMPROVEMENT_FACTOR
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.campaign.documents import DESCRIPTION_NAME, key_path, load_document
@@ -213,11 +213,14 @@ def _stated(result: Result, owner: str) -> Iterator[dict[str, Any]]:
     for line in lines:
         known = update.known.get(line.source)
         if line.kind == "unstated" and known is not None and _is_prior(line.source):
-            left[line.source] = update.u(symbol, {line.source: KNOWN_BETTER * known})
+            left[line.source] = update.u(symbol, {line.source: IMPROVEMENT_FACTOR * known})
     for source in sorted(left, key=lambda one: left[one]):
         if left[source] > _WORTH * now:
             return
-        size, unit_of_source = KNOWN_BETTER * update.known[source], term(symbol_of(source)).unit
+        size, unit_of_source = (
+            IMPROVEMENT_FACTOR * update.known[source],
+            term(symbol_of(source)).unit,
+        )
         yield {
             "symbol": symbol,
             "source": source,
@@ -332,7 +335,7 @@ def _prior(result: Result, accelerometer: str) -> tuple[tuple[str, str], str]:
     symbol = symbol_of(source)
     row = term(symbol)
     key = f"{accelerometer}.{source}" if symbol in ACCELEROMETER_TERMS else symbol
-    size = KNOWN_BETTER * update.known[source]
+    size = IMPROVEMENT_FACTOR * update.known[source]
     return (key, f"{row.nominal:g} ± {size:.2g} {row.unit}"), symbol
 
 

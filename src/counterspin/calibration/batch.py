@@ -102,8 +102,8 @@ def calibrate_many(
             record_outcome(index, attempt(directories[index], *arguments))
     else:
 
-        def run_pool(some: Sequence[int], count: int) -> list[int]:
-            jobs = {index: (directories[index], *arguments) for index in some}
+        def run_pool(jobs_to_run: Sequence[int], count: int) -> list[int]:
+            jobs = {index: (directories[index], *arguments) for index in jobs_to_run}
             return _run_pool(jobs, replace(workers, processes=count), record_outcome)
 
         try:

@@ -15,7 +15,7 @@ _AS_PRINTED: Final = "the equations as printed return half the true K_II and sup
 _REJECTED: Final = "the records contradict the result, which supports no verdict"
 
 
-def with_conformity(result: Result, specifications: Specifications) -> Result:
+def judge_conformity(result: Result, specifications: Specifications) -> Result:
     """Return the result with `conformity` of every accelerometer that has a specification.
 
     specifications: From the campaign or the laboratory's file; those that the result has are
@@ -24,7 +24,7 @@ def with_conformity(result: Result, specifications: Specifications) -> Result:
     accelerometers = {
         name: accelerometer.model_copy(
             update={
-                "conformity": conformity(
+                "conformity": judge_accelerometer(
                     accelerometer,
                     specifications.terms.get(name, {}),
                     specifications.rule,
@@ -39,7 +39,7 @@ def with_conformity(result: Result, specifications: Specifications) -> Result:
     return result.model_copy(update={"accelerometers": accelerometers})
 
 
-def conformity(
+def judge_accelerometer(
     accelerometer: AccelerometerResult,
     specifications: Mapping[str, Specification],
     rule: DecisionRule,
@@ -50,30 +50,30 @@ def conformity(
     """Return the verdicts by term; undecided, with the reason, where there is no estimate.
 
     model: The result's observation model, ``exact`` or ``as-printed``.
-    rejected: Whether the records contradict the result and nobody has accepted that.
+    rejected: True if the records contradict the result and the misfit was not accepted.
     """
-    general = _AS_PRINTED if model == "as-printed" else _REJECTED if rejected else None
+    general_reason = _AS_PRINTED if model == "as-printed" else _REJECTED if rejected else None
     return {
-        symbol: _verdict(accelerometer, symbol, specification, rule, general)
+        symbol: _judge_term(accelerometer, symbol, specification, rule, general_reason)
         for symbol, specification in specifications.items()
     }
 
 
-def _verdict(
+def _judge_term(
     accelerometer: AccelerometerResult,
     symbol: str,
     specification: Specification,
     rule: DecisionRule,
-    general: str | None,
+    general_reason: str | None,
 ) -> Conformity:
-    """Return one verdict; `general` is why none rests on any number of this result."""
+    """Return the verdict on a term; `general_reason` makes every verdict undecided."""
     coefficient = accelerometer.coefficients.get(symbol)
     if coefficient is None:
         reason = f"{symbol} is not among the terms of the model"
     elif not coefficient.estimated or coefficient.value is None or coefficient.u is None:
         reason = f"the records do not determine {symbol}"
-    elif general is not None:
-        reason = general
+    elif general_reason is not None:
+        reason = general_reason
     else:
         return decide(coefficient.value, coefficient.u, coefficient.dof, specification, rule)
     return undecided(specification, rule, reason)

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 DIAGNOSIS: Final = "counterspin.calibration.diagnosis.search:diagnose"
 TWO_STAGE: Final = "counterspin.calibration.two_stage.method:calibrate_two_stage"
-CONFORMITY: Final = "counterspin.calibration.conformity:with_conformity"
+CONFORMITY: Final = "counterspin.calibration.conformity:judge_conformity"
 READINGS: Final = "counterspin.readings.joint_data:join_readings"
 TWO_STAGE_COMPARISON: Final = "counterspin.calibration.two_stage.comparison:compare_k_ii"
-TRACES: Final = "counterspin.calibration.pages.traces:traces"
+TRACES: Final = "counterspin.calibration.pages.traces:thin_residuals"
 
 
 @frozen

@@ -207,7 +207,7 @@ def state_of(findings: Sequence[Finding]) -> State:
 
 
 def refusal_reason(result: Result, names: Iterable[str]) -> str | None:
-    """Return why a result may not be certified or applied; None if it may."""
+    """Return the reason against certifying or applying a result; None if there is none."""
     if result.accepted_misfit is not None:
         return None
     for name in names:
@@ -243,7 +243,7 @@ def _check_model(
 
 
 def _check_shared_terms(result: Result) -> Iterator[Finding]:
-    """Yield what platform, machine, runs and all that is unstated have that nothing has."""
+    """Yield findings on platform, machine, runs and default priors."""
     run_terms = (
         (symbol, f"{run}.{symbol}", c)
         for run, run_result in result.runs.items()
@@ -267,7 +267,7 @@ def _deviation(c: Coefficient, nominal: float) -> Coefficient:
 def check_statistics(
     name: str, accelerometer: AccelerometerResult, gravity: float, accelerometer_count: int
 ) -> Iterator[Finding]:
-    """Yield what follows from the residuals, the noise, the runs and the two-stage method.
+    """Yield findings from the residuals, the noise, the runs and the two-stage method.
 
     gravity: m/s^2.
     """
@@ -349,7 +349,7 @@ def _is_acceptable_fit(residual: Residual, accelerometer_count: int = 1) -> bool
 
 
 def _noise_ratio(residual: Residual) -> float | None:
-    """Return how many times as large as the stated noise the residuals are."""
+    """Return the size of the residuals relative to the stated noise."""
     if residual.chi2 is None or not residual.dof > 0.0:
         return None
     return math.sqrt(residual.chi2 / residual.dof)
@@ -420,7 +420,7 @@ def methods_agree(comparison: Comparison, excess: float = 1.0) -> bool:
 
 
 def supporting_evidence(accelerometer: AccelerometerResult) -> Iterator[tuple[str, str]]:
-    """Yield what speaks for a result: what was checked, and a clause without a full stop."""
+    """Yield the evidence for a result: the check, and a clause without a full stop."""
     residual = accelerometer.residual
     p = residual.lack_of_fit_p
     if p is not None and _is_acceptable_fit(residual):

@@ -100,7 +100,7 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
 
 
 def detect_detrending(moments_by_run: Mapping[str, Array]) -> tuple[int, list[str]]:
-    """Return how many of 1, t and t^2 a recorder removed from a signal, and in which runs.
+    """Return the number of terms of 1, t, t^2 that a recorder removed from a signal, and the runs.
 
     moments_by_run: Run -> parts of the signal's column, as of `Record.polynomials`.
     """

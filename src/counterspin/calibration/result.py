@@ -72,7 +72,7 @@ class Result(ReportableResult):
     are taken as perfect.
     """
 
-    BLOCKS: ClassVar[str] = "counterspin.calibration.pages.document:first_screen"
+    BLOCKS: ClassVar[str] = "counterspin.calibration.pages.document:notebook_blocks"
     REPORT_BLOCKS: ClassVar[str] = "counterspin.calibration.pages.document:document"
     REPORT_KIND: ClassVar[str] = "a calibration report"
 
@@ -138,14 +138,14 @@ class Result(ReportableResult):
         for name, accelerometer in self.accelerometers.items():
             for symbol, c in accelerometer.coefficients.items():
                 c._gravity = self.gravity_of(name, symbol)
-        of_runs = (c for run in self.runs.values() for c in run.terms.values())
-        for c in (*self.platform.values(), *of_runs):
+        run_terms = (c for run in self.runs.values() for c in run.terms.values())
+        for c in (*self.platform.values(), *run_terms):
             c._gravity = StatedGravity(self.inputs.gravity, self.inputs.u_gravity)
 
     def gravity_of(self, name: str, symbol: str) -> StatedGravity:
         """Return the g in whose units an accelerometer's coefficient is, and what it does to it."""
         inputs = self.inputs
-        sensitivity = _to_gravity(self, self.accelerometers[name], symbol)
+        sensitivity = _gravity_sensitivity(self, self.accelerometers[name], symbol)
         return StatedGravity(inputs.gravity, inputs.u_gravity, sensitivity)
 
     def __getstate__(self) -> dict[Any, Any]:
@@ -171,12 +171,14 @@ class Result(ReportableResult):
             return self.platform[name]
         owners = {n: a.coefficients for n, a in self.accelerometers.items()}
         owners |= {n: run.terms for n, run in self.runs.items()}
-        for owner, own in owners.items():
+        for owner, coefficients in owners.items():
             symbol = name.removeprefix(f"{owner}.")
-            if symbol != name and symbol in own:
-                return own[symbol]
-        known = [f"{owner}.{symbol}" for owner, own in owners.items() for symbol in own]
-        raise KeyError(f"{name}; there are {', '.join([*known, *self.platform])}")
+            if symbol != name and symbol in coefficients:
+                return coefficients[symbol]
+        known_names = [
+            f"{owner}.{symbol}" for owner, coefficients in owners.items() for symbol in coefficients
+        ]
+        raise KeyError(f"{name}; there are {', '.join([*known_names, *self.platform])}")
 
     def __getitem__(self, name: str) -> Coefficient:
         """Return a coefficient by its whole name: ``result["Qx.K_II"]``; as `coefficient`."""
@@ -231,10 +233,10 @@ class Result(ReportableResult):
         ValueError
             If the forces are not finite, or of different lengths.
         """
-        made: Prediction = load_name("counterspin.correction.instrument:predict")(
-            self, self._name(accelerometer), force, pendulous, output_axis
+        prediction: Prediction = load_name("counterspin.correction.instrument:predict")(
+            self, self._accelerometer_name(accelerometer), force, pendulous, output_axis
         )
-        return made
+        return prediction
 
     @property
     def covariance(self) -> Covariance | None:
@@ -245,20 +247,22 @@ class Result(ReportableResult):
             ((name, accelerometer),) = self.accelerometers.items()
             correlation = accelerometer.correlation
             if correlation is not None:
-                own = accelerometer.coefficients
-                terms = [f"{name}.{s}" if s in own else s for s in correlation.terms]
+                coefficients = accelerometer.coefficients
+                terms = [f"{name}.{s}" if s in coefficients else s for s in correlation.terms]
                 correlation = correlation.model_copy(update={"terms": terms})
         if correlation is None:
             return None
-        found = {place: c for place, c in enumerate(map(self._found, correlation.terms)) if c}
-        places, u = list(found), np.array([c.u for c in found.values()], dtype=float)
+        determined = {
+            index: c for index, c in enumerate(map(self._determined, correlation.terms)) if c
+        }
+        indices, u = list(determined), np.array([c.u for c in determined.values()], dtype=float)
         return Covariance(
-            tuple(correlation.terms[place] for place in places),
-            np.outer(u, u) * np.array(correlation.matrix)[np.ix_(places, places)],
-            tuple(c.unit for c in found.values()),
+            tuple(correlation.terms[index] for index in indices),
+            np.outer(u, u) * np.array(correlation.matrix)[np.ix_(indices, indices)],
+            tuple(c.unit for c in determined.values()),
         )
 
-    def _found(self, name: str) -> Coefficient | None:
+    def _determined(self, name: str) -> Coefficient | None:
         """Return a coefficient with its u; None where somebody has taken it out of the result."""
         try:
             c = self.coefficient(name)
@@ -282,13 +286,13 @@ class Result(ReportableResult):
 
     def to_uncertainties(self) -> dict[str, Any]:
         """Return the coefficients for the package uncertainties, with their correlations."""
-        made: dict[str, Any] = load_name(f"{_CONVERSION}:to_uncertainties")(self)
-        return made
+        coefficients: dict[str, Any] = load_name(f"{_CONVERSION}:to_uncertainties")(self)
+        return coefficients
 
     def to_gtc(self) -> dict[str, Any]:
         """Return the coefficients for the package GTC, with their correlations."""
-        made: dict[str, Any] = load_name(f"{_CONVERSION}:to_gtc")(self)
-        return made
+        coefficients: dict[str, Any] = load_name(f"{_CONVERSION}:to_gtc")(self)
+        return coefficients
 
     def residuals(self, accelerometer: str | None = None, run: str | None = None) -> pl.DataFrame:
         """Return the residuals of the records, of all accelerometers and runs or of those named.
@@ -312,14 +316,14 @@ class Result(ReportableResult):
         """
         if self._residuals is None:
             raise CounterspinError(_NO_RESIDUALS)
-        named = {"accelerometer": accelerometer, "run": run}
-        asked = {column: name for column, name in named.items() if name is not None}
-        chosen = self._residuals.filter(**asked) if asked else self._residuals
-        if chosen.is_empty():
-            known = self._residuals.select(*named).unique(maintain_order=True).rows()
-            names = ", ".join(f"{owner} in {name}" for owner, name in known)
+        criteria = {"accelerometer": accelerometer, "run": run}
+        filters = {column: name for column, name in criteria.items() if name is not None}
+        selected = self._residuals.filter(**filters) if filters else self._residuals
+        if selected.is_empty():
+            available = self._residuals.select(*criteria).unique(maintain_order=True).rows()
+            names = ", ".join(f"{owner} in {name}" for owner, name in available)
             raise KeyError(f"no residuals of {accelerometer} in {run}; there are those of {names}")
-        return chosen
+        return selected
 
     def plot(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
         """Draw the residuals over time, a picture a run.
@@ -330,41 +334,43 @@ class Result(ReportableResult):
 
     def plot_residuals(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
         """Draw the residuals over time, a picture a run; `axes` as for `plot`."""
-        return self._pictures("residuals_over_time", accelerometer, axes)
+        return self._plot_pictures("residuals_over_time", accelerometer, axes)
 
     def plot_spectrum(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
         """Draw the spectrum of the whitened residuals."""
-        return self._pictures("residual_spectra", accelerometer, axes)
+        return self._plot_pictures("residual_spectra", accelerometer, axes)
 
     def plot_budget(
         self, accelerometer: str | None = None, coefficient: str = "K_II", *, axes: Any = None
     ) -> list[Any]:
-        """Draw what the uncertainty of a coefficient consists of."""
-        name = self._name(accelerometer)
+        """Draw the uncertainty budget of a coefficient."""
+        name = self._accelerometer_name(accelerometer)
         bars = load_name(f"{_PICTURES}:budget_bars")(name, self.accelerometers[name], coefficient)
-        return self._drawn([] if bars is None else [bars], axes)
+        return self._draw([] if bars is None else [bars], axes)
 
-    def _pictures(self, which: str, accelerometer: str | None, axes: Any) -> list[Any]:
-        name = self._name(accelerometer)
-        shown = load_name(f"{_PICTURES}:{which}")(name, self.accelerometers[name], self.runs)
-        return self._drawn([*shown], axes)
+    def _plot_pictures(self, function_name: str, accelerometer: str | None, axes: Any) -> list[Any]:
+        name = self._accelerometer_name(accelerometer)
+        pictures = load_name(f"{_PICTURES}:{function_name}")(
+            name, self.accelerometers[name], self.runs
+        )
+        return self._draw([*pictures], axes)
 
-    def _name(self, accelerometer: str | None) -> str:
+    def _accelerometer_name(self, accelerometer: str | None) -> str:
         """Return the accelerometer meant: the first one where none is named."""
         name = accelerometer or next(iter(self.accelerometers))
         if name not in self.accelerometers:
             raise KeyError(f"{name}; there are {', '.join(self.accelerometers)}")
         return name
 
-    def _drawn(self, pictures: Sequence[Picture], axes: Any) -> list[Any]:
+    def _draw(self, pictures: Sequence[Picture], axes: Any) -> list[Any]:
         if not pictures:
             raise CounterspinError("the result does not contain the data for this picture")
         return draw_pictures(pictures, axes)
 
     def __repr__(self) -> str:
         """Return state, coefficients and the gravest finding, at most 20 lines."""
-        made: str = load_name(f"{_CONVERSION}:summarize")(self)
-        return made
+        text: str = load_name(f"{_CONVERSION}:summarize")(self)
+        return text
 
     __str__ = __repr__
 
@@ -378,7 +384,7 @@ class Result(ReportableResult):
         )
 
     def validation_errors(self) -> Iterator[str]:
-        """Yield what would be applied or shown wrongly, though each part looks like one."""
+        """Yield the contradictions between the parts of a result."""
         yield from load_name(f"{_FILE}:find_faults")(self)
 
 
@@ -386,11 +392,11 @@ read_result = Result.read
 write_result = Result.write
 
 
-def _to_gravity(result: Result, accelerometer: AccelerometerResult, symbol: str) -> float:
+def _gravity_sensitivity(result: Result, accelerometer: AccelerometerResult, symbol: str) -> float:
     """Return the sensitivity of a coefficient to the assumed g, per m/s^2."""
     c = accelerometer.coefficients[symbol]
-    earlier = result.method == "two-stage" and not accelerometer.budget
-    if earlier and symbol in TERMS and c.value is not None:
+    is_early_version = result.method == "two-stage" and not accelerometer.budget
+    if is_early_version and symbol in TERMS and c.value is not None:
         # Without a budget: b2 of a coefficient of degree n goes with g^(1-n).
         return (len(TERMS[symbol].effect.factors) - 1) * c.value / result.inputs.gravity
     for line in accelerometer.budget.get(symbol, ()):

@@ -171,7 +171,7 @@ def _correlation_root(correlation: Array, dof: Array) -> Array:
 
 
 def _finite_dof_shares(root: Array, dof: Array) -> Array:
-    """Return which share of each part's variance has one degree of freedom, from 0 to 1.
+    """Return the share of each part's variance that has one degree of freedom, from 0 to 1.
 
     A coefficient of which the share s has one degree of freedom, and the rest infinitely many, has
     1/s^2 by the Welch-Satterthwaite formula; s is linear in the shares of the parts.

@@ -90,7 +90,7 @@ def _migrate_line(line: dict[str, Any]) -> dict[str, Any]:
 
 
 def find_faults(result: Result) -> Iterator[str]:
-    """Yield what would be applied or shown wrongly of a result."""
+    """Yield the contradictions between the parts of a result."""
     if not 0.0 < result.inputs.gravity < math.inf:
         yield f"the gravity is {result.inputs.gravity} m/s^2"
     if not result.accelerometers:
@@ -110,7 +110,7 @@ def find_faults(result: Result) -> Iterator[str]:
 
 
 def find_accelerometer_faults(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
-    """Yield what no calibration can have found of an accelerometer."""
+    """Yield numbers of an accelerometer that no calibration can have found."""
     if not accelerometer.coefficients:
         yield f"{name} has no coefficients"
     for symbol, coefficient in {

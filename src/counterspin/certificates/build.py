@@ -118,7 +118,7 @@ def build_document(
     parser = etree.XMLParser(remove_blank_text=True, huge_tree=True, resolve_entities=False)
     root = etree.fromstring(written.encode(), parser)
     _remove_unreferenced_ids(root)
-    _remove_lone_languages(root)
+    _remove_single_languages(root)
     etree.indent(root, " ")
     return root
 
@@ -188,8 +188,12 @@ def _significant_digit(value: float, u: float) -> int | None:
 
 def _reading_rates(result: Result) -> list[tuple[str, float]]:
     """Return name and rate in rad/s of each reading that was taken during rotation."""
-    every = (one for readings in readings_of(result).values() for one in readings)
-    return list(dict.fromkeys((reading.name, reading.rate) for reading in every if reading.rate))
+    all_readings = (
+        motion_readings for readings in readings_of(result).values() for motion_readings in readings
+    )
+    return list(
+        dict.fromkeys((reading.name, reading.rate) for reading in all_readings if reading.rate)
+    )
 
 
 def _joint_covariance(result: Result, names: Sequence[str]) -> dict[str, Any] | None:
@@ -255,7 +259,7 @@ def _remove_unreferenced_ids(root: Element) -> None:
             del element.attrib["id"]
 
 
-def _remove_lone_languages(root: Element) -> None:
+def _remove_single_languages(root: Element) -> None:
     """Remove the language of text that exists in only one of two languages.
 
     PTB's rules require text in every language that is used, or text without a language.

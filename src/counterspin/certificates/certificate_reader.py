@@ -70,15 +70,15 @@ def _attached_xml(path: Path) -> bytes:
     except ImportError as error:
         raise CounterspinError(_PYPDF_MISSING) from error
     try:
-        found = _xml_files(pypdf.PdfReader(io.BytesIO(content)))
+        attachments = _xml_files(pypdf.PdfReader(io.BytesIO(content)))
     except MemoryError:
         raise
     except Exception as error:  # any error of pypdf and zlib on a damaged file
         raise _damage_error(path, error) from error
-    if len(found) != 1:
-        held = "no XML file is" if not found else f"{len(found)} XML files are"
-        raise RecordError(f"{path}: {held} attached to it; the PDF of a certificate has one")
-    return found[0]
+    if len(attachments) != 1:
+        own_data = "no XML file is" if not attachments else f"{len(attachments)} XML files are"
+        raise RecordError(f"{path}: {own_data} attached to it; the PDF of a certificate has one")
+    return attachments[0]
 
 
 def _pdf_signature_status(path: Path, public: bytes) -> PdfSignatureStatus:
@@ -222,21 +222,23 @@ def _read_triad(part: Element, gravity: float) -> CertifiedTriad:
     output = _select(part, f"dcc:results/dcc:result{_OUTPUT}/{_DATA}/si:realListXMLList")
     if not output:
         return CertifiedTriad(names, parameters)
-    of_matrix, of_bias = output
-    matrix = np.reshape(_parse_numbers(of_matrix, "si:valueXMLList"), (3, 3))
-    bias = _parse_numbers(of_bias, "si:valueXMLList") * from_si(1.0, "g", gravity)
-    by_them = _parameters(names, np.linalg.inv(matrix).astype(np.float64), bias)
+    matrix_values, bias_values = output
+    matrix = np.reshape(_parse_numbers(matrix_values, "si:valueXMLList"), (3, 3))
+    bias = _parse_numbers(bias_values, "si:valueXMLList") * from_si(1.0, "g", gravity)
+    from_outputs = _parameters(names, np.linalg.inv(matrix).astype(np.float64), bias)
     for name, c in parameters.coefficients.items():
-        if name in by_them and abs((c.value or 0.0) - by_them[name]) > _ROUNDING:
-            raise ValueError(f"matrix and offsets make {name} {by_them[name]:.9g}, not {c.value}")
+        if name in from_outputs and abs((c.value or 0.0) - from_outputs[name]) > _ROUNDING:
+            raise ValueError(
+                f"matrix and offsets make {name} {from_outputs[name]:.9g}, not {c.value}"
+            )
     return CertifiedTriad(
         names,
         parameters,
         matrix,
         np.reshape(
-            _parse_numbers(of_matrix, f"{_EXPANDED_LIST}/si:valueExpandedMUXMLList"), (3, 3)
+            _parse_numbers(matrix_values, f"{_EXPANDED_LIST}/si:valueExpandedMUXMLList"), (3, 3)
         ),
-        _parse_number(_single_text(of_matrix, f"{_EXPANDED_LIST}/si:coverageFactorXMLList")),
+        _parse_number(_single_text(matrix_values, f"{_EXPANDED_LIST}/si:coverageFactorXMLList")),
         bias,
     )
 
@@ -265,9 +267,9 @@ def _read_values(quantities: Sequence[Element], gravity: float) -> CertifiedAcce
         for real in _select(quantity, "si:real"):
             if (label := _single_text(real, "si:label")) not in OUTPUT_COEFFICIENTS:
                 coefficients[label] = _read_coefficient(quantity, real, gravity)
-        for together in _select(quantity, "si:realListXMLList"):
-            terms = tuple(_single_text(together, "si:labelXMLList").split())
-            covariance = _read_covariance(together, terms, gravity)
+        for covariance_element in _select(quantity, "si:realListXMLList"):
+            terms = tuple(_single_text(covariance_element, "si:labelXMLList").split())
+            covariance = _read_covariance(covariance_element, terms, gravity)
     return CertifiedAccelerometer(coefficients, terms, covariance)
 
 
@@ -291,7 +293,7 @@ def _read_coefficient(quantity: Element, real: Element, gravity: float) -> Coeff
 
 
 def _read_covariance(
-    together: Element, terms: tuple[str, ...], gravity: float
+    covariance_element: Element, terms: tuple[str, ...], gravity: float
 ) -> npt.NDArray[np.float64]:
     in_si = np.array(
         [
@@ -299,7 +301,7 @@ def _read_covariance(
                 _parse_number(_text(value))
                 for value in _select(column, "si:covarianceXMLList/si:valueXMLList")
             ]
-            for column in _select(together, _COLUMN)
+            for column in _select(covariance_element, _COLUMN)
         ]
     ).T
     scale = np.array([from_si(1.0, _unit(symbol), gravity) for symbol in terms])
@@ -314,10 +316,10 @@ def _read_covariance(
 
 def _unit(label: str) -> str:
     """Return the unit of a term, of a triad's parameter, or of a term of one of its sensors."""
-    kind, _, rest = label.partition(".")
-    if kind in _KINDS and rest:
+    kind, _, symbol = label.partition(".")
+    if kind in _KINDS and symbol:
         return _KINDS[kind]
-    return TERMS[rest if rest in TERMS else label].unit
+    return TERMS[symbol if symbol in TERMS else label].unit
 
 
 def _accelerometer_name(root: Element, part: Element) -> str:

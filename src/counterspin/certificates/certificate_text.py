@@ -9,7 +9,7 @@ from typing import Final
 
 from counterspin.calibration.pages.accelerometer import confounded_sentences
 from counterspin.calibration.pages.methods import (
-    lines_of_tests,
+    describe_tests,
     model_blocks,
     poses_of,
     readings_of,
@@ -179,7 +179,7 @@ def method_name(result: Result) -> str:
 def test_lines(result: Result) -> list[str]:
     """Return sentences on the tests of the item, one for each kind of test."""
     if readings_of(result) or poses_of(result):
-        return list(lines_of_tests(result))
+        return list(describe_tests(result))
     return ["The item was carried on a double turntable centrifuge at the stated rates."]
 
 
@@ -305,11 +305,11 @@ def output_lines(accelerometer: AccelerometerResult) -> dict[str, str]:
             continue
         assert c.u is not None
         k = coverage_factor(c.dof)
-        shown = format_estimate(c.value, k * c.u, c.unit)
+        label = format_estimate(c.value, k * c.u, c.unit)
         name = {"bias": "bias (K0 times K1 of IEEE Std 1293)", "scale_factor": "scale factor K1"}[
             key
         ]
-        lines[key] = f"In the unit of the readings: {name}: {shown} (U, k = {format_decimal(k)})."
+        lines[key] = f"In the unit of the readings: {name}: {label} (U, k = {format_decimal(k)})."
     return lines
 
 
@@ -325,10 +325,10 @@ def coefficient_line(symbol: str, coefficient: Coefficient) -> str:
     k = coverage_factor(coefficient.dof)
     row = TERMS.get(symbol)
     words = "" if row is None else f"{row.words[:1].upper()}{row.words[1:]}"
-    what = "" if row is None else f"{words} ({row.effect.ieee} in IEEE Std 1293); "
-    stated = unit_remark(si_unit(coefficient.unit)[0])
+    description = "" if row is None else f"{words} ({row.effect.ieee} in IEEE Std 1293); "
+    value_text = unit_remark(si_unit(coefficient.unit)[0])
     estimate = f"{format_in_g_units(coefficient, k)} (U, k = {format_decimal(k)})"
-    return f"{what}{symbol} = {estimate}; {stated}"
+    return f"{description}{symbol} = {estimate}; {value_text}"
 
 
 def format_in_g_units(coefficient: Coefficient, k: float) -> str:

@@ -42,22 +42,24 @@ def missing_data(lab: Lab, result: Result) -> list[MissingEntry]:
 
 
 def missing_despite_mistakes(
-    document: Mapping[str, Any], mistaken: Collection[str], result: Result
+    document: Mapping[str, Any], invalid_keys: Collection[str], result: Result
 ) -> list[MissingEntry]:
     """Return the data that are missing in a document with mistakes, as far as it can be read.
 
-    mistaken: Sections with mistakes; in these, only values of the template are found.
+    invalid_keys: Sections with mistakes; in these, only values of the template are found.
     """
     template = [
         MissingEntry(key, _TEMPLATE)
-        for key in template_keys({key: document[key] for key in mistaken if key in document})
+        for key in template_keys({key: document[key] for key in invalid_keys if key in document})
     ]
-    sound = {key: value for key, value in document.items() if key not in mistaken}
+    valid_document = {key: value for key, value in document.items() if key not in invalid_keys}
     try:
-        lab, _ = read_lab(with_required_keys(sound), result)
+        lab, _ = read_lab(with_required_keys(valid_document), result)
     except CampaignError:
         return template
-    others = (entry for entry in missing_data(lab, result) if section_of(entry.key) not in mistaken)
+    others = (
+        entry for entry in missing_data(lab, result) if section_of(entry.key) not in invalid_keys
+    )
     return [*template, *others]
 
 

@@ -104,8 +104,8 @@ def covariance(
     # The product must not depend on the order: the matrix is symmetric to the last digit.
     indices = sorted((terms.index(symbol), terms.index(other_symbol)))
     u = [math.hypot(estimate.u_without_g, estimate.shift_kept) for estimate in (first, second)]
-    together = matrix[indices[1]][indices[0]] * (u[0] * u[1])
-    return together + first.shift * second.shift - first.shift_kept * second.shift_kept
+    matrix_element = matrix[indices[1]][indices[0]] * (u[0] * u[1])
+    return matrix_element + first.shift * second.shift - first.shift_kept * second.shift_kept
 
 
 #: Prefix of a triad's title in the certificate.
@@ -153,8 +153,8 @@ def _parameters_in_si(
 
 def matrix_dof(triad: TriadResult) -> float | None:
     """Return the degrees of freedom of the matrix: the smallest of its parameters."""
-    made = (c for name, c in triad.parameters.items() if name.startswith(("sensitivity", "angle")))
-    return min((c.dof for c in made if c.dof is not None), default=None)
+    dofs = (c for name, c in triad.parameters.items() if name.startswith(("sensitivity", "angle")))
+    return min((c.dof for c in dofs if c.dof is not None), default=None)
 
 
 def triad_lines(triad: TriadResult) -> list[str]:
@@ -212,10 +212,10 @@ def parameter_line(name: str, parameter: Coefficient) -> str:
     """Return a determined parameter, with U and k, in g-units and its SI unit."""
     words, c = shown_parameter(name, parameter)
     k = coverage_factor(c.dof)
-    whole = "the whole angle is " if c.value != parameter.value else ""
-    stated = certificate_text.unit_remark(si_unit(c.unit)[0])
+    full_text = "the whole angle is " if c.value != parameter.value else ""
+    value_text = certificate_text.unit_remark(si_unit(c.unit)[0])
     estimate = f"{certificate_text.format_in_g_units(c, k)} (U, k = {format_decimal(k)})"
-    return f"{words} = {estimate}; {whole}{stated}"
+    return f"{words} = {estimate}; {full_text}{value_text}"
 
 
 def output_lines(result: Result, triad: TriadResult) -> list[str]:
@@ -225,11 +225,12 @@ def output_lines(result: Result, triad: TriadResult) -> list[str]:
     outputs = nominal_outputs(result, triad)
     by = f" ({outputs})" if outputs else ""
     names = ", ".join(triad.accelerometers)
-    beside = [name for name in triad.parameters if name.split(".")[0] in triad.accelerometers]
-    less = f", less what {', '.join(beside)} add to them" if beside else ""
+    other_terms = [name for name in triad.parameters if name.split(".")[0] in triad.accelerometers]
+    reduced = f", less what {', '.join(other_terms)} add to them" if other_terms else ""
     return [
         f"Corrected output: f = M (y - b), y being the indications of {names} by their nominal "
-        f"sensitivities{by}{less}, and b their offsets. f lies along the axes x, y, z in which the "
+        f"sensitivities{by}{reduced}, and b their offsets. "
+        "f lies along the axes x, y, z in which the "
         "campaign states their directions: east, north and up while the sensor is level. "
         "Misalignments that are no coefficients above are there as stated, or zero."
     ]
@@ -295,14 +296,18 @@ def _apply_cmc_floor_to_triad(result: Result, triad: TriadResult, lab: Lab) -> T
     factors = {}
     for name, c in triad.parameters.items():
         kind, _, symbol = name.partition(".")
-        every = [lab.capability(s, g.value) for s in _CMC_TERMS.get(kind, (symbol,))]
-        least = max((one for one in every if one is not None), default=None)
+        capabilities = [lab.capability(s, g.value) for s in _CMC_TERMS.get(kind, (symbol,))]
+        smallest_u = max(
+            (capability for capability in capabilities if capability is not None), default=None
+        )
         factors[name] = _estimate_factor(
-            c, least, replace(g, sensitivity=triad.by_gravity.get(name, 0.0))
+            c, smallest_u, replace(g, sensitivity=triad.by_gravity.get(name, 0.0))
         )
     # No CMC is stated for the matrix: its u grows by the largest factor of its parameters.
-    most = max((f for name, f in factors.items() if not name.startswith("offset.")), default=1.0)
-    matrix = triad.u_matrix and [[most * u for u in row] for row in triad.u_matrix]
+    matrix_factor = max(
+        (f for name, f in factors.items() if not name.startswith("offset.")), default=1.0
+    )
+    matrix = triad.u_matrix and [[matrix_factor * u for u in row] for row in triad.u_matrix]
     return triad.model_copy(
         update={
             "u_matrix": matrix,
@@ -325,13 +330,16 @@ def cmc_lines(result: Result, certified: Result, lab: Lab) -> list[str]:
         for name in lab.certified(result)
         for symbol, c in result.accelerometers[name].coefficients.items()
     ]
-    was, is_ = (certified_triad(one, lab.certified(result)) for one in (result, certified))
-    if was is not None and is_ is not None:
+    evaluated_triad, certified_triad_result = (
+        certified_triad(source, lab.certified(result)) for source in (result, certified)
+    )
+    if evaluated_triad is not None and certified_triad_result is not None:
         pairs += [
-            (parameter_words(name), c, is_.parameters[name]) for name, c in was.parameters.items()
+            (parameter_words(name), c, certified_triad_result.parameters[name])
+            for name, c in evaluated_triad.parameters.items()
         ]
-    for words, c, raised in pairs:
-        if c.u and raised.u and raised.u > c.u:
+    for words, c, certified_coefficient in pairs:
+        if c.u and certified_coefficient.u and certified_coefficient.u > c.u:
             unit, factor = field_unit(c.unit)
             evaluated = format_uncertainty(coverage_factor(c.dof) * c.u * factor)
             lines.append(
@@ -345,27 +353,27 @@ def cmc_lines(result: Result, certified: Result, lab: Lab) -> list[str]:
 def _cmc_factor(result: Result, lab: Lab, name: str, symbol: str) -> float:
     """Return the factor by which u must grow, in g-units: 1 if it is large enough."""
     c = result.accelerometers[name].coefficients[symbol]
-    least = lab.capability(symbol, result.inputs.gravity) if symbol in TERMS else None
-    return _estimate_factor(c, least, result.gravity_of(name, symbol))
+    smallest_u = lab.capability(symbol, result.inputs.gravity) if symbol in TERMS else None
+    return _estimate_factor(c, smallest_u, result.gravity_of(name, symbol))
 
 
-def _estimate_factor(c: Coefficient, least: float | None, g: StatedGravity) -> float:
+def _estimate_factor(c: Coefficient, smallest_u: float | None, g: StatedGravity) -> float:
     """Return the factor by which u of an estimate must grow to reach the smallest U.
 
-    least: Smallest U, in the unit of the estimate; None: not stated.
+    smallest_u: Smallest U, in the unit of the estimate; None: not stated.
     """
-    if least is None or not c.u or c.value is None:
+    if smallest_u is None or not c.u or c.value is None:
         return 1.0
     estimate = si_estimate(c.value, c.u, c.unit, c.dof, g)
     # In SI the uncertainty of g may contribute less; U must not fall below the limit there either.
-    lacking = max(
-        (least / coverage_factor(dof)) ** 2 - u**2
+    missing_variance = max(
+        (smallest_u / coverage_factor(dof)) ** 2 - u**2
         for u, dof in (
             (c.u, c.dof),
             (estimate.u / to_si(1.0, c.unit, g.value), estimate.dof),
         )
     )
-    return math.sqrt(1.0 + max(lacking, 0.0) / c.u**2)
+    return math.sqrt(1.0 + max(missing_variance, 0.0) / c.u**2)
 
 
 def _scale_u(coefficient: Coefficient, factor: float) -> Coefficient:

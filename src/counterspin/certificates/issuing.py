@@ -8,7 +8,7 @@ from datetime import UTC, date, datetime, time
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from counterspin.calibration.conformity import with_conformity
+from counterspin.calibration.conformity import judge_conformity
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.triad import shown_parameter
 from counterspin.calibration.result import Result
@@ -311,7 +311,7 @@ def certificate(
         signer = signer()
     certified = apply_cmc_floor(judged, data)
     if specifications is not None:
-        certified = with_conformity(certified, specifications)
+        certified = judge_conformity(certified, specifications)
     verdicts = {name: certified.accelerometers[name].conformity for name in names}
     if amended is not None:
         new = to_bytes(dcc_document(judged, data, issue, verdicts, None, original))
@@ -362,7 +362,7 @@ def draft_pages(result: Result, lab: Mapping[str, Any], folder: Path) -> list[st
     issue = replace(issue, logo=_read_logo(data, folder, "the laboratory's data"))
     certified = apply_cmc_floor(judged, data)
     if specifications is not None:
-        certified = with_conformity(certified, specifications)
+        certified = judge_conformity(certified, specifications)
     verdicts = {name: certified.accelerometers[name].conformity for name in names}
     return _page_images(data, judged, issue, verdicts)
 
@@ -413,8 +413,8 @@ def _notes(
     lab: Lab, result: Result, issue: Issue, missing: Sequence[MissingEntry]
 ) -> Iterator[str]:
     names = lab.certified(result)
-    if left_out := [name for name in result.accelerometers if name not in names]:
-        yield f"Not certified, according to certificate.accelerometers: {', '.join(left_out)}."
+    if excluded := [name for name in result.accelerometers if name not in names]:
+        yield f"Not certified, according to certificate.accelerometers: {', '.join(excluded)}."
     if (day := issue.date.date()) < lab.certificate.end:
         yield f"The day of issue, {day}, is before certificate.end, {lab.certificate.end}."
     for equipment in lab.equipment:

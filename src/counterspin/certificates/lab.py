@@ -407,28 +407,28 @@ def read_lab(
 
 def _check_accelerometers(raw: Mapping[str, Any], result: Result, problems: Problems) -> None:
     """Note names that are not in the result, and serial numbers that contradict it."""
-    known = result.accelerometers
+    result_names = result.accelerometers
     settings, parts = table_of(raw, "certificate"), table_of(raw, "accelerometers")
     chosen = settings.get("accelerometers")
     if chosen == []:
         problems.add(("certificate", "accelerometers"), "must have at least one entry")
-    places: list[tuple[KeyPath, object]] = [
+    indices: list[tuple[KeyPath, object]] = [
         *(
             (("certificate", "accelerometers", place), name)
             for place, name in enumerate(list_of(settings, "accelerometers"))
         ),
         *((("accelerometers", name), name) for name in parts),
     ]
-    for place, name in places:
-        if isinstance(name, str) and name not in known:
-            problems.add(place, f'the result has no "{name}"' + suggest_name(name, known))
+    for place, name in indices:
+        if isinstance(name, str) and name not in result_names:
+            problems.add(place, f'the result has no "{name}"' + suggest_name(name, result_names))
     for name, part in parts.items():
-        stated = known[name].serial_number if name in known else None
-        given = part.get("serial_number") if isinstance(part, dict) else None
-        if stated and given and given != stated:
+        stated = result_names[name].serial_number if name in result_names else None
+        lab_serial_number = part.get("serial_number") if isinstance(part, dict) else None
+        if stated and lab_serial_number and lab_serial_number != stated:
             problems.add(
                 ("accelerometers", name, "serial_number"),
-                f'is "{given}", but the result is that of "{stated}"',
+                f'is "{lab_serial_number}", but the result is that of "{stated}"',
             )
 
 
@@ -466,11 +466,15 @@ def _template_values() -> frozenset[tuple[str, str]]:
     text with "example".
     """
     text = example_text()
-    used = _leaves(parse_toml(text), ())
-    commented = _leaves(parse_toml(_COMMENTED_OUT.sub("", text)), ())
+    active_values = _leaves(parse_toml(text), ())
+    commented_values = _leaves(parse_toml(_COMMENTED_OUT.sub("", text)), ())
     return frozenset(
-        [_entry(path, value) for path, value in used]
-        + [_entry(*leaf) for leaf in commented if re.search("(?i)example|^2000-|^0+$", leaf[1])]
+        [_entry(path, value) for path, value in active_values]
+        + [
+            _entry(*leaf)
+            for leaf in commented_values
+            if re.search("(?i)example|^2000-|^0+$", leaf[1])
+        ]
     )
 
 
@@ -509,8 +513,8 @@ def _leaves(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
     if isinstance(value, str | datetime.date):
         yield path, " ".join(str(value).split())
     elif isinstance(value, dict):
-        for key, inner in value.items():
-            yield from _leaves(inner, (*path, key))
+        for key, entry in value.items():
+            yield from _leaves(entry, (*path, key))
     elif isinstance(value, list):
-        for place, inner in enumerate(value):
-            yield from _leaves(inner, (*path, place))
+        for index, entry in enumerate(value):
+            yield from _leaves(entry, (*path, index))

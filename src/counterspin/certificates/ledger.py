@@ -107,10 +107,10 @@ class OpenLedger:
         self._size = os.fstat(file).st_size
         if self._size > DOCUMENT_BYTES:
             raise RecordError(f"{path}: has more than {DOCUMENT_BYTES} bytes; start a new ledger")
-        whole = b""
-        while part := os.read(file, self._size + 1):
-            whole += part
-        verified = _verify_content(whole, str(path))
+        complete = b""
+        while partial_entry := os.read(file, self._size + 1):
+            complete += partial_entry
+        verified = _verify_content(complete, str(path))
         self.entries, self._unfinished = verified.entries, verified.partial_entry
         self._head = verified.head
 
@@ -137,9 +137,9 @@ class OpenLedger:
             if self._unfinished:
                 os.ftruncate(self._file, self._size - len(self._unfinished))
                 self._unfinished = b""
-            written = 0
-            while written < len(line):
-                written += os.write(self._file, line[written:])
+            byte_count = 0
+            while byte_count < len(line):
+                byte_count += os.write(self._file, line[byte_count:])
             os.fsync(self._file)
         except OSError as error:
             raise _write_error(self._path, error) from error
@@ -155,7 +155,7 @@ def open_ledger(path: Path) -> Iterator[OpenLedger]:
     Other writers wait; the lock ends with its process.
     """
     require_valid_name(path)
-    made = not path.exists()
+    is_new = not path.exists()
     flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
     try:
         # Opening a pipe would block until a writer connects.
@@ -170,7 +170,7 @@ def open_ledger(path: Path) -> Iterator[OpenLedger]:
         except OSError as error:
             raise _write_error(path, error) from error
         yield ledger
-        if made and hasattr(os, "O_DIRECTORY"):
+        if is_new and hasattr(os, "O_DIRECTORY"):
             folder = os.open(path.resolve().parent, os.O_RDONLY)
             os.fsync(folder)
             os.close(folder)
@@ -224,21 +224,21 @@ def _verify_content(content_bytes: bytes, source: str) -> VerifiedLedger:
     previous = _FIRST_PREVIOUS
     for number, line in enumerate(lines, 1):
         content = _parse_line(line)
-        wrong, which = None, number
+        problem, which = None, number
         if content is None or _format_line(content) != line + b"\n":
-            wrong = "is not as it was written"
+            problem = "is not as it was written"
         elif content["hash"] != _content_hash(content):
-            wrong = "was altered: its hash does not fit it"
+            problem = "was altered: its hash does not fit it"
         elif content["number"] != number:
-            wrong = f"calls itself entry {content['number']}: entries are missing or were moved"
+            problem = f"calls itself entry {content['number']}: entries are missing or were moved"
         elif content["previous"] != previous:
             # The hash chain shows it only in the following entry.
-            wrong, which = "was altered after it was written, or taken out", number - 1
-        if wrong is not None or content is None:
+            problem, which = "was altered after it was written, or taken out", number - 1
+        if problem is not None or content is None:
             if content is None and number == 1:
                 raise RecordError(f"{source}: {_NO_LEDGER}")
             what = f"entry {which}" if which else "the beginning"
-            raise RecordError(f"{source}: {what} {wrong}; do not rely on anything from there on")
+            raise RecordError(f"{source}: {what} {problem}; do not rely on anything from there on")
         entries.append(_entry(content))
         previous = content["hash"]
     if unfinished and not entries and not _begins_entry(unfinished):
@@ -249,8 +249,8 @@ def _verify_content(content_bytes: bytes, source: str) -> VerifiedLedger:
 
 def _begins_entry(line: bytes) -> bool:
     """Return whether a line may be the beginning of the first entry."""
-    beginning = _canonical_json({"number": 1, "previous": _FIRST_PREVIOUS})[:-1].encode()
-    return line.startswith(beginning) or beginning.startswith(line)
+    prefix = _canonical_json({"number": 1, "previous": _FIRST_PREVIOUS})[:-1].encode()
+    return line.startswith(prefix) or prefix.startswith(line)
 
 
 def _parse_line(line: bytes) -> dict[str, Any] | None:
@@ -347,10 +347,10 @@ def record_certificate(
                 "(`amends`), or choose another certificate.identifier"
             )
         _check_amended(ledger, ledger_path, of)
-        part = _staging_path(path, checksum)
-        write_whole(part, lambda place: _write_to_disk(place, data), overwrite=True)
-        known = {(entry.of.get("file"), entry.of.get("file_sha256")) for entry in earlier}
-        if (path.name, checksum) not in known:
+        staged = _staging_path(path, checksum)
+        write_whole(staged, lambda place: _write_to_disk(place, data), overwrite=True)
+        known_entries = {(entry.of.get("file"), entry.of.get("file_sha256")) for entry in earlier}
+        if (path.name, checksum) not in known_entries:
             _append_entry(ledger, {"file": path.name, **of, "file_sha256": checksum}, details)
         _publish(path, checksum)
     return None

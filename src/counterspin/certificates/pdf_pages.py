@@ -128,10 +128,10 @@ def _budget_blocks(name: str, result: Result, symbols: Iterable[str]) -> Iterato
     budgets = result.accelerometers[name].budget
     for symbol in symbols:
         if lines := budgets.get(symbol):
-            shown = [line for line in lines if line.share >= certificate_text.MIN_SHARE]
-            rest = [line for line in lines if line.share < certificate_text.MIN_SHARE]
+            main_lines = [line for line in lines if line.share >= certificate_text.MIN_SHARE]
+            small_lines = [line for line in lines if line.share < certificate_text.MIN_SHARE]
             yield Heading(f"Uncertainty budget of {symbol}, {name}", 3)
-            yield budget_table(name, symbol, result, shown, rest)
+            yield budget_table(name, symbol, result, main_lines, small_lines)
 
 
 def _section(name: str, *lines: str) -> Iterator[Block]:
@@ -181,7 +181,8 @@ def _result_blocks(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
         for line in certificate_text.assumption_lines(name, result):
             owners.setdefault(line, []).append(name)
     paragraphs = [
-        Paragraph(typeset(f"{', '.join(owning)}: {line}")) for line, owning in owners.items()
+        Paragraph(typeset(f"{', '.join(owned_statements)}: {line}"))
+        for line, owned_statements in owners.items()
     ]
     for name in names:
         for line in result.accelerometers[name].warnings:
@@ -190,10 +191,10 @@ def _result_blocks(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
     if paragraphs:
         yield Heading(certificate_text.BASIS, 3)
     yield from paragraphs
-    known = (
+    prior_statements = (
         line for name in names for line in certificate_text.prior_lines(name, result, settings)
     )
-    yield from _section(certificate_text.PRIOR_KNOWLEDGE, *map(typeset, known))
+    yield from _section(certificate_text.PRIOR_KNOWLEDGE, *map(typeset, prior_statements))
     yield from _section(certificate_text.ASSUMED, *evidence_lines(result.assumed, lab.evidence))
     yield from _section(certificate_text.DEFAULTS, *default_evidence(lab, result))
     yield from _section(certificate_text.SUPPLIED, *certificate_text.customer_lines(settings))

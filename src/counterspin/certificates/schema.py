@@ -57,9 +57,11 @@ def check_schema(document: bytes, schema: Path, source: str) -> None:
         return
     log = list(faults.error_log)
     lines = [f"line {entry.line}: {_with_prefixes(entry.message)}" for entry in log[:_MAX_ERRORS]]
-    more = f"\n  and {len(log) - _MAX_ERRORS} more" if len(log) > _MAX_ERRORS else ""
+    remaining_count = f"\n  and {len(log) - _MAX_ERRORS} more" if len(log) > _MAX_ERRORS else ""
     raise RecordError(
-        f"{source}: does not conform to the schema in {schema}\n  " + "\n  ".join(lines) + more
+        f"{source}: does not conform to the schema in {schema}\n  "
+        + "\n  ".join(lines)
+        + remaining_count
     )
 
 
@@ -112,8 +114,10 @@ def _main_file(schema: Path) -> Path:
     schemas = [path for path in _schema_files(schema) if _target_namespace(path) == DCC]
     if len(schemas) == 1:
         return schemas[0]
-    what = "several schemas of DCC, give one of them" if schemas else "no schema of DCC (dcc.xsd)"
-    raise CounterspinError(f"{schema}: holds {what}")
+    description = (
+        "several schemas of DCC, give one of them" if schemas else "no schema of DCC (dcc.xsd)"
+    )
+    raise CounterspinError(f"{schema}: holds {description}")
 
 
 class _LocalResolver(etree.Resolver):  # type: ignore[misc]  # lxml has no type annotations

@@ -105,10 +105,10 @@ def _signed_part(root: Any, key: Any) -> Any:
     signxml = _signxml()
     # signxml accepts only certificates that are valid today. The validity of the signer's
     # certificate is checked separately, so signxml gets the key in a temporary certificate.
-    wrapped = _make_current_certificate(key)
+    wrapper = _make_current_certificate(key)
     # The location matters: a signature deeper in the document could cover other content.
     expected = signxml.SignatureConfiguration(location="./", expect_references=1)
-    return signxml.XMLVerifier().verify(root, x509_cert=wrapped, expect_config=expected)
+    return signxml.XMLVerifier().verify(root, x509_cert=wrapper, expect_config=expected)
 
 
 def _make_current_certificate(key: Any) -> Any:
@@ -176,8 +176,8 @@ def _expiry(
             f"{source}: {certificate} was valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, and the "
             f"document states {day}: nothing shows that it was signed during that time"
         )
-    last: date = end.date()
-    return last
+    last_day: date = end.date()
+    return last_day
 
 
 def _signxml() -> Any:
@@ -229,23 +229,23 @@ def sign_pages(pages: bytes, signer: Signer, date: datetime) -> bytes:
             pass
 
     # An object begins on a line of its own (PDF/A-3, 6.1.9).
-    given = io.BytesIO(pages if pages.endswith(b"\n") else pages + b"\n")
-    longest = replace(signer, sign=lambda _: bytes(_max_signature_size(signer)))
-    room = len(_run_coroutine(_sign_digest(longest, bytes(32))))
+    pdf_writer = io.BytesIO(pages if pages.endswith(b"\n") else pages + b"\n")
+    max_size = replace(signer, sign=lambda _: bytes(_max_signature_size(signer)))
+    reserved_size = len(_run_coroutine(_sign_digest(max_size, bytes(32))))
     field = SigFieldSpec(_FIELD, readable_field_name=_REASON)
-    embedding = PdfCMSEmbedder(field).write_cms(_FIELD, Addition(given))
+    embedding = PdfCMSEmbedder(field).write_cms(_FIELD, Addition(pdf_writer))
     next(embedding)
     placeholder = SignatureObject(
         timestamp=date,
         subfilter=SigSeedSubFilter.PADES,
-        bytes_reserved=2 * room,
+        bytes_reserved=2 * reserved_size,
     )
     permissions = SigMDPSetup("sha256", certify=True, docmdp_perms=MDPPerm.NO_CHANGES)
     embedding.send(SigObjSetup(sig_placeholder=placeholder, mdp_setup=permissions))
     prepared, output = embedding.send(SigIOSetup(md_algorithm="sha256"))
     embedding.send(_run_coroutine(_sign_digest(signer, prepared.document_digest)))
-    made: bytes = output.getvalue()
-    return made
+    placeholder_pdf: bytes = output.getvalue()
+    return placeholder_pdf
 
 
 def _max_signature_size(signer: Signer) -> int:
@@ -253,8 +253,8 @@ def _max_signature_size(signer: Signer) -> int:
     from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 
     size: int = signer.public_key.key_size
-    most = (1 << size) - 1
-    return size // 8 if signer.uses_rsa else len(encode_dss_signature(most, most))
+    max_integer = (1 << size) - 1
+    return size // 8 if signer.uses_rsa else len(encode_dss_signature(max_integer, max_integer))
 
 
 async def _sign_digest(signer: Signer, digest: bytes) -> bytes:
@@ -274,13 +274,16 @@ async def _sign_digest(signer: Signer, digest: bytes) -> bytes:
             assert digest_algorithm == "sha256"
             return signer.sign(data)
 
-    own, *chain = (Certificate.load(one.public_bytes(Encoding.DER)) for one in signer.certificates)
+    signing_certificate, *chain = (
+        Certificate.load(certificate.public_bytes(Encoding.DER))
+        for certificate in signer.certificates
+    )
     store: Any = SimpleCertificateStore()  # type: ignore[no-untyped-call, unused-ignore]
     store.register_multiple(chain)
-    made = await OfDigests(signing_cert=own, cert_registry=store).async_sign(
+    cms = await OfDigests(signing_cert=signing_certificate, cert_registry=store).async_sign(
         digest, "sha256", use_pades=True
     )
-    content: bytes = made.dump()
+    content: bytes = cms.dump()
     return content
 
 

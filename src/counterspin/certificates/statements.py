@@ -113,10 +113,12 @@ def _value_statements(lab: Lab, result: Result, stated: Result) -> Iterator[Stat
     )
     one_g = f"1 g = {g!r} m/s^2, the local gravity of the site"
     yield Statement(certificate_text.UNITS, [certificate_text.unit_statement(g)], non_si=one_g)
-    raised = cmc_lines(result, stated, lab)
-    yield Statement(certificate_text.CAPABILITY, raised, ("ILAC-P14:09/2020",))
-    known = [line for n in names for line in certificate_text.prior_lines(n, stated, settings)]
-    yield Statement(certificate_text.PRIOR_KNOWLEDGE, known)
+    cmc_sentences = cmc_lines(result, stated, lab)
+    yield Statement(certificate_text.CAPABILITY, cmc_sentences, ("ILAC-P14:09/2020",))
+    prior_sentences = [
+        line for n in names for line in certificate_text.prior_lines(n, stated, settings)
+    ]
+    yield Statement(certificate_text.PRIOR_KNOWLEDGE, prior_sentences)
     evidence = [*evidence_lines(stated.assumed, lab.evidence)]
     yield Statement(certificate_text.ASSUMED, evidence, language=settings.language)
     bounds = default_evidence(lab, stated)
@@ -132,8 +134,8 @@ def _value_statements(lab: Lab, result: Result, stated: Result) -> Iterator[Stat
         yield Statement(triad_title(triad), triad_lines(triad))
     for name in names:
         lines = certificate_text.assumption_lines(name, stated)
-        about = f"{certificate_text.BASIS}, accelerometer {name}"
-        yield Statement(about, lines, ref=item_id(lab, stated, name))
+        subject = f"{certificate_text.BASIS}, accelerometer {name}"
+        yield Statement(subject, lines, ref=item_id(lab, stated, name))
 
 
 def _conformity_statements(lab: Lab, stated: Result, verdicts: Verdicts) -> Iterator[Statement]:

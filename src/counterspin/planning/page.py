@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from counterspin.calibration.pages.accelerometer import not_apart
-from counterspin.calibration.pages.uncertainty import assumption, dominance
+from counterspin.calibration.pages.accelerometer import confounding_text
+from counterspin.calibration.pages.uncertainty import assumption_sentence, default_prior_sentence
 from counterspin.inference.joint.summary import BudgetLine
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.physics.terms import SHARED_TERMS, TERMS, description_of, symbol_of
@@ -59,7 +59,7 @@ def _summary_blocks(result: PlanResult) -> Iterator[Block]:
         )
         parts.append(f"u({_spoken_name(name)}) = {_format_u(predicted)}")
         if owner in result.accelerometers:
-            dominated.append(dominance(result.accelerometers[owner], symbol))
+            dominated.append(default_prior_sentence(result.accelerometers[owner], symbol))
     amounts = [
         f"{count} {word}{'s' * (count > 1)}"
         for count, word in ((len(result.runs), "run"), (len(result.readings), "reading"))
@@ -67,7 +67,7 @@ def _summary_blocks(result: PlanResult) -> Iterator[Block]:
     ]
     amounts += [_format_time(result.total_time)] if result.total_time > 0.0 else []
     yield Paragraph(f"{'; '.join(parts)}: {', '.join(amounts)}.", "answer")
-    for sentence in (*dominated, assumption(result)):
+    for sentence in (*dominated, assumption_sentence(result)):
         if sentence:
             yield Paragraph(sentence)
     if goal is not None:
@@ -195,7 +195,7 @@ def _accelerometer_blocks(
     )
     for item in accelerometer.confounded:
         yield Paragraph(
-            f"{not_apart(item)} in this plan; determined: {item.determined}. "
+            f"{confounding_text(item)} in this plan; determined: {item.determined}. "
             f"{_separation_advice(result, item.terms)}"
         )
     targets = result.goal.sizes if result.goal else {_main_coefficient(result): 1.0}

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.pages.accelerometer import in_field_units
+from counterspin.calibration.pages.accelerometer import to_field_units
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.second_stage import StrobedRun
@@ -109,7 +109,7 @@ def _cell(method: AccelerometerResult, symbol: str, considered: bool) -> str:
     coefficient = method.coefficients[symbol]
     if not coefficient.estimated:
         return "known beforehand" if coefficient.value is not None else "not determined"
-    value, u, _ = in_field_units(coefficient)
+    value, u, _ = to_field_units(coefficient)
     return format_estimate(value, u)
 
 

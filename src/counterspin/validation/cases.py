@@ -46,7 +46,7 @@ class Case:
 
     def tolerance(self, name: str) -> Array:
         """Return the tolerance of each number of a name, in the shape of `expected`."""
-        bound = _fit(self.given)["limits"] if self.absolute is None else self.absolute
+        bound = _fit_entry(self.given)["limits"] if self.absolute is None else self.absolute
         size = bound if isinstance(bound, float | int) else bound[name]
         return np.asarray(size) + self.relative * np.abs(self.expected[name])
 
@@ -60,7 +60,7 @@ def document(name: str) -> Any:
 @cache
 def cases() -> tuple[Case, ...]:
     """Return all cases, in the order of their requirements."""
-    return tuple(_read(entry) for entry in document("cases.json")["cases"])
+    return tuple(_parse_case(entry) for entry in document("cases.json")["cases"])
 
 
 def case(name: str) -> Case:
@@ -68,7 +68,7 @@ def case(name: str) -> Case:
     return {candidate.name: candidate for candidate in cases()}[name]
 
 
-def _read(entry: Mapping[str, Any]) -> Case:
+def _parse_case(entry: Mapping[str, Any]) -> Case:
     return Case(
         name=entry["name"],
         requirement=entry["requirement"],
@@ -93,8 +93,8 @@ def select_motion(given: Mapping[str, Any]) -> Mapping[str, Any]:
 def compared_integrals(given: Mapping[str, Any]) -> dict[str, list[str]]:
     """Return mounting -> symbols of the compared integrals: `terms`, or all except `without`."""
     motion = select_motion(given)
-    shown = motion[given["observable"]]["QX"] if motion.get("platform") else ()
-    platform = [symbol for symbol in PLATFORM_TERMS if symbol in shown]
+    integrals = motion[given["observable"]]["QX"] if motion.get("platform") else ()
+    platform = [symbol for symbol in PLATFORM_TERMS if symbol in integrals]
     symbols = [symbol for symbol, row in TERMS.items() if not row.effect.of_rotation]
     compared = given.get("terms", [*symbols, *platform])
     compared = [symbol for symbol in compared if symbol not in given.get("without", ())]
@@ -103,7 +103,11 @@ def compared_integrals(given: Mapping[str, Any]) -> dict[str, list[str]]:
 
 def compared_forces(given: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """Return the positions on an arm, at one rate, whose force the file states."""
-    return [place for place in document(given["file"])["cases"] if place["rate"] == given["rate"]]
+    return [
+        position
+        for position in document(given["file"])["cases"]
+        if position["rate"] == given["rate"]
+    ]
 
 
 def _integrals(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -129,28 +133,28 @@ def _angles(given: Mapping[str, Any]) -> dict[str, Any]:
 
 def _forces(given: Mapping[str, Any]) -> dict[str, Any]:
     key = "arm" if given["file"] == "axis_tilt.json" else "force"
-    return {"force": [place[key] for place in compared_forces(given)]}
+    return {"force": [position[key] for position in compared_forces(given)]}
 
 
-def _certified(given: Mapping[str, Any]) -> dict[str, Any]:
-    stated = document(given["file"])["result"]["accelerometers"][given["accelerometer"]]
-    return {s: [c["value"], c["u"]] for s, c in stated["coefficients"].items()}
+def _certified_values(given: Mapping[str, Any]) -> dict[str, Any]:
+    accelerometer = document(given["file"])["result"]["accelerometers"][given["accelerometer"]]
+    return {s: [c["value"], c["u"]] for s, c in accelerometer["coefficients"].items()}
 
 
-def _fit(given: Mapping[str, Any]) -> Any:
+def _fit_entry(given: Mapping[str, Any]) -> Any:
     """Return the entry of a campaign in the file of fits."""
     return document(given["file"])[given["fit"]]
 
 
-def _fitted(given: Mapping[str, Any]) -> Any:
-    return _fit(given)["expected"]
+def _fitted_values(given: Mapping[str, Any]) -> Any:
+    return _fit_entry(given)["expected"]
 
 
-def _noise(given: Mapping[str, Any]) -> dict[str, Any]:
+def _noise_levels(given: Mapping[str, Any]) -> dict[str, Any]:
     return {key: document(given["file"])[key] for key in ("white", "random_walk", "gain")}
 
 
-def _stated(given: Mapping[str, Any]) -> Any:
+def _script_values(given: Mapping[str, Any]) -> Any:
     return document(given["expected"])[given["part"]]
 
 
@@ -158,9 +162,9 @@ _REFERENCES: Final = {
     "columns": _integrals,
     "Spindle.angle": _angles,
     "Station.force": _forces,
-    "read_certificate": _certified,
-    "calibrate": _fitted,
-    "certificate": _stated,
-    "apply": _stated,
-    "estimate_noise": _noise,
+    "read_certificate": _certified_values,
+    "calibrate": _fitted_values,
+    "certificate": _script_values,
+    "apply": _script_values,
+    "estimate_noise": _noise_levels,
 }

@@ -66,36 +66,39 @@ def read_record(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
 def fitted_numbers(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return all numbers of a campaign's result, by name."""
     result = module.calibrate(DATA / given["folder"])
-    answer: dict[str, Any] = {symbol: _line(c) for symbol, c in result.platform.items()}
+    values: dict[str, Any] = {
+        symbol: _coefficient_values(c) for symbol, c in result.platform.items()
+    }
     for row in result.rests_on:
         if row.found is not None:
-            answer[f"what {row.name} is"] = [row.found - row.value, row.u_found]
+            values[f"what {row.name} is"] = [row.found - row.value, row.u_found]
     for name, accelerometer in result.accelerometers.items():
         coefficients = {f"{name}.{symbol}": c for symbol, c in accelerometer.coefficients.items()}
-        answer |= {symbol: _line(c) for symbol, c in coefficients.items()}
-        answer |= {f"degrees of freedom of {symbol}": [c.dof] for symbol, c in coefficients.items()}
-        answer |= {f"{key} of {name}": [c.value, c.u] for key, c in accelerometer.output.items()}
-        answer |= {
-            f"{part} noise of {name}": [line.value] for part, line in accelerometer.noise.items()
+        values |= {symbol: _coefficient_values(c) for symbol, c in coefficients.items()}
+        values |= {f"degrees of freedom of {symbol}": [c.dof] for symbol, c in coefficients.items()}
+        values |= {f"{key} of {name}": [c.value, c.u] for key, c in accelerometer.output.items()}
+        values |= {
+            f"{component} noise of {name}": [line.value]
+            for component, line in accelerometer.noise.items()
         }
         residual = accelerometer.residual
-        answer[f"misfit of {name}"] = [residual.chi2, residual.dof, residual.lack_of_fit_p]
+        values[f"misfit of {name}"] = [residual.chi2, residual.dof, residual.lack_of_fit_p]
         for symbol, lines in accelerometer.budget.items():
             for line in lines:
                 source = (
                     f"{name}.{line.source}" if line.source in ACCELEROMETER_TERMS else line.source
                 )
-                answer[f"{name}.{symbol} by {source}"] = [line.contribution]
+                values[f"{name}.{symbol} by {source}"] = [line.contribution]
         if accelerometer.correlation is not None:
-            places = [
+            indices = [
                 accelerometer.correlation.terms.index(s) for s in sorted(accelerometer.coefficients)
             ]
-            matrix = np.array(accelerometer.correlation.matrix)[np.ix_(places, places)]
-            answer[f"correlation of {name}"] = matrix.ravel()
-    return {name: np.array(values, np.float64) for name, values in answer.items()}
+            matrix = np.array(accelerometer.correlation.matrix)[np.ix_(indices, indices)]
+            values[f"correlation of {name}"] = matrix.ravel()
+    return {name: np.array(values, np.float64) for name, values in values.items()}
 
 
-def _line(c: Coefficient) -> list[float | None]:
+def _coefficient_values(c: Coefficient) -> list[float | None]:
     return [c.value, c.u, c.u_noise, c.u_stated, c.u_unstated]
 
 
@@ -105,7 +108,7 @@ def check_schema(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         raise NotAvailableError(
             "the schema of DCC is not part of the package; name its folder (`schema`)"
         )
-    made = make_certificate(given["file"])
+    certificate_xml = make_certificate(given["file"])
 
     def conforms(document: bytes) -> float:
         try:
@@ -114,8 +117,13 @@ def check_schema(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
             return 0.0
         return 1.0
 
-    wrong = [re.sub(old, new, made, flags=re.DOTALL) for old, new in _ALTERATIONS]
-    return {"as made": conforms(made), "altered": [conforms(altered) for altered in wrong]}
+    altered_versions = [
+        re.sub(old, new, certificate_xml, flags=re.DOTALL) for old, new in _ALTERATIONS
+    ]
+    return {
+        "as made": conforms(certificate_xml),
+        "altered": [conforms(altered) for altered in altered_versions],
+    }
 
 
 def verify(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -125,7 +133,7 @@ def verify(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     folder = DATA / given["folder"]
     signed = (folder / "signed.xml").read_bytes()
 
-    def counts(document: bytes, signer: str) -> float:
+    def is_valid(document: bytes, signer: str) -> float:
         try:
             module.verify(document, folder / signer, "the document of the case")
         except RecordError:
@@ -134,16 +142,18 @@ def verify(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
 
     altered = signed.replace(b"K-2026-0117", b"K-2026-0118")
     return {
-        "as signed": counts(signed, "signer.pem"),
-        "altered": counts(altered, "signer.pem"),
-        "of another signer": counts(signed, "other.pem"),
+        "as signed": is_valid(signed, "signer.pem"),
+        "altered": is_valid(altered, "signer.pem"),
+        "of another signer": is_valid(signed, "other.pem"),
     }
 
 
 def read_estimates(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return estimate and u of each term that a result's certificate states."""
-    read = module.read_certificate(make_certificate(given["file"]), "the certificate of the case")
-    coefficients = read.accelerometers[given["accelerometer"]].coefficients
+    certificate_data = module.read_certificate(
+        make_certificate(given["file"]), "the certificate of the case"
+    )
+    coefficients = certificate_data.accelerometers[given["accelerometer"]].coefficients
     return {symbol: [c.value, c.u] for symbol, c in coefficients.items()}
 
 
@@ -162,12 +172,12 @@ def make_certificate(file: str, changes: Mapping[str, Any] | None = None) -> byt
 
     changes: Changed fields of the result's accelerometer and inputs.
     """
-    both = deepcopy(document(file))
-    for part, keys in (changes or {}).items():
-        both["result"][part] |= keys
-    dates = {key: date.fromisoformat(both["lab"]["certificate"][key]) for key in ("begin", "end")}
-    lab = both["lab"] | {"certificate": both["lab"]["certificate"] | dates}
-    return certificate(Result.model_validate(both["result"]), lab).xml
+    data = deepcopy(document(file))
+    for section, keys in (changes or {}).items():
+        data["result"][section] |= keys
+    dates = {key: date.fromisoformat(data["lab"]["certificate"][key]) for key in ("begin", "end")}
+    lab = data["lab"] | {"certificate": data["lab"]["certificate"] | dates}
+    return certificate(Result.model_validate(data["result"]), lab).xml
 
 
 def certificate_numbers(_: Any, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -181,45 +191,45 @@ def certificate_numbers(_: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     changes = {"accelerometers": {"Qx": accelerometer}, "inputs": given["inputs"]}
     root = ET.fromstring(make_certificate(given["file"], changes))
     keys = ("value", "valueExpandedMU", "coverageFactor")
-    answer: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for real in root.iter(f"{_SI}real"):
         label = real.findtext(f"{_SI}label")
         if label is not None:
-            answer[label] = [float(real.findtext(f".//{_SI}{key}") or "nan") for key in keys]
+            values[label] = [float(real.findtext(f".//{_SI}{key}") or "nan") for key in keys]
     region = next(root.iter(f"{_SI}ellipsoidalRegionMUXMLList"))
     cells = region.iter(f"{_SI}covarianceXMLList")
-    answer["covariance"] = [float(c.findtext(f"{_SI}valueXMLList") or "nan") for c in cells]
-    answer["k of the region"] = [float(region.findtext(f"{_SI}coverageFactorXMLList") or "nan")]
-    return answer
+    values["covariance"] = [float(c.findtext(f"{_SI}valueXMLList") or "nan") for c in cells]
+    values["k of the region"] = [float(region.findtext(f"{_SI}coverageFactorXMLList") or "nan")]
+    return values
 
 
 def corrected_forces(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return forces corrected for given coefficients, and their u."""
-    stated, result = document(given["file"]), deepcopy(document("certified.json")["result"])
-    plain = result["accelerometers"]["Qx"] | {"known": {}, "budget": {}}
-    made = {}
-    for name, table in stated["coefficients"].items():
+    case_data, result = document(given["file"]), deepcopy(document("certified.json")["result"])
+    template = result["accelerometers"]["Qx"] | {"known": {}, "budget": {}}
+    accelerometers = {}
+    for name, table in case_data["coefficients"].items():
         symbols = list(table)
-        related = np.eye(len(symbols))
-        for first, second, r in stated["correlation"]:
+        correlation_matrix = np.eye(len(symbols))
+        for first, second, r in case_data["correlation"]:
             if {first, second} <= set(symbols):
                 i, j = symbols.index(first), symbols.index(second)
-                related[i, j] = related[j, i] = float(r)
+                correlation_matrix[i, j] = correlation_matrix[j, i] = float(r)
         coefficients = {
-            s: {"value": float(v), "u": float(u), "unit": _unit(s), "estimated": True}
+            s: {"value": float(v), "u": float(u), "unit": _coefficient_unit(s), "estimated": True}
             for s, (v, u) in table.items()
         }
-        correlation = {"terms": symbols, "matrix": related.tolist()}
-        made[name] = plain | {
+        correlation = {"terms": symbols, "matrix": correlation_matrix.tolist()}
+        accelerometers[name] = template | {
             "coefficients": coefficients,
             "correlation": correlation,
             "axes": _AXES[name],
         }
-    result = Result.model_validate(result | {"accelerometers": made})
+    result = Result.model_validate(result | {"accelerometers": accelerometers})
     answer = module.apply(result, "Qx", given["indicated"], module.ApplyOptions(**given["options"]))
     return {"corrected": answer.corrected, "u": answer.u}
 
 
-def _unit(symbol: str) -> str:
+def _coefficient_unit(symbol: str) -> str:
     degree = {"K_I": 1, "K_III": 3}.get(symbol, 2)
     return _UNITS.get(symbol, "g/g" if degree == 1 else f"g/g^{degree}")

@@ -24,13 +24,13 @@ from counterspin.validation.cases import (
 )
 from counterspin.validation.files import NotAvailableError
 
-__all__ = ["NotAvailableError", "ask"]
+__all__ = ["NotAvailableError", "run_case"]
 
 Given = Mapping[str, Any]
 Values = Mapping[str, Any]
 
 
-def ask(case: Case) -> dict[str, Any]:
+def run_case(case: Case) -> dict[str, Any]:
     """Return the result of a case's function: name -> values, in the shapes of `expected`."""
     module, _, name = case.kernel.partition(":")
     return dict(_KERNELS[name](import_module(module), case.given))
@@ -53,12 +53,12 @@ def _columns(module: Any, given: Given) -> Values:
     site = Site(float(data["gravity"]), float(data["latitude"]), earth_rate)
     trajectory = Trajectory(_spindle(motion), float(data["radius"]), site)
     times = np.array(motion["times"], np.float64)
-    answer = dict[str, Any]()
+    values = dict[str, Any]()
     for name, symbols in compared_integrals(given).items():
         mounting = getattr(accelerometer, name)
         table = module.columns(trajectory, mounting, symbols, times, given["observable"])
-        answer |= {f"{s} of {name}": column for s, column in zip(symbols, table.T, strict=True)}
-    return answer
+        values |= {f"{s} of {name}": column for s, column in zip(symbols, table.T, strict=True)}
+    return values
 
 
 def _angle(_: Any, given: Given) -> Values:
@@ -81,17 +81,17 @@ def _force(module: Any, given: Given) -> Values:
         Mounting.from_axes(*(module.FRAMES["arm"][name] for name in ("outward", "up"))),
     )
     forces = []
-    for place in compared_forces(given):
-        tilt = tuple(float(place.get(about, 0.0)) for about in ("east", "north"))
+    for position in compared_forces(given):
+        tilt = tuple(float(position.get(axis, 0.0)) for axis in ("east", "north"))
         station = module.Station(
             "arm",
             mounting,
-            rate=float(place["rate"]),
-            radius=float(place["radius"]),
+            rate=float(position["rate"]),
+            radius=float(position["radius"]),
             axis_tilt=tilt,
         )
-        site = Site(float(data["gravity"]), float(place["latitude"]))
-        forces.append(station.force(site, np.array([float(place["angle"])]))[0])
+        site = Site(float(data["gravity"]), float(position["latitude"]))
+        forces.append(station.force(site, np.array([float(position["angle"])]))[0])
     return {"force": forces}
 
 
@@ -107,13 +107,13 @@ def _indicated(module: Any, given: Given) -> Values:
 def _parabola(module: Any, given: Given) -> Values:
     from counterspin.physics.accelerometer import QX
 
-    place = (given["rate"], given["radius"], given["gravity"])
-    return {"parabola": module.parabola(given["symbol"], QX, *place)}
+    inputs = (given["rate"], given["radius"], given["gravity"])
+    return {"parabola": module.parabola(given["symbol"], QX, *inputs)}
 
 
-def _printed(module: Any, given: Given) -> Values:
-    rest = (given["radius"], given["gravity"], given["scale_factor"])
-    table = module.second_stage_columns(np.array(given["rates"]), *rest)
+def _second_stage_columns(module: Any, given: Given) -> Values:
+    constants = (given["radius"], given["gravity"], given["scale_factor"])
+    table = module.second_stage_columns(np.array(given["rates"]), *constants)
     if "sigma_b2" not in given:
         return {"columns": table}
     # Eq. 33 and 34, unweighted as in the paper.
@@ -141,12 +141,12 @@ def _solve(module: Any, given: Given) -> Values:
     from counterspin.inference.least_squares import reduce_block
 
     block = reduce_block(given["design"], given["y"], None, given.get("considered"))
-    known = {
+    priors = {
         key: np.array(given[key], np.float64)
         for key in ("prior_mean", "prior_sd", "considered_sd")
         if key in given
     }
-    answer = module.solve([block], **known)
+    answer = module.solve([block], **priors)
     return {"estimate": answer.estimate, "u": np.sqrt(np.diag(answer.covariance))}
 
 
@@ -196,24 +196,26 @@ def _decide(module: Any, given: Given) -> Values:
     item = (given[key] for key in ("value", "u", "dof"))
     answer = module.decide(*item, limits, module.DecisionRule(**given["rule"]))
     verdict = {"pass": 1.0, "undecided": 0.0, "fail": -1.0}[answer.verdict]
-    rest = {} if answer.risk is None else {"risk": answer.risk}
-    return {"verdict": verdict, "guard_band": answer.guard_band, **rest}
+    risk = {} if answer.risk is None else {"risk": answer.risk}
+    return {"verdict": verdict, "guard_band": answer.guard_band, **risk}
 
 
 def _random_walk(module: Any, given: Given) -> Values:
     from counterspin.inference.noise.likelihood import RecordData
     from counterspin.inference.noise.model import ESTIMATE, Noise
 
-    stated = document(given["file"])
-    time, velocity = (np.array(stated[key], np.float64) for key in ("time", "velocity"))
+    data = document(given["file"])
+    time, velocity = (np.array(data[key], np.float64) for key in ("time", "velocity"))
     line = np.stack([np.ones_like(time), time], axis=1)
     noise = Noise(given.get("white", ESTIMATE), ESTIMATE)
     answer = module.estimate_noise([RecordData(time, 1, line, velocity)], noise)
     levels = {"white": answer.noise.white, "random_walk": answer.noise.random_walk}
     if "white" in given:
         return levels
-    both, alone = (answer.log_likelihoods[key] for key in (("white", "random_walk"), ("white",)))
-    return levels | {"gain": both - alone}
+    with_walk, white_only = (
+        answer.log_likelihoods[key] for key in (("white", "random_walk"), ("white",))
+    )
+    return levels | {"gain": with_walk - white_only}
 
 
 def _noise(module: Any, given: Given) -> Values:
@@ -229,19 +231,21 @@ def _quotients(given: Given) -> tuple[dict[str, Any], Array]:
     observed = np.array(given["observations"], np.float64)
     v, current, phase = observed.mean(axis=0)
     cos, sin = math.cos(phase), math.sin(phase)
-    turned = np.array([[cos, 0.0, -v * sin], [sin, 0.0, v * cos], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    spread = turned @ np.cov(observed.T) @ turned.T / len(observed)
-    u = np.sqrt(np.diag(spread))
+    jacobian = np.array(
+        [[cos, 0.0, -v * sin], [sin, 0.0, v * cos], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    )
+    mean_covariance = jacobian @ np.cov(observed.T) @ jacobian.T / len(observed)
+    u = np.sqrt(np.diag(mean_covariance))
     estimates = {}
-    for place, (name, value) in enumerate(zip("RXZ", (v * cos, v * sin, v), strict=True)):
-        sensitivity = spread[place, 3] / spread[3, 3]
+    for index, (name, value) in enumerate(zip("RXZ", (v * cos, v * sin, v), strict=True)):
+        sensitivity = mean_covariance[index, 3] / mean_covariance[3, 3]
         estimates[name] = {
             "value": value,
-            "u": float(u[place]),
+            "u": float(u[index]),
             "unit": "g/g^2",
             "gravity": {"value": current, "u": float(u[3]), "sensitivity": sensitivity},
         }
-    return estimates, spread[:3, :3] / np.outer(u[:3], u[:3])
+    return estimates, mean_covariance[:3, :3] / np.outer(u[:3], u[:3])
 
 
 def _si_estimate(module: Any, given: Given) -> Values:
@@ -267,9 +271,9 @@ def _si_covariance(module: Any, given: Given) -> Values:
     from counterspin.calibration.si_estimates import StatedGravity, si_estimate
 
     if "observations" in given:
-        inputs, related = _quotients(given)
+        inputs, correlation_matrix = _quotients(given)
     else:
-        inputs, related = given["estimates"], np.array(given["correlation"])
+        inputs, correlation_matrix = given["estimates"], np.array(given["correlation"])
     estimates = {
         name: si_estimate(
             given_estimate["value"],
@@ -280,12 +284,12 @@ def _si_covariance(module: Any, given: Given) -> Values:
         )
         for name, given_estimate in inputs.items()
     }
-    correlation = Correlation(terms=list(inputs), matrix=related.tolist())
+    correlation = Correlation(terms=list(inputs), matrix=correlation_matrix.tolist())
     answer = dict[str, Any]()
     for first, second in combinations(inputs, 2):
-        together = module.covariance(correlation, estimates, first, second)
+        covariance = module.covariance(correlation, estimates, first, second)
         u = estimates[first].u * estimates[second].u if "observations" in given else 1.0
-        answer[f"{first}, {second}"] = together / u
+        answer[f"{first}, {second}"] = covariance / u
     return answer
 
 
@@ -317,7 +321,7 @@ def _forecast(module: Any, given: Given) -> Values:
 
 def _individuals(module: Any, given: Given) -> Values:
     values = given["values"]
-    answer = module.individuals_chart(values, [str(place) for place in range(len(values))])
+    answer = module.individuals_chart(values, [str(index) for index in range(len(values))])
     limits = {"low": answer.action_low, "high": answer.action_high}
     return {"centre": answer.centre, "mean_range": answer.mean_range, **limits}
 
@@ -334,7 +338,7 @@ def _en_score(module: Any, given: Given) -> Values:
 def _factors(module: Any, given: Given) -> Values:
     g = given["gravity"]
     return {
-        unit: module.unit_factor(unit, wanted, gravity=g) for unit, wanted in given["units"].items()
+        unit: module.unit_factor(unit, target, gravity=g) for unit, target in given["units"].items()
     }
 
 
@@ -351,7 +355,7 @@ _KERNELS: Final[Mapping[str, Callable[[Any, Given], Values]]] = {
     "normal_gravity": _normal_gravity,
     "indicated": _indicated,
     "parabola": _parabola,
-    "second_stage_columns": _printed,
+    "second_stage_columns": _second_stage_columns,
     "fit": _fit,
     "solve": _solve,
     "effective_dof": _effective_dof,

@@ -108,22 +108,26 @@ def dossier_blocks(dossier: Dossier) -> Iterator[Block]:
 
 def _summary(dossier: Dossier) -> Iterator[Block]:
     states = [case.state for case in dossier.cases]
-    counted = f"{states.count('passed')} of {len(states)} reference cases passed"
+    count_text = f"{states.count('passed')} of {len(states)} reference cases passed"
     if states.count("not run"):
-        counted += f", {states.count('not run')} could not be run"
+        count_text += f", {states.count('not run')} could not be run"
     if dossier.passed:
-        yield Paragraph(f"{counted}; none failed.", "answer")
+        yield Paragraph(f"{count_text}; none failed.", "answer")
     elif dossier.failed:
-        yield Paragraph(f"{counted}. Failed: {'; '.join(dossier.failed)}.", "warning")
+        yield Paragraph(f"{count_text}. Failed: {'; '.join(dossier.failed)}.", "warning")
     else:
         yield Paragraph(
-            f"{counted}, but the installation differs from the delivered one.", "warning"
+            f"{count_text}, but the installation differs from the delivered one.", "warning"
         )
-    installed = dossier.installation
-    if installed.altered or installed.missing:
-        words = [f"altered: {', '.join(installed.altered)}"] if installed.altered else []
-        words += [f"missing: {', '.join(installed.missing)}"] if installed.missing else []
-        yield Paragraph(f"Files of the installation: {'; '.join(words)}.", "warning")
+    installed_files = dossier.installation
+    if installed_files.altered or installed_files.missing:
+        problems = (
+            [f"altered: {', '.join(installed_files.altered)}"] if installed_files.altered else []
+        )
+        problems += (
+            [f"missing: {', '.join(installed_files.missing)}"] if installed_files.missing else []
+        )
+        yield Paragraph(f"Files of the installation: {'; '.join(problems)}.", "warning")
 
 
 def _failures(dossier: Dossier) -> Iterator[Block]:
@@ -176,21 +180,21 @@ def _number(value: float | None) -> str:
 
 
 def _installation_blocks(dossier: Dossier) -> Iterator[Block]:
-    installed = dossier.installation
-    rows = [("counterspin", installed.version), *installed.environment.items()]
-    rows += [row for row in installed.packages.items() if row[0] not in installed.environment]
+    installation = dossier.installation
+    rows = [("counterspin", installation.version), *installation.environment.items()]
+    rows += [row for row in installation.packages.items() if row[0] not in installation.environment]
     yield Table((Column("Part"), Column("Version")), tuple(rows))
-    yield Paragraph(f"{installed.files} files of the package, together {installed.checksum}.")
-    if not installed.recorded:
+    yield Paragraph(f"{installation.files} files of the package, together {installation.checksum}.")
+    if not installation.recorded:
         yield Paragraph(
             "The installation has no RECORD of these files (it was installed in place, "
             "or not installed): they cannot be compared with the delivered ones."
         )
         return
-    altered, missing = len(installed.altered), len(installed.missing)
+    altered, missing = len(installation.altered), len(installation.missing)
     yield Paragraph(
-        f"{installed.recorded} files are in the installation's RECORD: {altered} altered, "
-        f"{missing} missing; {len(installed.unknown)} files are not in it."
+        f"{installation.recorded} files are in the installation's RECORD: {altered} altered, "
+        f"{missing} missing; {len(installation.unknown)} files are not in it."
     )
-    if installed.unknown:
-        yield Paragraph(f"Not in RECORD: {', '.join(installed.unknown)}.", "quiet")
+    if installation.unknown:
+        yield Paragraph(f"Not in RECORD: {', '.join(installation.unknown)}.", "quiet")

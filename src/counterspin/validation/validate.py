@@ -20,7 +20,7 @@ from counterspin.certificates.schema import load_schema
 from counterspin.output import make_folder, marked, reserve
 from counterspin.results import environment
 from counterspin.validation.cases import Case, cases, document
-from counterspin.validation.kernels import NotAvailableError, ask
+from counterspin.validation.kernels import NotAvailableError, run_case
 from counterspin.validation.page import CheckedCase, Dossier, Installation
 
 _PACKAGE: Final = "counterspin"
@@ -29,20 +29,20 @@ _PACKAGE: Final = "counterspin"
 def installation() -> Installation:
     """Return versions of the package and what it needs, the environment, and its files' state."""
     folder = Path(__file__).parents[1]
-    needed, record = dict[str, str](), None
+    dependencies, record = dict[str, str](), None
     try:
-        delivered = metadata.distribution(_PACKAGE)
+        distribution = metadata.distribution(_PACKAGE)
     except metadata.PackageNotFoundError:
-        delivered = None
-    if delivered is not None:
+        distribution = None
+    if distribution is not None:
         # An editable installation runs other files than those next to its RECORD.
-        location = Path(str(delivered.locate_file(_PACKAGE)))
+        location = Path(str(distribution.locate_file(_PACKAGE)))
         if location.resolve() == folder.resolve():
-            record = delivered.read_text("RECORD")
-        for requirement in delivered.requires or []:
+            record = distribution.read_text("RECORD")
+        for requirement in distribution.requires or []:
             if ";" not in requirement:
                 name = "".join(c if c.isalnum() or c in "-_." else " " for c in requirement).split()
-                needed[name[0]] = _version(name[0])
+                dependencies[name[0]] = _installed_version(name[0])
     files, altered, missing = (
         verify_files(record, folder) if record else (dict[str, str](), list[str](), list[str]())
     )
@@ -54,13 +54,13 @@ def installation() -> Installation:
     return Installation(
         version=__version__,
         environment=environment(),
-        packages=needed,
+        packages=dependencies,
         files=len(paths),
         checksum=f"sha256:{digest.hexdigest()}",
         recorded=len(files),
         altered=altered,
         missing=missing,
-        unknown=_unknown(paths, folder, files) if files else [],
+        unknown=_unrecorded_files(paths, folder, files) if files else [],
     )
 
 
@@ -70,18 +70,18 @@ def verify_files(record: str, folder: Path) -> tuple[dict[str, str], list[str], 
     record: Text of RECORD: CSV of path, ``sha256=`` and the hash in base64 for URLs, size.
     """
     files, altered, missing = dict[str, str](), list[str](), list[str]()
-    for path, stated, *_ in csv.reader(record.splitlines()):
-        inside = Path(path).parts
-        if inside[0] != _PACKAGE or not stated:
+    for path, recorded_hash, *_ in csv.reader(record.splitlines()):
+        parts = Path(path).parts
+        if parts[0] != _PACKAGE or not recorded_hash:
             continue
-        name = Path(*inside[1:]).as_posix()
-        files[name] = stated
-        algorithm, _, expected = stated.partition("=")
-        place = folder / name
-        if not place.is_file():
+        name = Path(*parts[1:]).as_posix()
+        files[name] = recorded_hash
+        algorithm, _, expected = recorded_hash.partition("=")
+        file = folder / name
+        if not file.is_file():
             missing.append(name)
             continue
-        digest = hashlib.new(algorithm, place.read_bytes()).digest()
+        digest = hashlib.new(algorithm, file.read_bytes()).digest()
         if base64.urlsafe_b64encode(digest).rstrip(b"=").decode() != expected:
             altered.append(name)
     return files, altered, missing
@@ -91,11 +91,11 @@ def _is_package_file(path: Path) -> bool:
     return "__pycache__" not in path.parts and path.suffix != ".pyc"
 
 
-def _unknown(paths: list[Path], folder: Path, files: dict[str, str]) -> list[str]:
+def _unrecorded_files(paths: list[Path], folder: Path, files: dict[str, str]) -> list[str]:
     return [n for n in (path.relative_to(folder).as_posix() for path in paths) if n not in files]
 
 
-def _version(name: str) -> str:
+def _installed_version(name: str) -> str:
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
@@ -136,19 +136,19 @@ def validate(
     CounterspinError
         If `schema` is given and does not contain the complete schema.
     """
-    wanted = cases() if chosen is None else tuple(chosen)
+    selected = cases() if chosen is None else tuple(chosen)
     if schema is not None:
         load_schema(Path(schema))
-        wanted = tuple(_with_schema(case, schema) for case in wanted)
+        selected = tuple(_set_schema(case, schema) for case in selected)
     checked = []
-    for case in wanted:
-        checked.append(check(case))
+    for case in selected:
+        checked.append(check_case(case))
         if progress is not None:
-            progress(len(checked), len(wanted))
+            progress(len(checked), len(selected))
     installed = installation()
-    sound = not (installed.altered or installed.missing)
+    is_unaltered = not (installed.altered or installed.missing)
     return Dossier(
-        passed=sound and all(outcome.state != "failed" for outcome in checked),
+        passed=is_unaltered and all(outcome.state != "failed" for outcome in checked),
         installation=installed,
         cases=checked,
         not_covered=[
@@ -162,46 +162,46 @@ def validate(
     )
 
 
-def _with_schema(case: Case, schema: Path | str) -> Case:
+def _set_schema(case: Case, schema: Path | str) -> Case:
     if not case.kernel.endswith(":check_schema"):
         return case
     return replace(case, given={**case.given, "schema": str(schema)})
 
 
-def check(case: Case) -> CheckedCase:
+def check_case(case: Case) -> CheckedCase:
     """Run a case; an error in its function or in its expected values is a failure."""
     try:
-        stated, answer = case.expected, ask(case)
+        reference, answer = case.expected, run_case(case)
     except NotAvailableError as error:
         return _failed_case(case, "not run", str(error))
     except Exception as error:  # report any error to the assessor
         return _failed_case(case, "failed", f"{type(error).__name__}: {error}")
-    worst: tuple[float, str, float, float, float] | None = None
+    largest: tuple[float, str, float, float, float] | None = None
     count = 0
-    for name, expected in stated.items():
-        got = np.asarray(answer.get(name, np.nan), np.float64)
-        if got.shape != expected.shape:
+    for name, expected in reference.items():
+        computed = np.asarray(answer.get(name, np.nan), np.float64)
+        if computed.shape != expected.shape:
             return _failed_case(case, "failed", f"{name} is missing, or has another shape")
-        allowed = np.broadcast_to(case.tolerance(name), expected.shape)
-        for place in np.ndindex(expected.shape):
+        tolerance = np.broadcast_to(case.tolerance(name), expected.shape)
+        for index in np.ndindex(expected.shape):
             count += 1
-            size = _relative_deviation(
-                float(got[place]), float(expected[place]), float(allowed[place])
+            deviation = _relative_deviation(
+                float(computed[index]), float(expected[index]), float(tolerance[index])
             )
-            if worst is None or size > worst[0]:
-                label = name + "".join(f"[{i + 1}]" for i in place)
-                numbers = (float(expected[place]), float(got[place]), float(allowed[place]))
-                worst = (size, label, *numbers)
-    assert worst is not None
-    size, quantity, should, was, limit = worst
+            if largest is None or deviation > largest[0]:
+                label = name + "".join(f"[{i + 1}]" for i in index)
+                numbers = (float(expected[index]), float(computed[index]), float(tolerance[index]))
+                largest = (deviation, label, *numbers)
+    assert largest is not None
+    deviation, quantity, expected_value, computed_value, limit = largest
     return CheckedCase(
-        **_stated(case),
-        state="passed" if size <= 1.0 else "failed",
+        **_case_fields(case),
+        state="passed" if deviation <= 1.0 else "failed",
         numbers=count,
         quantity=quantity,
-        expected=should,
-        found=was if math.isfinite(was) else None,
-        digits=_digits(was, should),
+        expected=expected_value,
+        found=computed_value if math.isfinite(computed_value) else None,
+        digits=_correct_digits(computed_value, expected_value),
         limit=limit,
     )
 
@@ -223,9 +223,9 @@ def write_dossier(dossier: Dossier, folder: Path | str, *, overwrite: bool = Fal
     CounterspinError
         If another file is in the way, or one cannot be written.
     """
-    place = Path(folder)
-    check_folder(place, overwrite=overwrite)
-    *pages, json = (place / name for name in DOSSIER_FILES)
+    target = Path(folder)
+    check_folder(target, overwrite=overwrite)
+    *pages, json = (target / name for name in DOSSIER_FILES)
     for path in pages:
         dossier.write_report(path, overwrite=overwrite)
     dossier.write(json, overwrite=overwrite)
@@ -241,14 +241,21 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
         reserve(path, kind, overwrite=overwrite)
 
 
-def _stated(case: Case) -> dict[str, Any]:
+def _case_fields(case: Case) -> dict[str, Any]:
     return {key: getattr(case, key) for key in ("name", "requirement", "kernel", "source")}
 
 
 def _failed_case(case: Case, state: str, note: str) -> CheckedCase:
-    nothing = dict.fromkeys(("expected", "found", "digits", "limit"))
+    empty_fields = dict.fromkeys(("expected", "found", "digits", "limit"))
     return CheckedCase.model_validate(
-        {**_stated(case), **nothing, "state": state, "numbers": 0, "quantity": "", "note": note}
+        {
+            **_case_fields(case),
+            **empty_fields,
+            "state": state,
+            "numbers": 0,
+            "quantity": "",
+            "note": note,
+        }
     )
 
 
@@ -260,7 +267,7 @@ def _relative_deviation(value: float, expected: float, allowed: float) -> float:
     return difference / allowed if allowed and difference < math.inf else math.inf
 
 
-def _digits(value: float, expected: float) -> float | None:
+def _correct_digits(value: float, expected: float) -> float | None:
     if value == expected:
         return _MAX_DIGITS
     if not expected or not math.isfinite(value):

@@ -4,10 +4,10 @@ import pytest
 from results import accelerometer, bare_result, coefficient, run
 
 from counterspin.calibration.pages.methods import (
-    lines_of_tests,
+    describe_tests,
     method_blocks,
     reading_blocks,
-    table_of_tests,
+    tabulate_tests,
 )
 from counterspin.calibration.result_parts import ReadingResult
 from counterspin.reports.blocks import Paragraph
@@ -48,7 +48,7 @@ def result(readings, runs=()):
 
 
 def test_each_kind_of_test_is_a_sentence():
-    lines = list(lines_of_tests(result(TUMBLE + ARM, ("slow", "fast"))))
+    lines = list(describe_tests(result(TUMBLE + ARM, ("slow", "fast"))))
     assert lines == [
         "Readings at rest in 2 positions, 3 readings (multi-position test, IEEE Std 1293).",
         "Readings on the arm of a centrifuge (IEEE Std 836) at 2 rates, 7 to 14 rad/s, one "
@@ -58,12 +58,12 @@ def test_each_kind_of_test_is_a_sentence():
 
 
 def test_both_senses_and_a_single_rate():
-    (line,) = lines_of_tests(result([reading("counter-rotating", w) for w in (6.0, -6.0)]))
+    (line,) = describe_tests(result([reading("counter-rotating", w) for w in (6.0, -6.0)]))
     assert line.startswith("Readings on a double turntable at 1 rate, 6 rad/s, both senses: 2")
 
 
 def test_the_table_has_a_row_for_each_mounting():
-    rows = table_of_tests(TUMBLE + ARM).rows
+    rows = tabulate_tests(TUMBLE + ARM).rows
     assert rows[0][1:] == ("", "2", "", "-1 to 1", "3")
     assert rows[1][1:] == ("in", "1", "7 to 14", "5 to 20", "2")
     assert rows[2][1:] == ("out", "1", "7 to 14", "-20 to -5", "2")
@@ -78,9 +78,9 @@ def test_the_forces_are_those_of_the_motions_alone():
 
 
 def test_a_table_has_no_column_in_which_nothing_stands():
-    titles = [column.title for column in table_of_tests(TUMBLE).columns]
+    titles = [column.title for column in tabulate_tests(TUMBLE).columns]
     assert titles == ["Test", "Positions", "Indication, g", "Readings"]
-    titles = [column.title for column in table_of_tests(TUMBLE + ARM).columns]
+    titles = [column.title for column in tabulate_tests(TUMBLE + ARM).columns]
     assert titles[1:4] == ["Mounting", "Positions", "Rates, rad/s"]
 
 

@@ -10,11 +10,11 @@ from scipy.special import ndtri
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.pages.traces import (
-    _rounded,
+    _round_digits,
+    envelope,
+    fold_over_revolution,
     normal_quantiles,
-    over_revolution,
     smoothed_spectrum,
-    stretches,
 )
 from counterspin.calibration.result import Result
 from counterspin.inference.diagnostics import periodogram
@@ -126,13 +126,13 @@ def test_values_are_rounded_as_python_writes_them(digits):
     ]
     values = np.append(values, special)
     expected = [float(f"{value:.{digits}g}") for value in values]
-    np.testing.assert_array_equal(_rounded(values, digits), expected)
+    np.testing.assert_array_equal(_round_digits(values, digits), expected)
 
 
 @given(st.integers(1, 300), st.integers(1, 50), st.integers(0, 2**32 - 1))
 def test_no_sample_falls_outside_its_stretch(n, count, seed):
     values = np.random.default_rng(seed).standard_normal(n)
-    middle, low, high = stretches(np.arange(n) / 7.0, values, count)
+    middle, low, high = envelope(np.arange(n) / 7.0, values, count)
     assert middle.size == min(n, count)
     assert (np.diff(middle) > 0).all()
     assert low.min() == values.min()
@@ -140,7 +140,7 @@ def test_no_sample_falls_outside_its_stretch(n, count, seed):
 
 
 def test_a_stretch_of_one_sample_is_that_sample():
-    middle, low, high = stretches(np.array([0.0, 1.0, 5.0]), np.array([3.0, -1.0, 2.0]), 10)
+    middle, low, high = envelope(np.array([0.0, 1.0, 5.0]), np.array([3.0, -1.0, 2.0]), 10)
     np.testing.assert_array_equal(middle, [0.0, 1.0, 5.0])
     np.testing.assert_array_equal(low, [3.0, -1.0, 2.0])
     np.testing.assert_array_equal(high, low)
@@ -148,14 +148,14 @@ def test_a_stretch_of_one_sample_is_that_sample():
 
 def test_over_a_revolution_by_hand():
     angle = np.array([0.1, 0.2, 2 * np.pi + 0.3, np.pi + 0.1, -0.1])
-    low, mean, high = over_revolution(angle, np.array([1.0, 2.0, 6.0, -4.0, 9.0]), 4)
+    low, mean, high = fold_over_revolution(angle, np.array([1.0, 2.0, 6.0, -4.0, 9.0]), 4)
     np.testing.assert_array_equal(low, [1.0, np.nan, -4.0, 9.0])
     np.testing.assert_array_equal(mean, [3.0, np.nan, -4.0, 9.0])
     np.testing.assert_array_equal(high, [6.0, np.nan, -4.0, 9.0])
 
 
 def test_an_angle_that_rounding_takes_to_the_next_revolution_is_still_in_this_one():
-    low, _, _ = over_revolution(np.array([-1e-20]), np.array([1.0]), 7)
+    low, _, _ = fold_over_revolution(np.array([-1e-20]), np.array([1.0]), 7)
     assert np.flatnonzero(np.isfinite(low)).size == 1
 
 

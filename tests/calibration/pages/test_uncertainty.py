@@ -6,10 +6,10 @@ from results import coefficient, result
 
 from counterspin.calibration.pages.document import answer_blocks
 from counterspin.calibration.pages.uncertainty import (
-    assumption,
-    decisive_lines,
-    dominance,
-    knowledge_blocks,
+    assumption_sentence,
+    default_prior_sentence,
+    prior_blocks,
+    split_small_lines,
 )
 from counterspin.calibration.result_parts import Knowledge
 from counterspin.inference.joint.summary import BudgetLine
@@ -50,7 +50,7 @@ def resting(unstated, noise=1e-7, **more):
 
 
 def test_the_largest_unstated_source_is_named_with_what_would_be_left():
-    told = dominance(resting(2e-6).accelerometers["Qx"])
+    told = default_prior_sentence(resting(2e-6).accelerometers["Qx"])
     # Known to a tenth of its typical size, K_OO leaves hypot(0.2, 0.1) ug/g^2.
     assert told == (
         "100 % of u^2 of K_II comes from the second-order output-axis coefficient, K_OO, which is "
@@ -64,32 +64,32 @@ def test_the_answer_has_one_sentence_about_its_uncertainty_whatever_decides_it()
     _, _, told, *_ = answer_blocks(stated)
     assert told.text == "80 % of u^2 of K_II comes from noise of Qx."
     _, _, told, *_ = answer_blocks(resting(2e-6))
-    assert told.text == dominance(resting(2e-6).accelerometers["Qx"])
+    assert told.text == default_prior_sentence(resting(2e-6).accelerometers["Qx"])
 
 
 def test_where_noise_or_what_is_stated_decides_there_is_nothing_to_say():
-    assert dominance(resting(5e-8).accelerometers["Qx"]) == ""
+    assert default_prior_sentence(resting(5e-8).accelerometers["Qx"]) == ""
     stated = result().accelerometers["Qx"]
-    assert dominance(stated) == ""
-    assert dominance(stated, "K_I") == ""
+    assert default_prior_sentence(stated) == ""
+    assert default_prior_sentence(stated, "K_I") == ""
 
 
 def test_lines_that_add_next_to_nothing_are_said_together():
     lines = [BudgetLine(**line(f"K_{k}", "stated", 10.0**-k, 1.0)) for k in range(7)]
-    shown, rest = decisive_lines(lines)
+    shown, rest = split_small_lines(lines)
     # Shares are 1, 1e-2, 1e-4 and then less: of four lines it pays to say how many they are.
     assert [one.source for one in shown] == ["K_0", "K_1", "K_2"]
     assert len(rest) == 4
-    assert decisive_lines(lines[:6]) == (lines[:6], ())
+    assert split_small_lines(lines[:6]) == (lines[:6], ())
 
 
 def test_what_is_assumed_is_named():
-    assert assumption(resting(2e-6)) == ""
-    assert assumption(resting(2e-6, assumed=["K_4", "K_IP"])) == (
+    assert assumption_sentence(resting(2e-6)) == ""
+    assert assumption_sentence(resting(2e-6, assumed=["K_4", "K_IP"])) == (
         "Assumed perfect, so not included in u: K_4, K_IP."
     )
     many = [f"K_{k}" for k in range(11)]
-    assert assumption(resting(2e-6, assumed=many)).endswith("K_7 and 3 more.")
+    assert assumption_sentence(resting(2e-6, assumed=many)).endswith("K_7 and 3 more.")
 
 
 def test_what_counts_in_a_budget_is_in_the_table_the_largest_first():
@@ -106,11 +106,11 @@ def test_what_counts_in_a_budget_is_in_the_table_the_largest_first():
         ),
         Knowledge(name="noise of Qx", kind="held", unit="g/g^2", value=0.0, u=1e-6),
     ]
-    blocks = list(knowledge_blocks(resting(2e-6, rests_on=rows, assumed=["K_4"])))
+    blocks = list(prior_blocks(resting(2e-6, rests_on=rows, assumed=["K_4"])))
     (table,) = (block for block in blocks if isinstance(block, Table))
     assert [row[0] for row in table.rows] == ["Qx.K_OO", "noise of Qx"]
     assert table.rows[0][1:3] == ("second-order output-axis coefficient", "unstated")
     assert table.rows[1][4] == "held"
     assert isinstance(blocks[-1], Paragraph)
     assert blocks[-1].text.startswith("Assumed perfect")
-    assert list(knowledge_blocks(resting(2e-6))) == []
+    assert list(prior_blocks(resting(2e-6))) == []

@@ -13,7 +13,7 @@ from counterspin.reports.numbers import field_unit, format_number
 def largest_shift(
     view: AccelerometerView, excluded: Sequence[int], shifts: Array
 ) -> tuple[str, float, float]:
-    """Return which coefficient moves most over its u, by how much, and by how many of its u.
+    """Return the coefficient with the largest shift over u, the shift, and the shift over u.
 
     excluded: Indices of unknowns that do not count.
     shifts: Shift of each unknown, shape (p,).

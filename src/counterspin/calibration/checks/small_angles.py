@@ -77,7 +77,7 @@ def check_tilts(
 
 
 def _largest_tilt(campaign: Campaign, estimated: Mapping[str, Coefficient]) -> Array:
-    """Return how large the tilt about each axis may be, |value| + 2 u, rad, shape (3,)."""
+    """Return the largest likely tilt about each axis, |value| + 2 u, rad, shape (3,)."""
     size = np.zeros(3)
     for symbol, row in PLATFORM_TERMS.items():
         if row.effect.kind != "tilt":

@@ -108,7 +108,7 @@ def min_equal_gain(best: float) -> float:
 
 
 def _best_index(tests: ScoreTests, kinds: Sequence[str] = ()) -> int:
-    """Return which credible alternative, of some kinds or of any, explains most."""
+    """Return the credible alternative, of some kinds or of any, that explains most."""
     sizes = [
         size if (not kinds or alternative.kind in kinds) and _is_credible(tests, i) else -1.0
         for i, (alternative, size) in enumerate(
@@ -123,7 +123,7 @@ def _is_significant(tests: ScoreTests, index: int) -> bool:
 
 
 def _test_count(score_tests: ScoreTests, index: int) -> int:
-    """Return how many alternatives share the significance of one of them."""
+    """Return the number of alternatives that share the significance of one of them."""
     is_prior = score_tests.alternatives[index].kind in _PRIOR_KINDS
     tests = sum(
         1

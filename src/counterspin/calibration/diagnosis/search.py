@@ -497,7 +497,7 @@ def _check_view(view: AccelerometerView) -> Iterator[Finding]:
 def _check_view_statistics(
     view: AccelerometerView, result: AccelerometerResult | None
 ) -> Iterator[Finding]:
-    """Yield what follows from the numbers of a fit as one accelerometer sees it."""
+    """Yield findings from the numbers of a fit for one accelerometer."""
     judged = result or AccelerometerResult(
         coefficients={},
         correlation=None,

@@ -79,7 +79,7 @@ class AlternativeMounting:
         return view.with_groups(self.groups)
 
     def largest_shift(self) -> tuple[str, float, float]:
-        """Return which coefficient moves most, by how much, and over its u."""
+        """Return the coefficient with the largest shift, the shift, and the shift over u."""
         candidates = [
             (symbol, shift, abs(shift) / u)
             for symbol, index in self.view.indices.items()

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from counterspin.calibration.findings import methods_agree
-from counterspin.calibration.pages.methods import method_blocks, table_of_tests
-from counterspin.calibration.pages.uncertainty import label_of
+from counterspin.calibration.pages.methods import method_blocks, tabulate_tests
+from counterspin.calibration.pages.uncertainty import source_label
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
@@ -46,40 +46,40 @@ _SPINDLE: Final = {
 def accelerometer_blocks(
     name: str, accelerometer: AccelerometerResult, gravity: float, *, details: bool
 ) -> Iterator[Block]:
-    """Yield what was found; gravity in m/s^2 is for noise in micro-g, `details` as in a report."""
+    """Yield the results; gravity in m/s^2 is for noise in micro-g, `details` as in a report."""
     yield Heading(f"Accelerometer {name}")
     yield coefficient_table({**accelerometer.coefficients, **accelerometer.second_unknown})
     for sentence in confounded_sentences(accelerometer):
         yield Paragraph(sentence)
-    yield Paragraph(_residual(accelerometer))
+    yield Paragraph(_residual_sentence(accelerometer))
     if accelerometer.noise:
-        yield Paragraph(_noise(accelerometer.noise, gravity))
+        yield Paragraph(_noise_sentence(accelerometer.noise, gravity))
     if accelerometer.output:
-        yield Paragraph(_in_output_units(accelerometer))
+        yield Paragraph(_output_units_text(accelerometer))
     yield from method_blocks(accelerometer)
     if accelerometer.readings:
-        yield table_of_tests(accelerometer.readings)
-    yield from _readings(accelerometer.readings, details=details)
+        yield tabulate_tests(accelerometer.readings)
+    yield from _reading_table(accelerometer.readings, details=details)
     if accelerometer.two_stage is not None:
         yield Paragraph(
-            _comparison(accelerometer.two_stage, accelerometer.coefficients.get("K_II"))
+            _comparison_sentence(accelerometer.two_stage, accelerometer.coefficients.get("K_II"))
         )
     if accelerometer.jackknife and "K_II" in accelerometer.coefficients:
-        yield from _jackknife(accelerometer.jackknife, accelerometer.coefficients["K_II"])
+        yield from _jackknife_table(accelerometer.jackknife, accelerometer.coefficients["K_II"])
     if details:
-        yield from _correlations(accelerometer)
+        yield from _correlation_blocks(accelerometer)
 
 
-def _in_output_units(accelerometer: AccelerometerResult) -> str:
-    parts = (
+def _output_units_text(accelerometer: AccelerometerResult) -> str:
+    coefficients = (
         f"{key.replace('_', ' ')} {format_estimate(c.value, c.u, c.unit)}"
         for key, c in accelerometer.output.items()
     )
     nominal = f" (nominal {accelerometer.nominal.words})" if accelerometer.nominal else ""
-    return f"In the unit of the readings: {', '.join(parts)}{nominal}."
+    return f"In the unit of the readings: {', '.join(coefficients)}{nominal}."
 
 
-def _readings(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[Block]:
+def _reading_table(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[Block]:
     if not readings:
         return
     yield Table(
@@ -101,7 +101,7 @@ def _readings(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[B
                 format_compact(line.value, line.u),
                 f"{line.residual * 1e6:.2f}",
                 "-" if line.z is None else f"{line.z:.2f}",
-                *_samples(line),
+                *_sample_cells(line),
             )
             for line in readings
         ),
@@ -112,24 +112,24 @@ def _readings(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[B
             yield from count_blocks(line.name, line)
 
 
-def _samples(line: ReadingResult) -> tuple[str, str]:
+def _sample_cells(line: ReadingResult) -> tuple[str, str]:
     """Return the cells of samples used and rejected; a value that was read has none."""
     return (
         ("", "") if line.samples is None else (str(line.samples), str(rejected_count(line.counts)))
     )
 
 
-def in_field_units(coefficient: Coefficient) -> tuple[float | None, float | None, str]:
-    """Return value, standard uncertainty and unit as the field reads them."""
+def to_field_units(coefficient: Coefficient) -> tuple[float | None, float | None, str]:
+    """Return value, standard uncertainty and unit in the usual unit of the field."""
     unit, factor = field_unit(coefficient.unit)
     value, u = coefficient.value, coefficient.u
     return None if value is None else value * factor, None if u is None else u * factor, unit
 
 
 def coefficient_table(coefficients: dict[str, Coefficient]) -> Table:
-    """Return one row for each coefficient; the first column is its symbol, the second its words."""
+    """Return a row for each coefficient, which starts with its symbol and description."""
     rows = [
-        (*_names(symbol), *coefficient_cells(coefficient))
+        (*_symbol_and_description(symbol), *coefficient_cells(coefficient))
         for symbol, coefficient in coefficients.items()
     ]
     return Table(
@@ -146,61 +146,65 @@ def coefficient_table(coefficients: dict[str, Coefficient]) -> Table:
     )
 
 
-def _names(symbol: str) -> tuple[str, str]:
-    """Return symbol and words of a term; a run's own term keeps the run's name in brackets."""
-    bare, bracket, run = symbol.partition(" (")
-    if not is_term(bare):
-        return _SPINDLE.get(bare, (symbol, ""))
-    return symbol, description_of(bare) + bracket + run
+def _symbol_and_description(symbol: str) -> tuple[str, str]:
+    """Return symbol and description of a term; a run's name in brackets is kept."""
+    base_symbol, bracket, run = symbol.partition(" (")
+    if not is_term(base_symbol):
+        return _SPINDLE.get(base_symbol, (symbol, ""))
+    return symbol, description_of(base_symbol) + bracket + run
 
 
 def coefficient_cells(coefficient: Coefficient) -> tuple[str, str, str, str]:
-    """Return value, uncertainty, unit, and what the uncertainty comes from."""
-    return (*_cells(coefficient), _origin(coefficient))
+    """Return value, uncertainty, unit, and the origin of the uncertainty."""
+    return (*_value_cells(coefficient), _uncertainty_origin(coefficient))
 
 
-def _cells(coefficient: Coefficient) -> tuple[str, str, str]:
+def _value_cells(coefficient: Coefficient) -> tuple[str, str, str]:
     """Return value, uncertainty and unit; the unit carries the power of ten, if there is one."""
-    value, u, unit = in_field_units(coefficient)
+    value, u, unit = to_field_units(coefficient)
     if value is None:
         return "-", "", unit
     if u is None or u == 0.0:
         return format_number(value, 12), "exact" if u == 0.0 else "", unit
-    both = round_to_uncertainty(value, u)
-    if both is None:
+    rounded = round_to_uncertainty(value, u)
+    if rounded is None:
         return format_number(value, 17), f"± {format_number(u, 2)}", unit
-    return both.value, f"± {both.u}", f"1e{both.exponent} {unit}" if both.exponent else unit
+    return (
+        rounded.value,
+        f"± {rounded.u}",
+        f"1e{rounded.exponent} {unit}" if rounded.exponent else unit,
+    )
 
 
-def _origin(coefficient: Coefficient) -> str:
+def _uncertainty_origin(coefficient: Coefficient) -> str:
     if coefficient.value is None:
         return NOT_DETERMINED
     if not coefficient.estimated:
         return "prior alone"
-    parts = {
+    components = {
         "noise": coefficient.u_noise,
         "stated": coefficient.u_stated,
         "unstated": coefficient.u_unstated,
     }
-    total = sum(u * u for u in parts.values() if u is not None)
-    if total == 0.0:
+    total_variance = sum(u * u for u in components.values() if u is not None)
+    if total_variance == 0.0:
         return ""
-    shares = {name: (u or 0.0) ** 2 / total for name, u in parts.items()}
+    shares = {name: (u or 0.0) ** 2 / total_variance for name, u in components.items()}
     return ", ".join(
         f"{name} {format_share(share)}" for name, share in shares.items() if share >= 0.005
     )
 
 
-def not_apart(confounded: ConfoundedTerms) -> str:
-    """Return which terms are confounded, and how much."""
+def confounding_text(confounded: ConfoundedTerms) -> str:
+    """Return a clause on confounded terms and the degree of confounding."""
     names = ", ".join(confounded.terms[:-1]) + " and " + confounded.terms[-1]
     return f"{names} {'cannot be' if confounded.inseparable else 'are hardly'} told apart"
 
 
-def _confounded(confounded: ConfoundedTerms) -> str:
+def _confounded_sentence(confounded: ConfoundedTerms) -> str:
     text = (
-        f"{not_apart(confounded)} by these records (correlation "
-        f"{_correlation(confounded.correlation)}); determined: {confounded.determined}"
+        f"{confounding_text(confounded)} by these records (correlation "
+        f"{_format_correlation(confounded.correlation)}); determined: {confounded.determined}"
     )
     if confounded.value is None:
         return text + "."
@@ -212,18 +216,18 @@ def _confounded(confounded: ConfoundedTerms) -> str:
 
 def confounded_sentences(accelerometer: AccelerometerResult) -> Iterator[str]:
     """Return a sentence for each set of terms that the records cannot tell apart."""
-    return map(_confounded, accelerometer.confounded)
+    return map(_confounded_sentence, accelerometer.confounded)
 
 
-def _correlation(r: float) -> str:
-    """Write a correlation; what would round to one is written by how much it misses."""
+def _format_correlation(r: float) -> str:
+    """Format a correlation; one that would round to 1 is written as 1 minus the difference."""
     if 0.0 < 1.0 - abs(r) < 5e-5:
         missing = format_number(1.0 - abs(r), 1)
         return f"1 - {missing}" if r > 0.0 else f"-1 + {missing}"
     return f"{r:.4f}"
 
 
-def _residual(accelerometer: AccelerometerResult) -> str:
+def _residual_sentence(accelerometer: AccelerometerResult) -> str:
     residual = accelerometer.residual
     text = (
         f"Residuals: rms {format_number(residual.rms)} {residual.unit} with "
@@ -233,12 +237,14 @@ def _residual(accelerometer: AccelerometerResult) -> str:
         text += f"; chi-square/dof {format_number(residual.chi2 / residual.dof, 4)}"
     if residual.lack_of_fit_p is not None:
         # Noise that was estimated fits by its size; only the pattern of the residuals can tell.
-        what = "a worse fit" if residual.chi2 is not None else "a pattern at least this unusual"
-        text += f", probability of {what} {format_number(residual.lack_of_fit_p, 2)}"
+        alternative = (
+            "a worse fit" if residual.chi2 is not None else "a pattern at least this unusual"
+        )
+        text += f", probability of {alternative} {format_number(residual.lack_of_fit_p, 2)}"
     return text + "."
 
 
-def _noise(noise: dict[str, NoiseLine], gravity: float) -> str:
+def _noise_sentence(noise: dict[str, NoiseLine], gravity: float) -> str:
     lines = []
     for name, line in noise.items():
         value, u, unit = line.value, line.u, line.unit
@@ -248,46 +254,54 @@ def _noise(noise: dict[str, NoiseLine], gravity: float) -> str:
             value, u, unit = value * scale, None if u is None else u * scale, f"ug{unit[5:]}"
         elif name == "timing":
             value, unit = value * 1e6, "us"
-        words = {"timing": "time stamps"}.get(name, name.replace("_", " "))
+        label = {"timing": "time stamps"}.get(name, name.replace("_", " "))
         if line.estimated and value == 0.0:
-            lines.append(f"{words} none (the records show none)")
+            lines.append(f"{label} none (the records show none)")
             continue
-        given = f"from {line.record}" if line.record else "as given"
-        how = "estimated from the residuals" if line.estimated else given
-        about = line.estimated and u is None
-        size = f"{format_number(value, 2)} {unit}" if about else format_estimate(value, u, unit)
-        own = [f"{format_number(of_run, 2)} in {run}" for run, of_run in line.runs.items()]
-        by_run = f", by run {', '.join(own)}" if own else ""
-        lines.append(f"{words} {size} ({how}){by_run}")
+        source = f"from {line.record}" if line.record else "as given"
+        evaluation = "estimated from the residuals" if line.estimated else source
+        is_approximate = line.estimated and u is None
+        size = (
+            f"{format_number(value, 2)} {unit}"
+            if is_approximate
+            else format_estimate(value, u, unit)
+        )
+        run_values = [
+            f"{format_number(run_value, 2)} in {run}" for run, run_value in line.runs.items()
+        ]
+        by_run = f", by run {', '.join(run_values)}" if run_values else ""
+        lines.append(f"{label} {size} ({evaluation}){by_run}")
     return f"Noise: {'; '.join(lines)}."
 
 
-def _comparison(comparison: Comparison, coefficient: Coefficient | None) -> str:
+def _comparison_sentence(comparison: Comparison, coefficient: Coefficient | None) -> str:
     unit, factor = field_unit(coefficient.unit if coefficient else "")
-    agree = "they agree" if methods_agree(comparison) else "they do not agree"
+    agreement = "they agree" if methods_agree(comparison) else "they do not agree"
     value = format_estimate(comparison.value * factor, comparison.u * factor, unit)
     difference = format_estimate(
         comparison.difference * factor, comparison.u_difference * factor, unit
     )
     return (
         f"The two-stage method gives K_II = {value}; the difference is {difference}, or "
-        f"{format_number(comparison.z)} times its standard uncertainty: {agree}."
+        f"{format_number(comparison.z)} times its standard uncertainty: {agreement}."
     )
 
 
-def _jackknife(lines: Sequence[Jackknife], coefficient: Coefficient) -> Iterator[Block]:
-    value, u, unit = in_field_units(coefficient)
+def _jackknife_table(lines: Sequence[Jackknife], coefficient: Coefficient) -> Iterator[Block]:
+    value, u, unit = to_field_units(coefficient)
     _, factor = field_unit(coefficient.unit)
     # Without one run the estimate is written to the place of the whole one, to be compared.
-    both = round_to_uncertainty(value, u) if value is not None and u else None
-    if both is not None and both.exponent:
-        unit = f"1e{both.exponent} {unit}"
+    rounded = round_to_uncertainty(value, u) if value is not None and u else None
+    if rounded is not None and rounded.exponent:
+        unit = f"1e{rounded.exponent} {unit}"
 
     def write(number: float | None) -> str:
         if number is None:
             return NOT_DETERMINED
-        shown = number * factor
-        return both.write(shown) if both is not None else format_number(shown, 6)
+        scaled_number = number * factor
+        return (
+            rounded.write(scaled_number) if rounded is not None else format_number(scaled_number, 6)
+        )
 
     yield Table(
         columns=(
@@ -308,7 +322,7 @@ def _jackknife(lines: Sequence[Jackknife], coefficient: Coefficient) -> Iterator
     )
 
 
-def _correlations(accelerometer: AccelerometerResult) -> Iterator[Block]:
+def _correlation_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
     if accelerometer.correlation is None:
         return
     terms, matrix = accelerometer.correlation.terms, accelerometer.correlation.matrix
@@ -329,18 +343,18 @@ def _correlations(accelerometer: AccelerometerResult) -> Iterator[Block]:
             Column("and", wraps=True),
             Column("Correlation", "right"),
         ),
-        tuple((label_of(b), label_of(a), _correlation(r)) for a, b, r in pairs),
+        tuple((source_label(b), source_label(a), _format_correlation(r)) for a, b, r in pairs),
     )
 
 
-def note_blocks(name: str, found: RunResult | ReadingResult) -> Iterator[Block]:
-    """Yield one paragraph for each thing that reading found."""
-    for note in found.notes:
+def note_blocks(name: str, item: RunResult | ReadingResult) -> Iterator[Block]:
+    """Yield a paragraph for each note on reading."""
+    for note in item.notes:
         yield Paragraph(note if note.startswith(name) else f"{name}: {note}")
 
 
-def count_blocks(name: str, found: RunResult | ReadingResult) -> Iterator[Block]:
-    """Yield how many rows of each kind there are."""
-    counts = ", ".join(f"{key.replace('_', ' ')} {count}" for key, count in found.counts.items())
+def count_blocks(name: str, item: RunResult | ReadingResult) -> Iterator[Block]:
+    """Yield the number of rows of each kind."""
+    counts = ", ".join(f"{key.replace('_', ' ')} {count}" for key, count in item.counts.items())
     if counts:
         yield Paragraph(f"{name}: {counts}.")

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from counterspin.calibration.pages.uncertainty import decisive_lines
+from counterspin.calibration.pages.uncertainty import split_small_lines
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.inference.joint.summary import BudgetLine
@@ -30,11 +30,15 @@ def budget_blocks(name: str, result: Result) -> Iterator[Block]:
     budgets = result.accelerometers[name].budget
     for symbol in sorted(budgets, key=lambda symbol: symbol != "K_II"):
         yield Heading(f"Uncertainty budget of {symbol}, {name}", 3)
-        yield budget_table(name, symbol, result, *decisive_lines(budgets[symbol]))
+        yield budget_table(name, symbol, result, *split_small_lines(budgets[symbol]))
 
 
 def budget_table(
-    name: str, symbol: str, result: Result, shown: Sequence[BudgetLine], rest: Sequence[BudgetLine]
+    name: str,
+    symbol: str,
+    result: Result,
+    shown: Sequence[BudgetLine],
+    small_lines: Sequence[BudgetLine],
 ) -> Table:
     """Return the budget of a coefficient as a table; empty columns are left out.
 
@@ -52,17 +56,19 @@ def budget_table(
             description_of(line.source),
             evaluations[line.kind],
             *_prior_cells(line, values.get(line.source)),
-            _sensitivity(line, factor),
+            _sensitivity_cell(line, factor),
             format_uncertainty(line.contribution * factor),
             format_share(line.share),
         )
         for line in shown
     ]
-    if rest:
-        size = math.hypot(*(line.contribution for line in rest))
-        share = format_share(sum(line.share for line in rest))
-        rows.append((f"{len(rest)} more", *[""] * 5, format_uncertainty(size * factor), share))
-    total = math.hypot(*(line.contribution for line in (*shown, *rest)))
+    if small_lines:
+        remainder = math.hypot(*(line.contribution for line in small_lines))
+        share = format_share(sum(line.share for line in small_lines))
+        rows.append(
+            (f"{len(small_lines)} more", *[""] * 5, format_uncertainty(remainder * factor), share)
+        )
+    total = math.hypot(*(line.contribution for line in (*shown, *small_lines)))
     rows.append(("combined", *[""] * 5, format_uncertainty(total * factor), ""))
     return Table(
         columns=(
@@ -86,8 +92,8 @@ def prior_values(name: str, result: Result) -> Mapping[str, float]:
     """
     priors = {row.name.removeprefix(f"{name}."): row.value for row in result.rests_on}
     coefficients = result.accelerometers[name].coefficients.items()
-    unimproved = {s: c.value for s, c in coefficients if not c.estimated and c.value is not None}
-    return unimproved | priors
+    prior_only = {s: c.value for s, c in coefficients if not c.estimated and c.value is not None}
+    return prior_only | priors
 
 
 def _noise_evaluation(accelerometer: AccelerometerResult) -> str:
@@ -108,7 +114,7 @@ def _prior_cells(line: BudgetLine, value: float | None) -> tuple[str, str]:
     return f"{rounded.value} {unit}", u
 
 
-def _sensitivity(line: BudgetLine, factor: float) -> str:
+def _sensitivity_cell(line: BudgetLine, factor: float) -> str:
     if line.sensitivity is None:
         return ""
     return format_number(line.sensitivity * factor / field_unit(line.unit)[1])

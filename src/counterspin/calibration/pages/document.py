@@ -13,8 +13,8 @@ from counterspin.calibration.pages.accelerometer import (
     accelerometer_blocks,
     coefficient_table,
     count_blocks,
-    in_field_units,
     note_blocks,
+    to_field_units,
 )
 from counterspin.calibration.pages.budget import budget_blocks
 from counterspin.calibration.pages.card import accelerometer_card
@@ -26,12 +26,12 @@ from counterspin.calibration.pages.pictures import (
     residual_plots,
     ripple_plot,
 )
-from counterspin.calibration.pages.triad import pose_pictures, triad_blocks, triad_line
+from counterspin.calibration.pages.triad import pose_pictures, triad_blocks, triad_summary
 from counterspin.calibration.pages.uncertainty import (
-    assumption,
-    dominance,
-    knowledge_blocks,
-    largest_part,
+    assumption_sentence,
+    default_prior_sentence,
+    main_source_sentence,
+    prior_blocks,
 )
 from counterspin.calibration.pages.verdict import (
     conformity_blocks,
@@ -100,15 +100,15 @@ def sections(result: Result, *, budget: bool = False, details: bool = False) -> 
     blocks += triad_blocks(result, details=details)
     blocks += platform_blocks(result)
     if budget:
-        blocks += knowledge_blocks(result)
+        blocks += prior_blocks(result)
     if result.runs:
         blocks += [Heading("Runs"), *run_blocks(result.runs, details=details)]
     if details:
-        blocks += _details(result)
+        blocks += _detail_blocks(result)
     return blocks
 
 
-def first_screen(result: Result) -> list[Block]:
+def notebook_blocks(result: Result) -> list[Block]:
     """Return the blocks of a notebook cell: the answer, whether it is good, the coefficients."""
     result = judge_result(result)
     blocks: list[Block] = [*answer_blocks(result), *verdict_blocks(result)]
@@ -131,16 +131,16 @@ def answer_blocks(result: Result, *, report: bool = False) -> Iterator[Block]:
     yield from misfit_blocks(result)
     yield from seal_warnings(result)
     for name, accelerometer in result.accelerometers.items():
-        paragraphs = list(_answer(name, accelerometer, in_g=report))
+        paragraphs = list(_answer_paragraphs(name, accelerometer, in_g=report))
         card = accelerometer_card(name, accelerometer, paragraphs) if report else None
         yield from paragraphs if card is None else [card]
-    yield from triad_line(result)
-    if sentence := assumption(result):
+    yield from triad_summary(result)
+    if sentence := assumption_sentence(result):
         yield Paragraph(sentence)
     for warning in result.warnings:
         yield Paragraph(f"Warning: {warning}", "warning")
-    known = (f"{key.replace('_', ' ')} {text}" for key, text in result.details.items())
-    if line := "; ".join(known):
+    detail_texts = (f"{key.replace('_', ' ')} {text}" for key, text in result.details.items())
+    if line := "; ".join(detail_texts):
         yield Paragraph(f"{line[:1].upper()}{line[1:]}.", "quiet")
     gravity = format_number(result.inputs.gravity, 9)
     yield Paragraph(
@@ -152,20 +152,22 @@ def answer_blocks(result: Result, *, report: bool = False) -> Iterator[Block]:
     )
 
 
-def _answer(name: str, accelerometer: AccelerometerResult, *, in_g: bool) -> Iterator[Paragraph]:
-    """Yield K_II of an accelerometer and what its uncertainty comes from."""
+def _answer_paragraphs(
+    name: str, accelerometer: AccelerometerResult, *, in_g: bool
+) -> Iterator[Paragraph]:
+    """Yield K_II of an accelerometer and the origin of its uncertainty."""
     if (coefficient := accelerometer.coefficients.get("K_II")) is not None:
         state = accelerometer.state
         yield _answer_line(f"K_II of {name}", coefficient, in_g=in_g, state=state)
-        if sentence := dominance(accelerometer) or largest_part(accelerometer):
+        if sentence := default_prior_sentence(accelerometer) or main_source_sentence(accelerometer):
             yield Paragraph(sentence)
 
 
 def _answer_line(
     name: str, coefficient: Coefficient, *, in_g: bool, state: State | None
 ) -> Paragraph:
-    """Return K_II in one line; one that is contradicted has neither interval nor colour."""
-    value, u, unit = in_field_units(coefficient)
+    """Return K_II in one line; a contradicted value has neither interval nor colour."""
+    value, u, unit = to_field_units(coefficient)
     if not coefficient.estimated or value is None or u is None:
         prior = (
             f"; known beforehand: {format_estimate(value, u, unit)}" if value is not None else ""
@@ -178,10 +180,10 @@ def _answer_line(
     if state == "contradicted":
         return Paragraph(text)
     if u > 0.0:
-        half = expanded_uncertainty(u, coefficient.dof)
-        interval = format_interval(value, u, half, unit if in_g else "")
-        few = coefficient.dof is not None and coefficient.dof < _MANY_DOF
-        dof = f", {format_count(coefficient.dof or 0.0)} dof" if few else ""
+        expanded_u = expanded_uncertainty(u, coefficient.dof)
+        interval = format_interval(value, u, expanded_u, unit if in_g else "")
+        has_few_dof = coefficient.dof is not None and coefficient.dof < _MANY_DOF
+        dof = f", {format_count(coefficient.dof or 0.0)} dof" if has_few_dof else ""
         text += f"   (95 %: {interval}{dof})"
     return Paragraph(text, "answer" if state in ("good", None) else "reserved")
 
@@ -221,7 +223,7 @@ def run_blocks(runs: dict[str, RunResult], *, details: bool) -> Iterator[Block]:
                     run.drift * field_unit("1/s")[1],
                     None if run.u_drift is None else run.u_drift * field_unit("1/s")[1],
                 ),
-                _ripples(run),
+                _ripple_cell(run),
                 str(run.samples),
                 str(run.rejected),
             )
@@ -229,15 +231,15 @@ def run_blocks(runs: dict[str, RunResult], *, details: bool) -> Iterator[Block]:
         ),
     )
     yield Paragraph("Digits in brackets: standard uncertainty of the last digits.", "quiet")
-    yield from _parabolas(runs)
-    yield from _fits(runs)
+    yield from _parabola_table(runs)
+    yield from _fit_table(runs)
     for name, run in runs.items():
         yield from note_blocks(name, run)
     if details:
-        yield from _counts(runs)
+        yield from _count_blocks(runs)
 
 
-def _counts(runs: dict[str, RunResult]) -> Iterator[Block]:
+def _count_blocks(runs: dict[str, RunResult]) -> Iterator[Block]:
     for name, run in runs.items():
         yield from count_blocks(name, run)
         if run.angle_rms is not None:
@@ -246,30 +248,31 @@ def _counts(runs: dict[str, RunResult]) -> Iterator[Block]:
             yield Paragraph(f"{name}: encoder residual, {rms} {unit} rms.")
 
 
-def _ripples(run: RunResult) -> str:
+def _ripple_cell(run: RunResult) -> str:
     if not run.ripples:
         return "-"
     # parts per million of the rate, whichever way it turns
     scale = 1e6 / abs(run.rate)
     return MultilineText(
         *(
-            f"{one.harmonic}: {format_compact(one.amplitude * scale, one.u_amplitude * scale)}"
-            for one in run.ripples
+            f"{r.harmonic}: {format_compact(r.amplitude * scale, r.u_amplitude * scale)}"
+            for r in run.ripples
         )
     )
 
 
-def _parabolas(runs: dict[str, RunResult]) -> Iterator[Block]:
+def _parabola_table(runs: dict[str, RunResult]) -> Iterator[Block]:
     rows = [
         (
             name,
             accelerometer,
-            str(fitted.strobes),
-            format_compact(fitted.b2, fitted.u_b2),
-            f"{format_number(fitted.sigma)} {'fitted' if fitted.sigma_from_residuals else 'given'}",
+            str(parabola.strobes),
+            format_compact(parabola.b2, parabola.u_b2),
+            f"{format_number(parabola.sigma)} "
+            f"{'fitted' if parabola.sigma_from_residuals else 'given'}",
         )
         for name, run in runs.items()
-        for accelerometer, fitted in run.parabolas.items()
+        for accelerometer, parabola in run.parabolas.items()
     ]
     if rows:
         yield Table(
@@ -284,8 +287,8 @@ def _parabolas(runs: dict[str, RunResult]) -> Iterator[Block]:
         )
 
 
-def _fits(runs: dict[str, RunResult]) -> Iterator[Block]:
-    """Write whatever each run's fit is judged by, a column for each key."""
+def _fit_table(runs: dict[str, RunResult]) -> Iterator[Block]:
+    """Yield a table of the tests of each run's fit, a column for each key."""
     fits = [
         (name, accelerometer, fit)
         for name, run in runs.items()
@@ -301,13 +304,13 @@ def _fits(runs: dict[str, RunResult]) -> Iterator[Block]:
                 *(Column(title, "right", wraps=True) for title in titles),
             ),
             rows=tuple(
-                (name, accelerometer, *(_measure(key, fit.get(key)) for key in keys))
+                (name, accelerometer, *(_format_measure(key, fit.get(key)) for key in keys))
                 for name, accelerometer, fit in fits
             ),
         )
 
 
-def _measure(key: str, value: float | str | None) -> str:
+def _format_measure(key: str, value: float | str | None) -> str:
     if value is None or isinstance(value, str):
         return value or "-"
     if key.endswith("_p"):
@@ -315,7 +318,7 @@ def _measure(key: str, value: float | str | None) -> str:
     return format_count(value)
 
 
-def _details(result: Result) -> Iterator[Block]:
+def _detail_blocks(result: Result) -> Iterator[Block]:
     yield Heading("Details")
     inputs = result.inputs
     latitude = format_number(math.degrees(inputs.latitude), 8)
@@ -356,7 +359,9 @@ def _coefficients(result: Result) -> Iterator[Block]:
     yield from conformity_blocks(result)
     for name, accelerometer in result.accelerometers.items():
         yield from accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=True)
-        yield from _drawn(jackknife_plot(name, accelerometer), correlation_map(name, accelerometer))
+        yield from _drawable(
+            jackknife_plot(name, accelerometer), correlation_map(name, accelerometer)
+        )
     yield from triad_blocks(result, details=True)
     yield from pose_pictures(result)
     yield from platform_blocks(result)
@@ -365,8 +370,8 @@ def _coefficients(result: Result) -> Iterator[Block]:
 def _budgets(result: Result) -> Iterator[Block]:
     for name, accelerometer in result.accelerometers.items():
         yield from budget_blocks(name, result)
-        yield from _drawn(budget_bars(name, accelerometer))
-    yield from knowledge_blocks(result)
+        yield from _drawable(budget_bars(name, accelerometer))
+    yield from prior_blocks(result)
 
 
 def _residuals(result: Result) -> Iterator[Block]:
@@ -379,10 +384,10 @@ def _residuals(result: Result) -> Iterator[Block]:
 
 def _runs(result: Result) -> Iterator[Block]:
     yield from run_blocks(result.runs, details=True)
-    yield from _drawn(ripple_plot(result.runs))
+    yield from _drawable(ripple_plot(result.runs))
 
 
-def _drawn(*pictures: Picture | None) -> Iterator[Picture]:
+def _drawable(*pictures: Picture | None) -> Iterator[Picture]:
     yield from (picture for picture in pictures if picture is not None)
 
 
@@ -409,7 +414,7 @@ def batch_blocks(batch: BatchResult) -> list[Block]:
         row
         for folder, outcome in batch.campaigns.items()
         if isinstance(outcome, Result)
-        for row in _rows(folder, outcome)
+        for row in _batch_rows(folder, outcome)
     )
     blocks: list[Block] = [Table(_COLUMNS, rows)] if rows else []
     blocks += [Paragraph(f"{folder}: {error}", "warning") for folder, error in batch.failed.items()]
@@ -427,8 +432,8 @@ def batch_blocks(batch: BatchResult) -> list[Block]:
     return blocks
 
 
-def _rows(folder: str, result: Result) -> Iterator[tuple[str, ...]]:
+def _batch_rows(folder: str, result: Result) -> Iterator[tuple[str, ...]]:
     for name, accelerometer in result.accelerometers.items():
         coefficient = accelerometer.coefficients.get("K_II")
-        value, u, unit = (None, None, "") if coefficient is None else in_field_units(coefficient)
+        value, u, unit = (None, None, "") if coefficient is None else to_field_units(coefficient)
         yield folder, name, format_estimate(value, u), unit, accelerometer.state or ""

@@ -65,7 +65,7 @@ def model_blocks(result: Result) -> Iterator[Block]:
         known = {**accelerometer.known, **accelerometer.coefficients}
         symbols = {symbol for symbol, c in known.items() if c.value is not None}
         used = [TERMS[symbol] for symbol in TERMS if symbol in symbols]
-        yield Paragraph(f"{name}: a_ind = {_sum(used)}", "equation")
+        yield Paragraph(f"{name}: a_ind = {_equation_sum(used)}", "equation")
     platform = dict.fromkeys(
         [*result.platform, *(symbol for run in result.runs.values() for symbol in run.terms)]
     )
@@ -73,22 +73,22 @@ def model_blocks(result: Result) -> Iterator[Block]:
         yield Paragraph(
             "The small attitude error ψ of the platform turns the sensed force to f − ψ × f; it is "
             "ψ = tilt + ∫ (drift + D f/g + E |f|²/g²) dt + C f/g. Taken into account: "
-            f"{_list(turns)}."
+            f"{_join(turns)}."
         )
     if paths := [symbol for symbol in platform if symbol in MOTION_TERMS]:
         yield Paragraph(
             "Errors of the path, which displace the platform from the position given by radius "
             "and recorded angle: "
-            f"{_list(paths)}."
+            f"{_join(paths)}."
         )
     yield from reading_blocks(result)
     if result.runs or not (readings_of(result) or poses_of(result)):
-        yield from _recorded(result)
-    yield Paragraph(_method(result))
+        yield from _recorded_signal_blocks(result)
+    yield Paragraph(_method_sentence(result))
 
 
-def _recorded(result: Result) -> Iterator[Block]:
-    """Yield what records of a double turntable were taken to be."""
+def _recorded_signal_blocks(result: Result) -> Iterator[Block]:
+    """Yield the equations of the recorded signals of a double turntable."""
     observables = {
         accelerometer.observable or "displacement"
         for accelerometer in result.accelerometers.values()
@@ -104,7 +104,7 @@ def _recorded(result: Result) -> Iterator[Block]:
     )
 
 
-def _method(result: Result) -> str:
+def _method_sentence(result: Result) -> str:
     if result.model == "as-printed":
         return (
             "The observation model is the paper's as printed, which returns half the true "
@@ -119,12 +119,11 @@ def _method(result: Result) -> str:
     poses = ["all poses (two unknown angles each)"] if poses_of(result) else []
     if readings or poses:
         records = ["all samples of the records"] if result.runs else []
-        every = " and ".join([*records, *readings, *poses])
+        observations = " and ".join([*records, *readings, *poses])
         return (
-            f"{every[:1].upper()}{every[1:]} in one weighted least-squares fit, with prior "
-            f"knowledge as further observations; quantities that are held and not estimated "
-            f"contribute "
-            "to u by their sensitivity."
+            f"{observations[:1].upper()}{observations[1:]} in one weighted least-squares fit, "
+            "with prior knowledge as further observations; quantities that are held and not "
+            "estimated contribute to u by their sensitivity."
         )
     return (
         "All samples of all runs and accelerometers in one weighted least-squares fit, with "
@@ -134,21 +133,21 @@ def _method(result: Result) -> str:
     )
 
 
-def _sum(terms: Iterable[Term[SpecificForceProduct]]) -> str:
-    parts = []
+def _equation_sum(terms: Iterable[Term[SpecificForceProduct]]) -> str:
+    summands = []
     for term in terms:
         product = term.effect.text.replace("*", " ")
         sign = "−" if term.effect.weight < 0.0 else "+"
-        parts.append(f"{sign} {term.symbol}" + ("" if product == "1" else f" {product}"))
-    return " ".join(parts).removeprefix("+ ")
+        summands.append(f"{sign} {term.symbol}" + ("" if product == "1" else f" {product}"))
+    return " ".join(summands).removeprefix("+ ")
 
 
-def _list(words: Iterable[str]) -> str:
+def _join(words: Iterable[str]) -> str:
     return ", ".join(words)
 
 
 def origin_blocks(result: Result) -> Iterator[Block]:
-    """Yield what the result was made from and how to make it again."""
+    """Yield the inputs of the result, and the command that repeats the calibration."""
     yield Heading("Inputs and reproduction")
     inputs = result.inputs
     latitude = format_number(math.degrees(inputs.latitude), 8)
@@ -162,23 +161,28 @@ def origin_blocks(result: Result) -> Iterator[Block]:
             (file, checksum.removeprefix("sha256:")) for file, checksum in result.provenance.shown
         ),
     )
-    made = f"Made by counterspin {result.provenance.version}."
+    version_text = f"Made by counterspin {result.provenance.version}."
     if result.provenance.in_memory:
-        those = "; ".join(f"{name} ({how})" for name, how in result.provenance.in_memory.items())
+        inputs_text = "; ".join(
+            f"{name} ({description})" for name, description in result.provenance.in_memory.items()
+        )
         yield Paragraph(
-            f"{made} Not from files: {those}. Therefore no command line repeats the calibration; "
+            f"{version_text} Not from files: {inputs_text}. "
+            "Therefore no command line repeats the calibration; "
             "`Campaign.write` writes a folder from which one does."
         )
         return
-    yield Paragraph(f"{made} To repeat the calibration, run this in the folder of these files:")
+    yield Paragraph(
+        f"{version_text} To repeat the calibration, run this in the folder of these files:"
+    )
     options = list(result.provenance.options)
-    asked = command_arguments(result.method, TwoStageOptions())
+    method_arguments = command_arguments(result.method, TwoStageOptions())
     # Once the two-stage method was the default, and did not have to be asked for.
-    options = [*(word for word in asked if word not in options), *options]
+    options = [*(word for word in method_arguments if word not in options), *options]
     options += acceptance_arguments(result.accepted_misfit)
     description = next(iter(result.provenance.inputs), DESCRIPTION_NAME)
-    where = "." if description == DESCRIPTION_NAME else description
-    yield Paragraph(join_command(("counterspin", "calibrate", where, *options)), "command")
+    path = "." if description == DESCRIPTION_NAME else description
+    yield Paragraph(join_command(("counterspin", "calibrate", path, *options)), "command")
 
 
 def readings_of(result: Result) -> dict[str, list[ReadingResult]]:
@@ -195,37 +199,42 @@ def poses_of(result: Result) -> list[PoseResult]:
     return [] if result.triad is None else result.triad.poses
 
 
-def lines_of_tests(result: Result) -> Iterator[str]:
+def describe_tests(result: Result) -> Iterator[str]:
     """Yield a sentence for each kind of test that a campaign with readings or poses had."""
     for motion, readings in readings_of(result).items():
-        count = _counted(len(readings), "reading")
+        count = _format_count(len(readings), "reading")
         if motion == "static":
-            where = _counted(len(_positions(readings)), "position")
-            yield f"Readings at rest in {where}, {count} (multi-position test, IEEE Std 1293)."
+            position_text = _format_count(len(_distinct_positions(readings)), "position")
+            yield (
+                f"Readings at rest in {position_text}, {count} "
+                "(multi-position test, IEEE Std 1293)."
+            )
             continue
         rates = sorted({abs(reading.rate) for reading in readings})
-        range_ = f"{_counted(len(rates), 'rate')}, {_range(rates)} rad/s"
+        rate_text = f"{_format_count(len(rates), 'rate')}, {_format_range(rates)} rad/s"
         senses = "both senses" if len({r.rate > 0.0 for r in readings}) > 1 else "one sense"
         mountings = list(dict.fromkeys(r.mounting for r in readings if r.mounting))
-        named = ", ".join(mountings)
-        places = f", {_counted(len(mountings), 'mounting')} ({named})" if mountings else ""
-        carried = (
+        mounting_names = ", ".join(mountings)
+        mounting_text = (
+            f", {_format_count(len(mountings), 'mounting')} ({mounting_names})" if mountings else ""
+        )
+        test_text = (
             "Readings on the arm of a centrifuge (IEEE Std 836)"
             if motion == "arm"
             else "Readings on a double turntable"
         )
         yield (
-            f"{carried} at {range_}, {senses}{places}: {count}, each the mean over whole "
-            "revolutions."
+            f"{test_text} at {rate_text}, {senses}{mounting_text}: {count}, "
+            "each the mean over whole revolutions."
         )
     if poses := poses_of(result):
-        yield f"At rest in {_counted(len(poses), 'pose')} of unknown attitude."
+        yield f"At rest in {_format_count(len(poses), 'pose')} of unknown attitude."
     if result.runs:
-        runs = _counted(len(result.runs), "record")
+        runs = _format_count(len(result.runs), "record")
         yield f"Records of a double turntable centrifuge at the stated rates: {runs}."
 
 
-def table_of_tests(readings: Sequence[ReadingResult]) -> Table:
+def tabulate_tests(readings: Sequence[ReadingResult]) -> Table:
     """Return positions, rates and readings of an accelerometer by kind of test and mounting."""
     groups: dict[tuple[str, str], list[ReadingResult]] = {}
     for reading in readings:
@@ -243,18 +252,18 @@ def table_of_tests(readings: Sequence[ReadingResult]) -> Table:
             (
                 _TESTS[motion],
                 mounting,
-                str(len(_positions(own))),
-                _range(sorted({r.rate for r in own})) if motion != "static" else "",
-                _range(sorted(r.value for r in own)),
-                str(len(own)),
+                str(len(_distinct_positions(group))),
+                _format_range(sorted({r.rate for r in group})) if motion != "static" else "",
+                _format_range(sorted(r.value for r in group)),
+                str(len(group)),
             )
-            for (motion, mounting), own in groups.items()
+            for (motion, mounting), group in groups.items()
         ),
     ).without_empty_columns()
 
 
 def reading_blocks(result: Result) -> Iterator[Block]:
-    """Yield what a reading was taken to be, and which forces act where it was taken."""
+    """Yield the definition of a reading, and the forces at its position."""
     if poses_of(result):
         yield Paragraph(
             "In a pose whose attitude is unknown, |f| = g; the direction of f is estimated with "
@@ -269,36 +278,36 @@ def reading_blocks(result: Result) -> Iterator[Block]:
     )
     for motion in motions:
         yield Paragraph(_FORCES[motion], "equation")
-    machine = [s for s in result.platform if s not in SHARED_TERMS and affects_readings(s)]
-    if machine:
+    machine_terms = [s for s in result.platform if s not in SHARED_TERMS and affects_readings(s)]
+    if machine_terms:
         yield Paragraph(
-            f"Terms of the machine, estimated with the coefficients: {', '.join(machine)}."
+            f"Terms of the machine, estimated with the coefficients: {', '.join(machine_terms)}."
         )
 
 
-def _positions(readings: Sequence[ReadingResult]) -> set[tuple[float, ...]]:
+def _distinct_positions(readings: Sequence[ReadingResult]) -> set[tuple[float, ...]]:
     # Directions are known to rounding only; 0.0 and -0.0 are one.
     return {tuple(round(c, 6) + 0.0 for c in (*r.input_axis, *r.pendulous_axis)) for r in readings}
 
 
-def _range(values: Sequence[float]) -> str:
+def _format_range(values: Sequence[float]) -> str:
     low, high = (format_number(value, 4) for value in (values[0], values[-1]))
     return low if low == high else f"{low} to {high}"
 
 
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+def _format_count(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def method_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
-    """Yield each coefficient by all tests and by each method alone, and whether they agree."""
+    """Yield each coefficient by all tests and by each method, and their agreement."""
     methods = accelerometer.kinds
     if not methods:
         return
     symbols = [
         symbol
         for symbol, c in accelerometer.coefficients.items()
-        if c.estimated or any(_has(method, symbol) for method in methods)
+        if c.estimated or any(_has_value(method, symbol) for method in methods)
     ]
     yield Table(
         columns=(
@@ -314,30 +323,30 @@ def method_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
             (
                 symbol,
                 field_unit(accelerometer.coefficients[symbol].unit)[0],
-                _cell(accelerometer.coefficients[symbol]),
-                *(_cell(method.coefficients.get(symbol)) for method in methods),
+                _shift_cell(accelerometer.coefficients[symbol]),
+                *(_shift_cell(method.coefficients.get(symbol)) for method in methods),
             )
             for symbol in symbols
             if symbol in accelerometer.coefficients
         ),
     )
     level = method_test_level(methods)
-    words = "; ".join(_words(method, level) for method in methods)
+    words = "; ".join(_agreement_text(method, level) for method in methods)
     yield Paragraph("Each test method against the others: " + words + ".")
 
 
-def _has(method: MethodAgreement, symbol: str) -> bool:
+def _has_value(method: MethodAgreement, symbol: str) -> bool:
     return symbol in method.coefficients and method.coefficients[symbol].estimated
 
 
-def _cell(coefficient: Coefficient | None) -> str:
+def _shift_cell(coefficient: Coefficient | None) -> str:
     if coefficient is None or not coefficient.estimated or coefficient.value is None:
         return NOT_DETERMINED
     _, factor = field_unit(coefficient.unit)
     return format_compact(coefficient.value * factor, (coefficient.u or 0.0) * factor)
 
 
-def _words(method: MethodAgreement, level: float) -> str:
+def _agreement_text(method: MethodAgreement, level: float) -> str:
     if method.p is None:
         return f"{method.kind}: not predicted by the others"
     verdict = "agrees" if method.p >= level else "does not agree"

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from counterspin.calibration.pages.uncertainty import decisive_lines, label_of
+from counterspin.calibration.pages.uncertainty import source_label, split_small_lines
 from counterspin.calibration.result_parts import AccelerometerResult, RunResult, Trace
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries
@@ -16,13 +16,13 @@ from counterspin.reports.numbers import field_unit, format_share, format_uncerta
 _MAX_CURVES: Final = 6
 
 #: Residuals are drawn in the unit in which they are mostly small numbers.
-_SMALL: Final = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "m/s^2": ("mm/s^2", 1e3)}
+_SMALL_UNITS: Final = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "m/s^2": ("mm/s^2", 1e3)}
 
 _COVERAGE_FACTOR: Final = 1.96
 
 #: Places in the row of colours.
-_COLOUR_OF_KIND: Final = {"noise": 0, "unstated": 1, "stated": 2, "held": 3}
-_COLOUR_OF_REST: Final = 5
+_KIND_COLOURS: Final = {"noise": 0, "unstated": 1, "stated": 2, "held": 3}
+_REMAINDER_COLOUR: Final = 5
 
 
 def correlation_map(name: str, accelerometer: AccelerometerResult) -> HeatMap | None:
@@ -38,27 +38,30 @@ def correlation_map(name: str, accelerometer: AccelerometerResult) -> HeatMap | 
 
 def budget_bars(name: str, accelerometer: AccelerometerResult, symbol: str = "K_II") -> Bars | None:
     """Return u^2 of a coefficient as a stacked bar by source, in %; None without a budget."""
-    lines, rest = decisive_lines(accelerometer.budget.get(symbol, []))
+    lines, small_lines = split_small_lines(accelerometer.budget.get(symbol, []))
     coefficient = accelerometer.coefficients.get(symbol)
     if not lines or coefficient is None:
         return None
     unit, factor = field_unit(coefficient.unit)
     labels = [
-        line.source if line.kind == "noise" else f"{label_of(line.source)} ({line.kind})"
+        line.source if line.kind == "noise" else f"{source_label(line.source)} ({line.kind})"
         for line in lines
     ]
-    colours = [_COLOUR_OF_KIND[line.kind] for line in lines]
-    parts = [(line.contribution, line.share) for line in lines]
-    if rest:
-        labels.append(f"{len(rest)} more")
-        colours.append(_COLOUR_OF_REST)
-        parts.append((math.hypot(*(r.contribution for r in rest)), sum(r.share for r in rest)))
+    colours = [_KIND_COLOURS[line.kind] for line in lines]
+    contributions = [(line.contribution, line.share) for line in lines]
+    if small_lines:
+        labels.append(f"{len(small_lines)} more")
+        colours.append(_REMAINDER_COLOUR)
+        contributions.append(
+            (math.hypot(*(r.contribution for r in small_lines)), sum(r.share for r in small_lines))
+        )
     return Bars(
         title=f"Contributions to u of {symbol} of {name}, in {unit} (share of u^2 in %)",
         labels=tuple(labels),
-        values=tuple(100.0 * share for _, share in parts),
+        values=tuple(100.0 * share for _, share in contributions),
         texts=tuple(
-            f"{format_uncertainty(size * factor)} ({format_share(share)})" for size, share in parts
+            f"{format_uncertainty(contribution * factor)} ({format_share(share)})"
+            for contribution, share in contributions
         ),
         stacked=True,
         colours=tuple(colours),
@@ -74,14 +77,14 @@ def jackknife_plot(name: str, accelerometer: AccelerometerResult) -> Plot | None
         return None
     unit, factor = field_unit(k_ii.unit)
     value, u = k_ii.value * factor, k_ii.u * factor
-    places = tuple(float(place) for place in range(len(lines)))
-    # What the shift may be is its standard uncertainty, shift / z.
-    spreads = [
+    x_values = tuple(float(index) for index in range(len(lines)))
+    # The standard uncertainty of the shift is shift / z.
+    shift_us = [
         abs(line.shift / line.z) * factor if line.shift is not None and line.z else 0.0
         for line in lines
     ]
-    shown = [line.value * factor for line in lines if line.value is not None]
-    ends = (places[0] - 0.5, places[-1] + 0.5)
+    y_values = [line.value * factor for line in lines if line.value is not None]
+    x_range = (x_values[0] - 0.5, x_values[-1] + 0.5)
     return Plot(
         title=f"K_II of {name} with each run left out",
         x_label="run left out",
@@ -89,7 +92,7 @@ def jackknife_plot(name: str, accelerometer: AccelerometerResult) -> Plot | None
         series=(
             PlotSeries(
                 "all runs ± u",
-                ends,
+                x_range,
                 (value, value),
                 low=(value - u, value - u),
                 high=(value + u, value + u),
@@ -97,10 +100,10 @@ def jackknife_plot(name: str, accelerometer: AccelerometerResult) -> Plot | None
             ),
             PlotSeries(
                 "without this run; bar: standard uncertainty of the shift",
-                places,
-                tuple(shown),
-                low=tuple(y - s for y, s in zip(shown, spreads, strict=True)),
-                high=tuple(y + s for y, s in zip(shown, spreads, strict=True)),
+                x_values,
+                tuple(y_values),
+                low=tuple(y - s for y, s in zip(y_values, shift_us, strict=True)),
+                high=tuple(y + s for y, s in zip(y_values, shift_us, strict=True)),
                 kind="points",
             ),
         ),
@@ -113,43 +116,45 @@ def residual_plots(
 ) -> Iterator[Plot]:
     """Yield the pictures of an accelerometer's residuals; none where none were kept."""
     yield from residuals_over_time(name, accelerometer, runs)
-    unit, factor = _unit(accelerometer)
-    traces = _traces(accelerometer, runs)
-    for first in range(0, len(traces), _MAX_CURVES):
-        some = traces[first : first + _MAX_CURVES]
-        yield from _over_angle(name, some, unit, factor)
-        yield from _spectra(name, some)
-        yield from _quantiles(name, some)
+    unit, factor = _residual_unit(accelerometer)
+    traces = _residual_traces(accelerometer, runs)
+    for start in range(0, len(traces), _MAX_CURVES):
+        plotted_traces = traces[start : start + _MAX_CURVES]
+        yield from _angle_plot(name, plotted_traces, unit, factor)
+        yield from _spectrum_plot(name, plotted_traces)
+        yield from _quantile_plot(name, plotted_traces)
 
 
 def residuals_over_time(
     name: str, accelerometer: AccelerometerResult, runs: Mapping[str, RunResult]
 ) -> Iterator[Plot]:
     """Yield a picture of the residuals of each run; parameters as for `residual_plots`."""
-    for trace in _traces(accelerometer, runs):
-        yield _over_time(name, trace, *_unit(accelerometer))
+    for trace in _residual_traces(accelerometer, runs):
+        yield _time_plot(name, trace, *_residual_unit(accelerometer))
 
 
 def residual_spectra(
     name: str, accelerometer: AccelerometerResult, runs: Mapping[str, RunResult]
 ) -> Iterator[Plot]:
     """Yield spectra of the whitened residuals, several runs in a picture."""
-    traces = _traces(accelerometer, runs)
-    for first in range(0, len(traces), _MAX_CURVES):
-        yield from _spectra(name, traces[first : first + _MAX_CURVES])
+    traces = _residual_traces(accelerometer, runs)
+    for start in range(0, len(traces), _MAX_CURVES):
+        yield from _spectrum_plot(name, traces[start : start + _MAX_CURVES])
 
 
-def _unit(accelerometer: AccelerometerResult) -> tuple[str, float]:
-    return _SMALL.get(accelerometer.residual.unit, (accelerometer.residual.unit, 1.0))
+def _residual_unit(accelerometer: AccelerometerResult) -> tuple[str, float]:
+    return _SMALL_UNITS.get(accelerometer.residual.unit, (accelerometer.residual.unit, 1.0))
 
 
-def _traces(
+def _residual_traces(
     accelerometer: AccelerometerResult, runs: Mapping[str, RunResult]
 ) -> list[_ResidualTrace]:
-    places = {run: place for place, run in enumerate(dict.fromkeys([*runs, *accelerometer.traces]))}
+    colours = {
+        run: index for index, run in enumerate(dict.fromkeys([*runs, *accelerometer.traces]))
+    }
     return [
         _ResidualTrace(
-            run, places[run], trace, runs[run].counts.get("block", 1) if run in runs else 1
+            run, colours[run], trace, runs[run].counts.get("block", 1) if run in runs else 1
         )
         for run, trace in accelerometer.traces.items()
     ]
@@ -165,27 +170,29 @@ class _ResidualTrace:
     block: int
 
 
-def _over_time(name: str, drawn: _ResidualTrace, unit: str, factor: float) -> Plot:
-    trace = drawn.trace
+def _time_plot(name: str, residual_trace: _ResidualTrace, unit: str, factor: float) -> Plot:
+    trace = residual_trace.trace
     time = tuple(trace.time)
-    low, high = _scaled(trace.low, factor), _scaled(trace.high, factor)
-    middle = tuple(0.5 * (a + b) for a, b in zip(low, high, strict=True))
-    what = f"means of {drawn.block} samples" if drawn.block > 1 else "samples"
-    words = f"{what}, smallest to largest" if low != high else what
-    series = [PlotSeries(words, time, middle, low, high, kind="band", colour=drawn.colour)]
+    low, high = _scale(trace.low, factor), _scale(trace.high, factor)
+    centre = tuple(0.5 * (a + b) for a, b in zip(low, high, strict=True))
+    sample_text = (
+        f"means of {residual_trace.block} samples" if residual_trace.block > 1 else "samples"
+    )
+    label = f"{sample_text}, smallest to largest" if low != high else sample_text
+    series = [PlotSeries(label, time, centre, low, high, kind="band", colour=residual_trace.colour)]
     if trace.rms is not None:
         # Two standard deviations, if the model is right.
-        label, ends = "± 2 rms", (time[0], time[-1])
-        for height in (2.0 * factor * trace.rms, -2.0 * factor * trace.rms):
-            series.append(PlotSeries(label, ends, (height, height), colour="muted"))
-            label = ""
+        line_label, time_range = "± 2 rms", (time[0], time[-1])
+        for level in (2.0 * factor * trace.rms, -2.0 * factor * trace.rms):
+            series.append(PlotSeries(line_label, time_range, (level, level), colour="muted"))
+            line_label = ""
     if trace.left_out:
         times, values = zip(*trace.left_out, strict=True)
-        left_out = _scaled(values, factor)
-        words = "left out as outliers"
-        series.append(PlotSeries(words, tuple(times), left_out, kind="points", stands_out=True))
+        outliers = _scale(values, factor)
+        label = "left out as outliers"
+        series.append(PlotSeries(label, tuple(times), outliers, kind="points", stands_out=True))
     return Plot(
-        title=f"Residuals of {name}, {drawn.run}",
+        title=f"Residuals of {name}, {residual_trace.run}",
         x_label="time, s",
         y_label=f"residual, {unit}",
         series=tuple(series),
@@ -194,17 +201,19 @@ def _over_time(name: str, drawn: _ResidualTrace, unit: str, factor: float) -> Pl
     )
 
 
-def _over_angle(
+def _angle_plot(
     name: str, traces: Sequence[_ResidualTrace], unit: str, factor: float
 ) -> Iterator[Plot]:
     series = []
-    for drawn in traces:
-        if drawn.trace.by_angle is not None and drawn.trace.by_angle.mean:
-            mean = drawn.trace.by_angle.mean
+    for residual_trace in traces:
+        if residual_trace.trace.by_angle is not None and residual_trace.trace.by_angle.mean:
+            mean = residual_trace.trace.by_angle.mean
             step = 360.0 / len(mean)
-            places = tuple((part + 0.5) * step for part in range(len(mean)))
-            heights = tuple(None if value is None else value * factor for value in mean)
-            series.append(PlotSeries(drawn.run, places, heights, colour=drawn.colour))
+            angles = tuple((index + 0.5) * step for index in range(len(mean)))
+            values = tuple(None if value is None else value * factor for value in mean)
+            series.append(
+                PlotSeries(residual_trace.run, angles, values, colour=residual_trace.colour)
+            )
     if series:
         yield Plot(
             title=f"Mean residual of {name} over the revolution",
@@ -215,22 +224,23 @@ def _over_angle(
         )
 
 
-def _spectra(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot]:
+def _spectrum_plot(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot]:
     spectra = [
-        (drawn, drawn.trace.spectrum)
-        for drawn in traces
-        if drawn.trace.spectrum is not None and len(drawn.trace.spectrum.frequency) > 1
+        (residual_trace, residual_trace.trace.spectrum)
+        for residual_trace in traces
+        if residual_trace.trace.spectrum is not None
+        and len(residual_trace.trace.spectrum.frequency) > 1
     ]
     if not spectra:
         return
     series = []
-    # Of the run with the fewest lines, for which it is widest.
-    drawn, spectrum = min(spectra, key=lambda pair: sum(pair[1].lines))
+    # The band is widest for the run with the fewest lines.
+    residual_trace, spectrum = min(spectra, key=lambda pair: sum(pair[1].lines))
     if spectrum.lines:
-        low, high = _white_noise(spectrum.lines)
+        low, high = _white_noise_band(spectrum.lines)
         series.append(
             PlotSeries(
-                f"white noise, 95 % ({drawn.run})",
+                f"white noise, 95 % ({residual_trace.run})",
                 tuple(spectrum.frequency),
                 tuple(0.5 * (a + b) for a, b in zip(low, high, strict=True)),
                 low,
@@ -240,8 +250,13 @@ def _spectra(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot]:
             )
         )
     series += [
-        PlotSeries(drawn.run, tuple(spectrum.frequency), tuple(spectrum.power), colour=drawn.colour)
-        for drawn, spectrum in spectra
+        PlotSeries(
+            residual_trace.run,
+            tuple(spectrum.frequency),
+            tuple(spectrum.power),
+            colour=residual_trace.colour,
+        )
+        for residual_trace, spectrum in spectra
     ]
     yield Plot(
         title=f"Spectrum of the whitened residuals of {name}",
@@ -254,41 +269,49 @@ def _spectra(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot]:
     )
 
 
-def _white_noise(lines: Sequence[int]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return between which powers means of so many lines of white noise are, 19 times in 20."""
+def _white_noise_band(lines: Sequence[int]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the 95 % band of the mean power of white noise over numbers of lines."""
     from scipy.special import gammaincinv
 
     # The power of a line is chi-square with two degrees of freedom, over two.
-    ends = (gammaincinv(lines, level) / lines for level in (0.025, 0.975))
-    low, high = (tuple(end.tolist()) for end in ends)
+    bounds = (gammaincinv(lines, level) / lines for level in (0.025, 0.975))
+    low, high = (tuple(bound.tolist()) for bound in bounds)
     return low, high
 
 
-def _quantiles(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot]:
-    kept = [(drawn, drawn.trace.quantiles) for drawn in traces if drawn.trace.quantiles is not None]
-    if not kept:
+def _quantile_plot(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot]:
+    traces_with_quantiles = [
+        (residual_trace, residual_trace.trace.quantiles)
+        for residual_trace in traces
+        if residual_trace.trace.quantiles is not None
+    ]
+    if not traces_with_quantiles:
         return
     series = []
-    rows, fewest = min(
-        ((drawn.trace.rows or math.inf, drawn) for drawn, _ in kept), key=lambda pair: pair[0]
+    rows, shortest = min(
+        (
+            (residual_trace.trace.rows or math.inf, residual_trace)
+            for residual_trace, _ in traces_with_quantiles
+        ),
+        key=lambda pair: pair[0],
     )
-    if math.isfinite(rows) and fewest.trace.quantiles is not None:
-        normal = tuple(fewest.trace.quantiles.normal)
-        half = tuple(_spread(z, rows) for z in normal)
-        words = f"normal distribution, 95 % ({fewest.run})"
-        low = tuple(-h for h in half)
+    if math.isfinite(rows) and shortest.trace.quantiles is not None:
+        normal = tuple(shortest.trace.quantiles.normal)
+        half_width = tuple(_quantile_half_width(z, rows) for z in normal)
+        label = f"normal distribution, 95 % ({shortest.run})"
+        low = tuple(-h for h in half_width)
         series.append(
-            PlotSeries(words, normal, (0.0,) * len(normal), low, half, "band", colour="muted")
+            PlotSeries(label, normal, (0.0,) * len(normal), low, half_width, "band", colour="muted")
         )
-    # Less the quantiles of the normal distribution, beside which all would look like one line.
+    # Minus the quantiles of the normal distribution: otherwise all curves would look alike.
     series += [
         PlotSeries(
-            drawn.run,
+            residual_trace.run,
             tuple(quantiles.normal),
             tuple(a - b for a, b in zip(quantiles.found, quantiles.normal, strict=True)),
-            colour=drawn.colour,
+            colour=residual_trace.colour,
         )
-        for drawn, quantiles in kept
+        for residual_trace, quantiles in traces_with_quantiles
     ]
     yield Plot(
         title=f"Whitened residuals of {name} less those of a normal distribution",
@@ -299,34 +322,34 @@ def _quantiles(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot]:
     )
 
 
-def _spread(z: float, rows: float) -> float:
-    """Return the half width, 95 %, of the quantile z of so many normal samples (for many)."""
-    below = 0.5 * math.erfc(-z / math.sqrt(2.0))
+def _quantile_half_width(z: float, rows: float) -> float:
+    """Return the half width, 95 %, of the quantile z of many normal samples."""
+    probability = 0.5 * math.erfc(-z / math.sqrt(2.0))
     density = math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
-    return _COVERAGE_FACTOR * math.sqrt(below * (1.0 - below) / rows) / density
+    return _COVERAGE_FACTOR * math.sqrt(probability * (1.0 - probability) / rows) / density
 
 
-def _scaled(values: Sequence[float], factor: float) -> tuple[float, ...]:
+def _scale(values: Sequence[float], factor: float) -> tuple[float, ...]:
     return tuple(value * factor for value in values)
 
 
 def ripple_plot(runs: Mapping[str, RunResult]) -> Plot | None:
     """Return the ripples found in the runs, in parts per million of the rate; None without any."""
     series = []
-    for place, (name, run) in enumerate(runs.items()):
+    for index, (name, run) in enumerate(runs.items()):
         if run.ripples:
             scale = 1e6 / abs(run.rate)
             amplitudes = [ripple.amplitude * scale for ripple in run.ripples]
-            widths = [_COVERAGE_FACTOR * ripple.u_amplitude * scale for ripple in run.ripples]
+            expanded_us = [_COVERAGE_FACTOR * ripple.u_amplitude * scale for ripple in run.ripples]
             series.append(
                 PlotSeries(
                     name,
                     tuple(float(ripple.harmonic) for ripple in run.ripples),
                     tuple(amplitudes),
-                    low=tuple(a - w for a, w in zip(amplitudes, widths, strict=True)),
-                    high=tuple(a + w for a, w in zip(amplitudes, widths, strict=True)),
+                    low=tuple(a - w for a, w in zip(amplitudes, expanded_us, strict=True)),
+                    high=tuple(a + w for a, w in zip(amplitudes, expanded_us, strict=True)),
                     kind="points",
-                    colour=place,
+                    colour=index,
                 )
             )
     if not series:

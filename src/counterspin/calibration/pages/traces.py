@@ -17,17 +17,17 @@ from counterspin.physics import observation
 from counterspin.physics.spindle import TURN
 
 #: Stretches of all traces of a result together, and the most and the fewest of one.
-_ALL_STRETCHES: Final = 12000
-_MOST_STRETCHES: Final = 1500
-_FEWEST_STRETCHES: Final = 100
+_TOTAL_SEGMENTS: Final = 12000
+_MAX_SEGMENTS: Final = 1500
+_MIN_SEGMENTS: Final = 100
 
 #: Parts of a revolution: as many as all have samples, for a record in step with the spindle
 #: shows the same few angles again and again.
-_PARTS_OF_REVOLUTION: Final = (60, 30, 15)
+_REVOLUTION_BINS: Final = (60, 30, 15)
 
 _BANDS: Final = 100
 _QUANTILES: Final = 120
-_MOST_LEFT_OUT: Final = 100
+_MAX_OUTLIERS: Final = 100
 
 #: Significant digits: a picture shows three.
 _DIGITS: Final = 4
@@ -36,99 +36,112 @@ _DIGITS: Final = 4
 _ROUNDING: Final = 1e-15
 
 
-def traces(view: AccelerometerView) -> dict[str, Trace]:
+def thin_residuals(view: AccelerometerView) -> dict[str, Trace]:
     """Return the residuals of one accelerometer by run, thinned."""
     runs = {run.run.name: run for run in view.problem.observed}
     return {
-        prepared.run: _trace(view, index, runs[prepared.run])
+        prepared.run: _thin_run(view, index, runs[prepared.run])
         for index, prepared, _ in view.records()
     }
 
 
-def _trace(view: AccelerometerView, index: int, run: ObservedRun) -> Trace:
-    kept = view.fit.design_blocks[index].series
+def _thin_run(view: AccelerometerView, index: int, run: ObservedRun) -> Trace:
+    series = view.fit.design_blocks[index].series
     residual, whitened = view.fit.residuals[index].unweighted, view.fit.residuals[index].whitened
-    periodogram = view.diagnostics.runs[kept.run].periodogram
-    share = _ALL_STRETCHES // len(view.fit.design_blocks)
-    count = min(max(share, _FEWEST_STRETCHES), _MOST_STRETCHES)
-    time, low, high = stretches(kept.time, residual, count)
-    angle = kept.trajectory.spindle.angle(kept.time)
-    for parts in _PARTS_OF_REVOLUTION:
-        folded = over_revolution(angle, residual, parts)
+    periodogram = view.diagnostics.runs[series.run].periodogram
+    share = _TOTAL_SEGMENTS // len(view.fit.design_blocks)
+    count = min(max(share, _MIN_SEGMENTS), _MAX_SEGMENTS)
+    time, low, high = envelope(series.time, residual, count)
+    angle = series.trajectory.spindle.angle(series.time)
+    for bins in _REVOLUTION_BINS:
+        folded = fold_over_revolution(angle, residual, bins)
         if np.isfinite(folded[1]).all():
             break
-    interval = median(np.diff(kept.time))
+    interval = median(np.diff(series.time))
     normal, ordered = normal_quantiles(whitened, _QUANTILES)
     frequency, power, lines = smoothed_spectrum(periodogram, whitened.size * interval, _BANDS)
-    (rms,) = _rounded(np.sqrt([np.mean(residual**2)]))
+    (rms,) = _round_digits(np.sqrt([np.mean(residual**2)]))
     return Trace(
         rows=residual.size,
         rms=rms,
-        time=_rounded(time, 6),
-        low=_rounded(low),
-        high=_rounded(high),
-        left_out=_left_out(view, index, run),
-        by_angle=Fold(**dict(zip(("low", "mean", "high"), map(_gaps, folded), strict=True))),
+        time=_round_digits(time, 6),
+        low=_round_digits(low),
+        high=_round_digits(high),
+        left_out=_outlier_residuals(view, index, run),
+        by_angle=Fold(**dict(zip(("low", "mean", "high"), map(_null_if_nan, folded), strict=True))),
         spectrum=Spectrum(
-            frequency=_rounded(frequency), power=_rounded(power), lines=lines.tolist()
+            frequency=_round_digits(frequency), power=_round_digits(power), lines=lines.tolist()
         ),
-        quantiles=Quantiles(normal=_rounded(normal), found=_rounded(ordered)),
+        quantiles=Quantiles(normal=_round_digits(normal), found=_round_digits(ordered)),
     )
 
 
-def _left_out(view: AccelerometerView, index: int, run: ObservedRun) -> list[tuple[float, float]]:
-    """Return times and residuals of what reading and the fit have left out as outliers.
+def _outlier_residuals(
+    view: AccelerometerView, index: int, run: ObservedRun
+) -> list[tuple[float, float]]:
+    """Return times and residuals of the outliers that reading and the fit have rejected.
 
-    The model there is that of the neighbours: once the reference is taken away it is smooth.
+    The model at an outlier is interpolated: with the reference removed, it is smooth.
     """
     series, outliers = view.estimate.series[index], view.estimate.outliers[index]
-    kept, residual = view.fit.design_blocks[index].series, view.fit.residuals[index].unweighted
-    column = view.accelerometer.channel.name
-    listed = [outlier for outlier in run.record.report.listed if outlier.column == column]
-    while_reading = np.array([outlier.time - run.record.start_time for outlier in listed])
-    values = np.array([outlier.value for outlier in listed])
-    reference = observation.reference(
-        kept.trajectory, kept.mounting, while_reading, kept.observable, kept.attitude
+    fitted_series, residual = (
+        view.fit.design_blocks[index].series,
+        view.fit.residuals[index].unweighted,
     )
-    time = np.concatenate([series.time[outliers], while_reading])
+    column = view.accelerometer.channel.name
+    read_outliers = [outlier for outlier in run.record.report.listed if outlier.column == column]
+    read_times = np.array([outlier.time - run.record.start_time for outlier in read_outliers])
+    values = np.array([outlier.value for outlier in read_outliers])
+    reference = observation.reference(
+        fitted_series.trajectory,
+        fitted_series.mounting,
+        read_times,
+        fitted_series.observable,
+        fitted_series.attitude,
+    )
+    time = np.concatenate([series.time[outliers], read_times])
     error = np.concatenate([series.error[outliers], values - reference])
-    distance = error - np.interp(time, kept.time, kept.error - residual)
-    largest = np.sort(np.argsort(-np.abs(distance), kind="stable")[:_MOST_LEFT_OUT])
+    deviation = error - np.interp(time, fitted_series.time, fitted_series.error - residual)
+    largest = np.sort(np.argsort(-np.abs(deviation), kind="stable")[:_MAX_OUTLIERS])
     order = largest[np.argsort(time[largest], kind="stable")]
-    return list(zip(_rounded(time[order], 6), _rounded(distance[order]), strict=True))
+    return list(zip(_round_digits(time[order], 6), _round_digits(deviation[order]), strict=True))
 
 
-def _gaps(values: Array) -> list[float | None]:
-    return [None if math.isnan(value) else value for value in _rounded(values)]
+def _null_if_nan(values: Array) -> list[float | None]:
+    return [None if math.isnan(value) else value for value in _round_digits(values)]
 
 
-def _rounded(values: Array, digits: int = _DIGITS) -> list[float]:
-    """Return values with so many significant digits; NaN stays."""
-    size = np.abs(values)
-    ordinary = (size > _ROUNDING) & (size < 1.0 / _ROUNDING)
-    places = digits - 1.0 - np.floor(np.log10(size, where=ordinary, out=np.zeros_like(size)))
+def _round_digits(values: Array, digits: int = _DIGITS) -> list[float]:
+    """Round values to significant digits; NaN stays."""
+    magnitude = np.abs(values)
+    is_ordinary = (magnitude > _ROUNDING) & (magnitude < 1.0 / _ROUNDING)
+    decimals = (
+        digits
+        - 1.0
+        - np.floor(np.log10(magnitude, where=is_ordinary, out=np.zeros_like(magnitude)))
+    )
     # Whole numbers and these powers of ten are exact, so that one division rounds correctly.
-    up, down = 10.0 ** np.maximum(places, 0.0), 10.0 ** np.maximum(-places, 0.0)
+    up, down = 10.0 ** np.maximum(decimals, 0.0), 10.0 ** np.maximum(-decimals, 0.0)
     rounded = np.rint(values * up / down) / up * down
-    rest = [float(f"{value:.{digits}g}") for value in values[~ordinary].tolist()]
-    rounded[~ordinary] = rest
+    exceptions = [float(f"{value:.{digits}g}") for value in values[~is_ordinary].tolist()]
+    rounded[~is_ordinary] = exceptions
     numbers: list[float] = rounded.tolist()
     return numbers
 
 
-# Few points that show what many would
+# Thinning
 
 
-def stretches(time: Array, values: Array, count: int) -> tuple[Array, Array, Array]:
-    """Return middle times, smallest and largest values of at most `count` stretches of samples.
+def envelope(time: Array, values: Array, count: int) -> tuple[Array, Array, Array]:
+    """Return middle times, smallest and largest values of at most `count` segments of samples.
 
-    The stretches hold equally many samples, so that a gap in the record stays one, and no sample
-    however far out is lost.
+    The segments have equal numbers of samples, so that a gap in the record remains visible, and
+    no extreme sample is lost.
 
     time, values: Shape (n,), n >= 1, in the order of time.
     count: At least 1.
     """
-    first = _distinct(np.arange(count) * time.size // count)
+    first = _unique(np.arange(count) * time.size // count)
     last = np.append(first[1:], time.size) - 1
     return (
         0.5 * (time[first] + time[last]),
@@ -137,19 +150,19 @@ def stretches(time: Array, values: Array, count: int) -> tuple[Array, Array, Arr
     )
 
 
-def over_revolution(angle: Array, values: Array, parts: int) -> tuple[Array, Array, Array]:
+def fold_over_revolution(angle: Array, values: Array, bins: int) -> tuple[Array, Array, Array]:
     """Return smallest, mean and largest values in equal parts of a revolution, shape (parts,).
 
     angle: Of the spindle, rad, any revolution, shape (n,).
     values: Shape (n,).
     """
-    place = np.minimum((np.mod(angle, TURN) * (parts / TURN)).astype(np.intp), parts - 1)
-    count = np.bincount(place, minlength=parts)
-    low, high = np.full(parts, np.inf), np.full(parts, -np.inf)
-    np.minimum.at(low, place, values)
-    np.maximum.at(high, place, values)
+    bin_index = np.minimum((np.mod(angle, TURN) * (bins / TURN)).astype(np.intp), bins - 1)
+    count = np.bincount(bin_index, minlength=bins)
+    low, high = np.full(bins, np.inf), np.full(bins, -np.inf)
+    np.minimum.at(low, bin_index, values)
+    np.maximum.at(high, bin_index, values)
     with np.errstate(invalid="ignore"):
-        mean = np.bincount(place, values, minlength=parts) / count
+        mean = np.bincount(bin_index, values, minlength=bins) / count
     empty = count == 0
     low[empty], high[empty] = np.nan, np.nan
     return low, mean, high
@@ -167,14 +180,14 @@ def smoothed_spectrum(
     length: Of the record, s: the inverse of the first line's frequency.
     count: At least 1.
     """
-    edges = _distinct(np.geomspace(1.0, power.size + 1.0, count + 1).astype(np.intp))
+    edges = _unique(np.geomspace(1.0, power.size + 1.0, count + 1).astype(np.intp))
     first, width = edges[:-1], np.diff(edges)
     frequency = (first + 0.5 * (width - 1)) / length
     return frequency, np.add.reduceat(power[: edges[-1] - 1], first - 1) / width, width
 
 
 def normal_quantiles(whitened: Array, count: int) -> tuple[Array, Array]:
-    """Return at most `count` ordered residuals beside the normal scores that belong to them.
+    """Return at most `count` ordered residuals with their normal scores.
 
     Blom's scores, those of ranks (i - 3/8) / (n + 1/4); the ranks are chosen evenly along them,
     so that the tails are whole where the middle is thinned.
@@ -184,15 +197,15 @@ def normal_quantiles(whitened: Array, count: int) -> tuple[Array, Array]:
     Returns: shape (m,), m <= count.
     """
     n = whitened.size
-    end = normal_quantile(0.625 / (n + 0.25))
-    levels = np.linspace(end, -end, min(count, n)).tolist()
-    wanted = np.array([normal_cdf(level) for level in levels]) * (n + 0.25) + 0.375
-    ranks = _distinct(np.clip(np.rint(wanted), 1, n).astype(np.intp))
+    lowest = normal_quantile(0.625 / (n + 0.25))
+    levels = np.linspace(lowest, -lowest, min(count, n)).tolist()
+    wanted_ranks = np.array([normal_cdf(level) for level in levels]) * (n + 0.25) + 0.375
+    ranks = _unique(np.clip(np.rint(wanted_ranks), 1, n).astype(np.intp))
     normal = [normal_quantile(p) for p in ((ranks - 0.375) / (n + 0.25)).tolist()]
     return np.array(normal), np.sort(whitened)[ranks - 1]
 
 
-def _distinct(ascending: NDArray[np.intp]) -> NDArray[np.intp]:
+def _unique(ascending: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return each value once; `np.unique` would load the masked arrays at its first call."""
     distinct: NDArray[np.intp] = ascending[np.append(True, np.diff(ascending) > 0)]
     return distinct

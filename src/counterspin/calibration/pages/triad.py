@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.calibration.pages.accelerometer import coefficient_cells
-from counterspin.calibration.pages.uncertainty import dominance
+from counterspin.calibration.pages.uncertainty import default_prior_sentence
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, PoseResult, PosesInRecord, TriadResult
 from counterspin.physics.terms import is_term, term
@@ -38,24 +38,24 @@ _WORDS: Final = {
 _FEW_POSES: Final = 5
 
 #: An angle is shown as what it differs by from a right one, if that is less, rad.
-_RIGHT: Final = 0.5 * math.pi
-_NEARLY: Final = 0.2
+_RIGHT_ANGLE: Final = 0.5 * math.pi
+_ANGLE_TOLERANCE: Final = 0.2
 
 #: Names of the axes of a triad's frame.
 FRAME: Final = ("x", "y", "z")
 
 #: A pose is marked whose residual is this many of its own standard deviations.
-_STANDS_OUT: Final = 4.0
+_OUTLIER_Z: Final = 4.0
 
 #: As many poses have their numbers on an axis.
-_MOST_NUMBERS: Final = 30
+_MAX_LABELS: Final = 30
 
 #: From m/s^2.
-_SMALL: Final = ("mm/s^2", 1e3)
+_RESIDUAL_UNIT: Final = ("mm/s^2", 1e3)
 
 
-def triad_line(result: Result) -> Iterator[Block]:
-    """Yield in a sentence what the poses were off before and are now."""
+def triad_summary(result: Result) -> Iterator[Block]:
+    """Yield a sentence on the residuals of the poses before and after the calibration."""
     triad = result.triad
     if triad is None or triad.rms_before is None:
         return
@@ -68,14 +68,14 @@ def triad_line(result: Result) -> Iterator[Block]:
         after = f"{format_number(triad.rms_after, 3)} m/s^2"
         yield Paragraph(f"{text}; |f| - g has an rms of {before} before and {after} after.")
     for name in triad.accelerometers:
-        if sentence := dominance(result.accelerometers[name], "K_F"):
+        if sentence := default_prior_sentence(result.accelerometers[name], "K_F"):
             yield Paragraph(f"{name}: {sentence}")
 
 
 def nominal_outputs(result: Result, triad: TriadResult) -> str:
-    """Return by what a triad's outputs are taken for specific forces; empty where they are such."""
+    """Return the nominal output of each accelerometer of a triad; empty for outputs in g."""
     outputs = {name: result.accelerometers[name].nominal for name in triad.accelerometers}
-    return ", ".join(f"{name} {one.words}" for name, one in outputs.items() if one)
+    return ", ".join(f"{name} {output.words}" for name, output in outputs.items() if output)
 
 
 def triad_blocks(result: Result, *, details: bool) -> Iterator[Block]:
@@ -84,7 +84,7 @@ def triad_blocks(result: Result, *, details: bool) -> Iterator[Block]:
     if triad is None:
         return
     yield Heading(f"Triad {', '.join(triad.accelerometers)}")
-    yield _parameters(triad)
+    yield _parameter_table(triad)
     if triad.matrix is not None and triad.bias is not None:
         bias = ", ".join(f"{value:.7f}" for value in triad.bias)
         order = ", ".join(triad.accelerometers)
@@ -111,11 +111,11 @@ def triad_blocks(result: Result, *, details: bool) -> Iterator[Block]:
         )
         for note in record.notes:
             yield Paragraph(f"{name}: {note}", "warning")
-    yield from _poses(triad, details=details)
+    yield from _pose_table(triad, details=details)
 
 
-def _parameters(triad: TriadResult) -> Table:
-    rows = [_row(name, c) for name, c in triad.parameters.items()]
+def _parameter_table(triad: TriadResult) -> Table:
+    rows = [_parameter_row(name, c) for name, c in triad.parameters.items()]
     return Table(
         columns=(
             Column("Parameter", wraps=True),
@@ -129,18 +129,18 @@ def _parameters(triad: TriadResult) -> Table:
     )
 
 
-def _row(name: str, c: Coefficient) -> tuple[str, ...]:
+def _parameter_row(name: str, c: Coefficient) -> tuple[str, ...]:
     words, c = shown_parameter(name, c)
     return (words, *coefficient_cells(c))
 
 
 def shown_parameter(name: str, c: Coefficient) -> tuple[str, Coefficient]:
-    """Return a parameter as it is read, in words: of an angle near 90 deg what it differs by."""
+    """Return description and value of a parameter; an angle near 90 deg as its deviation."""
     words = parameter_words(name)
     if name.startswith("angle.") and c.value is not None:
-        near = abs(c.value - _RIGHT) < _NEARLY
-        c = c.model_copy(update={"value": c.value - _RIGHT}) if near else c
-        words += " less 90 deg" if near else ""
+        is_near_right = abs(c.value - _RIGHT_ANGLE) < _ANGLE_TOLERANCE
+        c = c.model_copy(update={"value": c.value - _RIGHT_ANGLE}) if is_near_right else c
+        words += " less 90 deg" if is_near_right else ""
     return words, c
 
 
@@ -153,7 +153,7 @@ def parameter_words(name: str) -> str:
     return f"{symbol} of {owner}, {term(symbol).words}"
 
 
-def _poses(triad: TriadResult, *, details: bool) -> Iterator[Block]:
+def _pose_table(triad: TriadResult, *, details: bool) -> Iterator[Block]:
     poses = triad.poses
     if not details:
         worst = sorted(poses, key=lambda pose: -abs(pose.z or 0.0))[:_FEW_POSES]
@@ -172,7 +172,7 @@ def _poses(triad: TriadResult, *, details: bool) -> Iterator[Block]:
             (
                 str(triad.poses.index(pose) + 1),
                 pose.name,
-                "  ".join(f"{part: .3f}" for part in pose.direction),
+                "  ".join(f"{component: .3f}" for component in pose.direction),
                 f"{pose.residual * 1e6:.1f}",
                 "-" if pose.z is None else f"{pose.z:.2f}",
             )
@@ -194,23 +194,25 @@ def pose_pictures(result: Result) -> Iterator[Picture]:
     if triad is None or not triad.poses:
         return
     yield _sphere(triad, result.inputs.gravity)
-    yield from _residuals(result, triad)
+    yield from _residual_plots(result, triad)
     for name, record in triad.records.items():
         if record.time:
-            own = [pose for pose in triad.poses if pose.start is not None]
-            yield _found(name, record, [pose for pose in own if _is_of(pose, name)])
+            recorded_poses = [pose for pose in triad.poses if pose.start is not None]
+            yield _detection_plot(
+                name, record, [pose for pose in recorded_poses if _is_from_record(pose, name)]
+            )
 
 
-def _is_of(pose: PoseResult, record: str) -> bool:
+def _is_from_record(pose: PoseResult, record: str) -> bool:
     return pose.name.rpartition(" ")[0].rpartition(" ")[0] == record
 
 
-def _stands_out(pose: PoseResult) -> bool:
-    return pose.z is not None and abs(pose.z) > _STANDS_OUT
+def _is_outlying(pose: PoseResult) -> bool:
+    return pose.z is not None and abs(pose.z) > _OUTLIER_Z
 
 
 def _sphere(triad: TriadResult, gravity: float) -> Sphere:
-    unit, factor = _SMALL
+    unit, factor = _RESIDUAL_UNIT
     x, y, z = FRAME
     return Sphere(
         title="Directions of the specific force in the triad's frame, by pose",
@@ -219,33 +221,33 @@ def _sphere(triad: TriadResult, gravity: float) -> Sphere:
         values=tuple(pose.residual * gravity * factor for pose in triad.poses),
         names=tuple(str(number) for number in range(1, len(triad.poses) + 1)),
         value_label=f"residual, {unit}",
-        stands_out=frozenset(k for k, pose in enumerate(triad.poses) if _stands_out(pose)),
+        stands_out=frozenset(k for k, pose in enumerate(triad.poses) if _is_outlying(pose)),
     )
 
 
-def _residuals(result: Result, triad: TriadResult) -> Iterator[Plot]:
-    """Yield |f| - g of each pose by the nominal sensitivities, and what the fit leaves of it."""
-    unit, factor = _SMALL
+def _residual_plots(result: Result, triad: TriadResult) -> Iterator[Plot]:
+    """Yield |f| - g of each pose by the nominal sensitivities, and the residual after the fit."""
+    unit, factor = _RESIDUAL_UNIT
     scale = result.inputs.gravity * factor
-    places = tuple(float(place) for place in range(len(triad.poses)))
-    each = -(-len(places) // _MOST_NUMBERS)
-    names = tuple("" if place % each else str(place + 1) for place in range(len(places)))
+    x_values = tuple(float(index) for index in range(len(triad.poses)))
+    label_step = -(-len(x_values) // _MAX_LABELS)
+    labels = tuple("" if index % label_step else str(index + 1) for index in range(len(x_values)))
     axes = [result.accelerometers[name].axes for name in triad.accelerometers]
     if all(axes):
-        rows = np.array([own[0] for own in axes if own])
+        rows = np.array([axis_rows[0] for axis_rows in axes if axis_rows])
         values = np.array([pose.values for pose in triad.poses])
         before = scale * (np.linalg.norm(np.linalg.solve(rows, values.T), axis=0) - 1.0)
         yield Plot(
             title="|f| - g of each pose, uncorrected",
             x_label="pose",
             y_label=f"|f| - g, {unit}",
-            series=(PlotSeries("", places, tuple(before.tolist()), kind="points", colour=0),),
+            series=(PlotSeries("", x_values, tuple(before.tolist()), kind="points", colour=0),),
             levels=(0.0,),
-            x_names=names,
+            x_names=labels,
             height=0.7,
         )
     after = [pose.residual * scale for pose in triad.poses]
-    spread = [pose.u * scale for pose in triad.poses]
+    us = [pose.u * scale for pose in triad.poses]
     yield Plot(
         title="Residual of each pose along the specific force",
         x_label="pose",
@@ -253,33 +255,33 @@ def _residuals(result: Result, triad: TriadResult) -> Iterator[Plot]:
         series=(
             PlotSeries(
                 "bar: standard uncertainty of the indication",
-                places,
+                x_values,
                 tuple(after),
-                low=tuple(value - u for value, u in zip(after, spread, strict=True)),
-                high=tuple(value + u for value, u in zip(after, spread, strict=True)),
+                low=tuple(value - u for value, u in zip(after, us, strict=True)),
+                high=tuple(value + u for value, u in zip(after, us, strict=True)),
                 kind="points",
                 colour=0,
             ),
         ),
         levels=(0.0,),
-        x_names=names,
+        x_names=labels,
         height=0.7,
     )
 
 
-def _found(name: str, record: PosesInRecord, poses: Sequence[PoseResult]) -> Plot:
-    """Return the level over time with the threshold, and where the poses are."""
+def _detection_plot(name: str, record: PosesInRecord, poses: Sequence[PoseResult]) -> Plot:
+    """Return a plot of the level over time with the threshold and the poses."""
     floor = 0.7 * min((level for level in record.level if level > 0.0), default=record.threshold)
     spans = [(pose.start, pose.end) for pose in poses if pose.start is not None and pose.end]
     # A gap after each pose, so that they are not joined.
     times = tuple(chain.from_iterable((start, end, end) for start, end in spans))
-    parts = len(spans)
-    shaded = PlotSeries(
+    count = len(spans)
+    pose_band = PlotSeries(
         "poses, below the threshold",
         times,
-        (record.threshold, record.threshold, None) * parts,
-        low=(floor, floor, None) * parts,
-        high=(record.threshold, record.threshold, None) * parts,
+        (record.threshold, record.threshold, None) * count,
+        low=(floor, floor, None) * count,
+        high=(record.threshold, record.threshold, None) * count,
         kind="band",
         colour=2,
     )
@@ -294,7 +296,7 @@ def _found(name: str, record: PosesInRecord, poses: Sequence[PoseResult]) -> Plo
         title=f"Where {name} was at rest",
         x_label="time, s",
         y_label="scatter, m/s^2",
-        series=(shaded, level),
+        series=(pose_band, level),
         levels=(record.threshold,),
         log_y=True,
         zoom=True,

@@ -19,20 +19,20 @@ from counterspin.reports.numbers import (
 )
 
 #: Unstated sources that make up more than this part of u^2 decide it.
-_MOST: Final = 0.5
+_DOMINANT_SHARE: Final = 0.5
 
 #: How much better than its typical size something is taken to be known once it is stated.
-KNOWN_BETTER: Final = 0.1
+IMPROVEMENT_FACTOR: Final = 0.1
 
 #: Sources below this part of any u^2 are not in the table.
-_LEAST_SHARE: Final = 1e-3
+_MIN_SHARE: Final = 1e-3
 
 #: Lines of a budget below this share are said together, where they are more than a few.
-_LEAST_LINE: Final = 1e-4
-_FEW_LINES: Final = 3
+_MIN_LINE_SHARE: Final = 1e-4
+_MAX_SMALL_LINES: Final = 3
 
 #: So many names of what is assumed are listed.
-_MOST_NAMES: Final = 8
+_MAX_NAMES: Final = 8
 
 
 class HasUncertainty(Protocol):
@@ -71,81 +71,82 @@ class HasAssumptions(Protocol):
         """Terms assumed to be perfect."""
 
 
-def decisive_lines(
+def split_small_lines(
     lines: Sequence[BudgetLine],
 ) -> tuple[Sequence[BudgetLine], Sequence[BudgetLine]]:
-    """Return the lines of a budget that make up u, and those that together add next to nothing."""
-    count = next((k for k, line in enumerate(lines) if line.share < _LEAST_LINE), len(lines))
-    return (lines, ()) if len(lines) - count <= _FEW_LINES else (lines[:count], lines[count:])
+    """Split a budget into the lines that make up u and the small lines."""
+    count = next((k for k, line in enumerate(lines) if line.share < _MIN_LINE_SHARE), len(lines))
+    return (lines, ()) if len(lines) - count <= _MAX_SMALL_LINES else (lines[:count], lines[count:])
 
 
-def dominance(accelerometer: HasAnswer, symbol: str = "K_II") -> str:
-    """Return the unstated sources that decide the u of a coefficient; empty if none do."""
+def default_prior_sentence(accelerometer: HasAnswer, symbol: str = "K_II") -> str:
+    """Return a sentence on the default prior that dominates the u of a coefficient, or ""."""
     coefficient = accelerometer.coefficients.get(symbol)
     lines = accelerometer.budget.get(symbol, [])
     unstated = [line for line in lines if line.kind == "unstated"]
     if coefficient is None or not coefficient.u or not unstated:
         return ""
-    if sum(line.share for line in unstated) < _MOST:
+    if sum(line.share for line in unstated) < _DOMINANT_SHARE:
         return ""
     largest = max(unstated, key=lambda line: line.share)
-    said = (
-        f"{format_share(largest.share)} of u^2 of {symbol} comes from {in_words(largest.source)}, "
-        f"which is not stated (typical {_size(largest, 1.0)})"
+    text = (
+        f"{format_share(largest.share)} of u^2 of {symbol} comes from "
+        f"{source_phrase(largest.source)}, which is not stated "
+        f"(typical {_format_source_u(largest, 1.0)})"
     )
     update = accelerometer.what_if
     if update is None or largest.source not in update.known:
-        return f"{said}."
-    known = KNOWN_BETTER * update.known[largest.source]
+        return f"{text}."
+    improved_u = IMPROVEMENT_FACTOR * update.known[largest.source]
     unit, factor = field_unit(coefficient.unit)
-    left = format_uncertainty(update.u(symbol, {largest.source: known}) * factor)
+    remaining_u = format_uncertainty(update.u(symbol, {largest.source: improved_u}) * factor)
     return (
-        f"{said}; stating or measuring it to {_size(largest, KNOWN_BETTER)} would leave "
-        f"u = {left} {unit}."
+        f"{text}; stating or measuring it to {_format_source_u(largest, IMPROVEMENT_FACTOR)} "
+        f"would leave u = {remaining_u} {unit}."
     )
 
 
-def label_of(source: str) -> str:
-    """Return a term or source of uncertainty as a table names it: words and symbol."""
+def source_label(source: str) -> str:
+    """Return description and symbol of a term or source of uncertainty, for a table."""
     words = description_of(source)
     return f"{words}, {source}" if words else source
 
 
-def in_words(source: str) -> str:
-    """Return a term or source of uncertainty as a sentence names it."""
-    return f"the {label_of(source)}" if description_of(source) else source
+def source_phrase(source: str) -> str:
+    """Return a term or source of uncertainty as a phrase for a sentence."""
+    return f"the {source_label(source)}" if description_of(source) else source
 
 
-def largest_part(accelerometer: HasAnswer, symbol: str = "K_II") -> str:
+def main_source_sentence(accelerometer: HasAnswer, symbol: str = "K_II") -> str:
     """Return a sentence on the main source of the u of a coefficient; empty if not known."""
     lines = accelerometer.budget.get(symbol, [])
     if not lines:
         return ""
     largest = max(lines, key=lambda line: line.share)
-    words = in_words(largest.source)
+    words = source_phrase(largest.source)
     return f"{format_share(largest.share)} of u^2 of {symbol} comes from {words}."
 
 
-def _size(line: BudgetLine, part: float) -> str:
+def _format_source_u(line: BudgetLine, factor_of_u: float) -> str:
     unit, factor = field_unit(line.unit)
-    return f"{format_number((line.u or 0.0) * factor * part, 2)} {unit}".strip()
+    return f"{format_number((line.u or 0.0) * factor * factor_of_u, 2)} {unit}".strip()
 
 
-def assumption(result: HasAssumptions) -> str:
+def assumption_sentence(result: HasAssumptions) -> str:
     """Return a sentence on the terms assumed to be perfect; empty if there are none."""
     names = result.assumed
     if not names:
         return ""
-    shown = ", ".join(names[:_MOST_NAMES])
-    more = len(names) - _MOST_NAMES
-    listed = f"{shown} and {more} more" if more > 0 else shown
-    return f"Assumed perfect, so not included in u: {listed}."
+    first_names = ", ".join(names[:_MAX_NAMES])
+    remaining_count = len(names) - _MAX_NAMES
+    name_list = f"{first_names} and {remaining_count} more" if remaining_count > 0 else first_names
+    return f"Assumed perfect, so not included in u: {name_list}."
 
 
-def knowledge_blocks(result: Result) -> Iterator[Block]:
-    """Yield what a result rests on beside its data, as far as it counts in any budget."""
-    shares = _shares(result)
-    rows = [row for row in result.rests_on if shares.get(row.name, 0.0) >= _LEAST_SHARE]
+def prior_blocks(result: Result) -> Iterator[Block]:
+    """Yield the prior information of a result, as far as it counts in any budget."""
+    shares = _largest_shares(result)
+    rows = [row for row in result.rests_on if shares.get(row.name, 0.0) >= _MIN_SHARE]
     if not rows and not result.assumed:
         return
     yield Heading("Prior information")
@@ -165,14 +166,14 @@ def knowledge_blocks(result: Result) -> Iterator[Block]:
                 Column("With the data", "right"),
                 Column("Largest share of u^2", "right"),
             ),
-            tuple(_row(row, shares[row.name]) for row in rows),
+            tuple(_prior_row(row, shares[row.name]) for row in rows),
         )
-    if sentence := assumption(result):
+    if sentence := assumption_sentence(result):
         yield Paragraph(sentence)
 
 
-def _shares(result: Result) -> dict[str, float]:
-    """Return by name of a source the largest share that it has in the u^2 of any coefficient."""
+def _largest_shares(result: Result) -> dict[str, float]:
+    """Return the largest share of each source in the u^2 of any coefficient."""
     shares: dict[str, float] = {}
     for name, accelerometer in result.accelerometers.items():
         for line in (line for lines in accelerometer.budget.values() for line in lines):
@@ -181,16 +182,16 @@ def _shares(result: Result) -> dict[str, float]:
     return shares
 
 
-def _row(row: Knowledge, share: float) -> tuple[str, ...]:
+def _prior_row(row: Knowledge, share: float) -> tuple[str, ...]:
     unit, factor = field_unit(row.unit)
-    after = "held"
+    posterior = "held"
     if row.found is not None and row.u_found is not None:
-        after = format_estimate(row.found * factor, row.u_found * factor, unit)
+        posterior = format_estimate(row.found * factor, row.u_found * factor, unit)
     return (
         row.name,
         description_of(row.name),
         row.kind,
         format_estimate(row.value * factor, row.u * factor, unit),
-        after,
+        posterior,
         format_share(share),
     )

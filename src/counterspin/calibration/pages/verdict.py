@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from counterspin.calibration.findings import supporting_evidence
-from counterspin.calibration.pages.accelerometer import in_field_units
+from counterspin.calibration.pages.accelerometer import to_field_units
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Finding, State
 from counterspin.inference.verdicts import Conformity
@@ -50,20 +50,22 @@ _COLUMNS = (
 
 
 def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
-    """Return in words whether an accelerometer's result is good, and why."""
+    """Return a sentence on the state of an accelerometer's result, with the reason."""
     assert accelerometer.state is not None
     opening = f"{name} {_opening(accelerometer)}"
-    speaks_for = "; ".join(clause for _, clause in supporting_evidence(accelerometer))
+    evidence = "; ".join(clause for _, clause in supporting_evidence(accelerometer))
     if accelerometer.findings:
         sentences = [f"{opening}: {finding_text(accelerometer.findings[0])}"]
-        if more := len(accelerometer.findings) - 1:
+        if remaining := len(accelerometer.findings) - 1:
             sentences.append(
-                f"There {'is 1 more finding' if more == 1 else f'are {more} more findings'}."
+                "There is 1 more finding."
+                if remaining == 1
+                else f"There are {remaining} more findings."
             )
-        if speaks_for and accelerometer.state in _USABLE:
-            sentences.append(f"In its favour: {speaks_for}.")
+        if evidence and accelerometer.state in _USABLE:
+            sentences.append(f"In its favour: {evidence}.")
     else:
-        sentences = [f"{opening}: {speaks_for}." if speaks_for else f"{opening}."]
+        sentences = [f"{opening}: {evidence}." if evidence else f"{opening}."]
     return " ".join(sentences)
 
 
@@ -78,12 +80,12 @@ def finding_text(finding: Finding) -> str:
     """Return the text of a finding, and the part of the misfit that a cause accounts for."""
     if not finding.explains:
         return finding.text
-    others = " ".join(other.text for other in finding.explains)
-    return f"{finding.text} That explains the other findings: {others}"
+    explained_text = " ".join(explained.text for explained in finding.explains)
+    return f"{finding.text} That explains the other findings: {explained_text}"
 
 
 def verdict_blocks(result: Result) -> Iterator[Block]:
-    """Yield for each accelerometer of a judged result whether it is good, and what was found."""
+    """Yield state and findings of each accelerometer of a judged result."""
     for name, accelerometer in result.accelerometers.items():
         assert accelerometer.state is not None
         yield Paragraph(
@@ -96,17 +98,19 @@ def verdict_blocks(result: Result) -> Iterator[Block]:
 
 
 def verdict_tables(result: Result) -> Iterator[Block]:
-    """Yield the same as `verdict_blocks` as a sentence and a table of what was checked."""
+    """Yield the content of `verdict_blocks` as a sentence and a table of the checks."""
     for name, accelerometer in result.accelerometers.items():
         assert accelerometer.state is not None
-        found, count = accelerometer.findings, len(accelerometer.findings)
-        why = f"{count} findings, the most serious first" if found else "no check found a fault"
-        why = "1 finding" if count == 1 else why
+        findings, count = accelerometer.findings, len(accelerometer.findings)
+        summary = (
+            f"{count} findings, the most serious first" if findings else "no check found a fault"
+        )
+        summary = "1 finding" if count == 1 else summary
         yield Paragraph(
-            f"{name} {_opening(accelerometer)}: {why}.",
+            f"{name} {_opening(accelerometer)}: {summary}.",
             _STYLES[accelerometer.state],
         )
-        rows = [(_check(name, finding), finding_text(finding)) for finding in found]
+        rows = [(_check_title(name, finding), finding_text(finding)) for finding in findings]
         if accelerometer.state in _USABLE:
             rows += [
                 (_capital(check), f"{_capital(clause)}.")
@@ -116,10 +120,10 @@ def verdict_tables(result: Result) -> Iterator[Block]:
             yield Table((Column("Check", wraps=True), Column("Outcome", wraps=True)), tuple(rows))
 
 
-def _check(name: str, finding: Finding) -> str:
+def _check_title(name: str, finding: Finding) -> str:
     """Return the subject of a finding in a word or two, and its owner."""
-    words, about = finding.code.replace("-", " "), finding.subject.removeprefix(f"{name}.")
-    return _capital(words) if about in ("", name) else f"{_capital(words)}: {about}"
+    title, subject = finding.code.replace("-", " "), finding.subject.removeprefix(f"{name}.")
+    return _capital(title) if subject in ("", name) else f"{_capital(title)}: {subject}"
 
 
 def _capital(text: str) -> str:
@@ -151,12 +155,12 @@ def misfit_blocks(result: Result) -> Iterator[Block]:
 
 def conformity_blocks(result: Result) -> Iterator[Block]:
     """Yield the verdicts and their decision rules; nothing without a specification."""
-    stated = [
+    verdicts = [
         (name, symbol, verdict, accelerometer.coefficients.get(symbol))
         for name, accelerometer in result.accelerometers.items()
         for symbol, verdict in accelerometer.conformity.items()
     ]
-    if not stated:
+    if not verdicts:
         return
     yield Heading("Conformity")
     yield Table(
@@ -165,29 +169,29 @@ def conformity_blocks(result: Result) -> Iterator[Block]:
             (
                 name,
                 symbol,
-                _estimate(coefficient),
-                _tolerance(verdict),
+                _estimate_cell(coefficient),
+                _tolerance_cell(verdict),
                 field_unit(verdict.unit)[0],
                 verdict.verdict,
                 "-" if verdict.probability is None else format_probability(verdict.probability),
                 "-" if verdict.risk is None else format_probability(verdict.risk),
             )
-            for name, symbol, verdict, coefficient in stated
+            for name, symbol, verdict, coefficient in verdicts
         ),
         quiet=frozenset(
-            i for i, (_, _, verdict, _) in enumerate(stated) if verdict.probability is None
+            i for i, (_, _, verdict, _) in enumerate(verdicts) if verdict.probability is None
         ),
     )
-    for name, symbol, verdict, _ in stated:
+    for name, symbol, verdict, _ in verdicts:
         if verdict.verdict == "fail":
             yield Paragraph(f"{symbol} of {name} does not meet its specification.", "warning")
         elif verdict.reason is not None:
             yield Paragraph(f"{symbol} of {name} is undecided: {verdict.reason}.", "warning")
-    for words in dict.fromkeys(rule_in_words(verdict) for _, _, verdict, _ in stated):
-        yield Paragraph(words, "quiet")
+    for rule in dict.fromkeys(rule_in_words(verdict) for _, _, verdict, _ in verdicts):
+        yield Paragraph(rule, "quiet")
     bands = [
-        f"{symbol} of {name} {_band(verdict)}"
-        for name, symbol, verdict, _ in stated
+        f"{symbol} of {name} {_guard_band_text(verdict)}"
+        for name, symbol, verdict, _ in verdicts
         if verdict.guard_band
     ]
     if bands:
@@ -214,14 +218,14 @@ def rule_in_words(verdict: Conformity) -> str:
     )
 
 
-def _estimate(coefficient: Coefficient | None) -> str:
+def _estimate_cell(coefficient: Coefficient | None) -> str:
     if coefficient is None or not coefficient.estimated:
         return "-"
-    value, u, _ = in_field_units(coefficient)
+    value, u, _ = to_field_units(coefficient)
     return format_estimate(value, u)
 
 
-def _tolerance(verdict: Conformity) -> str:
+def _tolerance_cell(verdict: Conformity) -> str:
     """Return the tolerance limits in the unit in which the estimate is shown."""
     _, factor = field_unit(verdict.unit)
     low, high = (
@@ -233,7 +237,7 @@ def _tolerance(verdict: Conformity) -> str:
     return f"at least {low}" if high is None else f"{low} to {high}"
 
 
-def _band(verdict: Conformity) -> str:
+def _guard_band_text(verdict: Conformity) -> str:
     assert verdict.guard_band is not None
     unit, factor = field_unit(verdict.unit)
     return f"{format_uncertainty(verdict.guard_band * factor)} {unit}"
