@@ -1,12 +1,19 @@
 """What can be told apart: the cases of a level campaign, from closed forms at constant rate."""
 
+import itertools
 import math
 import re
 
+import mpmath
 import numpy as np
 import pytest
 
-from counterspin.inference.identifiability import assess, write_combination
+from counterspin.inference.identifiability import (
+    NEAR_COLLINEAR,
+    _Information,
+    assess,
+    write_combination,
+)
 from counterspin.inference.least_squares import reduce_block, solve
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory
@@ -423,3 +430,39 @@ class TestRules:
 )
 def test_weights_have_the_digits_they_need(weights, slack, text):
     assert write_combination(["K_F", "K_I"], weights, slack) == text
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_collinear_pairs_are_those_of_50_digits(seed):
+    """Pairs as close as 1e-9, and priors from a millionth to a million times the data's weight."""
+    rng = np.random.default_rng(seed)
+    size = 10
+    data = rng.standard_normal((30, size))
+    for first, exponent in zip((0, 2, 4, 6), rng.uniform(-9, -0.5, 4), strict=True):
+        data[:, first + 1] = data[:, first] + 10.0**exponent * data[:, first + 1]
+    weights = 10.0 ** rng.uniform(-6, 6, size)
+    information = _Information(data, weights, limits := 10.0 ** rng.uniform(-1, 3, size))
+
+    with mpmath.workdps(50):
+        rows = mpmath.matrix(information.data.tolist())
+        gram = rows.T * rows
+        priors = [
+            mpmath.mpf(w) ** 2 + mpmath.mpf(f) ** 2
+            for w, f in zip(weights, information.floor, strict=True)
+        ]
+        expected = {}
+        for i, j in itertools.combinations(range(size), 2):
+            total = gram.copy()
+            for k in set(range(size)) - {i, j}:
+                total[k, k] += priors[k]
+            inverse = total**-1
+            block = (
+                mpmath.matrix([[inverse[i, i], inverse[i, j]], [inverse[j, i], inverse[j, j]]])
+                ** -1
+            )
+            cosine = abs(block[0, 1]) / mpmath.sqrt(block[0, 0] * block[1, 1])
+            seen = block[0, 0] * limits[i] ** 2 >= 1 and block[1, 1] * limits[j] ** 2 >= 1
+            if seen and cosine > NEAR_COLLINEAR:
+                expected[i, j] = float(cosine)
+    assert information.collinear_pairs() == pytest.approx(expected, abs=1e-9)
+    assert expected

@@ -42,6 +42,11 @@ COLLINEAR_CORRELATION: Final = 1.0 - 1e-6
 NEAR_COLLINEAR: Final = 0.95
 
 
+#: Relative rounding of a covariance with confounded terms; and by how much the correlation that
+#: selects pairs is lowered for it.
+_ROUNDING: Final = 1e-4
+_SCREEN: Final = 0.95
+
 #: Above this correlation two terms are called inseparable.
 _INSEPARABLE_CORRELATION: Final = 0.999
 
@@ -222,21 +227,45 @@ class _Information:
 
     def collinear_pairs(self) -> dict[tuple[int, int], float]:
         """Pairs that the data see one by one but hardly tell apart, before their own priors."""
-        pairs = list(combinations(range(self.limits.size), 2))
-        if not pairs:
+        index = self._possibly_collinear_pairs()
+        if not len(index):
             return {}
-        index = np.asarray(pairs, dtype=np.intp)
         columns = self._project_onto_sets(index)
         norms = np.linalg.norm(columns, axis=1)
         seen = (norms * self.limits[index] >= 1.0).all(axis=1)
-        cosine = np.zeros(len(pairs))
+        cosine = np.zeros(len(index))
         inner = np.abs(np.sum(columns[:, :, 0] * columns[:, :, 1], axis=1))
         np.divide(inner, norms[:, 0] * norms[:, 1], out=cosine, where=seen)
         return {
-            pair: float(size)
-            for pair, size in zip(pairs, cosine, strict=True)
+            (i, j): size
+            for (i, j), size in zip(index.tolist(), cosine.tolist(), strict=True)
             if size > NEAR_COLLINEAR
         }
+
+    def _possibly_collinear_pairs(self) -> npt.NDArray[np.intp]:
+        """Return the pairs that may exceed `NEAR_COLLINEAR` within rounding, shape (pairs, 2).
+
+        The inverse of a 2 x 2 block of the covariance is the information about its pair, with the
+        pair's own priors (Schur complement). A single inverse thus serves all pairs. Subtracting
+        the priors cancels digits, so it only selects pairs.
+        """
+        root = self.root()
+        covariance = root @ root.T
+        index = np.column_stack(np.triu_indices(self.limits.size, 1))
+        i, j = index.T
+        variances = np.diag(covariance)[index]
+        uncorrelated = np.maximum(
+            1.0 - covariance[i, j] ** 2 / variances.prod(axis=1), np.finfo(np.float64).eps
+        )[:, None]
+        information = 1.0 / (variances * uncorrelated)
+        rounding = information * _ROUNDING / uncorrelated
+        own_priors = (self.weights**2 + self.floor**2)[index]
+        most = information - own_priors + rounding
+        least = np.maximum(information - own_priors - rounding, 0.0)
+        inner = covariance[i, j] / (variances.prod(axis=1) * uncorrelated[:, 0])
+        seen = (most * self.limits[index] ** 2 >= 1.0).all(axis=1)
+        collinear = inner**2 >= (_SCREEN * NEAR_COLLINEAR) ** 2 * least.prod(axis=1)
+        return index[seen & collinear]
 
     def _project_onto_sets(self, sets: npt.NDArray[np.intp]) -> Array:
         """Square-root information about sets of s terms, shape (sets, s, s).

@@ -27,6 +27,7 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 
 _CHUNK: Final = 32 * QR_ROWS  #: rows copied at a time, which bounds the memory
+_COLUMNS: Final = 256  #: columns projected at a time, which bounds the memory
 
 
 @frozen
@@ -273,8 +274,10 @@ class Solution:
         """
         stacked, rotation = self._stack_rows(data, priors), self._rows.rotation
         # Twice: what rounding leaves of the first projection matters where little is left.
-        for _ in range(2):
-            stacked -= rotation @ (rotation.T @ stacked)
+        for start in range(0, stacked.shape[1], _COLUMNS):
+            columns = stacked[:, start : start + _COLUMNS]
+            for _ in range(2):
+                columns -= rotation @ (rotation.T @ columns)
         return stacked
 
     def undetected_shifts(self, data: Array, priors: Array) -> Array:
@@ -291,7 +294,7 @@ class Solution:
     def _stack_rows(self, data: Array, priors: Array) -> Array:
         """Return columns in all rows: of the blocks, the priors and the unknowns that are held."""
         rows = self._rows
-        stacked = np.zeros((rows.rotation.shape[0], data.shape[1]))
+        stacked = np.zeros((data.shape[1], rows.rotation.shape[0])).T  # columns in one piece
         stacked[: rows.data] = data
         stacked[rows.data : rows.data + rows.prior_of.size] = priors[rows.prior_of]
         return stacked

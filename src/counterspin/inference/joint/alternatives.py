@@ -192,21 +192,28 @@ def run_score_tests(
 
     noise_given: Whether the noise was given.
     """
-    projected = project_columns(fit, alternatives)
-    columns, residual = projected.columns, projected.residual
-    norms = np.sum(columns**2, axis=0)
-    is_testable = norms > MIN_RESIDUAL_FRACTION * projected.squared_norms
-    norms = np.where(is_testable, norms, np.inf)
-    product = columns.T @ residual
-    gain = product**2 / norms
-    dof = max(projected.dof - 1.0, 1.0)
-    residual_rss = projected.rss + float(residual @ residual)
-    scale = np.maximum(residual_rss - gain, 0.0) / dof
-    if noise_given:
-        scale = np.maximum(scale, 1.0)
-    u = np.where(is_testable, np.sqrt(scale / np.where(is_testable, norms, 1.0)), np.inf)
-    size = np.sqrt(gain / np.maximum(scale, np.finfo(float).tiny))
-    return ScoreTests(tuple(alternatives), product / norms, u, size, dof)
+    # Rows that hold the columns of a single observation are few: those of a group at a time.
+    groups: dict[frozenset[int], list[int]] = {}
+    for index, alternative in enumerate(alternatives):
+        groups.setdefault(frozenset(alternative.columns), []).append(index)
+    value, u, z = np.zeros((3, len(alternatives)))
+    dof = max(fit.solution.dof - 1.0, 1.0)
+    for group in groups.values():
+        projected = project_columns(fit, [alternatives[index] for index in group])
+        columns, residual = projected.columns, projected.residual
+        norms = np.sum(columns**2, axis=0)
+        is_testable = norms > MIN_RESIDUAL_FRACTION * projected.squared_norms
+        norms = np.where(is_testable, norms, np.inf)
+        product = columns.T @ residual
+        gain = product**2 / norms
+        residual_rss = projected.rss + float(residual @ residual)
+        scale = np.maximum(residual_rss - gain, 0.0) / dof
+        if noise_given:
+            scale = np.maximum(scale, 1.0)
+        value[group] = product / norms
+        u[group] = np.where(is_testable, np.sqrt(scale / np.where(is_testable, norms, 1.0)), np.inf)
+        z[group] = np.sqrt(gain / np.maximum(scale, np.finfo(float).tiny))
+    return ScoreTests(tuple(alternatives), value, u, z, dof)
 
 
 @frozen
@@ -283,8 +290,8 @@ def _columns(
     augmented: Array,
 ) -> tuple[Array, Array]:
     """Return the columns in the blocks' rows and in those of the priors, (rows, m) and (p, m)."""
-    rows = sum(block.factor.shape[0] for block in blocks)
-    data = np.zeros((rows, len(alternatives)))
+    factor = np.vstack([block.factor for block in blocks])
+    data = np.zeros((len(alternatives), factor.shape[0])).T  # columns in one piece
     priors = np.zeros((solution.estimate.size, len(alternatives)))
     remaining = iter(augmented.T)
     for k, alternative in enumerate(alternatives):
@@ -297,5 +304,5 @@ def _columns(
                 priors[place, k] = -shift / sd
             else:
                 # What is known exactly is no unknown: the records show how it is otherwise.
-                data[:, k] += shift * np.concatenate([block.factor[:, place] for block in blocks])
+                data[:, k] += shift * factor[:, place]
     return data, priors
