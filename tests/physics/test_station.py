@@ -11,7 +11,7 @@ from counterspin.physics.accelerometer import QX, Mounting, direction
 from counterspin.physics.motion import Site, Trajectory, trajectory_sensitivity
 from counterspin.physics.observation import columns
 from counterspin.physics.spindle import Spindle
-from counterspin.physics.station import FRAMES, Station, mean_products
+from counterspin.physics.station import FRAMES, Station, Stations, mean_products
 from counterspin.physics.terms import TERMS
 from counterspin.validation.cases import document
 
@@ -22,7 +22,7 @@ SYMBOLS = list(TERMS)
 
 
 def means_at(station, site, symbols):
-    means = mean_products([station], site)[0]
+    means = mean_products(Stations.of([station]), site)[0]
     return means[[SYMBOLS.index(symbol) for symbol in symbols]]
 
 

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from reading_campaigns import arm, readings, simulated, tumble
+from reading_campaigns import arm, simulated, tumble
 from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
 
 from counterspin.calibration.calibrate import calibrate
@@ -396,11 +396,9 @@ def test_repeats_at_one_setting_do_not_show_the_head_s_error(tmp_path, u_head):
     rng = np.random.default_rng(10)
     trials, most = (66, 4) if FULL else (20, 2)
     test = tumble(24)
-    blank = readings(test, np.zeros(24), 1.0)
     blamed = 0
     for _ in range(trials):
-        turned = blank.rotate_head(blank.stations, rng.normal(0.0, u_head, 24))
-        exact = simulated((turned, *test[1:]), rng, 0.0, truth=LEVEL)
+        exact = simulated(test, rng, 0.0, u_head=u_head, truth=LEVEL)
         values = exact[:, None] + rng.normal(0.0, 1e-6, (24, 3))
         head = f" ± {math.degrees(u_head)!r}"
         blamed += bool(misfits(calibrated(tmp_path, even(24), values, head=head)))
@@ -420,11 +418,9 @@ def test_few_repeats_beside_a_large_error_of_the_head_are_no_noise_to_explain_aw
     """
     trials, most = (100, 2) if FULL else (30, 1)
     rng, u_head, test = np.random.default_rng(15), 6e-6, tumble(8)
-    blank = readings(test, np.zeros(8), 1.0)
     head, blamed = f" ± {math.degrees(u_head)!r}", 0
     for _ in range(trials):
-        turned = blank.rotate_head(blank.stations, rng.normal(0.0, u_head, 8))
-        exact = simulated((turned, *test[1:]), rng, 0.0, truth=LEVEL)
+        exact = simulated(test, rng, 0.0, u_head=u_head, truth=LEVEL)
         values = exact[:, None] + rng.normal(0.0, SIGMA, (8, 2))
         blamed += bool(misfits(calibrated(tmp_path, even(8), values, head=head)))
     assert blamed <= most

@@ -265,7 +265,8 @@ class _Information:
         inner = covariance[i, j] / (variances.prod(axis=1) * uncorrelated[:, 0])
         seen = (most * self.limits[index] ** 2 >= 1.0).all(axis=1)
         collinear = inner**2 >= (_SCREEN * NEAR_COLLINEAR) ** 2 * least.prod(axis=1)
-        return index[seen & collinear]
+        candidates: npt.NDArray[np.intp] = index[seen & collinear]
+        return candidates
 
     def _project_onto_sets(self, sets: npt.NDArray[np.intp]) -> Array:
         """Square-root information about sets of s terms, shape (sets, s, s).

@@ -18,6 +18,7 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
@@ -101,9 +102,7 @@ class Station:
         Neglected are the square of the Earth's rate times the radius (1.3e-8 m/s^2 at 2.5 m) and
         the turn of the plumb line across the radius.
         """
-        force: Array = _forces([self], site, angle, rate)[0]
-        if self.motion == "arm":
-            force[:, 1] += self.radius * acceleration
+        force: Array = Stations.of([self]).forces(site, angle, rate, acceleration)[0]
         return force
 
     def products(self, site: Site, force: Array) -> Array:
@@ -111,87 +110,182 @@ class Station:
 
         force: In the station's frame, m/s^2, shape (n, 3).
         """
-        axes = self.axes_under_load()
-        rotation = _rotations([self], axes[None])[0]
-        return _products(axes @ force.T / site.gravity, rotation)
+        products: Array = Stations.of([self]).products(site, force[None])[:, 0]
+        return products
 
     def axes_under_load(self) -> Array:
         """Return the axes I, P, O with droop and turn, rows, shape (3, 3)."""
-        axes: Array = _axes_under_load([self])[0]
+        axes: Array = Stations.of([self]).axes_under_load()[0]
         return axes
 
     def indicated(self, site: Site, coefficients: Mapping[str, float]) -> float:
         """Return the mean indication in g; coefficients that are not named are nominal."""
         values = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
-        return float(mean_products([self], site)[0] @ values)
+        return float(mean_products(Stations.of([self]), site)[0] @ values)
 
 
-def _forces(
-    stations: Sequence[Station], site: Site, angles: Array, rates: Array | None = None
-) -> Array:
-    """Return `Station.force` of several stations without acceleration, (stations, angles, 3).
+@frozen
+class Stations:
+    """Positions, attitudes and motions of the instrument during n readings of one motion."""
 
-    rates: At the angles, rad/s, shape (angles,); None: those of the stations.
-    """
-    w, radius, stretch = (
-        np.array([[part] for part in parts])
-        for parts in zip(*((s.rate, s.radius, s.stretch) for s in stations), strict=True)
-    )
-    if rates is not None:
-        w = np.broadcast_to(rates, (len(stations), angles.size))
-    about_east, about_north = (
-        np.array([[s.axis_tilt[axis]] for s in stations]) for axis in range(2)
-    )
-    radius = radius * (1.0 + stretch * radius * w * w)
-    cos, sin = np.cos(angles), np.sin(angles)
-    _, north, up = site.earth_rotation
-    # 2 Omega x v of the velocity R w forward; the part along the arm is the same everywhere. The
-    # platform stays level; a tilted axis lifts and lowers it.
-    along = -radius * (w * w + 2.0 * w * up)
-    rises = radius * (about_east * sin - about_north * cos)
-    speed = radius * w * (about_east * cos + about_north * sin)
-    lifted = site.gravity + 2.0 * radius * w * north * sin - w * w * rises
-    forces = np.stack([along * cos + 2.0 * north * speed, along * sin, lifted], axis=-1)
-    for k, station in enumerate(stations):
-        if station.table:
-            forces[k] = _rotate_about_up(forces[k], _error_of_table(station, angles))
-    carried = np.array([station.motion == "arm" for station in stations])
-    if not carried.any():
-        return forces
-    # The machine's axes lean with its spindle: gravity and the Earth's rotation as they see them.
-    w, radius = w[carried], radius[carried]
-    leaning = np.column_stack([about_east, about_north, np.zeros(len(stations))])[carried]
-    machine = _rotate_axes(np.broadcast_to(np.eye(3), (len(w), 3, 3)), leaning)
-    earth = (machine @ site.earth_rotation)[:, :, None]
-    plumb = site.gravity * machine[:, :, 2, None]
-    forces[carried, :, 0] = (
-        plumb[:, 0] * cos + plumb[:, 1] * sin - radius * (w * w + 2.0 * w * earth[:, 2])
-    )
-    forces[carried, :, 1] = plumb[:, 1] * cos - plumb[:, 0] * sin
-    forces[carried, :, 2] = plumb[:, 2] + 2.0 * radius * w * (earth[:, 0] * cos + earth[:, 1] * sin)
-    return forces
+    motion: MotionKind  #: As of `Station`, like all fields.
+    axes: Array  #: I, P, O in the stations' frame, rows, shape (n, 3, 3).
+    rate: Array  #: Shape (n,).
+    radius: Array  #: Shape (n,).
+    stretch: Array  #: Shape (n,).
+    droop: Array  #: Shape (n,).
+    axis_tilt: Array  #: Shape (n, 2).
+    turn: Array  #: Shape (n, 3).
+    #: Harmonic -> components c and s of the counter-rotating table, shape (n, 2).
+    table: Mapping[int, Array]
 
+    @classmethod
+    def of(cls, stations: Sequence[Station]) -> Stations:
+        """Return several stations of one motion as arrays."""
+        harmonics = sorted({n for station in stations for n, _, _ in station.table})
+        table = {harmonic: np.zeros((len(stations), 2)) for harmonic in harmonics}
+        for k, station in enumerate(stations):
+            for n, c, s in station.table:
+                table[n][k] += (c, s)
+        (motion,) = {station.motion for station in stations}
+        rows = [(s.rate, s.radius, s.stretch, s.droop, *s.axis_tilt, *s.turn) for s in stations]
+        rate, radius, stretch, droop, *vectors = np.array(rows).T
+        return cls(
+            motion,
+            axes=np.array([station.mounting.axes for station in stations]),
+            rate=rate,
+            radius=radius,
+            stretch=stretch,
+            droop=droop,
+            axis_tilt=np.column_stack(vectors[:2]),
+            turn=np.column_stack(vectors[2:]),
+            table=table,
+        )
 
-def _error_of_table(station: Station, angles: Array) -> Array:
-    """Return the turn of the counter-rotating table about up at angles of the spindle, rad."""
-    total = np.zeros(angles.shape)
-    for n, c, s in station.table:
-        total += c * np.cos(n * angles) + s * np.sin(n * angles)
-    return total
+    def take(self, rows: npt.NDArray[np.intp]) -> Stations:
+        """Return some of the stations."""
+        arrays = ("axes", "rate", "radius", "stretch", "droop", "axis_tilt", "turn")
+        return replace(
+            self,
+            table={n: components[rows] for n, components in self.table.items()},
+            **{name: getattr(self, name)[rows] for name in arrays},
+        )
+
+    def forces(
+        self,
+        site: Site,
+        angles: Array,
+        rates: Array | None = None,
+        acceleration: Array | float = 0.0,
+    ) -> Array:
+        """Return `Station.force` of each, shape (n, angles, 3).
+
+        rates: At the angles, rad/s, shape (angles,); None: those of the stations.
+        acceleration: Of the angle there, rad/s^2, shape (angles,), on an arm.
+        """
+        w = self.rate[:, None] if rates is None else rates[None]
+        about_east, about_north = self.axis_tilt.T[:, :, None]
+        radius = self.radius[:, None]
+        radius = radius * (1.0 + self.stretch[:, None] * radius * w * w)
+        cos, sin = np.cos(angles), np.sin(angles)
+        if self.motion == "arm":
+            # The machine's axes lean with its spindle: gravity and the Earth's rotation as they
+            # see them.
+            leaning = np.column_stack([self.axis_tilt, np.zeros(len(self.rate))])
+            machine = _rotate_axes(np.broadcast_to(np.eye(3), (len(self.rate), 3, 3)), leaning)
+            earth = (machine @ site.earth_rotation)[:, :, None]
+            plumb = site.gravity * machine[:, :, 2, None]
+            outward = plumb[:, 0] * cos + plumb[:, 1] * sin
+            outward = outward - radius * (w * w + 2.0 * w * earth[:, 2])
+            forward = plumb[:, 1] * cos - plumb[:, 0] * sin
+            forward = forward + self.radius[:, None] * acceleration
+            up = plumb[:, 2] + 2.0 * radius * w * (earth[:, 0] * cos + earth[:, 1] * sin)
+            return np.stack([outward, forward, up], axis=-1)
+        _, north, up = site.earth_rotation
+        # 2 Omega x v of the velocity R w forward; the part along the arm is the same everywhere.
+        # The platform stays level; a tilted axis lifts and lowers it.
+        along = -radius * (w * w + 2.0 * w * up)
+        rises = radius * (about_east * sin - about_north * cos)
+        speed = radius * w * (about_east * cos + about_north * sin)
+        lifted = site.gravity + 2.0 * radius * w * north * sin - w * w * rises
+        forces = np.stack([along * cos + 2.0 * north * speed, along * sin, lifted], axis=-1)
+        return _rotate_about_up(forces, self.table_errors(angles)) if self.table else forces
+
+    def products(self, site: Site, forces: Array) -> Array:
+        """Return the signed products of specific forces, shape (number of `TERMS`, n, angles).
+
+        forces: In the stations' frame, m/s^2, shape (n, angles, 3).
+        """
+        axes = self.axes_under_load()
+        a_ipo = np.einsum("nij,nmj->inm", axes, forces) / site.gravity
+        return _products(a_ipo, np.moveaxis(self.rotations(axes), 0, 1))
+
+    def table_errors(self, angles: Array) -> Array:
+        """Return the turn of the counter-rotating table about up, rad, shape (n, angles)."""
+        total = np.zeros((len(self.rate), angles.size))
+        for n, components in self.table.items():
+            total += components @ np.stack([np.cos(n * angles), np.sin(n * angles)])
+        return total
+
+    def axes_under_load(self) -> Array:
+        """Return the axes I, P, O with droop and turn, rows, shape (n, 3, 3)."""
+        turn = self.turn.copy()
+        turn[:, 1] += self.droop * self.rate**2
+        return _rotate_axes(self.axes, turn)
+
+    def rotations(self, axes: Array) -> Array:
+        """Return w_I, w_P (rad/s) and dw_O/dt (rad/s^2) of the instruments, shape (n, 3, 1).
+
+        Only an arm takes the instrument round; the Earth's rate is left out. The mean of the
+        angular acceleration over whole revolutions is zero.
+
+        axes: I, P, O of each, rows, shape (n, 3, 3).
+        """
+        rotations = np.zeros((len(self.rate), 3, 1))
+        if self.motion == "arm":
+            rotations[:, :2, 0] = axes[:, :2, 2] * self.rate[:, None]
+        return rotations
+
+    def perturb(self, symbol: str, size: Array, head: Array, head_angle: Array) -> Stations:
+        """Return the stations with one of the machine's terms larger by a size.
+
+        size: By how much, in the term's unit, shape (n,).
+        head: The axis about which the dividing head turns, in the station's frame, shape (n, 3).
+        head_angle: Indicated angle of the head, rad, shape (n,).
+        """
+        moved: dict[str, Any]
+        match term(symbol).effect:
+            case SetupError("radius"):
+                moved = {"radius": self.radius + size}
+            case SetupError("rate") | Input("clock"):
+                # A fast clock counts too few revolutions: the rate is larger than the one stated.
+                moved = {"rate": self.rate * (1.0 + size)}
+            case TrajectoryError("stretch"):
+                moved = {"stretch": self.stretch + size}
+            case TrajectoryError("axis_tilt", about=axis):
+                tilted = np.outer(size, (axis == "east", axis == "north"))
+                moved = {"axis_tilt": self.axis_tilt + tilted}
+            case SetupError("droop"):
+                moved = {"droop": self.droop + size}
+            case AttitudeError("table", harmonic=n, quadrature=quadrature):
+                components = np.outer(size, (quadrature == "cos", quadrature == "sin"))
+                moved = {"table": {**self.table, n: self.table.get(n, 0.0) + components}}
+            case SetupError("misalignment", axis):
+                moved = {"turn": self.turn + np.outer(size, _named_axis(axis, self.motion))}
+            case SetupError("zero" | "wave", harmonic=n, quadrature=quadrature):
+                # The zero is a wave of no turns.
+                wave = np.sin if quadrature == "sin" else np.cos
+                moved = {"turn": self.turn + (size * wave(n * head_angle))[:, None] * head}
+            case _:
+                raise ValueError(f"{symbol} moves no station")
+        return replace(self, **moved)
 
 
 def _rotate_about_up(forces: Array, turn: Array) -> Array:
-    """Return forces (n, 3) in a frame that is turned about up by (n,), rad."""
+    """Return forces (..., 3) in a frame that is turned about up by (...), rad."""
     cos, sin = np.cos(turn), np.sin(turn)
-    east, north, up = forces.T
-    return np.column_stack([cos * east + sin * north, cos * north - sin * east, up])
-
-
-def _axes_under_load(stations: Sequence[Station]) -> Array:
-    """Return `Station.axes_under_load` of several stations, shape (stations, 3, 3)."""
-    turns = np.array([station.turn for station in stations])
-    turns[:, 1] += [station.droop * station.rate**2 for station in stations]
-    return _rotate_axes(np.array([station.mounting.axes for station in stations]), turns)
+    east, north, up = np.moveaxis(forces, -1, 0)
+    return np.stack([cos * east + sin * north, cos * north - sin * east, up], axis=-1)
 
 
 def _rotate_axes(axes: Array, turns: Array) -> Array:
@@ -208,21 +302,21 @@ def _rotate_axes(axes: Array, turns: Array) -> Array:
     return turned
 
 
-def mean_products(stations: Sequence[Station], site: Site) -> Array:
+def mean_products(stations: Stations, site: Site) -> Array:
     """Return the signed products of specific forces, each the mean over a revolution.
 
     Returns: in g to the power of each product's degree, shape (n, m), in the order of `TERMS`.
     """
     angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False, dtype=np.float64)
-    forces, axes = _forces(stations, site, angles), _axes_under_load(stations)
+    forces, axes = stations.forces(site, angles), stations.axes_under_load()
     a_ipo = np.einsum("nij,nmj->inm", axes, forces)
     a_ipo /= site.gravity
-    rotations = np.moveaxis(_rotations(stations, axes), 0, 1)
+    rotations = np.moveaxis(stations.rotations(axes), 0, 1)
     means: Array = _products(a_ipo, rotations).mean(axis=2).T
     lowest, highest = a_ipo[0].min(axis=1), a_ipo[0].max(axis=1)
     bent = (lowest < SIGN_WIDTH) & (highest > -SIGN_WIDTH) & (highest - lowest > _ROUNDING)
     for k in np.flatnonzero(bent).tolist():
-        means[k, _KINKED] = _means_with_kinks(stations[k], site)
+        means[k, _KINKED] = _means_with_kinks(stations.take(np.array([k])), site)
     return means
 
 
@@ -236,13 +330,13 @@ _ROUNDING: Final = 1e-12
 _PANELS: Final = 8
 
 
-def _means_with_kinks(station: Station, site: Site) -> Array:
-    """Return the means of the products that have a kink, by panels that end at sign changes."""
-    axis, end = station.axes_under_load()[0] / site.gravity, 2.0 * np.pi
+def _means_with_kinks(stations: Stations, site: Site) -> Array:
+    """Return one station's means of products that have a kink, by panels between sign changes."""
+    axis, end = stations.axes_under_load()[0, 0] / site.gravity, 2.0 * np.pi
     edges = np.linspace(0.0, end, _PANELS + 1)
 
     def above(least: float, angle: Array) -> Array:
-        over: Array = station.force(site, angle) @ axis - least
+        over: Array = stations.forces(site, angle)[0] @ axis - least
         return over
 
     changes = [
@@ -253,23 +347,12 @@ def _means_with_kinks(station: Station, site: Site) -> Array:
     edges = edges[np.append(np.diff(edges) > _ROUNDING, True)]
     whole = edges[-1:]
     integrals = quadrature.integrate(
-        lambda angle: station.products(site, station.force(site, angle))[_KINKED], edges, whole, 1
+        lambda angle: stations.products(site, stations.forces(site, angle))[_KINKED, 0],
+        edges,
+        whole,
+        1,
     )
     return np.asarray(integrals[0] / end)
-
-
-def _rotations(stations: Sequence[Station], axes: Array) -> Array:
-    """Return w_I, w_P (rad/s) and dw_O/dt (rad/s^2) of the instruments, shape (stations, 3, 1).
-
-    Only an arm takes the instrument round; the Earth's rate is left out. The mean of the angular
-    acceleration over whole revolutions is zero.
-
-    axes: I, P, O of each, rows, shape (stations, 3, 3).
-    """
-    rates = np.array([station.rate if station.motion == "arm" else 0.0 for station in stations])
-    rotations = np.zeros((len(stations), 3, 1))
-    rotations[:, :2, 0] = axes[:, :2, 2] * rates[:, None]
-    return rotations
 
 
 def _products(a_ipo: Array, rotation: Array) -> Array:
@@ -278,54 +361,7 @@ def _products(a_ipo: Array, rotation: Array) -> Array:
     return np.stack([effect.evaluate(a_ipo, rotation, SIGN_WIDTH) for effect in rows])
 
 
-def perturb_station(
-    station: Station, symbol: str, size: float, head: Array, head_angle: float = 0.0
-) -> Station:
-    """Return a station with one of the machine's terms larger by a size.
-
-    size: By how much, in the term's unit.
-    head: The axis about which the dividing head turns, in the station's frame, shape (3,).
-    head_angle: What the head shows, rad.
-    """
-    perturbed: dict[str, Any] = {}
-    match term(symbol).effect:
-        case SetupError("radius"):
-            perturbed["radius"] = station.radius + size
-        case SetupError("rate") | Input("clock"):
-            # A fast clock counts too few revolutions: the rate is larger than the one stated.
-            perturbed["rate"] = station.rate * (1.0 + size)
-        case TrajectoryError("stretch"):
-            perturbed["stretch"] = station.stretch + size
-        case TrajectoryError("axis_tilt", about=axis):
-            east, north = station.axis_tilt
-            perturbed["axis_tilt"] = (
-                (east + size, north) if axis == "east" else (east, north + size)
-            )
-        case SetupError("droop"):
-            perturbed["droop"] = station.droop + size
-        case AttitudeError("table", harmonic=n, quadrature=quadrature):
-            components = (n, size, 0.0) if quadrature == "cos" else (n, 0.0, size)
-            perturbed["table"] = (*station.table, components)
-        case SetupError("misalignment", axis):
-            perturbed["turn"] = _compose_rotations(
-                station, size * _named_axis(axis, station.motion)
-            )
-        case SetupError("zero" | "wave", harmonic=n, quadrature=quadrature):
-            # The zero is a wave of no turns.
-            wave = np.sin if quadrature == "sin" else np.cos
-            perturbed["turn"] = _compose_rotations(station, size * wave(n * head_angle) * head)
-        case _:
-            raise ValueError(f"{symbol} moves no station")
-    return replace(station, **perturbed)
-
-
 def _named_axis(name: str, motion: str) -> Array:
     """Return the unit vector of a named axis in a motion's frame; zero where it has none."""
     names = ("outward", "forward", "up") if motion == "arm" else ("east", "north", "up")
     return np.array([float(name == axis_name) for axis_name in names])
-
-
-def _compose_rotations(station: Station, turn: Array) -> tuple[float, float, float]:
-    """Return the turn of a station's instrument after a further one, rad."""
-    first, second, up = np.array(station.turn) + turn
-    return float(first), float(second), float(up)

@@ -22,7 +22,7 @@ from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import HEAD_WAVES
-from counterspin.readings.fitted import MIN_DOF, FittedReadings, make_position
+from counterspin.readings.fitted import MIN_DOF, FittedReadings, evaluate_positions
 from counterspin.readings.linear import LinearReadings, ReadingGroup
 
 U = TypeVar("U", bound=Unknown)
@@ -325,8 +325,10 @@ def _largest_residual(
     solution = _joint_fit(records, parts, model).solution
     name_of_largest, largest = "", 0.0
     for group, part in zip(readings, parts, strict=True):
-        for index, name in enumerate(group.names):
-            deviation = abs(make_position(part, (index,), solution, model, None).standardized)
+        sets = [(index,) for index in range(len(group.names))]
+        positions = evaluate_positions(part, sets, solution, model, None)
+        for name, position in zip(group.names, positions, strict=True):
+            deviation = abs(position.standardized)
             if deviation > largest:
                 name_of_largest, largest = name, deviation
     return name_of_largest

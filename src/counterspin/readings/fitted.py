@@ -124,26 +124,23 @@ class FittedReadings:
         assert index is not None
         linear = fit.observations[index]
         assert isinstance(linear, LinearReadings)
-        deleted_noise = None
+        noise = None
         if not self.has_external_noise:
             # Noise is estimated with what is considered among the unknowns.
-            deleted_noise = _DeletedNoise(
-                linear.with_considered_estimated(len(model.unknowns)),
-                fit.solution_with_considered,
-                group,
-            )
-
-        def position(indices: Sequence[int]) -> Position:
-            return make_position(linear, indices, solution, model, deleted_noise)
-
+            considered_estimated = linear.with_considered_estimated(len(model.unknowns))
+            noise = (considered_estimated, fit.solution_with_considered, group.repeat_dof)
+        readings = [(index,) for index in range(group.size)]
+        positions = evaluate_positions(
+            linear, [*readings, *group.replicates], solution, model, noise
+        )
         return replace(
             self,
             linear=linear,
             residual_dof=linear.residual_dof(solution),
             residuals=linear.residuals(solution, model),
             chi2=linear.chi2(solution, model),
-            single=tuple(position((index,)) for index in range(group.size)),
-            positions=tuple(position(indices) for indices in group.replicates),
+            single=tuple(positions[: group.size]),
+            positions=tuple(positions[group.size :]),
         )
 
     @property
@@ -221,59 +218,134 @@ class FittedReadings:
         )
 
 
-def make_position(
+class _Combinations:
+    """Residuals of a fit in k combinations of its n readings.
+
+    With r = s - H s of a combination s in standard uncertainties, and H the hat matrix of the
+    readings: sums over r need the q unknowns only, and not the n x n hat matrix.
+    """
+
+    def __init__(
+        self, part: LinearReadings, solution: Solution, sets: Sequence[Sequence[int]], s: Array
+    ) -> None:
+        """Project combinations; s: weights of the readings of all sets, one after the other."""
+        self._rows = part.design / part.sigma[:, None]
+        self._readings, self._s = np.concatenate(sets), s
+        self._starts = np.cumsum([0, *map(len, sets)])[:-1]
+        self._followed = self._rows_sum(np.ones(len(self._rows))) @ part.covariance(solution)
+        self._covariance = part.covariance(solution)
+
+    def _sum(self, values: Array) -> Array:
+        """Return the sums over the readings of each set, shape (k, ...)."""
+        return np.asarray(np.add.reduceat(values, self._starts, axis=0))
+
+    def _rows_sum(self, weights: Array) -> Array:
+        """Return rows' (weights s), shape (k, q); weights: shape (n,)."""
+        return self._sum((weights[self._readings] * self._s)[:, None] * self._rows[self._readings])
+
+    def product(self, vector: Array) -> Array:
+        """Return r . vector, shape (k,); vector: shape (n,)."""
+        own = self._sum(self._s * vector[self._readings])
+        return np.asarray(own - self._followed @ (self._rows.T @ vector))
+
+    @property
+    def variance(self) -> Array:
+        """The products r . s, the variances of the combined residuals, shape (k,)."""
+        rows_sum = self._rows_sum(np.ones(len(self._rows)))
+        followed: Array = np.sum(rows_sum * self._followed, axis=1)
+        return np.asarray(np.maximum(self._sum(self._s**2) - followed, 0.0))
+
+    def squares(self, weights: Array) -> Array:
+        """Return the sums of weights r^2, shape (k,); weights: shape (n,)."""
+        own = self._sum(weights[self._readings] * self._s**2)
+        total = own - np.sum((self._rows_sum(weights) + self.gradient(weights)) * self._followed, 1)
+        return np.asarray(np.maximum(total, 0.0))
+
+    def gradient(self, weights: Array) -> Array:
+        """Return rows' (weights r), shape (k, q)."""
+        gram = self._rows.T @ (weights[:, None] * self._rows)
+        return np.asarray(self._rows_sum(weights) - self._followed @ gram)
+
+    def weighted_variance(self, weights: Array) -> Array:
+        """Return w . (w - H w) of w = weights r, shape (k,)."""
+        gradient = self.gradient(weights)
+        followed: Array = np.sum((gradient @ self._covariance) * gradient, axis=1)
+        return self.squares(weights**2) - followed
+
+
+def evaluate_positions(
     part: LinearReadings,
-    indices: Sequence[int],
+    sets: Sequence[Sequence[int]],
     solution: Solution,
     model: Unknowns,
-    noise: _DeletedNoise | None,
-) -> Position:
-    """Return the weighted mean of some residuals, and it over its own standard deviation."""
-    weights = np.zeros(part.target.size)
-    weights[list(indices)] = 1.0 / part.sigma[list(indices)] ** 2
-    weights /= weights.sum()
-    scaled_weights = weights * part.sigma
-    column = part.project_out(scaled_weights, solution)
-    residual_variance = max(float(scaled_weights @ column), 0.0)
-    considered_shift = weights @ part.considered_sensitivity(solution) * model.considered_sds
-    variance = residual_variance + float(considered_shift @ considered_shift)
-    residual = float(weights @ part.residuals(solution, model))
-    if variance <= 1e-9 * float(scaled_weights @ scaled_weights):
-        return Position(tuple(indices), residual, math.nan, math.nan, math.nan)
-    z, share, dof = residual / math.sqrt(variance), 0.0, math.inf
-    studentized = z
+    noise: tuple[LinearReadings, Solution, float] | None,
+) -> list[Position]:
+    """Return the weighted mean residual of each set of readings over its standard deviation.
+
+    sets: Places of the readings of each set, k of them.
+    noise: Readings and solution by which their noise was estimated, and the repeats' degrees of
+        freedom; None: it was not.
+    """
+    readings = np.concatenate(sets)
+    starts = np.cumsum([0, *map(len, sets)])[:-1]
+    weights = 1.0 / part.sigma[readings] ** 2
+    weights /= np.repeat(np.add.reduceat(weights, starts), [len(indices) for indices in sets])
+    combined = weights * part.sigma[readings]
+    r = _Combinations(part, solution, sets, combined)
+    sensitivity = part.considered_sensitivity(solution)[readings] * model.considered_sds
+    shifts = np.add.reduceat(weights[:, None] * sensitivity, starts, axis=0)
+    variance = r.variance + np.sum(shifts**2, axis=1)
+    residual = np.add.reduceat(weights * part.residuals(solution, model)[readings], starts)
+    followed = variance <= 1e-9 * np.add.reduceat(combined**2, starts)
+    variance[followed] = 1.0
+    z = residual / np.sqrt(variance)
+    studentized, share, dof = z, np.zeros(len(sets)), np.full(len(sets), math.inf)
     if noise is not None:
         # The head, priors and what is considered have their parts of the variance too.
-        noise_fraction = min(float(part.noise_share @ column**2) / variance, 1.0)
-        scale, dof = noise.evaluate(scaled_weights)
-        variance_ratio = 1.0 - noise_fraction + noise_fraction * scale
-        studentized, share = z / math.sqrt(variance_ratio), noise_fraction * scale / variance_ratio
-    p = 2.0 * mixture_tail(share, dof, abs(studentized))
-    return Position(tuple(indices), residual, z, studentized, p)
+        fraction = np.minimum(r.squares(part.noise_share) / variance, 1.0)
+        scale, dof = _deleted_noise(*noise, sets, combined)
+        ratio = 1.0 - fraction + fraction * scale
+        studentized, share = z / np.sqrt(ratio), fraction * scale / ratio
+    positions = []
+    for k, indices in enumerate(sets):
+        values = (math.nan, math.nan, math.nan)
+        if not followed[k]:
+            p = 2.0 * mixture_tail(float(share[k]), float(dof[k]), abs(float(studentized[k])))
+            values = (float(z[k]), float(studentized[k]), p)
+        positions.append(Position(tuple(indices), float(residual[k]), *values))
+    return positions
 
 
-class _DeletedNoise:
-    """An estimated noise without some of the readings, all else being equal."""
+def _deleted_noise(
+    part: LinearReadings,
+    solution: Solution,
+    repeat_dof: float,
+    sets: Sequence[Sequence[int]],
+    combined: Array,
+) -> tuple[Array, Array]:
+    """Return the noise variance estimated without each set, over that with it, and its dof.
 
-    def __init__(self, part: LinearReadings, solution: Solution, group: ReadingGroup) -> None:
-        self._part, self._solution = part, solution
-        self._share = part.noise_share
-        self._residual = part.residuals_at(solution.estimate) / part.sigma
-        repeat_dof = group.repeat_dof
-        self._dof = part.noise_dof(solution) + repeat_dof
-        # The noise is such that the squares of residuals and repeats are what is expected.
-        self._squares = float(self._share @ (1.0 - part.leverages(solution))) + repeat_dof
-
-    def evaluate(self, combination: Array) -> tuple[float, float]:
-        """Return the variance without a combination of the readings, over it, and its dof."""
-        share, column = self._share, self._part.project_out(combination, self._solution)
-        remainder = float(combination @ column)
-        if remainder <= 1e-9 * float(combination @ combination):
-            return 1.0, self._dof
-        removed = column * float(combination @ self._residual) / remainder
-        squares = self._squares - float(share @ (removed * (2.0 * self._residual - removed)))
-        weighted = share * column
-        cross_term = float(weighted @ self._part.project_out(weighted, self._solution)) / remainder
-        removed_dof = float(weighted @ column) / remainder
-        scale = max(squares, _MIN_REMAINDER) / max(self._squares - removed_dof, _MIN_REMAINDER)
-        return scale, max(self._dof - 2.0 * cross_term + removed_dof**2, 1.0)
+    All else being equal. Arguments as of `evaluate_positions`; combined: the weights of the
+    readings in standard uncertainties.
+    """
+    r = _Combinations(part, solution, sets, combined)
+    share, remainder = part.noise_share, r.variance
+    residual = part.residuals_at(solution.estimate) / part.sigma
+    starts = np.cumsum([0, *map(len, sets)])[:-1]
+    readings = np.concatenate(sets)
+    total_dof = part.noise_dof(solution) + repeat_dof
+    # The noise is such that the squares of residuals and repeats are what is expected.
+    total_squares = float(share @ (1.0 - part.leverages(solution))) + repeat_dof
+    followed = remainder <= 1e-9 * np.add.reduceat(combined**2, starts)
+    remainder[followed] = 1.0
+    removed = np.add.reduceat(combined * residual[readings], starts) / remainder
+    removed_squares = r.squares(share)
+    removed_dof = removed_squares / remainder
+    squares = total_squares - removed * (
+        2.0 * r.product(share * residual) - removed * removed_squares
+    )
+    scale = np.maximum(squares, _MIN_REMAINDER) / np.maximum(
+        total_squares - removed_dof, _MIN_REMAINDER
+    )
+    dof = total_dof - 2.0 * r.weighted_variance(share) / remainder + removed_dof**2
+    return np.where(followed, 1.0, scale), np.where(followed, total_dof, np.maximum(dof, 1.0))

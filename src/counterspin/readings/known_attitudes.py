@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
@@ -21,7 +22,7 @@ from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Site
-from counterspin.physics.station import Station, mean_products, perturb_station
+from counterspin.physics.station import Station, Stations, mean_products
 from counterspin.physics.terms import (
     CONDITION_TERMS,
     TABLE,
@@ -29,7 +30,6 @@ from counterspin.physics.terms import (
     accelerometer_of,
     is_term,
     mounting_of,
-    symbol_of,
     term,
 )
 from counterspin.readings.linear import MIN_RELATIVE_NOISE, LinearReadings
@@ -103,47 +103,41 @@ class Readings:
         """
         return mean_products(self.stations_with(machine), self.site)
 
-    def stations_with(self, machine: Mapping[str, float]) -> list[Station]:
+    def stations_with(self, machine: Mapping[str, float]) -> Stations:
         """Return where the readings were taken, with the machine's terms as given."""
-        stations = list(self.stations)
+        stations = self._stations
         for symbol, size in machine.items():
             if size != 0.0:
                 stations = self.perturb(stations, symbol, size)
         return stations
 
-    def perturb(self, stations: Sequence[Station], symbol: str, size: float) -> list[Station]:
+    def perturb(self, stations: Stations, symbol: str, size: float) -> Stations:
         """Return the readings' stations, moved already, with one more of the machine's terms."""
-        return [
-            self.perturb_one(station, index, symbol, size) if acts else station
-            for index, (station, acts) in enumerate(
-                zip(stations, self.acts_mask(symbol), strict=True)
-            )
-        ]
-
-    def perturb_one(self, station: Station, index: int, symbol: str, size: float) -> Station:
-        """Return the station of one of the readings, with one more of the machine's terms."""
-        return perturb_station(station, symbol, size, self.head[index], self._head_angles[index])
+        sizes = size * self.acts_mask(symbol)
+        return (
+            stations.perturb(symbol, sizes, self.head, self.head_angles)
+            if sizes.any()
+            else stations
+        )
 
     @cached_property
-    def _head_angles(self) -> list[float]:
-        """Indicated angle of the head at each reading, rad."""
-        angles: list[float] = np.broadcast_to(self.head_angle, self.size).tolist()
-        return angles
+    def _stations(self) -> Stations:
+        """The stations as arrays."""
+        return Stations.of(self.stations)
 
-    def rotate_head(self, stations: Sequence[Station], angles: Array) -> list[Station]:
+    @cached_property
+    def head_angles(self) -> Array:
+        """Indicated angle of the head at each reading, rad, shape (n,)."""
+        return np.broadcast_to(self.head_angle, self.size)
+
+    def rotate_head(self, stations: Stations, angles: Array) -> Stations:
         """Return stations with the head's angle off by so much at each, rad, shape (n,)."""
-        indexed = enumerate(zip(stations, angles.tolist(), strict=True))
-        return [
-            self.perturb_one(station, index, "head.zero", size)
-            for index, (station, size) in indexed
-        ]
+        return stations.perturb("head.zero", angles, self.head, self.head_angles)
 
     def with_rate_errors(self, errors: Array) -> Readings:
         """Return readings at rates that are larger by relative errors, shape (n,)."""
-        indexed = enumerate(zip(self.stations, errors.tolist(), strict=True))
-        stations = (
-            self.perturb_one(station, index, RATE, size) for index, (station, size) in indexed
-        )
+        pairs = zip(self.stations, errors.tolist(), strict=True)
+        stations = (replace(station, rate=station.rate * (1.0 + error)) for station, error in pairs)
         return replace(self, stations=tuple(stations))
 
     @property
@@ -163,7 +157,7 @@ class Readings:
     def replicates(self) -> tuple[tuple[int, ...], ...]:
         """Places of the readings of each position that was read more than once."""
         groups: dict[tuple[object, ...], list[int]] = {}
-        angles = np.array(self._head_angles)
+        angles = self.head_angles
         angle_keys = np.round(np.stack([np.cos(angles), np.sin(angles)], axis=-1), 9) + 0.0
         for index, (station, mounting) in enumerate(
             zip(self.stations, self.mountings, strict=True)
@@ -384,25 +378,29 @@ class _OperatingPoint:
     """A group of readings at the point where derivatives are taken."""
 
     group: Readings
-    stations: Sequence[Station]  #: As the machine has moved them.
+    stations: Stations  #: As the machine has moved them.
     products: Array  #: Of every term, shape (n, number of `TERMS`).
     effective: Array  #: The coefficients under each reading's conditions, of the same shape.
 
     @classmethod
     def at(
-        cls, group: Readings, stations: Sequence[Station], values: Array, levers: _DesignFactors
+        cls, group: Readings, stations: Stations, values: Array, levers: _DesignFactors
     ) -> _OperatingPoint:
         effective = np.tile([row.nominal for row in TERMS.values()], (group.size, 1))
         for index, (term_index, factor) in levers.items():
             effective[:, term_index] += values[index] * factor
         return cls(group, stations, mean_products(stations, group.site), effective)
 
-    def perturb_both(self, rows: Any, symbol: str, step: float) -> tuple[Array, Array]:
+    def perturb_both(
+        self, rows: npt.NDArray[np.intp], symbol: str, step: float
+    ) -> tuple[Array, Array]:
         """Return the products where some readings are moved by a step of a term, and back."""
-        group = self.group
+        stations, group = self.stations.take(rows), self.group
         ahead, behind = (
             mean_products(
-                [group.perturb_one(self.stations[row], row, symbol, size) for row in rows],
+                stations.perturb(
+                    symbol, np.full(rows.size, size), group.head[rows], group.head_angles[rows]
+                ),
                 group.site,
             )
             for size in (step, -step)
@@ -453,11 +451,8 @@ def with_input(group: Readings, name: str, change: float, replaced: Collection[s
     if name == "site.latitude":
         return replace(group, site=replace(group.site, latitude=group.site.latitude + change))
     if name in group.clocks:
-        symbol, timed = symbol_of(name), enumerate(zip(group.stations, group.clocks, strict=True))
-        stations = (
-            group.perturb_one(s, k, symbol, change) if c == name else s for k, (s, c) in timed
-        )
-        return replace(group, stations=tuple(stations))
+        timed = np.array([clock == name for clock in group.clocks])
+        return group.with_rate_errors(change * timed)
     if name != "centrifuge.radius":
         return group
     radius_owned = np.zeros(group.size)

@@ -257,7 +257,7 @@ class LinearReadings(Observation):
         columns[:, list(self.considered)] += self.fixed
         return columns
 
-    def _covariance(self, solution: Solution) -> Array:
+    def covariance(self, solution: Solution) -> Array:
         """Return the covariance that the weights minimise, of the own unknowns."""
         covariance: Array = solution.weighted_covariance[np.ix_(self.unknowns, self.unknowns)]
         return covariance
@@ -265,7 +265,7 @@ class LinearReadings(Observation):
     def leverages(self, solution: Solution) -> Array:
         """Return the leverage of each reading, from 0 to 1."""
         rows = self.design / self.sigma[:, None]
-        raw: Array = np.sum((rows @ self._covariance(solution)) * rows, axis=1)
+        raw: Array = np.sum((rows @ self.covariance(solution)) * rows, axis=1)
         clipped: Array = np.clip(raw, 0.0, 1.0)
         return clipped
 
@@ -281,7 +281,7 @@ class LinearReadings(Observation):
         (1946) 110): tr R^4 / tr R^2 and (tr R^2)^2 / tr R^4. Errors of the machine only add to it.
         """
         rows = self.design / self.sigma[:, None]
-        hat = self._covariance(solution) @ (rows.T @ rows)
+        hat = self.covariance(solution) @ (rows.T @ rows)
         square = hat @ hat
         # tr H^k of H = rows C rows' is that of the smaller matrix C rows' rows.
         first, second = float(np.trace(hat)), float(np.trace(square))
@@ -300,7 +300,7 @@ class LinearReadings(Observation):
         the unknowns where nothing is known beforehand and the head adds nothing.
         """
         rows, share = self.design / self.sigma[:, None], self.noise_share
-        weighted = self._covariance(solution) @ (rows.T @ (share[:, None] * rows))
+        weighted = self.covariance(solution) @ (rows.T @ (share[:, None] * rows))
         linear_part = float(share**2 @ (1.0 - 2.0 * self.leverages(solution)))
         return linear_part + float(np.sum(weighted * weighted.T))
 
@@ -309,12 +309,6 @@ class LinearReadings(Observation):
         """The part that noise has in the variance of each reading, the head having the rest."""
         share: Array = 1.0 - (self.head / self.sigma) ** 2
         return share
-
-    def project_out(self, column: Array, solution: Solution) -> Array:
-        """Return the residual of a column in standard uncertainties, shape (n,)."""
-        rows = self.design / self.sigma[:, None]
-        remainder: Array = column - rows @ (self._covariance(solution) @ (rows.T @ column))
-        return remainder
 
 
 def blocks_at(readings: Sequence[ReadingGroup], model: Unknowns, estimate: Array) -> list[Block]:

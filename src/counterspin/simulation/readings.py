@@ -26,7 +26,7 @@ from counterspin.frozen import frozen
 from counterspin.input import read_file
 from counterspin.physics.motion import encoder_error
 from counterspin.physics.spindle import Spindle
-from counterspin.physics.station import Station, mean_products
+from counterspin.physics.station import Stations, mean_products
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 from counterspin.readings.cells import BLANK, is_empty
 from counterspin.readings.groups import group_readings, numbered_groups
@@ -232,19 +232,19 @@ def simulate_mean_record(
         for reading_group in group_readings(campaign, [reading])
     )
     stations = group.stations_with(true_machine(campaign))
-    (station,) = group.rotate_head(stations, np.array([head_error]))
+    stations = group.rotate_head(stations, np.array([head_error]))
     (effective,) = _effective_coefficients(group, truth.coefficients.get(reading.accelerometer, {}))
     if not reading.rate:
         still = np.zeros_like(time)
         return (
             time,
             still,
-            _instantaneous_force(group, effective, station, station.force(group.site, still)),
+            _instantaneous_force(group, effective, stations, stations.forces(group.site, still)),
         )
     of_run = truth.read[reading.name, reading.rate]
     spindle = of_run.spindle
-    station = replace(station, rate=_mean_rate(spindle, reading.duration))
-    force = station.force(
+    stations = replace(stations, rate=np.array([_mean_rate(spindle, reading.duration)]))
+    forces = stations.forces(
         group.site,
         spindle.angle(time),
         spindle.angular_rate(time),
@@ -253,17 +253,18 @@ def simulate_mean_record(
     late = apply_true_inputs(campaign).timing_offset
     angle = spindle.angle(time + (late.value if late else 0.0))
     angle = angle + encoder_error(of_run.shared, angle)
-    return time, angle, _instantaneous_force(group, effective, station, force)
+    return time, angle, _instantaneous_force(group, effective, stations, forces)
 
 
 def _instantaneous_force(
-    group: Readings, effective: Array, station: Station, force: Array
+    group: Readings, effective: Array, stations: Stations, forces: Array
 ) -> Array:
     """Return the indicated specific force, m/s^2, shape (n,).
 
-    force: In the station's frame, m/s^2, shape (n, 3).
+    stations: The station of the reading.
+    forces: In its frame, m/s^2, shape (1, n, 3).
     """
-    found: Array = group.site.gravity * (effective @ station.products(group.site, force))
+    found: Array = group.site.gravity * (effective @ stations.products(group.site, forces)[:, 0])
     return found
 
 
