@@ -510,3 +510,13 @@ def test_a_title_is_wrapped_before_a_table_is_parted():
     assert first.split() == ["probability"]
     assert more[0].split() == ["Run", "of", "more"]
     assert more[-1].split() == ["run1", "0.0123456"]
+
+
+def test_a_terminal_shows_the_first_200_rows_of_a_table():
+    rows = tuple((f"run {k}",) for k in range(203))
+    stream = io.StringIO()
+    report_console(stream).print(Report([Table((Column("name"),), rows)]))
+    text = stream.getvalue()
+    assert "run 199" in text
+    assert "run 200" not in text
+    assert "3 of 203 rows are not shown" in text

@@ -14,7 +14,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.columns import Recording
-from counterspin.campaign.conditions import run_conditions
+from counterspin.campaign.conditions import RunTimeline
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.documents import with_source
 from counterspin.campaign.reading import PoseRecord, Reading
@@ -81,7 +81,7 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
     """Read the campaign's runs one after the other."""
     _check_files_exist(campaign)
     first_runs: dict[bytes, Run] = {}
-    lengths: dict[str, float] = {}
+    timeline = RunTimeline(campaign)
     moments_by_run: dict[str, dict[str, Array]] = {}
     for run in campaign.runs:
         record = read_run(campaign, run)
@@ -91,8 +91,7 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
         if earlier is not run:
             raise duplicate_record_error(campaign, earlier, run)
         # When a run was made may depend on how long those before it lasted.
-        lengths[run.name] = float(record.time[-1])
-        yield observe_run(campaign, run, record, run_conditions(campaign, lengths)[run.name])
+        yield observe_run(campaign, run, record, timeline.add(run, float(record.time[-1])))
     for name in campaign.accelerometers:
         _reject_detrended(
             campaign, name, {run: moments[name] for run, moments in moments_by_run.items()}

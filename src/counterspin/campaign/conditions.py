@@ -123,33 +123,45 @@ def run_conditions(
     lengths: Run -> length of its record, s; those that are not there are taken from the
         description.
     """
-    origin, directions_by_run = reference_point(campaign), temperature_directions(campaign)
-    conditions, elapsed = {}, 0.0
-    for run in campaign.runs:
-        start = elapsed if run.time is None else run.time - origin.time
-        length = (lengths or {}).get(run.name, run.duration or 0.0)
-        offsets = [temperature - origin.temperature for temperature in run.temperature or ()]
-        directions = directions_by_run.get(run.name, (0.0,))
-        state = RunConditions(start, profile_mean(offsets) if offsets else 0.0, directions[0])
-        if len(offsets) > 1 and length:
-            state = replace(state, temperature_profile=tuple(offsets), length=length)
-            reversals = (
-                _refine_reversal(offsets, int(step_index))
-                for step_index in np.flatnonzero(np.diff(directions))
-            )
-            step = length / (len(offsets) - 1)
-            state = replace(
-                state, reversal_times=tuple(step * step_index for step_index in reversals)
-            )
-        conditions[run.name] = state
-        elapsed += length
-    assumed = assumed_temperatures(campaign.runs)
+    timeline = RunTimeline(campaign)
     return {
-        name: replace(
-            run_state, temperature_offset=assumed.get((name, 0), run_state.temperature_offset)
-        )
-        for name, run_state in conditions.items()
+        run.name: timeline.add(run, (lengths or {}).get(run.name, run.duration or 0.0))
+        for run in campaign.runs
     }
+
+
+class RunTimeline:
+    """Conditions of the runs of a campaign, as the lengths of their records become known."""
+
+    def __init__(self, campaign: Campaign) -> None:
+        self._origin = reference_point(campaign)
+        self._directions = temperature_directions(campaign)
+        self._assumed = assumed_temperatures(campaign.runs)
+        self._elapsed = 0.0
+
+    def add(self, run: Run, length: float) -> RunConditions:
+        """Return the conditions of the next run; length: of its record, s."""
+        origin = self._origin
+        start = self._elapsed if run.time is None else run.time - origin.time
+        self._elapsed += length
+        offsets = [temperature - origin.temperature for temperature in run.temperature or ()]
+        directions = self._directions.get(run.name, (0.0,))
+        mean = profile_mean(offsets) if offsets else 0.0
+        offset = self._assumed.get((run.name, 0), mean)
+        conditions = RunConditions(start, offset, directions[0])
+        if len(offsets) < 2 or not length:
+            return conditions
+        reversals = (
+            _refine_reversal(offsets, int(step_index))
+            for step_index in np.flatnonzero(np.diff(directions))
+        )
+        step = length / (len(offsets) - 1)
+        return replace(
+            conditions,
+            temperature_profile=tuple(offsets),
+            length=length,
+            reversal_times=tuple(step * step_index for step_index in reversals),
+        )
 
 
 def _refine_reversal(profile: Sequence[float], index: int) -> float:

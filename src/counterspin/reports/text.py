@@ -137,6 +137,9 @@ _MIN_WIDTH: Final = 10
 #: Gap between columns, in characters.
 _COLUMN_GAP: Final = 2
 
+#: Rows of a table that a terminal shows; JSON, Markdown and HTML have all.
+_MAX_ROWS: Final = 200
+
 _STYLES: Final[dict[Style, str]] = {
     "plain": "",
     "answer": "bold green",
@@ -207,7 +210,8 @@ def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
     Numbers are broken only if a single column next to the names is too wide.
     """
     titles = [encodable(column.title, options.encoding) for column in block.columns]
-    rows = [[encodable(cell, options.encoding) for cell in row] for row in block.rows]
+    shown = block.rows[:_MAX_ROWS]
+    rows = [[encodable(cell, options.encoding) for cell in row] for row in shown]
     for number, (chosen, widths) in enumerate(
         _split_columns(block, [titles, *rows], options.max_width)
     ):
@@ -227,6 +231,12 @@ def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
         if number:
             yield ""
         yield table
+    if len(block.rows) > len(shown):
+        yield Text(
+            f"{len(block.rows) - len(shown)} of {len(block.rows)} rows are not shown; the JSON "
+            "file and the HTML report contain all.",
+            _STYLES["quiet"],
+        )
 
 
 def _split_columns(
