@@ -245,8 +245,8 @@ class _Combinations:
 
     def product(self, vector: Array) -> Array:
         """Return r . vector, shape (k,); vector: shape (n,)."""
-        own = self._sum(self._s * vector[self._readings])
-        return np.asarray(own - self._followed @ (self._rows.T @ vector))
+        total = self._sum(self._s * vector[self._readings])
+        return np.asarray(total - self._followed @ (self._rows.T @ vector))
 
     @property
     def variance(self) -> Array:
@@ -257,8 +257,8 @@ class _Combinations:
 
     def squares(self, weights: Array) -> Array:
         """Return the sums of weights r^2, shape (k,); weights: shape (n,)."""
-        own = self._sum(weights[self._readings] * self._s**2)
-        total = own - np.sum((self._rows_sum(weights) + self.gradient(weights)) * self._followed, 1)
+        total = self._sum(weights[self._readings] * self._s**2)
+        total -= np.sum((self._rows_sum(weights) + self.gradient(weights)) * self._followed, 1)
         return np.asarray(np.maximum(total, 0.0))
 
     def gradient(self, weights: Array) -> Array:
