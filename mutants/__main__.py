@@ -26,9 +26,9 @@ MOST = 3
 #: Whole campaigns first: they see most. Prints the first case that does not pass, if there is one.
 RUN = """
 from counterspin.validation.cases import cases
-from counterspin.validation.validate import check
+from counterspin.validation.validate import check_case
 for one in sorted(cases(), key=lambda one: not one.kernel.endswith((":calibrate", ":apply"))):
-    if check(one).state == "failed":
+    if check_case(one).state == "failed":
         print(one.name)
         break
 """
