@@ -155,6 +155,13 @@ def test_eq15_slope_is_that_of_the_centripetal_part_alone():
     assert sp.simplify(strobe(alone) - 2 * R * C * t + 4 * R * C / w) == 0
 
 
+def test_eq15_has_the_radius_term_of_eq14_with_the_sign_reversed():
+    """K_I (-dr) omega^2 cos(omega t) integrates to -K_I dr at the strobes; Eq. 15 prints plus."""
+    radius_error = sp.symbols("Delta_r")
+    exact = double_integral(-radius_error * w**2 * sp.cos(w * t))
+    assert sp.simplify(strobe(exact) + radius_error) == 0
+
+
 def printed_strobe_error(times, **changes):
     values = {
         "rate": 2.3, "drift": 0.0, "ripple": 0.0, "phase": 0.0, "radius": 2.5, "gravity": 9.8,

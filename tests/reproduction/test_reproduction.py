@@ -89,6 +89,9 @@ def test_rows_have_keys_of_their_own_and_reasons(reproduction):
         ("eq15.ripple_parabola", "-0.750", "0.000"),
         ("eq15.drift_slope", "2.00", "0.00"),
         ("eq15.drift_parabola", "0.00", "-0.50"),
+        ("eq15.drift_constant", "4.00", "0.00"),
+        ("eq15.radius_constant", "1.00", "-1.00"),
+        ("sigma_k_ii.bound", "5.000e-07", "5.312e-09"),
         ("separation.without", "2.0000e-05", "2.0000e-05"),
         ("separation.with", "2.0000e-05", "2.0000e-05"),
         ("separation.printed_without", "2.0000e-05", "1.0000e-05"),
@@ -111,6 +114,10 @@ def test_harmonic_constants_are_the_closed_forms(reproduction):
     for key, value in expected.items():
         # Table 2's ripple of 5e-7 is in the simulation and not in the closed forms.
         assert reproduction[key].ours == pytest.approx(value, rel=2e-5)
+    # Eq. 15 prints none of the three.
+    omitted = reproduction["eq15.term_constants"]
+    assert omitted.printed == 0.0
+    assert omitted.ours == pytest.approx(sum(expected.values()), rel=1e-6)
 
 
 def test_ripple_shifts_the_strobes_by_a_constant_only(reproduction):

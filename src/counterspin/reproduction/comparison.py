@@ -22,6 +22,7 @@ from counterspin.reproduction import equations
 from counterspin.reproduction.plan import (
     DRIFT_RATE,
     GRAVITY,
+    PRINTED_BOUND,
     PRINTED_SIGMA_B2,
     PRINTED_SIGMA_K_II,
     RADIUS,
@@ -132,6 +133,15 @@ def second_stage_uncertainty() -> tuple[Row, ...]:
             "stated plan, exact: K_II, K_F and drift C",
             u(_exact_second_stage(plan, nominal_angle=True)),
             "with only the nominal angle as reference the drift is an unknown too",
+            ".3e",
+        ),
+        Row(
+            "sigma_k_ii.bound",
+            "conclusion: sigma(K_II) less than this, displacement 0.01 m",
+            PRINTED_BOUND,
+            u(_exact_second_stage(plan)),
+            "g/g^2",
+            "true of the stated plan; the printed sigma(b2) with 1/4 would exceed the bound",
             ".3e",
         ),
     )

@@ -15,6 +15,7 @@ from counterspin.reproduction.plan import (
     DRIFT_RATE,
     GRAVITY,
     RADIUS,
+    RADIUS_ERROR,
     RATES,
     RIPPLE_PHASE,
     RIPPLE_RATIO,
@@ -28,12 +29,13 @@ from counterspin.reproduction.plan import (
 RATE: Final = RATES[-1]
 RIPPLE: Final = RIPPLE_RATIO * RATE  #: w_p, rad/s
 RIPPLE_UNIT: Final = RADIUS * RATE * RIPPLE * math.sin(RIPPLE_PHASE)  #: R w0 w_p sin(phi)
+_EXPANDED_TERMS: Final = ("K_II", "K_III", "K_IP")  #: of the expansion under Eq. 13
 RECTIFIED: Final = RADIUS**2 * RATE**4 / GRAVITY  #: R^2 w0^4/g
 
 
 def coefficients() -> tuple[Row, ...]:
     """Return the rows of the comparison, in the order of the paper's equations."""
-    return (*_mean_force(), *_integrals(), *_strobes())
+    return (*_mean_force(), *_integrals(), *_strobes(), *_constants())
 
 
 def _mean_force() -> tuple[Row, ...]:
@@ -63,7 +65,7 @@ def _integrals() -> tuple[Row, ...]:
     time, _ = simulate_strobes(RATE)
     k_ii, k_iii, k_ip = (
         fit_first_stage(*simulate_strobes(RATE, truth={"K_I": 1.0, symbol: TABLE_1[symbol]}))
-        for symbol in ("K_II", "K_III", "K_IP")
+        for symbol in _EXPANDED_TERMS
     )
     printed_k_ii = fit_first_stage(time, as_printed.k_ii_integral(time, RATE, RADIUS, GRAVITY))
     printed_k_iii = as_printed.k_iii_integral(time, RATE, RADIUS, GRAVITY)
@@ -183,7 +185,53 @@ def _strobes() -> tuple[Row, ...]:
     )
 
 
-def _spindle_effect(ripple: float, drift: float) -> Array:
+def _constants() -> tuple[Row, ...]:
+    """Return the rows of Eq. 15's constants, which the first stage collects in b0."""
+    scale_factor = TABLE_1["K_I"]
+    terms = sum(
+        fit_first_stage(
+            *simulate_strobes(RATE, truth={"K_I": 1.0, symbol: TABLE_1[symbol]}, ripple_ratio=0.0)
+        ).coefficients[0]
+        for symbol in _EXPANDED_TERMS
+    )
+    steady = _spindle_effect(0.0, 0.0)
+    # The cube of the angle error stays below the constant at this drift.
+    drift_rate = 0.1 * DRIFT_RATE
+    drift = _spindle_effect(0.0, drift_rate) - steady
+    radius = _spindle_effect(0.0, 0.0, RADIUS_ERROR) - steady
+    drift_unit = scale_factor * RADIUS * drift_rate / RATE
+    return (
+        Row(
+            "eq15.term_constants",
+            "Eq. 15: constants of K_II, K_III and K_IP, 2 pi rad/s",
+            _printed_constant(second_order=TABLE_1["K_II"]),
+            float(terms),
+            "m",
+            "Eq. 15 omits the constants that the expansion under Eq. 13 has; b0 only",
+            "z.3e",
+        ),
+        Row(
+            "eq15.drift_constant",
+            "Eq. 15: constant of drift, nominal angle as reference",
+            _printed_constant(drift=drift_rate) / drift_unit,
+            float(drift[0]) / drift_unit,
+            "K_I R C/w0",
+            "the centripetal part alone gives -4, the complete acceleration 0; b0 only",
+            "z.2f",
+        ),
+        Row(
+            "eq15.radius_constant",
+            "Eq. 15: constant of a radius error",
+            _printed_constant(radius_error=RADIUS_ERROR) / (scale_factor * RADIUS_ERROR),
+            float(radius[0]) / (scale_factor * RADIUS_ERROR),
+            "K_I dr",
+            "the radius term of Eq. 14 integrates to K_I dr (cos(w0 t) - 1); b0 only",
+            "z.2f",
+        ),
+    )
+
+
+def _spindle_effect(ripple: float, drift: float, radius_error: float = 0.0) -> Array:
     """Return b0, b1, b2 of a simulated run with a scale factor only, nominal angle, shape (3,)."""
     time, error = simulate_strobes(
         RATE,
@@ -191,6 +239,7 @@ def _spindle_effect(ripple: float, drift: float) -> Array:
         ripple_ratio=ripple / RATE,
         drift=drift,
         nominal_reference=True,
+        radius_error=radius_error,
     )
     return fit_first_stage(time, error).coefficients
 
@@ -198,7 +247,30 @@ def _spindle_effect(ripple: float, drift: float) -> Array:
 def _printed_spindle_effect(ripple: float, drift: float, phase: float) -> Array:
     """Return b0, b1, b2 of Eq. 15 for such a run, shape (3,)."""
     time, _ = simulate_strobes(RATE)
-    error = as_printed.strobe_error(
+    return fit_first_stage(time, _printed_error(time, ripple, drift, phase)).coefficients
+
+
+def _printed_constant(
+    *, drift: float = 0.0, second_order: float = 0.0, radius_error: float = 0.0
+) -> float:
+    """Return the constant of Eq. 15 without ripple, in m."""
+    at_zero = np.zeros(1)
+    (error,) = _printed_error(
+        at_zero, drift=drift, second_order=second_order, radius_error=radius_error
+    )
+    return float(error)
+
+
+def _printed_error(
+    time: Array,
+    ripple: float = 0.0,
+    drift: float = 0.0,
+    phase: float = 0.0,
+    second_order: float = 0.0,
+    radius_error: float = 0.0,
+) -> Array:
+    """Return Eq. 15 as printed at 2 pi rad/s, without bias, shape of `time`."""
+    return as_printed.strobe_error(
         time,
         rate=RATE,
         drift=drift,
@@ -208,6 +280,6 @@ def _printed_spindle_effect(ripple: float, drift: float, phase: float) -> Array:
         gravity=GRAVITY,
         bias=0.0,
         scale_factor=TABLE_1["K_I"],
-        second_order=0.0,
+        second_order=second_order,
+        radius_error=radius_error,
     )
-    return fit_first_stage(time, error).coefficients

@@ -95,12 +95,14 @@ STROBES: Final = 100
 SIGMA_DISPLACEMENT: Final = 0.01  #: m
 PRINTED_SIGMA_B2: Final = (6.6220e-5, 6.5837e-5, 6.6725e-5)  #: after Eq. 31
 PRINTED_SIGMA_K_II: Final = 3.0362e-7  #: g/g^2, after Eq. 34
+PRINTED_BOUND: Final = 5e-7  #: g/g^2, section 3: the uncertainties of K_II are less than this
 
 # Data not stated by the paper
 GRAVITY: Final = 9.8  #: m/s^2; the usual value that agrees best
 STANDARD_GRAVITY: Final = 9.80665  #: m/s^2
 SITE: Final = Site(GRAVITY, latitude=0.0, earth_rate=0.0)  #: the paper's Earth stands still
 DRIFT_RATE: Final = 1e-7  #: 1/s; the paper names C but gives no value
+RADIUS_ERROR: Final = 1e-5  #: m; the paper names delta r but gives no value
 
 
 def stated_inputs() -> dict[str, Any]:
@@ -126,6 +128,7 @@ def simulate_strobes(
     drift: float = 0.0,
     ripple_ratio: float = RIPPLE_RATIO,
     nominal_reference: bool = False,
+    radius_error: float = 0.0,
 ) -> tuple[Array, Array]:
     """Simulate the strobed displacement error of one run, without noise (Eq. 10-12).
 
@@ -139,11 +142,12 @@ def simulate_strobes(
     drift: C, 1/s.
     ripple_ratio: w_p/w0; its phase is Table 2's.
     nominal_reference: Take the strobes and the reference from w0 t instead of the true angle.
+    radius_error: True radius minus the nominal radius of start position and reference, m.
     Returns: s and m, each of shape (100,).
     """
     ripple = Ripple(1, ripple_ratio * rate, RIPPLE_PHASE)
     spindle = Spindle(rate, drift=drift, ripples=(ripple,))
-    trajectory = Trajectory(spindle, RADIUS, SITE)
+    trajectory = Trajectory(spindle, RADIUS + radius_error, SITE)
     angle = math.pi / 2 + 2 * math.pi * np.arange(1.0, STROBES + 1.0)
     time: Array = angle / rate if nominal_reference else spindle.time_at(angle)
 
