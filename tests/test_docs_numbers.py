@@ -130,7 +130,7 @@ ROWS = {
         ("ellipsoidal region of {} %", 100.0 * distributions.COVERAGE),
         ("rounded to {} decimal places", certificate_text._FACTOR_DECIMALS),
         (
-            "RSA keys have at least {} bits, elliptic curves {};",
+            "RSA keys need at least {} bits, elliptic curves {}.",
             signers._RSA_BITS,
             signers._CURVE_BITS,
         ),

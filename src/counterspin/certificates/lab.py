@@ -325,7 +325,7 @@ class Lab(SettingsSection):
     )
     evidence: Annotated[dict[str, Text], BeforeValidator(_flatten)] = key_field(
         "evidence for the bounds of each term that the result "
-        "[assumes](#what-is-assumed) perfect, or whose default uncertainty causes a "
+        "[assumes](#assumed-terms) perfect, or whose default uncertainty causes a "
         "tenth or more of a variance, by term",
         {"K_OO": "type test TR-12"},
         {},
