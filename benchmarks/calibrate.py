@@ -76,9 +76,9 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
         "Time, angle and displacement of 400 s at each of three rates, 0.01 m of noise. Whole "
         "processes, files in the system's cache, each the fastest of the repetitions, which take "
         "turns; the peer once. It is `benchmarks/peer.py`, a script of NumPy and pandas. The "
-        "parser in C++ is `benchmarks/csv_limit.cpp`: with SHA-256 it is the least that these "
-        "files can cost, one core, nothing checked. Targets: calibrate in at most 1.7 times what "
-        "polars takes, and below 1000 MB."
+        "parser in C++ is `benchmarks/csv_limit.cpp`: with SHA-256 it is the lower limit for "
+        "these files, on one core, without checks. Targets: calibrate in at most 1.7 times the "
+        "time of polars, and below 1000 MB."
     )
     columns = ["", *(f"{size:.0e} rows, {suffix[1:]}" for suffix, size in sizes.items())]
     rows = [[label, *(column[label] for column in found)] for label in found[0]]

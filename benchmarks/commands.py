@@ -134,9 +134,9 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     ]
     remark = (
         "Three rates, 100 revolutions each at 50 Hz, two accelerometers. Whole processes that take "
-        "turns, start of Python included. The first line is what starting alone costs. Ratios are "
-        "to it, of the fastest and of processor time; that of estimated noise is to the same "
-        "campaign with stated noise. Without a word of it, `assume` is `all`."
+        "turns, start of Python included. The first line is the cost of the start alone. Ratios "
+        "are to that line, of the fastest and of processor time. The ratio of estimated noise is "
+        "to the same campaign with stated noise. `assume` is `all` unless stated otherwise."
     )
     columns = [
         "process",

@@ -1,4 +1,4 @@
-"""The machine's own limits, to hold the other figures against.
+"""Limits of the machine, to hold the other figures against.
 
 python benchmarks/machine.py
 """
@@ -75,7 +75,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     commands = {name: [*PYTHON, "-c", code] for name, code in limits.items()}
     found = interleaved(commands, repeats or 1)
     rows: list[list[Cell]] = [[name, float(measured.output)] for name, measured in found.items()]
-    return [Table("The machine's own limits", _machine(), ["limit", "measured"], rows)]
+    return [Table("Limits of the machine", _machine(), ["limit", "measured"], rows)]
 
 
 def _machine() -> str:
@@ -87,7 +87,7 @@ def _machine() -> str:
     return (
         f"{name}, {os.cpu_count()} cores, Python {platform.python_version()}, "
         f"{platform.system()}; load {os.getloadavg()[0]:.1f} when the benchmarks began. "
-        "Each the best of several passes."
+        "Each value is the best of several passes."
     )
 
 

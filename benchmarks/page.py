@@ -101,7 +101,7 @@ def main(keep: bool) -> None:
         server.should_exit = True
         thread.join()
     measured = Table(
-        "Records in the page",
+        "Records in the application",
         "Seconds from a click on a campaign's records to their last curve, three columns of them, "
         "in Chromium; the fastest of three, by `benchmarks/page.py`.",
         ["rows", "first look, the file being read", "later look", "zoom"],

@@ -39,7 +39,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
         Table(
             "A plan of eight runs",
             "Rates, lengths and senses free, all disturbances on. A whole process, start of Python "
-            "included, with what limits the plan and other plans beside it.",
+            "included, with the limits of the plan and with alternative plans.",
             ["process", "median (s)", "fastest (s)", "target (s)", "peak MB"],
             [["counterspin plan", found.median, found.fastest, 3.0, found.peak]],
         ),

@@ -81,12 +81,12 @@ def main(seconds, keep):
             "time, s": round(wall, 1),
             "share of a core, %": round(100.0 * cpu / wall, 1),
             "last state after the last row, s": round(states[-1][0] - written, 1),
-            "u of K_II less that of calibrate, parts of it": found["u"] / result.u - 1.0,
+            "u of K_II minus that of calibrate, relative": found["u"] / result.u - 1.0,
             "memory, MB": round(used.ru_maxrss / 1024),
         }
         measured = Table(
-            "A campaign that is watched",
-            "Its third run is written by a second process meanwhile, by `benchmarks/watching.py`.",
+            "Watched campaign",
+            "A second process writes its third run during the watch, by `benchmarks/watching.py`.",
             ["", "measured"],
             [[name, figure] for name, figure in figures.items()],
         )

@@ -51,8 +51,8 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
             "Whole studies",
             "Whole processes that take turns: start of Python and of the workers, preparation, "
             "trials, report. Processor time is that of all processes together. Two workers can be "
-            "no better than the machine's two cores at once (above), and what others do meanwhile "
-            f"counts against them; load {load:.1f} before.",
+            "no better than the machine's two cores at once (above), and other work on the "
+            f"machine counts against them; load {load:.1f} before.",
             ["process", "median (s)", "fastest (s)", "processor (s)", "faster by", "target"],
             rows,
         )

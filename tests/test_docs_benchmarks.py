@@ -61,7 +61,7 @@ def test_as_many_predictions_are_made_as_the_page_on_plans_says(rows):
 
 
 def test_what_a_watch_took_is_what_was_kept(rows):
-    kept = {name: figure for name, (figure,) in rows["A campaign that is watched"].items()}
+    kept = {name: figure for name, (figure,) in rows["Watched campaign"].items()}
     used, lasted = told("monitoring", "the watch took {} s of processor time in {} s, start")
     (share,) = told("monitoring", "included: **{} % of a core**")
     a_second, late = (
@@ -75,10 +75,10 @@ def test_what_a_watch_took_is_what_was_kept(rows):
         kept["share of a core, %"],
         kept["last state after the last row, s"],
     ]
-    assert kept["u of K_II less that of calibrate, parts of it"] == 0.0
+    assert kept["u of K_II minus that of calibrate, relative"] == 0.0
 
 
 def test_how_fast_records_are_drawn_is_what_was_kept(rows):
-    for count, seconds in rows["Records in the page"].items():
+    for count, seconds in rows["Records in the application"].items():
         shown = told("application", f"| {count} | {{}} s | {{}} s | {{}} s |")
         assert [value_of(number) for number in shown] == seconds

@@ -189,7 +189,7 @@ NUMBERS = [
     ),
     (
         "benchmarks",
-        "One pass over each piece of {} rows: the least and the largest step of time and angle, "
+        "One pass over each chunk of {} rows: the smallest and the largest step of time and angle, "
         "the residuals among {} neighbours",
         [column_file._CHUNK_ROWS, outliers.WINDOW_SAMPLES],
     ),
@@ -414,7 +414,7 @@ def test_what_takes_the_time(benches):
     usual = benches["A usual campaign"]
     start, whole = (usual[name] for name in list(usual)[:4:3])
     assert list(usual)[3] == "counterspin calibrate"
-    assert "More than half of what a usual campaign takes goes into loading" in text
+    assert "More than half of the time of a usual campaign goes into loading" in text
     assert start["fastest (s)"] > 0.5 * whole["fastest (s)"]
     long = benches["Long records"]
     csv, parquet = (
