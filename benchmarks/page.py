@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
-from counterspin.application.desk import Desk
-from counterspin.application.folder import ServedFolder
-from counterspin.application.guard import Door
-from counterspin.application.server import listening, server_of
+from counterspin.application.access_control import Credentials
+from counterspin.application.app_state import AppState
+from counterspin.application.served_folder import ServedFolder
+from counterspin.application.server import make_server, open_listener
 from header import EAST, NORTH, header
 from table import Table, render, save
 
@@ -81,18 +81,18 @@ def zoomed(tab) -> float:
 def main(keep: bool) -> None:
     from chromium import chromium
 
-    with tempfile.TemporaryDirectory() as place, listening(0) as listener:
+    with tempfile.TemporaryDirectory() as place, open_listener(0) as listener:
         folder = Path(place)
         names = [(rows, f"{rows}-{k}") for rows in ROWS for k in range(ROUNDS)]
         for rows, name in names:
             make(folder / name, rows)
-        door = Door(listener.getsockname()[1])
-        server = server_of(Desk(ServedFolder(folder)), door)
+        credentials = Credentials(listener.getsockname()[1])
+        server = make_server(AppState(ServedFolder(folder)), credentials)
         thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
         thread.start()
         with chromium() as browser:
             tab = browser.new_page(viewport={"width": 1280, "height": 1000})
-            tab.goto(door.link)
+            tab.goto(credentials.link)
             found: dict[int, list[float]] = {}
             for rows, name in names:
                 times = drawn(tab, rows, name), drawn(tab, rows, name), zoomed(tab)

@@ -166,28 +166,28 @@ def photograph_the_report(browser: Any) -> None:
 
 def photograph_the_application(browser: Any) -> None:
     """Take pictures of the application: an import before it is written, and a result."""
-    from counterspin.application.desk import Desk
-    from counterspin.application.folder import ServedFolder
-    from counterspin.application.guard import Door
-    from counterspin.application.server import listening, server_of
+    from counterspin.application.access_control import Credentials
+    from counterspin.application.app_state import AppState
+    from counterspin.application.served_folder import ServedFolder
+    from counterspin.application.server import make_server, open_listener
 
-    with tempfile.TemporaryDirectory() as place, listening(0) as listener:
+    with tempfile.TemporaryDirectory() as place, open_listener(0) as listener:
         folder = Path(place) / "campaigns"
         run("simulate", EXAMPLES / "campaign.toml", "-o", folder / "first")
         run("calibrate", folder / "first", "--json", folder / "first" / "result.json")
-        desk, door = Desk(ServedFolder(folder)), Door(listener.getsockname()[1])
-        server = server_of(desk, door)
+        app, credentials = AppState(ServedFolder(folder)), Credentials(listener.getsockname()[1])
+        server = make_server(app, credentials)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
         try:
             page = browser.new_page(viewport=WINDOW)
-            page.goto(door.link)
+            page.goto(credentials.link)
             page.get_by_label("Folder of the new campaign").fill("mine")
             records = sorted((folder / "first").glob("*.csv"))
             page.get_by_label("The recorder's files").set_input_files(records)
             page.get_by_role("img", name="Double turntable").wait_for()
             page.locator("#view").screenshot(path=IMAGES / "application-import.png")
-            page.goto(door.link.partition("#")[0] + "#/campaign/first")
+            page.goto(credentials.link.partition("#")[0] + "#/campaign/first")
             page.get_by_role("heading", name="Quality checks").wait_for()
             page.evaluate("scrollTo(0, 0)")
             page.screenshot(path=IMAGES / "application-result.png")
@@ -195,7 +195,7 @@ def photograph_the_application(browser: Any) -> None:
         finally:
             server.should_exit = True
             thread.join()
-            desk.close()
+            app.close()
 
 
 if __name__ == "__main__":

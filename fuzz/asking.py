@@ -2,7 +2,7 @@
 
 - `PORT`, `HOST`, `TOKEN`, `KEY`: who is asked; the key is known here, so that cases come out the
   same again
-- `Desk`: a folder that is served, whose jobs are done at once
+- `InlineAppState`: a folder that is served, whose jobs are done at once
 - `asking`: the application, called without threads
 - `ask`: one request; `HasAnswer`: what came of it; `require_right`: what must hold of that
 - `RequestRefusedError`: it was refused as it should be
@@ -25,11 +25,11 @@ from urllib.parse import unquote_to_bytes
 
 from served import InlineJobs, told_inline
 
-from counterspin.application import interface, server
-from counterspin.application.desk import Desk as ServedDesk
-from counterspin.application.folder import ServedFolder
-from counterspin.application.guard import SESSION, TICKETS, Door
-from counterspin.application.keeping import TRASH
+from counterspin.application import endpoints, server
+from counterspin.application.access_control import SESSION_PATH, TICKET_PATH, Credentials
+from counterspin.application.app_state import AppState
+from counterspin.application.campaign_files import TRASH
+from counterspin.application.served_folder import ServedFolder
 from counterspin.errors import CounterspinError
 
 #: Who is asked, and what opens it: the token once, the key always.
@@ -38,9 +38,9 @@ HOST = f"127.0.0.1:{PORT}"
 TOKEN, KEY = "t" * 32, "k" * 32
 
 
-def door() -> Door:
-    """Return the door of a server that nobody has entered yet."""
-    return Door(PORT, TOKEN, KEY)
+def fixed_credentials() -> Credentials:
+    """Return the fixed_credentials of a server that nobody has entered yet."""
+    return Credentials(PORT, TOKEN, KEY)
 
 
 #: What stands in files beside the folder, and in no answer.
@@ -73,8 +73,8 @@ class _First:
         """Nothing is followed any longer."""
 
 
-class Desk(ServedDesk):
-    """A desk whose jobs are done at once."""
+class InlineAppState(AppState):
+    """Application state whose jobs are done at once."""
 
     def __init__(self, folder: ServedFolder) -> None:
         super().__init__(folder)
@@ -189,7 +189,7 @@ class RequestRefusedError(CounterspinError):
 _CHARACTERS = 20_000
 
 #: What is asked of without the key: an address that counts once, and the key itself.
-_OPEN = (SESSION, TICKETS)
+_OPEN = (SESSION_PATH, TICKET_PATH)
 
 
 # Files
@@ -348,19 +348,19 @@ def _copied(source: Any, place: Any) -> Any:
 
 
 @contextmanager
-def asking(desk: Desk, raised: list[str]) -> Iterator[Any]:
+def asking(app_state: InlineAppState, raised: list[str]) -> Iterator[Any]:
     """Yield the application without threads; `raised` takes tracebacks of what nobody foresaw."""
-    before, failed = server.run_in_threadpool, interface._failed
+    before, failed = server.run_in_threadpool, endpoints._unexpected_error_response
 
-    def noted(error: Exception) -> interface.Answer:
+    def noted(error: Exception) -> endpoints.ApiResponse:
         made = failed(error)
         if made.status == 500:
             raised.append("".join(traceback.format_exception(error)))
         return made
 
     server.run_in_threadpool = _directly  # type: ignore[assignment]
-    interface._failed = noted
+    endpoints._unexpected_error_response = noted
     try:
-        yield server.application(desk, door())
+        yield server.make_application(app_state, fixed_credentials())
     finally:
-        server.run_in_threadpool, interface._failed = before, failed
+        server.run_in_threadpool, endpoints._unexpected_error_response = before, failed

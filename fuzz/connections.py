@@ -21,9 +21,18 @@ from typing import Any
 
 from uvicorn.server import ServerState
 
-from counterspin.application.folder import ServedFolder
-from counterspin.application.server import Connection, server_of
-from fuzz.asking import HOST, PORT, SECRET, Desk, RequestRefusedError, Watched, asking, door
+from counterspin.application.served_folder import ServedFolder
+from counterspin.application.server import Connection, make_server
+from fuzz.asking import (
+    HOST,
+    PORT,
+    SECRET,
+    InlineAppState,
+    RequestRefusedError,
+    Watched,
+    asking,
+    fixed_credentials,
+)
 from fuzz.format import Format
 from fuzz.mutations import mutate_bytes
 from fuzz.requests import prepared, request_of, valid_requests, with_ticket
@@ -167,8 +176,8 @@ class _Complaints(logging.Handler):
 class _Server:
     """The server's protocol over a folder."""
 
-    def __init__(self, desk: Desk, app: Any) -> None:
-        self.config = server_of(desk, door()).config
+    def __init__(self, app_state: InlineAppState, app: Any) -> None:
+        self.config = make_server(app_state, fixed_credentials()).config
         self.config.load()
         self.config.loaded_app = app
         self.state = ServerState()
@@ -191,11 +200,11 @@ class _Server:
                 return
 
 
-async def _hold(desk: Desk, watched: Watched, asked: dict[str, Any]) -> list[bytes]:
+async def _hold(app_state: InlineAppState, watched: Watched, asked: dict[str, Any]) -> list[bytes]:
     """Hold the connections of a case; return what was answered on each."""
     raised: list[str] = []
-    with asking(desk, raised) as app, watched.looking():
-        server = _Server(desk, app)
+    with asking(app_state, raised) as app, watched.looking():
+        server = _Server(app_state, app)
         held: dict[int, Connection] = {}
         left: set[int] = set()
         for number, part in asked["pieces"]:
@@ -203,7 +212,7 @@ async def _hold(desk: Desk, watched: Watched, asked: dict[str, Any]) -> list[byt
                 held[number] = server.connect()
             # Nothing at all would be its end.
             if part and number not in left and not held[number].transport.is_closing():
-                held[number].data_received(with_ticket(desk, part).encode("latin-1"))
+                held[number].data_received(with_ticket(app_state, part).encode("latin-1"))
             await asyncio.sleep(0)
             if asked["ends"][str(number)] == "leave at once" and number % 2:
                 held[number].connection_lost(None)
@@ -249,7 +258,7 @@ def connections(place: Path) -> Format:
     """Return connections to the application."""
     template, watched = prepared(place)
     valid = valid_requests(template)
-    desk = Desk(ServedFolder(watched.folder))
+    app_state = InlineAppState(ServedFolder(watched.folder))
 
     def use(path: Path) -> None:
         asked = json.loads(path.read_bytes())
@@ -257,7 +266,7 @@ def connections(place: Path) -> Format:
         for name in ("uvicorn.error", "asyncio"):
             logging.getLogger(name).addHandler(complaints)
         try:
-            answered = asyncio.run(_hold(desk, watched, asked))
+            answered = asyncio.run(_hold(app_state, watched, asked))
         finally:
             for name in ("uvicorn.error", "asyncio"):
                 logging.getLogger(name).removeHandler(complaints)

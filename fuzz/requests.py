@@ -5,7 +5,7 @@ words, headers, form, pieces and end are then changed. They are asked of a folde
 nobody expects in one: links that lead out, pipes, names that are no text.
 
 - `application`: the format; `VALID`: a valid request of each kind
-- `Desk`, `ask`: what is asked, and how
+- `InlineAppState`, `ask`: what is asked, and how
 - `require_right`: what must hold of an answer
 - `Watched`: that no file outside was touched, and none lost
 """
@@ -31,10 +31,10 @@ from served import ANSWERS, write_folder
 
 import certificates
 from counterspin.application import server
-from counterspin.application.folder import ServedFolder
-from counterspin.application.guard import FILES, SESSION, TICKETS
-from counterspin.application.interface import ENDPOINTS
-from counterspin.application.keeping import TRASH
+from counterspin.application.access_control import FILES_PATH, SESSION_PATH, TICKET_PATH
+from counterspin.application.campaign_files import TRASH
+from counterspin.application.endpoints import ENDPOINTS
+from counterspin.application.served_folder import ServedFolder
 from counterspin.calibration.calibrate import calibrate
 from counterspin.certificates.lab import write_example as write_lab
 from counterspin.ingest.starter import init
@@ -45,7 +45,7 @@ from fuzz.asking import (
     PORT,
     SECRET,
     TOKEN,
-    Desk,
+    InlineAppState,
     RequestRefusedError,
     Watched,
     ask,
@@ -157,11 +157,11 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
     signer = (folder / "signer.pem").read_bytes()
     key = {"name": "signer.pem", "content": b64encode(signer).decode()}
     asked: dict[str, tuple[str, str, Any]] = {
-        "session": ("POST", SESSION, {"token": TOKEN}),
-        "ticket": ("GET", f"{TICKETS}{TICKET}", {}),
+        "session": ("POST", SESSION_PATH, {"token": TOKEN}),
+        "ticket": ("GET", f"{TICKET_PATH}{TICKET}", {}),
         "files": (
             "POST",
-            f"{FILES}?{urlencode({'name': 'new/slow.csv'})}",
+            f"{FILES_PATH}?{urlencode({'name': 'new/slow.csv'})}",
             b"time_s,angle\n0,0\n1,2\n",
         ),
         "page itself": ("GET", "/", {}),
@@ -587,11 +587,11 @@ def prepared(place: Path) -> tuple[Path, Watched]:
     return template, Watched(place / "served" / "folder", template)
 
 
-def with_ticket(desk: Desk, sent: str) -> str:
+def with_ticket(app_state: InlineAppState, sent: str) -> str:
     """Return what is sent, with a ticket that counts where one is to stand."""
     if TICKET not in sent:
         return sent
-    return sent.replace(TICKET, desk.tickets.issue(("file", {"name": "three/result.json"})))
+    return sent.replace(TICKET, app_state.tickets.issue(("file", {"name": "three/result.json"})))
 
 
 def application(place: Path) -> Format:
@@ -599,33 +599,33 @@ def application(place: Path) -> Format:
     template, watched = prepared(place)
     valid = valid_requests(template)
     others = [said for _, _, said in valid.values() if isinstance(said, dict) and said]
-    desk = Desk(ServedFolder(watched.folder))
-    server._load(desk, threading.Event())
+    app_state = InlineAppState(ServedFolder(watched.folder))
+    server._preload(app_state, threading.Event())
 
     def use(path: Path) -> None:
         requests = json.loads(path.read_bytes())
         try:
-            asyncio.run(_all(desk, watched, requests))
+            asyncio.run(_all(app_state, watched, requests))
         finally:
             watched.restore()
 
     return Format(".json", lambda rng: case(rng, valid, others), use)
 
 
-async def _all(desk: Desk, watched: Watched, requests: list[dict[str, Any]]) -> None:
+async def _all(app_state: InlineAppState, watched: Watched, requests: list[dict[str, Any]]) -> None:
     """Ask all requests of a case; raise what is found, or that the last one was refused."""
     raised: list[str] = []
     entered = 0
     before = watched.first
-    with asking(desk, raised) as app:
+    with asking(app_state, raised) as app:
         for number, said in enumerate(requests):
-            request = said | {"target": with_ticket(desk, said["target"])}
+            request = said | {"target": with_ticket(app_state, said["target"])}
             with watched.looking():
                 answered = await ask(app, request)
-                if request["target"].startswith(TICKETS) and answered.status == 200:
+                if request["target"].startswith(TICKET_PATH) and answered.status == 200:
                     again = await ask(app, request)
                     assert again.status == 404, "a ticket counted twice"
-            entered += request["target"].startswith(SESSION) and answered.status == 200
+            entered += request["target"].startswith(SESSION_PATH) and answered.status == 200
             assert entered <= 1, "a link counted twice"
             before = watched.require_whole(request, answered.status, before)
             try:

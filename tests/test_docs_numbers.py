@@ -17,7 +17,7 @@ from prose import agrees, sentences, told
 
 import counterspin as cs
 from counterspin import errors, workers
-from counterspin.application import guard
+from counterspin.application import access_control
 from counterspin.calibration import assembly, outcome
 from counterspin.calibration.pages import pictures
 from counterspin.campaign.field_types import exact
@@ -153,8 +153,8 @@ ROWS = {
     "application": [
         (
             "{} MB for a form, {} GB for a record",
-            guard.FORM_BYTES / 1e6,
-            guard.FILE_BYTES / 1e9,
+            access_control.FORM_MAX_BYTES / 1e6,
+            access_control.FILE_MAX_BYTES / 1e9,
         ),
     ],
     "bulwark": [

@@ -19,7 +19,7 @@ from fuzz.requests import request_of, valid_requests
 from fuzz.tracing import Runner, possible
 from prose import sentences, told, value_of
 
-from counterspin.application.interface import ENDPOINTS
+from counterspin.application.endpoints import ENDPOINTS
 from counterspin.errors import CounterspinError
 
 CASES = sorted((ROOT / "tests" / "cases").glob("*/*.case"))

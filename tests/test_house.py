@@ -321,7 +321,7 @@ def test_reading_path_of_the_internals_is_short():
 #: Custom properties of style sheets, which look like options; the words that a result keeps, and
 #: those that the page shows; pip's options.
 DASHED = {
-    "application/desk.py",
+    "application/commands.py",
     "calibration/options.py",
     "errors.py",
     "reports/charts.py",

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from counterspin import temporary_folders
-from counterspin.application import keeping, server
+from counterspin.application import campaign_files, server
 from counterspin.temporary_folders import remove_abandoned_folders, temporary_folder
 
 #: Makes a folder with a file and waits.
@@ -102,18 +102,18 @@ def test_a_server_removes_at_its_start_what_killed_servers_left(killed, tmp_path
     (served / "below").mkdir(parents=True)
     left = [
         killed(server._PREFIX, private),
-        killed(keeping.COPY_PREFIX, served / "below"),
-        killed(keeping._UPLOAD_PREFIX, served),
+        killed(campaign_files.COPY_PREFIX, served / "below"),
+        killed(campaign_files._UPLOAD_PREFIX, served),
     ]
-    monkeypatch.setattr(server, "_private_place", lambda: private)
-    monkeypatch.setattr(server, "_load", lambda *_: None)
+    monkeypatch.setattr(server, "_private_folder", lambda: private)
+    monkeypatch.setattr(server, "_preload", lambda *_: None)
     seen = []
 
     class Stopped:
         def run(self, **_):
             seen.extend([path.exists() for path in left])
 
-    monkeypatch.setattr(server, "server_of", lambda *_: Stopped())
+    monkeypatch.setattr(server, "make_server", lambda *_: Stopped())
     server.serve(served, browser=False, say=lambda _: None)
     assert seen == [False, False, False]
     assert list(private.iterdir()) == []

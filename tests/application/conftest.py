@@ -7,10 +7,10 @@ import pytest
 from chromium import chromium
 from served import serving, token_of, write_folder
 
-from counterspin.application.desk import Desk
-from counterspin.application.folder import ServedFolder
-from counterspin.application.guard import Door
-from counterspin.application.server import application
+from counterspin.application.access_control import Credentials
+from counterspin.application.app_state import AppState
+from counterspin.application.served_folder import ServedFolder
+from counterspin.application.server import make_application
 
 with warnings.catch_warnings():
     # It asks for the successor of httpx, which is not among our pins.
@@ -33,29 +33,31 @@ def folder(made, tmp_path):
 
 
 @pytest.fixture
-def desk(folder):
-    desk = Desk(ServedFolder(folder))
-    yield desk
-    desk.close()
+def app(folder):
+    app = AppState(ServedFolder(folder))
+    yield app
+    app.close()
 
 
 @pytest.fixture
-def door():
-    return Door(PORT)
+def credentials():
+    return Credentials(PORT)
 
 
 @pytest.fixture
-def stranger(desk, door):
+def stranger(app, credentials):
     """Return a client that knows the address, and no key."""
-    with TestClient(application(desk, door), base_url=f"http://127.0.0.1:{PORT}") as client:
+    with TestClient(
+        make_application(app, credentials), base_url=f"http://127.0.0.1:{PORT}"
+    ) as client:
         client.headers["Origin"] = f"http://127.0.0.1:{PORT}"
         yield client
 
 
 @pytest.fixture
-def page(stranger, door):
+def page(stranger, credentials):
     """Return a client that came by the link, as the page does."""
-    told = stranger.post("/api/session", json={"token": token_of(door)})
+    told = stranger.post("/api/session", json={"token": token_of(credentials)})
     stranger.headers["Authorization"] = f"Bearer {told.json()['key']}"
     return stranger
 
@@ -67,10 +69,10 @@ def browser():
 
 
 @pytest.fixture
-def door_of_server(desk):
-    """Return the door of a server that runs."""
-    with serving(desk) as door:
-        yield door
+def door_of_server(app):
+    """Return the credentials of a server that runs."""
+    with serving(app) as credentials:
+        yield credentials
 
 
 class Window:
@@ -94,15 +96,15 @@ class Window:
 @pytest.fixture
 def opened(browser, door_of_server):
     """Return what opens windows; nothing may go wrong in any, and no request may leave."""
-    context, door = browser.new_context(), door_of_server
+    context, credentials = browser.new_context(), door_of_server
     context.set_default_timeout(60_000)  # on a busy machine
     windows = []
 
     def open_window(place=None):
-        link = door.link
+        link = credentials.link
         if place is not None:
             # As one that has come by the link before.
-            key = door.key_for(token_of(door))
+            key = credentials.exchange_token(token_of(credentials))
             context.add_init_script(f"sessionStorage.setItem('counterspin-key', '{key}')")
             link = f"{link.partition('#')[0]}#{place}"
         windows.append(Window(context, link))

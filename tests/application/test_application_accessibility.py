@@ -1,4 +1,4 @@
-"""What axe-core says of every place of the page, in light and dark, on a desk and on a phone."""
+"""What axe-core says of every place of the page, in light and dark, on a app and on a phone."""
 
 import sys
 from pathlib import Path
@@ -39,16 +39,16 @@ def bring_a_record(tab, path):
     tab.locator("[aria-invalid]").first.wait_for()
 
 
-@pytest.mark.parametrize("width", [1400, 390], ids=["desk", "phone"])
-def test_no_place_keeps_anybody_out(opened, desk, width):
-    desk.live.look = lambda *_: {"html": "<p>Live</p>", "events": ["A run"], "complete": True}
+@pytest.mark.parametrize("width", [1400, 390], ids=["app", "phone"])
+def test_no_place_keeps_anybody_out(opened, app, width):
+    app.live.poll = lambda *_: {"html": "<p>Live</p>", "events": ["A run"], "complete": True}
     tab = opened("/")
     tab.set_viewport_size({"width": width, "height": 900})
     tab.evaluate(AXE.read_text(encoding="utf-8"))
     complaints = {}
     for place in (*PLACES, "/", "/ with files"):
         if place == "/ with files":
-            bring_a_record(tab, next(desk.folder.path("three").glob("*.csv")))
+            bring_a_record(tab, next(app.folder.path("three").glob("*.csv")))
         else:
             tab.evaluate(f"location.hash = {place!r}")
             tab.locator("main:not([aria-busy]) h1").wait_for()

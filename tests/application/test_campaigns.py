@@ -9,7 +9,7 @@ import pytest
 from campaigns import SMALL, write
 from results import sealed
 
-from counterspin.application.campaigns import as_json
+from counterspin.application.campaigns import to_json
 from triads import directions, indications, table
 
 
@@ -137,7 +137,7 @@ def test_what_cannot_be_answered_is_told_in_a_sentence(page, method, path, said,
 
 
 def test_what_is_no_text_and_no_number_can_be_told():
-    told = as_json({"name": "\udcff.json", "u": [1.0, float("inf"), float("nan")]})
+    told = to_json({"name": "\udcff.json", "u": [1.0, float("inf"), float("nan")]})
     assert json.loads(told) == {"name": "\udcff.json", "u": [1.0, None, None]}
     assert told.isascii()
 

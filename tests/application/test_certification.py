@@ -141,7 +141,7 @@ def test_an_example_is_not_signed_and_no_key_is_read(with_lab, folder):
     assert lab["signer"] == ""
 
 
-def test_the_server_s_own_command_signs(with_own_lab, folder, desk, tmp_path):
+def test_the_server_s_own_command_signs(with_own_lab, folder, app, tmp_path):
     key, cert = write_pair(tmp_path / "k", ec.generate_private_key(ec.SECP256R1()))
     text = (
         "import sys\n"
@@ -154,8 +154,8 @@ def test_the_server_s_own_command_signs(with_own_lab, folder, desk, tmp_path):
     )
     (tmp_path / "sign.py").write_text(text)
     command = shlex.join([sys.executable, str(tmp_path / "sign.py")])
-    desk.signer = command_signer(command, cert)
-    desk.signer_options = {"signer": command, "cert": str(cert)}
+    app.signer = command_signer(command, cert)
+    app.signer_options = {"signer": command, "cert": str(cert)}
     asked = {"file": "LAB.toml", "result": SAID["result"]}
     assert with_own_lab.get("/api/lab", params=asked).json()["signer"] == "CN=Example laboratory"
     told = with_own_lab.post("/api/certificate", json=SAID | {"signing": {}}).json()
@@ -163,20 +163,20 @@ def test_the_server_s_own_command_signs(with_own_lab, folder, desk, tmp_path):
     assert shlex.split(told["command"])[6:] == [f"--signer={command}", f"--cert={cert}"]
 
 
-def test_pictures_are_drawn_while_a_command_signs(with_own_lab, desk, tmp_path):
+def test_pictures_are_drawn_while_a_command_signs(with_own_lab, app, tmp_path):
     """A card waits for its PIN."""
     signer = read_signer(*write_pair(tmp_path / "k", ec.generate_private_key(ec.SECP256R1())))
     held = []
 
     def sign(data):
-        held.append(desk.drawing.locked())
+        held.append(app.drawing.locked())
         return signer.sign(data)
 
-    desk.signer = replace(signer, sign=sign)
+    app.signer = replace(signer, sign=sign)
     said = SAID | {"signing": {}, "both": True}
     assert with_own_lab.post("/api/certificate", json=said).status_code == 200
     assert held == [False, False]  # of the XML, and of the pages
-    assert not desk.drawing.locked()
+    assert not app.drawing.locked()
 
 
 def test_records_are_not_given_away(page):

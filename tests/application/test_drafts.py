@@ -9,7 +9,7 @@ from exports import EXPORTS, campaign_folder, write_records
 from posed_files import compound, waveforms
 from served import ANSWERS
 
-from counterspin.application.drafts import UNITS, curve_of
+from counterspin.application.drafts import UNIT_CHOICES, detrended_curve
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.ingest.column_roles import guess_file
@@ -147,7 +147,7 @@ def test_the_unit_menu_of_a_question_converts_to_its_unit(page, brought):
     told, _ = columns_of(page, brought)
     menus = {question["key"]: question["units"] for question in told["questions"]}
     assert menus["radius"] == ["m", "mm", "um", "in"]
-    for quantity, units in UNITS.items():
+    for quantity, units in UNIT_CHOICES.items():
         assert all(converts(unit, quantity) for unit in units)
 
 
@@ -157,7 +157,7 @@ def test_an_angle_that_is_wrapped_is_drawn_without_jumps():
     east = FileColumn("east_m", "m", 2.5 * np.cos(np.deg2rad(36.0 * time)))
     seconds = FileColumn("time_s", "s", time)
     contents = FileContents(Path("a.csv"), (seconds, angle, east), (), "")
-    curve = curve_of(angle, guess_file(contents))
+    curve = detrended_curve(angle, guess_file(contents))
     assert curve.size == pytest.approx(0.01, rel=0.2)
 
 

@@ -6,7 +6,7 @@ from importlib.resources import files
 
 import pytest
 
-from counterspin.application.editing import with_value
+from counterspin.application.editing import set_value
 from counterspin.errors import CounterspinError
 
 STARTER = (files("counterspin.ingest") / "starter.toml").read_text("utf-8")
@@ -14,7 +14,7 @@ STARTER = (files("counterspin.ingest") / "starter.toml").read_text("utf-8")
 
 def lines_changed(path, value, kind=""):
     """Return what a change took out of the starter and what it put in."""
-    made = with_value(STARTER, path, value, kind)
+    made = set_value(STARTER, path, value, kind)
     lines = difflib.ndiff(STARTER.splitlines(), made.splitlines())
     return [line for line in lines if line[:2] in ("- ", "+ ") and line[2:].strip()]
 
@@ -74,7 +74,7 @@ name = "A"
     ],
 )
 def test_a_new_key_stays_in_its_table_when_a_comment_becomes_a_heading(path, after, ends):
-    made = with_value(CLOSED + ends, path, "1")
+    made = set_value(CLOSED + ends, path, "1")
     line = f'{path[-1]} = "1"' if len(path) == 2 else f'{path[1]} = {{{path[2]} = "1"}}'
     assert f"{after}\n{line}\n" in made
     assert path[1] in tomllib.loads(made.replace("# [", "["))[path[0]]
@@ -89,19 +89,17 @@ def test_a_comment_behind_a_value_is_kept():
 def test_runs_are_added_and_taken_out():
     count = len(tomllib.loads(STARTER)["runs"])
     run = {"name": "more", "rate": "1 rpm", "record": "more.csv"}
-    more = with_value(STARTER, ["runs", count], run)
+    more = set_value(STARTER, ["runs", count], run)
     assert tomllib.loads(more)["runs"][count] == run
-    assert with_value(more, ["runs", count], None).split() == STARTER.split()
-    fewer = tomllib.loads(with_value(STARTER, ["runs", 0], None))["runs"]
+    assert set_value(more, ["runs", count], None).split() == STARTER.split()
+    fewer = tomllib.loads(set_value(STARTER, ["runs", 0], None))["runs"]
     assert fewer == tomllib.loads(STARTER)["runs"][1:]
 
 
 def test_dates_are_dates():
-    assert "\ndate = 2026-03-01\n" in with_value(
-        STARTER, ["campaign", "date"], "2026-03-01", "date"
-    )
+    assert "\ndate = 2026-03-01\n" in set_value(STARTER, ["campaign", "date"], "2026-03-01", "date")
     with pytest.raises(CounterspinError, match="not a date"):
-        with_value(STARTER, ["campaign", "date"], "1st of March", "date")
+        set_value(STARTER, ["campaign", "date"], "1st of March", "date")
 
 
 @pytest.mark.parametrize(
@@ -116,9 +114,9 @@ def test_dates_are_dates():
 )
 def test_what_cannot_be_changed_is_refused(path, value):
     with pytest.raises(CounterspinError):
-        with_value(STARTER, path, value)
+        set_value(STARTER, path, value)
 
 
 def test_a_text_that_is_no_toml_is_refused_with_its_place():
     with pytest.raises(CounterspinError, match="line 1"):
-        with_value("a = 1 2\n", ["a"], 1)
+        set_value("a = 1 2\n", ["a"], 1)

@@ -51,27 +51,27 @@ def test_what_happened_is_told_once(monkeypatch):
         complete=True,
     )
     monkeypatch.setattr("counterspin.monitoring.watch.watch", lambda *_, **__: [state])
-    (_, told), *_ = told_inline(jobs.follow_into, None, "")
+    (_, told), *_ = told_inline(jobs.run_watch, None, "")
     assert told["events"] == [event]
     assert event not in told["html"]
     assert told["html"].count("Every run is as long as the campaign states.") == 1
 
 
-def test_nobody_is_followed_whom_nobody_looks_at(desk, page, monkeypatch):
-    monkeypatch.setattr(jobs, "UNSEEN_SECONDS", 0.2)
+def test_nobody_is_followed_whom_nobody_looks_at(app, page, monkeypatch):
+    monkeypatch.setattr(jobs, "VIEW_TIMEOUT", 0.2)
     page.get("/api/watch", params={"name": "three"})
-    (view,) = desk.live._views.values()
+    (view,) = app.live._views.values()
     # Of two threads that wait for a process at once, one is told nothing of its end.
     deadline = time.monotonic() + 300.0
-    while desk.live._views and time.monotonic() < deadline:
+    while app.live._views and time.monotonic() < deadline:
         time.sleep(0.02)
-    with desk.live._lock:
+    with app.live._lock:
         assert not view.worker.is_alive
 
 
 @pytest.mark.parametrize("goal", ["0.001", "K_II", "K_9 1e-8 g/g^2", "K_II 1e-8 m"])
-def test_a_goal_that_is_none_is_refused_before_anything_is_begun(desk, page, goal):
+def test_a_goal_that_is_none_is_refused_before_anything_is_begun(app, page, goal):
     answered = page.get("/api/watch", params={"name": "three", "goal": goal})
     assert answered.status_code == 422
     assert "goal.target" in answered.json()["error"]
-    assert not desk.live._views
+    assert not app.live._views

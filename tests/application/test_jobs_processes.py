@@ -12,8 +12,8 @@ def heard(worker):
     """Return all that a worker tells, to its end."""
     told = []
     while not told or told[-1][0] not in ("done", "failed"):
-        told.append(worker.hear(300.0))
-    worker.end()
+        told.append(worker.receive(300.0))
+    worker.terminate()
     return told
 
 
@@ -56,6 +56,6 @@ def test_that_it_failed_is_told(work, words, told):
 
 def test_it_is_ended_whatever_it_does():
     worker = Worker(endless)
-    assert worker.hear() is None
-    worker.end()
+    assert worker.receive() is None
+    worker.terminate()
     assert not worker.is_alive

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from counterspin.application.folder import NotThereError
 from counterspin.application.form import campaign_form, lab_form
 from counterspin.application.pages import PAGES, manual_page
+from counterspin.application.served_folder import NotFoundError
 
 ROOT = Path(__file__).parents[2]
 
@@ -46,7 +46,7 @@ def test_a_page_is_shown_without_a_link_to_nowhere(name):
 
 def test_what_is_none_of_the_pages_is_not_shown():
     for name in ("", "nowhere", "physics", "../README", "campaign.md"):
-        with pytest.raises(NotThereError):
+        with pytest.raises(NotFoundError):
             manual_page(name)
 
 

@@ -7,7 +7,7 @@ from campaigns import changed
 from planning_setups import PERFECT
 from served import wait
 
-from counterspin.application.plans import PLAN_KEYS, READING_PLAN_KEYS
+from counterspin.application.plans import PLAN_SLIDERS, READING_PLAN_SLIDERS
 from counterspin.planning.page import plan_blocks
 from counterspin.planning.plan import plan, write_example
 from counterspin.planning.plan_sections import LimitsSettings, ReadingLimitsSettings
@@ -37,8 +37,8 @@ def html_of(result):
 
 
 def test_limits_have_the_names_of_the_plan_s_file(planned):
-    assert PLAN_KEYS.keys() <= LimitsSettings.model_fields.keys()
-    assert READING_PLAN_KEYS.keys() <= ReadingLimitsSettings.model_fields.keys()
+    assert PLAN_SLIDERS.keys() <= LimitsSettings.model_fields.keys()
+    assert READING_PLAN_SLIDERS.keys() <= ReadingLimitsSettings.model_fields.keys()
     (listed,) = planned.get("/api/folder").json()["plans"]
     assert listed == {"name": "PLAN.toml", "title": "A day at the centrifuge"}
     told = planned.get("/api/plan", params={"name": "PLAN.toml"}).json()

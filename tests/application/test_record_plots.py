@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from counterspin.application.record_plots import MOST_PARTS, least_and_greatest
+from counterspin.application.record_plots import MAX_PARTS, min_and_max
 
 RUN = {"name": "three", "run": "fast"}
 
@@ -13,7 +13,7 @@ def test_extremes_of_parts_against_a_loop():
     values[[3, 500]] = np.nan
     values[600:700] = np.nan
     edges = np.linspace(7, 991, 38).astype(int)
-    found = least_and_greatest(values, edges)
+    found = min_and_max(values, edges)
     for (low, high), begin, end in zip(found, edges[:-1], edges[1:], strict=True):
         part = values[begin:end][~np.isnan(values[begin:end])]
         if len(part):
@@ -72,7 +72,7 @@ def test_few_rows_stand_as_they_are_and_of_many_no_outlier_is_lost(page, spiked)
         (RUN | {"run": "none", "low": 0, "high": 1}, 404),
         (RUN | {"low": "nan", "high": 1}, 400),
         (RUN | {"low": 5, "high": -5, "parts": -7}, 200),
-        (RUN | {"low": -1e300, "high": 1e300, "parts": 10 * MOST_PARTS}, 200),
+        (RUN | {"low": -1e300, "high": 1e300, "parts": 10 * MAX_PARTS}, 200),
     ],
 )
 def test_odd_windows(page, query, status):

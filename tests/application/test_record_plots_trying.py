@@ -37,9 +37,9 @@ def test_what_cannot_be_studied_is_told_before_it_begins(page, folder):
 
 
 @pytest.fixture
-def at_once(desk):
+def at_once(app):
     """Have jobs done at once, in this process."""
-    desk.jobs = InlineJobs()
+    app.jobs = InlineJobs()
 
 
 @pytest.mark.usefixtures("at_once")

@@ -71,16 +71,16 @@ def test_what_is_being_loaded_is_waited_for_at_the_end(tmp_path, monkeypatch):
     """An import in a thread when Python ends makes it abort."""
     done = []
 
-    def load(desk, ended):
+    def load(app, ended):
         assert ended.wait(BOUND)
         time.sleep(0.2)
-        done.append(desk)
+        done.append(app)
 
-    monkeypatch.setattr(server, "_load", load)
-    monkeypatch.setattr(server, "server_of", lambda *_: SimpleNamespace(run=lambda **_: None))
+    monkeypatch.setattr(server, "_preload", load)
+    monkeypatch.setattr(server, "make_server", lambda *_: SimpleNamespace(run=lambda **_: None))
     server.serve(tmp_path, browser=False, say=done.append)
     *_, loaded, last = done
-    assert (type(loaded), last) == (server.Desk, "Ended.")
+    assert (type(loaded), last) == (server.AppState, "Ended.")
 
 
 def test_what_a_browser_is_given_on_its_command_line_holds_no_token(tmp_path, monkeypatch):
@@ -94,9 +94,9 @@ def test_what_a_browser_is_given_on_its_command_line_holds_no_token(tmp_path, mo
         opened.set()
 
     monkeypatch.setattr("webbrowser.open", browse)
-    monkeypatch.setattr(server, "_load", lambda *_: None)
+    monkeypatch.setattr(server, "_preload", lambda *_: None)
     waiting = SimpleNamespace(run=lambda **_: opened.wait(BOUND))
-    monkeypatch.setattr(server, "server_of", lambda *_: waiting)
+    monkeypatch.setattr(server, "make_server", lambda *_: waiting)
     server.serve(tmp_path, say=said.append)
     address, file, modes, text = seen
     link = said[1].strip()
@@ -116,10 +116,10 @@ def test_on_windows_private_files_lie_in_a_folder_of_the_user(tmp_path, monkeypa
         private.append((folder, link))
         return "file:///nowhere"
 
-    monkeypatch.setattr(server, "_leading", lead)
-    monkeypatch.setattr(server, "_load", lambda *_: None)
-    monkeypatch.setattr(server, "server_of", lambda *_: SimpleNamespace(run=lambda **_: None))
-    monkeypatch.setattr(server, "listening", lambda _: socket.socket())
+    monkeypatch.setattr(server, "_write_redirect", lead)
+    monkeypatch.setattr(server, "_preload", lambda *_: None)
+    monkeypatch.setattr(server, "make_server", lambda *_: SimpleNamespace(run=lambda **_: None))
+    monkeypatch.setattr(server, "open_listener", lambda _: socket.socket())
     monkeypatch.setenv("LOCALAPPDATA", str(mine))
     monkeypatch.setattr("sys.platform", "win32")
     monkeypatch.setattr(socket.socket, "getsockname", lambda _: ("127.0.0.1", 1))
@@ -143,7 +143,7 @@ def test_on_windows_no_other_process_may_take_the_port(monkeypatch):
     monkeypatch.setattr("sys.platform", "win32")
     monkeypatch.setattr(socket, "SO_EXCLUSIVEADDRUSE", -5, raising=False)
     monkeypatch.setattr(socket, "socket", lambda *_: Listener())
-    server.listening(0)
+    server.open_listener(0)
     assert options == [(socket.SOL_SOCKET, -5, 1)]
 
 

@@ -17,7 +17,7 @@ from served import PLACES, InlineJobs, answer_field, token_of
 from signing_keys import write_pair, write_pkcs12
 
 from certificates import write_own
-from counterspin.application.server import _leading
+from counterspin.application.server import _write_redirect
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import read_campaign
@@ -46,7 +46,7 @@ def see_pictures(tab):
     tab.locator("figure.zoomed canvas").first.wait_for()
 
 
-def test_from_exports_to_the_certificate(opened, desk, folder):
+def test_from_exports_to_the_certificate(opened, app, folder):
     """As a person would: bring the recorder's files, calibrate, look, issue the certificate."""
     tab = opened()
     tab.get_by_label("Folder of the new campaign").fill("mine")
@@ -78,7 +78,7 @@ def test_from_exports_to_the_certificate(opened, desk, folder):
         answer_field(tab, question).fill(said)
     # Loaded again in the middle of it, the page finds its calibration; as if another one went on,
     # so that it does not end before.
-    with desk.jobs._turn:
+    with app.jobs._run_lock:
         tab.get_by_role("button", name="Calibrate").click()
         tab.get_by_role("progressbar").wait_for()
         tab.reload()
@@ -434,7 +434,7 @@ def test_a_window_that_a_link_of_the_page_opens_has_the_key(opened):
 def test_the_browser_is_led_to_the_page_by_a_file_that_others_cannot_read(
     browser, door_of_server, tmp_path
 ):
-    address = _leading(tmp_path, door_of_server.link)
+    address = _write_redirect(tmp_path, door_of_server.link)
     (file,) = tmp_path.glob("*.html")
     assert file.stat().st_mode & 0o777 == 0o600
     assert token_of(door_of_server) not in address
@@ -539,7 +539,7 @@ def test_of_two_windows_none_loses_an_edit(opened, folder):
     assert 'radius = "4 m"' in file.read_text()
 
 
-#: A desk's small screen.
+#: A app's small screen.
 SMALL_SCREEN = {"width": 1024, "height": 600}
 
 #: Of every control on the page: its kind and what a screen reader calls it.
@@ -551,10 +551,10 @@ UNNAMED = """[..."input select textarea button".split(" ")]
   .map((one) => one.outerHTML)"""
 
 
-def test_every_place_fits_a_small_screen_and_names_its_controls(opened, desk):
+def test_every_place_fits_a_small_screen_and_names_its_controls(opened, app):
     """Nothing goes wrong in any (see `opened`)."""
     # No process is needed to follow what is complete.
-    desk.live.look = lambda *_: {"html": "<p>Live</p>", "events": ["A run"], "complete": True}
+    app.live.poll = lambda *_: {"html": "<p>Live</p>", "events": ["A run"], "complete": True}
     tab = opened("/")
     tab.set_viewport_size(SMALL_SCREEN)
     tab.emulate_media(color_scheme="dark")
@@ -566,8 +566,8 @@ def test_every_place_fits_a_small_screen_and_names_its_controls(opened, desk):
         assert tab.evaluate(UNNAMED) == [], place
 
 
-def test_a_try_is_shown_in_its_own_place(opened, desk):
-    desk.jobs = InlineJobs()
+def test_a_try_is_shown_in_its_own_place(opened, app):
+    app.jobs = InlineJobs()
     tab = opened("/campaign/three")
     tab.get_by_text("Method, file and command").click()
     tab.get_by_label("Method").select_option("two-stage")
@@ -591,9 +591,9 @@ def test_what_is_printed_has_every_figure_though_nobody_has_scrolled_to_it(opene
     assert [label for label in labels if label not in text] == []
 
 
-def test_results_are_compared_with_the_one_that_is_chosen(opened, desk):
+def test_results_are_compared_with_the_one_that_is_chosen(opened, app):
     for name in ("b", "c"):
-        shutil.copy(desk.folder.root / "three" / "result.json", desk.folder.root / f"{name}.json")
+        shutil.copy(app.folder.root / "three" / "result.json", app.folder.root / f"{name}.json")
     tab = opened("/compare")
     for name in ("three/result.json", "b.json", "c.json"):
         tab.get_by_role("checkbox", name=name).check()
@@ -601,7 +601,7 @@ def test_results_are_compared_with_the_one_that_is_chosen(opened, desk):
     tab.get_by_label("Each is compared with").select_option("c.json")
     tab.get_by_text("Differences are from c.json").wait_for()
     command = tab.locator("pre.command").first.text_content()
-    files = [desk.folder.root / name for name in ("c.json", "three/result.json", "b.json")]
+    files = [app.folder.root / name for name in ("c.json", "three/result.json", "b.json")]
     assert command == f"counterspin compare {' '.join(map(str, files))}"
 
 
@@ -634,8 +634,8 @@ def test_a_history_without_serial_numbers_leads_to_where_they_are_stated(opened,
     assert section.bounding_box()["y"] < tab.viewport_size["height"]
 
 
-def test_limits_are_stated_and_a_study_is_made_by_keyboard(opened, desk):
-    desk.jobs = InlineJobs()
+def test_limits_are_stated_and_a_study_is_made_by_keyboard(opened, app):
+    app.jobs = InlineJobs()
     tab = opened("/description/three")
     tab.locator("#s-specification > summary").press("Enter")
     tab.locator("[id='f-specification.K_II']").fill("abs <= 5e-5 g/g^2")

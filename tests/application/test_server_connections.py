@@ -13,7 +13,7 @@ from contextlib import suppress
 import pytest
 from served import serving, token_of
 
-from counterspin.application import guard, server
+from counterspin.application import access_control, server
 from counterspin.application.server import Connection
 
 #: Longest wait for anything, s; only a failure takes so long.
@@ -66,10 +66,10 @@ def test_who_has_no_key_cannot_stop_it(tmp_path):
 
 
 @pytest.fixture
-def served(desk):
-    """Return the door of a server that runs."""
-    with serving(desk) as door:
-        yield door
+def served(app):
+    """Return the credentials of a server that runs."""
+    with serving(app) as credentials:
+        yield credentials
 
 
 def _ended(other):
@@ -98,7 +98,7 @@ def _trickle(other):
 )
 def test_a_request_that_does_not_come_ends(served, monkeypatch, sent):
     monkeypatch.setattr(server, "HEAD_SECONDS", 0.2)
-    monkeypatch.setattr(guard, "STRANGER_SECONDS", 0.2)
+    monkeypatch.setattr(access_control, "UNAUTHENTICATED_TIMEOUT", 0.2)
     sent = sent.replace(b"%d", str(served.port).encode())
     with socket.create_connection(("127.0.0.1", served.port), timeout=BOUND) as other:
         other.sendall(sent)
@@ -129,8 +129,8 @@ def test_little_is_read_of_who_has_no_key(served):
 
 
 def test_an_idle_connection_stays_whatever_others_do(served, monkeypatch):
-    monkeypatch.setattr(server, "_MOST_CONNECTIONS", 3)
-    key = served.key_for(token_of(served))
+    monkeypatch.setattr(server, "_MAX_CONNECTIONS", 3)
+    key = served.exchange_token(token_of(served))
     page = http.client.HTTPConnection("127.0.0.1", served.port, timeout=BOUND)
     others = []
     for _ in range(3):

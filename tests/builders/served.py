@@ -10,9 +10,9 @@ from unittest.mock import patch
 
 from campaigns import SMALL, write
 
-from counterspin.application.guard import Door
+from counterspin.application.access_control import Credentials
 from counterspin.application.jobs import Jobs
-from counterspin.application.server import listening, server_of
+from counterspin.application.server import make_server, open_listener
 from counterspin.calibration.calibrate import calibrate
 from counterspin.simulation.simulate import simulate
 
@@ -60,14 +60,14 @@ def write_folder(folder: Path, plan: Path) -> Path:
 
 
 @contextmanager
-def serving(desk):
-    """Run a server of a folder in a thread, and give its door."""
-    with listening(0) as listener:
-        door = Door(listener.getsockname()[1])
-        server = server_of(desk, door)
+def serving(app):
+    """Run a server of a folder in a thread, and give its credentials."""
+    with open_listener(0) as listener:
+        credentials = Credentials(listener.getsockname()[1])
+        server = make_server(app, credentials)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
-        yield door
+        yield credentials
         server.should_exit = True
         thread.join()
 
@@ -77,9 +77,9 @@ def answer_field(tab, words):
     return tab.get_by_label(re.compile(f"{words}(?!.*, (standard uncertainty|unit)$)"))
 
 
-def token_of(door):
+def token_of(credentials):
     """Return what opens the page of a server, once."""
-    return door.link.partition("#token=")[2]
+    return credentials.link.partition("#token=")[2]
 
 
 def wait(page, number):
@@ -96,9 +96,9 @@ def wait(page, number):
 class InlineJobs(Jobs):
     """Jobs that are done at once, in this process."""
 
-    def _start(self, job, work, words, then):
+    def _start_thread(self, job, work, words, then):
         *_, told = told_inline(work, *words)
-        self._hear(job, told, then)
+        self._handle_message(job, told, then)
         assert job.state in ("done", "failed")
         assert "internal error" not in job.error, job.error
 

@@ -15,7 +15,7 @@ from served import ANSWERS
 
 from certificates import write_lab
 from counterspin import cli
-from counterspin.application.jobs import Job, Jobs, LiveViews, calibrate_into
+from counterspin.application.jobs import Job, Jobs, LiveViews, run_calibration
 from counterspin.calibration.calibrate import calibrate
 from counterspin.records import reader_process
 from counterspin.simulation.simulate import simulate
@@ -85,8 +85,8 @@ def test_nor_by_what_the_page_starts(foreign):
     def make(number):
         return Job(number, "", "job.json", "counterspin calibrate .")
 
-    job = jobs.begin(make, calibrate_into, foreign / "campaign.toml", output, "joint", None)
-    while not views.look(foreign / "campaign.toml", "")["complete"]:
+    job = jobs.begin(make, run_calibration, foreign / "campaign.toml", output, "joint", None)
+    while not views.poll(foreign / "campaign.toml", "")["complete"]:
         time.sleep(0.05)
     while job.state in ("waiting", "running"):
         time.sleep(0.05)

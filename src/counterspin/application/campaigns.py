@@ -10,10 +10,11 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
+from counterspin.application.app_state import AppState
+from counterspin.application.campaign_files import COPY_PREFIX, free_name, trash_contents
 from counterspin.application.checklist import checklist
-from counterspin.application.desk import Desk, calibrate_command, demo_command, init_command
-from counterspin.application.jobs import Job, Progress, calibrate_into, report_progress
-from counterspin.application.keeping import COPY_PREFIX, free_name, trash_contents
+from counterspin.application.commands import calibrate_command, demo_command, init_command
+from counterspin.application.jobs import Job, Progress, report_progress, run_calibration
 from counterspin.application.laboratory import PROFILE_NAME
 from counterspin.application.record_plots import STUDY_NAME
 from counterspin.calibration.options import Method
@@ -34,7 +35,7 @@ from counterspin.temporary_folders import temporary_folder
 _RESULT_NAME: Final = "result.json"
 
 #: State of a campaign -> its words.
-_WORDS: Final[Mapping[str, str]] = {
+_STATE_LABELS: Final[Mapping[str, str]] = {
     "mistakes": "The description has mistakes",
     "records missing": "Records are missing",
     "not calibrated": "Not calibrated yet",
@@ -43,43 +44,43 @@ _WORDS: Final[Mapping[str, str]] = {
 }
 
 
-def folder_overview(desk: Desk) -> dict[str, Any]:
+def folder_overview(app: AppState) -> dict[str, Any]:
     """Return the folder's campaigns, and its results that belong to no campaign."""
-    campaigns, others = [], []
+    campaigns, other_results = [], []
     plans: list[dict[str, str]] = []
     labs: list[str] = []
-    for folder, files in desk.folder.folders():
-        name = desk.folder.name(folder)
-        results = list(_results(desk, folder, files))
-        if DESCRIPTION_NAME in files and desk.folder.holds(folder / DESCRIPTION_NAME):
-            campaigns.append(_line(desk, name, results))
+    for folder, files in app.folder.folders():
+        name = app.folder.name(folder)
+        results = list(_iter_results(app, folder, files))
+        if DESCRIPTION_NAME in files and app.folder.contains(folder / DESCRIPTION_NAME):
+            campaigns.append(_campaign_entry(app, name, results))
         else:
-            others += results
+            other_results += results
         for file in files:
-            match _toml_kind(desk, folder / file):
+            match _toml_kind(app, folder / file):
                 case ("plan", title):
-                    plans.append({"name": desk.folder.name(folder / file), "title": title})
+                    plans.append({"name": app.folder.name(folder / file), "title": title})
                 case ("lab", _):
-                    labs.append(desk.folder.name(folder / file))
+                    labs.append(app.folder.name(folder / file))
     return {
-        "folder": desk.folder.root.name,
+        "folder": app.folder.root.name,
         "campaigns": campaigns,
-        "results": others,
+        "results": other_results,
         "plans": plans,
         "labs": labs,
-        "trash": trash_contents(desk),
+        "trash": trash_contents(app),
         "terms": [{"name": name, "words": row.words} for name, row in TERMS.items()],
     }
 
 
-def _toml_kind(desk: Desk, path: Path) -> tuple[str, str]:
+def _toml_kind(app: AppState, path: Path) -> tuple[str, str]:
     """Return the kind of a file, ``plan`` or ``lab`` (the laboratory's data), and its title."""
     if path.suffix.lower() != ".toml" or path.name in (DESCRIPTION_NAME, PROFILE_NAME):
         return "", ""
-    if not desk.folder.holds(path):
+    if not app.folder.contains(path):
         return "", ""
 
-    def look() -> tuple[str, str]:
+    def read_kind() -> tuple[str, str]:
         try:
             document = load_document(path)
         except CounterspinError:
@@ -88,25 +89,25 @@ def _toml_kind(desk: Desk, path: Path) -> tuple[str, str]:
             return "plan", str(table_of(document, "campaign").get("title", ""))
         return "lab" if {"certificate", "laboratory"} <= document.keys() else "", ""
 
-    return desk.remembered.get(("kind", path), [path], look)
+    return app.cache.get(("kind", path), [path], read_kind)
 
 
-def _results(desk: Desk, folder: Path, files: list[str]) -> Iterator[dict[str, Any]]:
+def _iter_results(app: AppState, folder: Path, files: list[str]) -> Iterator[dict[str, Any]]:
     """Yield the results among the files of a folder."""
     for file in files:
         path = folder / file
-        if path.suffix.lower() != ".json" or not desk.folder.holds(path):
+        if path.suffix.lower() != ".json" or not app.folder.contains(path):
             continue
-        shown = desk.remembered.get(("line", path), [path], partial(_result_line, desk, path))
-        if shown is not None:
-            yield shown
+        entry = app.cache.get(("line", path), [path], partial(_result_entry, app, path))
+        if entry is not None:
+            yield entry
 
 
-def _result_line(desk: Desk, path: Path) -> dict[str, Any] | None:
+def _result_entry(app: AppState, path: Path) -> dict[str, Any] | None:
     """Return a result's entry for a list; None if the file is damaged or not a result."""
     from counterspin.calibration.findings import judge_result
 
-    name = desk.folder.name(path)
+    name = app.folder.name(path)
     try:
         if path.stat().st_size > DOCUMENT_BYTES or not Result.file_kind().recognises(path):
             return None
@@ -114,58 +115,58 @@ def _result_line(desk: Desk, path: Path) -> dict[str, Any] | None:
     except OSError:
         return None
     except RecordError as error:
-        return {"name": name, "state": "damaged", "words": desk.folder.spoken(str(error))}
-    answers = []
-    for accelerometer, found in result.accelerometers.items():
-        if (k_ii := found.coefficients.get("K_II")) is not None:
+        return {"name": name, "state": "damaged", "words": app.folder.relative_paths(str(error))}
+    values = []
+    for accelerometer, accelerometer_result in result.accelerometers.items():
+        if (k_ii := accelerometer_result.coefficients.get("K_II")) is not None:
             value, u, unit = to_field_units(k_ii)
             text = format_estimate(value, u, unit) if k_ii.estimated else "not determined"
-            answers.append({"name": f"K_II of {accelerometer}", "text": typeset(text)})
+            values.append({"name": f"K_II of {accelerometer}", "text": typeset(text)})
     return {
         "name": name,
         "state": result.state,
-        "words": _WORDS[result.state or "good"],
+        "words": _STATE_LABELS[result.state or "good"],
         "title": result.title,
         "method": result.method,
-        "answers": answers,
+        "answers": values,
         "serial_numbers": [a.serial_number for a in result.accelerometers.values()],
         "written": path.stat().st_mtime,
         "description": result.provenance.inputs.get(DESCRIPTION_NAME, ""),
     }
 
 
-def _line(desk: Desk, name: str, results: list[dict[str, Any]]) -> dict[str, Any]:
+def _campaign_entry(app: AppState, name: str, results: list[dict[str, Any]]) -> dict[str, Any]:
     """Return a campaign's entry for the list of campaigns."""
-    path = desk.description(name)
-    line: dict[str, Any] = {
+    path = app.description(name)
+    entry: dict[str, Any] = {
         "name": name,
-        "title": name or desk.folder.root.name,
-        "results": sorted(results, key=_rank),
+        "title": name or app.folder.root.name,
+        "results": sorted(results, key=_result_sort_key),
         "mistakes": [],
         "missing": [],
         "runs": 0,
         "instruments": [],
     }
     try:
-        campaign = desk.campaign(name)
+        campaign = app.campaign(name)
     except CampaignError as error:
-        line["mistakes"] = [desk.folder.spoken(problem) for problem in error.problems]
+        entry["mistakes"] = [app.folder.relative_paths(problem) for problem in error.problems]
     except CounterspinError as error:
-        line["mistakes"] = [desk.folder.spoken(str(error))]
+        entry["mistakes"] = [app.folder.relative_paths(str(error))]
     else:
-        line["title"] = campaign.title or line["title"]
+        entry["title"] = campaign.title or entry["title"]
         triad = campaign.triad
-        posed = len(triad.poses) + len(triad.records) if triad else 0
-        line["runs"] = len(campaign.runs) + len(campaign.readings) + posed
-        line["instruments"] = list(campaign.accelerometers)
+        pose_count = len(triad.poses) + len(triad.records) if triad else 0
+        entry["runs"] = len(campaign.runs) + len(campaign.readings) + pose_count
+        entry["instruments"] = list(campaign.accelerometers)
         records = [run.record for run in campaign.runs]
-        line["missing"] = [desk.folder.name(file) for file in records if not file.is_file()]
-    line["state"] = _state(desk, path, line)
-    line["words"] = _WORDS.get(line["state"], line["state"])
-    return line
+        entry["missing"] = [app.folder.name(file) for file in records if not file.is_file()]
+    entry["state"] = _campaign_state(app, path, entry)
+    entry["words"] = _STATE_LABELS.get(entry["state"], entry["state"])
+    return entry
 
 
-def _rank(result: dict[str, Any]) -> tuple[bool, bool, bool, float]:
+def _result_sort_key(result: dict[str, Any]) -> tuple[bool, bool, bool, float]:
     """Return the key that sorts a campaign's results, its representative result first.
 
     That is ``result.json``; without it, the newest by the joint method, then the newest. Another
@@ -179,56 +180,58 @@ def _rank(result: dict[str, Any]) -> tuple[bool, bool, bool, float]:
     )
 
 
-def _state(desk: Desk, path: Path, line: dict[str, Any]) -> str:
+def _campaign_state(app: AppState, path: Path, entry: dict[str, Any]) -> str:
     """Return the state of a campaign."""
-    if line["mistakes"]:
+    if entry["mistakes"]:
         return "mistakes"
-    result = next((r for r in line["results"] if r["state"] != "damaged"), None)
+    result = next((r for r in entry["results"] if r["state"] != "damaged"), None)
     if result is None:
-        return "records missing" if line["missing"] else "not calibrated"
-    checksum = desk.folder.read(desk.folder.name(path)).version
-    records = [path.parent / run.record for run in desk.campaign(line["name"]).runs]
-    later = any(r.is_file() and r.stat().st_mtime > result["written"] for r in records)
-    if later or result["description"] not in ("", f"sha256:{checksum}"):
+        return "records missing" if entry["missing"] else "not calibrated"
+    checksum = app.folder.read(app.folder.name(path)).version
+    records = [path.parent / run.record for run in app.campaign(entry["name"]).runs]
+    has_newer_records = any(r.is_file() and r.stat().st_mtime > result["written"] for r in records)
+    if has_newer_records or result["description"] not in ("", f"sha256:{checksum}"):
         return "changed"
     return str(result["state"])
 
 
-def campaign_overview(desk: Desk, name: str) -> dict[str, Any]:
+def campaign_overview(app: AppState, name: str) -> dict[str, Any]:
     """Return the data for the page of one campaign."""
-    path = desk.description(name)
+    path = app.description(name)
     files = sorted(file.name for file in path.parent.iterdir() if file.is_file())
-    line = _line(desk, name, list(_results(desk, path.parent, files)))
-    text = desk.folder.read(desk.folder.name(path))
+    entry = _campaign_entry(app, name, list(_iter_results(app, path.parent, files)))
+    description_text = app.folder.read(app.folder.name(path))
     output = path.parent / _RESULT_NAME
     study = path.parent / STUDY_NAME
-    return line | {
-        "study": desk.folder.name(study) if desk.folder.holds(study) and study.is_file() else None,
-        "text": text.text,
-        "version": text.version,
-        "run_list": _runs(desk, name, path),
-        "checklist": [] if line["mistakes"] else checklist(desk.campaign(name)),
+    return entry | {
+        "study": app.folder.name(study) if app.folder.contains(study) and study.is_file() else None,
+        "text": description_text.text,
+        "version": description_text.version,
+        "run_list": _run_entries(app, name, path),
+        "checklist": [] if entry["mistakes"] else checklist(app.campaign(name)),
         "command": calibrate_command(path.parent, output, "joint", None),
-        "jobs": [job.shown() for job in desk.jobs.all() if job.campaign == name],
+        "jobs": [job.to_dict() for job in app.jobs.all() if job.campaign == name],
     }
 
 
-def _runs(desk: Desk, name: str, path: Path) -> list[dict[str, Any]]:
+def _run_entries(app: AppState, name: str, path: Path) -> list[dict[str, Any]]:
     """Return the runs of a description, even if it has mistakes."""
     try:
-        campaign = desk.campaign(name)
+        campaign = app.campaign(name)
     except CounterspinError:
         try:
             runs = load_document(path).get("runs", [])
         except CounterspinError:
             return []
-        named = [run for run in runs if isinstance(run, dict)] if isinstance(runs, list) else []
-        return [{"name": str(run.get("name", "")), "record": None} for run in named]
+        valid_runs = (
+            [run for run in runs if isinstance(run, dict)] if isinstance(runs, list) else []
+        )
+        return [{"name": str(run.get("name", "")), "record": None} for run in valid_runs]
     return [
         {
             "name": run.name,
             "rate": run.rate,
-            "record": desk.folder.name(run.record),
+            "record": app.folder.name(run.record),
             "bytes": run.record.stat().st_size if run.record.is_file() else None,
         }
         for run in campaign.runs
@@ -236,7 +239,7 @@ def _runs(desk: Desk, name: str, path: Path) -> list[dict[str, Any]]:
 
 
 def begin_calibration(
-    desk: Desk,
+    app: AppState,
     name: str,
     output: str = _RESULT_NAME,
     method: Method = "joint",
@@ -247,43 +250,43 @@ def begin_calibration(
     name: The campaign's folder.
     output: Name of the result's file in it.
     """
-    path = desk.description(name)
-    desk.campaign(name)
+    path = app.description(name)
+    app.campaign(name)
     if "/" in output or not output.lower().endswith(".json"):
         raise CounterspinError(f"{output!r}: name the result's file, such as result.json")
-    place = desk.folder.path(f"{name}/{output}" if name else output)
-    command = calibrate_command(path.parent, place, method, accept_misfit)
+    target = app.folder.path(f"{name}/{output}" if name else output)
+    command = calibrate_command(path.parent, target, method, accept_misfit)
 
-    def make(number: int) -> Job:
-        return Job(number, name, desk.folder.name(place), command)
+    def make_job(number: int) -> Job:
+        return Job(number, name, app.folder.name(target), command)
 
-    return desk.jobs.begin(make, calibrate_into, path, place, method, accept_misfit).shown()
+    return app.jobs.begin(make_job, run_calibration, path, target, method, accept_misfit).to_dict()
 
 
-def begin_campaign(desk: Desk, name: str, test: Test = "double-turntable") -> dict[str, Any]:
+def begin_campaign(app: AppState, name: str, test: Test = "double-turntable") -> dict[str, Any]:
     """Write an example campaign into a folder; return its name and the command."""
     from counterspin.ingest.starter import init
 
     if not name:
         raise CounterspinError("give the new campaign's folder a name")
-    folder = desk.place(name)
+    folder = app.target_path(name)
     init(folder, test)
     return {"name": name, "command": init_command(folder, test)}
 
 
-def begin_sample(desk: Desk) -> dict[str, Any]:
+def begin_sample(app: AppState) -> dict[str, Any]:
     """Start to simulate and calibrate a sample campaign in a new folder; return the job."""
-    name = free_name(desk, "sample")
-    place = desk.place(name)
+    name = free_name(app, "sample")
+    target = app.target_path(name)
 
-    def make(number: int) -> Job:
-        return Job(number, name, name, demo_command(place), "sample")
+    def make_job(number: int) -> Job:
+        return Job(number, name, name, demo_command(target), "sample")
 
-    return desk.jobs.begin(make, sample_into, place).shown()
+    return app.jobs.begin(make_job, run_sample, target).to_dict()
 
 
-def sample_into(there: Connection, folder: Path) -> None:
-    """Simulate and calibrate a sample; report to `there` as `report_progress` does."""
+def run_sample(connection: Connection, folder: Path) -> None:
+    """Simulate and calibrate a sample; report to `connection` as `report_progress` does."""
 
     def work(progress: Progress) -> None:
         from counterspin.calibration.calibrate import calibrate
@@ -298,10 +301,10 @@ def sample_into(there: Connection, folder: Path) -> None:
             calibrate(sample, progress=progress).write(sample / _RESULT_NAME)
             sample.rename(folder)
 
-    report_progress(there, work)
+    report_progress(connection, work)
 
 
-def as_json(value: Any) -> str:
+def to_json(value: Any) -> str:
     """Return an answer as JSON; infinite values and NaN become null.
 
     The text is ASCII, because a file's name may have bytes without an encoding in UTF-8.
@@ -309,12 +312,14 @@ def as_json(value: Any) -> str:
     try:
         return json.dumps(value, allow_nan=False, separators=(",", ":"))
     except ValueError:
-        return json.dumps(_finite(value), allow_nan=False, separators=(",", ":"))
+        return json.dumps(_replace_nonfinite(value), allow_nan=False, separators=(",", ":"))
 
 
-def _finite(value: Any) -> Any:
+def _replace_nonfinite(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
-        return {key: _finite(one) for key, one in value.items()}
-    return [_finite(one) for one in value] if isinstance(value, list | tuple) else value
+        return {key: _replace_nonfinite(item) for key, item in value.items()}
+    return (
+        [_replace_nonfinite(item) for item in value] if isinstance(value, list | tuple) else value
+    )

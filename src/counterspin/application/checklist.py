@@ -27,7 +27,7 @@ def checklist(campaign: Campaign) -> list[dict[str, Any]]:
 
 def _entries(campaign: Campaign) -> Iterator[ChecklistEntry]:
     for key, symbol in COMMON_NAMES.items():
-        yield _prior(campaign, key, symbol)
+        yield _prior_entry(campaign, key, symbol)
     if campaign.runs:
         stated = campaign.noise is not None
         effect = "stated (Type B)" if stated else "estimated from the residuals (Type A)"
@@ -46,14 +46,14 @@ def _entries(campaign: Campaign) -> Iterator[ChecklistEntry]:
     yield ChecklistEntry("Date", dated, effect, "campaign.date")
 
 
-def _prior(campaign: Campaign, key: str, symbol: str) -> ChecklistEntry:
+def _prior_entry(campaign: Campaign, key: str, symbol: str) -> ChecklistEntry:
     """Return the entry of a coefficient that can have a prior."""
-    without = [n for n, a in campaign.accelerometers.items() if symbol not in a.priors]
-    first = next(iter([*without, *campaign.accelerometers]), "")
+    unstated = [n for n, a in campaign.accelerometers.items() if symbol not in a.priors]
+    owner = next(iter([*unstated, *campaign.accelerometers]), "")
     effect = "stated: a prior (Type B)"
-    if without:
-        effect = f"not stated for {', '.join(without)}; only the data determine it"
+    if unstated:
+        effect = f"not stated for {', '.join(unstated)}; only the data determine it"
     words = TERMS[symbol].words
     return ChecklistEntry(
-        f"{words[:1].upper()}{words[1:]}", not without, effect, f"accelerometers.{first}.{key}"
+        f"{words[:1].upper()}{words[1:]}", not unstated, effect, f"accelerometers.{owner}.{key}"
     )

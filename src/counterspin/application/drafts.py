@@ -7,7 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from counterspin.application.desk import Desk, FileCache, export_command
+from counterspin.application.app_state import AppState, FileCache
+from counterspin.application.commands import import_command
 from counterspin.arrays import Array, median
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, table_of
 from counterspin.campaign.settings import OBSERVABLES
@@ -33,14 +34,14 @@ _CONTENTS: Final = FileCache(2)
 _PREVIEW_ROWS: Final = 4
 _PREVIEW_PARTS: Final = 160
 #: Revolutions of a wave that are shown.
-_SHOWN_TURNS: Final = 4.0
+_CURVE_REVOLUTIONS: Final = 4.0
 #: Relative difference between steps of a time that comes from the rounding of its numbers.
 _ROUNDING: Final = 1e-6
 #: Words of a column of text that are shown, and characters of each.
-_SHOWN_WORDS: Final = 3
-_SHOWN_CHARACTERS: Final = 20
+_MAX_CELLS: Final = 3
+_MAX_CELL_LENGTH: Final = 20
 #: Unit of a quantity that is asked for -> units of its menu.
-UNITS: Final[Mapping[str, tuple[str, ...]]] = {
+UNIT_CHOICES: Final[Mapping[str, tuple[str, ...]]] = {
     "m": ("m", "mm", "um", "in"),
     "m/s^2": ("m/s^2", "mm/s^2"),
     "rad": ("deg", "rad", "arcmin"),
@@ -48,46 +49,51 @@ UNITS: Final[Mapping[str, tuple[str, ...]]] = {
     "Hz": ("Hz", "kHz"),
 }
 #: Question -> section and key of the description that holds its answer.
-_SITE: Final = {
+_SITE_ENTRIES: Final = {
     "gravity": ("site", "gravity"),
     "latitude": ("site", "latitude"),
     "radius": ("centrifuge", "radius"),
 }
 
 
-def _draft(
-    desk: Desk, names: Sequence[str], answers: dict[str, str] | None, stated: Test | None
+def _make_draft(
+    app: AppState, names: Sequence[str], answers: dict[str, str] | None, requested_test: Test | None
 ) -> tuple[AnyDraft | UndecidedDraft, Test | None, list[str]]:
-    files = [desk.file(name) for name in names]
-    said = {key: answer for key, answer in (answers or {}).items() if answer.strip()}
-    choice = (said.get("sheet", ""), said.get("select", ""))
-    all_contents = _CONTENTS.get((*choice, *files), files, lambda: read_files(files, said))
-    seen = overview(all_contents)
-    chosen = said.pop("test", None)
+    files = [app.file(name) for name in names]
+    filled_answers = {key: answer for key, answer in (answers or {}).items() if answer.strip()}
+    cache_key = (filled_answers.get("sheet", ""), filled_answers.get("select", ""))
+    all_contents = _CONTENTS.get(
+        (*cache_key, *files), files, lambda: read_files(files, filled_answers)
+    )
+    statements = overview(all_contents)
+    test_answer = filled_answers.pop("test", None)
     if sensor_question(all_contents) is not None:
-        return UndecidedDraft.of(all_contents), None, seen
-    said.pop("select", None)
-    test = stated or next((test for test in TESTS if test == chosen), likely_test(all_contents))
+        return UndecidedDraft.of(all_contents), None, statements
+    filled_answers.pop("select", None)
+    test = requested_test or next(
+        (test for test in TESTS if test == test_answer), likely_test(all_contents)
+    )
     if test is None:
-        return UndecidedDraft.of(all_contents), None, seen
-    return described_as(all_contents, said, test), test, seen
+        return UndecidedDraft.of(all_contents), None, statements
+    return described_as(all_contents, filled_answers, test), test, statements
 
 
 def draft_overview(
-    desk: Desk,
+    app: AppState,
     names: list[str],
     answers: dict[str, str] | None = None,
     test: Test | None = None,
 ) -> dict[str, Any]:
     """Return the contents of files in sentences and columns, the questions and the mistakes."""
-    draft, found_test, seen = _draft(desk, names, answers, test)
+    draft, found_test, statements = _make_draft(app, names, answers, test)
     guess = draft.common if isinstance(draft, Draft) else None
     questions = [
-        vars(question) | {"units": UNITS.get(question.quantity, ())} for question in draft.questions
+        vars(question) | {"units": UNIT_CHOICES.get(question.quantity, ())}
+        for question in draft.questions
     ]
     return {
         "test": found_test,
-        "statements": [*seen, *draft.statements],
+        "statements": [*statements, *draft.statements],
         "questions": questions,
         "problems": list(draft.problems),
         "file": draft.contents.path.name,
@@ -97,24 +103,24 @@ def draft_overview(
             *(_number_column(column, guess) for column in draft.contents.columns),
         ],
         "directions": draft.directions if isinstance(draft, TumbleDraft) else [],
-        "remembered": remembered_site(desk),
+        "remembered": newest_site(app),
     }
 
 
 def _text_column(contents: FileContents, name: str) -> dict[str, Any]:
     """Return the first cells of a column without numbers, and why it is unused."""
     cells = contents.words.get(name) or contents.first_words.get(name, ())
-    words = list(dict.fromkeys(cell[:_SHOWN_CHARACTERS] for cell in cells if cell))
+    words = list(dict.fromkeys(cell[:_MAX_CELL_LENGTH] for cell in cells if cell))
     reason = "Empty in every row."
     if words:
-        more = " ..." if len(words) > _SHOWN_WORDS else ""
-        reason = f"Text, not numbers: {', '.join(words[:_SHOWN_WORDS])}{more}"
-    spoilt = next((why for why in contents.spoilt if f"'{name}'" in why), None)
+        ellipsis = " ..." if len(words) > _MAX_CELLS else ""
+        reason = f"Text, not numbers: {', '.join(words[:_MAX_CELLS])}{ellipsis}"
+    spoilt_reason = next((text for text in contents.spoilt if f"'{name}'" in text), None)
     return {
         "name": name,
         "first": list(cells[:_PREVIEW_ROWS]),
         "curve": None,
-        "reason": reason if spoilt is None else spoilt,
+        "reason": reason if spoilt_reason is None else spoilt_reason,
     }
 
 
@@ -123,18 +129,18 @@ def _number_column(column: FileColumn, guess: FileGuess | None) -> dict[str, Any
     return {
         "name": column.name,
         "first": ["" if np.isnan(v) else f"{v:.9g}" for v in column.values[:_PREVIEW_ROWS]],
-        "curve": vars(curve_of(column, guess)),
-        "role": "temperature" if (column.name,) == _thermometer(guess) else "",
-        "reason": _reason(column, guess),
+        "curve": vars(detrended_curve(column, guess)),
+        "role": "temperature" if (column.name,) == _temperature_column(guess) else "",
+        "reason": _unused_reason(column, guess),
     }
 
 
-def _thermometer(guess: FileGuess | None) -> tuple[str, ...]:
+def _temperature_column(guess: FileGuess | None) -> tuple[str, ...]:
     """Return the name of the temperature's column; empty without one."""
     return guess.temperature[:1] if guess and guess.temperature else ()
 
 
-def _reason(column: FileColumn, guess: FileGuess | None) -> str:
+def _unused_reason(column: FileColumn, guess: FileGuess | None) -> str:
     """Return why a column of numbers is unused, if it is."""
     values = column.values[np.isfinite(column.values)]
     if column.stamps:
@@ -160,7 +166,7 @@ class Curve:
     unit: str  #: Of the range; empty where it is unknown.
 
 
-def curve_of(column: FileColumn, guess: FileGuess | None) -> Curve:
+def detrended_curve(column: FileColumn, guess: FileGuess | None) -> Curve:
     """Return the curve of a column with the trend of its role subtracted.
 
     guess: The roles of a record's columns; None for a table of readings.
@@ -169,27 +175,32 @@ def curve_of(column: FileColumn, guess: FileGuess | None) -> Curve:
     if guess is not None:
         signal = next((s for s in guess.signals if s.column == column.name), None)
         if guess.time is not None and guess.time.column == column.name:
-            values, words = _steps(values), "step from row to row"
+            values, words = _regular_steps(values), "step from row to row"
             unit = "s" if guess.time.unit == "iso" else guess.time.unit or ""
         elif guess.angle is not None and guess.angle.column == column.name:
             if guess.angle.pulses:
-                values, words = _steps(values), "step from pulse to pulse"
+                values, words = _regular_steps(values), "step from pulse to pulse"
             else:
-                values, words = _detrended(_unwrapped(values), 1), "minus a straight line"
+                values, words = _detrend(_unwrap(values), 1), "minus a straight line"
             unit = guess.angle.unit or ""
         elif signal is not None:
             degree = {"displacement": 2, "velocity": 1}.get(signal.observable or "", 0)
-            rows = _rows_of_turns(column, guess)
+            rows = _row_count(column, guess)
             trend = ("mean", "straight line", "parabola")[degree]
-            part = "" if rows >= len(values) else f", first {_SHOWN_TURNS:g} revolutions"
-            turns = _SHOWN_TURNS if rows < len(values) else 0.0
-            values, words = _detrended(values[:rows], degree, turns), f"minus its {trend}{part}"
+            shown_part = (
+                "" if rows >= len(values) else f", first {_CURVE_REVOLUTIONS:g} revolutions"
+            )
+            revolutions = _CURVE_REVOLUTIONS if rows < len(values) else 0.0
+            values, words = (
+                _detrend(values[:rows], degree, revolutions),
+                f"minus its {trend}{shown_part}",
+            )
             unit = signal.unit or ""
-    extent, size = _extremes(values)
+    extent, size = _min_and_max(values)
     return Curve(extent, words, size, unit)
 
 
-def _rows_of_turns(column: FileColumn, guess: FileGuess) -> int:
+def _row_count(column: FileColumn, guess: FileGuess) -> int:
     """Return the number of rows in which the centrifuge turns a few times; all if unknown."""
     rows, step = len(column.values), 1.0 / (guess.sampling or 1.0)
     if guess.time is not None:
@@ -200,74 +211,79 @@ def _rows_of_turns(column: FileColumn, guess: FileGuess) -> int:
         step = guess.time.factor * median(steps[steps > 0.0])
     if not guess.rate:
         return rows
-    return int(min(rows, max(16.0, _SHOWN_TURNS * 2.0 * np.pi / (guess.rate * step))))
+    return int(min(rows, max(16.0, _CURVE_REVOLUTIONS * 2.0 * np.pi / (guess.rate * step))))
 
 
-def _unwrapped(values: Array) -> Array:
+def _unwrap(values: Array) -> Array:
     """Return an angle without its jumps at the end of a revolution."""
     steps = np.diff(values)
-    known = steps[np.isfinite(steps)]
-    usual = median(known) if known.size else 0.0
-    jumps = np.where(np.abs(steps - usual) > 10.0 * abs(usual), steps - usual, 0.0)
+    finite_steps = steps[np.isfinite(steps)]
+    typical_step = median(finite_steps) if finite_steps.size else 0.0
+    jumps = np.where(
+        np.abs(steps - typical_step) > 10.0 * abs(typical_step), steps - typical_step, 0.0
+    )
     return np.asarray(values - np.concatenate([[0.0], np.nancumsum(jumps)]), dtype=float)
 
 
-def _steps(values: Array) -> Array:
+def _regular_steps(values: Array) -> Array:
     """Return the steps of a column from row to row, without the rounding of its numbers."""
     steps = np.diff(values)
-    usual = float(np.nanmedian(steps))
+    typical_step = float(np.nanmedian(steps))
     return np.asarray(
-        np.where(np.abs(steps - usual) <= _ROUNDING * abs(usual), usual, steps), float
+        np.where(
+            np.abs(steps - typical_step) <= _ROUNDING * abs(typical_step), typical_step, steps
+        ),
+        float,
     )
 
 
-def _detrended(values: Array, degree: int, turns: float = 0.0) -> Array:
+def _detrend(values: Array, degree: int, revolutions: float = 0.0) -> Array:
     """Return values minus a polynomial that is fitted to them; unchanged with too few values.
 
     turns: Revolutions of a wave that is fitted with the polynomial, and stays; 0 without a wave.
     """
-    known = np.isfinite(values)
+    is_finite = np.isfinite(values)
     design = np.vander(np.linspace(-1.0, 1.0, len(values)), degree + 1)
-    phase = np.linspace(0.0, 2.0 * np.pi * turns, len(values))
+    phase = np.linspace(0.0, 2.0 * np.pi * revolutions, len(values))
     waves = np.stack([np.cos(phase), np.sin(phase)], axis=1)
-    both = np.hstack([design, waves]) if turns else design
-    if known.sum() <= both.shape[1]:
+    columns = np.hstack([design, waves]) if revolutions else design
+    if is_finite.sum() <= columns.shape[1]:
         return values
-    fitted = np.linalg.lstsq(both[known], values[known], rcond=None)[0]
-    return np.asarray(values - design @ fitted[: degree + 1], dtype=float)
+    coefficients = np.linalg.lstsq(columns[is_finite], values[is_finite], rcond=None)[0]
+    return np.asarray(values - design @ coefficients[: degree + 1], dtype=float)
 
 
-def _extremes(values: Array) -> tuple[list[tuple[float, float] | None], float]:
+def _min_and_max(values: Array) -> tuple[list[tuple[float, float] | None], float]:
     """Return the least and greatest value of each part of a curve, and half of its range."""
     parts = np.array_split(values, max(1, min(_PREVIEW_PARTS, len(values))))
-    known = [part[np.isfinite(part)] for part in parts]
+    finite_parts = [part[np.isfinite(part)] for part in parts]
     finite = values[np.isfinite(values)]
-    half = float(finite.max() - finite.min()) / 2.0 if finite.size else 0.0
-    return [(float(p.min()), float(p.max())) if p.size else None for p in known], half
+    half_range = float(finite.max() - finite.min()) / 2.0 if finite.size else 0.0
+    return [(float(p.min()), float(p.max())) if p.size else None for p in finite_parts], half_range
 
 
-def remembered_site(desk: Desk) -> dict[str, dict[str, str]]:
+def newest_site(app: AppState) -> dict[str, dict[str, str]]:
     """Return gravity, latitude and radius of the newest measured campaign that states them.
 
     A simulated campaign, which has true values, is skipped.
     """
     remembered: dict[str, dict[str, str]] = {}
-    for name, document in _newest_descriptions(desk):
-        for key, (section, entry) in _SITE.items():
+    for name, document in _newest_descriptions(app):
+        for key, (section, entry) in _SITE_ENTRIES.items():
             value = table_of(document, section).get(entry)
             if key not in remembered and isinstance(value, str):
                 remembered[key] = {"answer": value, "campaign": name}
-        if len(remembered) == len(_SITE):
+        if len(remembered) == len(_SITE_ENTRIES):
             break
     return remembered
 
 
-def _newest_descriptions(desk: Desk) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def _newest_descriptions(app: AppState) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Yield folder and document of each measured campaign, the newest first."""
     paths = [
         folder / DESCRIPTION_NAME
-        for folder, files in desk.folder.folders()
-        if DESCRIPTION_NAME in files and desk.folder.holds(folder / DESCRIPTION_NAME)
+        for folder, files in app.folder.folders()
+        if DESCRIPTION_NAME in files and app.folder.contains(folder / DESCRIPTION_NAME)
     ]
     for path in sorted(paths, key=lambda path: -path.stat().st_mtime):
         try:
@@ -275,22 +291,22 @@ def _newest_descriptions(desk: Desk) -> Iterator[tuple[str, Mapping[str, Any]]]:
         except CounterspinError:
             continue
         if "truth" not in document:
-            yield desk.folder.name(path.parent) or desk.folder.root.name, document
+            yield app.folder.name(path.parent) or app.folder.root.name, document
 
 
-def begin_drafted(
-    desk: Desk,
+def write_draft(
+    app: AppState,
     folder: str,
     names: list[str],
     answers: dict[str, str] | None = None,
     test: Test | None = None,
 ) -> dict[str, Any]:
     """Write the campaign from files and answers; return its name and the command."""
-    place = desk.place(folder)
-    draft, found_test, _ = _draft(desk, names, answers, test)
+    target = app.target_path(folder)
+    draft, found_test, _ = _make_draft(app, names, answers, test)
     if isinstance(draft, UndecidedDraft) or found_test is None:
         raise CampaignError("init", [f"test: {draft.questions[0].text}"])
-    write_description(draft, place)
-    files = [desk.file(name) for name in names]
-    command = export_command(place, files, dict(draft.answers), found_test)
-    return {"name": desk.folder.name(place), "command": command}
+    write_description(draft, target)
+    files = [app.file(name) for name in names]
+    command = import_command(target, files, dict(draft.answers), found_test)
+    return {"name": app.folder.name(target), "command": command}

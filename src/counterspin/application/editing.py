@@ -20,9 +20,9 @@ from tomlkit.container import Container
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import AoT, Comment, Table
 
-from counterspin.application.desk import Desk
-from counterspin.application.folder import TEXT_BYTES, OutsideError
+from counterspin.application.app_state import AppState
 from counterspin.application.form import campaign_form, plan_form, run_kinds
+from counterspin.application.served_folder import TEXT_MAX_BYTES, PathForbiddenError
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, parse_document
@@ -45,7 +45,7 @@ from counterspin.toml_text import parse_toml
 KeyPath = Sequence[str | int]
 
 #: Sections that hold tables with headings of their own; tables within others are written in line.
-_OF_TABLES: Final = ("accelerometers", "truth", "model", "specification", "study")
+_TABLE_SECTIONS: Final = ("accelerometers", "truth", "model", "specification", "study")
 
 
 @frozen
@@ -59,7 +59,7 @@ class EditedText:
     questions: tuple[str, ...] = ()  #: What may well be a slip.
     missing: tuple[MissingEntry, ...] = ()  #: What a certificate lacks, by key.
 
-    def shown(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the state for the page."""
         return {
             "text": self.text,
@@ -71,61 +71,61 @@ class EditedText:
         }
 
 
-def checked_campaign(desk: Desk, file: Path, text: str) -> EditedText:
+def parse_campaign_text(app: AppState, file: Path, text: str) -> EditedText:
     """Return a campaign's text with all its mistakes."""
     try:
         document = parse_text(text)
-        desk.require_inside(file.parent, document)
+        app.require_inside(file.parent, document)
     except CampaignError as error:
-        return EditedText(text, {}, _split(error.problems))
+        return EditedText(text, {}, _split_problems(error.problems))
     problems = Problems(document)
     campaign = resolve_campaign(document, file, problems)
-    asked = () if campaign is None else tuple(q.text for q in questions(campaign))
+    question_texts = () if campaign is None else tuple(q.text for q in questions(campaign))
     if "study" in document and not problems.lines:
         try:
             parse_study(document, file)
         except CampaignError as error:
-            return EditedText(text, document, _split(error.problems), asked)
-    return EditedText(text, document, _split(problems.lines), asked)
+            return EditedText(text, document, _split_problems(error.problems), question_texts)
+    return EditedText(text, document, _split_problems(problems.lines), question_texts)
 
 
-def checked_lab(text: str, result: Result) -> EditedText:
+def parse_lab_text(text: str, result: Result) -> EditedText:
     """Return the laboratory's data with all mistakes, for the certificate of a result."""
     try:
         document = parse_text(text)
     except CampaignError as error:
-        return EditedText(text, {}, _split(error.problems))
+        return EditedText(text, {}, _split_problems(error.problems))
     try:
         lab, _ = read_lab(document, result)
     except CampaignError as error:
-        problems = _split(error.problems)
-        mistaken = {section_of(key) for key, _ in problems}
-        missing = missing_despite_mistakes(document, mistaken, result)
+        problems = _split_problems(error.problems)
+        invalid_sections = {section_of(key) for key, _ in problems}
+        missing = missing_despite_mistakes(document, invalid_sections, result)
         return EditedText(text, document, problems, missing=tuple(missing))
     return EditedText(text, document, missing=tuple(missing_data(lab, result)))
 
 
-def checked_plan(desk: Desk, file: Path, text: str) -> EditedText:
+def parse_plan_text(app: AppState, file: Path, text: str) -> EditedText:
     """Return a plan's text with all its mistakes."""
     document: dict[str, Any] = {}
     try:
         document = parse_text(text)
-        desk.require_inside(file.parent, document)
+        app.require_inside(file.parent, document)
         read_any_plan(document, file)
     except CampaignError as error:
-        return EditedText(text, document, _split(error.problems))
+        return EditedText(text, document, _split_problems(error.problems))
     return EditedText(text, document)
 
 
 def parse_text(text: str, source: str = "the text") -> dict[str, Any]:
     """Return the document of an edited text; CampaignError if it is not TOML or too long."""
     content = text.encode("utf-8", "replace")
-    if len(content) > TEXT_BYTES:
-        raise CampaignError(source, [f"has more than {TEXT_BYTES} bytes"])
+    if len(content) > TEXT_MAX_BYTES:
+        raise CampaignError(source, [f"has more than {TEXT_MAX_BYTES} bytes"])
     return parse_document(content, source)
 
 
-def _split(problems: Sequence[str]) -> tuple[tuple[str, str], ...]:
+def _split_problems(problems: Sequence[str]) -> tuple[tuple[str, str], ...]:
     """Return a mistake's key and words; a mistake of the whole document has no key."""
     split = []
     for problem in problems:
@@ -135,7 +135,7 @@ def _split(problems: Sequence[str]) -> tuple[tuple[str, str], ...]:
     return tuple(split)
 
 
-def with_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
+def set_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
     """Return a text with another value at a key; the rest stays as it is written.
 
     value: The new value; None removes the key, or the list's entry.
@@ -147,60 +147,62 @@ def with_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
             value = datetime.date.fromisoformat(value)
         except (TypeError, ValueError) as error:
             raise CounterspinError(f"{value!r} is not a date: write 2026-03-01") from error
-    said = parse_text(text)
+    parsed = parse_text(text)
     try:
-        wanted = _with(said, path, value)
+        expected = _expected_document(parsed, path, value)
         document = tomlkit.parse(text)
-        _set(document, path, value)
-        made = tomlkit.dumps(document)
-        same = parse_toml(made) == wanted
+        _set_formatted(document, path, value)
+        changed_text = tomlkit.dumps(document)
+        is_expected = parse_toml(changed_text) == expected
     except (TOMLKitError, LookupError, TypeError, ValueError, AttributeError) as error:
-        raise CounterspinError(_NOT_HERE) from error
-    if not same:
-        raise CounterspinError(_NOT_HERE)
-    return made
+        raise CounterspinError(_CANNOT_CHANGE) from error
+    if not is_expected:
+        raise CounterspinError(_CANNOT_CHANGE)
+    return changed_text
 
 
-_NOT_HERE: Final = "This field cannot change the file as it is written; edit the text instead."
+_CANNOT_CHANGE: Final = "This field cannot change the file as it is written; edit the text instead."
 
 
-def _with(document: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]:
+def _expected_document(document: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]:
     """Return the document that the changed text must parse to."""
-    wanted = copy.deepcopy(document)
-    place: Any = wanted
-    for part, following in pairwise(path):
-        place = _inside(place, part, {} if isinstance(following, str) else [])
-    _put(place, path[-1], value)
-    return wanted
+    changed = copy.deepcopy(document)
+    table: Any = changed
+    for key, next_key in pairwise(path):
+        table = _get_or_create(table, key, {} if isinstance(next_key, str) else [])
+    _put_value(table, path[-1], value)
+    return changed
 
 
-def _set(document: tomlkit.TOMLDocument, path: KeyPath, value: Any) -> None:
+def _set_formatted(document: tomlkit.TOMLDocument, path: KeyPath, value: Any) -> None:
     """Change a document and keep its formatting."""
-    place: Any = document
-    new: list[tuple[Any, str]] = []
-    for depth, (part, following) in enumerate(pairwise(path)):
-        headed = depth == 0 or (depth == 1 and path[0] in _OF_TABLES)
-        empty: Any = tomlkit.aot()
-        if isinstance(following, str):
-            empty = tomlkit.table(depth == 0 and part in _OF_TABLES) if headed else None
-            empty = tomlkit.inline_table() if empty is None else empty
-        if isinstance(part, str) and part not in place:
-            new.append((place, part))
-        place = _inside(place, part, empty)
-    last = path[-1]
-    if isinstance(value, dict) and _is_headed(place, path):
+    container: Any = document
+    added: list[tuple[Any, str]] = []
+    for depth, (key, next_key) in enumerate(pairwise(path)):
+        has_heading = depth == 0 or (depth == 1 and path[0] in _TABLE_SECTIONS)
+        new_value: Any = tomlkit.aot()
+        if isinstance(next_key, str):
+            new_value = (
+                tomlkit.table(depth == 0 and key in _TABLE_SECTIONS) if has_heading else None
+            )
+            new_value = tomlkit.inline_table() if new_value is None else new_value
+        if isinstance(key, str) and key not in container:
+            added.append((container, key))
+        container = _get_or_create(container, key, new_value)
+    last_key = path[-1]
+    if isinstance(value, dict) and _has_heading(container, path):
         table = tomlkit.table()
         table.update(value)
         table.add(tomlkit.nl())
         value = table
-    if isinstance(last, str) and value is not None and last not in place:
-        new.append((place, last))
-    _put(place, last, value)
-    for table, key in new:
-        _move_up(table, key)
+    if isinstance(last_key, str) and value is not None and last_key not in container:
+        added.append((container, last_key))
+    _put_value(container, last_key, value)
+    for table, key in added:
+        _move_above_comments(table, key)
 
 
-def _move_up(table: Any, new: str) -> None:
+def _move_above_comments(table: Any, key: str) -> None:
     """Move a key from a table's end above the comments that belong to the next table.
 
     Comments directly below the table's last key belong to the table. Those after a blank line, or
@@ -211,80 +213,83 @@ def _move_up(table: Any, new: str) -> None:
         return
     # The table's index of its keys is not kept up: only the text is made of it now.
     body = (table.value if isinstance(table, Table) else table).body
-    here = [None if key is None else key.key for key, _ in body].index(new)
-    if isinstance(body[here][1], Table | AoT):
+    keys = [None if item is None else item.key for item, _ in body]
+    index = keys.index(key)
+    if isinstance(body[index][1], Table | AoT):
         return
-    above = here
-    while above and body[above - 1][0] is None:
-        above -= 1
-    while isinstance(said := body[above][1], Comment) and not _HEADING.match(said.trivia.comment):
-        above += 1
-    body.insert(above, body.pop(here))
+    target = index
+    while target and body[target - 1][0] is None:
+        target -= 1
+    while isinstance(element := body[target][1], Comment) and not _HEADING.match(
+        element.trivia.comment
+    ):
+        target += 1
+    body.insert(target, body.pop(index))
 
 
 _HEADING: Final = re.compile(r"#\s*\[")
 
 
-def _is_headed(place: Any, path: KeyPath) -> bool:
+def _has_heading(container: Any, path: KeyPath) -> bool:
     """Return whether a table at this place gets its own heading."""
     if isinstance(path[-1], int):
-        return isinstance(place, AoT)
-    return len(path) <= (2 if path[0] in _OF_TABLES else 1)
+        return isinstance(container, AoT)
+    return len(path) <= (2 if path[0] in _TABLE_SECTIONS else 1)
 
 
-def _inside(place: Any, part: str | int, empty: Any) -> Any:
+def _get_or_create(container: Any, key: str | int, new_value: Any) -> Any:
     """Return the value at a key or place; create an empty one if there is none."""
-    if isinstance(part, int):
-        if part == len(place):
-            place.append(empty)
-    elif part not in place:
-        place[part] = empty
-    return place[part]
+    if isinstance(key, int):
+        if key == len(container):
+            container.append(new_value)
+    elif key not in container:
+        container[key] = new_value
+    return container[key]
 
 
-def _put(place: Any, last: str | int, value: Any) -> None:
+def _put_value(container: Any, key: str | int, value: Any) -> None:
     if value is None:
-        if isinstance(last, int) or last in place:
-            del place[last]
-    elif isinstance(last, int) and last == len(place):
-        place.append(value)
+        if isinstance(key, int) or key in container:
+            del container[key]
+    elif isinstance(key, int) and key == len(container):
+        container.append(value)
     else:
-        place[last] = value
+        container[key] = value
 
 
-def description(desk: Desk, name: str) -> dict[str, Any]:
+def campaign_text(app: AppState, name: str) -> dict[str, Any]:
     """Return a campaign's description: text, version, form, values and mistakes."""
-    path = desk.description(name)
-    seen = desk.folder.read(desk.folder.name(path))
-    told = checked_campaign(desk, path, seen.text).shown()
-    return told | {
-        "file": desk.folder.name(path),
-        "version": seen.version,
+    path = app.description(name)
+    edited = app.folder.read(app.folder.name(path))
+    content = parse_campaign_text(app, path, edited.text).to_dict()
+    return content | {
+        "file": app.folder.name(path),
+        "version": edited.version,
         "form": campaign_form(),
     }
 
 
-def plan_text(desk: Desk, name: str) -> dict[str, Any]:
+def plan_text(app: AppState, name: str) -> dict[str, Any]:
     """Return a plan's text, version, form, values and mistakes; name: its file."""
-    path = desk.file(name)
+    path = app.file(name)
     document = load_document(path)
     if not is_plan(document):
-        raise OutsideError(f"{name}: not a plan: it has no [limits] and [goal]")
-    seen = desk.folder.read(name)
-    return checked_plan(desk, path, seen.text).shown() | {
+        raise PathForbiddenError(f"{name}: not a plan: it has no [limits] and [goal]")
+    edited = app.folder.read(name)
+    return parse_plan_text(app, path, edited.text).to_dict() | {
         "file": name,
-        "version": seen.version,
+        "version": edited.version,
         "form": plan_form("stations" in document),
     }
 
 
-def check_text(desk: Desk, file: str, text: str, result: str | None = None) -> dict[str, Any]:
+def check_text(app: AppState, file: str, text: str, result: str | None = None) -> dict[str, Any]:
     """Return the values and mistakes of a text that would replace a file's."""
-    return _checked(desk, file, text, result).shown()
+    return _parse_text_of(app, file, text, result).to_dict()
 
 
 def change_text(
-    desk: Desk,
+    app: AppState,
     file: str,
     text: str,
     path: list[str | int],
@@ -293,35 +298,38 @@ def change_text(
     result: str | None = None,
 ) -> dict[str, Any]:
     """Return a text with another value at a key, as `check_text` does."""
-    return _checked(desk, file, with_value(text, path, value, kind), result).shown()
+    return _parse_text_of(app, file, set_value(text, path, value, kind), result).to_dict()
 
 
-def _checked(desk: Desk, file: str, text: str, result: str | None) -> EditedText:
-    path = _place(desk, file)
+def _parse_text_of(app: AppState, file: str, text: str, result: str | None) -> EditedText:
+    path = _text_path(app, file)
     if path.name == DESCRIPTION_NAME:
-        return checked_campaign(desk, path, text)
+        return parse_campaign_text(app, path, text)
     if result is not None:
-        return checked_lab(text, desk.result(result))
+        return parse_lab_text(text, app.result(result))
     if not (path.is_file() and is_plan(load_document(path))):
-        raise OutsideError(
+        raise PathForbiddenError(
             f"{file}: only descriptions, plans and the laboratory's data are edited here"
         )
-    return checked_plan(desk, path, text)
+    return parse_plan_text(app, path, text)
 
 
 def save_text(
-    desk: Desk, file: str, text: str, version: str, result: str | None = None
+    app: AppState, file: str, text: str, version: str, result: str | None = None
 ) -> dict[str, Any]:
     """Write a text, even with mistakes, if the file has not changed since its editor read it."""
-    path, told = _place(desk, file), _checked(desk, file, text, result)
-    if result is None and path.name != DESCRIPTION_NAME and not is_plan(told.document):
+    path, content = _text_path(app, file), _parse_text_of(app, file, text, result)
+    if result is None and path.name != DESCRIPTION_NAME and not is_plan(content.document):
         raise CounterspinError(f"{file}: a plan has [limits] and [goal]; nothing was saved")
-    return told.shown() | {"file": file, "version": desk.folder.write(file, text, version).version}
+    return content.to_dict() | {
+        "file": file,
+        "version": app.folder.write(file, text, version).version,
+    }
 
 
-def _place(desk: Desk, file: str) -> Path:
+def _text_path(app: AppState, file: str) -> Path:
     """Return the path of a text; OutsideError unless it is a TOML file."""
-    path = desk.folder.path(file)
+    path = app.folder.path(file)
     if path.suffix.lower() != ".toml":
-        raise OutsideError(f"{file}: only files in TOML are edited here")
+        raise PathForbiddenError(f"{file}: only files in TOML are edited here")
     return path

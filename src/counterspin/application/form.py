@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, BaseModel, PlainValidator
 from pydantic.fields import FieldInfo
 
-from counterspin.application.pages import address, page_explaining
+from counterspin.application.pages import page_address, page_explaining
 from counterspin.campaign.field_types import (
     OUTPUTS,
     STAMPS,
@@ -37,7 +37,7 @@ from counterspin.schemas import SECTIONS, unlinked
 from counterspin.units import advice, check_unit
 
 #: Sections that hold a table for each name, and those that are a list of tables.
-_REPEATED: Final = {
+_REPEATED_SECTIONS: Final = {
     "accelerometers": "names",
     "runs": "list",
     "persons": "list",
@@ -47,7 +47,7 @@ _REPEATED: Final = {
 }
 
 #: Check of a unit's name -> units of the dimensions that it lets pass.
-_UNITS_WANTED: Final[Mapping[Any, tuple[str, ...]]] = {
+_UNIT_CHOICES: Final[Mapping[Any, tuple[str, ...]]] = {
     time_unit: ("s", STAMPS),
     angle_unit: ("rad", "count"),
     force_or_output: ("m/s^2", "g", *OUTPUTS),
@@ -55,7 +55,7 @@ _UNITS_WANTED: Final[Mapping[Any, tuple[str, ...]]] = {
 }
 
 #: Type -> how it is asked for; others as text.
-_KINDS: Final[Mapping[Any, str]] = {
+_INPUT_KINDS: Final[Mapping[Any, str]] = {
     bool: "flag",
     datetime.date: "date",
     dict: "table",
@@ -77,15 +77,15 @@ def campaign_form() -> tuple[Field, ...]:
     for key, model in SECTIONS.items():
         section = _section(key, model, "campaign")
         if key == "runs":
-            section["fields"] = _fields(model, "campaign", READINGS)
-            section["of_readings"] = _fields(model, "campaign", RECORDS)
+            section["fields"] = _table_fields(model, "campaign", READINGS)
+            section["of_readings"] = _table_fields(model, "campaign", RECORDS)
         if key == "specification":
-            section["of_names"] = _limits()
+            section["of_names"] = _tolerance_fields()
             section["fields"] = section["of_names"] + section["fields"]
         if key == "truth":
-            section["fields"] = _fields(AccelerometerTruthSettings, "campaign")
+            section["fields"] = _table_fields(AccelerometerTruthSettings, "campaign")
             section["of_tables"] = {
-                name: _fields(model, "campaign") for name, model in TRUE_TABLES.items()
+                name: _table_fields(model, "campaign") for name, model in TRUE_TABLES.items()
             }
         sections.append(section)
     return tuple(sections)
@@ -118,25 +118,25 @@ def lab_form() -> tuple[Field, ...]:
 @cache
 def plan_form(of_readings: bool) -> tuple[Field, ...]:
     """Return the sections of a plan: those of a campaign, and those of plans only."""
-    known = {section["key"]: section for section in campaign_form()}
+    campaign_sections = {section["key"]: section for section in campaign_form()}
     document = ReadingPlanDocument if of_readings else PlanDocument
     sections = []
-    for key, written in nested_models(document).items():
-        model = model_inside(written)
+    for key, annotation in nested_models(document).items():
+        model = model_inside(annotation)
         if model is not None:
-            sections.append(known.get(key) or _section(key, model, "plan"))
+            sections.append(campaign_sections.get(key) or _section(key, model, "plan"))
     # What makes it a plan comes first.
-    return tuple(sorted(sections, key=lambda section: section["key"] in known))
+    return tuple(sorted(sections, key=lambda section: section["key"] in campaign_sections))
 
 
 def run_kinds(document: Mapping[str, Any]) -> list[str]:
     """Return the kind of each run of a document, ``record`` or ``reading``."""
     runs = document.get("runs")
-    some = runs if isinstance(runs, list) else []
-    return ["reading" if is_reading(run) else "record" for run in some]
+    entries = runs if isinstance(runs, list) else []
+    return ["reading" if is_reading(run) else "record" for run in entries]
 
 
-def _limits() -> list[Field]:
+def _tolerance_fields() -> list[Field]:
     """Return the fields of tolerance limits, one for each term of an accelerometer."""
     return [_text_field(symbol, f"abs <= … {row.unit}") for symbol, row in TERMS.items()]
 
@@ -145,7 +145,7 @@ def _text_field(key: str, example: str) -> Field:
     """Return an optional field of text without help."""
     return {
         "key": key,
-        "label": _label(key),
+        "label": _key_label(key),
         "help": "",
         "links": [],
         "required": False,
@@ -156,74 +156,77 @@ def _text_field(key: str, example: str) -> Field:
 
 def _section(key: str, model: type[BaseModel], page: str) -> Field:
     """Return a section; page: of the documentation, if the class has no table in it."""
-    words = (model.__doc__ or "").partition("\n")[0]
+    docstring = (model.__doc__ or "").partition("\n")[0]
     # "[site]: gravity and latitude of the centrifuge."
-    said = words.partition("]: ")[2]
+    description = docstring.partition("]: ")[2]
     return {
         "key": key,
-        "words": (said[:1].upper() + said[1:]).replace("`", ""),
+        "words": (description[:1].upper() + description[1:]).replace("`", ""),
         "explained": page_explaining(model) or page,
-        "repeat": _REPEATED.get(key),
-        "fields": _fields(model, page),
+        "repeat": _REPEATED_SECTIONS.get(key),
+        "fields": _table_fields(model, page),
     }
 
 
-def _fields(model: type[BaseModel], page: str, left_out: str = "") -> list[Field]:
+def _table_fields(model: type[BaseModel], page: str, excluded: str = "") -> list[Field]:
     """Return the fields of a table, without those of some tables only; page: as of `_section`."""
     page = (page_explaining(model) or page).partition("#")[0]
     return [
-        _field(field.alias or name, field, page)
+        _form_field(field.alias or name, field, page)
         for name, field in model.model_fields.items()
-        if not left_out or extra_of(field).get("x-of") != left_out
+        if not excluded or extra_of(field).get("x-of") != excluded
     ]
 
 
-def _field(key: str, field: FieldInfo, page: str) -> Field:
-    base, metadata = _unwrapped(field.annotation, field.metadata)
+def _form_field(key: str, field: FieldInfo, page: str) -> Field:
+    base, metadata = _unwrap_annotation(field.annotation, field.metadata)
     extra = extra_of(field)
-    absent = extra.get("x-absent")
+    if_absent = extra.get("x-absent")
     meaning = (
         "" if key in ACCELEROMETER_TERMS else (field.description or "").removesuffix("; see below")
     )
-    said = "; ".join(filter(None, [meaning, f"if left out: {absent}" if absent else ""]))
-    asked = {
+    help_text = "; ".join(filter(None, [meaning, f"if left out: {if_absent}" if if_absent else ""]))
+    result = {
         "key": key,
-        "label": extra.get("x-label") or _label(key),
-        "help": unlinked(said).replace("`", ""),
-        "links": _links(said, page),
+        "label": extra.get("x-label") or _key_label(key),
+        "help": unlinked(help_text).replace("`", ""),
+        "links": _links(help_text, page),
         "required": field.is_required(),
-        **_kind(base, metadata, page),
+        **_input_kind(base, metadata, page),
     }
-    words = extra.get("x-kind", "")
-    if words.startswith("date"):
-        asked["kind"] = "date"
-    elif words in ("country", "language"):
-        asked |= {"kind": words, "names": dict(codes_in_force(words))}
-    elif words.startswith("list of terms"):
-        asked |= {"kind": "terms", "rows": _term_rows()}
+    kind_text = extra.get("x-kind", "")
+    if kind_text.startswith("date"):
+        result["kind"] = "date"
+    elif kind_text in ("country", "language"):
+        result |= {"kind": kind_text, "names": dict(codes_in_force(kind_text))}
+    elif kind_text.startswith("list of terms"):
+        result |= {"kind": "terms", "rows": _term_rows()}
     (example,) = field.examples or [None]
     if isinstance(example, str | int | float) and not isinstance(example, bool):
-        asked["example"] = str(example)
-        usual = re.fullmatch(r"\S+(?: ± \S+)? (.+)", asked["example"])
-        if asked["kind"] == "quantity" and usual is not None:
-            asked["units"] = list(dict.fromkeys([usual[1], *asked["units"]]))
-    return asked
+        result["example"] = str(example)
+        example_unit = re.fullmatch(r"\S+(?: ± \S+)? (.+)", result["example"])
+        if result["kind"] == "quantity" and example_unit is not None:
+            result["units"] = list(dict.fromkeys([example_unit[1], *result["units"]]))
+    return result
 
 
-def _links(said: str, page: str) -> list[tuple[str, str]]:
+def _links(help_text: str, page: str) -> list[tuple[str, str]]:
     """Return the words of a help in order, and the page of its link."""
-    found = ((words.replace("`", ""), address(to, page)) for words, to in _LINK.findall(said))
-    return [(words, to) for words, to in found if to is not None]
+    links = (
+        (words.replace("`", ""), page_address(target, page))
+        for words, target in _LINK.findall(help_text)
+    )
+    return [(words, target) for words, target in links if target is not None]
 
 
-def _label(key: str) -> str:
+def _key_label(key: str) -> str:
     """Return a key in words: a term's description with its symbol."""
     if key in ACCELEROMETER_TERMS:
         words = ACCELEROMETER_TERMS[key].words
         return f"{words[:1].upper()}{words[1:]} ({key})"
-    of_what = key.removeprefix("u").removeprefix("_")
-    if key in ("u", f"u_{of_what}"):
-        key = "_of_".join(filter(None, ("uncertainty", of_what)))
+    quantity = key.removeprefix("u").removeprefix("_")
+    if key in ("u", f"u_{quantity}"):
+        key = "_of_".join(filter(None, ("uncertainty", quantity)))
     return key[:1].upper() + key[1:].replace("_", " ")
 
 
@@ -231,83 +234,92 @@ def _label(key: str) -> str:
 def _term_rows() -> tuple[Field, ...]:
     """Return the names that a list of terms may have, with descriptions: terms and families."""
     rows = {symbol: row.words for symbol, row in ACCELEROMETER_TERMS.items()}
-    for family, of_family in BARE_NAMES.items():
+    for family, members in BARE_NAMES.items():
         if family.count(".") == 1:
-            rows[family] = f"{of_family[0].words}, and so on"
+            rows[family] = f"{members[0].words}, and so on"
     for symbol, row in (*SHARED_TERMS.items(), *READING_TERMS.items()):
         if symbol.count(".") == 1:
             rows.setdefault(symbol, row.words)
     return tuple({"key": s, "words": words[:1].upper() + words[1:]} for s, words in rows.items())
 
 
-def _unwrapped(annotation: Any, metadata: Sequence[Any]) -> tuple[Any, list[Any]]:
+def _unwrap_annotation(annotation: Any, metadata: Sequence[Any]) -> tuple[Any, list[Any]]:
     """Return the type inside Annotated and Optional, and the collected metadata."""
-    said = list(metadata)
+    collected = list(metadata)
     while True:
         origin = typing.get_origin(annotation)
         if origin is Annotated:
-            annotation, *more = typing.get_args(annotation)
-            said += more
+            annotation, *arguments = typing.get_args(annotation)
+            collected += arguments
         elif origin in (typing.Union, types.UnionType):
-            some = [part for part in typing.get_args(annotation) if part is not type(None)]
-            if len(some) > 1:
-                return (dict if _a_table(some) else object), said
-            annotation = some[0]
+            alternatives = [
+                alternative
+                for alternative in typing.get_args(annotation)
+                if alternative is not type(None)
+            ]
+            if len(alternatives) > 1:
+                return (dict if _includes_table(alternatives) else object), collected
+            annotation = alternatives[0]
         else:
-            return annotation, said
+            return annotation, collected
 
 
-def _a_table(some: Sequence[Any]) -> bool:
-    return any(typing.get_origin(part) is dict for part in some)
+def _includes_table(alternatives: Sequence[Any]) -> bool:
+    return any(typing.get_origin(alternative) is dict for alternative in alternatives)
 
 
-def _kind(base: Any, metadata: Sequence[Any], page: str) -> Field:
+def _input_kind(base: Any, metadata: Sequence[Any], page: str) -> Field:
     """Return the input of a value: its choices or suggestions, its unit and other properties."""
     if typing.get_origin(base) is Literal:
         return {"kind": "choice", "choices": list(typing.get_args(base))}
-    readers = [said for said in metadata if isinstance(said, PlainValidator)]
+    readers = [item for item in metadata if isinstance(item, PlainValidator)]
     if readers:
-        read, written = readers[0].func, readers[0].json_schema_input_type
-        asked: Field = {"kind": "number" if _is_number(written, base) else "text"}
-        if isinstance(read, partial):
-            units = advice(read.args[0])[1].split(", ")
-            asked = {"kind": "quantity", "unit": read.args[0], "units": units}
-        elif read in (parse_temperature, parse_temperatures):
-            asked = {"kind": "quantity", "unit": "K", "units": ["degC", "K"]}
-        elif read is parse_celsius:
-            asked = {"kind": "quantity", "unit": "degC", "units": ["degC"]}
-        named = [choice for part in _parts(written) for choice in _choices(part)]
-        return asked | ({"suggestions": named} if named else {})
+        reader, input_type = readers[0].func, readers[0].json_schema_input_type
+        result: Field = {"kind": "number" if _is_number(input_type, base) else "text"}
+        if isinstance(reader, partial):
+            units = advice(reader.args[0])[1].split(", ")
+            result = {"kind": "quantity", "unit": reader.args[0], "units": units}
+        elif reader in (parse_temperature, parse_temperatures):
+            result = {"kind": "quantity", "unit": "K", "units": ["degC", "K"]}
+        elif reader is parse_celsius:
+            result = {"kind": "quantity", "unit": "degC", "units": ["degC"]}
+        suggestions = [
+            choice for alternative in _alternatives(input_type) for choice in _choices(alternative)
+        ]
+        return result | ({"suggestions": suggestions} if suggestions else {})
     if isinstance(base, type) and issubclass(base, BaseModel):
-        return {"kind": "group", "fields": _fields(base, page)}
-    checks = [said.func for said in metadata if isinstance(said, AfterValidator)]
-    wanted = next((found for check in checks if (found := _units_wanted(check))), ())
-    if wanted:
-        named = [unit for one in wanted for unit in advice(one)[1].split(", ")]
-        return {"kind": "text", "suggestions": list(dict.fromkeys(named))}
+        return {"kind": "group", "fields": _table_fields(base, page)}
+    checks = [item.func for item in metadata if isinstance(item, AfterValidator)]
+    unit_choices = next((choices for check in checks if (choices := _accepted_units(check))), ())
+    if unit_choices:
+        suggestions = [unit for unit in unit_choices for unit in advice(unit)[1].split(", ")]
+        return {"kind": "text", "suggestions": list(dict.fromkeys(suggestions))}
     origin = typing.get_origin(base)
-    return {"kind": _KINDS.get(origin or base, "text")}
+    return {"kind": _INPUT_KINDS.get(origin or base, "text")}
 
 
-def _parts(written: Any) -> Sequence[Any]:
+def _alternatives(annotation: Any) -> Sequence[Any]:
     """Return the alternatives of a value's type, in order."""
-    return typing.get_args(written) if _is_union(written) else [written]
+    return typing.get_args(annotation) if _is_union(annotation) else [annotation]
 
 
-def _is_union(written: Any) -> bool:
-    return typing.get_origin(written) in (typing.Union, types.UnionType)
+def _is_union(annotation: Any) -> bool:
+    return typing.get_origin(annotation) in (typing.Union, types.UnionType)
 
 
-def _choices(written: Any) -> Sequence[Any]:
-    return typing.get_args(written) if typing.get_origin(written) is Literal else ()
+def _choices(annotation: Any) -> Sequence[Any]:
+    return typing.get_args(annotation) if typing.get_origin(annotation) is Literal else ()
 
 
-def _is_number(written: Any, base: Any) -> bool:
-    return any(part in (float, int) for part in _parts(base if written is Any else written))
+def _is_number(annotation: Any, base: Any) -> bool:
+    return any(
+        alternative in (float, int)
+        for alternative in _alternatives(base if annotation is Any else annotation)
+    )
 
 
-def _units_wanted(check: Any) -> tuple[str, ...]:
+def _accepted_units(check: Any) -> tuple[str, ...]:
     """Return units of the dimensions that a unit's validator accepts."""
     if isinstance(check, partial):
         return tuple(check.args)
-    return _UNITS_WANTED.get(check, ())
+    return _UNIT_CHOICES.get(check, ())

@@ -33,43 +33,47 @@ Progress = Callable[[int, int], None]
 class Worker:
     """A process with its own memory, which can be ended at any time."""
 
-    def __init__(self, work: Callable[..., None], *words: Any) -> None:
-        self._here, there = SPAWNING.Pipe()
-        self._process = SPAWNING.Process(target=work, args=(there, *words), daemon=True)
+    def __init__(self, function: Callable[..., None], *arguments: Any) -> None:
+        self._connection, connection = SPAWNING.Pipe()
+        self._process = SPAWNING.Process(
+            target=function, args=(connection, *arguments), daemon=True
+        )
         try:
             self._process.start()
         except OSError as error:  # no memory, or too many processes
-            self._here.close()
+            self._connection.close()
             raise CounterspinError(f"its process cannot be started: {error.strerror}") from error
         finally:
-            there.close()
+            connection.close()
 
     @property
     def is_alive(self) -> bool:
         """True while it is at work."""
         return self._process.is_alive()
 
-    def hear(self, seconds: float = 0.0) -> tuple[Any, ...] | None:
+    def receive(self, seconds: float = 0.0) -> tuple[Any, ...] | None:
         """Return its next report; None without a report within a time, s.
 
         The death of the process is reported as a failure.
         """
         try:
-            told: tuple[Any, ...] | None = self._here.recv() if self._here.poll(seconds) else None
+            message: tuple[Any, ...] | None = (
+                self._connection.recv() if self._connection.poll(seconds) else None
+            )
         except (EOFError, OSError):
             return "failed", "its process died; perhaps memory ran out"
-        return told
+        return message
 
-    def end(self) -> None:
+    def terminate(self) -> None:
         """End it in any state."""
         self._process.terminate()
         self._process.join(5.0)
         if self._process.is_alive():
             self._process.kill()
-        self._here.close()
+        self._connection.close()
 
 
-def report_progress(there: Connection, work: Callable[[Progress], Any]) -> None:
+def report_progress(connection: Connection, function: Callable[[Progress], Any]) -> None:
     """Run some work in its own process; report its progress and its end."""
     # Ctrl-C in the terminal is for the server, which ends its processes.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -78,20 +82,22 @@ def report_progress(there: Connection, work: Callable[[Progress], Any]) -> None:
     # A server that is gone is told nothing.
     with suppress(BrokenPipeError, ConnectionError, EOFError):
         try:
-            there.send(("done", work(lambda done, total: there.send(("progress", done, total)))))
+            connection.send(
+                ("done", function(lambda done, total: connection.send(("progress", done, total))))
+            )
         except (BrokenPipeError, ConnectionError, EOFError):
             raise
         except CounterspinError as error:
-            there.send(("failed", str(error)))
+            connection.send(("failed", str(error)))
         except Exception as error:
-            there.send(("failed", f"internal error ({type(error).__name__}: {error})"))
+            connection.send(("failed", f"internal error ({type(error).__name__}: {error})"))
 
 
 #: How many finished jobs are remembered.
 _MAX_FINISHED_JOBS: Final = 50
 
 #: Takes what a job's process has made, and may fail of it.
-Then = Callable[[Any], None]
+OnDone = Callable[[Any], None]
 
 JobState = Literal["waiting", "running", "done", "failed", "stopped"]
 
@@ -116,11 +122,11 @@ class Job:
     stop: threading.Event = field(default_factory=threading.Event, repr=False)
 
     @property
-    def aim(self) -> tuple[str, ...]:
+    def conflict_key(self) -> tuple[str, ...]:
         """The object of the job; no two jobs with the same one run at once."""
         return (self.output,) if self.output else (self.kind, self.campaign)
 
-    def shown(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the state for the page."""
         return {key: value for key, value in vars(self).items() if key != "stop"}
 
@@ -131,7 +137,7 @@ class Jobs:
     def __init__(self) -> None:
         self._jobs: dict[int, Job] = {}
         self._lock = threading.Lock()
-        self._turn = threading.Lock()
+        self._run_lock = threading.Lock()
         self._number = 0
         self._closed = False
 
@@ -142,10 +148,10 @@ class Jobs:
 
     def begin(
         self,
-        make: Callable[[int], Job],
-        work: Callable[..., None],
-        *words: Any,
-        then: Then = lambda _: None,
+        make_job: Callable[[int], Job],
+        function: Callable[..., None],
+        *arguments: Any,
+        on_done: OnDone = lambda _: None,
     ) -> Job:
         """Start a job, or return the one that is at work on the same result already.
 
@@ -155,22 +161,27 @@ class Jobs:
         with self._lock:
             if self._closed:
                 raise CounterspinError("the server is ending")
-            job = make(self._number + 1)
-            for other in self._jobs.values():
-                if other.state in ("waiting", "running") and other.aim == job.aim:
-                    return other
+            job = make_job(self._number + 1)
+            for active_job in self._jobs.values():
+                if (
+                    active_job.state in ("waiting", "running")
+                    and active_job.conflict_key == job.conflict_key
+                ):
+                    return active_job
             self._number += 1
             self._jobs[job.number] = job
-            over = [n for n, j in self._jobs.items() if j.state not in ("waiting", "running")]
-            for number in over[:-_MAX_FINISHED_JOBS]:
+            finished = [n for n, j in self._jobs.items() if j.state not in ("waiting", "running")]
+            for number in finished[:-_MAX_FINISHED_JOBS]:
                 del self._jobs[number]
-        self._start(job, work, words, then)
+        self._start_thread(job, function, arguments, on_done)
         return job
 
-    def _start(
-        self, job: Job, work: Callable[..., None], words: tuple[Any, ...], then: Then
+    def _start_thread(
+        self, job: Job, function: Callable[..., None], arguments: tuple[Any, ...], on_done: OnDone
     ) -> None:
-        threading.Thread(target=self._work, args=(job, work, words, then), daemon=True).start()
+        threading.Thread(
+            target=self._run, args=(job, function, arguments, on_done), daemon=True
+        ).start()
 
     def stop(self, number: int) -> Job:
         """End a job; CounterspinError if no job has the number."""
@@ -188,40 +199,40 @@ class Jobs:
             running = list(self._jobs.values())
         for job in running:
             job.stop.set()
-        with self._turn:
+        with self._run_lock:
             pass  # whoever was at work has ended its process
 
-    def _work(
-        self, job: Job, work: Callable[..., None], words: tuple[Any, ...], then: Then
+    def _run(
+        self, job: Job, function: Callable[..., None], arguments: tuple[Any, ...], on_done: OnDone
     ) -> None:
-        with self._turn:
+        with self._run_lock:
             if job.stop.is_set():
                 job.state = "stopped"
                 return
-            job.state, begun = "running", time.monotonic()
+            job.state, start = "running", time.monotonic()
             try:
-                worker = Worker(work, *words)
+                worker = Worker(function, *arguments)
             except CounterspinError as error:
                 job.error, job.state = str(error), "failed"
                 return
             try:
                 while not job.stop.is_set() and job.state == "running":
-                    if (told := worker.hear(0.05)) is not None:
-                        self._hear(job, told, then)
-                    job.seconds = time.monotonic() - begun
+                    if (message := worker.receive(0.05)) is not None:
+                        self._handle_message(job, message, on_done)
+                    job.seconds = time.monotonic() - start
             finally:
                 if job.stop.is_set() and job.state == "running":
                     job.state = "stopped"
-                worker.end()
+                worker.terminate()
 
     @staticmethod
-    def _hear(job: Job, told: tuple[Any, ...], then: Then) -> None:
-        match told:
+    def _handle_message(job: Job, message: tuple[Any, ...], on_done: OnDone) -> None:
+        match message:
             case ("progress", done, total):
                 job.progress = (done, total)
             case ("done", made):
                 try:
-                    then(made)
+                    on_done(made)
                 except CounterspinError as error:
                     job.error, job.state = str(error), "failed"
                 else:
@@ -230,8 +241,8 @@ class Jobs:
                 job.error, job.state = why, "failed"
 
 
-def calibrate_into(
-    there: Connection,
+def run_calibration(
+    connection: Connection,
     campaign: Path,
     output: Path,
     method: Method,
@@ -239,7 +250,7 @@ def calibrate_into(
 ) -> None:
     """Calibrate a campaign and write its result."""
 
-    def work(progress: Progress) -> None:
+    def calibrate_and_write(progress: Progress) -> None:
         from counterspin.calibration.calibrate import calibrate
         from counterspin.calibration.result import Result
         from counterspin.output import reserve
@@ -248,21 +259,21 @@ def calibrate_into(
         result = calibrate(campaign, method=method, accept_misfit=accept_misfit, progress=progress)
         result.write(output, overwrite=True)
 
-    report_progress(there, work)
+    report_progress(connection, calibrate_and_write)
 
 
 #: Seconds after which a process ends at whose words nobody looks any more.
-UNSEEN_SECONDS: Final = 15.0
+VIEW_TIMEOUT: Final = 15.0
 
 #: Most processes that are kept at once.
-_MAX_FOLLOWED: Final = 4
+_MAX_VIEWS: Final = 4
 
 
 @dataclass
 class _View:
     worker: Worker
-    asked: float = 0.0
-    told: dict[str, Any] = field(default_factory=dict)
+    requested_at: float = 0.0
+    state: dict[str, Any] = field(default_factory=dict)
 
 
 class LiveViews:
@@ -272,48 +283,48 @@ class LiveViews:
         self._views: dict[tuple[Path, str], _View] = {}
         self._lock = threading.Lock()
 
-    def look(self, campaign: Path, goal: str) -> dict[str, Any]:
+    def poll(self, campaign: Path, goal: str) -> dict[str, Any]:
         """Return the newest state of a campaign, which is followed from the first call on.
 
         goal: Such as ``K_II 1e-8 g/g^2``; empty: none.
         """
-        nothing = {"html": "", "events": [], "complete": False, "reached": None}
+        empty_state = {"html": "", "events": [], "complete": False, "reached": None}
         with self._lock:
             key = (campaign, goal)
             view = self._view(key)
-            over = False
-            while not over and (heard := view.worker.hear()) is not None:
-                match heard:
+            has_ended = False
+            while not has_ended and (message := view.worker.receive()) is not None:
+                match message:
                     case ("told", told):
-                        view.told = told
+                        view.state = told
                     case ("failed", why):
-                        view.told, over = {"error": why}, True
+                        view.state, has_ended = {"error": why}, True
                     case _:
-                        over = True
-            if over:
-                self._views.pop(key).worker.end()
-            return nothing | view.told
+                        has_ended = True
+            if has_ended:
+                self._views.pop(key).worker.terminate()
+            return empty_state | view.state
 
     def _view(self, key: tuple[Path, str]) -> _View:
         """Return the process that follows a campaign with a goal; start it if there is none."""
         view = self._views.get(key)
         if view is None:
-            if len(self._views) >= _MAX_FOLLOWED:
+            if len(self._views) >= _MAX_VIEWS:
                 raise CounterspinError("too many campaigns are followed at once")
-            view = self._views[key] = _View(Worker(follow_into, *key))
+            view = self._views[key] = _View(Worker(run_watch, *key))
             if len(self._views) == 1:
-                threading.Thread(target=self._forget, daemon=True).start()
-        view.asked = time.monotonic()
+                threading.Thread(target=self._end_unused, daemon=True).start()
+        view.requested_at = time.monotonic()
         return view
 
-    def _forget(self) -> None:
+    def _end_unused(self) -> None:
         """End the views that no page requests any longer, until none is left."""
         while True:
-            time.sleep(UNSEEN_SECONDS / 5.0)
+            time.sleep(VIEW_TIMEOUT / 5.0)
             with self._lock:
                 for key, view in list(self._views.items()):
-                    if time.monotonic() - view.asked > UNSEEN_SECONDS:
-                        self._views.pop(key).worker.end()
+                    if time.monotonic() - view.requested_at > VIEW_TIMEOUT:
+                        self._views.pop(key).worker.terminate()
                 if not self._views:
                     return
 
@@ -321,11 +332,11 @@ class LiveViews:
         """End all processes."""
         with self._lock:
             for view in self._views.values():
-                view.worker.end()
+                view.worker.terminate()
             self._views.clear()
 
 
-def reached_uncertainties(state: WatchState) -> dict[str, Any]:
+def current_uncertainties(state: WatchState) -> dict[str, Any]:
     """Return the recorded time in minutes, and the u of each coefficient by then."""
     units = {c.name: field_unit(c.unit) for c in state.coefficients}
     return {
@@ -340,7 +351,7 @@ def reached_uncertainties(state: WatchState) -> dict[str, Any]:
     }
 
 
-def follow_into(there: Connection, campaign: Path, goal: str) -> None:
+def run_watch(connection: Connection, campaign: Path, goal: str) -> None:
     """Follow a campaign's records, and report each new state."""
 
     def work(_: Progress) -> None:
@@ -349,13 +360,13 @@ def follow_into(there: Connection, campaign: Path, goal: str) -> None:
 
         for state in watch(campaign, goals=[goal] if goal else []):
             # The page keeps a list of what happened, of which the state knows the newest.
-            quiet = state.model_copy(update={"events": []})
-            blocks = list(map(typeset_block, quiet.blocks()))
-            told = {
+            quiet_blocks = state.model_copy(update={"events": []})
+            blocks = list(map(typeset_block, quiet_blocks.blocks()))
+            message = {
                 "events": state.events,
                 "complete": state.complete,
-                "reached": reached_uncertainties(state),
+                "reached": current_uncertainties(state),
             }
-            there.send(("told", {"html": html_fragment(blocks, title="Live"), **told}))
+            connection.send(("told", {"html": html_fragment(blocks, title="Live"), **message}))
 
-    report_progress(there, work)
+    report_progress(connection, work)

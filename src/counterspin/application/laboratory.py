@@ -13,8 +13,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.application.desk import Desk
-from counterspin.application.editing import checked_lab, parse_text, with_value
+from counterspin.application.app_state import AppState
+from counterspin.application.editing import parse_lab_text, parse_text, set_value
 from counterspin.application.form import lab_form
 from counterspin.calibration.result import Result
 from counterspin.campaign.documents import KeyPath, key_path, table_of
@@ -28,66 +28,72 @@ PROFILE_NAME: Final = "laboratory.toml"
 
 #: Sections of the laboratory's data, and keys of [certificate], that are the same on each
 #: certificate.
-_SECTIONS: Final = ("laboratory", "persons", "equipment", "cmc")
-_KEYS: Final = ("language", "place", "traceability", "procedure")
+_PROFILE_SECTIONS: Final = ("laboratory", "persons", "equipment", "cmc")
+_PROFILE_KEYS: Final = ("language", "place", "traceability", "procedure")
 
 
-def lab_data(desk: Desk, file: str, result: str) -> dict[str, Any]:
+def lab_data(app: AppState, file: str, result: str) -> dict[str, Any]:
     """Return the laboratory's data in a file; without a file, the template with the profile."""
-    seen, found = desk.folder.read(file), desk.result(result)
-    text = seen.text or _initial_text(desk, found, desk.folder.path(file).parent)
-    return checked_lab(text, found).shown() | {
+    edited, calibration = app.folder.read(file), app.result(result)
+    text = edited.text or _initial_text(app, calibration, app.folder.path(file).parent)
+    return parse_lab_text(text, calibration).to_dict() | {
         "file": file,
-        "version": seen.version,
+        "version": edited.version,
         "form": lab_form(),
-        "signer": "" if desk.signer is None else desk.signer.name,
-        "profile": bool(_profile(desk)),
+        "signer": "" if app.signer is None else app.signer.name,
+        "profile": bool(_profile(app)),
     }
 
 
-def draft_preview(desk: Desk, file: str, text: str, result: str) -> dict[str, Any]:
+def draft_preview(app: AppState, file: str, text: str, result: str) -> dict[str, Any]:
     """Return the pages of the certificate as SVG images, marked as a draft.
 
     file: That of the laboratory's data, from which the logo is found.
     """
-    found, document, folder = desk.result(result), parse_text(text), desk.folder.path(file).parent
-    desk.require_inside(folder, document)
-    with desk.drawing:
-        return {"pages": draft_pages(found, document, folder)}
+    calibration, document, folder = (
+        app.result(result),
+        parse_text(text),
+        app.folder.path(file).parent,
+    )
+    app.require_inside(folder, document)
+    with app.drawing:
+        return {"pages": draft_pages(calibration, document, folder)}
 
 
-def save_profile(desk: Desk, file: str, text: str) -> dict[str, Any]:
+def save_profile(app: AppState, file: str, text: str) -> dict[str, Any]:
     """Write the laboratory's profile from its data; return the file's name."""
-    document, folder = parse_text(text), desk.folder.path(file).parent
-    desk.require_inside(folder, document)
-    kept: dict[str, Any] = {
-        key: value for key in _SECTIONS if (value := _without_template(document.get(key), (key,)))
+    document, folder = parse_text(text), app.folder.path(file).parent
+    app.require_inside(folder, document)
+    profile: dict[str, Any] = {
+        key: value
+        for key in _PROFILE_SECTIONS
+        if (value := _remove_template_values(document.get(key), (key,)))
     }
     settings = table_of(document, "certificate")
-    kept["certificate"] = _without_template(
-        {key: settings[key] for key in _KEYS if key in settings}, ("certificate",)
+    profile["certificate"] = _remove_template_values(
+        {key: settings[key] for key in _PROFILE_KEYS if key in settings}, ("certificate",)
     )
-    _move_logo(kept, folder, desk.folder.root)
-    if not any(kept.values()):
+    _move_logo(profile, folder, app.folder.root)
+    if not any(profile.values()):
         raise CounterspinError("The profile would be empty: fill in the laboratory first.")
-    desk.folder.write(PROFILE_NAME, write_document(kept), desk.folder.read(PROFILE_NAME).version)
+    app.folder.write(PROFILE_NAME, write_document(profile), app.folder.read(PROFILE_NAME).version)
     return {"file": PROFILE_NAME}
 
 
-def _initial_text(desk: Desk, result: Result, folder: Path) -> str:
+def _initial_text(app: AppState, result: Result, folder: Path) -> str:
     """Return the template, with the values of the profile and the date of the campaign.
 
     folder: That of the laboratory's data.
     """
     text = example_text()
-    day = result.details.get("date")
+    date_text = result.details.get("date")
     with suppress(TypeError, ValueError):
-        text = _with_dates(text, datetime.date.fromisoformat(day or ""))
-    profile = dict(_profile(desk))
-    _move_logo(profile, desk.folder.root, folder)
-    for path, value in _entries(profile):
+        text = _set_dates(text, datetime.date.fromisoformat(date_text or ""))
+    profile = dict(_profile(app))
+    _move_logo(profile, app.folder.root, folder)
+    for path, value in _profile_entries(profile):
         try:
-            text = with_value(text, path, value)
+            text = set_value(text, path, value)
         except CounterspinError as error:
             raise CounterspinError(
                 f"{PROFILE_NAME}: {key_path(path)}: cannot be used; correct or remove this file"
@@ -103,32 +109,32 @@ def _move_logo(document: dict[str, Any], folder: Path, new_folder: Path) -> None
         document["laboratory"] = {**laboratory, "logo": path}
 
 
-def _with_dates(text: str, day: datetime.date) -> str:
+def _set_dates(text: str, day: datetime.date) -> str:
     for key in ("begin", "end"):
-        text = with_value(text, ("certificate", key), day)
+        text = set_value(text, ("certificate", key), day)
     return text
 
 
-def _profile(desk: Desk) -> Mapping[str, Any]:
+def _profile(app: AppState) -> Mapping[str, Any]:
     """Return the profile; empty without one."""
-    return parse_text(desk.folder.read(PROFILE_NAME).text, PROFILE_NAME)
+    return parse_text(app.folder.read(PROFILE_NAME).text, PROFILE_NAME)
 
 
-def _without_template(value: Any, path: KeyPath) -> Any:
+def _remove_template_values(value: Any, path: KeyPath) -> Any:
     """Return a value without those of the template."""
     if isinstance(value, dict):
-        kept = {key: _without_template(inner, (*path, key)) for key, inner in value.items()}
-        return {key: inner for key, inner in kept.items() if inner not in (None, {}, [])}
+        kept = {key: _remove_template_values(item, (*path, key)) for key, item in value.items()}
+        return {key: item for key, item in kept.items() if item not in (None, {}, [])}
     if isinstance(value, list):
-        kept_items = [_without_template(inner, path) for inner in value]
-        return [inner for inner in kept_items if inner not in (None, {}, [])]
+        kept_items = [_remove_template_values(item, path) for item in value]
+        return [item for item in kept_items if item not in (None, {}, [])]
     return None if is_template_value(path, value) else value
 
 
-def _entries(profile: Mapping[str, Any]) -> Iterator[tuple[KeyPath, Any]]:
+def _profile_entries(profile: Mapping[str, Any]) -> Iterator[tuple[KeyPath, Any]]:
     """Yield the entries of a profile with their paths: a table's values, and a list's tables."""
     for section, content in profile.items():
         if isinstance(content, dict):
             yield from (((section, key), value) for key, value in content.items())
         elif isinstance(content, list):
-            yield from (((section, place), value) for place, value in enumerate(content))
+            yield from (((section, index), value) for index, value in enumerate(content))

@@ -12,16 +12,16 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
-from counterspin.application.desk import (
-    Desk,
+from counterspin.application.app_state import AppState
+from counterspin.application.commands import (
     compare_command,
     forecast_command,
     history_command,
     report_command,
     study_command,
 )
-from counterspin.application.folder import NotThereError
 from counterspin.application.jobs import Job, Progress, report_progress
+from counterspin.application.served_folder import NotFoundError
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Block, Paragraph, Picture
@@ -58,11 +58,16 @@ PAGES: Final = (
     "quickstart",
 )
 
-_HERE: Final = Path(__file__).parent
+_PACKAGE_FOLDER: Final = Path(__file__).parent
 #: In a package that was built they lie beside this file; in a checkout, in docs/.
-_FOLDERS: Final = (_HERE / "documentation", _HERE.parents[2] / "docs")
+_DOCUMENTATION_FOLDERS: Final = (
+    _PACKAGE_FOLDER / "documentation",
+    _PACKAGE_FOLDER.parents[2] / "docs",
+)
 
-_MARK: Final = re.compile(r"^(?:#+ (?P<heading>.*)|<!-- keys: (?P<model>\w+) -->)$", re.MULTILINE)
+_HEADING_OR_KEYS: Final = re.compile(
+    r"^(?:#+ (?P<heading>.*)|<!-- keys: (?P<model>\w+) -->)$", re.MULTILINE
+)
 _COMMENT: Final = re.compile(r"^<!--.*?-->\n", re.MULTILINE | re.DOTALL)
 _FORMULA: Final = re.compile(r"\$([^$\n]+)\$")
 
@@ -73,76 +78,85 @@ def anchor(heading: str) -> str:
 
 
 @cache
-def _texts() -> Mapping[str, str]:
+def _page_texts() -> Mapping[str, str]:
     """Return name -> Markdown of the pages; none in a package that lacks them."""
-    folder = next((one for one in _FOLDERS if (one / f"{PAGES[0]}.md").is_file()), None)
+    folder = next(
+        (
+            candidate
+            for candidate in _DOCUMENTATION_FOLDERS
+            if (candidate / f"{PAGES[0]}.md").is_file()
+        ),
+        None,
+    )
     if folder is None:
         return {}
     return {name: (folder / f"{name}.md").read_text(encoding="utf-8") for name in PAGES}
 
 
 @cache
-def _places() -> Mapping[str, str]:
+def _key_table_addresses() -> Mapping[str, str]:
     """Return class name -> the page, and the heading in it, with the table of its keys."""
-    found: dict[str, str] = {}
-    for name, text in _texts().items():
-        here = name
-        for mark in _MARK.finditer(text):
-            if mark["heading"] is not None:
-                here = f"{name}#{anchor(mark['heading'])}"
+    addresses: dict[str, str] = {}
+    for name, text in _page_texts().items():
+        current = name
+        for match in _HEADING_OR_KEYS.finditer(text):
+            if match["heading"] is not None:
+                current = f"{name}#{anchor(match['heading'])}"
             else:
-                found.setdefault(mark["model"], here)
-    return found
+                addresses.setdefault(match["model"], current)
+    return addresses
 
 
 def page_explaining(model: type) -> str | None:
     """Return the page, with ``#`` and heading, that explains the keys of a class."""
-    return _places().get(model.__name__)
+    return _key_table_addresses().get(model.__name__)
 
 
-def address(link: str, page: str) -> str | None:
+def page_address(link: str, page: str) -> str | None:
     """Return the address of a page's link; None if its target is not shown here."""
-    name, mark, heading = link.partition("#")
+    name, separator, heading = link.partition("#")
     name = name.removesuffix(".md") or page
-    return f"{name}{mark}{heading}" if name in _texts() else None
+    return f"{name}{separator}{heading}" if name in _page_texts() else None
 
 
 def manual_page(name: str) -> dict[str, Any]:
     """Return a page as HTML, and the names and titles of all; NotThereError if there is none."""
-    texts = _texts()
+    texts = _page_texts()
     if name not in texts:
-        raise NotThereError(f"there is no page {name} of the documentation")
-    titles = {one: text.partition("\n")[0].removeprefix("# ") for one, text in texts.items()}
-    return {"title": titles[name], "html": _html(name), "pages": list(titles.items())}
+        raise NotFoundError(f"there is no page {name} of the documentation")
+    titles = {
+        page_name: text.partition("\n")[0].removeprefix("# ") for page_name, text in texts.items()
+    }
+    return {"title": titles[name], "html": _page_html(name), "pages": list(titles.items())}
 
 
 @cache
-def _html(name: str) -> str:
+def _page_html(name: str) -> str:
     from markdown_it import MarkdownIt
 
-    text = _FORMULA.sub(r"`\1`", _COMMENT.sub("", _texts()[name]))
-    reader = MarkdownIt("commonmark", {"html": False}).enable("table")
-    tokens = reader.parse(text)
-    for place, token in enumerate(tokens):
+    text = _FORMULA.sub(r"`\1`", _COMMENT.sub("", _page_texts()[name]))
+    parser = MarkdownIt("commonmark", {"html": False}).enable("table")
+    tokens = parser.parse(text)
+    for index, token in enumerate(tokens):
         if token.type == "heading_open":
-            token.attrSet("id", anchor(tokens[place + 1].content))
+            token.attrSet("id", anchor(tokens[index + 1].content))
         elif token.type in ("th_open", "td_open") and "style" in token.attrs:
             token.attrs = {"class": "right"}  # no style in a page stands beside its rules
         elif token.type == "inline":
-            token.children = list(_inside(token.children or [], name))
-    html = str(reader.renderer.render(tokens, reader.options, {}))
+            token.children = list(_paragraph_tokens(token.children or [], name))
+    html = str(parser.renderer.render(tokens, parser.options, {}))
     # What is wider than a screen is moved by keyboard, too.
     html = html.replace("<pre>", '<pre tabindex="0">').replace("</table>", "</table></div>")
-    box = '<div class="scroll" role="region" tabindex="0" aria-label="Table"><table>'
-    return html.replace("<table>", box)
+    table_start = '<div class="scroll" role="region" tabindex="0" aria-label="Table"><table>'
+    return html.replace("<table>", table_start)
 
 
-def _inside(tokens: list[Token], name: str) -> Iterator[Token]:
+def _paragraph_tokens(tokens: list[Token], name: str) -> Iterator[Token]:
     """Yield the parts of a paragraph: links to pages shown here, and no pictures."""
     for token in tokens:
         if token.type == "link_open":
-            to = address(str(token.attrs["href"]), name)
-            token.attrs = {} if to is None else {"href": f"#/manual/{to}"}
+            target = page_address(str(token.attrs["href"]), name)
+            token.attrs = {} if target is None else {"href": f"#/manual/{target}"}
         if token.type != "image":
             yield token
 
@@ -151,11 +165,11 @@ Kind = Literal["result", "comparison", "history", "forecast", "study"]
 
 
 @frozen
-class Calculation:
+class PageCalculation:
     """A page that takes long, and is made from the report of a job."""
 
     #: What its process does, and with which file; it tells a `PlanResult`.
-    work: Callable[..., None]
+    function: Callable[..., None]
     file: Path
     command: str  #: That prints or writes the same.
 
@@ -170,141 +184,143 @@ class Page:
     empty: bool = False  #: Whether it only says why there is nothing to show.
 
 
-def _result(desk: Desk, names: Sequence[str], _: str) -> Page:
+def _result_page(app: AppState, names: Sequence[str], _: str) -> Page:
     from counterspin.calibration.pages.document import document
 
-    result = desk.result(names[0])
-    command = report_command(desk.file(names[0]))
+    result = app.result(names[0])
+    command = report_command(app.file(names[0]))
     return Page(result.title or "Calibration", document(result), command)
 
 
-def _comparison(desk: Desk, names: Sequence[str], _: str) -> Page:
+def _comparison_page(app: AppState, names: Sequence[str], _: str) -> Page:
     from counterspin.comparisons.compare import compare
     from counterspin.comparisons.page import comparison_blocks
 
-    compared = compare(*map(desk.result, names), names=list(names))
-    files = [desk.file(name) for name in names]
-    return Page("Comparison", _typeset(list(comparison_blocks(compared))), compare_command(files))
+    comparison = compare(*map(app.result, names), names=list(names))
+    files = [app.file(name) for name in names]
+    return Page("Comparison", _typeset(list(comparison_blocks(comparison))), compare_command(files))
 
 
-def _history(desk: Desk, names: Sequence[str], term: str) -> Page:
+def _history_page(app: AppState, names: Sequence[str], term: str) -> Page:
     from counterspin.histories.history import history
     from counterspin.histories.page import history_blocks
 
-    command = history_command(desk.folder.root, term)
+    command = history_command(app.folder.root, term)
     try:
-        found = history([desk.file(name) for name in names], term=term)
+        tracked = history([app.file(name) for name in names], term=term)
     except CampaignError:
         raise
     except CounterspinError as error:
         # Results without serial numbers are no mistake: there is no history of them, and why.
         return Page("History", [Paragraph(str(error), "warning")], command, empty=True)
-    return Page(f"History of {term}", _typeset(list(history_blocks(found))), command)
+    return Page(f"History of {term}", _typeset(list(history_blocks(tracked))), command)
 
 
-def _forecast(desk: Desk, names: Sequence[str], _: str) -> Calculation:
-    file = desk.file(names[0])
-    desk.campaign(desk.folder.name(file.parent))
-    return Calculation(forecast_into, file, forecast_command(file.parent))
+def _forecast_page(app: AppState, names: Sequence[str], _: str) -> PageCalculation:
+    file = app.file(names[0])
+    app.campaign(app.folder.name(file.parent))
+    return PageCalculation(run_forecast, file, forecast_command(file.parent))
 
 
-def forecast_into(there: Connection, file: Path) -> None:
-    """Forecast a campaign, and report as `processes.report_progress` does."""
+def run_forecast(connection: Connection, file: Path) -> None:
+    """Forecast a campaign, and report as `report_progress` does."""
 
     def work(_: Progress) -> PlanResult:
         from counterspin.planning.plan import check
 
         return check(file)
 
-    report_progress(there, work)
+    report_progress(connection, work)
 
 
-def _study(desk: Desk, names: Sequence[str], _: str) -> Page:
+def _study_page(app: AppState, names: Sequence[str], _: str) -> Page:
     from counterspin.reports.publication import with_seal_warning
     from counterspin.studies.page import report_blocks
     from counterspin.studies.result import StudyResult
 
-    file = desk.file(names[0])
-    found = StudyResult.read(file)
-    blocks = _typeset(with_seal_warning(found, report_blocks(found)))
-    return Page(found.title, blocks, study_command(file.parent, found.trials_asked, file))
+    file = app.file(names[0])
+    result = StudyResult.read(file)
+    blocks = _typeset(with_seal_warning(result, report_blocks(result)))
+    return Page(result.title, blocks, study_command(file.parent, result.trials_asked, file))
 
 
 def _typeset(blocks: Sequence[Block]) -> list[Block]:
     return list(map(typeset_block, blocks))
 
 
-_MAKERS: Final[Mapping[Kind, Callable[[Desk, Sequence[str], str], Page | Calculation]]] = {
-    "result": _result,
-    "comparison": _comparison,
-    "history": _history,
-    "forecast": _forecast,
-    "study": _study,
+_PAGE_MAKERS: Final[
+    Mapping[Kind, Callable[[AppState, Sequence[str], str], Page | PageCalculation]]
+] = {
+    "result": _result_page,
+    "comparison": _comparison_page,
+    "history": _history_page,
+    "forecast": _forecast_page,
+    "study": _study_page,
 }
 
 
-def page_of(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> dict[str, Any]:
+def page_content(app: AppState, kind: Kind, names: Sequence[str], term: str) -> dict[str, Any]:
     """Return a page's title, its blocks as HTML, and its command; or the job that makes it."""
     from counterspin.reports.html import html_fragment
 
-    made = _page(desk, kind, names, term)
-    if isinstance(made, Job):
-        return {"job": made.shown()}
-    files = [desk.file(name) for name in names]
-    text = desk.remembered.get(
+    page = _page_or_job(app, kind, names, term)
+    if isinstance(page, Job):
+        return {"job": page.to_dict()}
+    files = [app.file(name) for name in names]
+    text = app.cache.get(
         ("html", kind, *files, term),
         files,
-        lambda: desk.folder.spoken(html_fragment(made.blocks, title=made.title)),
+        lambda: app.folder.relative_paths(html_fragment(page.blocks, title=page.title)),
     )
-    told: dict[str, Any] = {"title": made.title, "html": text, "command": made.command}
-    told["empty"] = made.empty
+    content: dict[str, Any] = {"title": page.title, "html": text, "command": page.command}
+    content["empty"] = page.empty
     if kind == "result":
         from counterspin.calibration.findings import judge_result
         from counterspin.calibration.pages.card import STATE_WORDS
 
-        result = judge_result(desk.result(names[0]))
-        told["accelerometers"] = list(result.accelerometers)
-        told["state"] = result.state
-        told["words"] = STATE_WORDS[result.state] if result.state else "Not judged"
-    return told
+        result = judge_result(app.result(names[0]))
+        content["accelerometers"] = list(result.accelerometers)
+        content["state"] = result.state
+        content["words"] = STATE_WORDS[result.state] if result.state else "Not judged"
+    return content
 
 
-def picture_of(desk: Desk, kind: Kind, names: Sequence[str], term: str, place: int) -> str:
+def page_picture(app: AppState, kind: Kind, names: Sequence[str], term: str, index: int) -> str:
     """Return a picture of a page as SVG, by its place among them; as `page_of`."""
     from counterspin.reports.charts import svg
 
-    made = _page(desk, kind, names, term)
-    if isinstance(made, Job):
-        raise NotThereError("the page of this picture is still being prepared")
-    pictures = [block for block in made.blocks if isinstance(block, Picture)]
-    if not 0 <= place < len(pictures):
-        raise NotThereError(f"there is no picture {place}")
-    files = [desk.file(name) for name in names]
-    with desk.drawing:
-        return desk.remembered.get(
-            ("svg", kind, *files, term, place),
+    page = _page_or_job(app, kind, names, term)
+    if isinstance(page, Job):
+        raise NotFoundError("the page of this picture is still being prepared")
+    pictures = [block for block in page.blocks if isinstance(block, Picture)]
+    if not 0 <= index < len(pictures):
+        raise NotFoundError(f"there is no picture {index}")
+    files = [app.file(name) for name in names]
+    with app.drawing:
+        return app.cache.get(
+            ("svg", kind, *files, term, index),
             files,
-            lambda: str(svg(pictures[place], theme="page")),
+            lambda: str(svg(pictures[index], theme="page")),
         )
 
 
-def _page(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> Page | Job:
+def _page_or_job(app: AppState, kind: Kind, names: Sequence[str], term: str) -> Page | Job:
     """Return a cached page or a quickly made one, or the job that makes it."""
-    files: list[Path] = [desk.file(name) for name in names]
-    known, keep = desk.remembered.find(("page", kind, *files, term), files)
-    if known is not None:
-        return cast("Page", known)
-    made = _MAKERS[kind](desk, names, term)
-    if isinstance(made, Page):
-        return keep(made)
-    calculation = made
+    files: list[Path] = [app.file(name) for name in names]
+    cached, store = app.cache.lookup(("page", kind, *files, term), files)
+    if cached is not None:
+        return cast("Page", cached)
+    page = _PAGE_MAKERS[kind](app, names, term)
+    if isinstance(page, Page):
+        return store(page)
+    calculation = page
 
-    def make(number: int) -> Job:
+    def make_job(number: int) -> Job:
         return Job(number, names[0], "", calculation.command, "forecast")
 
-    def show(found: PlanResult) -> None:
+    def store_page(plan_result: PlanResult) -> None:
         from counterspin.planning.page import plan_blocks
 
-        keep(Page(found.title, _typeset(plan_blocks(found)), calculation.command))
+        store(Page(plan_result.title, _typeset(plan_blocks(plan_result)), calculation.command))
 
-    return desk.jobs.begin(make, calculation.work, calculation.file, then=show)
+    return app.jobs.begin(make_job, calculation.function, calculation.file, on_done=store_page)

@@ -11,8 +11,9 @@ from typing import Any, Final
 
 from pydantic import FiniteFloat
 
-from counterspin.application.desk import Desk, plan_command
-from counterspin.application.editing import with_value
+from counterspin.application.app_state import AppState
+from counterspin.application.commands import plan_command
+from counterspin.application.editing import set_value
 from counterspin.application.jobs import Job, report_progress
 from counterspin.campaign.documents import load_document, parse_document, table_of
 from counterspin.campaign.quantity import BARE
@@ -36,43 +37,43 @@ from counterspin.reports.typography import typeset_block
 from counterspin.units import unit_factor
 
 #: Longest time that may be asked for, s: 30 days.
-LONGEST_TIME: Final = 30 * 86400.0
+MAX_TIME: Final = 30 * 86400.0
 
 
 @frozen
-class LimitKey:
+class SliderSpec:
     """A limit that can be moved."""
 
     #: What it is called, and its unit in SI.
-    words: str
+    label: str
     unit: str
     #: Its range, as factors of what the plan says.
-    low: float
-    high: float
-    whole: bool = False  #: Whether it is a whole number.
-    least: float = 0.0  #: Below which it never is.
+    low_factor: float
+    high_factor: float
+    is_integer: bool = False  #: Whether it is a whole number.
+    minimum: float = 0.0  #: Below which it never is.
 
 
 #: Key of [limits] -> how it is moved, of a plan of records and of one of readings.
-PLAN_KEYS: Final[Mapping[str, LimitKey]] = {
-    "total_time": LimitKey("Time at the centrifuge", "s", 0.25, 4.0),
-    "highest_rate": LimitKey("Highest rate", "rad/s", 0.5, 2.0),
-    "settling": LimitKey("Settling of each run", "s", 0.0, 4.0),
-    "runs": LimitKey("Runs at most", "", 0.25, 2.0, whole=True, least=1.0),
-    "fewest_revolutions": LimitKey("Revolutions of a run at least", "", 0.5, 4.0, least=1.0),
+PLAN_SLIDERS: Final[Mapping[str, SliderSpec]] = {
+    "total_time": SliderSpec("Time at the centrifuge", "s", 0.25, 4.0),
+    "highest_rate": SliderSpec("Highest rate", "rad/s", 0.5, 2.0),
+    "settling": SliderSpec("Settling of each run", "s", 0.0, 4.0),
+    "runs": SliderSpec("Runs at most", "", 0.25, 2.0, is_integer=True, minimum=1.0),
+    "fewest_revolutions": SliderSpec("Revolutions of a run at least", "", 0.5, 4.0, minimum=1.0),
 }
-READING_PLAN_KEYS: Final[Mapping[str, LimitKey]] = {
-    "readings": LimitKey("Readings at most", "", 0.25, 4.0, whole=True, least=1.0),
-    "total_time": LimitKey("Time of all readings", "s", 0.25, 4.0),
+READING_PLAN_SLIDERS: Final[Mapping[str, SliderSpec]] = {
+    "readings": SliderSpec("Readings at most", "", 0.25, 4.0, is_integer=True, minimum=1.0),
+    "total_time": SliderSpec("Time of all readings", "s", 0.25, 4.0),
 }
 
 
 @frozen
-class MovableLimit:
+class Slider:
     """A limit of a plan, its range, and the unit in which its file states it."""
 
     key: str  #: Of [limits].
-    how: LimitKey  #: How it is moved.
+    spec: SliderSpec  #: How it is moved.
     #: In SI.
     value: float
     low: float
@@ -81,12 +82,12 @@ class MovableLimit:
     unit: str
     factor: float
 
-    def shown(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the state for the page."""
         return {
             "key": self.key,
-            "words": self.how.words,
-            "whole": self.how.whole,
+            "words": self.spec.label,
+            "whole": self.spec.is_integer,
             "unit": self.unit,
             "factor": self.factor,
             "value": self.value,
@@ -94,76 +95,76 @@ class MovableLimit:
             "high": self.high,
         }
 
-    def written(self, value: float) -> str | int | float:
+    def format_value(self, value: float) -> str | int | float:
         """Return a value, in SI, in the unit of the file."""
-        if self.how.whole:
+        if self.spec.is_integer:
             return round(value)
         number = float(f"{value / self.factor:.6g}")
         return f"{number:g} {self.unit}" if self.unit else number
 
 
-def plan_overview(desk: Desk, name: str) -> dict[str, Any]:
+def plan_overview(app: AppState, name: str) -> dict[str, Any]:
     """Return a plan's title, goal and limits with their ranges.
 
     name: The plan's file.
     """
-    file = desk.file(name)
-    described = _plan(desk, file)
+    file = app.file(name)
+    stated_plan = _read_plan(app, file)
     return {
         "name": name,
-        "title": described.template.title or name,
-        "limits": [limit.shown() for limit in _limits_of(described, load_document(file))],
+        "title": stated_plan.template.title or name,
+        "limits": [limit.to_dict() for limit in _sliders(stated_plan, load_document(file))],
         "command": plan_command(file, None),
     }
 
 
-def begin_plan(desk: Desk, name: str, example: Example = "records") -> dict[str, Any]:
+def begin_plan(app: AppState, name: str, example: Example = "records") -> dict[str, Any]:
     """Write an example of a plan; CounterspinError if the file exists already."""
-    path = desk.folder.path(name)
+    path = app.folder.path(name)
     if path.suffix.lower() != ".toml":
         raise CounterspinError(f"{name}: name the plan's file, such as PLAN.toml")
     write_example(path, example)
     return {"name": name}
 
 
-def _plan(desk: Desk, file: Path) -> Plan | ReadingPlan:
-    def make() -> Plan | ReadingPlan:
+def _read_plan(app: AppState, file: Path) -> Plan | ReadingPlan:
+    def read() -> Plan | ReadingPlan:
         document = load_document(file)
-        desk.require_inside(file.parent, document)
+        app.require_inside(file.parent, document)
         if not is_plan(document):
             raise CampaignError(str(file), ["not a plan: it has no [limits] and [goal]"])
         return read_any_plan(file)
 
-    return desk.remembered.get(("plan", file), [file], make)
+    return app.cache.get(("plan", file), [file], read)
 
 
 # Limits, as they stand in the file and as they are moved
 
 
-def _limits_of(described: Plan | ReadingPlan, document: Mapping[str, Any]) -> list[MovableLimit]:
+def _sliders(stated_plan: Plan | ReadingPlan, document: Mapping[str, Any]) -> list[Slider]:
     """Return the limits of a plan that can be moved."""
-    said = table_of(document, "limits")
-    keys = PLAN_KEYS if isinstance(described, Plan) else READING_PLAN_KEYS
-    made = []
-    for key, value in _values(described).items():
-        how, (unit, factor) = keys[key], ("", 1.0)
+    limits = table_of(document, "limits")
+    keys = PLAN_SLIDERS if isinstance(stated_plan, Plan) else READING_PLAN_SLIDERS
+    sliders = []
+    for key, value in _stated_limits(stated_plan).items():
+        spec, (unit, factor) = keys[key], ("", 1.0)
         if key == "highest_rate":
             unit, factor = _rate_unit(document)
-        elif how.unit:
-            unit, factor = _unit_of(said.get(key), how.unit)
-        low, high = value * how.low, value * how.high or 60.0
+        elif spec.unit:
+            unit, factor = _written_unit(limits.get(key), spec.unit)
+        low, high = value * spec.low_factor, value * spec.high_factor or 60.0
         if key == "total_time":
-            high = max(high, LONGEST_TIME)
-        if how.whole:
+            high = max(high, MAX_TIME)
+        if spec.is_integer:
             low, high = round(low), min(high, MOST_READINGS)
-        made.append(MovableLimit(key, how, value, max(how.least, low), high, unit, factor))
-    return made
+        sliders.append(Slider(key, spec, value, max(spec.minimum, low), high, unit, factor))
+    return sliders
 
 
-def _values(described: Plan | ReadingPlan) -> dict[str, float]:
+def _stated_limits(stated_plan: Plan | ReadingPlan) -> dict[str, float]:
     """Return the movable limits that a plan states, in SI."""
-    if isinstance(described, Plan):
-        limits = described.limits
+    if isinstance(stated_plan, Plan):
+        limits = stated_plan.limits
         return {
             "total_time": limits.total_time,
             "highest_rate": limits.rate[1],
@@ -171,69 +172,69 @@ def _values(described: Plan | ReadingPlan) -> dict[str, float]:
             "runs": limits.runs,
             "fewest_revolutions": limits.revolutions,
         }
-    stated = {"readings": described.readings, "total_time": described.total_time}
+    stated = {"readings": stated_plan.readings, "total_time": stated_plan.total_time}
     return {key: value for key, value in stated.items() if math.isfinite(value)}
 
 
-def _unit_of(said: Any, unit: str) -> tuple[str, float]:
+def _written_unit(value: Any, unit: str) -> tuple[str, float]:
     """Return the unit in which a quantity is written, and its size in `unit`."""
-    text = said.strip() if isinstance(said, str) else ""
+    text = value.strip() if isinstance(value, str) else ""
     number = re.match(BARE, text)
-    own = text[number.end() :].strip() if number else ""
-    return (own, unit_factor(own, unit)) if own else (unit, 1.0)
+    own_unit = text[number.end() :].strip() if number else ""
+    return (own_unit, unit_factor(own_unit, unit)) if own_unit else (unit, 1.0)
 
 
 def _rate_unit(document: Mapping[str, Any]) -> tuple[str, float]:
     """Return the unit in which a plan writes rates, and its size in rad/s."""
-    said = table_of(document, "limits")
-    some = said.get("rates")
-    stated = [said.get("highest_rate"), *(some if isinstance(some, list) else ())]
-    first = next((text for text in (*stated, said.get("lowest_rate")) if text), None)
-    return _unit_of(first, "rad/s")
+    limits = table_of(document, "limits")
+    rates = limits.get("rates")
+    values = [limits.get("highest_rate"), *(rates if isinstance(rates, list) else ())]
+    first_value = next((text for text in (*values, limits.get("lowest_rate")) if text), None)
+    return _written_unit(first_value, "rad/s")
 
 
-def _text_within(desk: Desk, name: str, text: str, moved: Mapping[str, float]) -> str:
+def _set_limits(app: AppState, name: str, text: str, moved: Mapping[str, float]) -> str:
     """Return the text of a plan with changed limits.
 
     moved: Key of [limits] -> value in SI.
     """
-    file = desk.file(name)
-    limits = {limit.key: limit for limit in _limits_of(_plan(desk, file), load_document(file))}
+    file = app.file(name)
+    limits = {limit.key: limit for limit in _sliders(_read_plan(app, file), load_document(file))}
     for key, value in moved.items():
         if key not in limits:
             raise CounterspinError(f"{key}: there is no such limit")
         if not math.isclose(value, limits[key].value, rel_tol=1e-9):
-            text = with_value(text, ["limits", key], limits[key].written(value))
+            text = set_value(text, ["limits", key], limits[key].format_value(value))
     return text
 
 
 def planned_page(
-    desk: Desk, name: str, moved: dict[str, FiniteFloat] | None = None
+    app: AppState, name: str, moved: dict[str, FiniteFloat] | None = None
 ) -> dict[str, Any]:
     """Return the best plan within changed limits as HTML, or the job that searches for it.
 
     name: The plan's file.
     """
-    file = desk.file(name)
+    file = app.file(name)
     key = ("planned", file, *sorted((moved or {}).items()))
-    known, keep = desk.remembered.find(key, [file])
-    if known is not None:
-        return {"html": known}
-    text = _text_within(desk, name, desk.folder.read(name).text, moved or {})
+    cached, store = app.cache.lookup(key, [file])
+    if cached is not None:
+        return {"html": cached}
+    text = _set_limits(app, name, app.folder.read(name).text, moved or {})
     document = parse_document(text.encode("utf-8"), name)
 
-    def make(number: int) -> Job:
+    def make_job(number: int) -> Job:
         return Job(number, name, "", plan_command(file, None), "plan")
 
-    def show(planned: PlannedCampaign) -> None:
+    def store_page(planned: PlannedCampaign) -> None:
         blocks = list(map(typeset_block, plan_blocks(planned.result)))
-        keep(desk.folder.spoken(html_fragment(blocks, title=planned.result.title)))
+        store(app.folder.relative_paths(html_fragment(blocks, title=planned.result.title)))
 
-    return {"job": desk.jobs.begin(make, plan_into, document, file, then=show).shown()}
+    return {"job": app.jobs.begin(make_job, run_plan, document, file, on_done=store_page).to_dict()}
 
 
 def begin_planned(
-    desk: Desk, name: str, folder: str, moved: dict[str, FiniteFloat] | None = None
+    app: AppState, name: str, folder: str, moved: dict[str, FiniteFloat] | None = None
 ) -> dict[str, Any]:
     """Start to plan within other limits; return the job.
 
@@ -241,28 +242,28 @@ def begin_planned(
 
     name: The plan's file.
     """
-    file = desk.file(name)
-    place = desk.place(folder)
+    file = app.file(name)
+    target = app.target_path(folder)
     if not folder:
         raise CounterspinError("give the campaign's folder a name")
-    require_no_campaign(place)
-    before = desk.folder.read(name)
-    text = _text_within(desk, name, before.text, moved or {})
+    require_no_campaign(target)
+    plan_text = app.folder.read(name)
+    text = _set_limits(app, name, plan_text.text, moved or {})
     document = parse_document(text.encode("utf-8"), name)
 
-    def make(number: int) -> Job:
-        return Job(number, name, desk.folder.name(place), plan_command(file, place), "plan")
+    def make_job(number: int) -> Job:
+        return Job(number, name, app.folder.name(target), plan_command(file, target), "plan")
 
-    def write(planned: PlannedCampaign) -> None:
+    def write_plan(planned: PlannedCampaign) -> None:
         # Planned before anything is written: a plan that cannot be made changes no file.
-        make_folder(place)
-        if text != before.text:
-            desk.folder.write(name, text, before.version)
-        write_campaign(planned, place)
+        make_folder(target)
+        if text != plan_text.text:
+            app.folder.write(name, text, plan_text.version)
+        write_campaign(planned, target)
 
-    return desk.jobs.begin(make, plan_into, document, file, then=write).shown()
+    return app.jobs.begin(make_job, run_plan, document, file, on_done=write_plan).to_dict()
 
 
-def plan_into(there: Connection, document: Mapping[str, Any], file: Path) -> None:
-    """Find the best plan; report to `there` as `processes.report_progress` does."""
-    report_progress(there, lambda _: plan(document, file=file))
+def run_plan(connection: Connection, document: Mapping[str, Any], file: Path) -> None:
+    """Find the best plan; report to `connection` as `report_progress` does."""
+    report_progress(connection, lambda _: plan(document, file=file))

@@ -1,4 +1,4 @@
-"""Plots and judgements of records; studies and simulations before recording.
+"""Plots of records and fits, checks of records; studies and simulations before recording.
 
 A screen has some thousand columns of pixels. With more rows, each part of the window is drawn by
 its least and greatest value: no outlier is lost, and a million rows take no longer than a thousand.
@@ -7,6 +7,7 @@ its least and greatest value: no outlier is lost, and a million rows take no lon
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
@@ -14,17 +15,16 @@ from typing import Any, Final
 import numpy as np
 from pydantic import FiniteFloat
 
-from counterspin.application.desk import (
-    Desk,
-    FileCache,
+from counterspin.application.app_state import AppState, FileCache
+from counterspin.application.commands import (
+    calibrate_command,
     check_command,
     simulate_command,
     study_command,
     watch_command,
 )
-from counterspin.application.folder import NotThereError
-from counterspin.application.improving import SeenRecord, fitted_run
 from counterspin.application.jobs import Job, Progress, report_progress
+from counterspin.application.served_folder import NotFoundError
 from counterspin.arrays import Array
 from counterspin.calibration.observed_runs import record_columns
 from counterspin.campaign.description import Campaign
@@ -32,30 +32,43 @@ from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CounterspinError
+from counterspin.frozen import frozen
 from counterspin.monitoring.check import check
 from counterspin.monitoring.run_state import resolve_goals
 from counterspin.records.formats import read_scaled
 from counterspin.reports.html import html_fragment
 from counterspin.reports.typography import typeset_block
 
+
+@frozen(eq=False)
+class PlotColumns:
+    """Columns of a record, or of its fit, in SI."""
+
+    time: Array  #: s, increasing, shape (n,); rows without a time are left out.
+    #: Of the columns.
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: tuple[Array, ...]  #: The columns, each of shape (n,); NaN where a cell is empty.
+
+
 #: Most parts that a window is shown in.
-MOST_PARTS: Final = 4000
+MAX_PARTS: Final = 4000
 
 #: Records that are kept; each may have a million rows.
 _MAX_RECORDS: Final = 4
 _RECORDS: Final = FileCache(_MAX_RECORDS)
 
 
-def record_overview(desk: Desk, name: str, run: str, fit: bool = False) -> dict[str, Any]:
+def record_overview(app: AppState, name: str, run: str, fit: bool = False) -> dict[str, Any]:
     """Return a record's columns, rows, first and last time, and its used part.
 
-    fit: Return data and fit of each accelerometer as the columns, as of `improving.begin_fit`;
+    fit: Return data and fit of each accelerometer as the columns, as of `begin_fit`;
         before that ``fitted`` is false, and nothing else is returned.
     """
-    campaign, found = _run(desk, name, run)
+    campaign, described_run = _find_run(app, name, run)
     try:
-        record = fitted_run(desk, name, run) if fit else _record(campaign, found)
-    except NotThereError:
+        record = fitted_run(app, name, run) if fit else _cached_record(campaign, described_run)
+    except NotFoundError:
         return {"fitted": False}
     return {
         "fitted": fit,
@@ -67,13 +80,13 @@ def record_overview(desk: Desk, name: str, run: str, fit: bool = False) -> dict[
         "rows": len(record.time),
         "first": float(record.time[0]),
         "last": float(record.time[-1]),
-        "used": [limit if math.isfinite(limit) else None for limit in found.part],
-        "file": desk.folder.name(found.record),
+        "used": [limit if math.isfinite(limit) else None for limit in described_run.part],
+        "file": app.folder.name(described_run.record),
     }
 
 
 def record_window(
-    desk: Desk,
+    app: AppState,
     name: str,
     run: str,
     low: FiniteFloat,
@@ -87,60 +100,60 @@ def record_window(
     low, high: First and last time, s.
     fit: As of `record_overview`.
     """
-    record = fitted_run(desk, name, run) if fit else _record(*_run(desk, name, run))
+    record = fitted_run(app, name, run) if fit else _cached_record(*_find_run(app, name, run))
     # One more on either side, so that lines leave the window.
-    first = max(int(np.searchsorted(record.time, low)) - 1, 0)
-    last = int(np.searchsorted(record.time, high, side="right")) + 1
-    last = max(min(last, len(record.time)), first)
-    parts = min(max(parts, 1), MOST_PARTS)
-    if last - first <= 2 * parts:
-        columns = [values[first:last] for values in record.values]
-        return _shown(record.time[first:last], columns, whole=True)
-    edges = np.linspace(first, last, parts + 1).astype(np.intp)
-    begins, ends = record.time[edges[:-1]], record.time[edges[1:] - 1]
-    time = np.stack([0.75 * begins + 0.25 * ends, 0.25 * begins + 0.75 * ends], axis=1).ravel()
-    columns = [least_and_greatest(values, edges).ravel() for values in record.values]
-    return _shown(time, columns, whole=False)
+    start = max(int(np.searchsorted(record.time, low)) - 1, 0)
+    stop = int(np.searchsorted(record.time, high, side="right")) + 1
+    stop = max(min(stop, len(record.time)), start)
+    parts = min(max(parts, 1), MAX_PARTS)
+    if stop - start <= 2 * parts:
+        columns = [values[start:stop] for values in record.values]
+        return _window_content(record.time[start:stop], columns, is_complete=True)
+    edges = np.linspace(start, stop, parts + 1).astype(np.intp)
+    starts, ends = record.time[edges[:-1]], record.time[edges[1:] - 1]
+    time = np.stack([0.75 * starts + 0.25 * ends, 0.25 * starts + 0.75 * ends], axis=1).ravel()
+    columns = [min_and_max(values, edges).ravel() for values in record.values]
+    return _window_content(time, columns, is_complete=False)
 
 
-def least_and_greatest(values: Array, edges: np.ndarray) -> Array:
+def min_and_max(values: Array, edges: np.ndarray) -> Array:
     """Return the least and the greatest value of each part, NaN for an empty part.
 
     values: Shape (n,); NaN for missing values.
     edges: The start of each part, and the end of the last; increasing; shape (m + 1,).
     """
-    taken, begins = values[: edges[-1]], edges[:-1]
-    least, greatest = np.fmin.reduceat(taken, begins), np.fmax.reduceat(taken, begins)
-    return np.stack([least, greatest], axis=1)
+    used, starts = values[: edges[-1]], edges[:-1]
+    minimum, maximum = np.fmin.reduceat(used, starts), np.fmax.reduceat(used, starts)
+    return np.stack([minimum, maximum], axis=1)
 
 
-def _shown(time: Array, columns: list[Array], *, whole: bool) -> dict[str, Any]:
+def _window_content(time: Array, columns: list[Array], *, is_complete: bool) -> dict[str, Any]:
     return {
         "time": [float(f"{t:.10g}") for t in time],
-        "columns": [[_rounded(value) for value in column] for column in columns],
-        "whole": whole,
+        "columns": [[_round_for_screen(value) for value in column] for column in columns],
+        "whole": is_complete,
     }
 
 
-def _rounded(value: float) -> float | None:
+def _round_for_screen(value: float) -> float | None:
     """Return a value rounded to the resolution of a screen."""
     return float(f"{value:.7g}") if math.isfinite(value) else None
 
 
-def _run(desk: Desk, name: str, run: str) -> tuple[Campaign, Run]:
-    campaign = desk.campaign(name)
-    for found in campaign.runs:
-        if found.name == run:
-            return campaign, found
-    raise NotThereError(f"{name}: there is no run {run!r} with a record")
+def _find_run(app: AppState, name: str, run: str) -> tuple[Campaign, Run]:
+    campaign = app.campaign(name)
+    for candidate in campaign.runs:
+        if candidate.name == run:
+            return campaign, candidate
+    raise NotFoundError(f"{name}: there is no run {run!r} with a record")
 
 
-def _record(campaign: Campaign, run: Run) -> SeenRecord:
+def _cached_record(campaign: Campaign, run: Run) -> PlotColumns:
     files = [campaign.path, run.record]
-    return _RECORDS.get((campaign.path, run.name), files, lambda: _read(campaign, run))
+    return _RECORDS.get((campaign.path, run.name), files, lambda: _read_record(campaign, run))
 
 
-def _read(campaign: Campaign, run: Run) -> SeenRecord:
+def _read_record(campaign: Campaign, run: Run) -> PlotColumns:
     columns = record_columns(campaign, run)
     specs, names, units = [columns.time], [], []
     if columns.angle is not None:
@@ -153,70 +166,157 @@ def _read(campaign: Campaign, run: Run) -> SeenRecord:
         units.append(OBSERVABLES[campaign.accelerometers[accelerometer].observable])
     dialect = campaign.recording_of(run).dialect
     time, *values = read_scaled(run.record, specs, dialect)
-    known = np.flatnonzero(np.isfinite(time))
-    if not len(known):
+    valid_rows = np.flatnonzero(np.isfinite(time))
+    if not len(valid_rows):
         raise CounterspinError(f"{run.record}: no row has a time")
-    if len(known) < len(time) or np.any(np.diff(time) < 0.0):
+    if len(valid_rows) < len(time) or np.any(np.diff(time) < 0.0):
         # What runs backwards is refused by a calibration; here it is shown in the order of time.
-        known = known[np.argsort(time[known], kind="stable")]
-        time, values = time[known], [column[known] for column in values]
-    return SeenRecord(time, tuple(names), tuple(units), tuple(values))
+        valid_rows = valid_rows[np.argsort(time[valid_rows], kind="stable")]
+        time, values = time[valid_rows], [column[valid_rows] for column in values]
+    return PlotColumns(time, tuple(names), tuple(units), tuple(values))
 
 
-def run_judgement(desk: Desk, name: str, run: str) -> dict[str, Any]:
+def check_run(app: AppState, name: str, run: str) -> dict[str, Any]:
     """Return the judgement of a run's record as HTML, whether it is good, and the command."""
-    campaign = desk.campaign(name)
-    records = [found.record for found in campaign.runs if found.name == run]
+    campaign = app.campaign(name)
+    records = [candidate.record for candidate in campaign.runs if candidate.name == run]
     if not records:
-        raise NotThereError(f"{name}: there is no run {run!r} with a record")
-    checked = check(records[0], campaign, run=run)
-    blocks = list(map(typeset_block, checked.blocks()))
+        raise NotFoundError(f"{name}: there is no run {run!r} with a record")
+    run_check = check(records[0], campaign, run=run)
+    blocks = list(map(typeset_block, run_check.blocks()))
     return {
         "html": html_fragment(blocks, title=f"Check of {run}"),
-        "good": checked.good,
+        "good": run_check.good,
         "command": check_command(records[0], campaign.folder, run),
     }
 
 
-def campaign_state(desk: Desk, name: str, goal: str = "") -> dict[str, Any]:
+def watch_state(app: AppState, name: str, goal: str = "") -> dict[str, Any]:
     """Return the newest state of a campaign whose records grow, and the command.
 
     name: The campaign's folder.
     goal: Such as ``K_II 1e-8 g/g^2``; empty: none.
     """
-    campaign = desk.campaign(name)
+    campaign = app.campaign(name)
     resolve_goals(campaign, [goal] if goal else [])  # a mistake is told before anything is begun
-    told = desk.live.look(campaign.path, goal)
-    if "error" in told:
-        told = told | {"error": desk.folder.spoken(told["error"])}
-    return told | {"command": watch_command(campaign.folder, goal)}
+    newest = app.live.poll(campaign.path, goal)
+    if "error" in newest:
+        newest = newest | {"error": app.folder.relative_paths(newest["error"])}
+    return newest | {"command": watch_command(campaign.folder, goal)}
+
+
+def begin_fit(app: AppState, name: str) -> dict[str, Any]:
+    """Start to fit a campaign's records for their pictures; return the job.
+
+    name: The campaign's folder.
+    """
+    path = app.description(name)
+    app.campaign(name).require_records("a picture of the fit")
+    command = calibrate_command(path.parent, path.parent / "result.json", "joint", None)
+    _, store = app.cache.lookup(*_fit_cache_key(app, name))
+
+    def make(number: int) -> Job:
+        return Job(number, name, "", command, "fit")
+
+    return app.jobs.begin(make, run_fit, path, on_done=store).to_dict()
+
+
+def fitted_run(app: AppState, name: str, run: str) -> PlotColumns:
+    """Return data and fit of a run, for each accelerometer; NotThereError before `begin_fit`."""
+    fitted: Mapping[str, PlotColumns] | None = app.cache.lookup(*_fit_cache_key(app, name))[0]
+    if fitted is None or run not in fitted:
+        raise NotFoundError(f"{name}: the records of {run} are not fitted yet, or were changed")
+    return fitted[run]
+
+
+def _fit_cache_key(app: AppState, name: str) -> tuple[tuple[str, Path], list[Path]]:
+    path = app.description(name)
+    return ("fit", path), [path, *(run.record for run in app.campaign(name).runs)]
+
+
+def run_fit(connection: Connection, campaign: Path) -> None:
+    """Fit a campaign's records; report to `connection` as `report_progress` does."""
+
+    def work(_: Progress) -> dict[str, PlotColumns]:
+        from counterspin.calibration.joint import estimate_campaign
+        from counterspin.calibration.joint_problem import JointProblem
+        from counterspin.calibration.observed_runs import observe, with_recorded_conditions
+        from counterspin.campaign.description import read_campaign
+        from counterspin.threads import one_blas_thread
+
+        with one_blas_thread():
+            recorded_campaign = with_recorded_conditions(read_campaign(campaign))
+            fit = estimate_campaign(
+                JointProblem(recorded_campaign, list(observe(recorded_campaign)))
+            )[0].fit
+            runs: dict[str, list[tuple[str, str, Array, Array, Array]]] = {}
+            for prepared, residuals in zip(fit.design_blocks, fit.residuals, strict=True):
+                series = prepared.series
+                detrended = subtract_polynomial(series.time, series.error, series.order)
+                # The same polynomial is taken from both: their difference is the residual.
+                runs.setdefault(series.run, []).append(
+                    (
+                        series.accelerometer,
+                        series.observable,
+                        series.time,
+                        detrended,
+                        detrended - residuals.unweighted,
+                    )
+                )
+        return {run: _merge_columns(run_data) for run, run_data in runs.items()}
+
+    report_progress(connection, work)
+
+
+def subtract_polynomial(time: Array, values: Array, degree: int) -> Array:
+    """Return values minus their best polynomial, of the degree of the bias's effect."""
+    scaled = time / max(float(np.max(np.abs(time))), 1e-300)
+    powers = np.vander(scaled, degree + 1)
+    return np.asarray(values - powers @ np.linalg.lstsq(powers, values, rcond=None)[0])
+
+
+def _merge_columns(run_data: list[tuple[str, str, Array, Array, Array]]) -> PlotColumns:
+    """Return data and fit of all accelerometers at the union of their times."""
+    from counterspin.campaign.settings import OBSERVABLES
+
+    trends = {"displacement": "parabola", "velocity": "line", "specific_force": "mean"}
+    time = np.unique(np.concatenate([series_time for _, _, series_time, _, _ in run_data]))
+    names, units, values = [], [], []
+    for accelerometer, observable, series_time, data, fitted in run_data:
+        for label, series_values in (("data", data), ("fit", fitted)):
+            column = np.full(time.size, np.nan)
+            column[np.searchsorted(time, series_time)] = series_values
+            values.append(column)
+            names.append(f"{accelerometer}: {label} less its {trends[observable]}")
+            units.append(OBSERVABLES[observable])
+    return PlotColumns(time, tuple(names), tuple(units), tuple(values))
 
 
 #: Where a study of a campaign is kept, in its folder.
 STUDY_NAME: Final = "study.json"
 
 
-def begin_study(desk: Desk, name: str, trials: int) -> dict[str, Any]:
+def begin_study(app: AppState, name: str, trials: int) -> dict[str, Any]:
     """Start to study a campaign; return the job.
 
     name: The campaign's folder; the result replaces its ``study.json``.
     """
     from counterspin.studies.description import read_study
 
-    path = desk.description(name)
-    desk.campaign(name)
+    path = app.description(name)
+    app.campaign(name)
     read_study(path)
-    place = desk.folder.path(f"{name}/{STUDY_NAME}" if name else STUDY_NAME)
-    command = study_command(path.parent, trials, place)
+    target = app.folder.path(f"{name}/{STUDY_NAME}" if name else STUDY_NAME)
+    command = study_command(path.parent, trials, target)
 
-    def make(number: int) -> Job:
-        return Job(number, name, desk.folder.name(place), command, "study")
+    def make_job(number: int) -> Job:
+        return Job(number, name, app.folder.name(target), command, "study")
 
-    return desk.jobs.begin(make, study_into, path, place, trials).shown()
+    return app.jobs.begin(make_job, run_study, path, target, trials).to_dict()
 
 
-def study_into(there: Connection, campaign: Path, output: Path, trials: int) -> None:
-    """Study a campaign and write its result; report to `there` as `report_progress` does."""
+def run_study(connection: Connection, campaign: Path, output: Path, trials: int) -> None:
+    """Study a campaign and write its result; report to `connection` as `report_progress` does."""
 
     def work(progress: Progress) -> None:
         from counterspin.output import reserve
@@ -226,36 +326,36 @@ def study_into(there: Connection, campaign: Path, output: Path, trials: int) -> 
         reserve(output, StudyResult.file_kind, overwrite=True)
         study(campaign, trials=trials, progress=progress).write(output, overwrite=True)
 
-    report_progress(there, work)
+    report_progress(connection, work)
 
 
-def begin_simulation(desk: Desk, name: str, folder: str) -> dict[str, Any]:
+def begin_simulation(app: AppState, name: str, folder: str) -> dict[str, Any]:
     """Start to make the records of a campaign, in another folder; return the job.
 
     name: The campaign's folder.
     """
-    path = desk.description(name)
-    desk.campaign(name)
-    place = desk.place(folder)
+    path = app.description(name)
+    app.campaign(name)
+    target = app.target_path(folder)
     if not folder:
         raise CounterspinError("give the folder of the simulated records a name")
-    if (place / DESCRIPTION_NAME).exists():
+    if (target / DESCRIPTION_NAME).exists():
         raise CounterspinError(f"{folder} holds a campaign already; name another folder")
-    desk.require_inside(place, load_document(path))
-    command = simulate_command(path.parent, place)
+    app.require_inside(target, load_document(path))
+    command = simulate_command(path.parent, target)
 
-    def make(number: int) -> Job:
-        return Job(number, name, desk.folder.name(place), command, "simulation")
+    def make_job(number: int) -> Job:
+        return Job(number, name, app.folder.name(target), command, "simulation")
 
-    return desk.jobs.begin(make, simulate_into, path, place).shown()
+    return app.jobs.begin(make_job, run_simulation, path, target).to_dict()
 
 
-def simulate_into(there: Connection, campaign: Path, folder: Path) -> None:
-    """Make a campaign's records in a folder; report to `there` as `report_progress` does."""
+def run_simulation(connection: Connection, campaign: Path, folder: Path) -> None:
+    """Make a campaign's records in a folder; report to `connection` as `report_progress` does."""
 
     def work(progress: Progress) -> None:
         from counterspin.simulation.simulate import simulate
 
         simulate(campaign, folder, progress=progress)
 
-    report_progress(there, work)
+    report_progress(connection, work)

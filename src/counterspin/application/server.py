@@ -35,12 +35,23 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from counterspin.application import keeping
-from counterspin.application.campaigns import as_json
-from counterspin.application.desk import Desk
-from counterspin.application.folder import ServedFolder
-from counterspin.application.guard import FILES, SESSION, TICKETS, Door, Guard
-from counterspin.application.interface import Answer, answer, answer_of, ticket_answer
+from counterspin.application import campaign_files
+from counterspin.application.access_control import (
+    FILES_PATH,
+    SESSION_PATH,
+    TICKET_PATH,
+    AccessControl,
+    Credentials,
+)
+from counterspin.application.app_state import AppState
+from counterspin.application.campaigns import to_json
+from counterspin.application.endpoints import (
+    ApiResponse,
+    call_or_error,
+    handle_request,
+    handle_ticket,
+)
+from counterspin.application.served_folder import ServedFolder
 from counterspin.certificates.signers import command_signer
 from counterspin.errors import CounterspinError
 from counterspin.temporary_folders import temporary_folder
@@ -52,7 +63,7 @@ HEAD_SECONDS: Final = 5.0
 _HEAD_BYTES: Final = 1 << 14
 
 #: Most connections; a machine gives a process 256 descriptors or more.
-_MOST_CONNECTIONS: Final = 128
+_MAX_CONNECTIONS: Final = 128
 
 #: Connections that the system keeps waiting, and that are accepted in one turn.
 _BACKLOG: Final = 64
@@ -69,7 +80,7 @@ class Connection(H11Protocol):
         self._limit_time()
         made = [c for c in self.connections if isinstance(c, Connection)]
         timers = [c for c in made if c._end is not None and not c.transport.is_closing()]
-        if len(made) > _MOST_CONNECTIONS and timers:
+        if len(made) > _MAX_CONNECTIONS and timers:
             min(timers, key=Connection._deadline).transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -107,10 +118,10 @@ _PREFIX: Final = "counterspin-serve-"
 _ADDRESS: Final = "127.0.0.1"
 
 #: How long what is being loaded is waited for at the end, s.
-_LONGEST_LOADING: Final = 30.0
+_LOADING_TIMEOUT: Final = 30.0
 
 #: Endings of the page's own files -> what they are.
-_KINDS: Final = {
+_MEDIA_TYPES: Final = {
     ".css": "text/css; charset=utf-8",
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -118,13 +129,13 @@ _KINDS: Final = {
 }
 
 
-def application(desk: Desk, door: Door) -> Starlette:
+def make_application(app: AppState, credentials: Credentials) -> Starlette:
     """Return the application that answers requests for a folder."""
 
     async def session(request: Request) -> Response:
         try:
             token = json.loads(await request.body())["token"]
-            key = door.key_for(token) if isinstance(token, str) else None
+            key = credentials.exchange_token(token) if isinstance(token, str) else None
         except (ValueError, KeyError, TypeError, RecursionError):
             key = None
         if key is None:
@@ -132,57 +143,67 @@ def application(desk: Desk, door: Door) -> Starlette:
                 "That link has been used or is not of this server; open the newest in its terminal."
             )
             return JSONResponse({"error": why}, 403)
-        if door.tell is not None:
-            await run_in_threadpool(door.tell, door.link)
+        if credentials.on_token_used is not None:
+            await run_in_threadpool(credentials.on_token_used, credentials.link)
         return JSONResponse({"key": key})
 
     async def asked(request: Request) -> Response:
-        said: Any = dict(request.query_params) if request.method == "GET" else await request.body()
+        payload: Any = (
+            dict(request.query_params) if request.method == "GET" else await request.body()
+        )
         name = request.path_params["name"]
-        return _response(await run_in_threadpool(answer, desk, request.method, name, said))
+        return _to_starlette(
+            await run_in_threadpool(handle_request, app, request.method, name, payload)
+        )
 
     async def ticket(request: Request) -> Response:
-        return _response(
-            await run_in_threadpool(ticket_answer, desk, request.path_params["ticket"])
+        return _to_starlette(
+            await run_in_threadpool(handle_ticket, app, request.path_params["ticket"])
         )
 
     async def files(request: Request) -> Response:
         name = request.query_params.get("name", "")
-        begun = await run_in_threadpool(answer_of, desk, lambda: keeping.place_for(desk, name))
-        if isinstance(begun, Answer):
-            return _response(begun)
+        upload = await run_in_threadpool(
+            call_or_error, app, lambda: campaign_files.open_upload(app, name)
+        )
+        if isinstance(upload, ApiResponse):
+            return _to_starlette(upload)
         try:
-            with begun.part.open("wb") as file:
-                async for piece in request.stream():
-                    await run_in_threadpool(file.write, piece)
-            made = await run_in_threadpool(
-                answer_of, desk, lambda: keeping.complete_upload(desk, begun)
+            with upload.temporary_path.open("wb") as file:
+                async for chunk in request.stream():
+                    await run_in_threadpool(file.write, chunk)
+            response = await run_in_threadpool(
+                call_or_error, app, lambda: campaign_files.complete_upload(app, upload)
             )
-            return _response(made if isinstance(made, Answer) else Answer(200, made))
+            return _to_starlette(
+                response if isinstance(response, ApiResponse) else ApiResponse(200, response)
+            )
         except OSError as error:
-            return _response(Answer(422, {"error": f"{name}: cannot be written: {error.strerror}"}))
+            return _to_starlette(
+                ApiResponse(422, {"error": f"{name}: cannot be written: {error.strerror}"})
+            )
         finally:
-            begun.end()
+            upload.discard()
 
     async def page(request: Request) -> Response:
-        return _page_file(request.path_params.get("file", "index.html"))
+        return _static_file(request.path_params.get("file", "index.html"))
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        asyncio.get_running_loop().set_exception_handler(_complain)
+        asyncio.get_running_loop().set_exception_handler(_log_unexpected)
         yield
-        await run_in_threadpool(desk.close)
+        await run_in_threadpool(app.close)
 
     served = Starlette(
         routes=[
-            Route(SESSION, session, methods=["POST"]),
-            Route(FILES, files, methods=["POST"]),
-            Route(f"{TICKETS}{{ticket}}", ticket),
+            Route(SESSION_PATH, session, methods=["POST"]),
+            Route(FILES_PATH, files, methods=["POST"]),
+            Route(f"{TICKET_PATH}{{ticket}}", ticket),
             Route("/api/{name}", asked, methods=["GET", "POST", "PUT", "DELETE"]),
             Route("/", page),
             Route("/assets/{file}", page),
         ],
-        middleware=[Middleware(Guard, door=door)],
+        middleware=[Middleware(AccessControl, credentials=credentials)],
         lifespan=lifespan,
     )
     # An address with a slash too many is no other page's.
@@ -190,38 +211,40 @@ def application(desk: Desk, door: Door) -> Starlette:
     return served
 
 
-def _complain(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+def _log_unexpected(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     """Log unforeseen errors, except a connection that the system refuses."""
     if not isinstance(context.get("exception"), OSError):
         loop.default_exception_handler(context)
 
 
-def _response(made: Answer) -> Response:
-    content = as_json(made.content) if made.kind == "application/json" else made.content
+def _to_starlette(response: ApiResponse) -> Response:
+    content = (
+        to_json(response.content) if response.media_type == "application/json" else response.content
+    )
     headers = {}
-    if made.name is not None:
-        name = quote(made.name, safe="", errors="surrogateescape")
+    if response.file_name is not None:
+        name = quote(response.file_name, safe="", errors="surrogateescape")
         headers["Content-Disposition"] = f"attachment; filename*=UTF-8''{name}"
-    return Response(content, made.status, headers, media_type=made.kind)
+    return Response(content, response.status, headers, media_type=response.media_type)
 
 
 @lru_cache(maxsize=100)
-def _page_file(name: str) -> Response:
+def _static_file(name: str) -> Response:
     """Return a file of the page: our own, or the reports'."""
     from counterspin.reports.html import page_script, page_style
 
-    made: dict[str, Callable[[], str]] = {"report.css": page_style, "report.js": page_script}
-    kind = _KINDS.get(Path(name).suffix)
-    if kind is None:
+    generated: dict[str, Callable[[], str]] = {"report.css": page_style, "report.js": page_script}
+    media_type = _MEDIA_TYPES.get(Path(name).suffix)
+    if media_type is None:
         return JSONResponse({"error": "There is no such page."}, 404)
-    if name in made:
-        return Response(made[name](), media_type=kind)
+    if name in generated:
+        return Response(generated[name](), media_type=media_type)
     assets = resources.files("counterspin.application") / "assets"
     # Found among those that there are: what is asked for is never made a path.
-    file = next((one for one in assets.iterdir() if one.name == name), None)
+    file = next((candidate for candidate in assets.iterdir() if candidate.name == name), None)
     if file is None:
         return JSONResponse({"error": "There is no such page."}, 404)
-    return Response(file.read_text(encoding="utf-8"), media_type=kind)
+    return Response(file.read_text(encoding="utf-8"), media_type=media_type)
 
 
 def serve(
@@ -239,43 +262,45 @@ def serve(
     signing: A command that signs, and the certificate of its key, for certificates of the page.
     """
     if signing is None:
-        desk = Desk(ServedFolder(folder))
+        app = AppState(ServedFolder(folder))
     else:
         command, cert = signing
         options = {"signer": command, "cert": str(cert)}
-        desk = Desk(ServedFolder(folder), command_signer(command, cert), options)
-    private = _private_place()
-    keeping.remove_abandoned_parts(desk.folder)
-    with listening(port) as listener, temporary_folder(_PREFIX, private) as own:
+        app = AppState(ServedFolder(folder), command_signer(command, cert), options)
+    private = _private_folder()
+    campaign_files.remove_abandoned_folders_in(app.folder)
+    with open_listener(port) as listener, temporary_folder(_PREFIX, private) as link_folder:
 
-        def tell(link: str) -> None:
+        def print_link(link: str) -> None:
             say("That link has been used; each works once. For another browser or window:")
             say(f"  {link}")
 
-        door = Door(listener.getsockname()[1], tell=tell)
+        credentials = Credentials(listener.getsockname()[1], on_token_used=print_link)
         say(f"Serving {folder} to this machine only. Ctrl-C stops the server.")
-        say(f"  {door.link}")
+        say(f"  {credentials.link}")
         if browser:
-            opening = threading.Timer(0.3, webbrowser.open, [_leading(own, door.link)])
+            opening = threading.Timer(
+                0.3, webbrowser.open, [_write_redirect(link_folder, credentials.link)]
+            )
             opening.daemon = True
             opening.start()
-        ended = threading.Event()
-        loading = threading.Thread(target=_load, args=(desk, ended), daemon=True)
+        has_ended = threading.Event()
+        loading = threading.Thread(target=_preload, args=(app, has_ended), daemon=True)
         loading.start()
         # Having ended, uvicorn sends itself the signal again; what is left is to be removed first.
-        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+        previous_handler = signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
             with suppress(KeyboardInterrupt):
-                server_of(desk, door).run(sockets=[listener])
+                make_server(app, credentials).run(sockets=[listener])
         finally:
-            signal.signal(signal.SIGTERM, before)
+            signal.signal(signal.SIGTERM, previous_handler)
             # Python aborts where it ends in the middle of an import of a library in C++.
-            ended.set()
-            loading.join(_LONGEST_LOADING)
+            has_ended.set()
+            loading.join(_LOADING_TIMEOUT)
     say("Ended.")
 
 
-def _private_place() -> Path:
+def _private_folder() -> Path:
     """Return the folder in which a private folder is made.
 
     Windows ignores the rights that a file is made with, and TEMP may be a folder that all share.
@@ -284,30 +309,31 @@ def _private_place() -> Path:
     return Path(private or tempfile.gettempdir())
 
 
-def _leading(folder: Path, link: str) -> str:
+def _write_redirect(folder: Path, link: str) -> str:
     """Return the address of a file that leads to a link, which only its owner can read.
 
     The address that a browser opens is in the machine's list of processes, which all can see.
     """
-    file, shown = folder / "open.html", escape(link)
+    file, escaped_link = folder / "open.html", escape(link)
     file.touch(0o600, exist_ok=False)
     file.write_text(
         '<!DOCTYPE html><meta charset="utf-8"><title>counterspin</title>'
         '<meta name="referrer" content="no-referrer">'
-        f'<meta http-equiv="refresh" content="0; url={shown}"><a href="{shown}">counterspin</a>\n',
+        f'<meta http-equiv="refresh" content="0; url={escaped_link}">'
+        f'<a href="{escaped_link}">counterspin</a>\n',
         encoding="utf-8",
     )
     return file.as_uri()
 
 
-def _load(desk: Desk, ended: threading.Event) -> None:
+def _preload(app: AppState, has_ended: threading.Event) -> None:
     """Load the modules for the first records, words and pictures before any request.
 
     Drawing and writing once fills the caches of fonts and templates.
     """
     pages = "counterspin.calibration.pages.document"
     for name in ("polars", "scipy.special", "counterspin.calibration.observed_runs", pages):
-        if ended.is_set():
+        if has_ended.is_set():
             return
         import_module(name)
     from counterspin.reports.blocks import Bars
@@ -315,15 +341,15 @@ def _load(desk: Desk, ended: threading.Event) -> None:
     from counterspin.reports.html import html_fragment
 
     bars = Bars("Title", ("Part",), (1.0,), ("1",))
-    with desk.drawing:
+    with app.drawing:
         svg(bars, theme="page")
     html_fragment([bars], title="Title")
 
 
-def server_of(desk: Desk, door: Door) -> uvicorn.Server:
+def make_server(app: AppState, credentials: Credentials) -> uvicorn.Server:
     """Return the server of a folder, to be run with a listening socket."""
     config = uvicorn.Config(
-        application(desk, door),
+        make_application(app, credentials),
         http=Connection,
         backlog=_BACKLOG,
         h11_max_incomplete_event_size=_HEAD_BYTES,
@@ -338,7 +364,7 @@ def server_of(desk: Desk, door: Door) -> uvicorn.Server:
     return uvicorn.Server(config)
 
 
-def listening(port: int) -> socket.socket:
+def open_listener(port: int) -> socket.socket:
     """Return a socket that listens to this machine only; CounterspinError if unavailable."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:

@@ -6,7 +6,7 @@ A command imports what it uses when it runs, so that `--help` answers at once.
 - `records`: `simulate`, `check`, `watch`, `noise`
 - `results`: `report`, `history`, `compare`, `rerun`, `ledger`
 - `program`: `schema`, `serve`, `demo`, `reproduce`, `validate`
-- `words`: what several of them share, and errors in the words of a command line
+- `common`: shared options, output, and errors in the terms of a command line
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from counterspin.cli import (
     results,
     study,
 )
-from counterspin.cli.words import join_docstring, print_error, translate_message
+from counterspin.cli.common import join_docstring, print_error, translate_message
 from counterspin.errors import (
     CampaignError,
     CounterspinError,

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from counterspin.cli.words import OnOff, OutputFolder, group
+from counterspin.cli.common import OnOff, OutputFolder, option_group
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 
@@ -18,7 +18,7 @@ def _check_count(_: object, value: int | None) -> None:
         raise ValueError("Must be >= 0.")
 
 
-@group
+@option_group
 @frozen
 class ForceOptions:
     """The numbers of the file, and the prior information on the other axes.
@@ -53,7 +53,7 @@ class ForceOptions:
     force: bool = False
 
 
-@group
+@option_group
 @frozen
 class FileOptions:
     """How the file is written, where this cannot be recognised; keys as in [records] of a campaign.
@@ -95,8 +95,8 @@ def apply(
     *,
     output: OutputFolder,
     accelerometer: str | None = None,
-    forces: ForceOptions = _ALONE,
-    written: FileOptions = _PLAIN,
+    force_options: ForceOptions = _ALONE,
+    file_options: FileOptions = _PLAIN,
     overwrite: bool = False,
 ) -> None:
     """Correct the output of a calibrated accelerometer.
@@ -124,20 +124,22 @@ def apply(
     from counterspin.records.dialect import Dialect
     from counterspin.reports.text import report_console
 
-    keys = vars(written) | {"delimiter": "\t" if written.delimiter == "tab" else written.delimiter}
+    keys = vars(file_options) | {
+        "delimiter": "\t" if file_options.delimiter == "tab" else file_options.delimiter
+    }
     done = apply_file(
         Result.read(result),
         accelerometer,
         file,
         output,
-        column=forces.column,
+        column=force_options.column,
         options=ApplyOptions(
-            unit=forces.unit,
-            pendulous=forces.pendulous,
-            output_axis=forces.output_axis,
-            temperature=forces.temperature,
-            others=parse_others(forces.others),
-            force=forces.force,
+            unit=force_options.unit,
+            pendulous=force_options.pendulous,
+            output_axis=force_options.output_axis,
+            temperature=force_options.temperature,
+            others=parse_others(force_options.others),
+            force=force_options.force,
             dialect=Dialect(**keys),
         ),
         overwrite=overwrite,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 
-from counterspin.cli.words import NOT_SAVED, OnOff, SaveOptions, group
+from counterspin.cli.common import NOT_SAVED, OnOff, SaveOptions, option_group
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from counterspin.output import FileType
 
 _CONTRADICTED: Final = "the records contradict the result"
-_WHAT_TO_DO: Final = (
+_REMEDY: Final = (
     "Find the cause and calibrate again, or state why the misfit is accepted: "
     "--accept-misfit REASON"
 )
 
 
-@group
+@option_group
 @frozen
 class Estimation:
     """How the coefficients are estimated.
@@ -56,7 +56,7 @@ class Estimation:
     without: Annotated[tuple[str, ...], Parameter(consume_multiple=False)] = ()
 
 
-@group
+@option_group
 @frozen
 class PrintOptions:
     """The additional output besides the coefficients.
@@ -73,7 +73,7 @@ class PrintOptions:
     details: bool = False
 
 
-@group
+@option_group
 @frozen
 class BatchWorkers:
     """Processes that calibrate several campaigns.
@@ -91,9 +91,9 @@ class BatchWorkers:
     cluster: str | None = None
 
 
-@group
+@option_group
 @frozen
-class KeepingOptions:
+class LedgerOptions:
     """The record of a result: the reason to accept a misfit, and the instrument's ledger.
 
     Parameters
@@ -131,26 +131,26 @@ class KeepingOptions:
 
         check_ledger(self.ledger)
 
-    def enter(self, json: Path | None) -> None:
+    def add_result(self, json: Path | None) -> None:
         """Enter the result's file, where that is asked for."""
         if self.ledger is not None and json is not None and self.who and self.why:
-            from counterspin.cli.results import add
+            from counterspin.cli.results import add_to_ledger
 
-            add(self.ledger, json, who=self.who, why=self.why)
+            add_to_ledger(self.ledger, json, who=self.who, why=self.why)
 
 
-_USUAL, _BRIEF, _ALONE, _NOWHERE = Estimation(), PrintOptions(), BatchWorkers(), KeepingOptions()
+_USUAL, _BRIEF, _ALONE, _NOWHERE = Estimation(), PrintOptions(), BatchWorkers(), LedgerOptions()
 
 
 def calibrate(
     directory: Path,
     /,
     *more: Path,
-    saved: SaveOptions = NOT_SAVED,
+    save_options: SaveOptions = NOT_SAVED,
     estimation: Estimation = _USUAL,
-    printed: PrintOptions = _BRIEF,
-    kept: KeepingOptions = _NOWHERE,
-    workforce: BatchWorkers = _ALONE,
+    print_options: PrintOptions = _BRIEF,
+    ledger_options: LedgerOptions = _NOWHERE,
+    worker_options: BatchWorkers = _ALONE,
 ) -> None:
     """Estimate the coefficients of accelerometers from the records of a campaign.
 
@@ -173,19 +173,24 @@ def calibrate(
         fit_bias=estimation.fit_bias,
         from_residuals=estimation.sigma == "residuals",
     )
-    kept.check(1 + len(more), saved.json)
+    ledger_options.check(1 + len(more), save_options.json)
     if more:
         calibrate_several(
-            (directory, *more), saved, estimation, options, kept.accept_misfit, workforce
+            (directory, *more),
+            save_options,
+            estimation,
+            options,
+            ledger_options.accept_misfit,
+            worker_options,
         )
         return
-    saved.reserve(_result_kind)
+    save_options.reserve(_result_file_type)
     with progress() as advance:
         result = run(
             directory,
             method=estimation.method,
             options=options,
-            accept_misfit=kept.accept_misfit,
+            accept_misfit=ledger_options.accept_misfit,
             without=estimation.without,
             progress=advance,
         )
@@ -193,17 +198,19 @@ def calibrate(
     from counterspin.calibration.pages.document import print_result
     from counterspin.reports.text import report_console
 
-    with saved.written(result):
-        print_result(result, report_console(), budget=printed.budget, details=printed.details)
-    kept.enter(saved.json)
+    with save_options.writing(result):
+        print_result(
+            result, report_console(), budget=print_options.budget, details=print_options.details
+        )
+    ledger_options.add_result(save_options.json)
     if result.state == "contradicted" and result.accepted_misfit is None:
-        raise CounterspinError(f"{_CONTRADICTED}: {result.findings[0].text} {_WHAT_TO_DO}")
+        raise CounterspinError(f"{_CONTRADICTED}: {result.findings[0].text} {_REMEDY}")
     if result.state == "not-determined":
         first = result.findings[0]
         raise CounterspinError(f"{first.subject} is not determined: {first.text}")
 
 
-def _result_kind() -> FileType:
+def _result_file_type() -> FileType:
     from counterspin.calibration.result import Result
 
     return Result.file_kind()
@@ -211,18 +218,18 @@ def _result_kind() -> FileType:
 
 def calibrate_several(
     directories: tuple[Path, ...],
-    saved: SaveOptions,
+    save_options: SaveOptions,
     estimation: Estimation,
     options: TwoStageOptions,
     accept_misfit: str | None,
-    workforce: BatchWorkers,
+    worker_options: BatchWorkers,
 ) -> None:
     """Calibrate campaigns one by one, print a summary, and raise if any failed."""
     from counterspin.calibration.batch import BatchResult, calibrate_many
     from counterspin.reports.text import report_console, work_progress
     from counterspin.workers import Workers
 
-    saved.reserve(BatchResult.file_kind)
+    save_options.reserve(BatchResult.file_kind)
     with work_progress("Campaigns") as advance:
         batch = calibrate_many(
             directories,
@@ -230,17 +237,17 @@ def calibrate_several(
             options=options,
             accept_misfit=accept_misfit,
             without=estimation.without,
-            workers=Workers(workforce.workers, workforce.cluster),
+            workers=Workers(worker_options.workers, worker_options.cluster),
             progress=advance,
         )
-    with saved.written(batch):
+    with save_options.writing(batch):
         report_console().print(batch)
     if batch.failed:
         raise CounterspinError(
             f"{len(batch.failed)} of {len(batch.campaigns)} campaigns could not be calibrated"
         )
     if batch.contradicted:
-        raise CounterspinError(f"{_CONTRADICTED} of {len(batch.contradicted)}. {_WHAT_TO_DO}")
+        raise CounterspinError(f"{_CONTRADICTED} of {len(batch.contradicted)}. {_REMEDY}")
     if batch.not_determined:
         names = ", ".join(batch.not_determined)
         raise CounterspinError(

@@ -8,7 +8,7 @@ from getpass import getpass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from counterspin.cli.words import OutputFile, group, print_output
+from counterspin.cli.common import OutputFile, option_group, print_output
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from counterspin.certificates.signers import Signer
 
 
-@group
+@option_group
 @frozen
 class SigningOptions:
     """How a certificate is validated and signed.
@@ -44,7 +44,7 @@ class SigningOptions:
     cert: Path | None = None
     both: bool = False
 
-    def who_signs(self) -> Callable[[], Signer] | None:
+    def signer_reader(self) -> Callable[[], Signer] | None:
         """Return a function that reads the key; None without a key."""
         from counterspin.certificates.signers import command_signer
 
@@ -82,7 +82,7 @@ def _password(key: Path) -> str:
     return sys.stdin.readline().rstrip("\r\n")
 
 
-@group
+@option_group
 @frozen
 class IssueOptions:
     """Reasons that a certificate states, and where they are recorded.
@@ -195,7 +195,7 @@ def certificate(
         result,
         lab,
         schema=signing.schema,
-        signer=signing.who_signs(),
+        signer=signing.signer_reader(),
         accept_misfit=issue.accept_misfit,
         accept_unsealed=issue.accept_unsealed,
         amends=None

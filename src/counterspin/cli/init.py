@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 from cyclopts import Parameter
 
-from counterspin.cli.words import print_output, shell_word
+from counterspin.cli.common import print_output, shell_word
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.ingest.starter import Test
 
@@ -47,7 +47,7 @@ def init(
         Answer to a prompt, such as --answer "radius=2.5 m"; may be repeated.
     """
     if from_:
-        _import_files(directory, from_, answer or [], test, asks=not yes)
+        _import_files(directory, from_, answer or [], test, asks_questions=not yes)
         return
     if yes or answer:
         raise CampaignError("init", ["name the files of a recorder: --from FILE ..."])
@@ -73,7 +73,12 @@ def _write_schema(directory: Path) -> None:
 
 
 def _import_files(
-    directory: Path, files: list[Path], given: list[str], stated: Test | None, *, asks: bool
+    directory: Path,
+    files: list[Path],
+    answer_options: list[str],
+    stated_test: Test | None,
+    *,
+    asks_questions: bool,
 ) -> None:
     """Write a campaign of a recorder's files."""
     from counterspin.ingest.contents import read_files
@@ -81,41 +86,42 @@ def _import_files(
     from counterspin.ingest.overview import overview, sensor_question
     from counterspin.reports.text import work_progress
 
-    answers = _answers(given)
+    answers = _parse_answers(answer_options)
     with work_progress("Files") as advance:
         all_contents = read_files(files, answers, progress=advance)
     print_output("Seen in the files:", *(f"  {line}" for line in overview(all_contents)))
-    asks = asks and sys.stdin is not None and sys.stdin.isatty()
+    asks_questions = asks_questions and sys.stdin is not None and sys.stdin.isatty()
     if (question := sensor_question(all_contents)) is not None:
-        if not asks:
+        if not asks_questions:
             text = f'{question.text} Answer with `answer`, such as "select={question.example}".'
             raise CampaignError("init", [f"select: {text}"])
         answers["select"] = _ask(question)
         all_contents = read_files(files, answers)
     answers.pop("select", None)
-    test = stated or _test(all_contents, asks=asks)
-    found = drafted(all_contents, answers, test)
+    test = stated_test or _choose_test(all_contents, asks=asks_questions)
+    detected_test = drafted(all_contents, answers, test)
     print_output(
-        f"Detected for the test {test} (please check):", *(f"  {s}" for s in found.statements)
+        f"Detected for the test {test} (please check):",
+        *(f"  {s}" for s in detected_test.statements),
     )
-    if asks and not found.problems:
-        before = found.statements
-        while found.open_questions:
-            question = found.open_questions[0]
+    if asks_questions and not detected_test.problems:
+        previous = detected_test.statements
+        while detected_test.open_questions:
+            question = detected_test.open_questions[0]
             answers[question.key] = _ask(question)
             if question.key == "sheet":
                 all_contents = read_files(files, answers)
-            found = drafted(all_contents, answers, test)
-        more = [statement for statement in found.statements if statement not in before]
-        print_output(*(f"  {statement}" for statement in more))
-    written = write_description(found, directory)
+            detected_test = drafted(all_contents, answers, test)
+        extra = [statement for statement in detected_test.statements if statement not in previous]
+        print_output(*(f"  {statement}" for statement in extra))
+    written = write_description(detected_test, directory)
     print_output(
         f"Wrote {written}. Check it, then:",
         f"  counterspin calibrate {shell_word(directory)}",
     )
 
 
-def _test(all_contents: Sequence[FileContents], *, asks: bool) -> Test:
+def _choose_test(all_contents: Sequence[FileContents], *, asks: bool) -> Test:
     """Return the kind of test: a person's choice, or without one the likely kind."""
     from counterspin.ingest.overview import kind_question, likely_test, no_test_reasons
 
@@ -131,7 +137,7 @@ def _test(all_contents: Sequence[FileContents], *, asks: bool) -> Test:
     return likely
 
 
-def _answers(given: list[str]) -> dict[str, str]:
+def _parse_answers(given: list[str]) -> dict[str, str]:
     answers = {}
     for words in given:
         key, mark, value = words.partition("=")

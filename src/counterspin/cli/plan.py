@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from counterspin.cli.words import (
+from counterspin.cli.common import (
     NOT_SAVED,
     OutputFile,
     SaveOptions,
-    group,
+    option_group,
     print_output,
     shell_word,
 )
@@ -17,7 +17,7 @@ from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 
 
-@group
+@option_group
 @frozen
 class ExampleOptions:
     """An example to start from, instead of a plan.
@@ -34,7 +34,7 @@ class ExampleOptions:
     example: Literal["records", "poses"] = "records"
 
 
-@group
+@option_group
 @frozen
 class RecordingDetails:
     """How the records of a campaign will be made, if it does not state this.
@@ -62,8 +62,8 @@ def plan(
     check: Path | None = None,
     start: ExampleOptions = _NO_EXAMPLE,
     output: OutputFile = None,
-    saved: SaveOptions = NOT_SAVED,
-    recording: RecordingDetails = _UNKNOWN,
+    save_options: SaveOptions = NOT_SAVED,
+    recording_details: RecordingDetails = _UNKNOWN,
 ) -> None:
     """Optimise rates, durations, senses and attitudes of the runs, and predict the uncertainties.
 
@@ -90,24 +90,24 @@ def plan(
         print_output(f"Wrote {write_example(start.init, start.example)}. Edit it, or try it:")
         print_output(f"  counterspin plan {shell_word(start.init)}")
         return
-    saved.reserve(PlanResult.file_kind)
+    save_options.reserve(PlanResult.file_kind)
     if output is not None:
         require_no_campaign(output)
     if check is not None:
         if output is not None:
             raise CampaignError("plan", ["--output needs a plan, not --check"])
         try:
-            typed = recording.sampling_rate
+            typed = recording_details.sampling_rate
             rate = None if typed is None else exact(typed, "Hz")
         except ValueError as error:
             raise CampaignError("--sampling-rate", [str(error)]) from error
-        result = forecast(check, sampling_rate=rate, revolutions=recording.revolutions)
+        result = forecast(check, sampling_rate=rate, revolutions=recording_details.revolutions)
     else:
         assert file is not None  # one of the three is
         with progress(words=("Searching",) * 3):
             planned = search(file)
         result = planned.result
-    with saved.written(result):
+    with save_options.writing(result):
         written = None if output is None else write_campaign(planned, output)
         report_console().print(result)
     if output is not None and result.readings:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from counterspin.cli.words import (
+from counterspin.cli.common import (
     NOT_SAVED,
     OnOff,
     OutputFolder,
@@ -99,27 +99,30 @@ def demo(
         demonstration_report,
     )
 
-    drawn = output / f"displacement.{figure}"
-    reserve_figures([drawn], FILE_DESCRIPTION, overwrite=overwrite)
-    shown = run(output, overwrite=overwrite)
-    save_figure(demonstration_plots(shown), drawn, FILE_DESCRIPTION, overwrite=overwrite)
-    report_console().print(demonstration_report(shown))
+    figure_path = output / f"displacement.{figure}"
+    reserve_figures([figure_path], FILE_DESCRIPTION, overwrite=overwrite)
+    demonstration = run(output, overwrite=overwrite)
+    save_figure(
+        demonstration_plots(demonstration), figure_path, FILE_DESCRIPTION, overwrite=overwrite
+    )
+    report_console().print(demonstration_report(demonstration))
     print_output(
         "",
-        f"Wrote campaign.toml, {len(shown.records)} records and {drawn.name} to {output}. Next:",
+        f"Wrote campaign.toml, {len(demonstration.records)} records and "
+        f"{figure_path.name} to {output}. Next:",
         f"  counterspin calibrate {shell_word(output)}",
     )
 
 
-def reproduce(*, saved: SaveOptions = NOT_SAVED) -> None:
+def reproduce(*, save_options: SaveOptions = NOT_SAVED) -> None:
     """Recompute the paper's numbers and explain the differences."""
     from counterspin.reports.text import report_console
     from counterspin.reproduction.comparison import reproduce as run
     from counterspin.reproduction.plan import Reproduction
 
-    saved.reserve(Reproduction.file_kind)
+    save_options.reserve(Reproduction.file_kind)
     reproduction = run()
-    with saved.written(reproduction):
+    with save_options.writing(reproduction):
         report_console().print(reproduction)
 
 
@@ -148,8 +151,8 @@ def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: boo
     if dossier.failed:
         raise CounterspinError(f"reference cases failed: {'; '.join(dossier.failed)}")
     if not dossier.passed:
-        there = dossier.installation
-        named = ", ".join([*there.altered, *there.missing])
+        installation = dossier.installation
+        named = ", ".join([*installation.altered, *installation.missing])
         raise CounterspinError(
             f"files of the installation are altered or missing: {named}; reinstall counterspin"
         )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from counterspin.cli.words import NOT_SAVED, OutputFolder, SaveOptions, group, print_output
+from counterspin.cli.common import NOT_SAVED, OutputFolder, SaveOptions, option_group, print_output
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 
@@ -50,7 +50,7 @@ def check(
     *,
     campaign: Annotated[Path, Parameter(name="--campaign")],
     run: str | None = None,
-    saved: SaveOptions = NOT_SAVED,
+    save_options: SaveOptions = NOT_SAVED,
 ) -> None:
     """Check the record of a run: clock, angle, rate, residuals and the expected uncertainty.
 
@@ -67,9 +67,9 @@ def check(
     from counterspin.monitoring.result import CheckedRun
     from counterspin.reports.text import report_console
 
-    saved.reserve(CheckedRun.file_kind)
+    save_options.reserve(CheckedRun.file_kind)
     checked = run_check(record, campaign, run=run)
-    with saved.written(checked):
+    with save_options.writing(checked):
         report_console().print(checked)
     if not checked.good:
         raise CounterspinError("the run has faults and should be repeated")
@@ -128,9 +128,9 @@ def _show_live(states: Iterator[WatchState]) -> None:
     from counterspin.reports.text import report_console
 
     console = report_console()
-    with Live(console=console, auto_refresh=False) as live:
+    with Live(console=console, auto_refresh=False) as display:
         for state in states:
-            live.update(state, refresh=True)
+            display.update(state, refresh=True)
 
 
 def _print_lines(states: Iterator[WatchState], *, once: bool) -> None:
@@ -148,7 +148,7 @@ def _print_lines(states: Iterator[WatchState], *, once: bool) -> None:
         sys.stdout.flush()
 
 
-@group
+@option_group
 @frozen
 class ColumnOptions:
     """The columns of the record, if neither file nor campaign states them.
@@ -185,10 +185,10 @@ def noise(
     /,
     *,
     campaign: Path | None = None,
-    recorded: ColumnOptions = _AS_THE_FILE_SAYS,
+    column_options: ColumnOptions = _AS_THE_FILE_SAYS,
     report: Path | None = None,
     plot: Path | None = None,
-    saved: SaveOptions = NOT_SAVED,
+    save_options: SaveOptions = NOT_SAVED,
 ) -> None:
     """Analyse the noise of a static record: spectrum, Allan deviation, components, lines.
 
@@ -214,31 +214,31 @@ def noise(
     if report is not None:
         check_report(report)
         kind = NoiseResult.report_kind()
-        reserve(report, lambda: marked(kind), overwrite=saved.overwrite)
+        reserve(report, lambda: marked(kind), overwrite=save_options.overwrite)
     if plot is not None:
         check_format(plot)
-        reserve(plot, lambda: marked(FILE_DESCRIPTION), overwrite=saved.overwrite)
-    saved.reserve(NoiseResult.file_kind)
+        reserve(plot, lambda: marked(FILE_DESCRIPTION), overwrite=save_options.overwrite)
+    save_options.reserve(NoiseResult.file_kind)
     result = run(
         record,
         campaign=campaign,
-        columns=recorded.columns or (),
-        unit=recorded.unit,
-        sampling_rate=recorded.sampling_rate,
-        gravity=recorded.gravity,
-        rate=recorded.rate,
-        select=recorded.select,
+        columns=column_options.columns or (),
+        unit=column_options.unit,
+        sampling_rate=column_options.sampling_rate,
+        gravity=column_options.gravity,
+        rate=column_options.rate,
+        select=column_options.select,
     )
-    with saved.written(result):
+    with save_options.writing(result):
         if plot is not None:
             pictures = [
                 picture
                 for signal in result.signals
                 for picture in noise_plots(signal, result.gravity)
             ]
-            save_figure(pictures, plot, FILE_DESCRIPTION, overwrite=saved.overwrite)
+            save_figure(pictures, plot, FILE_DESCRIPTION, overwrite=save_options.overwrite)
         if report is not None:
-            result.write_report(report, overwrite=saved.overwrite)
+            result.write_report(report, overwrite=save_options.overwrite)
         report_console().print(result)
     for path in (report, plot):
         if path is not None:

@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
-from counterspin.cli.words import NOT_SAVED, OutputFile, SaveOptions, print_output
+from counterspin.cli.common import NOT_SAVED, OutputFile, SaveOptions, print_output
 from counterspin.errors import CampaignError, CounterspinError
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def history(
     term: str = "K_II",
     serial: str | None = None,
     reliability: float = 0.95,
-    saved: SaveOptions = NOT_SAVED,
+    save_options: SaveOptions = NOT_SAVED,
     figure: Path | None = None,
 ) -> None:
     """Track a coefficient over time: drift and consistency between calibrations.
@@ -127,12 +127,14 @@ def history(
         raise CampaignError("history", ["give result files, or folders that contain them"])
     if figure is not None:
         check_format(figure)
-        reserve(figure, lambda: marked(FILE_DESCRIPTION), overwrite=saved.overwrite)
-    saved.reserve(History.file_kind)
+        reserve(figure, lambda: marked(FILE_DESCRIPTION), overwrite=save_options.overwrite)
+    save_options.reserve(History.file_kind)
     result = run(paths, term=term, serial=serial, reliability=reliability)
-    with saved.written(result):
+    with save_options.writing(result):
         if figure is not None:
-            save_figure(history_plots(result), figure, FILE_DESCRIPTION, overwrite=saved.overwrite)
+            save_figure(
+                history_plots(result), figure, FILE_DESCRIPTION, overwrite=save_options.overwrite
+            )
         report_console().print(result)
     if result.damaged:
         raise CounterspinError(
@@ -140,7 +142,9 @@ def history(
         )
 
 
-def compare(*results: Path, saved: SaveOptions = NOT_SAVED, report: Path | None = None) -> None:
+def compare(
+    *results: Path, save_options: SaveOptions = NOT_SAVED, report: Path | None = None
+) -> None:
     """Compare results of different models, methods or campaigns, and show what changed.
 
     Parameters
@@ -158,12 +162,14 @@ def compare(*results: Path, saved: SaveOptions = NOT_SAVED, report: Path | None 
 
     if report is not None:
         check_format(report)
-        reserve(report, lambda: marked(ResultComparison.report_kind()), overwrite=saved.overwrite)
-    saved.reserve(ResultComparison.file_kind)
+        reserve(
+            report, lambda: marked(ResultComparison.report_kind()), overwrite=save_options.overwrite
+        )
+    save_options.reserve(ResultComparison.file_kind)
     compared = run(*results)
-    with saved.written(compared):
+    with save_options.writing(compared):
         if report is not None:
-            compared.write_report(report, overwrite=saved.overwrite)
+            compared.write_report(report, overwrite=save_options.overwrite)
         report_console().print(compared)
 
 
@@ -172,7 +178,7 @@ def rerun(
     /,
     *,
     folder: Path | None = None,
-    saved: SaveOptions = NOT_SAVED,
+    save_options: SaveOptions = NOT_SAVED,
 ) -> None:
     """Repeat the calibration of a result from the same files, and compare both results.
 
@@ -187,10 +193,10 @@ def rerun(
     from counterspin.comparisons.result import RepeatedCalibration
     from counterspin.reports.text import progress, report_console
 
-    saved.reserve(RepeatedCalibration.file_kind)
+    save_options.reserve(RepeatedCalibration.file_kind)
     with progress() as advance:
         repeated = run(result, folder, progress=advance)
-    with saved.written(repeated):
+    with save_options.writing(repeated):
         report_console().print(repeated)
     if not repeated.same:
         raise CounterspinError(f"{result}: the repeated calibration differs")
@@ -228,7 +234,7 @@ def ledger(
         if not results or not who or not why:
             raise CampaignError("ledger", ["give RESULT.json, --who NAME and --why REASON"])
         for file in results:
-            add(ledger, file, who=who, why=why)
+            add_to_ledger(ledger, file, who=who, why=why)
         return
     if results or who or why:
         raise CampaignError("ledger", ["with verify, give only the ledger"])
@@ -242,10 +248,10 @@ def ledger(
         )
 
 
-def add(ledger: Path, result: Path, *, who: str, why: str) -> None:
+def add_to_ledger(ledger: Path, result: Path, *, who: str, why: str) -> None:
     """Enter a result's file, and say so."""
     from counterspin.certificates.ledger import record_result
     from counterspin.reports.publication import issue_date
 
-    entered = record_result(ledger, result, who=who, why=why, date=issue_date())
-    print_output(f"{ledger}: entry {entered.number} is result {result}, hash {entered.digest}.")
+    entry = record_result(ledger, result, who=who, why=why, date=issue_date())
+    print_output(f"{ledger}: entry {entry.number} is result {result}, hash {entry.digest}.")

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from counterspin.cli.words import NOT_SAVED, OutputFile, SaveOptions, group
+from counterspin.cli.common import NOT_SAVED, OutputFile, SaveOptions, option_group
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 
 
-@group
+@option_group
 @frozen
 class TrialSettings:
     """How many trials are made, and how.
@@ -30,7 +30,7 @@ class TrialSettings:
     engine: Literal["auto", "linear", "full"] = "auto"
 
 
-@group
+@option_group
 @frozen
 class StudyWorkers:
     """The processes that make the trials.
@@ -54,12 +54,12 @@ def study(
     campaign: Path,
     /,
     *,
-    trials: TrialSettings = _OWN,
-    workforce: StudyWorkers = _ALONE,
+    trial_settings: TrialSettings = _OWN,
+    worker_options: StudyWorkers = _ALONE,
     output: OutputFile = None,
     keep_trials: bool = False,
     resume: bool = False,
-    saved: SaveOptions = NOT_SAVED,
+    save_options: SaveOptions = NOT_SAVED,
 ) -> None:
     """Test analyses on many simulated campaigns: bias, scatter and coverage of the intervals.
 
@@ -83,23 +83,23 @@ def study(
     if output is None and (keep_trials or resume):
         option = "`keep_trials`" if keep_trials else "`resume`"
         raise CounterspinError(f"{option} needs the study's folder: `output`")
-    saved.reserve(StudyResult.file_kind)
-    folder = output and StudyFolder(output, keep_trials, resume, saved.overwrite)
+    save_options.reserve(StudyResult.file_kind)
+    folder = output and StudyFolder(output, keep_trials, resume, save_options.overwrite)
     with work_progress("Trials") as advance:
         result = run(
             campaign,
-            trials=trials.trials,
-            seed=trials.seed,
-            engine=trials.engine,
-            workers=Workers(workforce.workers, workforce.cluster),
+            trials=trial_settings.trials,
+            seed=trial_settings.seed,
+            engine=trial_settings.engine,
+            workers=Workers(worker_options.workers, worker_options.cluster),
             output=folder,
             progress=advance,
         )
-    with saved.written(result):
+    with save_options.writing(result):
         if output is not None:
             from counterspin.studies.page import write_figures
 
-            write_figures(result, output, overwrite=resume or saved.overwrite)
+            write_figures(result, output, overwrite=resume or save_options.overwrite)
         report_console().print(result)
     if not result.complete:
         more = "" if output is None else "; continue with the same command and --resume"

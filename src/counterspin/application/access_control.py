@@ -32,38 +32,38 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 T = TypeVar("T")
 
 #: Where the token is given for the key.
-SESSION: Final = "/api/session"
+SESSION_PATH: Final = "/api/session"
 
 #: Where tickets are taken.
-TICKETS: Final = "/api/ticket/"
+TICKET_PATH: Final = "/api/ticket/"
 
 #: How long a ticket counts, s, and how many there are.
 _TICKET_SECONDS: Final = 60.0
-_MOST_TICKETS: Final = 100
+_MAX_TICKETS: Final = 100
 
 #: Most bytes of a request without the key, of one that brings a form, and of one with a file.
-STRANGER_BYTES: Final = 4000
-FORM_BYTES: Final = 4_000_000
-FILE_BYTES: Final = 4_000_000_000
+UNAUTHENTICATED_MAX_BYTES: Final = 4000
+FORM_MAX_BYTES: Final = 4_000_000
+FILE_MAX_BYTES: Final = 4_000_000_000
 
 #: How long a request without the key may take to arrive, s.
-STRANGER_SECONDS: Final = 5.0
+UNAUTHENTICATED_TIMEOUT: Final = 5.0
 
 #: Larger forms are read a few at a time, the others wait.
-_LARGE_BYTES: Final = 1 << 16
-_LARGE_FORMS: Final = 2
+_LARGE_FORM_BYTES: Final = 1 << 16
+_MAX_LARGE_FORMS: Final = 2
 
 #: Where files are brought.
-FILES: Final = "/api/files"
+FILES_PATH: Final = "/api/files"
 
 #: Methods that change nothing.
-_READING_METHODS: Final = ("GET", "HEAD")
+_SAFE_METHODS: Final = ("GET", "HEAD")
 
 #: Names of this machine alone.
 _HOST_NAMES: Final = ("127.0.0.1", "localhost", "[::1]")
 
 #: What is told to who asks for something of the folder without the key.
-NO_KEY: Final = (
+NO_KEY_MESSAGE: Final = (
     "This window does not have the server's key. Open the newest link in the terminal in "
     "which `counterspin serve` runs; each link works once."
 )
@@ -86,7 +86,7 @@ _HEADERS: Final[Mapping[str, str]] = {
 }
 
 
-class Door:
+class Credentials:
     """The secrets of one server, and its host names."""
 
     def __init__(
@@ -94,10 +94,10 @@ class Door:
         port: int,
         token: str | None = None,
         key: str | None = None,
-        tell: Callable[[str], None] | None = None,
+        on_token_used: Callable[[str], None] | None = None,
     ) -> None:
         self.port = port
-        self.tell = tell
+        self.on_token_used = on_token_used
         self._token = token or secrets.token_urlsafe(24)
         self._key = key or secrets.token_urlsafe(24)
 
@@ -111,50 +111,52 @@ class Door:
         """The valid values of a request's Host."""
         return frozenset(f"{name}:{self.port}" for name in _HOST_NAMES)
 
-    def key_for(self, token: str) -> str | None:
+    def exchange_token(self, token: str) -> str | None:
         """Exchange the link's token for the key and issue a new token; None for any other token."""
         if not secrets.compare_digest(token.encode("utf-8", "replace"), self._token.encode()):
             return None
         self._token = secrets.token_urlsafe(24)
         return self._key
 
-    def admits(self, headers: Headers) -> bool:
+    def is_authorized(self, headers: Headers) -> bool:
         """Return whether a request carries the key."""
-        said = headers.getlist("authorization")
-        known = f"Bearer {self._key}"
-        return len(said) == 1 and secrets.compare_digest(said[0].encode(), known.encode())
+        authorizations = headers.getlist("authorization")
+        expected = f"Bearer {self._key}"
+        return len(authorizations) == 1 and secrets.compare_digest(
+            authorizations[0].encode(), expected.encode()
+        )
 
 
 class Tickets(Generic[T]):
     """Addresses that are valid once and for a short time, each for one request."""
 
     def __init__(self) -> None:
-        self._held: dict[str, tuple[float, T]] = {}
+        self._targets: dict[str, tuple[float, T]] = {}
         self._lock = threading.Lock()
 
     def issue(self, target: T) -> str:
         """Return a ticket for a request; the oldest expires if there are too many."""
         ticket = secrets.token_urlsafe(24)
         with self._lock:
-            self._held[ticket] = (time.monotonic(), target)
-            while len(self._held) > _MOST_TICKETS:
-                del self._held[next(iter(self._held))]
+            self._targets[ticket] = (time.monotonic(), target)
+            while len(self._targets) > _MAX_TICKETS:
+                del self._targets[next(iter(self._targets))]
         return ticket
 
     def take(self, ticket: str) -> T | None:
         """Return the request of a ticket; None if it is not valid."""
         with self._lock:
-            issued, target = self._held.pop(ticket, (-_TICKET_SECONDS, None))
+            issued, target = self._targets.pop(ticket, (-_TICKET_SECONDS, None))
         return target if time.monotonic() - issued < _TICKET_SECONDS else None
 
 
-class Guard:
+class AccessControl:
     """Passes on the requests of the application's own page, and refuses all others."""
 
-    def __init__(self, app: ASGIApp, door: Door) -> None:
+    def __init__(self, app: ASGIApp, credentials: Credentials) -> None:
         self._app = app
-        self._door = door
-        self._large_forms = asyncio.Semaphore(_LARGE_FORMS)
+        self._credentials = credentials
+        self._large_forms = asyncio.Semaphore(_MAX_LARGE_FORMS)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request, or refuse it."""
@@ -171,101 +173,105 @@ class Guard:
                     headers[name] = value
             await send(message)
 
-        known = self._door.admits(Headers(scope=scope))
-        most = _most(scope["path"]) if known else STRANGER_BYTES
-        refusal = next(self._refusals(scope, known=known, most=most), None)
+        is_authorized = self._credentials.is_authorized(Headers(scope=scope))
+        max_bytes = _max_bytes(scope["path"]) if is_authorized else UNAUTHENTICATED_MAX_BYTES
+        refusal = next(
+            self._refusals(scope, is_authorized=is_authorized, max_bytes=max_bytes), None
+        )
         if refusal is not None:
-            status, why = refusal
+            status, reason = refusal
             # Nothing more is read of who shows no key.
-            headers = None if known else {"Connection": "close"}
-            await JSONResponse({"error": why}, status, headers)(scope, receive, send_guarded)
+            headers = None if is_authorized else {"Connection": "close"}
+            await JSONResponse({"error": reason}, status, headers)(scope, receive, send_guarded)
             return
-        seconds = math.inf if known else STRANGER_SECONDS
-        await self._limited(scope, receive, send_guarded, most, seconds)
+        seconds = math.inf if is_authorized else UNAUTHENTICATED_TIMEOUT
+        await self._call_limited(scope, receive, send_guarded, max_bytes, seconds)
 
-    def _refusals(self, scope: Scope, *, known: bool, most: int) -> Iterator[tuple[int, str]]:
+    def _refusals(
+        self, scope: Scope, *, is_authorized: bool, max_bytes: int
+    ) -> Iterator[tuple[int, str]]:
         """Yield the reasons to refuse a request, with the status; the first one is used."""
         headers, path = Headers(scope=scope), scope["path"]
         hosts = [host.lower() for host in headers.getlist("host")]
-        if len(hosts) != 1 or hosts[0] not in self._door.hosts:
+        if len(hosts) != 1 or hosts[0] not in self._credentials.hosts:
             yield 403, "This page can only be reached by its own address."
         origins = headers.getlist("origin")
         same_site = headers.get("sec-fetch-site", "same-origin") in ("same-origin", "none")
         if any(origin.lower() != f"http://{hosts[0]}" for origin in origins):
             yield 403, "Another page sent this request, which is refused."
-        if scope["method"] not in _READING_METHODS and not origins:
+        if scope["method"] not in _SAFE_METHODS and not origins:
             yield 403, "The request does not state its origin."
         if path.startswith("/api/"):
             if not same_site:
                 yield 403, "Another page sent this request, which is refused."
-            if not (known or path == SESSION or path.startswith(TICKETS)):
-                yield 401, NO_KEY
+            if not (is_authorized or path == SESSION_PATH or path.startswith(TICKET_PATH)):
+                yield 401, NO_KEY_MESSAGE
         length = headers.get("content-length", "0")
-        if not (length.isascii() and length.isdigit()) or int(length) > most:
-            yield 413, _too_large(most)
+        if not (length.isascii() and length.isdigit()) or int(length) > max_bytes:
+            yield 413, _too_large_message(max_bytes)
 
-    async def _limited(
-        self, scope: Scope, receive: Receive, send: Send, most: int, seconds: float
+    async def _call_limited(
+        self, scope: Scope, receive: Receive, send: Send, max_bytes: int, seconds: float
     ) -> None:
         """Pass a request on; stop it if its body exceeds the limit of size or of time."""
-        taken = 0
-        begun = waited = complete = False
+        byte_count = 0
+        has_begun = has_slot = is_complete = False
         deadline = asyncio.get_running_loop().time() + seconds
 
         async def receive_limited() -> Message:
-            nonlocal taken, waited, complete
-            if taken > _LARGE_BYTES and most <= FORM_BYTES and not waited:
+            nonlocal byte_count, has_slot, is_complete
+            if byte_count > _LARGE_FORM_BYTES and max_bytes <= FORM_MAX_BYTES and not has_slot:
                 # Many of them at once would hold much memory.
-                waited = await self._large_forms.acquire()
+                has_slot = await self._large_forms.acquire()
             try:
-                async with asyncio.timeout_at(None if complete else deadline):
+                async with asyncio.timeout_at(None if is_complete else deadline):
                     message = await receive()
             except TimeoutError as error:
-                raise _TooLateError from error
-            complete = not message.get("more_body", False)
-            taken += len(message.get("body", b""))
-            if taken > most:
-                raise _TooLargeError
+                raise _RequestTimeoutError from error
+            is_complete = not message.get("more_body", False)
+            byte_count += len(message.get("body", b""))
+            if byte_count > max_bytes:
+                raise _RequestTooLargeError
             return message
 
-        async def send_noted(message: Message) -> None:
-            nonlocal begun
-            begun = True
+        async def send_and_note(message: Message) -> None:
+            nonlocal has_begun
+            has_begun = True
             await send(message)
 
         try:
-            await self._app(scope, receive_limited, send_noted)
+            await self._app(scope, receive_limited, send_and_note)
         except ClientDisconnect:
             return  # who asked has gone; nobody waits for an answer
-        except _TooLargeError:
-            if not begun:
-                why = _too_large(most)
-                await JSONResponse({"error": why}, 413)(scope, receive, send)
-        except _TooLateError:
-            if not begun:
-                why = f"The request did not arrive within {seconds:g} s."
-                answer = JSONResponse({"error": why}, 408, {"Connection": "close"})
+        except _RequestTooLargeError:
+            if not has_begun:
+                reason = _too_large_message(max_bytes)
+                await JSONResponse({"error": reason}, 413)(scope, receive, send)
+        except _RequestTimeoutError:
+            if not has_begun:
+                reason = f"The request did not arrive within {seconds:g} s."
+                answer = JSONResponse({"error": reason}, 408, {"Connection": "close"})
                 await answer(scope, receive, send)
         except Exception as error:  # no traceback for a user
-            if not begun:
-                why = f"internal error ({type(error).__name__}: {error})"
-                await JSONResponse({"error": why}, 500)(scope, receive, send)
+            if not has_begun:
+                reason = f"internal error ({type(error).__name__}: {error})"
+                await JSONResponse({"error": reason}, 500)(scope, receive, send)
         finally:
-            if waited:
+            if has_slot:
                 self._large_forms.release()
 
 
-class _TooLargeError(Exception):
+class _RequestTooLargeError(Exception):
     """The error for a request whose body exceeds its limit."""
 
 
-class _TooLateError(Exception):
+class _RequestTimeoutError(Exception):
     """The error for a request whose body does not arrive in time."""
 
 
-def _most(path: str) -> int:
-    return FILE_BYTES if path == FILES else FORM_BYTES
+def _max_bytes(path: str) -> int:
+    return FILE_MAX_BYTES if path == FILES_PATH else FORM_MAX_BYTES
 
 
-def _too_large(most: int) -> str:
-    return f"The request is too large; at most {most} bytes are taken."
+def _too_large_message(max_bytes: int) -> str:
+    return f"The request is too large; at most {max_bytes} bytes are taken."

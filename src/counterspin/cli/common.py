@@ -50,13 +50,13 @@ def join_docstring(docstring: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def group(options: type[Options]) -> type[Options]:
+def option_group(options: type[Options]) -> type[Options]:
     """Make each field of a class an option of the command that has it as a parameter."""
     options.__doc__ = join_docstring(options.__doc__ or "")
     return Parameter(name="*")(options)
 
 
-@group
+@option_group
 @frozen
 class SaveOptions:
     """Where a command's result is written.
@@ -78,7 +78,7 @@ class SaveOptions:
             reserve(self.json, kind, overwrite=self.overwrite)
 
     @contextmanager
-    def written(self, result: ResultFile) -> Iterator[None]:
+    def writing(self, result: ResultFile) -> Iterator[None]:
         """Write a result before anything is printed; where it cannot be, print all the same."""
         failure = None
         if self.json is not None:
@@ -123,8 +123,8 @@ def print_output(*lines: str) -> None:
 
 def print_error(text: str) -> None:
     """Print what went wrong to standard error, as `print_output` does, further lines indented."""
-    indented = re.sub(r"\n(?!  )", "\n  ", MultilineText(*text.split("\n")))
-    _print(f"counterspin: {indented}", sys.stderr)
+    text_lines = re.sub(r"\n(?!  )", "\n  ", MultilineText(*text.split("\n")))
+    _print(f"counterspin: {text_lines}", sys.stderr)
 
 
 def _print(text: str, stream: TextIO | None) -> None:
@@ -155,14 +155,14 @@ def translate_message(message: str, app: App, words: Iterable[str]) -> str:
             if argument.name.startswith("-"):
                 options[argument.field_info.name] = argument
 
-    def typed(match: re.Match[str]) -> str:
+    def to_option(match: re.Match[str]) -> str:
         name, text = match["name"], match["text"]
         if name in _COMMANDS:
             return f"`{_COMMANDS[name]}`"
         if name not in options:
             return match[0]
         option = options[name]
-        flag = option.negatives[0] if match["truth"] == "False" else option.name
-        return flag if text is None else f"{flag} {quote_word(text)}"
+        option_name = option.negatives[0] if match["truth"] == "False" else option.name
+        return option_name if text is None else f"{option_name} {quote_word(text)}"
 
-    return _ARGUMENT.sub(typed, message)
+    return _ARGUMENT.sub(to_option, message)

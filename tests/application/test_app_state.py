@@ -51,21 +51,21 @@ def test_no_ledger_is_kept_outside(page, folder, outside):
         ('temperature = "sub/../../secret"', "temperature"),
     ],
 )
-def test_no_key_of_a_description_leads_out(desk, folder, outside, line, key):
+def test_no_key_of_a_description_leads_out(app, folder, outside, line, key):
     file = folder / "three" / "campaign.toml"
-    assert desk.campaign("three").runs
+    assert app.campaign("three").runs
     file.write_text(file.read_text().replace("[[runs]]\n", f"[[runs]]\n{line}\n", 1))
     with pytest.raises(CampaignError, match="outside the served folder") as refused:
-        desk.campaign("three")
+        app.campaign("three")
     assert [problem.partition(":")[0] for problem in refused.value.problems] == [f"runs[0].{key}"]
 
 
-def test_words_are_no_names_of_files(desk, folder):
+def test_words_are_no_names_of_files(app, folder):
     file = folder / "three" / "campaign.toml"
     title = "Qx / Qy .. at 1 g/g^2, https://example.org: \u00b1 \U0001f600" + "x" * 5000
     text = file.read_text().replace("[campaign]\n", f'[campaign]\ntitle = "{title}"\n')
     file.write_text(text)
-    assert desk.campaign("three").title == title
+    assert app.campaign("three").title == title
 
 
 def test_nothing_new_is_written_through_a_link(page, folder, outside):

@@ -77,10 +77,10 @@ def test_a_value_to_be_stated_is_prepared_in_a_copy(page, folder, result):
     assert again["name"] == "three-K_OO-2"
 
 
-def test_runs_to_be_made_are_looked_for_and_prepared(page, desk, folder, result):
+def test_runs_to_be_made_are_looked_for_and_prepared(page, app, folder, result):
     way = CAMPAIGN | {"accelerometer": "Qx", "way": "runs"}
     assert page.post("/api/way", json=way).status_code == 404
-    desk.jobs = InlineJobs()
+    app.jobs = InlineJobs()
     assert page.post("/api/ways", json={"name": "three"}).json()["state"] == "done"
     told = page.get("/api/ways", params=CAMPAIGN).json()
     assert told["searched"]

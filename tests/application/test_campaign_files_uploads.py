@@ -5,8 +5,8 @@ import stat
 
 import pytest
 
-from counterspin.application.folder import OutsideError
-from counterspin.application.keeping import complete_upload, place_for
+from counterspin.application.campaign_files import complete_upload, open_upload
+from counterspin.application.served_folder import PathForbiddenError
 from counterspin.errors import CounterspinError
 
 
@@ -41,48 +41,50 @@ def test_the_same_file_may_be_brought_again(page, folder):
 
 
 def test_a_file_that_does_not_arrive_leaves_nothing(page, folder, monkeypatch):
-    monkeypatch.setattr("counterspin.application.guard.FILE_BYTES", 1000)
+    monkeypatch.setattr("counterspin.application.access_control.FILE_MAX_BYTES", 1000)
     assert bring(page, "new/a.csv", (b"x" * 100 for _ in range(20))).status_code == 413
     assert not (folder / "new").exists()
 
 
-def test_a_packed_file_is_refused_before_it_is_brought(desk):
-    with pytest.raises(OutsideError, match=r"new/run\.csv\.gz: the file is packed; unpack it"):
-        place_for(desk, "new/run.csv.gz")
-    assert not desk.folder.path("new").exists()
+def test_a_packed_file_is_refused_before_it_is_brought(app):
+    with pytest.raises(
+        PathForbiddenError, match=r"new/run\.csv\.gz: the file is packed; unpack it"
+    ):
+        open_upload(app, "new/run.csv.gz")
+    assert not app.folder.path("new").exists()
 
 
-def test_folders_that_were_made_for_it_go_too(desk, folder):
-    first, second = place_for(desk, "far/away/a.csv"), place_for(desk, "far/b.csv")
-    first.end()
-    assert [path.name for path in (folder / "far").iterdir()] == [second.part.parent.name]
-    second.end()
+def test_folders_that_were_made_for_it_go_too(app, folder):
+    first, second = open_upload(app, "far/away/a.csv"), open_upload(app, "far/b.csv")
+    first.discard()
+    assert [path.name for path in (folder / "far").iterdir()] == [second.temporary_path.parent.name]
+    second.discard()
     assert (folder / "far").is_dir()  # it was there when the second one came
-    third = place_for(desk, "three/a.csv")
-    third.end()
+    third = open_upload(app, "three/a.csv")
+    third.discard()
     assert (folder / "three").is_dir()
 
 
-def test_of_two_uploads_of_one_name_the_first_stays(desk, folder):
-    first, second = place_for(desk, "new/a.csv"), place_for(desk, "new/a.csv")
-    first.part.write_text("first")
-    second.part.write_text("second")
-    assert complete_upload(desk, first) == {"name": "new/a.csv", "bytes": 5}
+def test_of_two_uploads_of_one_name_the_first_stays(app, folder):
+    first, second = open_upload(app, "new/a.csv"), open_upload(app, "new/a.csv")
+    first.temporary_path.write_text("first")
+    second.temporary_path.write_text("second")
+    assert complete_upload(app, first) == {"name": "new/a.csv", "bytes": 5}
     with pytest.raises(CounterspinError, match=r"a\.csv exists; name another file"):
-        complete_upload(desk, second)
-    first.end()
-    second.end()
+        complete_upload(app, second)
+    first.discard()
+    second.discard()
     assert [(path.name, path.read_text()) for path in (folder / "new").iterdir()] == [
         ("a.csv", "first")
     ]
 
 
-def test_an_upload_has_the_rights_of_the_process(desk, folder):
+def test_an_upload_has_the_rights_of_the_process(app, folder):
     before = os.umask(0o077)
     try:
-        arrival = place_for(desk, "new/a.csv")
-        complete_upload(desk, arrival)
-        arrival.end()
+        arrival = open_upload(app, "new/a.csv")
+        complete_upload(app, arrival)
+        arrival.discard()
     finally:
         os.umask(before)
     assert stat.S_IMODE((folder / "new" / "a.csv").stat().st_mode) == 0o600

@@ -4,11 +4,11 @@ import numpy as np
 import polars as pl
 import pytest
 
-from counterspin.application.keeping import (
+from counterspin.application.campaign_files import (
     TRASH,
     add_records,
     copy_campaign,
-    put_away,
+    move_to_trash,
     rename_campaign,
     restore_campaign,
     trash_contents,
@@ -22,67 +22,67 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_a_copy_has_all_that_the_campaign_has(desk, folder):
+def test_a_copy_has_all_that_the_campaign_has(app, folder):
     before = names(folder / "three")
     (folder / "three" / ".hidden").write_text("x")
-    assert copy_campaign(desk, "three", "lab/second") == {"name": "lab/second"}
+    assert copy_campaign(app, "three", "lab/second") == {"name": "lab/second"}
     assert names(folder / "lab" / "second") == before
-    assert desk.campaign("lab/second").runs
+    assert app.campaign("lab/second").runs
     assert names(folder / "lab") == ["second"]  # no part of it is left beside it
 
 
-def test_another_name_is_another_folder(desk, folder):
+def test_another_name_is_another_folder(app, folder):
     before = names(folder / "three")
-    assert rename_campaign(desk, "three", "third") == {"name": "third"}
+    assert rename_campaign(app, "three", "third") == {"name": "third"}
     assert names(folder) == ["third"]
     assert names(folder / "third") == before
 
 
-def test_what_is_put_away_is_kept(desk, folder, page):
+def test_what_is_put_away_is_kept(app, folder, page):
     before = names(folder / "three")
-    place = put_away(desk, "three")["place"]
+    place = move_to_trash(app, "three")["place"]
     assert names(folder / TRASH / place) == before
     told = page.get("/api/folder").json()
     assert told["campaigns"] == []
     assert told["trash"] == [{"place": place, "name": "three"}]
 
 
-def test_what_is_restored_replaces_nothing(desk, folder):
+def test_what_is_restored_replaces_nothing(app, folder):
     before = names(folder / "three")
-    copy_campaign(desk, "three", "lab/first")
+    copy_campaign(app, "three", "lab/first")
     for name, restored in (("lab/first", "lab/first"), ("three", "three-2")):
-        place = put_away(desk, name)["place"]
+        place = move_to_trash(app, name)["place"]
         if name == "three":
-            copy_campaign(desk, "lab/first", "three")
-        assert restore_campaign(desk, place) == {"name": restored}
+            copy_campaign(app, "lab/first", "three")
+        assert restore_campaign(app, place) == {"name": restored}
         assert names(folder / restored) == before
-    assert trash_contents(desk) == []
+    assert trash_contents(app) == []
 
 
 @pytest.mark.parametrize("place", ["", "three", "../three", "20260101T000000000000-..%2F..%2Fout"])
-def test_only_what_is_in_the_trash_is_restored(desk, folder, place):
+def test_only_what_is_in_the_trash_is_restored(app, folder, place):
     (folder / TRASH).mkdir()
     before = sorted(folder.rglob("*"))
     with pytest.raises(CounterspinError):
-        restore_campaign(desk, place)
+        restore_campaign(app, place)
     assert sorted(folder.rglob("*")) == before
 
 
-def test_a_trash_that_is_a_link_to_another_folder_is_empty(desk, folder, tmp_path_factory):
+def test_a_trash_that_is_a_link_to_another_folder_is_empty(app, folder, tmp_path_factory):
     outside = tmp_path_factory.mktemp("outside")
     (outside / "20260101T000000000000-theirs").mkdir()
     (folder / TRASH).symlink_to(outside)
-    assert trash_contents(desk) == []
+    assert trash_contents(app) == []
     with pytest.raises(CounterspinError, match="the trash has no"):
-        restore_campaign(desk, "20260101T000000000000-theirs")
+        restore_campaign(app, "20260101T000000000000-theirs")
     assert names(outside) == ["20260101T000000000000-theirs"]
 
 
-def test_a_planted_name_does_not_lead_out_of_the_folder(desk, folder):
+def test_a_planted_name_does_not_lead_out_of_the_folder(app, folder):
     planted = "20260101T000000000000-..%2F..%2Fout"
     (folder / TRASH / planted).mkdir(parents=True)
     with pytest.raises(CounterspinError, match="not a valid file name"):
-        restore_campaign(desk, planted)
+        restore_campaign(app, planted)
 
 
 @pytest.mark.parametrize("how", [copy_campaign, rename_campaign])
@@ -96,51 +96,51 @@ def test_a_planted_name_does_not_lead_out_of_the_folder(desk, folder):
         (".hidden", "is not a valid file name in this folder"),
     ],
 )
-def test_nothing_is_replaced_and_nothing_leaves(desk, folder, how, to, told):
+def test_nothing_is_replaced_and_nothing_leaves(app, folder, how, to, told):
     before = sorted(folder.rglob("*"))
     with pytest.raises(CounterspinError, match=told):
-        how(desk, "three", to)
+        how(app, "three", to)
     assert sorted(folder.rglob("*")) == before
 
 
-def test_links_are_left_alone(desk, folder, tmp_path_factory):
+def test_links_are_left_alone(app, folder, tmp_path_factory):
     (folder / "three" / "more").symlink_to(tmp_path_factory.mktemp("outside"))
-    for act in (lambda: copy_campaign(desk, "three", "four"), lambda: put_away(desk, "three")):
+    for act in (lambda: copy_campaign(app, "three", "four"), lambda: move_to_trash(app, "three")):
         with pytest.raises(CounterspinError, match="three/more is a link"):
             act()
     (folder / "three" / "more").unlink()
     (folder / "linked").symlink_to(folder / "three")
     with pytest.raises(CounterspinError, match="linked is a link to a folder"):
-        put_away(desk, "linked")
+        move_to_trash(app, "linked")
     assert (folder / "three" / "campaign.toml").is_file()
 
 
-def test_a_campaign_that_names_files_beside_its_folder_stays_beside_them(desk, folder):
+def test_a_campaign_that_names_files_beside_its_folder_stays_beside_them(app, folder):
     (folder / "three" / "slow.csv").rename(folder / "slow.csv")
     file = folder / "three" / "campaign.toml"
     file.write_text(file.read_text().replace('"slow.csv"', '"../slow.csv"'))
     with pytest.raises(CounterspinError, match="names files outside of its folder"):
-        rename_campaign(desk, "three", "lab/three")
-    rename_campaign(desk, "three", "third")
-    assert desk.campaign("third").runs
+        rename_campaign(app, "three", "lab/three")
+    rename_campaign(app, "three", "third")
+    assert app.campaign("third").runs
 
 
-def test_nothing_moves_while_a_job_is_at_work(desk, folder, page):
-    with desk.jobs._turn:
+def test_nothing_moves_while_a_job_is_at_work(app, folder, page):
+    with app.jobs._run_lock:
         assert page.post("/api/jobs", json={"name": "three"}).status_code == 200
         for name, said in (("rename", {"to": "third"}), ("put-away", {})):
             told = page.post(f"/api/{name}", json={"name": "three"} | said)
             assert told.status_code == 422
             assert "a job is running in it" in told.json()["error"]
-        desk.jobs.stop(desk.jobs.all()[-1].number)
+        app.jobs.stop(app.jobs.all()[-1].number)
     assert (folder / "three").is_dir()
 
 
-def test_the_folder_that_is_served_stays(desk, folder):
+def test_the_folder_that_is_served_stays(app, folder):
     text = (folder / "three" / "campaign.toml").read_text()
     (folder / "campaign.toml").write_text(text)
     with pytest.raises(CounterspinError, match="is the served folder itself"):
-        put_away(desk, "")
+        move_to_trash(app, "")
 
 
 def further(folder, name, rate, **columns):
@@ -152,25 +152,25 @@ def further(folder, name, rate, **columns):
     return f"three/{name}"
 
 
-def test_a_record_becomes_a_run_at_the_rate_that_it_shows(desk, folder):
+def test_a_record_becomes_a_run_at_the_rate_that_it_shows(app, folder):
     files = [further(folder, "a.csv", 1.5 * np.pi), further(folder, "b c.csv", -0.6 * np.pi)]
-    told = add_records(desk, "three", files)
+    told = add_records(app, "three", files)
     assert told == {"added": ["a at 0.75 rev/s", "b_c at -0.3 rev/s"]}
     *_, first, second = read_campaign(folder / "three").runs
     assert [first.rate, second.rate] == pytest.approx([1.5 * np.pi, -0.6 * np.pi], rel=1e-12)
     assert second.record == folder / "three" / "b c.csv"
-    assert add_records(desk, "three", files) == {"added": []}  # they are runs now
+    assert add_records(app, "three", files) == {"added": []}  # they are runs now
 
 
-def test_a_record_without_a_wave_is_no_run(desk, folder):
+def test_a_record_without_a_wave_is_no_run(app, folder):
     still = dict.fromkeys(("angle_rad", "east_m", "north_m"), np.zeros(800))
     before = (folder / "three" / "campaign.toml").read_bytes()
     with pytest.raises(CounterspinError, match=r"a.csv: the file does not show at which rate"):
-        add_records(desk, "three", [further(folder, "a.csv", 1.0, **still)])
+        add_records(app, "three", [further(folder, "a.csv", 1.0, **still)])
     assert (folder / "three" / "campaign.toml").read_bytes() == before
 
 
-def test_readings_are_no_records(desk, folder):
+def test_readings_are_no_records(app, folder):
     init(folder / "tumble", "tumble")
     with pytest.raises(CounterspinError, match="are readings, not records"):
-        add_records(desk, "tumble", ["three/slow.csv"])
+        add_records(app, "tumble", ["three/slow.csv"])

@@ -7,8 +7,12 @@ from threading import Barrier, Thread
 
 import pytest
 
-from counterspin.application import folder
-from counterspin.application.folder import ChangedMeanwhileError, OutsideError, ServedFolder
+from counterspin.application import served_folder
+from counterspin.application.served_folder import (
+    EditConflictError,
+    PathForbiddenError,
+    ServedFolder,
+)
 from counterspin.errors import CounterspinError
 
 
@@ -41,9 +45,9 @@ def served(tmp_path):
     ],
 )
 def test_no_name_leads_out(served, name):
-    with pytest.raises(OutsideError):
+    with pytest.raises(PathForbiddenError):
         served.read(name)
-    with pytest.raises(OutsideError):
+    with pytest.raises(PathForbiddenError):
         served.write(name, "x", "")
 
 
@@ -52,9 +56,9 @@ def test_no_link_leads_out(served, tmp_path):
     (served.root / "up").symlink_to(tmp_path)
     (served.root / "round").symlink_to(served.root / "round")
     for name in ("link.toml", "up/secret.toml", "up", "round"):
-        with pytest.raises(OutsideError):
+        with pytest.raises(PathForbiddenError):
             served.read(name)
-        with pytest.raises(OutsideError):
+        with pytest.raises(PathForbiddenError):
             served.write(name, "x", "")
     assert (tmp_path / "secret.toml").read_text() == "secret = 1"
     assert [path for path, _ in served.folders()] == [served.root, served.root / "a"]
@@ -82,10 +86,10 @@ def test_what_is_no_text_or_too_much_is_refused(served):
 def test_an_edit_of_an_older_version_is_refused_and_told_what_there_is(served):
     first = served.read("a/campaign.toml")
     second = served.write("a/campaign.toml", "schema = 1 # mine\n", first.version)
-    with pytest.raises(ChangedMeanwhileError) as refused:
+    with pytest.raises(EditConflictError) as refused:
         served.write("a/campaign.toml", "schema = 1 # theirs\n", first.version)
-    assert refused.value.now == second == served.read("a/campaign.toml")
-    with pytest.raises(ChangedMeanwhileError):
+    assert refused.value.current == second == served.read("a/campaign.toml")
+    with pytest.raises(EditConflictError):
         served.write("a/campaign.toml", "x", "")
     third = served.write("a/campaign.toml", "schema = 1 # both\n", second.version)
     assert served.read("a/campaign.toml") == third
@@ -93,19 +97,19 @@ def test_an_edit_of_an_older_version_is_refused_and_told_what_there_is(served):
 
 
 def test_of_many_edits_at_once_one_is_taken(served, monkeypatch):
-    write = folder.write_whole
+    write = served_folder.write_whole
 
     def slow(*words, **more):
         time.sleep(0.05)  # in which all others have looked
         write(*words, **more)
 
-    monkeypatch.setattr(folder, "write_whole", slow)
+    monkeypatch.setattr(served_folder, "write_whole", slow)
     seen = served.read("a/campaign.toml").version
     start, taken = Barrier(8), []
 
     def edit(text):
         start.wait()
-        with suppress(ChangedMeanwhileError):
+        with suppress(EditConflictError):
             taken.append(served.write("a/campaign.toml", text, seen).text)
 
     threads = [Thread(target=edit, args=(f"schema = 1 # {n}\n",)) for n in range(8)]
@@ -130,5 +134,5 @@ def test_a_write_that_fails_leaves_what_there_was(served, monkeypatch):
 
 
 def test_messages_name_files_as_the_page_does(served):
-    told = served.spoken(f"{served.root}{os.sep}a: wrong; {served.root}: too")
+    told = served.relative_paths(f"{served.root}{os.sep}a: wrong; {served.root}: too")
     assert told == "a: wrong; this folder: too"

@@ -3,7 +3,7 @@
 import pytest
 
 from counterspin import cli
-from counterspin.cli.words import translate_message
+from counterspin.cli.common import translate_message
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ import asyncio
 import pytest
 from served import token_of
 
-from counterspin.application import guard
-from counterspin.application.guard import Door
+from counterspin.application import access_control
+from counterspin.application.access_control import Credentials
 
 FOLDER = "/api/folder"
 
@@ -65,21 +65,23 @@ def test_what_another_page_embeds_is_refused(page, site):
     assert page.get(FOLDER, headers={"Sec-Fetch-Site": site}).status_code == 403
 
 
-def test_without_the_key_nothing_of_the_folder_is_told(stranger, door):
+def test_without_the_key_nothing_of_the_folder_is_told(stranger, credentials):
     assert stranger.get("/").status_code == 200
     assert stranger.get(FOLDER).status_code == 401
     assert stranger.post("/api/session", json={"token": "x" * 32}).status_code == 403
     for odd in ("", "[]", '{"token": null}', '{"token": "\u00e4"}', "[" * 3999):
         assert stranger.post("/api/session", content=odd.encode()).status_code == 403
     assert stranger.get(FOLDER).status_code == 401
-    other = Door(1234)
-    for said in (token_of(door), other.key_for(token_of(other)), ""):
+    other = Credentials(1234)
+    for said in (token_of(credentials), other.exchange_token(token_of(other)), ""):
         stranger.headers["Authorization"] = f"Bearer {said}"
         assert stranger.get(FOLDER).status_code == 401
 
 
-def test_the_key_is_in_no_cookie_which_every_server_of_this_machine_would_get(stranger, door):
-    told = stranger.post("/api/session", json={"token": token_of(door)})
+def test_the_key_is_in_no_cookie_which_every_server_of_this_machine_would_get(
+    stranger, credentials
+):
+    told = stranger.post("/api/session", json={"token": token_of(credentials)})
     assert "set-cookie" not in told.headers
     key = told.json()["key"]
     stranger.cookies.set("counterspin-8765", key)
@@ -89,24 +91,30 @@ def test_the_key_is_in_no_cookie_which_every_server_of_this_machine_would_get(st
     assert stranger.get(FOLDER, headers=both[:1]).status_code == 200
 
 
-def test_a_link_counts_once_and_the_next_is_told(stranger, door):
+def test_a_link_counts_once_and_the_next_is_told(stranger, credentials):
     told = []
-    door.tell = told.append
-    first = {"token": token_of(door)}
+    credentials.on_token_used = told.append
+    first = {"token": token_of(credentials)}
     assert stranger.post("/api/session", json=first).status_code == 200
     assert stranger.post("/api/session", json=first).status_code == 403
-    assert told == [door.link]
-    assert stranger.post("/api/session", json={"token": token_of(door)}).status_code == 200
-    assert told[1] == door.link
+    assert told == [credentials.link]
+    assert stranger.post("/api/session", json={"token": token_of(credentials)}).status_code == 200
+    assert told[1] == credentials.link
     assert len({*told, f"http://127.0.0.1:8765/#token={first['token']}"}) == 3
 
 
 def test_two_servers_have_nothing_in_common():
-    one, other = Door(1), Door(1)
+    one, other = Credentials(1), Credentials(1)
     # No browser sends a fragment.
     assert one.link.startswith("http://127.0.0.1:1/#token=")
     tokens = token_of(one), token_of(other)
-    found = {*tokens, *(door.key_for(t) for door, t in zip((one, other), tokens, strict=True))}
+    found = {
+        *tokens,
+        *(
+            credentials.exchange_token(t)
+            for credentials, t in zip((one, other), tokens, strict=True)
+        ),
+    }
     assert len(found) == 4
     assert min(map(len, found)) >= 32
 
@@ -140,8 +148,8 @@ def test_tickets_are_for_what_is_saved_and_are_given_to_the_page(page):
 
 
 def test_old_tickets_count_no_longer(monkeypatch):
-    tickets, now = guard.Tickets(), [0.0]
-    monkeypatch.setattr(guard.time, "monotonic", lambda: now[0])
+    tickets, now = access_control.Tickets(), [0.0]
+    monkeypatch.setattr(access_control.time, "monotonic", lambda: now[0])
     first = tickets.issue("first")
     many = [tickets.issue(number) for number in range(100)]
     assert tickets.take(first) is None
@@ -164,7 +172,7 @@ def test_a_browser_is_told_to_load_and_run_nothing_else(page):
 
 
 def test_large_requests_are_refused_whatever_they_say_of_their_length(page, monkeypatch):
-    monkeypatch.setattr(guard, "FORM_BYTES", 1000)
+    monkeypatch.setattr(access_control, "FORM_MAX_BYTES", 1000)
     name = {"name": "x" * 2000}
     assert page.post("/api/jobs", json=name).status_code == 413
     pieces = (b"x" * 100 for _ in range(20))
@@ -184,7 +192,7 @@ def test_who_has_no_key_brings_little(stranger, monkeypatch):
     assert read == []
 
 
-def test_large_forms_are_read_a_few_at_a_time(door):
+def test_large_forms_are_read_a_few_at_a_time(credentials):
     """Fifty of 4 MB at once would else hold 200 MB."""
     forms, size = 20, 1_000_000
     held, most = [0], [0]
@@ -203,14 +211,14 @@ def test_large_forms_are_read_a_few_at_a_time(door):
     async def send(_):
         pass
 
-    key = door.key_for(token_of(door))
+    key = credentials.exchange_token(token_of(credentials))
     headers = {"host": "127.0.0.1:8765", "origin": "http://127.0.0.1:8765"}
     headers["authorization"] = f"Bearer {key}"
     sent = [(name.encode(), value.encode()) for name, value in headers.items()]
     scope = {"type": "http", "method": "POST", "path": "/api/jobs", "headers": sent}
 
     async def ask():
-        guarded = guard.Guard(app, door)
+        guarded = access_control.AccessControl(app, credentials)
         await asyncio.gather(*(guarded(dict(scope), receive, send) for _ in range(forms)))
 
     asyncio.run(ask())
@@ -220,7 +228,7 @@ def test_large_forms_are_read_a_few_at_a_time(door):
 
 
 def test_what_nobody_has_foreseen_is_an_answer_too(page, monkeypatch):
-    monkeypatch.setattr("counterspin.application.server.answer", lambda *_: 1 / 0)
+    monkeypatch.setattr("counterspin.application.server.handle_request", lambda *_: 1 / 0)
     told = page.get(FOLDER)
     assert (told.status_code, told.json()["error"][:34]) == (
         500,

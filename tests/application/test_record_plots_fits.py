@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from served import InlineJobs
 
-from counterspin.application.improving import less_polynomial
+from counterspin.application.record_plots import subtract_polynomial
 from counterspin.calibration.result import Result
 
 RUN = {"name": "three", "run": "fast", "fit": True}
 
 
-def test_data_and_fit_differ_by_the_residuals(page, desk, folder):
+def test_data_and_fit_differ_by_the_residuals(page, app, folder):
     assert page.get("/api/record-about", params=RUN).json() == {"fitted": False}
-    desk.jobs = InlineJobs()
+    app.jobs = InlineJobs()
     assert page.post("/api/fit", json={"name": "three"}).json()["state"] == "done"
     about = page.get("/api/record-about", params=RUN).json()
     assert about["together"] == 2
@@ -35,8 +35,8 @@ def test_data_and_fit_differ_by_the_residuals(page, desk, folder):
     assert np.abs(powers.T @ data).max() < 1e-6 * np.abs(powers.T @ np.abs(data)).max()
 
 
-def test_a_changed_description_is_fitted_anew(page, desk, folder):
-    desk.jobs = InlineJobs()
+def test_a_changed_description_is_fitted_anew(page, app, folder):
+    app.jobs = InlineJobs()
     page.post("/api/fit", json={"name": "three"})
     file = folder / "three" / "campaign.toml"
     file.write_text(file.read_text(encoding="utf-8") + "\n# changed\n", encoding="utf-8")
@@ -53,6 +53,6 @@ def test_readings_have_no_such_picture(page):
 @pytest.mark.parametrize("degree", [0, 1, 2])
 def test_a_polynomial_is_taken_whole_and_nothing_else(degree):
     time = np.linspace(0.0, 400.0, 1000)
-    wave = less_polynomial(time, np.sin(time), degree)
-    more = less_polynomial(time, np.sin(time) + 3.0 * time**degree - 1.0, degree)
+    wave = subtract_polynomial(time, np.sin(time), degree)
+    more = subtract_polynomial(time, np.sin(time) + 3.0 * time**degree - 1.0, degree)
     assert more == pytest.approx(wave, abs=1e-9 * 400.0**degree)

@@ -24,28 +24,28 @@ _MAX_DEPTH: Final = 5
 _MAX_FOLDERS: Final = 2000
 
 #: Most folders of a name; each of thousands would be looked up through all above it.
-_MOST_PARTS: Final = 30
+_MAX_PATH_PARTS: Final = 30
 
 #: Most bytes of a text that is shown to be edited.
-TEXT_BYTES: Final = 1_000_000
+TEXT_MAX_BYTES: Final = 1_000_000
 
 #: Version of a file that is not there.
-NO_FILE: Final = ""
+NO_FILE_VERSION: Final = ""
 
 
-class OutsideError(CounterspinError):
+class PathForbiddenError(CounterspinError):
     """The error for a name that leads out of the folder, or is not a file's name."""
 
 
-class NotThereError(CounterspinError):
+class NotFoundError(CounterspinError):
     """The error for a file that does not exist."""
 
 
-class ChangedMeanwhileError(CounterspinError):
+class EditConflictError(CounterspinError):
     """The error for a file that changed since its editor read it; `now` is its present content."""
 
-    def __init__(self, name: str, now: FileVersion) -> None:
-        self.now = now
+    def __init__(self, name: str, current: FileVersion) -> None:
+        self.current = current
         super().__init__(
             f"{name} was changed in the meantime by another window or program; nothing "
             "was written. Compare the two, then save again."
@@ -71,7 +71,7 @@ class ServedFolder:
             kind = "is a file, not a folder" if root.exists() else "folder not found"
             raise CounterspinError(f"{root}: {kind}; give the folder that holds the campaigns")
         self.root = root.resolve()
-        self._writing = threading.Lock()
+        self._write_lock = threading.Lock()
 
     def path(self, name: str) -> Path:
         """Return the path of a name; OutsideError if it is out of the folder.
@@ -79,24 +79,24 @@ class ServedFolder:
         name: Relative to the folder, with slashes; empty: the folder itself.
         """
         parts = PurePosixPath(name).parts
-        if len(parts) > _MOST_PARTS:
-            raise OutsideError(f"{name!r} has more than {_MOST_PARTS} folders")
-        odd = any(not part or part[0] == "." or part[-1] in ". " for part in parts)
-        if odd or name.startswith("/") or any(c in name for c in "\\:\0\n\r"):
-            raise OutsideError(f"{name!r} is not a valid file name in this folder")
+        if len(parts) > _MAX_PATH_PARTS:
+            raise PathForbiddenError(f"{name!r} has more than {_MAX_PATH_PARTS} folders")
+        is_hidden = any(not part or part[0] == "." or part[-1] in ". " for part in parts)
+        if is_hidden or name.startswith("/") or any(c in name for c in "\\:\0\n\r"):
+            raise PathForbiddenError(f"{name!r} is not a valid file name in this folder")
         path = self.root.joinpath(*parts)
-        if not self.holds(path):
-            raise OutsideError(f"{name!r} leads out of this folder")
+        if not self.contains(path):
+            raise PathForbiddenError(f"{name!r} leads out of this folder")
         return path
 
-    def holds(self, path: Path) -> bool:
+    def contains(self, path: Path) -> bool:
         """Return whether a path, with links resolved, is in the folder."""
         try:
             return path.resolve().is_relative_to(self.root)
         except (OSError, RuntimeError, ValueError):
             return False  # a link to itself, a name that is too long
 
-    def holds_named(self, folder: Path, name: str) -> bool:
+    def contains_named(self, folder: Path, name: str) -> bool:
         """Return whether a text, as a file's name relative to a document, stays in the folder.
 
         folder: The document's, in the served folder.
@@ -104,10 +104,10 @@ class ServedFolder:
         parts = PurePath(name).parts
         if not parts:
             return True
-        plain = ".." not in parts and not PurePath(name).is_absolute()
-        if plain and not os.path.lexists(folder / parts[0]):
+        stays_below = ".." not in parts and not PurePath(name).is_absolute()
+        if stays_below and not os.path.lexists(folder / parts[0]):
             return True  # no link leads on from there
-        return self.holds(folder / name)
+        return self.contains(folder / name)
 
     def name(self, path: Path) -> str:
         """Return a path's name within the folder; a path outside is unchanged."""
@@ -117,7 +117,7 @@ class ServedFolder:
             return str(path)
         return "" if name == "." else name
 
-    def spoken(self, message: str) -> str:
+    def relative_paths(self, message: str) -> str:
         """Return a message with names within the folder instead of whole paths."""
         return message.replace(f"{self.root}{os.sep}", "").replace(str(self.root), "this folder")
 
@@ -126,26 +126,26 @@ class ServedFolder:
 
         Neither hidden ones nor links to folders are followed.
         """
-        for place, folders, files in islice(os.walk(self.root), _MAX_FOLDERS):
-            path = Path(place)
-            deep = len(path.relative_to(self.root).parts) >= _MAX_DEPTH
-            folders[:] = [] if deep else sorted(name for name in folders if name[0] != ".")
+        for directory, folders, files in islice(os.walk(self.root), _MAX_FOLDERS):
+            path = Path(directory)
+            is_deepest = len(path.relative_to(self.root).parts) >= _MAX_DEPTH
+            folders[:] = [] if is_deepest else sorted(name for name in folders if name[0] != ".")
             yield path, sorted(name for name in files if name[0] != ".")
 
-    def read(self, name: str, most: int = TEXT_BYTES) -> FileVersion:
+    def read(self, name: str, max_bytes: int = TEXT_MAX_BYTES) -> FileVersion:
         """Return a file's text and version; an empty one without a file."""
         path = self.path(name)
         try:
-            content = read_file(path, most)
+            content = read_file(path, max_bytes)
             return FileVersion(content.decode("utf-8-sig"), hashlib.sha256(content).hexdigest())
         except FileNotFoundError:
-            return FileVersion("", NO_FILE)
+            return FileVersion("", NO_FILE_VERSION)
         except UnicodeDecodeError as error:
             raise CounterspinError(f"{name}: is not UTF-8 text") from error
         except OSError as error:
             raise CounterspinError(f"{name}: {describe_read_error(error)}") from error
 
-    def write(self, name: str, text: str, seen: str) -> FileVersion:
+    def write(self, name: str, text: str, edited_version: str) -> FileVersion:
         """Write a text atomically if the file has not changed since its editor read it.
 
         seen: The version that was edited; empty: there was no file.
@@ -155,10 +155,14 @@ class ServedFolder:
             data = text.encode("utf-8")
         except UnicodeEncodeError as error:
             raise CounterspinError(f"{name}: what it is to hold is no text") from error
-        with self._writing:
-            now = self.read(name)
-            if now.version != seen:
-                raise ChangedMeanwhileError(name, now)
+        with self._write_lock:
+            current = self.read(name)
+            if current.version != edited_version:
+                raise EditConflictError(name, current)
             make_folder(path.parent)
-            write_whole(path, lambda part: part.write_bytes(data), overwrite=seen != NO_FILE)
+            write_whole(
+                path,
+                lambda part: part.write_bytes(data),
+                overwrite=edited_version != NO_FILE_VERSION,
+            )
         return FileVersion(text, hashlib.sha256(data).hexdigest())

@@ -1,0 +1,232 @@
+"""Campaign folders: upload, copy, rename and move to the trash; nothing is ever lost."""
+
+from __future__ import annotations
+
+import filecmp
+import re
+import shutil
+from contextlib import ExitStack, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import quote, unquote
+
+from counterspin.application.app_state import AppState
+from counterspin.application.editing import parse_campaign_text, set_value
+from counterspin.application.served_folder import NotFoundError, PathForbiddenError, ServedFolder
+from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
+from counterspin.errors import CounterspinError
+from counterspin.frozen import frozen
+from counterspin.ingest.description import further_runs
+from counterspin.output import finish, make_folder
+from counterspin.records.format_registry import suffix_problem
+from counterspin.temporary_folders import remove_abandoned_folders, temporary_folder
+
+#: Prefixes of the temporary folders in which a campaign is made or copied, and a file is uploaded.
+COPY_PREFIX: Final = ".counterspin-copy-"
+_UPLOAD_PREFIX: Final = ".counterspin-upload-"
+
+
+@frozen
+class Upload:
+    """A file that is being uploaded."""
+
+    path: Path  #: Where it goes.
+    temporary_path: Path  #: A new file that takes its bytes, in a temporary folder beside it.
+    cleanup: ExitStack  #: Removes that folder.
+    created_folders: tuple[Path, ...]  #: Those that were made for it, the innermost first.
+
+    def discard(self) -> None:
+        """Remove the remains of an incomplete upload."""
+        self.cleanup.close()
+        for folder in self.created_folders:
+            with suppress(OSError):  # something is in it
+                folder.rmdir()
+
+
+def open_upload(app: AppState, name: str) -> Upload:
+    """Return the places of an uploaded file."""
+    path = app.folder.path(name)
+    if problem := suffix_problem(path):
+        raise PathForbiddenError(f"{name}: {problem}")
+    folders = tuple(folder for folder in path.parents if not folder.exists())
+    make_folder(path.parent)
+    cleanup = ExitStack()
+    try:
+        temporary_path = (
+            cleanup.enter_context(temporary_folder(_UPLOAD_PREFIX, path.parent)) / "part"
+        )
+        temporary_path.touch()
+    except OSError as error:
+        cleanup.close()
+        raise CounterspinError(f"{name}: cannot be written ({error.strerror})") from error
+    return Upload(path, temporary_path, cleanup, folders)
+
+
+def complete_upload(app: AppState, upload: Upload) -> dict[str, Any]:
+    """Rename a complete upload; CounterspinError if a file with other content has the name."""
+    size = upload.temporary_path.stat().st_size
+    if upload.path.is_file() and filecmp.cmp(upload.temporary_path, upload.path, shallow=False):
+        upload.temporary_path.unlink()  # brought once more, after a mistake
+    else:
+        finish(upload.temporary_path, upload.path)
+    return {"name": app.folder.name(upload.path), "bytes": size}
+
+
+#: Where campaigns go that are put away; as a hidden folder it is no part of the page.
+TRASH: Final = ".counterspin-trash"
+
+#: Folders in the trash: when each was moved, and its name before, percent-encoded.
+_TRASH_NAME: Final = re.compile(r"\d{8}T\d{12}-(?P<name>.+)")
+
+
+def remove_abandoned_folders_in(served: ServedFolder) -> None:
+    """Remove the incomplete uploads and copies of campaigns that killed servers left."""
+    for folder, _ in served.folders():
+        for prefix in (COPY_PREFIX, _UPLOAD_PREFIX):
+            remove_abandoned_folders(prefix, folder)
+
+
+def copy_campaign(app: AppState, name: str, to: str) -> dict[str, Any]:
+    """Copy a campaign's folder, with records and results; return the copy's name."""
+    source, target = _campaign_folder(app, name), _new_folder(app, name, to)
+    try:
+        with temporary_folder(COPY_PREFIX, target.parent) as temporary:
+            copied = shutil.copytree(
+                source, temporary / target.name, ignore=shutil.ignore_patterns(".*")
+            )
+            copied.rename(target)
+    except OSError as error:
+        raise CounterspinError(f"{to}: cannot be written ({error.strerror or error})") from error
+    return {"name": app.folder.name(target)}
+
+
+def rename_campaign(app: AppState, name: str, to: str) -> dict[str, Any]:
+    """Give a campaign's folder another name; return it."""
+    source, target = _idle_campaign_folder(app, name), _new_folder(app, name, to)
+    _move(source, target)
+    return {"name": app.folder.name(target)}
+
+
+def move_to_trash(app: AppState, name: str) -> dict[str, Any]:
+    """Move a campaign's folder to the trash; return its new path."""
+    source = _idle_campaign_folder(app, name)
+    timestamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%f")
+    # A campaign of a subfolder is restored into it.
+    target = app.folder.root / TRASH / f"{timestamp}-{quote(app.folder.name(source), safe='')}"
+    make_folder(target.parent)
+    _move(source, target)
+    return {"place": target.name}
+
+
+def trash_contents(app: AppState) -> list[dict[str, str]]:
+    """Return place and former name of each campaign in the trash, the latest first."""
+    trash = app.folder.root / TRASH
+    is_inside = trash.is_dir() and app.folder.contains(trash)  # no link to another folder
+    places = sorted(trash.iterdir(), reverse=True) if is_inside else []
+    return [
+        {"place": place.name, "name": unquote(match["name"])}
+        for place in places
+        if (match := _TRASH_NAME.fullmatch(place.name))
+    ]
+
+
+def restore_campaign(app: AppState, place: str) -> dict[str, Any]:
+    """Move a campaign from the trash back to its folder, or beside what is there; return its name.
+
+    place: Its name in the trash.
+    """
+    former_name = {entry["place"]: entry["name"] for entry in trash_contents(app)}.get(place)
+    if former_name is None:
+        raise NotFoundError(f"the trash has no {place}")
+    target = app.folder.path(free_name(app, former_name))
+    make_folder(target.parent)
+    _move(app.folder.root / TRASH / place, target)
+    return {"name": app.folder.name(target)}
+
+
+def free_name(app: AppState, name: str) -> str:
+    """Return the name if no folder has it, or else with the first free number."""
+    names = (name if number == 1 else f"{name}-{number}" for number in range(1, 1000))
+    return next(candidate for candidate in names if not app.folder.path(candidate).exists())
+
+
+def add_records(app: AppState, name: str, files: list[str]) -> dict[str, Any]:
+    """Make a run of each record that was added to a campaign; return sentences on the runs.
+
+    files: Their names, relative to the served folder.
+    """
+    description = app.description(name)
+    description_text = app.folder.read(app.folder.name(description))
+    document = load_document(description)
+    app.require_inside(description.parent, document)
+    runs = [run for run in document.get("runs", []) if isinstance(run, dict)]
+    if not runs or "record" not in runs[0]:
+        raise CounterspinError(
+            "the runs of this campaign are readings, not records; add yours to its table"
+        )
+    known_records = {(description.parent / str(run.get("record"))).resolve() for run in runs}
+    new_files = [file for file in map(app.file, files) if file.resolve() not in known_records]
+    text, added = (
+        description_text.text,
+        further_runs(new_files, document, description.parent) if new_files else [],
+    )
+    for index, run in enumerate(added, len(runs)):
+        text = set_value(text, ["runs", index], run)
+    if added:
+        if problems := parse_campaign_text(app, description, text).problems:
+            raise CounterspinError(": ".join(problems[0]))
+        app.folder.write(app.folder.name(description), text, description_text.version)
+    return {"added": [f"{run['name']} at {run['rate']}" for run in added]}
+
+
+def _campaign_folder(app: AppState, name: str) -> Path:
+    """Return a campaign's folder; OutsideError if it is outside the served folder."""
+    source = app.description(name).parent
+    if source == app.folder.root:
+        raise CounterspinError("this campaign is the served folder itself; move it by hand")
+    if app.folder.root.joinpath(*Path(name).parts).is_symlink():
+        raise PathForbiddenError(
+            f"{name} is a link to a folder, which the application leaves alone"
+        )
+    for path in source.rglob("*"):
+        if path.is_symlink():
+            raise PathForbiddenError(f"{app.folder.name(path)} is a link; copy or move it by hand")
+    return source
+
+
+def _idle_campaign_folder(app: AppState, name: str) -> Path:
+    """Return a campaign's folder if no job is at work in it."""
+    source = _campaign_folder(app, name)
+    busy = [job for job in app.jobs.all() if job.state in ("waiting", "running")]
+    if any(job.campaign == name or job.campaign.startswith(f"{name}/") for job in busy):
+        raise CounterspinError(f"{name}: a job is running in it; wait until it ends, or stop it")
+    return source
+
+
+def _new_folder(app: AppState, name: str, to: str) -> Path:
+    """Return a free folder for a campaign, from which its records can be found."""
+    target = app.folder.path(to)
+    if target == app.folder.root or target.exists():
+        raise CounterspinError(f"{to or 'this folder'} exists, and is not replaced")
+    source = app.description(name).parent
+    if target.is_relative_to(source):
+        raise CounterspinError(f"{to} lies in {name}; choose a place beside it")
+    try:
+        names_outside = ".." in str(load_document(source / DESCRIPTION_NAME))
+    except CounterspinError:
+        names_outside = True  # a description that cannot be read may name anything
+    if names_outside and target.parent != source.parent:
+        raise CounterspinError(
+            f"{name}: its description names files outside of its folder, relative to it; choose a "
+            "name in the same folder"
+        )
+    make_folder(target.parent)
+    return target
+
+
+def _move(source: Path, target: Path) -> None:
+    try:
+        source.rename(target)
+    except OSError as error:
+        raise CounterspinError(f"{source.name}: cannot be moved ({error.strerror})") from error

@@ -1,0 +1,225 @@
+"""The requests of the page, by name, and the functions that answer them.
+
+The signature of a function states its request: the parameters after `app`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any, Final, Literal, TypeVar, get_type_hints
+
+from pydantic import BaseModel, ConfigDict, ValidationError, create_model
+
+from counterspin.application import (
+    campaign_files,
+    campaigns,
+    certification,
+    drafts,
+    editing,
+    laboratory,
+    pages,
+    plans,
+    record_plots,
+    what_if,
+)
+from counterspin.application.app_state import AppState
+from counterspin.application.served_folder import (
+    EditConflictError,
+    NotFoundError,
+    PathForbiddenError,
+)
+from counterspin.errors import CampaignError, CounterspinError
+from counterspin.frozen import frozen
+
+T = TypeVar("T")
+
+
+_ERROR_STATUSES: Final = {EditConflictError: 409, NotFoundError: 404, PathForbiddenError: 403}
+
+
+@frozen
+class ApiResponse:
+    """An answer: status, content, media type, and the file name for saving."""
+
+    status: int
+    content: Any
+    media_type: str = "application/json"
+    file_name: str | None = None
+
+
+# Where the page says something else than a function takes
+
+
+def _page(app: AppState, kind: pages.Kind, names: str, term: str = "K_II") -> Any:
+    return pages.page_content(app, kind, names.split("\n"), term)
+
+
+def _picture(
+    app: AppState, kind: pages.Kind, names: str, place: int, term: str = "K_II"
+) -> ApiResponse:
+    svg = pages.page_picture(app, kind, names.split("\n"), term, place)
+    return ApiResponse(200, svg, "image/svg+xml")
+
+
+def _manual(_: AppState, name: str) -> Any:
+    return pages.manual_page(name)
+
+
+def _report(app: AppState, name: str, kind: Literal["html", "md", "pdf"]) -> ApiResponse:
+    return _download(*certification.make_report(app, name, kind))
+
+
+def _file(app: AppState, name: str) -> ApiResponse:
+    return _download(*certification.download_file(app, name))
+
+
+def _ticket(app: AppState, name: Literal["report", "file"], said: dict[str, str]) -> Any:
+    """Return an address, valid once, of a file that the browser fetches by itself."""
+    return {"ticket": app.tickets.issue((name, said))}
+
+
+def _jobs(app: AppState) -> Any:
+    return [job.to_dict() for job in app.jobs.all()]
+
+
+def _stop(app: AppState, number: int) -> Any:
+    return app.jobs.stop(number).to_dict()
+
+
+def _download(name: str, content: bytes) -> ApiResponse:
+    return ApiResponse(200, content, "application/octet-stream", name)
+
+
+ENDPOINTS: Final[Mapping[tuple[str, str], Callable[..., Any]]] = {
+    ("GET", "folder"): campaigns.folder_overview,
+    ("GET", "campaign"): campaigns.campaign_overview,
+    ("POST", "campaign"): campaigns.begin_campaign,
+    ("POST", "copy"): campaign_files.copy_campaign,
+    ("POST", "rename"): campaign_files.rename_campaign,
+    ("POST", "put-away"): campaign_files.move_to_trash,
+    ("POST", "restore"): campaign_files.restore_campaign,
+    ("POST", "sample"): campaigns.begin_sample,
+    ("POST", "records"): campaign_files.add_records,
+    ("GET", "description"): editing.campaign_text,
+    ("GET", "lab"): laboratory.lab_data,
+    ("GET", "plan-text"): editing.plan_text,
+    ("POST", "check"): editing.check_text,
+    ("POST", "change"): editing.change_text,
+    ("PUT", "text"): editing.save_text,
+    ("GET", "manual"): _manual,
+    ("GET", "page"): _page,
+    ("GET", "picture"): _picture,
+    ("POST", "what-if"): what_if.what_if,
+    ("GET", "ways"): what_if.improvements,
+    ("POST", "ways"): what_if.begin_search,
+    ("POST", "way"): what_if.apply_improvement,
+    ("POST", "fit"): record_plots.begin_fit,
+    ("GET", "record-about"): record_plots.record_overview,
+    ("GET", "record"): record_plots.record_window,
+    ("GET", "check"): record_plots.check_run,
+    ("GET", "watch"): record_plots.watch_state,
+    ("POST", "draft"): drafts.draft_overview,
+    ("POST", "drafted"): drafts.write_draft,
+    ("POST", "certificate"): certification.begin_certificate,
+    ("POST", "certificate-preview"): laboratory.draft_preview,
+    ("POST", "certificate-check"): certification.check_file,
+    ("POST", "profile"): laboratory.save_profile,
+    ("GET", "report"): _report,
+    ("GET", "file"): _file,
+    ("POST", "ticket"): _ticket,
+    ("GET", "plan"): plans.plan_overview,
+    ("POST", "plan"): plans.begin_plan,
+    ("POST", "plan-page"): plans.planned_page,
+    ("POST", "planned"): plans.begin_planned,
+    ("GET", "jobs"): _jobs,
+    ("POST", "jobs"): campaigns.begin_calibration,
+    ("POST", "study"): record_plots.begin_study,
+    ("POST", "simulation"): record_plots.begin_simulation,
+    ("DELETE", "jobs"): _stop,
+}
+
+
+@cache
+def request_model(handler: Callable[..., Any]) -> type[BaseModel]:
+    """Return the form of a request: exactly a function's parameters after app."""
+    hints = get_type_hints(handler, include_extras=True)
+    parameters = list(inspect.signature(handler).parameters.values())[1:]
+    fields: dict[str, Any] = {
+        p.name: (hints[p.name], ... if p.default is p.empty else p.default) for p in parameters
+    }
+    return create_model(
+        handler.__name__, __config__=ConfigDict(extra="forbid", frozen=True), **fields
+    )
+
+
+def handle_request(
+    app: AppState, method: str, name: str, payload: Mapping[str, Any] | bytes
+) -> ApiResponse:
+    """Answer one request, also if it fails."""
+    if (method, name) not in ENDPOINTS:
+        return ApiResponse(404, {"error": "There is nothing with that name."})
+    handler = ENDPOINTS[method, name]
+
+    def call_handler() -> Any:
+        document = json.loads(payload) if isinstance(payload, bytes) else dict(payload)
+        request = request_model(handler).model_validate(document)
+        return handler(
+            app, **{key: getattr(request, key) for key in request_model(handler).model_fields}
+        )
+
+    response = call_or_error(app, call_handler)
+    return response if isinstance(response, ApiResponse) else ApiResponse(200, response)
+
+
+def handle_ticket(app: AppState, ticket: str) -> ApiResponse:
+    """Answer the request of a ticket; a ticket is valid once."""
+    target = app.tickets.take(ticket)
+    if target is None:
+        return ApiResponse(404, {"error": "This address works once; click again on the page."})
+    return handle_request(app, "GET", *target)
+
+
+def call_or_error(app: AppState, function: Callable[[], T]) -> T | ApiResponse:
+    """Return the answer of some work, or the answer for its error."""
+    try:
+        return function()
+    except CounterspinError as error:
+        return _user_error_response(app, error)
+    except Exception as error:  # no traceback for a user
+        return _unexpected_error_response(error)
+
+
+def _user_error_response(app: AppState, error: CounterspinError) -> ApiResponse:
+    """Return the answer for an error of a file or a request, in its words."""
+    content: dict[str, Any] = {"error": app.folder.relative_paths(str(error))}
+    status = next(
+        (
+            status
+            for error_class, status in _ERROR_STATUSES.items()
+            if isinstance(error, error_class)
+        ),
+        422,
+    )
+    if isinstance(error, EditConflictError):
+        content |= {"text": error.current.text, "version": error.current.version}
+    if isinstance(error, CampaignError):
+        content["problems"] = list(error.problems)
+    return ApiResponse(status, content)
+
+
+def _unexpected_error_response(error: Exception) -> ApiResponse:
+    """Return the answer for unforeseen errors, and for requests of another form."""
+    match error:
+        case ValidationError():
+            first_error = error.errors(include_url=False)[0]
+            return ApiResponse(
+                400, {"error": f"{'.'.join(map(str, first_error['loc']))}: {first_error['msg']}"}
+            )
+        case json.JSONDecodeError() | UnicodeDecodeError() | RecursionError():
+            return ApiResponse(400, {"error": "The request is not JSON."})
+        case OSError():
+            return ApiResponse(422, {"error": f"The operating system refuses: {error.strerror}"})
+    return ApiResponse(500, {"error": f"internal error ({type(error).__name__}: {error})"})
