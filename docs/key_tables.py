@@ -15,6 +15,7 @@ from pydantic import BaseModel, PlainValidator
 from pydantic.fields import FieldInfo
 
 from counterspin import schemas
+from counterspin.acceleration_standard.result import AppliedAcceleration
 from counterspin.calibration.result import Result
 from counterspin.campaign.field_types import SettingsSection, extra_of, uncertain_quantity
 from counterspin.campaign.truth import AccelerometerTruthSettings
@@ -49,6 +50,7 @@ PARTS = {
     name: part
     for result in (
         Result,
+        AppliedAcceleration,
         ResultComparison,
         RepeatedCalibration,
         History,

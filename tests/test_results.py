@@ -117,6 +117,7 @@ def test_every_result_of_the_package_is_written_so():
         if cls.__module__.startswith("counterspin.")
     }
     assert set(files) == {
+        "AppliedAcceleration",
         "BatchResult",
         "CheckedRun",
         "ResultComparison",

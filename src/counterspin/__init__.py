@@ -19,6 +19,8 @@ The commands, as functions:
   `Workers`: where they are kept, and who makes them
 - `demo`: the paper's plan, simulated and calibrated (`Demonstration`)
 - `history`: a coefficient of each instrument through all its results (`History`)
+- `applied`: the uncertainty budget of the acceleration that a centrifuge applies, by level
+  (`AppliedAcceleration`)
 - `compare`: results of other models, methods or campaigns beside each other (`ResultComparison`)
 - `rerun`: a result's calibration made again (`RepeatedCalibration`)
 - `check`: one record, judged (`CheckedRun`); `watch`: a campaign while its records grow
@@ -80,6 +82,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from counterspin._version import __version__ as __version__
+    from counterspin.acceleration_standard.budget import applied as applied
+    from counterspin.acceleration_standard.result import AppliedAcceleration as AppliedAcceleration
     from counterspin.calibration.calibrate import calibrate as calibrate
     from counterspin.calibration.options import TwoStageOptions as TwoStageOptions
     from counterspin.calibration.pages.document import print_result as print_result
@@ -164,6 +168,8 @@ if TYPE_CHECKING:
 #: a test holds the two together.
 _OFFERED = {
     "_version": ("__version__",),
+    "acceleration_standard.budget": ("applied",),
+    "acceleration_standard.result": ("AppliedAcceleration",),
     "campaign.description": ("Campaign", "read_campaign"),
     "campaign.memory": ("make_campaign",),
     "planning.forecast": ("Forecast", "forecast"),

@@ -2,7 +2,7 @@
 
 A command imports what it uses when it runs, so that `--help` answers at once.
 
-- `init`, `calibrate`, `certificate`, `apply`, `plan`, `study`: a command each
+- `init`, `calibrate`, `applied`, `certificate`, `apply`, `plan`, `study`: a command each
 - `records`: `simulate`, `check`, `watch`, `noise`
 - `results`: `report`, `history`, `compare`, `rerun`, `ledger`
 - `program`: `schema`, `serve`, `demo`, `reproduce`, `validate`
@@ -22,6 +22,7 @@ from cyclopts import App, CycloptsError, Parameter
 
 from counterspin._version import __version__
 from counterspin.cli import (
+    applied,
     apply,
     calibrate,
     certificate,
@@ -71,6 +72,7 @@ for _command in (
     results.history,
     results.compare,
     results.rerun,
+    applied.applied,
     records.check,
     records.watch,
     records.noise,

@@ -18,6 +18,7 @@ _RESULT_CLASSES: Final = (
     ("planning.result", "PlanResult"),
     ("studies.result", "StudyResult"),
     ("histories.result", "History"),
+    ("acceleration_standard.result", "AppliedAcceleration"),
     ("comparisons.result", "ResultComparison"),
     ("comparisons.result", "RepeatedCalibration"),
     ("monitoring.result", "CheckedRun"),

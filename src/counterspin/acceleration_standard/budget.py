@@ -1,0 +1,281 @@
+"""`counterspin applied`: the uncertainty budget of the applied acceleration by level."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from counterspin._version import __version__
+from counterspin.acceleration_standard.model import (
+    UNITS,
+    Distribution,
+    applied_acceleration,
+    draw_distributions,
+    sensitivities,
+)
+from counterspin.acceleration_standard.result import (
+    AppliedAcceleration,
+    AppliedContribution,
+    AppliedLevel,
+    AppliedSource,
+    MonteCarloCheck,
+    Origin,
+)
+from counterspin.calibration.model import resolve_prior
+from counterspin.campaign.description import Campaign, read_campaign
+from counterspin.campaign.quantity import BARE, NUMBER, Quantity, parse
+from counterspin.errors import CampaignError
+
+#: Levels without `levels` and without stated rates, g.
+DEFAULT_LEVELS: Final = (1.0, 10.0, 50.0, 100.0)
+
+#: Fewest draws: 1e4 / (1 - p) for an interval of p = 95 % (JCGM 101, clause 7.2.2).
+DRAWS: Final = 200_000
+_MAX_DRAWS: Final = 20_000_000
+
+#: Largest level, g.
+_MAX_LEVEL: Final = 1e5
+
+#: Source of the model -> symbol in the table of terms. MOUNTING stands for the mounting's name.
+_SYMBOLS: Final = {
+    "radius": "centrifuge.radius",
+    "stretch": "centrifuge.stretch",
+    "elevation": "fixture.misalignment.MOUNTING.forward",
+    "azimuth": "fixture.misalignment.MOUNTING.up",
+    "droop": "centrifuge.droop",
+    "rate": "centrifuge.rate",
+    "clock": "centrifuge.clock",
+    "gravity": "site.gravity",
+    "latitude": "site.latitude",
+}
+
+
+#: Source of the model -> description.
+_WORDS: Final = {
+    "radius": "radius",
+    "stretch": "stretch of the radius",
+    "elevation": "elevation, static",
+    "azimuth": "azimuth, static",
+    "droop": "elevation, growth",
+    "rate": "rate, random",
+    "clock": "rate, clock",
+    "gravity": "gravity",
+    "latitude": "Earth rate, latitude",
+}
+
+
+def applied(
+    campaign: Campaign | Path | str,
+    levels: str | Sequence[float] | None = None,
+    *,
+    mounting: str | None = None,
+    draws: int = DRAWS,
+    seed: int = 1,
+) -> AppliedAcceleration:
+    """Return the uncertainty budget of the acceleration that an arm centrifuge applies.
+
+    The sources are the radius and its stretch, the alignment and its change with the squared rate
+    (droop), the rate and its clock, gravity, and latitude (Earth rate). A source without a stated
+    uncertainty has the default uncertainty of its term.
+
+    Parameters
+    ----------
+    campaign
+        The campaign, its folder or its description.
+    levels
+        Nominal accelerations in g, or text such as "1,10,50,100g"; None: those of the stated
+        rates.
+    mounting
+        Mounting whose stated alignment counts; None if the campaign states only one.
+    draws
+        Number of Monte Carlo draws.
+    seed
+        Seed of the draws.
+
+    Returns
+    -------
+    AppliedAcceleration
+        By the GUM and by Monte Carlo (JCGM 101) for each level.
+
+    Raises
+    ------
+    CampaignError
+        If the campaign has mistakes or no centrifuge, or if an argument is out of range.
+    """
+    if not DRAWS <= draws <= _MAX_DRAWS:
+        raise CampaignError(
+            "applied", [f"`draws`: must be from {DRAWS} to {_MAX_DRAWS}, not {draws}"]
+        )
+    if seed < 0:
+        raise CampaignError("applied", [f"`seed`: must not be negative, not {seed}"])
+    described = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
+    if not described.radius.value > 0.0:
+        raise CampaignError(
+            str(described.path),
+            ["centrifuge.radius: is missing; the applied acceleration needs [centrifuge]"],
+        )
+    chosen = _choose_mounting(described, mounting)
+    sources = _resolve_sources(described, chosen)
+    radius, gravity = described.radius.value, described.site.gravity
+    rates = [] if levels is not None else _stated_rates(described)
+    if not rates:
+        nominal = DEFAULT_LEVELS if levels is None else _parse_levels(levels, gravity)
+        rates = [math.sqrt(level * gravity / radius) for level in nominal]
+    values = {source.name: source.value for source in sources}
+    u = {source.name: source.u for source in sources}
+    drawn = draw_distributions(values, u, rates, draws, seed)
+    return AppliedAcceleration(
+        title=described.title,
+        version=__version__,
+        gravity=gravity,
+        mounting=chosen,
+        draws=draws,
+        seed=seed,
+        applied_sources=sources,
+        levels=[
+            _level(values, u, rate, distribution)
+            for rate, distribution in zip(rates, drawn, strict=True)
+        ],
+    )
+
+
+def _level(
+    values: Mapping[str, float], u: Mapping[str, float], rate: float, drawn: Distribution
+) -> AppliedLevel:
+    """Return acceleration, budget and Monte Carlo check at a rate."""
+    slopes = sensitivities(values, rate)
+    acceleration = float(applied_acceleration(values, rate))
+    contributions = {name: abs(slopes[name]) * u[name] for name in UNITS}
+    total = math.hypot(*contributions.values())
+    budget = [
+        AppliedContribution(
+            source=name,
+            sensitivity=slopes[name],
+            u=contribution,
+            share=(contribution / total) ** 2 if total else 0.0,
+        )
+        for name, contribution in sorted(contributions.items(), key=lambda item: -item[1])
+    ]
+    return AppliedLevel(
+        level=values["radius"] * rate**2 / values["gravity"],
+        rate=rate,
+        acceleration=acceleration,
+        u=total,
+        u_relative=total / abs(acceleration),
+        dominant=budget[0].source if total else None,
+        budget=budget,
+        monte_carlo=MonteCarloCheck(
+            mean=drawn.mean,
+            u=drawn.u,
+            low=drawn.low,
+            high=drawn.high,
+            distance=drawn.distance,
+            tolerance=drawn.tolerance,
+            validated=drawn.distance <= drawn.tolerance,
+        ),
+    )
+
+
+def _parse_levels(levels: str | Sequence[float], gravity: float) -> list[float]:
+    """Return levels in g; CampaignError if one is not a positive acceleration."""
+    texts = levels.split(",") if isinstance(levels, str) else [f"{level!r} g" for level in levels]
+    unit = re.sub(rf"^\s*{NUMBER}\s*", "", texts[-1]) if texts else ""
+    numbers, problems = [], []
+    for text in map(str.strip, texts):
+        written = f"{text} {unit.strip() or 'g'}" if BARE.fullmatch(text) else text
+        try:
+            quantity = parse(written, "g", gravity=gravity)
+        except ValueError as error:
+            problems.append(f'`levels`: "{text}": {error}')
+            continue
+        if quantity.u or not 0.0 < quantity.value <= _MAX_LEVEL:
+            problems.append(
+                f'`levels`: "{text}": must be an acceleration between 0 and {_MAX_LEVEL:g} g'
+            )
+        numbers.append(quantity.value)
+    if problems or not numbers:
+        raise CampaignError("applied", problems or ["`levels`: give one or more, such as 1,10g"])
+    return numbers
+
+
+def _stated_rates(campaign: Campaign) -> list[float]:
+    """Return the different rates of runs and readings, in the order of their size, rad/s."""
+    rates = {run.rate for run in campaign.runs} | {reading.rate for reading in campaign.readings}
+    return sorted({rate for rate in rates if rate}, key=lambda rate: (abs(rate), rate))
+
+
+def _choose_mounting(campaign: Campaign, mounting: str | None) -> str | None:
+    """Return the mounting whose alignment counts; None if no alignment is stated."""
+    stated = [
+        symbol.split(".")[2]
+        for symbol in campaign.model.priors
+        if symbol.startswith("fixture.misalignment.") and symbol.endswith((".forward", ".up"))
+    ]
+    names = list(dict.fromkeys(stated))
+    known = list(dict.fromkeys([*names, *(reading.mounting for reading in campaign.readings)]))
+    if mounting is not None:
+        if mounting not in known:
+            listed = ", ".join(filter(None, known)) or "none"
+            raise CampaignError(
+                str(campaign.path), [f'`mounting`: "{mounting}" is unknown; known: {listed}']
+            )
+        return mounting
+    alignments = {
+        tuple(
+            campaign.model.priors.get(_symbol(source, name)) for source in ("elevation", "azimuth")
+        )
+        for name in names
+    }
+    if len(alignments) > 1:
+        raise CampaignError(
+            str(campaign.path),
+            [f"the mountings {', '.join(names)} state different alignments: give `mounting`"],
+        )
+    return names[0] if names else None
+
+
+def _symbol(source: str, mounting: str | None) -> str:
+    return _SYMBOLS[source].replace("MOUNTING", mounting or "MOUNTING")
+
+
+def _resolve_sources(campaign: Campaign, mounting: str | None) -> list[AppliedSource]:
+    """Return all sources with values and uncertainties, as stated or by default."""
+    priors = campaign.model.priors
+    known: dict[str, Quantity | None] = {
+        "radius": campaign.radius,
+        "gravity": campaign.gravity,
+        "latitude": campaign.latitude,
+        "clock": campaign.rate_clock or campaign.clock,
+        "rate": _stated_rate_error(campaign),
+    }
+    sources = []
+    for name, unit in UNITS.items():
+        symbol = _symbol(name, mounting)
+        quantity = known.get(name, priors.get(symbol))
+        (value, u), by_default = resolve_prior(campaign, "", symbol, quantity)
+        origin: Origin = "default" if by_default else "stated" if u else "assumed"
+        sources.append(
+            AppliedSource(
+                name=name,
+                symbol=symbol,
+                words=_WORDS[name],
+                value=value,
+                u=u,
+                unit=unit,
+                origin=origin,
+            )
+        )
+    return sources
+
+
+def _stated_rate_error(campaign: Campaign) -> Quantity | None:
+    """Return the largest stated random uncertainty of a rate, relative; None without any."""
+    stated = [
+        reading.u_rate / abs(reading.rate)
+        for reading in campaign.readings
+        if reading.rate and reading.u_rate is not None
+    ]
+    return Quantity(0.0, max(stated), "1") if stated else None

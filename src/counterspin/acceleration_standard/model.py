@@ -1,0 +1,152 @@
+"""The acceleration that an arm centrifuge applies, its sensitivities and its distribution.
+
+a = R (1 + s c) w^2 cos(beta) cos(lambda) + g sin(lambda) + 2 w Omega R sin(L), with c = R w^2 and
+lambda = lambda_0 + d w^2 (IEEE Std 836, Annex B; Ling et al., Opt. Precis. Eng. 23 (2015) 2306).
+
+The input axis points inward along the arm. The result is the mean over a revolution. The tilt of
+the spindle axis changes the acceleration only within a revolution.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+from counterspin.inference.distributions import COVERAGE, expanded_uncertainty
+from counterspin.physics.motion import EARTH_RATE
+
+#: Sources of uncertainty -> SI unit.
+UNITS: Final = {
+    "radius": "m",
+    "stretch": "s^2/m",
+    "elevation": "rad",
+    "azimuth": "rad",
+    "droop": "rad s^2",
+    "rate": "1",
+    "clock": "1",
+    "gravity": "m/s^2",
+    "latitude": "rad",
+}
+
+#: Significant digits of u that a validated interval of the GUM needs (JCGM 101, clause 8.1).
+_DIGITS: Final = 2
+
+
+def applied_acceleration(sources: Mapping[str, Array | float], rate: float) -> Array | float:
+    """Return the mean applied acceleration, m/s^2, shape of the sources.
+
+    sources: Value of each source in `UNITS`. `rate` and `clock` are relative errors of the rate.
+    rate: Nominal rate, rad/s; negative in the clockwise sense.
+    """
+    radius, gravity = sources["radius"], sources["gravity"]
+    true_rate = rate * (1.0 + sources["rate"] + sources["clock"])
+    square = true_rate * true_rate
+    centripetal = radius * square
+    elevation = sources["elevation"] + sources["droop"] * square
+    acceleration: Array | float = (
+        centripetal
+        * (1.0 + sources["stretch"] * centripetal)
+        * np.cos(sources["azimuth"])
+        * np.cos(elevation)
+        + gravity * np.sin(elevation)
+        + 2.0 * true_rate * EARTH_RATE * radius * np.sin(sources["latitude"])
+    )
+    return acceleration
+
+
+def sensitivities(sources: Mapping[str, float], rate: float) -> dict[str, float]:
+    """Return the partial derivative of the applied acceleration with respect to each source."""
+    radius, gravity, stretch = sources["radius"], sources["gravity"], sources["stretch"]
+    true_rate = rate * (1.0 + sources["rate"] + sources["clock"])
+    square = true_rate * true_rate
+    centripetal = radius * square
+    stretched = centripetal * (1.0 + stretch * centripetal)
+    elevation, azimuth = sources["elevation"] + sources["droop"] * square, sources["azimuth"]
+    along = math.cos(azimuth) * math.cos(elevation)
+    earth = 2.0 * true_rate * EARTH_RATE * radius
+    by_centripetal = (1.0 + 2.0 * stretch * centripetal) * along
+    by_elevation = gravity * math.cos(elevation) - stretched * math.cos(azimuth) * math.sin(
+        elevation
+    )
+    by_rate = (
+        2.0 * centripetal * by_centripetal
+        + 2.0 * sources["droop"] * square * by_elevation
+        + earth * math.sin(sources["latitude"])
+    ) * (rate / true_rate)
+    return {
+        "radius": square * by_centripetal + earth * math.sin(sources["latitude"]) / radius,
+        "stretch": centripetal**2 * along,
+        "elevation": by_elevation,
+        "azimuth": 0.0 - stretched * math.sin(azimuth) * math.cos(elevation),
+        "droop": square * by_elevation,
+        "rate": by_rate,
+        "clock": by_rate,
+        "gravity": math.sin(elevation),
+        "latitude": earth * math.cos(sources["latitude"]),
+    }
+
+
+@frozen
+class Distribution:
+    """The distribution of the applied acceleration at a level by Monte Carlo (JCGM 101)."""
+
+    mean: float  #: m/s^2.
+    u: float  #: Standard deviation, m/s^2.
+    #: Ends of the probabilistically symmetric interval for 95 %, m/s^2.
+    low: float
+    high: float
+    #: Largest distance of these ends from those of the GUM's interval, m/s^2.
+    distance: float
+    tolerance: float  #: Largest distance that validates the GUM's interval, m/s^2.
+
+
+def draw_distributions(
+    values: Mapping[str, float],
+    u: Mapping[str, float],
+    rates: list[float],
+    draws: int,
+    seed: int,
+) -> list[Distribution]:
+    """Draw all sources from normal distributions; return the distribution at each rate.
+
+    The linear model is evaluated with the same draws. Its exact quantiles are known, so the
+    difference of the quantiles of both models has a much smaller sampling error than either.
+    """
+    rng = np.random.default_rng(seed)
+    errors = {
+        name: u[name] * rng.standard_normal(draws) if u[name] else np.zeros(1) for name in UNITS
+    }
+    drawn = {name: values[name] + error for name, error in errors.items()}
+    found = []
+    for rate in rates:
+        slopes = sensitivities(values, rate)
+        estimate = float(applied_acceleration(values, rate))
+        linear = sum(
+            (slopes[name] * error for name, error in errors.items() if u[name]), np.zeros(draws)
+        )
+        exact = np.broadcast_to(applied_acceleration(drawn, rate), draws) - estimate
+        u_linear = math.sqrt(sum((slopes[name] * u[name]) ** 2 for name in UNITS))
+        half_width = expanded_uncertainty(u_linear, None, COVERAGE)
+        tail = 0.5 * (1.0 - COVERAGE)
+        shifts = np.quantile(exact, (tail, 1.0 - tail)) - np.quantile(linear, (tail, 1.0 - tail))
+        found.append(
+            Distribution(
+                mean=estimate + float(np.mean(exact)),
+                u=float(np.std(exact, ddof=1)),
+                low=estimate - half_width + float(shifts[0]),
+                high=estimate + half_width + float(shifts[1]),
+                distance=float(np.max(np.abs(shifts))),
+                tolerance=numerical_tolerance(u_linear),
+            )
+        )
+    return found
+
+
+def numerical_tolerance(u: float) -> float:
+    """Return half a unit of the last of two significant digits of u (JCGM 101, clause 7.9.2)."""
+    return 0.5 * 10.0 ** (math.floor(math.log10(u)) - _DIGITS + 1) if u else 0.0

@@ -1,0 +1,233 @@
+"""Report of the uncertainty budget of the applied acceleration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from counterspin.acceleration_standard.model import sensitivities
+from counterspin.acceleration_standard.result import AppliedAcceleration, AppliedLevel
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
+from counterspin.reports.numbers import (
+    field_unit,
+    format_estimate,
+    format_number,
+    format_share,
+    format_uncertainty,
+)
+
+#: Description in the file of a figure.
+FILE_DESCRIPTION: Final = "a figure of applied acceleration"
+
+_ORIGINS: Final = {"stated": "stated", "default": "default uncertainty", "assumed": "exact"}
+
+#: Unit of the latitude, and its conversion factor.
+_DEGREES: Final = ("deg", math.degrees(1.0))
+
+#: Points of a curve, and the smallest share of a variance whose source is drawn.
+_POINTS: Final = 60
+_DRAWN_SHARE: Final = 0.01
+
+
+def applied_blocks(result: AppliedAcceleration) -> Iterator[Block]:
+    """Yield the levels with their uncertainty, the figure and the sources."""
+    yield Heading(f"Applied acceleration: {result.title}", 1)
+    yield _levels_table(result)
+    yield Paragraph(_validation_sentence(result))
+    yield relative_plot(result)
+    yield Heading("Sources of uncertainty")
+    yield _sources_table(result)
+    defaults = [source for source in result.applied_sources if source.origin == "default"]
+    if defaults:
+        named = ", ".join(source.symbol for source in defaults)
+        yield Paragraph(
+            f"No uncertainty is stated for {named}; the default uncertainty of the term was used.",
+            "warning",
+        )
+    yield Paragraph(
+        "± is one standard uncertainty (k = 1). The acceleration is the mean over a revolution "
+        f"along an input axis that points inward. 1 g = {format_number(result.gravity, 9)} m/s^2.",
+        "quiet",
+    )
+
+
+def report_blocks(result: AppliedAcceleration) -> Iterator[Block]:
+    """Yield the blocks of the screen, and the full budget of each level."""
+    yield from applied_blocks(result)
+    yield Heading("Uncertainty budgets")
+    for level in result.levels:
+        yield Heading(f"{level_words(level)}, {format_number(level.rate, 6)} rad/s", 3)
+        yield budget_table(result, level)
+
+
+def level_words(level: AppliedLevel) -> str:
+    """Return the nominal level in words."""
+    return f"{format_number(level.level, 6)} g"
+
+
+def _levels_table(result: AppliedAcceleration) -> Table:
+    rows = tuple(
+        (
+            level_words(level),
+            format_number(level.rate, 7),
+            format_estimate(level.acceleration, level.u, "m/s^2"),
+            format_number(level.u_relative),
+            format_number(level.monte_carlo.u / abs(level.acceleration)),
+            "" if level.dominant is None else _dominant_words(result, level),
+        )
+        for level in result.levels
+    )
+    return Table(
+        (
+            Column("Level"),
+            Column("Rate, rad/s", "right"),
+            Column("Applied acceleration", "right"),
+            Column("u/a, GUM", "right"),
+            Column("u/a, Monte Carlo", "right"),
+            Column("Largest source", wraps=True, narrowest=16),
+        ),
+        rows,
+    )
+
+
+def _dominant_words(result: AppliedAcceleration, level: AppliedLevel) -> str:
+    largest = level.budget[0]
+    return f"{result.source(largest.source).words}, {format_share(largest.share)}"
+
+
+def _validation_sentence(result: AppliedAcceleration) -> str:
+    draws = f"{result.draws} draws, seed {result.seed}"
+    failed = [level_words(level) for level in result.levels if not level.monte_carlo.validated]
+    if not failed:
+        return (
+            f"Monte Carlo (JCGM 101, {draws}) validates the 95 % interval of the GUM at all levels "
+            "to two digits of u."
+        )
+    return (
+        f"Monte Carlo (JCGM 101, {draws}) does not validate the 95 % interval of the GUM to two "
+        f"digits of u at {', '.join(failed)}. Use the Monte Carlo interval there."
+    )
+
+
+def _sources_table(result: AppliedAcceleration) -> Table:
+    rows = []
+    for source in result.applied_sources:
+        unit, factor = _DEGREES if source.name == "latitude" else field_unit(source.unit)
+        shown = "" if unit == "1" else unit
+        rows.append(
+            (
+                source.words,
+                format_estimate(source.value * factor, source.u * factor, shown),
+                _ORIGINS[source.origin],
+                source.symbol,
+            )
+        )
+    return Table(
+        (
+            Column("Source", wraps=True, narrowest=16),
+            Column("Value", "right"),
+            Column("Origin", wraps=True),
+            Column("Symbol"),
+        ),
+        tuple(rows),
+    )
+
+
+def budget_table(result: AppliedAcceleration, level: AppliedLevel) -> Table:
+    """Return the contributions at a level, the largest first, and their sum."""
+    rows = [
+        (
+            result.source(line.source).words,
+            format_uncertainty(result.source(line.source).u),
+            format_number(line.sensitivity, 4),
+            _sensitivity_unit(result.source(line.source).unit),
+            format_uncertainty(line.u),
+            format_uncertainty(line.u / abs(level.acceleration)),
+            format_share(line.share),
+        )
+        for line in level.budget
+    ]
+    rows.append(
+        (
+            "Combined",
+            "",
+            "",
+            "",
+            format_uncertainty(level.u),
+            format_uncertainty(level.u_relative),
+            "",
+        )
+    )
+    return Table(
+        (
+            Column("Source", wraps=True, narrowest=16),
+            Column("u of the source", "right"),
+            Column("Sensitivity", "right"),
+            Column("Unit"),
+            Column("Contribution, m/s^2", "right"),
+            Column("Relative", "right"),
+            Column("Share", "right"),
+        ),
+        tuple(rows),
+    )
+
+
+def _sensitivity_unit(unit: str) -> str:
+    return (
+        "m/s^2"
+        if unit == "1"
+        else f"(m/s^2)/({unit})"
+        if " " in unit or "/" in unit
+        else f"(m/s^2)/{unit}"
+    )
+
+
+def relative_plot(result: AppliedAcceleration) -> Plot:
+    """Return the relative standard uncertainty against the level, with its largest sources."""
+    values = {source.name: source.value for source in result.applied_sources}
+    u = {source.name: source.u for source in result.applied_sources}
+    ordered = sorted(result.levels, key=lambda level: level.level)
+    low, high = ordered[0].level, ordered[-1].level
+    grid = np.geomspace(low, high, _POINTS) if high > low else np.array([low])
+    sign = -1.0 if all(level.rate < 0.0 for level in ordered) else 1.0
+    curves: dict[str, list[float]] = {name: [] for name in values}
+    for level in grid:
+        rate = sign * float(np.sqrt(level * values["gravity"] / values["radius"]))
+        slopes = sensitivities(values, rate)
+        for name, curve in curves.items():
+            curve.append(abs(slopes[name]) * u[name] / (level * values["gravity"]))
+    drawn = {
+        line.source: None
+        for level in ordered
+        for line in level.budget
+        if line.share >= _DRAWN_SHARE
+    }
+    total = np.sqrt(np.sum(np.square([*curves.values()]), axis=0))
+    levels = tuple(map(float, grid))
+    lines = [
+        PlotSeries(result.source(name).words, levels, tuple(value or None for value in curve))
+        for name, curve in curves.items()
+        if name in drawn
+    ]
+    points = PlotSeries(
+        "levels of the table",
+        tuple(level.level for level in ordered),
+        tuple(level.u_relative for level in ordered),
+        kind="points",
+        colour=0,
+    )
+    return Plot(
+        title="Relative standard uncertainty of the applied acceleration",
+        x_label="level, g",
+        y_label="u/a",
+        series=(
+            PlotSeries("combined", levels, tuple(map(float, total)), colour=0),
+            points,
+            *lines,
+        ),
+        log_x=high > low,
+        log_y=bool(np.all(total > 0.0)),
+    )

@@ -1,0 +1,136 @@
+"""The budget of a campaign's centrifuge: stated and default sources, levels, command, mistakes."""
+
+import math
+
+import pytest
+
+import counterspin as cs
+from counterspin.acceleration_standard.page import applied_blocks, relative_plot
+from counterspin.acceleration_standard.result import AppliedAcceleration
+from counterspin.cli import main
+from counterspin.errors import CampaignError
+from counterspin.physics.terms import TABLE
+from counterspin.reports.blocks import Paragraph
+
+DESCRIPTION = """
+schema = 1
+[site]
+gravity = "9.80665 ± 1e-5 m/s^2"
+latitude = "45.75 ± 0.001 deg"
+[accelerometers.A]
+input_axis = "up"
+pendulous_axis = "west"
+[centrifuge]
+radius = "1 ± 1e-6 m"
+stretch = "0 ± 5e-9 s^2/m"
+[[runs]]
+name = "in"
+motion = "arm"
+rate = "-9.9 ± 2e-6 rad/s"
+mounting = "in"
+axes = { input = "inward", pendulous = "up" }
+reading = "10.0 ± 2e-6 g"
+"""
+STATED = """
+[model.priors]
+"fixture.misalignment.in" = "0 ± 2 arcsec"
+"centrifuge.droop" = "0 ± 1e-9 rad s^2"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Return a function that writes a description and returns its folder."""
+
+    def write(text=DESCRIPTION):
+        (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
+        return tmp_path
+
+    return write
+
+
+def test_unstated_sources_have_the_default_uncertainties_of_their_terms(folder):
+    result = cs.applied(folder(), "2g, 5 g")
+    by_origin = {source.name: source.origin for source in result.applied_sources}
+    defaults = {"elevation", "azimuth", "droop", "clock"}
+    assert {name for name, origin in by_origin.items() if origin == "default"} == defaults
+    assert result.source("droop").u == TABLE["centrifuge.droop"].typical
+    assert result.source("elevation").u == 5e-5
+    assert result.source("clock").u == TABLE["centrifuge.clock"].typical
+    assert result.source("rate").u == pytest.approx(2e-6 / 9.9)
+    assert [level.level for level in result.levels] == pytest.approx([2.0, 5.0])
+    assert any(
+        "centrifuge.droop" in block.text and block.style == "warning"
+        for block in applied_blocks(result)
+        if isinstance(block, Paragraph)
+    )
+
+
+def test_stated_alignment_and_the_rate_of_the_campaign_count(folder):
+    result = cs.applied(folder(DESCRIPTION + STATED))
+    (level,) = result.levels
+    assert (result.mounting, level.rate) == ("in", -9.9)
+    assert result.source("elevation").u == pytest.approx(math.radians(2.0 / 3600.0))
+    assert (result.source("droop").u, result.source("droop").origin) == (1e-9, "stated")
+    # The Earth's rotation slows a clockwise arm: 2 w Omega R sin L.
+    earth = -2.0 * 9.9 * 7.292115e-5 * math.sin(math.radians(45.75))
+    assert level.acceleration == pytest.approx(9.9**2 + earth, rel=1e-12)
+    assert sum(line.share for line in level.budget) == pytest.approx(1.0)
+
+
+def test_an_assumed_term_adds_nothing(folder):
+    exact = '[model]\nassume = ["centrifuge.droop", "centrifuge.clock"]\n'
+    result = cs.applied(folder(DESCRIPTION + exact), [1.0])
+    assert {result.source(name).origin for name in ("droop", "clock")} == {"assumed"}
+    assert {result.source(name).u for name in ("droop", "clock")} == {0.0}
+
+
+def test_the_command_writes_result_report_and_figure(folder, tmp_path, capsys):
+    path = folder(DESCRIPTION + STATED)
+    files = [tmp_path / name for name in ("a.json", "a.md", "a.svg")]
+    options = ("--json", "--report", "--figure")
+    words = [word for pair in zip(options, map(str, files), strict=True) for word in pair]
+    assert main(["applied", str(path), "--levels", "1,10,50,100g", "--budget", *words]) == 0
+    assert "Combined" in capsys.readouterr().out
+    result = AppliedAcceleration.read(files[0])
+    assert result.table().height == 4
+    assert files[1].read_text("utf-8").count("| Combined") == 4
+    curve, points = relative_plot(result).series[:2]
+    assert [curve.y[0], curve.y[-1]] == pytest.approx([points.y[0], points.y[-1]], rel=1e-4)
+    assert main(["report", str(files[0])]) == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"levels": "1,-2g"}, r'`levels`: "-2g": must be an acceleration between 0 and'),
+        ({"levels": "1 s"}, r'`levels`: "1 s"'),
+        ({"levels": ""}, "`levels`"),
+        ({"levels": []}, "give one or more"),
+        ({"draws": 10}, "`draws`: must be from 200000"),
+        ({"seed": -1}, "`seed`"),
+        ({"mounting": "out"}, '"out" is unknown; known: in'),
+    ],
+)
+def test_mistakes_are_named(folder, options, message):
+    with pytest.raises(CampaignError, match=message):
+        cs.applied(folder(), **options)
+
+
+def test_different_alignments_need_the_name_of_a_mounting(folder):
+    second = DESCRIPTION[DESCRIPTION.index("[[runs]]") :].replace('"in"', '"out"', 2)
+    priors = STATED + '"fixture.misalignment.out" = "0 ± 5 arcsec"\n'
+    path = folder(DESCRIPTION + second + priors)
+    with pytest.raises(CampaignError, match="in, out state different alignments: give `mounting`"):
+        cs.applied(path)
+    result = cs.applied(path, mounting="out")
+    assert result.source("azimuth").u == pytest.approx(math.radians(5.0 / 3600.0))
+
+
+def test_a_campaign_without_a_centrifuge_is_refused(folder):
+    at_rest = DESCRIPTION[: DESCRIPTION.index("[centrifuge]")] + (
+        '[[runs]]\nname = "up"\nmotion = "static"\nattitude = "0 deg about north"\n'
+        'reading = "1.0 ± 1e-6 g"\n'
+    )
+    with pytest.raises(CampaignError, match=r"centrifuge\.radius: is missing"):
+        cs.applied(folder(at_rest), [1.0])

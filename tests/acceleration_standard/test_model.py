@@ -1,0 +1,105 @@
+"""The applied acceleration against the station, the complex step and published-size values."""
+
+import math
+
+import numpy as np
+import pytest
+
+from counterspin.acceleration_standard.model import (
+    UNITS,
+    applied_acceleration,
+    draw_distributions,
+    numerical_tolerance,
+    sensitivities,
+)
+from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.motion import Site
+from counterspin.physics.station import FRAMES, Station
+
+ARCSEC = math.radians(1.0) / 3600.0
+G = 9.80665
+
+#: An arm of 1 m: relative u at 1, 10, 50 and 100 g by an independent Monte Carlo of 1e6 draws.
+U = dict.fromkeys(UNITS, 0.0) | {
+    "radius": 1e-6,
+    "stretch": 5e-9,
+    "elevation": 2.0 * ARCSEC,
+    "azimuth": 2.0 * ARCSEC,
+    "droop": 1e-9,
+    "rate": 3e-7,
+}
+NOMINAL = dict.fromkeys(UNITS, 0.0) | {"radius": 1.0, "gravity": G, "latitude": 0.8}
+RELATIVE = {1.0: 9.77e-6, 10.0: 1.59e-6, 50.0: 2.72e-6, 100.0: 5.03e-6}
+
+#: Sources far from nominal, so that every derivative is different from zero.
+IMPERFECT = {
+    "radius": 0.9,
+    "stretch": 3e-5,
+    "elevation": 0.05,
+    "azimuth": -0.04,
+    "droop": 2e-4,
+    "rate": 2e-3,
+    "clock": -1e-3,
+    "gravity": 9.81,
+    "latitude": -0.6,
+}
+
+
+@pytest.mark.parametrize("level", RELATIVE)
+def test_relative_uncertainties_of_an_arm_of_1_m(level):
+    rate = math.sqrt(level * G)
+    slopes = sensitivities(NOMINAL, rate)
+    acceleration = applied_acceleration(NOMINAL, rate)
+    u = math.hypot(*(slopes[name] * U[name] for name in UNITS))
+    assert u / acceleration == pytest.approx(RELATIVE[level], rel=5e-3)
+    # The standard deviation of 4e5 draws has a relative sampling error of 1.1e-3.
+    (drawn,) = draw_distributions(NOMINAL, U, [rate], 400_000, 5)
+    assert drawn.u / acceleration == pytest.approx(RELATIVE[level], rel=5e-3)
+    assert drawn.distance < drawn.tolerance
+
+
+@pytest.mark.parametrize("rate", [7.0, -3.0])
+def test_sensitivities_are_the_complex_step_derivatives(rate):
+    slopes = sensitivities(IMPERFECT, rate)
+    for name, value in IMPERFECT.items():
+        moved = applied_acceleration(IMPERFECT | {name: value + 1e-30j}, rate)
+        assert slopes[name] == pytest.approx(np.imag(moved) / 1e-30, rel=1e-12)
+
+
+@pytest.mark.parametrize("rate", [7.0, -3.0])
+def test_acceleration_is_the_mean_force_of_a_station(rate):
+    """The station adds up the specific force of the exact kinematics over a revolution."""
+    values = IMPERFECT | {"stretch": 1e-6, "rate": 0.0, "clock": 0.0, "azimuth": 0.0}
+    mounting = Mounting.from_axes(FRAMES["arm"]["inward"], FRAMES["arm"]["up"])
+    station = Station(
+        "arm",
+        mounting,
+        rate=rate,
+        radius=values["radius"],
+        stretch=values["stretch"],
+        droop=values["droop"],
+        turn=(0.0, values["elevation"], 0.0),
+    )
+    site = Site(values["gravity"], values["latitude"])
+    mean = station.indicated(site, {}) * values["gravity"]
+    # The Earth-rate term is not projected by the elevation, and the stretch changes its radius.
+    elevation = values["elevation"] + values["droop"] * rate**2
+    left_out = 2.0 * abs(rate) * 7.3e-5 * (0.5 * elevation**2 + 1e-4)
+    assert applied_acceleration(values, rate) == pytest.approx(mean, abs=left_out)
+
+
+def test_a_large_misalignment_does_not_validate_the_interval_of_the_gum():
+    """The mean of cos(beta) is exp(-u^2/2); the first order has no contribution of beta."""
+    u = U | {"azimuth": 0.02}
+    (drawn,) = draw_distributions(NOMINAL, u, [10.0], 200_000, 3)
+    acceleration = applied_acceleration(NOMINAL, 10.0)
+    shift = acceleration * (math.exp(-0.5 * 0.02**2) - 1.0)
+    # The variance of beta^2/2 is u^4/2.
+    sampling = acceleration * 0.02**2 / math.sqrt(2.0) / math.sqrt(200_000)
+    assert drawn.mean - acceleration == pytest.approx(shift, abs=4.0 * sampling)
+    assert drawn.distance > drawn.tolerance
+
+
+def test_numerical_tolerance_of_the_example_of_jcgm_101():
+    """JCGM 101, 7.9.2, example 1: u = 0.00035 g is 35e-5 g, so that the tolerance is 5e-6 g."""
+    assert numerical_tolerance(0.00035) == pytest.approx(5e-6)
