@@ -21,7 +21,7 @@ from counterspin.campaign.field_types import SettingsSection, extra_of, uncertai
 from counterspin.campaign.truth import AccelerometerTruthSettings
 from counterspin.campaign.validation import Section
 from counterspin.certificates.lab import Lab
-from counterspin.comparisons.result import RepeatedCalibration, ResultComparison
+from counterspin.comparisons.result import Intercomparison, RepeatedCalibration, ResultComparison
 from counterspin.histories.result import History
 from counterspin.monitoring.result import CheckedRun, NoiseResult, WatchState
 from counterspin.physics.terms import ACCELEROMETER_TERMS
@@ -53,6 +53,7 @@ PARTS = {
         AppliedAcceleration,
         ResultComparison,
         RepeatedCalibration,
+        Intercomparison,
         History,
         CheckedRun,
         WatchState,

@@ -123,6 +123,7 @@ def test_every_result_of_the_package_is_written_so():
         "ResultComparison",
         "Dossier",
         "History",
+        "Intercomparison",
         "NoiseResult",
         "PlanResult",
         "RepeatedCalibration",

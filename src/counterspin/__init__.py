@@ -22,6 +22,7 @@ The commands, as functions:
 - `applied`: the uncertainty budget of the acceleration that a centrifuge applies, by level
   (`AppliedAcceleration`)
 - `compare`: results of other models, methods or campaigns beside each other (`ResultComparison`)
+- `intercompare`: laboratories that calibrated the same instrument (`Intercomparison`)
 - `rerun`: a result's calibration made again (`RepeatedCalibration`)
 - `check`: one record, judged (`CheckedRun`); `watch`: a campaign while its records grow
   (`WatchState`), at a `Pace`
@@ -97,7 +98,9 @@ if TYPE_CHECKING:
     from counterspin.certificates.issuing import Certificate as Certificate
     from counterspin.certificates.issuing import certificate as certificate
     from counterspin.comparisons.compare import compare as compare
+    from counterspin.comparisons.intercompare import intercompare as intercompare
     from counterspin.comparisons.rerun import rerun as rerun
+    from counterspin.comparisons.result import Intercomparison as Intercomparison
     from counterspin.comparisons.result import RepeatedCalibration as RepeatedCalibration
     from counterspin.comparisons.result import ResultComparison as ResultComparison
     from counterspin.correction.apply import ApplyOptions as ApplyOptions
@@ -176,8 +179,9 @@ _OFFERED = {
     "campaign.quantity": ("Quantity",),
     "calibration.result": ("Result", "read_result", "write_result"),
     "comparisons.compare": ("compare",),
+    "comparisons.intercompare": ("intercompare",),
     "comparisons.rerun": ("rerun",),
-    "comparisons.result": ("ResultComparison", "RepeatedCalibration"),
+    "comparisons.result": ("Intercomparison", "ResultComparison", "RepeatedCalibration"),
     "monitoring.check": ("check",),
     "monitoring.noise": ("noise",),
     "monitoring.result": ("CheckedRun", "NoiseResult", "WatchState"),

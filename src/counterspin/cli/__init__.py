@@ -4,7 +4,7 @@ A command imports what it uses when it runs, so that `--help` answers at once.
 
 - `init`, `calibrate`, `applied`, `certificate`, `apply`, `plan`, `study`: a command each
 - `records`: `simulate`, `check`, `watch`, `noise`
-- `results`: `report`, `history`, `compare`, `rerun`, `ledger`
+- `results`: `report`, `history`, `compare`, `intercompare`, `rerun`, `ledger`
 - `program`: `schema`, `serve`, `demo`, `reproduce`, `validate`
 - `common`: shared options, output, and errors in the terms of a command line
 """
@@ -71,6 +71,7 @@ for _command in (
     results.ledger,
     results.history,
     results.compare,
+    results.intercompare,
     results.rerun,
     applied.applied,
     records.check,

@@ -1,4 +1,4 @@
-"""The commands of results: their reports, histories, comparisons, repetitions and ledgers."""
+"""The commands of results: reports, histories, comparisons, repetitions and ledgers."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ _RESULT_CLASSES: Final = (
     ("acceleration_standard.result", "AppliedAcceleration"),
     ("comparisons.result", "ResultComparison"),
     ("comparisons.result", "RepeatedCalibration"),
+    ("comparisons.result", "Intercomparison"),
     ("monitoring.result", "CheckedRun"),
     ("monitoring.result", "WatchState"),
     ("monitoring.result", "NoiseResult"),
@@ -171,6 +172,53 @@ def compare(
     with save_options.writing(compared):
         if report is not None:
             compared.write_report(report, overwrite=save_options.overwrite)
+        report_console().print(compared)
+
+
+def intercompare(
+    *results: Path,
+    coefficient: str | None = None,
+    save_options: SaveOptions = NOT_SAVED,
+    report: Path | None = None,
+    figure: Path | None = None,
+) -> None:
+    """Compare laboratories: reference value, consistency, degrees of equivalence.
+
+    Parameters
+    ----------
+    results
+        One result file of each laboratory, all of the same instrument.
+    coefficient
+        Coefficients, such as K_I,K_II; default: all that every result determines.
+    report
+        Also write the comparison to this file: .html, .pdf or .md.
+    figure
+        Draw the degrees of equivalence and a Youden plot: .svg, .png or .pdf.
+    """
+    from counterspin.comparisons.intercompare import intercompare as run
+    from counterspin.comparisons.intercomparison_page import FILE_DESCRIPTION, pictures
+    from counterspin.comparisons.result import Intercomparison
+    from counterspin.output import marked, reserve
+    from counterspin.reports.charts import check_format as check_figure
+    from counterspin.reports.charts import save_figure
+    from counterspin.reports.publication import check_format
+    from counterspin.reports.text import report_console
+
+    overwrite = save_options.overwrite
+    if report is not None:
+        check_format(report)
+        reserve(report, lambda: marked(Intercomparison.report_kind()), overwrite=overwrite)
+    if figure is not None:
+        check_figure(figure)
+        reserve(figure, lambda: marked(FILE_DESCRIPTION), overwrite=overwrite)
+    save_options.reserve(Intercomparison.file_kind)
+    symbols = None if coefficient is None else [s.strip() for s in coefficient.split(",")]
+    compared = run(*results, coefficients=symbols)
+    with save_options.writing(compared):
+        if report is not None:
+            compared.write_report(report, overwrite=overwrite)
+        if figure is not None:
+            save_figure(pictures(compared), figure, FILE_DESCRIPTION, overwrite=overwrite)
         report_console().print(compared)
 
 

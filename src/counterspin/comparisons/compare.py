@@ -66,7 +66,7 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
             "compare", [f"there are {len(results)} results and {len(names)} `names`"]
         )
     loaded = [judge_result(r if isinstance(r, Result) else Result.read(r)) for r in results]
-    result_names = list(names) if names is not None else _result_names(results, loaded)
+    result_names = list(names) if names is not None else name_results(results, loaded)
     names_in_results = dict.fromkeys(name for result in loaded for name in result.accelerometers)
     shared = [
         name for name in names_in_results if sum(name in r.accelerometers for r in loaded) > 1
@@ -108,7 +108,7 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
     )
 
 
-def _result_names(given: Sequence[Result | Path | str], results: Sequence[Result]) -> list[str]:
+def name_results(given: Sequence[Result | Path | str], results: Sequence[Result]) -> list[str]:
     """Return a name for each result: its file or title, numbered if not unique."""
     names = [
         (result.title or "result") if isinstance(g, Result) else str(g)
@@ -120,7 +120,8 @@ def _result_names(given: Sequence[Result | Path | str], results: Sequence[Result
     ]
 
 
-def _is_determined(c: Coefficient | None) -> bool:
+def is_determined(c: Coefficient | None) -> bool:
+    """Return True if the records determine a coefficient."""
     return c is not None and c.estimated and c.value is not None and bool(c.u)
 
 
@@ -138,7 +139,7 @@ def _compare_accelerometer(
             missing = ComparedEstimate(value=None, u=None)
             row = rows.setdefault(symbol, [missing] * len(results))
             units[symbol] = c.unit
-            if _is_determined(c):
+            if is_determined(c):
                 gravity = results[0].inputs.gravity
                 estimates = estimates_of(
                     results[index], name, [symbol], _target_gravity(results, index, gravity)
@@ -151,9 +152,7 @@ def _compare_accelerometer(
     agreements = []
     for index in later:
         coefficients = results[index].accelerometers[name].coefficients
-        terms = [
-            s for s in first if _is_determined(first[s]) and _is_determined(coefficients.get(s))
-        ]
+        terms = [s for s in first if is_determined(first[s]) and is_determined(coefficients.get(s))]
         agreement, differences = _compare_pair(name, results, (start, index), terms, result_names)
         agreements.append(agreement)
         for symbol, (difference, u, z) in differences.items():

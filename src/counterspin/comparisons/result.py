@@ -8,8 +8,9 @@ from __future__ import annotations
 from typing import Any, ClassVar, Final, Literal
 
 from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.loading import load_name
 from counterspin.reports.numbers import field_unit
-from counterspin.results import ReportableResult, ResultPart, make_frame
+from counterspin.results import ReportableResult, ResultPart, draw_pictures, make_frame
 
 
 class ComparedResult(ResultPart):
@@ -185,3 +186,72 @@ class RepeatedCalibration(ReportableResult):
     changes: list[Change]  #: Other differences: checksums of inputs, versions, environment.
     moved: dict[str, str] = {}  #: Inputs found under another name: name in the result -> path.
     unsealed: list[str] = []  #: Label of the result, if its file has no seal.
+
+
+class DegreeOfEquivalence(ResultPart):
+    """A laboratory's value, and its difference from the reference value."""
+
+    value: float  #: Measured value.
+    u: float  #: Standard uncertainty of `value`.
+    member: bool  #: Whether the value is part of the reference value.
+    d: float | None = None  #: Value minus reference value; None without a reference value.
+    #: Expanded uncertainty of `d` (k = 2), allowing for all covariances.
+    expanded_u_d: float | None = None
+    #: `d` divided by `expanded_u_d` (ISO 13528); satisfactory if the magnitude is at most 1.
+    e_n: float | None = None
+    zeta: float | None = None  #: `d` divided by its standard uncertainty (ISO 13528).
+
+
+class PairwiseDegree(ResultPart):
+    """The difference of two laboratories: second minus first."""
+
+    first: str  #: Name of the first laboratory.
+    second: str  #: Name of the second laboratory.
+    d: float  #: Second value minus first value.
+    expanded_u_d: float  #: Expanded uncertainty of `d` (k = 2).
+    e_n: float  #: `d` divided by `expanded_u_d`.
+
+
+class ReferenceValue(ResultPart):
+    """The reference value of a coefficient, and the degrees of equivalence."""
+
+    accelerometer: str  #: Name of the accelerometer.
+    term: str  #: Symbol of the term.
+    unit: str  #: Unit of all numbers.
+    chi2: float  #: Chi-square of all laboratories about their weighted mean.
+    dof: int  #: Degrees of freedom of `chi2`.
+    p: float  #: Probability of a larger chi-square by chance.
+    consistent: bool  #: Whether `p` is at least the significance.
+    #: Weighted mean of the largest consistent subset; None if no two laboratories are consistent.
+    value: float | None = None
+    u: float | None = None  #: Standard uncertainty of the reference value.
+    p_members: float | None = None  #: `p` of the largest consistent subset.
+    #: Other consistent subsets of the same size, with larger chi-square.
+    alternatives: list[list[str]] = []
+    shared: list[str] = []  #: Sources common to laboratories, counted as covariances.
+    degrees: dict[str, DegreeOfEquivalence]  #: Degree of equivalence of each laboratory.
+    pairs: list[PairwiseDegree]  #: Differences of all pairs.
+
+
+class Intercomparison(ReportableResult):
+    """A comparison of laboratories that calibrated the same instrument."""
+
+    BLOCKS: ClassVar[str] = "counterspin.comparisons.intercomparison_page:intercomparison_blocks"
+    KIND: ClassVar[str] = "intercomparison"
+
+    gravity: float  #: Gravity of the g-units, m/s^2, from the first result.
+    significance: float  #: Significance of the chi-square test.
+    laboratories: list[str]  #: Names of the laboratories, in the given order.
+    references: list[ReferenceValue]  #: Reference value of each coefficient.
+    assumed: list[str] = []  #: Assumptions about common sources, in sentences.
+    unsealed: list[str] = []  #: Laboratories whose result files have no seal.
+
+    def plot(self, *, axes: Any = None) -> list[Any]:
+        """Draw the degrees of equivalence of each coefficient, and a Youden plot of two."""
+        pictures = load_name("counterspin.comparisons.intercomparison_page:pictures")
+        return draw_pictures(pictures(self), axes)
+
+    @property
+    def identifier(self) -> str:
+        """The names of the laboratories."""
+        return " / ".join(self.laboratories)

@@ -1,0 +1,139 @@
+"""Laboratories compared: common sources, refusals, and the command's files."""
+
+import json
+
+import numpy as np
+import pytest
+import results as by_hand
+
+import counterspin as cs
+from counterspin.cli import main
+from counterspin.comparisons.intercomparison_page import pictures, reference_sentence
+from counterspin.errors import CampaignError
+
+U = 1e-7
+
+
+def result_of(laboratory, k_ii, k_f=0.0, sources=(), **parts):
+    """Return a laboratory's result; sources are names, u and shifts of K_II, rest is noise."""
+    budget = [
+        {"source": name, "kind": "unstated", "u": u, "unit": "", "share": 0.0}
+        | {"sensitivity": shift / u, "contribution": shift}
+        for name, u, shift in sources
+    ]
+    accelerometer = by_hand.accelerometer(
+        coefficients={
+            "K_II": by_hand.coefficient(k_ii, U, "g/g^2"),
+            "K_F": by_hand.coefficient(k_f, U, "g"),
+        },
+        budget={"K_II": budget},
+        serial_number=parts.pop("serial", None),
+    )
+    details = {} if laboratory is None else {"laboratory": laboratory}
+    return by_hand.bare_result(accelerometers={"Qx": accelerometer}, details=details, **parts)
+
+
+@pytest.fixture
+def laboratories():
+    values = zip("ABCD", (15.0, 15.1, 15.2, 16.2), (1.0, 1.1, 1.05, 1.9), strict=True)
+    return [result_of(name, k_ii * 1e-6, k_f * 1e-6) for name, k_ii, k_f in values]
+
+
+def test_the_outlier_is_named(laboratories):
+    k_ii, k_f = cs.intercompare(*laboratories).references
+    assert (k_ii.value, k_ii.u) == pytest.approx((15.1e-6, U / 3**0.5))
+    degree = k_ii.degrees["D"]
+    assert not degree.member
+    assert degree.d == pytest.approx(1.1e-6)
+    assert degree.zeta == pytest.approx(11 / (4 / 3) ** 0.5)
+    assert degree.e_n == pytest.approx(degree.zeta / 2)
+    assert k_ii.pairs[2].d == pytest.approx(1.2e-6)
+    assert k_ii.pairs[2].e_n == pytest.approx(12 / 8**0.5)
+    assert "Outside the subset: D" in reference_sentence(k_ii)
+    assert [plot.title.split()[0] for plot in pictures(cs.intercompare(*laboratories))] == [
+        *("Degrees", "Degrees", "Youden")
+    ]
+    assert k_f.term == "K_F"
+
+
+@pytest.mark.parametrize(
+    ("names", "source", "shared"),
+    [
+        (("A", "B"), "K_OO", True),  # a term of the instrument travels with it
+        (("A", "B"), "centrifuge.radius", False),  # each laboratory has its machine
+        (("A", None), "centrifuge.radius", True),  # the same machine, as far as is stated
+    ],
+)
+def test_common_sources_are_covariances(names, source, shared):
+    shift = 0.8 * U
+    pair = [result_of(name, 2e-5, sources=[(source, 1e-6, shift)]) for name in names]
+    compared = cs.intercompare(*pair, coefficients=["K_II"])
+    (reference,) = compared.references
+    assert reference.shared == ([source] if shared else [])
+    independent = U**2 - shift**2 if shared else U**2
+    assert reference.u**2 == pytest.approx(independent / 2 + (shift**2 if shared else 0.0))
+    assert reference.pairs[0].expanded_u_d == pytest.approx(2 * (2 * independent) ** 0.5)
+    assert bool(compared.assumed) is (None in names)
+
+
+def test_values_are_converted_to_the_gravity_of_the_first():
+    inputs = {"gravity": 9.78, "latitude": 0.0, "radius": 2.5}
+    first, second = result_of("A", 2e-5), result_of("B", 2e-5, inputs=inputs)
+    (k_ii, _) = cs.intercompare(first, second).references
+    # K_II is in g/g^2: proportional to g.
+    assert k_ii.degrees["B"].value == pytest.approx(2e-5 * first.inputs.gravity / 9.78)
+
+
+def test_two_laboratories_that_disagree_have_no_reference_value():
+    (k_ii, _) = cs.intercompare(result_of("A", 1e-5), result_of("B", 2e-5)).references
+    assert k_ii.value is None
+    assert k_ii.degrees["A"].d is None
+    assert "no reference value" in reference_sentence(k_ii)
+
+
+def with_records(laboratory):
+    provenance = {"version": "1", "inputs": {"a.csv": "sha256:" + "1" * 64}}
+    return result_of(laboratory, 1e-5, provenance=provenance)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ([result_of("A", 1e-5)], "give 2 to 16 results"),
+        ([with_records("A"), with_records("B")], "A and B use the same records"),
+        (
+            [result_of("A", 1e-5, serial="1"), result_of("B", 1e-5, serial="2")],
+            "different serial numbers: 1, 2",
+        ),
+        ([result_of("A", 1e-5), result_of("B", 1e-5, model="as-printed")], "half the true K_II"),
+        (
+            [result_of(name, 1e-5, sources=[("K_OO", 1e-6, U)]) for name in "AB"],
+            "no independent uncertainty",
+        ),
+        ([result_of("A", 1e-5), by_hand.bare_result()], "no accelerometer is in every result"),
+    ],
+)
+def test_results_that_cannot_be_compared_are_refused(given, message):
+    with pytest.raises(CampaignError, match=message):
+        cs.intercompare(*given)
+
+
+def test_a_coefficient_that_only_one_result_determines_is_refused():
+    with pytest.raises(CampaignError, match="fewer than two results determine K_III of Qx"):
+        cs.intercompare(result_of("A", 1e-5), result_of("B", 1e-5), coefficients=["K_III"])
+
+
+def test_the_command_writes_its_files(laboratories, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name, result in zip("abcd", laboratories, strict=True):
+        result.write(f"{name}.json")
+    files = [f"{name}.json" for name in "abcd"]
+    outputs = ["--json", "o.json", "--report", "o.md", "--figure", "o.svg"]
+    assert main(["intercompare", *files, "--coefficient", "K_II, K_F", *outputs]) == 0
+    assert "15.100 ± 0.058" in capsys.readouterr().out
+    document = json.loads((tmp_path / "o.json").read_text())
+    weights = np.array([d["u"] ** -2 for d in document["references"][0]["degrees"].values()])
+    assert document["references"][0]["dof"] == weights.size - 1
+    assert "Outside the subset: D" in (tmp_path / "o.md").read_text()
+    assert (tmp_path / "o.svg").stat().st_size > 1000
+    assert main(["report", "o.json", "-o", "p.html"]) == 0
