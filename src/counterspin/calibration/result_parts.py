@@ -283,12 +283,13 @@ class ReadingResult(ResultPart):
     """
 
     name: str  #: Name of the run or the row.
-    motion: str  #: ``static``, ``arm`` or ``counter-rotating``.
+    motion: str  #: ``static``, ``vibration``, ``arm`` or ``counter-rotating``.
     mounting: str = ""  #: Mounting of the instrument on the arm; empty if none is named.
     #: Direction of the input axis: east, north, up; on an arm outward, forward, up.
     input_axis: tuple[float, ...] = ()
     pendulous_axis: tuple[float, ...] = ()  #: Direction of the pendulous axis, in the same frame.
     rate: float  #: Rate of the spindle, rad/s.
+    amplitude: float | None = None  #: Peak acceleration of a vibration, m/s^2; null elsewhere.
     value: float  #: Reading converted by the nominal sensitivity, g.
     u: float  #: Standard uncertainty of the reading, stated or estimated, g.
     residual: float  #: Reading minus model, g.

@@ -61,8 +61,10 @@ def _missing_sections(
     """Yield sections that the present ones need."""
     entries = [entry for _, entry in listed]
     recorded = any(not is_reading(entry) or "record" in entry for entry in entries)
-    turning = any(reading.motion != "static" for reading in right_readings) or any(
-        not isinstance(entry, dict) or entry.get("motion") != "static" for entry in entries
+    without_machine = ("static", "vibration")
+    turning = any(reading.motion not in without_machine for reading in right_readings) or any(
+        not isinstance(entry, dict) or entry.get("motion") not in without_machine
+        for entry in entries
     )
     for key, needed in (("centrifuge", turning), ("records", recorded)):
         if (needed or not (entries or "readings" in document)) and key not in document:

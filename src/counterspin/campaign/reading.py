@@ -64,6 +64,11 @@ class Reading:
     #: Whether its record has an angle, so that the recorder's clock measures the rate.
     by_clock: bool = False
     measured: MeasuredRate | None = None  #: The rate in its record; None: the stated one counts.
+    #: Of a vibration: peak value, m/s^2, its random relative standard uncertainty, and the mean
+    #: along the input axis beside gravity, m/s^2.
+    amplitude: float = 0.0
+    u_amplitude: float = 0.0
+    bias_acceleration: float = 0.0
 
 
 @frozen

@@ -122,6 +122,23 @@ class Run(SettingsSection):
         absent="none",
         alias="rate",
     )
+    amplitude: Annotated[Quantity | None, uncertain_quantity("m/s^2"), AfterValidator(positive)] = (
+        key_field(
+            "peak acceleration of a vibration along the input axis; `±` is the random standard "
+            "uncertainty of this amplitude",
+            "5 ± 0.01 g",
+            None,
+            absent="none",
+            applies_to=READINGS,
+        )
+    )
+    bias_acceleration: Annotated[float, read_exactly("m/s^2")] = key_field(
+        "mean specific force along the input axis during a vibration, beside gravity",
+        "10 g",
+        0.0,
+        absent="gravity alone",
+        applies_to=READINGS,
+    )
     file: RecordFile | None = key_field(
         f"file, relative to the campaign's folder ({', '.join(RECORD_FORMATS)}). For a run at rest "
         "or on an arm, its mean over whole revolutions is the reading and its noise gives the "

@@ -49,12 +49,13 @@ _UP: Final = np.array([0.0, 0.0, 1.0])
 _ROUNDING: Final = 1e-9  #: of a unit vector; above roundoff, below any angle of a mounting
 
 #: What a name of the machine's terms begins with.
-_FAMILIES: Final = ("centrifuge.", "fixture.", "head.")
+_FAMILIES: Final = ("centrifuge.", "fixture.", "head.", "vibration.")
 
 #: Axes about which a fixture may be turned, by motion: the names of the frame.
 _AXES: Final = {
     "arm": ("outward", "forward", "up"),
     "static": ("east", "north", "up"),
+    "vibration": ("east", "north", "up"),
     "counter-rotating": ("east", "north", "up"),
 }
 

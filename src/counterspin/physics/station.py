@@ -1,9 +1,9 @@
-"""Stations of readings: at rest, on the arm of a centrifuge, or on a double turntable.
+"""Stations of readings: at rest, on an arm, on a double turntable, or on a shaker.
 
-A reading is the mean of an accelerometer's output over whole revolutions, or at rest. Given the
-station, it is linear in the coefficients: each counts with the mean of its product of specific
-forces. What the machine does beside turning (a radius that stretches, an arm that droops, a
-fixture that is turned) moves the station, so that its effect on a reading is a derivative.
+A reading is the mean of an accelerometer's output over whole revolutions or vibrations, or at rest.
+Given the station, it is linear in the coefficients: each counts with the mean of its product of
+specific forces. What the machine does beside turning (a radius that stretches, an arm that droops,
+a fixture that is turned) moves the station, so that its effect on a reading is a derivative.
 
 Vectors are in the station's frame: east-north-up at rest and on a double turntable; outward along
 the arm, forward (the way that the arm moves at a positive rate) and up on an arm. Both frames are
@@ -49,11 +49,13 @@ FRAMES: Final[Mapping[str, Mapping[str, tuple[float, float, float]]]] = {
     "arm": _ON_THE_ARM,
     # An arm that stands still is one that points east: gravity is all that acts.
     "static": {**DIRECTIONS, **_ON_THE_ARM},
+    "vibration": DIRECTIONS,
 }
 
 #: Motion, or ``poses`` -> the name of its readings.
 READINGS: Final = {
     "static": "readings at rest",
+    "vibration": "readings during vibration",
     "arm": "readings on the arm",
     "counter-rotating": "readings on the double turntable",
     "poses": "poses at unknown attitudes",
@@ -67,7 +69,7 @@ _ANGLES: Final = 16
 class Station:
     """Position, attitude and motion of the instrument during one reading."""
 
-    motion: MotionKind  #: ``counter-rotating``, ``arm`` or ``static``.
+    motion: MotionKind  #: ``counter-rotating``, ``arm``, ``static`` or ``vibration``.
     mounting: Mounting  #: The accelerometer's axes in the station's frame.
     rate: float = 0.0  #: rad/s; its sign is the sense, right-handed about up. 0 at rest.
     radius: float = 0.0  #: From the spindle's axis to the proof mass when the arm is unloaded, m.
@@ -83,6 +85,9 @@ class Station:
     #: (n, c, s): the counter-rotating table, and the instrument on it, is turned about up by
     #: c cos n theta + s sin n theta, rad.
     table: tuple[tuple[int, float, float], ...] = ()
+    #: Of a vibration along the input axis: peak value and mean beside gravity, m/s^2.
+    amplitude: float = 0.0
+    bias_acceleration: float = 0.0
 
     def force(
         self,
@@ -136,6 +141,8 @@ class Stations:
     droop: Array  #: Shape (n,).
     axis_tilt: Array  #: Shape (n, 2).
     turn: Array  #: Shape (n, 3).
+    amplitude: Array  #: Shape (n,).
+    bias_acceleration: Array  #: Shape (n,).
     #: Harmonic -> components c and s of the counter-rotating table, shape (n, 2).
     table: Mapping[int, Array]
 
@@ -148,8 +155,11 @@ class Stations:
             for n, c, s in station.table:
                 table[n][k] += (c, s)
         (motion,) = {station.motion for station in stations}
-        rows = [(s.rate, s.radius, s.stretch, s.droop, *s.axis_tilt, *s.turn) for s in stations]
-        rate, radius, stretch, droop, *vectors = np.array(rows).T
+        rows = [
+            (s.rate, s.radius, s.stretch, s.droop, s.amplitude, s.bias_acceleration)
+            for s in stations
+        ]
+        rate, radius, stretch, droop, amplitude, bias_acceleration = np.array(rows).T
         return cls(
             motion,
             axes=np.array([station.mounting.axes for station in stations]),
@@ -157,17 +167,20 @@ class Stations:
             radius=radius,
             stretch=stretch,
             droop=droop,
-            axis_tilt=np.column_stack(vectors[:2]),
-            turn=np.column_stack(vectors[2:]),
+            axis_tilt=np.array([s.axis_tilt for s in stations]),
+            turn=np.array([s.turn for s in stations]),
+            amplitude=amplitude,
+            bias_acceleration=bias_acceleration,
             table=table,
         )
 
     def take(self, rows: npt.NDArray[np.intp]) -> Stations:
         """Return some of the stations."""
-        arrays = ("axes", "rate", "radius", "stretch", "droop", "axis_tilt", "turn")
+        arrays = ("axes", "rate", "radius", "stretch", "droop", "axis_tilt", "turn", "amplitude")
         return replace(
             self,
             table={n: components[rows] for n, components in self.table.items()},
+            bias_acceleration=self.bias_acceleration[rows],
             **{name: getattr(self, name)[rows] for name in arrays},
         )
 
@@ -188,6 +201,12 @@ class Stations:
         radius = self.radius[:, None]
         radius = radius * (1.0 + self.stretch[:, None] * radius * w * w)
         cos, sin = np.cos(angles), np.sin(angles)
+        if self.motion == "vibration":
+            # The shaker moves along the nominal input axis; its phase is the angle.
+            along_axis = self.bias_acceleration[:, None] + self.amplitude[:, None] * np.sin(angles)
+            forces: Array = along_axis[:, :, None] * self.axes[:, None, 0]
+            forces[:, :, 2] += site.gravity
+            return forces
         if self.motion == "arm":
             # The machine's axes lean with its spindle: gravity and the Earth's rotation as they
             # see them.
@@ -265,6 +284,8 @@ class Stations:
             case TrajectoryError("axis_tilt", about=axis):
                 tilted = np.outer(size, (axis == "east", axis == "north"))
                 moved = {"axis_tilt": self.axis_tilt + tilted}
+            case SetupError("amplitude"):
+                moved = {"amplitude": self.amplitude * (1.0 + size)}
             case SetupError("droop"):
                 moved = {"droop": self.droop + size}
             case AttitudeError("table", harmonic=n, quadrature=quadrature):
@@ -315,7 +336,12 @@ def mean_products(stations: Stations, site: Site) -> Array:
     means: Array = _products(a_ipo, rotations).mean(axis=2).T
     lowest, highest = a_ipo[0].min(axis=1), a_ipo[0].max(axis=1)
     bent = (lowest < SIGN_WIDTH) & (highest > -SIGN_WIDTH) & (highest - lowest > _ROUNDING)
-    for k in np.flatnonzero(bent).tolist():
+    harmonics = np.fft.rfft(a_ipo[0]) / _ANGLES
+    is_sine = np.abs(harmonics[:, 2:]).max(axis=1) <= _ROUNDING
+    means[np.ix_(bent & is_sine, _KINKED)] = _kinked_means_of_sine(
+        harmonics[bent & is_sine, 0].real, 2.0 * np.abs(harmonics[bent & is_sine, 1])
+    )
+    for k in np.flatnonzero(bent & ~is_sine).tolist():
         means[k, _KINKED] = _means_with_kinks(stations.take(np.array([k])), site)
     return means
 
@@ -330,9 +356,37 @@ _ROUNDING: Final = 1e-12
 _PANELS: Final = 8
 
 
+def _kinked_means_of_sine(mean: Array, amplitude: Array) -> Array:
+    """Return the means of the products that have a kink of a_I = m + A sin(phase).
+
+    mean, amplitude: g, shape (n,).
+    Returns: shape (n, products).
+    """
+
+    def moments_above(threshold: float) -> tuple[Array, Array, Array]:
+        """Return the means of 1, a_I and a_I^2 where a_I is above a threshold, and 0 elsewhere."""
+        start = np.arcsin(np.clip((threshold - mean) / amplitude, -1.0, 1.0))
+        part, sine = 0.5 - start / np.pi, np.cos(start) / np.pi
+        square = 0.5 * part + np.sin(2.0 * start) / (4.0 * np.pi)
+        first = mean * part + amplitude * sine
+        second = mean**2 * part + 2.0 * mean * amplitude * sine + amplitude**2 * square
+        return part, first, second
+
+    (low, first_low, _), (high, first_high, _) = map(moments_above, (-SIGN_WIDTH, SIGN_WIDTH))
+    _, first, second = moments_above(0.0)
+    by_factors = {
+        ("sign_I",): high + low - 1.0 + (first_low - first_high) / SIGN_WIDTH,
+        ("|I|",): 2.0 * first - mean,
+        ("I", "|I|"): 2.0 * second - mean**2 - 0.5 * amplitude**2,
+    }
+    effects = [row.effect for row in TERMS.values() if row.effect.has_kink]
+    return np.stack([effect.weight * by_factors[effect.factors] for effect in effects], axis=-1)
+
+
 def _means_with_kinks(stations: Stations, site: Site) -> Array:
     """Return one station's means of products that have a kink, by panels between sign changes."""
-    axis, end = stations.axes_under_load()[0, 0] / site.gravity, 2.0 * np.pi
+    axes, end = stations.axes_under_load(), 2.0 * np.pi
+    axis, rotation = axes[0, 0] / site.gravity, stations.rotations(axes)[0]
     edges = np.linspace(0.0, end, _PANELS + 1)
 
     def above(least: float, angle: Array) -> Array:
@@ -345,14 +399,13 @@ def _means_with_kinks(stations: Stations, site: Site) -> Array:
     ]
     edges = np.unique(np.concatenate([edges, *changes]))
     edges = edges[np.append(np.diff(edges) > _ROUNDING, True)]
-    whole = edges[-1:]
-    integrals = quadrature.integrate(
-        lambda angle: stations.products(site, stations.forces(site, angle))[_KINKED, 0],
-        edges,
-        whole,
-        1,
-    )
-    return np.asarray(integrals[0] / end)
+    effects = [row.effect for row in TERMS.values() if row.effect.has_kink]
+
+    def kinked_products(angle: Array) -> Array:
+        a_ipo = axes[0] @ stations.forces(site, angle)[0].T / site.gravity
+        return np.stack([effect.evaluate(a_ipo, rotation, SIGN_WIDTH) for effect in effects])
+
+    return np.asarray(quadrature.integrate(kinked_products, edges, edges[-1:], 1)[0] / end)
 
 
 def _products(a_ipo: Array, rotation: Array) -> Array:

@@ -30,7 +30,7 @@ DEGREE_PER_HOUR: Final = math.radians(1.0) / 3600.0  #: rad/s
 ARCSEC: Final = math.pi / 648000.0  #: rad
 
 #: Motion of the instrument during a reading.
-MotionKind = Literal["counter-rotating", "arm", "static"]
+MotionKind = Literal["counter-rotating", "arm", "static", "vibration"]
 
 #: What the symbols of those errors of a dividing head begin with that vary with its angle.
 HEAD_WAVES: Final = "head.harmonic."
@@ -100,7 +100,7 @@ class Term(Generic[Does_co]):
 
 _NAMES: Final = ("east", "north", "up")
 _TURNING: Final = ("arm", "counter-rotating")
-_EVERYWHERE: Final = (*_TURNING, "static")
+_EVERYWHERE: Final = (*_TURNING, "static", "vibration")
 
 
 def _accelerometer_term(
@@ -336,6 +336,15 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
                 ("static",),
             )
             for axis in ("east", "north")
+        ),
+        (
+            "vibration.amplitude",
+            "error of the amplitudes, relative",
+            "1",
+            0.1,
+            5e-3,
+            "ISO 16063-21: 1 % at k = 2 of a transducer that is calibrated by comparison",
+            ("vibration",),
         ),
         ("head.zero", "zero of the dividing head", "rad", 1e-2, 2.5e-5, head, ("static",)),
     ):

@@ -35,7 +35,8 @@ MOST_RECORDS: Final = 60
 
 def contradictions(run: Run) -> Iterator[Contradiction]:
     """Yield what is missing, too much, or contradicts itself in a run that is a reading."""
-    is_pose, static, rotates = run.stand.unknown, run.motion == "static", run.rate != 0.0
+    is_pose, rotates = run.stand.unknown, run.rate != 0.0
+    static, vibrates = run.motion == "static", run.motion == "vibration"
     has_attitude, no_axes = "stand" in run.model_fields_set, run.axes is None
     single_temperature = len(run.temperature or ()) < 2
     no_meaning = "has no meaning at an unknown attitude"
@@ -58,7 +59,32 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
         ("." in run.mounting, f'"{run.mounting}" has a dot; leave it out', "mounting"),
         (static and rotates, "a static run does not turn; leave the rate out", "rate motion"),
         (
-            static and run.truth,
+            vibrates and rotates,
+            "a run on a shaker does not turn; leave the rate out",
+            "rate motion",
+        ),
+        (
+            vibrates and run.amplitude is None,
+            "is missing: a vibration has a peak acceleration",
+            "amplitude motion",
+        ),
+        (
+            not vibrates and run.amplitude is not None,
+            'belongs to a vibration; write motion = "vibration"',
+            "amplitude motion",
+        ),
+        (
+            not vibrates and run.bias_acceleration,
+            'belongs to a vibration; write motion = "vibration"',
+            "bias_acceleration motion",
+        ),
+        (
+            vibrates and run.file is not None,
+            "is not averaged over vibrations; give the mean output as reading",
+            "record motion",
+        ),
+        (
+            (static or vibrates) and run.truth,
             "a static run does not turn, and its truth is that of the spindle; leave it out",
             "truth motion",
         ),
@@ -68,12 +94,12 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
             "truth motion reading",
         ),
         (
-            not static and not rotates,
+            not static and not vibrates and not rotates,
             f"is missing: a run with motion {run.motion} turns",
             "rate motion",
         ),
         (
-            static and no_axes and not has_attitude,
+            (static or vibrates) and no_axes and not has_attitude,
             "is missing: a reading at rest needs its position",
             "attitude axes motion",
         ),
@@ -139,7 +165,9 @@ def resolve_readings(
     units = {name: output.unit if output else "g" for name, output in outputs.items()}
     for raw, path in runs:
         error_count = len(problems.lines)
-        run, invalid_keys = problems.validate_partial(Run, raw, path, folder=folder, units=units)
+        run, invalid_keys = problems.validate_partial(
+            Run, raw, path, folder=folder, units=units, gravity=gravity
+        )
         if run is None or invalid_keys & {"reading", "record", "motion"}:
             continue
         run_readings: list[Reading] = []
@@ -218,6 +246,9 @@ def _make_reading(run: Run, name: str, parsed: _ParsedValue, axes: Mounting) -> 
         resolution=parsed.resolution,
         in_si=parsed.in_si,
         position=_position_key(run),
+        amplitude=run.amplitude.value if run.amplitude else 0.0,
+        u_amplitude=run.amplitude.u / run.amplitude.value if run.amplitude else 0.0,
+        bias_acceleration=run.bias_acceleration,
     )
 
 

@@ -65,6 +65,8 @@ def _make_group(
                 r.axes,
                 rate=r.measured.value if r.measured else r.rate * _rate_factor(campaign, r),
                 radius=campaign.radius.value if r.rate else 0.0,
+                amplitude=r.amplitude,
+                bias_acceleration=r.bias_acceleration,
             )
             for r in readings
         ),
@@ -91,6 +93,7 @@ def _make_group(
         stated_rates=tuple(r.rate for r in readings),
         u_rate=np.array([_relative_u_rate(campaign, r) for r in readings]),
         default_rate=np.array([float(not r.measured and r.u_rate is None) for r in readings]),
+        u_amplitude=np.array([r.u_amplitude for r in readings]),
         clocks=tuple(clock_name(campaign, r) for r in readings),
     )
 

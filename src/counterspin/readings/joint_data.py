@@ -211,6 +211,7 @@ def reading_results(
             input_axis=tuple(map(float, station.mounting.matrix[0])),
             pendulous_axis=tuple(map(float, station.mounting.matrix[1])),
             rate=station.rate,
+            amplitude=station.amplitude or None,
             value=float(group.value[index]),
             u=float(part.sigma[index]),
             residual=float(part.residuals[index]),

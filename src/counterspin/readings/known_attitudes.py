@@ -40,7 +40,10 @@ _STEP: Final = 1e-2
 #: Uncertain inputs that act on readings, and the step of each derivative: m, m/s^2, rad.
 INPUT_STEPS: Final = {"centrifuge.radius": 1e-4, "site.gravity": 1e-3, "site.latitude": 1e-3}
 
-#: Step of the derivatives by clocks and by the random errors of rates, relative.
+#: Error of all amplitudes of a vibration, and the random one of each, relative.
+AMPLITUDE: Final = "vibration.amplitude"
+
+#: Step of the derivatives by clocks and by the random errors of settings, relative.
 _RATE_STEP: Final = 1e-4
 
 #: Step of the derivative by the dividing head's angle, rad.
@@ -93,6 +96,8 @@ class Readings:
     #: 0, shape (n,).
     u_rate: Array | float = 0.0
     default_rate: Array | float = 0.0
+    #: Random standard uncertainty of each amplitude of vibration, relative, shape (n,).
+    u_amplitude: Array | float = 0.0
     #: Name of the input that is the error of the clock of each rate; empty where nothing turns.
     clocks: tuple[str, ...] = ()
 
@@ -134,10 +139,13 @@ class Readings:
         """Return stations with the head's angle off by so much at each, rad, shape (n,)."""
         return stations.perturb("head.zero", angles, self.head, self.head_angles)
 
-    def with_rate_errors(self, errors: Array) -> Readings:
-        """Return readings at rates that are larger by relative errors, shape (n,)."""
-        pairs = zip(self.stations, errors.tolist(), strict=True)
-        stations = (replace(station, rate=station.rate * (1.0 + error)) for station, error in pairs)
+    def with_setting_errors(self, errors: Array) -> Readings:
+        """Return readings at rates or amplitudes larger by relative errors, shape (n,)."""
+        pairs = zip(self.stations, (1.0 + errors).tolist(), strict=True)
+        stations = (
+            replace(station, rate=station.rate * factor, amplitude=station.amplitude * factor)
+            for station, factor in pairs
+        )
         return replace(self, stations=tuple(stations))
 
     @property
@@ -310,8 +318,9 @@ def linearize(
     for index, symbol in symbols.items():
         if symbol in machine:
             rows.setdefault(term(symbol).symbol, []).append(index)
-    rate_u = point.rate_uncertainty()
+    rate_u = point.setting_uncertainty(RATE, group.u_rate)
     shift, unseen = np.zeros(group.size), point.head_variance() + rate_u**2
+    unseen += point.setting_uncertainty(AMPLITUDE, group.u_amplitude) ** 2
     for row, indices in rows.items():
         # Each of the mountings, or positions, of a row has readings of its own.
         owner_index = np.full(group.size, -1)
@@ -416,14 +425,18 @@ class _OperatingPoint:
         """Return half the second derivative of the indications."""
         return self.slope(ahead + behind, 2.0 * self.products[rows], step, rows) / step
 
-    def rate_uncertainty(self) -> Array:
-        """Return the standard uncertainty from random errors of the rates, g, shape (n,)."""
+    def setting_uncertainty(self, symbol: str, relative_u: Array | float) -> Array:
+        """Return the standard uncertainty from random relative errors of settings, g, shape (n,).
+
+        symbol: Of the setting.
+        relative_u: Standard uncertainties of the settings, shape (n,).
+        """
         group = self.group
-        relative_u = np.broadcast_to(group.u_rate, group.size)
+        relative_u = np.broadcast_to(relative_u, group.size)
         rows = np.flatnonzero(relative_u)
         uncertainty = np.zeros(group.size)
         if rows.size:
-            ahead, behind = self.perturb_both(rows, RATE, _RATE_STEP)
+            ahead, behind = self.perturb_both(rows, symbol, _RATE_STEP)
             uncertainty[rows] = (
                 np.abs(self.slope(ahead, behind, _RATE_STEP, rows)) * relative_u[rows]
             )
@@ -452,7 +465,7 @@ def with_input(group: Readings, name: str, change: float, replaced: Collection[s
         return replace(group, site=replace(group.site, latitude=group.site.latitude + change))
     if name in group.clocks:
         timed = np.array([clock == name for clock in group.clocks])
-        return group.with_rate_errors(change * timed)
+        return group.with_setting_errors(change * timed)
     if name != "centrifuge.radius":
         return group
     radius_owned = np.zeros(group.size)

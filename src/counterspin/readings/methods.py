@@ -33,6 +33,7 @@ _NAMES: Final[Mapping[str, str]] = {
     "counter-rotating": "double turntable",
     "arm": "arm",
     "static": "at rest",
+    "vibration": "vibration",
     "poses": "poses",
 }
 

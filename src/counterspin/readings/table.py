@@ -60,6 +60,9 @@ _COLUMNS: Final = (
     "motion",
     "rate",
     "u_rate",
+    "amplitude",
+    "u_amplitude",
+    "bias_acceleration",
     "attitude",
     "head",
     "input",
@@ -96,8 +99,9 @@ class ReadingsSettings(TableDialect, _TableFile):
     """[readings]: a table of readings, in place of many [[runs]]."""
 
     columns: dict[str, _Repeats | dict[str, _Repeats]] = key_field(
-        "column names, by key: `name`, `motion`, `rate`, `u_rate`, `attitude`, `head`, `input`, "
-        "`pendulous`, `reading`, `u`, `temperature`, `time`, `mounting`, `sense`",
+        "column names, by key: `name`, `motion`, `rate`, `u_rate`, `amplitude`, `u_amplitude`, "
+        "`bias_acceleration`, `attitude`, `head`, `input`, `pendulous`, `reading`, `u`, "
+        "`temperature`, `time`, `mounting`, `sense`",
         {"attitude": "angle_deg", "reading": "mA"},
         min_length=1,
     )
@@ -130,6 +134,9 @@ class ReadingsSettings(TableDialect, _TableFile):
         "1e-5 rad/s",
         None,
         absent="the default",
+    )
+    amplitude_unit: Text = key_field(
+        "unit of the columns `amplitude`, `u_amplitude` and `bias_acceleration`", "m/s^2", "g"
     )
     sense: Sense = key_field(
         "sense of rotation at a positive rate, seen from above, for rows without an "
@@ -386,9 +393,10 @@ class ReadingsTable:
         if self.settings.mountings and not (self.settings.mounting or "mounting" in stated_columns):
             problems.add(path, "mounting is missing: the column with the mounting of each reading")
         is_static = self.settings.motion == "static" and "motion" not in stated_columns
-        rotates = self.settings.motion != "static" and "motion" not in stated_columns
-        if rotates and "rate" not in stated_columns:
-            problems.add(path, "rate is missing: the column with the rate of each reading")
+        for key, motions in (("rate", ("arm", "counter-rotating")), ("amplitude", ("vibration",))):
+            stated_motion = self.settings.motion if "motion" not in stated_columns else ""
+            if stated_motion in motions and key not in stated_columns:
+                problems.add(path, f"{key} is missing: the column with the {key} of each reading")
         stated = self.settings.axes is not None or self.settings.attitude is not None
         if is_static and not {"attitude", "input"} & set(stated_columns) and not stated:
             problems.add(path, "attitude is missing: the column with the position of each reading")
@@ -453,6 +461,9 @@ class ReadingsTable:
             self.columns.get("head"): self.settings.attitude_unit,
             self.columns.get("rate"): self.settings.rate_unit,
             self.columns.get("u_rate"): self.settings.rate_unit,
+            self.columns.get("amplitude"): self.settings.amplitude_unit,
+            self.columns.get("u_amplitude"): self.settings.amplitude_unit,
+            self.columns.get("bias_acceleration"): self.settings.amplitude_unit,
         }
         for key in ("reading", "u"):
             for view in self.mounting_views({}):
@@ -481,6 +492,7 @@ class ReadingsTable:
         run["motion"] = motion
         if rate is not None:
             run["rate"] = rate
+        run |= self._vibration(cell, path)
         head_reading = self._parse_number(cell("head"), (*path, "head"))
         if head_reading is not None:
             run["head"] = Quantity(head_reading, 0.0, settings.attitude_unit)
@@ -532,6 +544,16 @@ class ReadingsTable:
             message = "is missing: a run with motion arm turns; write 0 where the arm rests"
             self.problems.add(path, message)
         return "static", None
+
+    def _vibration(self, cell: Callable[[str], Any], path: KeyPath) -> dict[str, Quantity]:
+        """Return amplitude and bias acceleration of a row that has them."""
+        unit = self.settings.amplitude_unit
+        u = self._parse_number(cell("u_amplitude"), (*path, "u_amplitude")) or 0.0
+        return {
+            key: Quantity(number, u if key == "amplitude" else 0.0, unit)
+            for key in ("amplitude", "bias_acceleration")
+            if (number := self._parse_number(cell(key), (*path, key))) is not None
+        }
 
     def _stated_axes(self, motion: str, mounting: str) -> ReadingAxes | None:
         """Return the axes that the section states of a row."""

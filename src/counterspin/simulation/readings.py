@@ -79,10 +79,10 @@ def head_errors(readings: Sequence[Reading], generator: np.random.Generator) -> 
     return draw_by_run(readings, generator) * [reading.u_head for reading in readings]
 
 
-def rate_errors(campaign: Campaign) -> Array:
-    """Return relative errors of the stated rates: one for all accelerometers of a run."""
+def setting_errors(campaign: Campaign) -> Array:
+    """Return relative errors of rates and amplitudes: one for all accelerometers of a run."""
     readings = campaign.readings
-    u = [(r.u_rate or 0.0) / abs(r.rate) if r.rate else 0.0 for r in readings]
+    u = [(r.u_rate or 0.0) / abs(r.rate) if r.rate else r.u_amplitude for r in readings]
     return draw_by_run(readings, reading_generator(campaign, 1, 1)) * u
 
 
@@ -125,11 +125,11 @@ def true_readings(campaign: Campaign) -> tuple[tuple[Reading, ...], Array]:
     truth, readings = campaign.simulation.truth, campaign.readings
     errors = head_errors(readings, reading_generator(campaign, 0))
     values, machine = np.zeros(len(readings)), true_machine(campaign)
-    rates, errors_of_rates = true_rates(campaign), rate_errors(campaign)
+    rates, errors_of_settings = true_rates(campaign), setting_errors(campaign)
     for group, indices in numbered_groups(campaign, campaign.readings):
         coefficients = truth.coefficients.get(group.accelerometer, {})
         stated_reading = apply_rates(apply_inputs_to_readings(campaign, group), rates[indices])
-        stated_reading = stated_reading.with_rate_errors(errors_of_rates[indices])
+        stated_reading = stated_reading.with_setting_errors(errors_of_settings[indices])
         values[indices] = indications(stated_reading, coefficients, machine, errors[indices])
     return tuple(
         reading if reading.record else replace(reading, value=value)
@@ -167,7 +167,7 @@ def apply_rates(group: Readings, rates: Array) -> Readings:
     """Return readings that were taken at these rates than the stated ones, rad/s, shape (n,)."""
     stated = np.array(group.stated_rates)
     errors = np.divide(rates, stated, out=np.ones_like(rates), where=stated != 0.0) - 1.0
-    return group.with_rate_errors(errors)
+    return group.with_setting_errors(errors)
 
 
 def true_poses(campaign: Campaign) -> tuple[tuple[Reading, ...], ...]:

@@ -312,9 +312,10 @@ class TrialReadings:
     ) -> Iterator[Readings]:
         """Yield the readings of one trial."""
         errors = head_errors(self.readings, generator)
-        has_rate_noise = any(np.any(group.u_rate) for group, _ in self.numbered_groups)
-        rate_errors = (
-            draw_by_run(self.readings, generator) if has_rate_noise else np.zeros_like(errors)
+        u_settings = [group.u_rate + group.u_amplitude for group, _ in self.numbered_groups]
+        has_setting_errors = any(np.any(u) for u in u_settings)
+        setting_errors = (
+            draw_by_run(self.readings, generator) if has_setting_errors else np.zeros_like(errors)
         )
         noise = self.noise * generator.standard_normal(self.noise.size)
         true_values = {key: float(value.mean()) for key, value in draws.values.items()}
@@ -330,7 +331,7 @@ class TrialReadings:
         known_symbols -= {
             parameter.symbol for parameter in parameters if parameter.has_default_prior
         }
-        for group, index_tuple in self.numbered_groups:
+        for (group, index_tuple), u in zip(self.numbered_groups, u_settings, strict=True):
             indices = list(index_tuple)
             coefficients = {
                 s: value
@@ -347,7 +348,7 @@ class TrialReadings:
                     symbol, name.removesuffix(symbol).removesuffix(".")
                 )[0]
                 actual = with_input(actual, name, float(clock_error), known_symbols)
-            actual = actual.with_rate_errors(rate_errors[indices] * group.u_rate)
+            actual = actual.with_setting_errors(setting_errors[indices] * u)
             value = indications(actual, coefficients, shared_values, errors[indices])
             value = value * (1.0 + group.in_si * input_errors["site.gravity"] / group.site.gravity)
             value = value + noise[indices]

@@ -39,6 +39,7 @@ _OBSERVED: Final = {
 #: What each kind of test is called; the standard that describes it.
 _TESTS: Final = {
     "static": "multi-position, at rest (IEEE Std 1293)",
+    "vibration": "vibration (IEEE Std 1293)",
     "arm": "arm centrifuge (IEEE Std 836)",
     "counter-rotating": "double turntable",
 }
@@ -46,6 +47,7 @@ _TESTS: Final = {
 #: The specific force of each motion, along the axes of its frame.
 _FORCES: Final = {
     "static": "At rest, along east, north and up: f = (0, 0, g)",
+    "vibration": "During vibration: f = (0, 0, g) + (b + A sin φ) i, along the input axis i",
     "arm": "On the arm, outward, forward and up: f = (−R (w² + 2 w Ω sin L), 0, "
     "g + 2 R w Ω cos L sin θ)",
     "counter-rotating": "On the double turntable, east, north and up: f = (−R (w² + 2 w Ω sin L) "
@@ -210,6 +212,14 @@ def describe_tests(result: Result) -> Iterator[str]:
                 "(multi-position test, IEEE Std 1293)."
             )
             continue
+        if motion == "vibration":
+            amplitudes = _amplitudes(readings)
+            yield (
+                f"Readings during vibration at {_format_count(len(amplitudes), 'amplitude')}, "
+                f"{_format_range(amplitudes)} m/s^2 (peak): {count}, each the mean over whole "
+                "vibrations."
+            )
+            continue
         rates = sorted({abs(reading.rate) for reading in readings})
         rate_text = f"{_format_count(len(rates), 'rate')}, {_format_range(rates)} rad/s"
         senses = "both senses" if len({r.rate > 0.0 for r in readings}) > 1 else "one sense"
@@ -245,6 +255,7 @@ def tabulate_tests(readings: Sequence[ReadingResult]) -> Table:
             Column("Mounting"),
             Column("Positions", "right"),
             Column("Rates, rad/s", "right"),
+            Column("Amplitudes, m/s^2", "right"),
             Column("Indication, g", "right"),
             Column("Readings", "right"),
         ),
@@ -253,13 +264,18 @@ def tabulate_tests(readings: Sequence[ReadingResult]) -> Table:
                 _TESTS[motion],
                 mounting,
                 str(len(_distinct_positions(group))),
-                _format_range(sorted({r.rate for r in group})) if motion != "static" else "",
+                _format_range(rates) if any(rates := sorted({r.rate for r in group})) else "",
+                _format_range(sizes) if (sizes := _amplitudes(group)) else "",
                 _format_range(sorted(r.value for r in group)),
                 str(len(group)),
             )
             for (motion, mounting), group in groups.items()
         ),
     ).without_empty_columns()
+
+
+def _amplitudes(readings: Sequence[ReadingResult]) -> list[float]:
+    return sorted({r.amplitude for r in readings if r.amplitude is not None})
 
 
 def reading_blocks(result: Result) -> Iterator[Block]:
