@@ -6,7 +6,7 @@ from typing import get_args
 
 from counterspin.physics.terms import READING_TERMS
 from counterspin.planning.plan_file import SHORT
-from counterspin.readings.table import _COLUMNS, ReadingsSettings
+from counterspin.readings.section import COLUMNS, ReadingsSettings
 from counterspin.studies import description
 from counterspin.studies.draws import NOISE_LEVELS
 from counterspin.studies.engine_selection import EngineName
@@ -17,7 +17,7 @@ PAGES = {name: (DOCS / f"{name}.md").read_text("utf-8") for name in ("plan", "re
 
 def test_columns_of_a_table_of_readings_are_listed():
     said = ReadingsSettings.model_fields["columns"].description
-    assert set(re.findall(r"`(\w+)`", said)) == {*_COLUMNS, "reading", "u"}
+    assert set(re.findall(r"`(\w+)`", said)) == {*COLUMNS, "reading", "u"}
 
 
 def test_terms_of_the_machine_are_all_listed_with_their_units():

@@ -305,7 +305,7 @@ SLIPS = {
     "a motion that is none": (
         "angle,how,mA\n0,static,1\n90,arms,2\n",
         'columns = { attitude = "angle", motion = "how", reading = "mA" }',
-        ".motion: 'arms' is none of 'counter-rotating', 'arm' or 'static'",
+        ".motion: 'arms' is none of 'counter-rotating', 'arm', 'static' or 'vibration'",
     ),
     "no such column": (
         "angle,mA\n0,1.25\n",

@@ -64,7 +64,7 @@ Accelerometers = Annotated[
 Runs = Annotated[list[Any], Section(list[Run])]
 
 
-_READINGS: Final = "counterspin.readings.table:ReadingsSettings"
+_READINGS: Final = "counterspin.readings.section:ReadingsSettings"
 _READINGS_READER: Final = "counterspin.readings.description:read_readings"
 _TRIAD_SECTION: Final = "counterspin.triads.section"
 _TRIAD: Final = f"{_TRIAD_SECTION}:TriadSettings"

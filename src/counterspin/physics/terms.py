@@ -300,6 +300,7 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
     radius = "a fixture's drawing; measured, 1e-7 to 4e-6 of the radius"
     head = f"{_NO_SOURCE}: 5 arcsec"
     rate = f"{_NO_SOURCE}: the mean rate of a precision centrifuge"
+    iso = "ISO 16063-21: 1 % at k = 2 of a transducer calibrated by comparison"
     for symbol, words, unit, limit, typical, source, motions in (
         ("centrifuge.radius.MOUNTING", "radius of a mounting", "m", 0.1, 1e-3, radius, ("arm",)),
         (
@@ -337,15 +338,7 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
             )
             for axis in ("east", "north")
         ),
-        (
-            "vibration.amplitude",
-            "error of the amplitudes, relative",
-            "1",
-            0.1,
-            5e-3,
-            "ISO 16063-21: 1 % at k = 2 of a transducer that is calibrated by comparison",
-            ("vibration",),
-        ),
+        ("vibration.amplitude", "common error of amplitudes", "1", 0.1, 5e-3, iso, ("vibration",)),
         ("head.zero", "zero of the dividing head", "rad", 1e-2, 2.5e-5, head, ("static",)),
     ):
         scope = next(

@@ -34,7 +34,7 @@ from counterspin.campaign.settings import (
 from counterspin.campaign.truth import TruthSettings
 from counterspin.campaign.validation import Section
 from counterspin.readings.entries import MOST_READINGS, MOST_RECORDS
-from counterspin.readings.table import ReadingsSettings
+from counterspin.readings.section import ReadingsSettings
 from counterspin.triads.section import TriadSettings
 
 #: Most attitudes among which is searched, which takes seconds, not minutes.

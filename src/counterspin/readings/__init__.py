@@ -3,7 +3,7 @@
 A calibration loads this room by name for a campaign with readings or with a triad.
 
 - `entries`, `table`, `description`: readings in ``[[runs]]``, in a table, and in the description
-- `cells`: cells of tables of readings
+- `section`, `cells`: keys of `[readings]`, and cells of its table
 - `groups`: readings of a campaign, grouped by accelerometer, motion and noise
 - `linear`: readings and poses linearised at an estimate
 - `known_attitudes`: readings of one accelerometer at known attitudes

@@ -7,20 +7,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
-from pydantic import AfterValidator
-
-from counterspin.campaign.columns import Sense, TableDialect
+from counterspin.campaign.columns import Sense
 from counterspin.campaign.documents import KeyPath, list_of, table_of, to_toml_value
-from counterspin.campaign.field_types import SettingsSection, Text, exact, file_name, key_field
+from counterspin.campaign.field_types import exact
 from counterspin.campaign.quantity import HeadTurn, Quantity
 from counterspin.campaign.runs import ReadingAxes
 from counterspin.campaign.settings import Output
 from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
-from counterspin.physics.terms import MotionKind
 from counterspin.readings.cells import (
     BLANK,
     SENSE_WORDS,
@@ -34,138 +31,22 @@ from counterspin.readings.cells import (
     words_of,
 )
 from counterspin.readings.entries import MOST_READINGS
+from counterspin.readings.section import COLUMNS, TABLE_ENDINGS, MountingSettings, ReadingsSettings
 from counterspin.records.dialect import Dialect
-from counterspin.records.format_registry import RECORD_FORMATS
 from counterspin.records.frames import iter_columns
 from counterspin.units import same_unit, unit_factor
 
 if TYPE_CHECKING:
     from counterspin.records.formats import StoredTable
 
-#: A column's name, or those of the repeats of one reading.
-_Repeats = str | list[str]
-
 #: What messages call a table of readings without a file.
 _IN_MEMORY: Final = "readings in memory"
-
-#: Endings of the files of such a table.
-_TABLE_ENDINGS: Final = tuple(e for e, form in RECORD_FORMATS.items() if form.holds_readings)
 
 #: No cell has more characters.
 _MAX_CHARACTERS: Final = 1000
 
-#: Columns that a table may have, beside those of the readings themselves.
-_COLUMNS: Final = (
-    "name",
-    "motion",
-    "rate",
-    "u_rate",
-    "amplitude",
-    "u_amplitude",
-    "bias_acceleration",
-    "attitude",
-    "head",
-    "input",
-    "pendulous",
-    "temperature",
-    "time",
-    "mounting",
-    "sense",
-)
-
 #: What says where a reading is taken.
 _STATIONS: Final = {"rate", "attitude", "head", "input"}
-
-
-class _TableFile(SettingsSection):
-    file: Annotated[Text, AfterValidator(file_name)] = key_field(
-        "name of the file: .csv, .txt or .tsv (commas, semicolons or tabs), .parquet, "
-        ".mat, .h5, or .xlsx ([extra](quickstart.md#extras) `excel`)",
-        "readings.csv",
-    )
-
-
-# The fields of the last base come first.
-class MountingSettings(ReadingAxes):
-    """[readings.mountings.NAME]: axes of a mounting, and the column of its readings."""
-
-    reading: Text | None = key_field(
-        "column with its readings, if mountings have separate columns", "inward_mA", None
-    )
-    u: Text | None = key_field("column with the uncertainties of the readings", "u_inward_mA", None)
-
-
-class ReadingsSettings(TableDialect, _TableFile):
-    """[readings]: a table of readings, in place of many [[runs]]."""
-
-    columns: dict[str, _Repeats | dict[str, _Repeats]] = key_field(
-        "column names, by key: `name`, `motion`, `rate`, `u_rate`, `amplitude`, `u_amplitude`, "
-        "`bias_acceleration`, `attitude`, `head`, `input`, `pendulous`, `reading`, `u`, "
-        "`temperature`, `time`, `mounting`, `sense`",
-        {"attitude": "angle_deg", "reading": "mA"},
-        min_length=1,
-    )
-    u: Text | None = key_field(
-        "standard uncertainty of readings without an entry in the column `u`",
-        "2 uA",
-        None,
-        absent="estimated",
-    )
-    motion: MotionKind = key_field("motion of every row, if no column states it", "arm", "static")
-    about: Text = key_field("axis of the angles in the column `attitude`", "east", "north")
-    attitude_unit: Text = key_field(
-        "unit of the angles in the columns `attitude` and `head`", "arcmin", "deg"
-    )
-    u_attitude: Text | None = key_field(
-        'random standard uncertainty of the angles in the column `attitude`, such as `"2 arcsec"`',
-        "2 arcsec",
-        None,
-        absent="0",
-    )
-    rate_unit: Text = key_field(
-        "unit of the column `rate` (`1/min`, `Hz`: revolutions); or of the time of a revolution "
-        "(`s`), or of the acceleration (`g`, `m/s^2`) at the radius of `[centrifuge]`",
-        "rpm",
-        "rad/s",
-    )
-    u_rate: Text | None = key_field(
-        "random standard uncertainty of rates without an entry in the column `u_rate`, "
-        "which is in `rate_unit`",
-        "1e-5 rad/s",
-        None,
-        absent="the default",
-    )
-    amplitude_unit: Text = key_field(
-        "unit of the columns `amplitude`, `u_amplitude` and `bias_acceleration`", "m/s^2", "g"
-    )
-    sense: Sense = key_field(
-        "sense of rotation at a positive rate, seen from above, for rows without an "
-        "entry in the column `sense`",
-        "clockwise",
-        "counterclockwise",
-    )
-    axes: ReadingAxes | None = key_field(
-        "axes of rows that turn", {"input": "inward", "pendulous": "up"}, None, absent="`attitude`"
-    )
-    axes_at_rest: ReadingAxes | None = key_field(
-        "attitude of rows at rest", {"input": "up", "pendulous": "outward"}, None, absent="`axes`"
-    )
-    mounting: str = key_field("mounting of every row", "in", "")
-    merged: bool = key_field(
-        "whether an empty cell of the column `mounting` repeats the cell above, as "
-        "merged cells of a spreadsheet do",
-        True,
-        False,
-    )
-    mountings: dict[str, MountingSettings] = key_field(
-        "axes of each mounting, in place of `axes`; and its column `reading`, if "
-        "mountings have separate columns",
-        {"in": {"input": "inward", "pendulous": "up"}},
-        {},
-    )
-    attitude: Literal["unknown"] | None = key_field(
-        "`unknown`: every row is a pose of a [triad](triads.md)", "unknown", None, absent="known"
-    )
 
 
 def read_table(
@@ -211,8 +92,8 @@ def load_table(path: Path, dialect: Dialect) -> tuple[StoredTable, list[str], st
     """
     from counterspin.records.formats import is_workbook, read_small_table
 
-    if path.suffix.lower() not in _TABLE_ENDINGS:
-        raise ValueError(f"{path.name}: a table of readings ends in {', '.join(_TABLE_ENDINGS)}")
+    if path.suffix.lower() not in TABLE_ENDINGS:
+        raise ValueError(f"{path.name}: a table of readings ends in {', '.join(TABLE_ENDINGS)}")
     if dialect.sheet is not None and not is_workbook(path):
         raise ValueError(f"{path.name}: only a workbook (.xlsx) has sheets")
     try:
@@ -356,7 +237,7 @@ class ReadingsTable:
         """Key -> name, of what a row says once."""
         columns = self.settings.columns
         return {
-            key: name for key, name in columns.items() if isinstance(name, str) and key in _COLUMNS
+            key: name for key, name in columns.items() if isinstance(name, str) and key in COLUMNS
         }
 
     def value_columns(self, key: str) -> dict[str, list[str]]:
@@ -381,10 +262,10 @@ class ReadingsTable:
         path: KeyPath = ("readings", "columns")
         stated_columns, problems = self.settings.columns, self.problems
         for key, value in stated_columns.items():
-            if key not in (*_COLUMNS, "reading", "u"):
-                known = (*_COLUMNS, "reading", "u")
+            if key not in (*COLUMNS, "reading", "u"):
+                known = (*COLUMNS, "reading", "u")
                 problems.add((*path, key), "unknown key" + suggest_name(key, known))
-            elif key in _COLUMNS and not isinstance(value, str):
+            elif key in COLUMNS and not isinstance(value, str):
                 problems.add((*path, key), "must be the name of one column")
         if not stated_columns.get("reading"):
             problems.add(path, "reading is missing: the column that holds the values")

@@ -31,7 +31,8 @@ from counterspin.physics.terms import CONDITION_TERMS, TERMS
 from counterspin.readings.cells import BLANK, is_empty
 from counterspin.readings.groups import group_readings, numbered_groups
 from counterspin.readings.known_attitudes import Readings
-from counterspin.readings.table import ReadingsSettings, ReadingsTable, load_table
+from counterspin.readings.section import ReadingsSettings
+from counterspin.readings.table import ReadingsTable, load_table
 from counterspin.simulation.simulable import apply_inputs_to_readings, apply_true_inputs
 from counterspin.toml_text import parse_toml, write_document
 from counterspin.triads.groups import make_group

@@ -121,7 +121,7 @@ def test_coefficients_are_unbiased_and_covered():
         group = readings(test, value + rng.normal(0.0, 2e-6, sizes.size), 2e-6)
         group = replace(group, u_amplitude=np.full(sizes.size, 1e-3))
         solution = solve_readings([group], parameters).solution
-        estimate = solution.estimate + [0.0, 1.0, 0.0, 0.0]
+        estimate = solution.estimate + np.array([0.0, 1.0, 0.0, 0.0])
         z.append((estimate - list(TRUTH.values())) / solution.u)
     z = np.array(z)
     assert np.abs(z.mean(axis=0)).max() < 4.0 / math.sqrt(100)

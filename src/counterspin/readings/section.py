@@ -1,0 +1,129 @@
+"""[readings]: the keys of a table of readings."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal
+
+from pydantic import AfterValidator
+
+from counterspin.campaign.columns import Sense, TableDialect
+from counterspin.campaign.field_types import SettingsSection, Text, file_name, key_field
+from counterspin.campaign.runs import ReadingAxes
+from counterspin.physics.terms import MotionKind
+from counterspin.records.format_registry import RECORD_FORMATS
+
+#: A column's name, or those of the repeats of one reading.
+_Repeats = str | list[str]
+
+#: Endings of the files of such a table.
+TABLE_ENDINGS: Final = tuple(e for e, form in RECORD_FORMATS.items() if form.holds_readings)
+
+#: Columns that a table may have, beside those of the readings themselves.
+COLUMNS: Final = (
+    "name",
+    "motion",
+    "rate",
+    "u_rate",
+    "amplitude",
+    "u_amplitude",
+    "bias_acceleration",
+    "attitude",
+    "head",
+    "input",
+    "pendulous",
+    "temperature",
+    "time",
+    "mounting",
+    "sense",
+)
+
+
+class _TableFile(SettingsSection):
+    file: Annotated[Text, AfterValidator(file_name)] = key_field(
+        "name of the file: .csv, .txt or .tsv (commas, semicolons or tabs), .parquet, "
+        ".mat, .h5, or .xlsx ([extra](quickstart.md#extras) `excel`)",
+        "readings.csv",
+    )
+
+
+# The fields of the last base come first.
+class MountingSettings(ReadingAxes):
+    """[readings.mountings.NAME]: axes of a mounting, and the column of its readings."""
+
+    reading: Text | None = key_field(
+        "column with its readings, if mountings have separate columns", "inward_mA", None
+    )
+    u: Text | None = key_field("column with the uncertainties of the readings", "u_inward_mA", None)
+
+
+class ReadingsSettings(TableDialect, _TableFile):
+    """[readings]: a table of readings, in place of many [[runs]]."""
+
+    columns: dict[str, _Repeats | dict[str, _Repeats]] = key_field(
+        "column names, by key: `name`, `motion`, `rate`, `u_rate`, `amplitude`, `u_amplitude`, "
+        "`bias_acceleration`, `attitude`, `head`, `input`, `pendulous`, `reading`, `u`, "
+        "`temperature`, `time`, `mounting`, `sense`",
+        {"attitude": "angle_deg", "reading": "mA"},
+        min_length=1,
+    )
+    u: Text | None = key_field(
+        "standard uncertainty of readings without an entry in the column `u`",
+        "2 uA",
+        None,
+        absent="estimated",
+    )
+    motion: MotionKind = key_field("motion of every row, if no column states it", "arm", "static")
+    about: Text = key_field("axis of the angles in the column `attitude`", "east", "north")
+    attitude_unit: Text = key_field(
+        "unit of the angles in the columns `attitude` and `head`", "arcmin", "deg"
+    )
+    u_attitude: Text | None = key_field(
+        'random standard uncertainty of the angles in the column `attitude`, such as `"2 arcsec"`',
+        "2 arcsec",
+        None,
+        absent="0",
+    )
+    rate_unit: Text = key_field(
+        "unit of the column `rate` (`1/min`, `Hz`: revolutions); or of the time of a revolution "
+        "(`s`), or of the acceleration (`g`, `m/s^2`) at the radius of `[centrifuge]`",
+        "rpm",
+        "rad/s",
+    )
+    u_rate: Text | None = key_field(
+        "random standard uncertainty of rates without an entry in the column `u_rate`, "
+        "which is in `rate_unit`",
+        "1e-5 rad/s",
+        None,
+        absent="the default",
+    )
+    amplitude_unit: Text = key_field(
+        "unit of the columns `amplitude`, `u_amplitude` and `bias_acceleration`", "m/s^2", "g"
+    )
+    sense: Sense = key_field(
+        "sense of rotation at a positive rate, seen from above, for rows without an "
+        "entry in the column `sense`",
+        "clockwise",
+        "counterclockwise",
+    )
+    axes: ReadingAxes | None = key_field(
+        "axes of rows that turn", {"input": "inward", "pendulous": "up"}, None, absent="`attitude`"
+    )
+    axes_at_rest: ReadingAxes | None = key_field(
+        "attitude of rows at rest", {"input": "up", "pendulous": "outward"}, None, absent="`axes`"
+    )
+    mounting: str = key_field("mounting of every row", "in", "")
+    merged: bool = key_field(
+        "whether an empty cell of the column `mounting` repeats the cell above, as "
+        "merged cells of a spreadsheet do",
+        True,
+        False,
+    )
+    mountings: dict[str, MountingSettings] = key_field(
+        "axes of each mounting, in place of `axes`; and its column `reading`, if "
+        "mountings have separate columns",
+        {"in": {"input": "inward", "pendulous": "up"}},
+        {},
+    )
+    attitude: Literal["unknown"] | None = key_field(
+        "`unknown`: every row is a pose of a [triad](triads.md)", "unknown", None, absent="known"
+    )
