@@ -367,5 +367,7 @@ def test_uncertainty_against_trials():
     known = [KnownForce(np.eye(3)[k], force[:, k]) for k in (1, 2)]
     claimed = correct([instrument(PLAIN, values, root @ root.T)], y[:, None], known).u[:, 0]
     drawn = rng.multivariate_normal(list(values.values()), root @ root.T, size=trials)
-    found = [invert(dict(zip(values, d, strict=True)), y, *force[:, 1:].T) for d in drawn]
+    per_sample = dict(zip(values, np.repeat(drawn, len(force), axis=0).T, strict=True))
+    samples = (np.tile(column, trials) for column in (y, *force[:, 1:].T))
+    found = invert(per_sample, *samples).reshape(trials, len(force))
     np.testing.assert_allclose(np.std(found, axis=0), claimed, rtol=5.0 / math.sqrt(2.0 * trials))

@@ -96,8 +96,17 @@ def _solve_rising_branch(
             "cannot be corrected: the indication does not rise with the specific force at zero "
             f"(slope {poly[1, worst]:.3g}); check the coefficients and their units.",
         )
-    turn = _turning_point(poly)
-    high = np.minimum(turn, 2.0 * -poly[0] / poly[1])
+    high = 2.0 * -poly[0] / poly[1]
+    # The slope without its positive terms decreases: if it is positive at `high`, no turning point
+    # is below.
+    lowest_slope = poly[1] + high * _evaluate_polynomial(
+        np.minimum(_derivative(poly)[1:], 0.0), high
+    )
+    may_turn = ~((lowest_slope > 0.0) & (_evaluate_polynomial(poly, high) >= 0.0))
+    turn = np.full_like(high, np.inf)
+    if may_turn.any():
+        turn[may_turn] = _turning_point(poly[:, may_turn])
+    high = np.minimum(turn, high)
     while True:
         short = (_evaluate_polynomial(poly, high) < 0.0) & (high < turn)
         if not short.any():
