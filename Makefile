@@ -38,8 +38,9 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 TSC := $(VENV)/typescript/node_modules/typescript/bin/tsc
-# `make lint` checks the types for every platform. Each check has its own cache, because mypy discards
-# a cache that was made with other options.
+# `make lint` checks the types of all modules for Linux, and for the other platforms those of the
+# modules whose types can differ there. Each check has its own cache, because mypy discards a cache
+# that was made with other options.
 PLATFORMS := linux darwin win32
 mypy = $(BIN)/python -m mypy --cache-dir .mypy_cache/$(1) --platform $(1)
 
@@ -75,8 +76,11 @@ lint: $(READY) $(TYPESCRIPT) ## Lint, format, types and import rules only
 types-benchmarks: types-linux
 	$(call mypy,linux) $(wildcard benchmarks/*.py)
 
+types-linux: $(READY)
+	$(call mypy,linux)
+
 types-%: $(READY)
-	$(call mypy,$*)
+	$(call mypy,$*) --follow-imports silent $$($(BIN)/python requirements/platform_modules.py)
 
 format: $(READY) ## Format the code and mend what the linter can
 	$(BIN)/python -m ruff check --fix .

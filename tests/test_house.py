@@ -592,11 +592,31 @@ def test_types_are_checked_for_every_platform_in_one_process():
     # The last process checks the scripts of benchmarks/ with the cache of the first.
     assert platforms == [["linux"], ["darwin"], ["win32"], ["linux"]]
     assert len({re.search(r"--cache-dir (\S+)", command)[1] for command in commands}) == 3
+    whole, *selected, _ = commands
+    assert whole.endswith("--platform linux")
+    assert all("platform_modules.py)" in command for command in selected)
     types = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["mypy"]
     scripts = {path.stem for path in (ROOT / "benchmarks").glob("*.py")}
     assert scripts in [set(override["module"]) for override in types["overrides"]]
     assert "num_workers" not in types
     assert not any("--num-workers" in command for command in commands)
+
+
+def test_modules_that_depend_on_the_platform_are_selected():
+    """Their definitions do not depend on it, so that no module that imports them does."""
+    shown = subprocess.run(
+        [sys.executable, ROOT / "requirements" / "platform_modules.py"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    selected = {Path(line).relative_to(PACKAGE).as_posix() for line in shown.stdout.splitlines()}
+    asked = {
+        name for name, source in SOURCES.items() if re.search(r"\b(sys\.platform|os\.)", source)
+    }
+    assert len(asked) > 20
+    assert asked <= selected
+    assert not offences(lambda name, source: re.search(r"^(el)?if .*sys\.platform", source, re.M))
 
 
 def test_every_test_is_run_by_make_test_or_by_make_docs_tests():
