@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from arm_centrifuge import DESCRIPTION, STATED
 
 import counterspin as cs
 from counterspin.acceleration_standard.page import applied_blocks, relative_plot
@@ -11,31 +12,6 @@ from counterspin.cli import main
 from counterspin.errors import CampaignError
 from counterspin.physics.terms import TABLE
 from counterspin.reports.blocks import Paragraph
-
-DESCRIPTION = """
-schema = 1
-[site]
-gravity = "9.80665 ± 1e-5 m/s^2"
-latitude = "45.75 ± 0.001 deg"
-[accelerometers.A]
-input_axis = "up"
-pendulous_axis = "west"
-[centrifuge]
-radius = "1 ± 1e-6 m"
-stretch = "0 ± 5e-9 s^2/m"
-[[runs]]
-name = "in"
-motion = "arm"
-rate = "-9.9 ± 2e-6 rad/s"
-mounting = "in"
-axes = { input = "inward", pendulous = "up" }
-reading = "10.0 ± 2e-6 g"
-"""
-STATED = """
-[model.priors]
-"fixture.misalignment.in" = "0 ± 2 arcsec"
-"centrifuge.droop" = "0 ± 1e-9 rad s^2"
-"""
 
 
 @pytest.fixture

@@ -4,4 +4,5 @@
 - `budget`: the uncertainty budget of a campaign's centrifuge by acceleration level
 - `result`: the budget and its JSON
 - `page`: its report
+- `certificate`: the certificate of the centrifuge
 """

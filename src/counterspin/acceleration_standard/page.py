@@ -36,7 +36,7 @@ def applied_blocks(result: AppliedAcceleration) -> Iterator[Block]:
     """Yield the levels with their uncertainty, the figure and the sources."""
     yield Heading(f"Applied acceleration: {result.title}", 1)
     yield _levels_table(result)
-    yield Paragraph(_validation_sentence(result))
+    yield Paragraph(validation_sentence(result))
     yield relative_plot(result)
     yield Heading("Sources of uncertainty")
     yield _sources_table(result)
@@ -98,7 +98,8 @@ def _dominant_words(result: AppliedAcceleration, level: AppliedLevel) -> str:
     return f"{result.source(largest.source).words}, {format_share(largest.share)}"
 
 
-def _validation_sentence(result: AppliedAcceleration) -> str:
+def validation_sentence(result: AppliedAcceleration) -> str:
+    """Return a sentence on the validation of the GUM's intervals."""
     draws = f"{result.draws} draws, seed {result.seed}"
     failed = [level_words(level) for level in result.levels if not level.monte_carlo.validated]
     if not failed:

@@ -5,6 +5,7 @@ do not determine is named as such, and missing data of the laboratory is an erro
 
 - `lab`: the laboratory's data, ``LAB.toml``
 - `issuing`: write a result's certificate, and read its file
+- `issue_steps`: steps that these certificates and those of centrifuges share
 - `build`: the document, set by the template `assets/certificate.xml.jinja`
 - `statements`: its claims; `certificate_text`: the sentences, and coverage factors; `pdf_pages`:
   the pages of the PDF

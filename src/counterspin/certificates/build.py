@@ -115,6 +115,23 @@ def build_document(
         warnings=_warnings(result, names),
         pages=pages,
     )
+    return _parse_rendered(written)
+
+
+def render_extension(template: str, **context: Any) -> Element:
+    """Return the root element of a document whose template extends that of certificates.
+
+    template: Text of a template that extends `base`.
+    context: Variables of the template, and those of the administrative data.
+    """
+    base = _template()
+    extension = base.environment.from_string(template)
+    shared = {"version": __version__, "schema_version": SCHEMA_VERSION, "namespaces": NAMESPACES}
+    return _parse_rendered(extension.render(base=base, **shared, **context))
+
+
+def _parse_rendered(written: str) -> Element:
+    """Return the root element of a rendered template, without superfluous attributes."""
     parser = etree.XMLParser(remove_blank_text=True, huge_tree=True, resolve_entities=False)
     root = etree.fromstring(written.encode(), parser)
     _remove_unreferenced_ids(root)

@@ -34,11 +34,23 @@ class MissingEntry:
 
 def missing_data(lab: Lab, result: Result) -> list[MissingEntry]:
     """Return the data that the certificate of a result lacks: values, conditions, evidence."""
-    return [
-        *(MissingEntry(key, _TEMPLATE) for key in template_keys(lab)),
-        *_missing_conditions(lab),
-        *_missing_evidence(lab, result),
-    ]
+    return [*missing_administrative_data(lab), *_missing_evidence(lab, result)]
+
+
+def missing_administrative_data(lab: Lab) -> list[MissingEntry]:
+    """Return the data that any certificate lacks: values of the template, and conditions."""
+    template = [MissingEntry(key, _TEMPLATE) for key in template_keys(lab)]
+    return [*template, *_missing_conditions(lab)]
+
+
+def missing_evidence(source: str, share: float, quantity: str) -> MissingEntry:
+    """Return the entry for a default uncertainty that causes a share of a variance."""
+    return MissingEntry(
+        f"evidence.{source}",
+        f"is missing; the default uncertainty of {name_with_words(source)} makes "
+        f"{format_share(share)} of the variance of {quantity}: state what bounds it, "
+        "such as a data sheet, or state its prior in the campaign",
+    )
 
 
 def missing_despite_mistakes(
@@ -97,12 +109,7 @@ def _missing_evidence(lab: Lab, result: Result) -> Iterator[MissingEntry]:
         if not any(_supports(key, name, source) for key in lab.evidence):
             lacking[source] = max(lacking.get(source, (0.0, "")), (share, f"{symbol} of {name}"))
     for source, (share, coefficient) in lacking.items():
-        yield MissingEntry(
-            f"evidence.{source}",
-            f"is missing; the default uncertainty of {name_with_words(source)} makes "
-            f"{format_share(share)} of the variance of {coefficient}: state what bounds it, "
-            "such as a data sheet, or state its prior in the campaign",
-        )
+        yield missing_evidence(source, share, coefficient)
 
 
 def _default_shares(lab: Lab, result: Result) -> Iterator[tuple[str, str, float, str]]:

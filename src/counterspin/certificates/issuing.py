@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field, replace
-from datetime import UTC, date, datetime, time
+from datetime import date
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -13,9 +13,7 @@ from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.triad import shown_parameter
 from counterspin.calibration.result import Result
 from counterspin.certificates.amendment import (
-    AmendedCertificate,
     Amendment,
-    check_new_identifier,
     read_amended,
     record_changes,
     verify_amended,
@@ -29,23 +27,31 @@ from counterspin.certificates.certificate_reader import (
     read_document,
     verify_pages,
 )
-from counterspin.certificates.completeness import MissingEntry, missing_data, missing_lines
+from counterspin.certificates.completeness import missing_data, missing_lines
 from counterspin.certificates.conversion import apply_cmc_floor, output_table, to_si_with_exact_g
 from counterspin.certificates.evidence import require_evidence
+from counterspin.certificates.issue_steps import (
+    issue_notes,
+    ledger_path,
+    make_issue,
+    read_laboratory_logo,
+    render_images,
+    render_pages,
+    signed_pages,
+    signer_notes,
+)
 from counterspin.certificates.lab import Lab, read_lab, with_required_keys
 from counterspin.certificates.ledger import IssueDetails, checksum_of, record_certificate
-from counterspin.certificates.logo import read_logo
-from counterspin.certificates.pdf_pages import TITLE, page_blocks, page_title, results_table
+from counterspin.certificates.pdf_pages import TITLE, page_blocks, results_table
 from counterspin.certificates.schema import check_schema
 from counterspin.certificates.signature import (
     PdfSignatureStatus,
     is_signed,
     sign,
-    sign_pages,
     verify,
 )
 from counterspin.certificates.signers import KeyMaterial, Signer, certificates_in
-from counterspin.certificates.statements import Issue, Verdicts
+from counterspin.certificates.statements import Issue
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
 from counterspin.input import read_file
@@ -298,12 +304,12 @@ def certificate(
     amended, old = (None, b"") if amends is None else read_amended(amends)
     accepted = tuple(reason for reason in (accept_misfit, accept_unsealed) if reason is not None)
     missing = missing_data(data, original)
-    issue = _make_issue(data, original, amended, accepted, draft=bool(missing))
+    issue = make_issue(data, original.content, amended, accepted, draft=bool(missing))
     issue = replace(
         issue,
         accepted_unsealed=accept_unsealed,
         signed=signer is not None,
-        logo=_read_logo(data, folder, source),
+        logo=read_laboratory_logo(data, folder, source),
     )
     if issue.draft and signer is not None:
         raise CampaignError(source, missing_lines(missing))
@@ -316,7 +322,8 @@ def certificate(
     if amended is not None:
         new = to_bytes(dcc_document(judged, data, issue, verdicts, None, original))
         issue = replace(issue, amended=record_changes(amended, old, new))
-    pages = _pages(data, judged, issue, verdicts)
+    blocks = list(page_blocks(data, judged, issue, verdicts))
+    pages = render_pages(blocks, issue)
     root = dcc_document(judged, data, issue, verdicts, pages, original)
     xml = to_bytes(root if signer is None else sign(root, signer))
     if schema is not None:
@@ -324,9 +331,13 @@ def certificate(
     return Certificate(
         identifier=issue.identifier,
         accelerometers=names,
-        notes=[*_notes(data, judged, issue, missing), *_signer_notes(signer, issue)],
+        notes=[
+            *_omission_notes(data, judged),
+            *issue_notes(data, issue, missing),
+            *signer_notes(signer, issue),
+        ],
         xml=xml,
-        ledger=_ledger(data, lab),
+        ledger=ledger_path(data, lab),
         entry={"identifier": issue.identifier, "sha256": checksum_of(xml)}
         | (
             {}
@@ -337,8 +348,8 @@ def certificate(
         reason=_reason(issue, judged),
         result=None if isinstance(result, Result) else Path(result),
         draft=issue.draft,
-        pages=lambda: _signed_pages(_pages(data, judged, issue, verdicts, attach=xml), signer),
-        page_images=lambda: _page_images(data, judged, issue, verdicts),
+        pages=lambda: signed_pages(render_pages(blocks, issue, attach=xml), signer),
+        page_images=lambda: render_images(blocks, issue),
     )
 
 
@@ -358,32 +369,13 @@ def draft_pages(result: Result, lab: Mapping[str, Any], folder: Path) -> list[st
     data, specifications = read_lab(with_required_keys(lab), result)
     names, judged = data.certified(result), judge_result(result)
     check_certifiable(judged, names)
-    issue = _make_issue(data, result, None, (), draft=True)
-    issue = replace(issue, logo=_read_logo(data, folder, "the laboratory's data"))
+    issue = make_issue(data, result.content, None, (), draft=True)
+    issue = replace(issue, logo=read_laboratory_logo(data, folder, "the laboratory's data"))
     certified = apply_cmc_floor(judged, data)
     if specifications is not None:
         certified = judge_conformity(certified, specifications)
     verdicts = {name: certified.accelerometers[name].conformity for name in names}
-    return _page_images(data, judged, issue, verdicts)
-
-
-def _read_logo(lab: Lab, folder: Path, source: str) -> bytes | None:
-    name = lab.laboratory.logo
-    try:
-        return None if name is None else read_logo(folder, name)
-    except ValueError as error:
-        raise CampaignError(source, [f"laboratory.logo: {error}"]) from error
-
-
-def _signed_pages(pages: bytes, signer: Signer | None) -> bytes:
-    return pages if signer is None else sign_pages(pages, signer, issue_date())
-
-
-def _ledger(data: Lab, lab: Mapping[str, Any] | Path | str) -> Path | None:
-    if data.certificate.ledger is None:
-        return None
-    folder = Path() if isinstance(lab, Mapping) else Path(lab).parent
-    return folder / data.certificate.ledger
+    return render_images(list(page_blocks(data, judged, issue, verdicts)), issue)
 
 
 def _reason(issue: Issue, result: Result) -> str:
@@ -409,102 +401,10 @@ def _unsealed_error(result: Result, accept_unsealed: str | None) -> str | None:
     return None
 
 
-def _notes(
-    lab: Lab, result: Result, issue: Issue, missing: Sequence[MissingEntry]
-) -> Iterator[str]:
+def _omission_notes(lab: Lab, result: Result) -> Iterator[str]:
     names = lab.certified(result)
     if excluded := [name for name in result.accelerometers if name not in names]:
         yield f"Not certified, according to certificate.accelerometers: {', '.join(excluded)}."
-    if (day := issue.date.date()) < lab.certificate.end:
-        yield f"The day of issue, {day}, is before certificate.end, {lab.certificate.end}."
-    for equipment in lab.equipment:
-        if equipment.due is not None and equipment.due < lab.certificate.begin:
-            yield (
-                f"The calibration of {equipment.name} was due on {equipment.due}, before "
-                f"certificate.begin, {lab.certificate.begin}."
-            )
-    if missing:
-        yield "This is a draft, which cannot be signed and is not entered in a ledger. It lacks:"
-        yield from missing_lines(missing)
-
-
-def _signer_notes(signer: Signer | None, issue: Issue) -> Iterator[str]:
-    if signer is None:
-        return
-    end = signer.certificates[0].not_valid_after_utc.date()
-    begin = signer.certificates[0].not_valid_before_utc.date()
-    if not begin <= issue.date.date() <= end:
-        yield (
-            f"The day of issue, {issue.date.date()}, is outside the validity of the signer's "
-            f"certificate ({begin} to {end}): after {end} the signature will not be accepted."
-        )
-
-
-def _identifier(lab: Lab, result: Result, accepted: Sequence[str]) -> str:
-    """Return an identifier derived from the bytes of the result and the laboratory's data."""
-    stated = lab.model_dump_json(by_alias=True, exclude_unset=True, warnings="none")
-    rests_on = (checksum_of(result.content), stated, *(accepted or [""]))
-    return f"CS-{checksum_of(chr(0).join(rests_on).encode('utf-8', 'surrogatepass'))[:12]}"
-
-
-def _make_issue(
-    lab: Lab,
-    result: Result,
-    amended: AmendedCertificate | None,
-    accepted: Sequence[str],
-    *,
-    draft: bool,
-) -> Issue:
-    unnamed = _identifier(lab, result, accepted) if amended is None else amended.next_identifier()
-    identifier = lab.certificate.identifier or unnamed
-    if amended is not None:
-        check_new_identifier(identifier, amended)
-    return Issue(
-        identifier=f"DRAFT-{identifier}" if draft else identifier,
-        # The date has no time of day, so that XML and PDF made one after the other are identical.
-        date=datetime.combine(lab.certificate.issued or issue_date().date(), time(), UTC),
-        draft=draft,
-        amended=amended,
-    )
-
-
-def _pages(
-    lab: Lab, result: Result, issue: Issue, verdicts: Verdicts, *, attach: bytes | None = None
-) -> bytes:
-    from counterspin.reports.pdf import Attachment, pdf
-
-    blocks = list(page_blocks(lab, result, issue, verdicts))
-    attachments = []
-    if attach is not None:
-        attachments.append(
-            Attachment(
-                name=issue.file_name(".xml"),
-                data=attach,
-                media_type="application/xml",
-                description="Digital Calibration Certificate (DCC)",
-                relationship="data",
-            )
-        )
-    data: bytes = pdf(blocks, attachments=attachments, **_page_settings(issue))
-    return data
-
-
-def _page_images(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> list[str]:
-    from counterspin.reports.pdf import page_images
-
-    return page_images(list(page_blocks(lab, result, issue, verdicts)), **_page_settings(issue))
-
-
-def _page_settings(issue: Issue) -> dict[str, Any]:
-    """Return title, identifier, date and marks of the pages."""
-    from counterspin.reports.pdf import PageMarks
-
-    return {
-        "title": page_title(issue),
-        "identifier": issue.identifier,
-        "date": issue.date,
-        "marks": PageMarks("DRAFT" if issue.draft else "", issue.logo),
-    }
 
 
 # Reading and checking

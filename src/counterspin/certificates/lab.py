@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import datetime
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
@@ -42,6 +42,9 @@ from counterspin.input import path_of
 from counterspin.output import write_text
 from counterspin.physics.terms import TABLE, TERMS
 from counterspin.toml_text import parse_toml
+
+#: Key of [cmc] for the applied acceleration of a centrifuge, relative.
+APPLIED: Final = "applied"
 
 #: Places of a calibration, as the schema names them.
 Place = Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
@@ -318,7 +321,8 @@ class Lab(SettingsSection):
         absent="none",
     )
     cmc: dict[str, str] = key_field(
-        "smallest expanded uncertainty (95 %) that the laboratory may state, by term",
+        "smallest expanded uncertainty (95 %) that the laboratory may state, by term; "
+        "`applied` is that of the [applied acceleration](applied.md), relative",
         {"K_II": "1e-7 g/g^2"},
         {},
         absent="no limit",
@@ -351,9 +355,10 @@ class Lab(SettingsSection):
         """
         if symbol not in self.cmc:
             return None
-        if symbol not in TERMS:
-            raise ValueError(f'unknown term "{symbol}"{suggest_name(symbol, TERMS)}')
-        stated = parse(self.cmc[symbol], TERMS[symbol].unit, gravity=gravity)
+        if symbol not in TERMS and symbol != APPLIED:
+            raise ValueError(f'unknown term "{symbol}"{suggest_name(symbol, [*TERMS, APPLIED])}')
+        unit = "1" if symbol == APPLIED else TERMS[symbol].unit
+        stated = parse(self.cmc[symbol], unit, gravity=gravity)
         if stated.value <= 0.0 or stated.u:
             raise ValueError("must be one positive number, the expanded uncertainty for 95 %")
         return stated.value
@@ -371,26 +376,8 @@ def read_lab(
 
     Returns: the file, and its [specification]; None without one.
     """
-    if isinstance(path, Mapping):
-        source, problems = "the laboratory's data", Problems(path)
-        raw = to_toml_value(path, (), problems.add)
-    else:
-        path = path_of(path, "a mapping of the laboratory's data, or their file")
-        source = str(path)
-        advice = "`certificates.lab.write_example` makes one"
-        raw = load_document(path, advice, "laboratory")
-        problems = Problems(raw)
-    # An empty table makes the check report each of its required keys.
-    empty: dict[str, Any] = {"persons": [{}]}
-    empty |= {key: {} for key in ("certificate", "laboratory", "customer", "item")}
-    lab = problems.check(Lab, empty | raw, ())
-    if lab is not None:
-        for symbol in lab.cmc:
-            problems.collect(("cmc", symbol), lab.capability, symbol, result.inputs.gravity)
-        for key in lab.evidence:
-            if not names_terms(key, result.accelerometers):
-                hint = suggest_name(key, [ALL, *TABLE])
-                problems.add(("evidence", key), f'unknown term "{key}"{hint}')
+    source, raw, problems, lab = _load_lab(path)
+    _check_terms(lab, problems, result.inputs.gravity, result.accelerometers)
     _check_accelerometers(raw, result, problems)
     specifications = None
     if isinstance(raw.get("specification"), dict):
@@ -403,6 +390,51 @@ def read_lab(
     if lab is None or problems.lines:
         raise campaign_error(Path(source), problems.lines)
     return lab, specifications
+
+
+def read_machine_lab(path: Mapping[str, Any] | Path | str, gravity: float) -> Lab:
+    """Read the file for the certificate of a centrifuge; its [specification] is not used.
+
+    gravity: Local gravity of the site, m/s^2.
+    """
+    source, _, problems, lab = _load_lab(path)
+    _check_terms(lab, problems, gravity, ())
+    if lab is None or problems.lines:
+        raise campaign_error(Path(source), problems.lines)
+    return lab
+
+
+def _load_lab(
+    path: Mapping[str, Any] | Path | str,
+) -> tuple[str, Mapping[str, Any], Problems, Lab | None]:
+    """Return the name of the file, its document, its problems and its contents."""
+    if isinstance(path, Mapping):
+        source, problems = "the laboratory's data", Problems(path)
+        raw = to_toml_value(path, (), problems.add)
+    else:
+        path = path_of(path, "a mapping of the laboratory's data, or their file")
+        source = str(path)
+        advice = "`certificates.lab.write_example` makes one"
+        raw = load_document(path, advice, "laboratory")
+        problems = Problems(raw)
+    # An empty table makes the check report each of its required keys.
+    empty: dict[str, Any] = {"persons": [{}]}
+    empty |= {key: {} for key in ("certificate", "laboratory", "customer", "item")}
+    return source, raw, problems, problems.check(Lab, empty | raw, ())
+
+
+def _check_terms(
+    lab: Lab | None, problems: Problems, gravity: float, accelerometers: Collection[str]
+) -> None:
+    """Note unknown terms in [cmc] and [evidence]."""
+    if lab is None:
+        return
+    for symbol in lab.cmc:
+        problems.collect(("cmc", symbol), lab.capability, symbol, gravity)
+    for key in lab.evidence:
+        if not names_terms(key, accelerometers):
+            hint = suggest_name(key, [ALL, *TABLE])
+            problems.add(("evidence", key), f'unknown term "{key}"{hint}')
 
 
 def _check_accelerometers(raw: Mapping[str, Any], result: Result, problems: Problems) -> None:

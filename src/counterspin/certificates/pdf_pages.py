@@ -67,33 +67,33 @@ def page_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> I
     )
     for line in amendment_lines(issue.amended):
         yield Paragraph(typeset(line))
-    yield _two_columns(_administrative_rows(lab, issue))
+    yield two_columns_table(administrative_rows(lab, issue))
     yield Heading("Calibrated item")
-    yield _two_columns(_item_rows(lab, result))
+    yield two_columns_table([*item_rows(lab), *_accelerometer_rows(lab, result)])
     yield Heading("Method and conditions")
-    yield typeset_block(_two_columns(_method_rows(lab, result)))
+    yield typeset_block(two_columns_table(_method_rows(lab, result)))
     for line in (certificate_text.BASED_ON, *certificate_text.deviation_lines(settings)):
         yield Paragraph(typeset(line))
-    yield from _equipment_blocks(lab.equipment)
+    yield from equipment_blocks(lab.equipment)
     yield Heading("Results")
     seal = certificate_text.seal_lines(result, issue.accepted_unsealed)
     for line in (*certificate_text.misfit_lines(result, names), *seal):
         yield Paragraph(typeset(line), "warning")
     yield from _result_blocks(lab, result, stated)
     yield Heading("Statements")
-    yield from _section(
+    yield from section_blocks(
         certificate_text.UNCERTAINTY, typeset(certificate_text.uncertainty_statement())
     )
-    yield from _section(
+    yield from section_blocks(
         certificate_text.UNITS, typeset(certificate_text.unit_statement(result.inputs.gravity))
     )
-    yield from _section(certificate_text.TRACEABILITY, settings.traceability)
+    yield from section_blocks(certificate_text.TRACEABILITY, settings.traceability)
     yield from _conformity_blocks(stated, verdicts)
-    yield from _section(certificate_text.REMARKS, *settings.remarks)
-    yield from _section(certificate_text.SCOPE, certificate_text.scope_statement())
+    yield from section_blocks(certificate_text.REMARKS, *settings.remarks)
+    yield from section_blocks(certificate_text.SCOPE, certificate_text.scope_statement())
 
 
-def _equipment_blocks(equipment: Sequence[Equipment]) -> Iterator[Block]:
+def equipment_blocks(equipment: Sequence[Equipment]) -> Iterator[Block]:
     """Yield a table of the equipment with its traceability; nothing without equipment."""
     if not equipment:
         return
@@ -134,7 +134,7 @@ def _budget_blocks(name: str, result: Result, symbols: Iterable[str]) -> Iterato
             yield budget_table(name, symbol, result, main_lines, small_lines)
 
 
-def _section(name: str, *lines: str) -> Iterator[Block]:
+def section_blocks(name: str, *lines: str) -> Iterator[Block]:
     """Yield a section of statements with its heading; nothing if it is empty."""
     if lines:
         yield Heading(name, 3)
@@ -175,7 +175,9 @@ def _result_blocks(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
         + (", also between accelerometers." if len(names) > 1 and stated.correlation else "."),
         "quiet",
     )
-    yield from _section(certificate_text.CAPABILITY, *map(typeset, cmc_lines(result, stated, lab)))
+    yield from section_blocks(
+        certificate_text.CAPABILITY, *map(typeset, cmc_lines(result, stated, lab))
+    )
     owners = dict[str, list[str]]()
     for name in names:
         for line in certificate_text.assumption_lines(name, result):
@@ -194,10 +196,12 @@ def _result_blocks(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
     prior_statements = (
         line for name in names for line in certificate_text.prior_lines(name, result, settings)
     )
-    yield from _section(certificate_text.PRIOR_KNOWLEDGE, *map(typeset, prior_statements))
-    yield from _section(certificate_text.ASSUMED, *evidence_lines(result.assumed, lab.evidence))
-    yield from _section(certificate_text.DEFAULTS, *default_evidence(lab, result))
-    yield from _section(certificate_text.SUPPLIED, *certificate_text.customer_lines(settings))
+    yield from section_blocks(certificate_text.PRIOR_KNOWLEDGE, *map(typeset, prior_statements))
+    yield from section_blocks(
+        certificate_text.ASSUMED, *evidence_lines(result.assumed, lab.evidence)
+    )
+    yield from section_blocks(certificate_text.DEFAULTS, *default_evidence(lab, result))
+    yield from section_blocks(certificate_text.SUPPLIED, *certificate_text.customer_lines(settings))
 
 
 def _triad_blocks(stated: Result, triad: TriadResult) -> Iterator[Block]:
@@ -214,7 +218,8 @@ def _triad_blocks(stated: Result, triad: TriadResult) -> Iterator[Block]:
         yield output_table(triad.accelerometers, triad.matrix, expanded, k)
 
 
-def _administrative_rows(lab: Lab, issue: Issue) -> Iterator[tuple[str, str]]:
+def administrative_rows(lab: Lab, issue: Issue) -> Iterator[tuple[str, str]]:
+    """Yield laboratory, customer, dates, persons and signature."""
     settings = lab.certificate
     yield "Laboratory", _format_address(lab.laboratory)
     if lab.laboratory.code is not None:
@@ -265,7 +270,8 @@ def _format_address(contact: Contact) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def _item_rows(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
+def item_rows(lab: Lab) -> Iterator[tuple[str, str]]:
+    """Yield name and identification of the item."""
     item = lab.item
     yield "Item", item.name
     yield "Manufacturer, model", f"{item.manufacturer}, {item.model}"
@@ -274,6 +280,9 @@ def _item_rows(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
         yield "State", f"calibrated {item.state}"
     if item.inventory_number is not None:
         yield "Inventory number", item.inventory_number
+
+
+def _accelerometer_rows(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
     for name in lab.certified(result):
         part = lab.accelerometers.get(name, LabAccelerometer())
         known = (part.manufacturer, part.model, lab.serial_number(name, result))
@@ -281,7 +290,8 @@ def _item_rows(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
             yield f"Accelerometer {name}", ", ".join(text for text in known if text)
 
 
-def _two_columns(rows: Iterator[tuple[str, str]]) -> Table:
+def two_columns_table(rows: Iterable[tuple[str, str]]) -> Table:
+    """Return a table of names and values without titles."""
     return Table((Column("", wraps=True), Column("", wraps=True)), tuple(rows))
 
 

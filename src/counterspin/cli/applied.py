@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from counterspin.cli.certificate import UNSIGNED, SigningOptions
 from counterspin.cli.common import NOT_SAVED, SaveOptions, option_group, print_output
+from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
+
+if TYPE_CHECKING:
+    from counterspin.acceleration_standard.result import AppliedAcceleration
 
 
 @option_group
@@ -31,6 +37,53 @@ class BudgetOptions:
     budget: bool = False
 
 
+@option_group
+@frozen
+class CertificateOptions:
+    """Options of the certificate.
+
+    Parameters
+    ----------
+    lab
+        Laboratory data, LAB.toml; its [item] is the centrifuge.
+    certificate
+        Write the certificate to this file: .xml, or .pdf with the XML attached.
+    signing
+        Validation and signature of the certificate.
+    """
+
+    lab: Path | None = None
+    certificate: Path | None = None
+    signing: SigningOptions = UNSIGNED
+
+    def check(self) -> None:
+        """Refuse incomplete options and existing files."""
+        from counterspin.certificates.issuing import check_output_path, check_output_paths
+
+        if (self.lab is None) != (self.certificate is None):
+            raise CampaignError("applied", ["give `certificate` and `lab` together"])
+        if self.certificate is not None:
+            (check_output_paths if self.signing.both else check_output_path)(self.certificate)
+
+    def write(self, result: AppliedAcceleration) -> None:
+        """Write the certificate, if there is to be one."""
+        from counterspin.acceleration_standard.certificate import certify_applied
+
+        if self.lab is None or self.certificate is None:
+            return
+        signing = self.signing
+        done = certify_applied(
+            result, self.lab, schema=signing.schema, signer=signing.signer_reader()
+        )
+        paths = (
+            done.write_both(self.certificate) if signing.both else [done.write(self.certificate)]
+        )
+        print_output(f"Wrote {' and '.join(map(str, paths))}: certificate {done.identifier}.")
+        for note in done.notes:
+            print_output(note)
+
+
+_NO_CERTIFICATE = CertificateOptions()
 _DEFAULT_BUDGET = BudgetOptions()
 
 
@@ -42,6 +95,7 @@ def applied(
     chosen: BudgetOptions = _DEFAULT_BUDGET,
     report: Path | None = None,
     figure: Path | None = None,
+    certified: CertificateOptions = _NO_CERTIFICATE,
     saved: SaveOptions = NOT_SAVED,
 ) -> None:
     """State the uncertainty budget of the acceleration that an arm centrifuge applies.
@@ -77,8 +131,10 @@ def applied(
         check_format(figure)
         reserve(figure, lambda: marked(FILE_DESCRIPTION), overwrite=saved.overwrite)
     saved.reserve(AppliedAcceleration.file_kind)
+    certified.check()
     result = run(directory, levels, mounting=chosen.mounting, draws=chosen.draws, seed=chosen.seed)
     with saved.writing(result):
+        certified.write(result)
         if figure is not None:
             save_figure(
                 [relative_plot(result)], figure, FILE_DESCRIPTION, overwrite=saved.overwrite

@@ -109,7 +109,7 @@ class IssueOptions:
     ledger: Path | None = None
 
 
-_UNSIGNED = SigningOptions()
+UNSIGNED = SigningOptions()
 _ISSUED_AS_IS = IssueOptions()
 
 #: What is said of a PDF's pages.
@@ -126,7 +126,7 @@ def certificate(
     /,
     *,
     output: OutputFile = None,
-    signing: SigningOptions = _UNSIGNED,
+    signing: SigningOptions = UNSIGNED,
     issue: IssueOptions = _ISSUED_AS_IS,
     init: Path | None = None,
     verify: Path | None = None,

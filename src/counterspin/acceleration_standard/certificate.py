@@ -1,0 +1,302 @@
+"""Certificate of a centrifuge: the applied acceleration of each level as a DCC."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Final
+
+from counterspin.acceleration_standard.page import budget_table, level_words, validation_sentence
+from counterspin.acceleration_standard.result import AppliedAcceleration, AppliedLevel
+from counterspin.certificates import certificate_text
+from counterspin.certificates.build import render_extension, to_bytes
+from counterspin.certificates.certificate_text import coverage_factor
+from counterspin.certificates.completeness import (
+    EVIDENCE_SHARE,
+    MissingEntry,
+    missing_administrative_data,
+    missing_evidence,
+    missing_lines,
+)
+from counterspin.certificates.evidence import (
+    evidence_lines,
+    require_evidence,
+    terms_without_evidence,
+)
+from counterspin.certificates.issue_steps import (
+    issue_notes,
+    ledger_path,
+    make_issue,
+    read_laboratory_logo,
+    render_images,
+    render_pages,
+    signed_pages,
+    signer_notes,
+)
+from counterspin.certificates.issuing import Certificate
+from counterspin.certificates.lab import APPLIED, Lab, read_machine_lab
+from counterspin.certificates.ledger import checksum_of
+from counterspin.certificates.pdf_pages import (
+    administrative_rows,
+    equipment_blocks,
+    item_rows,
+    page_title,
+    section_blocks,
+    two_columns_table,
+)
+from counterspin.certificates.schema import Element, check_schema, format_decimal
+from counterspin.certificates.signature import sign
+from counterspin.certificates.signers import Signer
+from counterspin.certificates.statements import Issue, Statement
+from counterspin.errors import CampaignError
+from counterspin.inference.distributions import COVERAGE
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+from counterspin.reports.numbers import (
+    format_estimate,
+    format_number,
+    format_share,
+    format_uncertainty,
+)
+from counterspin.reports.typography import typeset, typeset_block
+
+_METHOD: Final = (
+    "The acceleration follows from radius, rotation rate, alignment and gravity: "
+    "a = R (1 + s c) w^2 cos(beta) cos(lambda) + g sin(lambda) + 2 w Omega R sin(L), with "
+    "c = R w^2 and lambda = lambda_0 + d w^2 (IEEE Std 836, Annex B). It is the mean over a "
+    "revolution along an input axis that points inward."
+)
+
+#: Statements of a certificate: name, sentences, standards.
+_Section = tuple[str, list[str], tuple[str, ...]]
+
+
+def certify_applied(
+    result: AppliedAcceleration,
+    lab: Mapping[str, Any] | Path | str,
+    *,
+    schema: Path | None = None,
+    signer: Signer | Callable[[], Signer] | None = None,
+) -> Certificate:
+    """Make the certificate of a centrifuge; `Certificate.write` writes it.
+
+    Parameters
+    ----------
+    result
+        The budget of the applied acceleration.
+    lab
+        Contents of ``LAB.toml`` as nested mappings with the same keys; or the file. Its [item]
+        is the centrifuge.
+    schema
+        Folder or file of the DCC schema, against which the certificate is validated.
+    signer
+        As in `counterspin.certificate`.
+
+    Raises
+    ------
+    CampaignError
+        If the laboratory's data have missing keys or mistakes, if [evidence] lacks an assumed
+        term, or if a draft is to be signed.
+    CounterspinError
+        If key or schema cannot be used.
+    """
+    data = read_machine_lab(lab, result.gravity)
+    source = "the laboratory's data" if isinstance(lab, Mapping) else str(lab)
+    folder = Path() if isinstance(lab, Mapping) else Path(lab).parent
+    assumed = [s.symbol for s in result.applied_sources if s.origin == "assumed"]
+    require_evidence(assumed, data.evidence, source)
+    missing = [*missing_administrative_data(data), *_missing_evidence(data, result)]
+    if missing and signer is not None:
+        raise CampaignError(source, missing_lines(missing))
+    issue = replace(
+        make_issue(data, result.content, None, (), draft=bool(missing)),
+        signed=signer is not None,
+        logo=read_laboratory_logo(data, folder, source),
+    )
+    if callable(signer):
+        signer = signer()
+    stated = [(level, _stated_u(data, level)) for level in result.levels]
+    blocks = list(_page_blocks(data, result, issue, stated))
+    root = _build_document(data, result, issue, stated, render_pages(blocks, issue))
+    xml = to_bytes(root if signer is None else sign(root, signer))
+    if schema is not None:
+        check_schema(xml, schema, f"certificate {issue.identifier}")
+    return Certificate(
+        identifier=issue.identifier,
+        accelerometers=[],
+        notes=[*issue_notes(data, issue, missing), *signer_notes(signer, issue)],
+        xml=xml,
+        pages=lambda: signed_pages(render_pages(blocks, issue, attach=xml), signer),
+        page_images=lambda: render_images(blocks, issue),
+        ledger=ledger_path(data, lab),
+        entry={"identifier": issue.identifier, "sha256": checksum_of(xml)},
+        signed_by=data.persons[0].name,
+        reason="issued",
+        draft=issue.draft,
+    )
+
+
+def _stated_u(lab: Lab, level: AppliedLevel) -> float:
+    """Return u of a level, not below the laboratory's capability divided by k, m/s^2."""
+    capability = lab.capability(APPLIED, 1.0) or 0.0
+    return max(level.u, capability * abs(level.acceleration) / coverage_factor(None))
+
+
+def _missing_evidence(lab: Lab, result: AppliedAcceleration) -> Iterator[MissingEntry]:
+    """Yield default uncertainties with a large share of a variance and without evidence."""
+    for symbol, (share, level) in _default_shares(result).items():
+        if terms_without_evidence([symbol], lab.evidence):
+            yield missing_evidence(symbol, share, f"the acceleration at {level_words(level)}")
+
+
+def _default_shares(result: AppliedAcceleration) -> dict[str, tuple[float, AppliedLevel]]:
+    """Return the largest share of each default uncertainty that needs evidence, by symbol."""
+    largest: dict[str, tuple[float, AppliedLevel]] = {}
+    for level in result.levels:
+        for line in level.budget:
+            source = result.source(line.source)
+            known = largest.get(source.symbol, (EVIDENCE_SHARE, level))
+            if source.origin == "default" and line.share >= known[0]:
+                largest[source.symbol] = line.share, level
+    return largest
+
+
+def _sections(
+    lab: Lab, result: AppliedAcceleration, stated: Sequence[tuple[AppliedLevel, float]]
+) -> list[_Section]:
+    """Return the statements of XML and pages, in the order of reading."""
+    settings, quality = lab.certificate, ("ISO/IEC 17025:2017",)
+    raised = [
+        f"{level_words(level)}: the evaluated uncertainty is "
+        f"U = {format_uncertainty(coverage_factor(None) * level.u)} m/s^2; the certificate states "
+        "the laboratory's calibration and measurement capability, the smallest uncertainty that it "
+        "may state."
+        for level, u in stated
+        if u > level.u
+    ]
+    assumed = [s.symbol for s in result.applied_sources if s.origin == "assumed"]
+    defaults = list(_default_shares(result))
+    remarks = list(settings.remarks)
+    return [
+        (certificate_text.UNCERTAINTY, _uncertainty_lines(result), ("JCGM 100:2008",)),
+        (certificate_text.CAPABILITY, raised, ("ILAC-P14:09/2020",)),
+        (certificate_text.ASSUMED, [*evidence_lines(assumed, lab.evidence)], ()),
+        (certificate_text.DEFAULTS, [*evidence_lines(defaults, lab.evidence)], ()),
+        (certificate_text.SUPPLIED, [*certificate_text.customer_lines(settings)], quality),
+        (certificate_text.SCOPE, [certificate_text.scope_statement()], quality),
+        (certificate_text.REMARKS, remarks, ()),
+    ]
+
+
+def _uncertainty_lines(result: AppliedAcceleration) -> list[str]:
+    k, defaults = coverage_factor(None), []
+    defaults = [s.symbol for s in result.applied_sources if s.origin == "default"]
+    lines = [
+        "The number after ± is the expanded uncertainty U: the combined standard uncertainty "
+        "according to the GUM (JCGM 100), multiplied by the coverage factor "
+        f"k = {format_decimal(k)} of the normal distribution for a coverage probability of "
+        f"{format_share(COVERAGE)}.",
+        validation_sentence(result),
+    ]
+    if defaults:
+        lines.append(
+            f"No uncertainty is stated for {', '.join(defaults)}; the default uncertainty was used."
+        )
+    return lines
+
+
+def _build_document(
+    lab: Lab,
+    result: AppliedAcceleration,
+    issue: Issue,
+    stated: Sequence[tuple[AppliedLevel, float]],
+    pages: bytes,
+) -> Element:
+    """Return the root element of the certificate."""
+    settings = lab.certificate
+    traceable = Statement(
+        certificate_text.TRACEABILITY,
+        [settings.traceability],
+        language=settings.language,
+        traceable=True,
+    )
+    draft = Statement("Draft", [certificate_text.DRAFT] if issue.draft else [], valid=False)
+    own = {certificate_text.ASSUMED, certificate_text.DEFAULTS, certificate_text.REMARKS}
+    sections = [
+        Statement(name, lines, norms, settings.language if name in own else "en")
+        for name, lines, norms in _sections(lab, result, stated)
+    ]
+    assets = files("counterspin.acceleration_standard") / "assets"
+    return render_extension(
+        (assets / "certificate.xml.jinja").read_text(encoding="utf-8"),
+        lab=lab,
+        settings=settings,
+        issue=issue,
+        result=result,
+        names=[],
+        statements=[s for s in (draft, traceable, *sections) if s.lines],
+        file=result.content,
+        stated=stated,
+        method=[_METHOD, *certificate_text.deviation_lines(settings)],
+        uncertainty=_uncertainty_lines(result),
+        level_words=level_words,
+        pages=pages,
+    )
+
+
+def _page_blocks(
+    lab: Lab,
+    result: AppliedAcceleration,
+    issue: Issue,
+    stated: Sequence[tuple[AppliedLevel, float]],
+) -> Iterator[Block]:
+    """Yield the pages of the certificate."""
+    yield Heading(page_title(issue), 1)
+    if issue.draft:
+        yield Paragraph(certificate_text.DRAFT, "warning")
+    yield Paragraph(
+        f"{issue.identifier}. The Digital Calibration Certificate (DCC, XML) of this identifier "
+        "holds the same numbers for machines.",
+        "quiet",
+    )
+    yield two_columns_table(administrative_rows(lab, issue))
+    yield Heading("Calibrated item")
+    yield two_columns_table(item_rows(lab))
+    yield Heading("Method")
+    for line in (_METHOD, *certificate_text.deviation_lines(lab.certificate)):
+        yield Paragraph(typeset(line))
+    yield from equipment_blocks(lab.equipment)
+    yield Heading("Results")
+    yield typeset_block(_results_table(stated))
+    for level in result.levels:
+        yield Heading(f"Uncertainty budget at {level_words(level)}", 3)
+        yield typeset_block(budget_table(result, level))
+    yield Heading("Statements")
+    yield from section_blocks(certificate_text.TRACEABILITY, lab.certificate.traceability)
+    for name, lines, _ in _sections(lab, result, stated):
+        yield from section_blocks(name, *map(typeset, lines))
+
+
+def _results_table(stated: Sequence[tuple[AppliedLevel, float]]) -> Table:
+    k = coverage_factor(None)
+    rows = tuple(
+        (
+            level_words(level),
+            format_number(level.rate, 9),
+            format_estimate(level.acceleration, k * u, "m/s^2"),
+            format_uncertainty(k * u / abs(level.acceleration)),
+            format_decimal(k),
+        )
+        for level, u in stated
+    )
+    return Table(
+        (
+            Column("Level"),
+            Column("Rate, rad/s", "right"),
+            Column("Applied acceleration ± U", "right"),
+            Column("U, relative", "right"),
+            Column("k", "right"),
+        ),
+        rows,
+    )

@@ -1,0 +1,94 @@
+"""The certificate of a centrifuge: numbers, capability, missing data, and its command."""
+
+import pytest
+from arm_centrifuge import DESCRIPTION, STATED
+
+import counterspin as cs
+from certificates import LAB, SCHEMA, find, needs_schema, write_lab
+from counterspin.acceleration_standard.certificate import certify_applied
+from counterspin.certificates.schema import check_schema
+from counterspin.cli import main
+from counterspin.errors import CampaignError
+
+CLOCK = 'stretch = "0 ± 5e-9 s^2/m"\n'
+COMPLETE = DESCRIPTION.replace(CLOCK, f'{CLOCK}clock = "0 ± 1e-8"\n') + STATED
+LEVELS = [1.0, 10.0]
+QUANTITY = "//dcc:result[dcc:name/dcc:content='Levels']/dcc:data/dcc:quantity/si:real"
+EXPANDED = f"{QUANTITY}/si:measurementUncertaintyUnivariate/si:expandedMU/si:valueExpandedMU"
+
+
+@pytest.fixture(scope="module")
+def applied(tmp_path_factory):
+    """Return a function from a description to its budget."""
+
+    def make(text=COMPLETE):
+        folder = tmp_path_factory.mktemp("machine")
+        (folder / "campaign.toml").write_text(text, encoding="utf-8")
+        return cs.applied(folder, LEVELS)
+
+    return make
+
+
+def numbers(certificate, path):
+    return [float(element.text) for element in find(certificate.xml, path)]
+
+
+def test_values_and_expanded_uncertainties_are_those_of_the_budget(applied, tmp_path):
+    result = applied()
+    made = certify_applied(result, write_lab(tmp_path))
+    assert not made.draft
+    values = [level.acceleration for level in result.levels]
+    assert numbers(made, f"{QUANTITY}/si:value") == pytest.approx(values, rel=1e-15)
+    expanded = [1.96 * level.u for level in result.levels]
+    assert numbers(made, EXPANDED) == pytest.approx(expanded, rel=1e-4)
+    assert made.pdf().startswith(b"%PDF")
+
+
+def test_no_uncertainty_is_below_the_capability_of_the_laboratory(applied, tmp_path):
+    result = applied()
+    lab = write_lab(tmp_path, LAB + '\n[cmc]\napplied = "5 ppm"\n')
+    small, at_capability = numbers(certify_applied(result, lab), EXPANDED)
+    assert small == pytest.approx(1.96 * result.levels[0].u, rel=1e-4)
+    assert at_capability == pytest.approx(5e-6 * result.levels[1].acceleration, rel=1e-9)
+
+
+@needs_schema
+def test_the_certificate_agrees_with_the_schema(applied, tmp_path):
+    check_schema(certify_applied(applied(), write_lab(tmp_path)).xml, SCHEMA, "made")
+
+
+def test_a_default_that_dominates_needs_evidence(applied, tmp_path):
+    result = applied(DESCRIPTION + STATED)
+    draft = certify_applied(result, write_lab(tmp_path))
+    assert draft.draft
+    assert any(note.startswith("evidence.centrifuge.clock: is missing") for note in draft.notes)
+    evidence = '\n[evidence]\n"centrifuge.clock" = "Counter report 12."\n'
+    complete = certify_applied(result, write_lab(tmp_path, LAB + evidence))
+    assert not complete.draft
+    assert b"Counter report 12." in complete.xml
+
+
+def test_an_assumed_source_needs_evidence(applied, tmp_path):
+    exact = '[model]\nassume = ["centrifuge.clock"]\n'
+    with pytest.raises(CampaignError, match=r"centrifuge\.clock"):
+        certify_applied(applied(DESCRIPTION + exact + STATED), write_lab(tmp_path))
+
+
+@pytest.mark.parametrize("text", ["5 m", "-1 ppm", "5 ± 1 ppm"])
+def test_a_capability_must_be_a_relative_number(applied, tmp_path, text):
+    lab = write_lab(tmp_path, LAB + f'\n[cmc]\napplied = "{text}"\n')
+    with pytest.raises(CampaignError, match=r"cmc\.applied"):
+        certify_applied(applied(), lab)
+
+
+def test_the_command_writes_both_files_and_refuses_half_an_order(tmp_path, capsys):
+    (tmp_path / "campaign.toml").write_text(COMPLETE, encoding="utf-8")
+    lab, xml = write_lab(tmp_path), tmp_path / "c.xml"
+    words = ["applied", str(tmp_path), "--levels", "1,10g"]
+    assert main([*words, "--lab", str(lab)]) == 2
+    assert "give --certificate and --lab together" in capsys.readouterr().err
+    assert main([*words, "--lab", str(lab), "--certificate", str(xml), "--both"]) == 0
+    assert {path.suffix for path in tmp_path.glob("c.*")} == {".xml", ".pdf"}
+    assert main(["certificate", "--verify", str(xml)]) == 0
+    assert main([*words, "--lab", str(lab), "--certificate", str(xml)]) != 0
+    assert "never replaces a file" in capsys.readouterr().err
