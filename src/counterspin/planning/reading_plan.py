@@ -70,8 +70,9 @@ def best_counts(
     number, time: Largest sum of the numbers and of their times, s; one of them finite.
     """
     relaxed = candidates.relax(criterion, number, time)
+    visited: set[bytes] = set()
     results = [
-        _exchange_readings(candidates, criterion, start, number, time)
+        _exchange_readings(candidates, criterion, start, number, time, visited)
         for start in _initial_counts(candidates, relaxed.design, number, time)
     ]
     value, counts = min(results, key=lambda end: end[0])
@@ -103,11 +104,23 @@ def _initial_counts(
 
 
 def _exchange_readings(
-    candidates: CandidateSet, criterion: Criterion, counts: Counts, number: float, time: float
+    candidates: CandidateSet,
+    criterion: Criterion,
+    counts: Counts,
+    number: float,
+    time: float,
+    visited: set[bytes],
 ) -> tuple[float, Counts]:
-    """Return the criterion and the numbers where no exchange of one reading gains any more."""
+    """Return the criterion and the numbers where no exchange of one reading gains any more.
+
+    visited: Numbers that were reached from earlier starts. The search ends there, because their
+        end is known; it adds the numbers that it reaches.
+    """
     value = float(candidates.value(criterion, counts))
     for _ in range(_MAX_EXCHANGES):
+        if counts.tobytes() in visited:
+            break
+        visited.add(counts.tobytes())
         lowest, best_counts = math.inf, counts
         for removed in (None, *np.flatnonzero(counts)):
             candidate = counts.copy()
