@@ -13,6 +13,7 @@ The commands, as functions:
 - `calibrate`: from a campaign's folder to a `Result`; `TwoStageOptions` for the paper's method
 - `apply`: indicated specific force corrected for a `Result` (`Correction`); `apply_file`: of a
   file; `ApplyOptions`: unit, and forces along the other axes
+- `export`: the coefficients of a result for other programs
 - `plan`: which runs to make for a goal (`PlannedCampaign`)
 - `forecast`: what the calibration of a campaign will say (`Forecast`)
 - `study`: many simulated trials of a campaign and its analyses (`StudyResult`); `StudyFolder`,
@@ -107,6 +108,7 @@ if TYPE_CHECKING:
     from counterspin.correction.apply import Correction as Correction
     from counterspin.correction.apply import apply as apply
     from counterspin.correction.apply_file import apply_file as apply_file
+    from counterspin.correction.export import export as export
     from counterspin.errors import CampaignError as CampaignError
     from counterspin.errors import ConvergenceError as ConvergenceError
     from counterspin.errors import CounterspinError as CounterspinError
@@ -188,6 +190,7 @@ _OFFERED = {
     "monitoring.watch": ("Pace", "watch"),
     "correction.apply": ("ApplyOptions", "Correction", "apply"),
     "correction.apply_file": ("apply_file",),
+    "correction.export": ("export",),
     "calibration.calibrate": ("calibrate",),
     "reproduction.demo": ("Demonstration", "demo"),
     "histories.history": ("history",),

@@ -4,7 +4,8 @@ A command imports what it uses when it runs, so that `--help` answers at once.
 
 - `init`, `calibrate`, `applied`, `certificate`, `apply`, `plan`, `study`: a command each
 - `records`: `simulate`, `check`, `watch`, `noise`
-- `results`: `report`, `history`, `compare`, `intercompare`, `rerun`, `ledger`
+- `results`: `report`, `history`, `compare`, `intercompare`, `rerun`, `export`,
+  `ledger`
 - `program`: `schema`, `serve`, `demo`, `reproduce`, `validate`
 - `common`: shared options, output, and errors in the terms of a command line
 """
@@ -78,6 +79,7 @@ for _command in (
     records.watch,
     records.noise,
     apply.apply,
+    results.export,
     plan.plan,
     study.study,
     program.schema,

@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
-from counterspin.cli.common import NOT_SAVED, OutputFile, SaveOptions, print_output
+from counterspin.cli.common import NOT_SAVED, OutputFile, OutputFolder, SaveOptions, print_output
 from counterspin.errors import CampaignError, CounterspinError
 
 if TYPE_CHECKING:
@@ -249,6 +249,50 @@ def rerun(
         report_console().print(repeated)
     if not repeated.same:
         raise CounterspinError(f"{result}: the repeated calibration differs")
+
+
+def export(
+    result: Path,
+    /,
+    *,
+    output: OutputFolder,
+    normalisation: Literal["none", "ieee"] = "none",
+    form: Literal["coefficients", "psins", "kalibr", "ros"] = "coefficients",
+    noise: Path | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Export the coefficients of a result for other programs.
+
+    Parameters
+    ----------
+    result
+        Result written by `counterspin calibrate --json`.
+    output
+        File to write: .csv, .xlsx or .mat; for psins .mat, for kalibr and ros .yaml.
+    normalisation
+        ieee: the coefficients of IEEE Std 1293, K2 = K_II/K_I and so on.
+    form
+        coefficients: all coefficients with their covariance. psins, kalibr, ros: the linear
+        correction of a triad in the form of these programs.
+    noise
+        With kalibr: noise of the three accelerometers, written by `counterspin noise --json`.
+    overwrite
+        Replace an earlier export; other files are never replaced.
+    """
+    from counterspin.calibration.result import Result
+    from counterspin.correction.export import export as run
+    from counterspin.monitoring.result import NoiseResult
+
+    densities = None if noise is None else NoiseResult.read(noise).largest_densities()
+    run(
+        Result.read(result),
+        output,
+        normalisation=normalisation,
+        form=form,
+        noise=densities,
+        overwrite=overwrite,
+    )
+    print_output(f"Wrote {output}.")
 
 
 def ledger(

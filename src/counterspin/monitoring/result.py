@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import ClassVar, Final, Literal
 
+from counterspin.errors import RecordError
 from counterspin.inference.noise.spectrum import AllanValue, SpectralLine, SpectrumValue
 from counterspin.results import ReportableResult, ResultPart
 
@@ -201,3 +202,23 @@ class NoiseResult(ReportableResult):
     signals: list[SignalNoise]  #: Noise of each column.
     unused: list[str]  #: Columns other than displacement, velocity and specific force.
     table: str  #: ``[noise]`` table to paste into ``campaign.toml``.
+
+    def largest_densities(self) -> tuple[float, float]:
+        """Return the largest noise density and random walk of the bias of all specific forces.
+
+        In m/s^2/Hz^0.5 and m/s^2/s^0.5. If the record does not show a component, its upper limit
+        counts.
+        """
+        found = []
+        for name in ("acceleration", "bias_walk"):
+            sizes = [
+                s.components.get(name) for s in self.signals if s.observable == "specific_force"
+            ]
+            values = [s.high if s.value is None else s.value for s in sizes if s is not None]
+            known = [value for value in values if value is not None]
+            if not known or len(known) < len(sizes):
+                raise RecordError(
+                    f"{self.record}: the record does not limit {name} of every column"
+                )
+            found.append(max(known))
+        return found[0], found[1]
