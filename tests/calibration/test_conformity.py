@@ -165,3 +165,18 @@ def test_rule_is_stated(found, rule, words):
     told = texts(conformity_blocks(judge_conformity(found, specified(K_II="<= 1 g/g^2", **rule))))
     assert words in told
     assert "Guard bands" not in told
+
+
+def test_global_risk_is_on_the_page_for_a_stated_process(found):
+    process = {"K_II": "0 ± 25 ug/g^2"}
+    raw = {"decision_rule": "simple", "K_II": "abs <= 50 ug/g^2", "process": process}
+    specifications = resolve_specifications(
+        raw, found.accelerometers, problems=Problems({}), gravity=None
+    )
+    judged = judge_conformity(found, specifications)
+    risk = judged.accelerometers["Qx"].conformity["K_II"].global_risk
+    assert (risk.mean, risk.sigma) == (0.0, pytest.approx(25e-6))
+    assert 0.0 < risk.consumer < risk.producer
+    texts = [block.text for block in conformity_blocks(judged) if hasattr(block, "text")]
+    assert any("(consumer's risk)" in text and "0 ± 25 ug/g^2" in text for text in texts)
+    assert Result.model_validate_json(judged.to_json()) == judged

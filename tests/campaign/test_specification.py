@@ -213,3 +213,31 @@ def starter():
     from importlib.resources import files
 
     return (files("counterspin.ingest") / "starter.toml").read_text(encoding="utf-8")
+
+
+def process_of(process):
+    raw = {"K_II": "abs <= 5e-5 g/g^2", "process": process}
+    problems = Problems({"specification": raw})
+    return resolve_specifications(raw, ["Qx"], problems=problems, gravity=G), problems.lines
+
+
+def test_process_of_a_term_is_its_mean_and_standard_deviation():
+    specifications, problems = process_of({"K_II": "1 ± 25 ug/g^2"})
+    assert problems == []
+    process = specifications.terms["Qx"]["K_II"].process
+    assert (process.mean, process.sigma) == pytest.approx((1e-6, 25e-6))
+
+
+@pytest.mark.parametrize(
+    ("process", "message"),
+    [
+        ({"K_II": "1 ug/g^2"}, "specification.process.K_II: needs a standard deviation"),
+        ({"K_F": "0 ± 1 mg"}, 'specification.process.K_F: "K_F" has no limits'),
+        ({"K_II": "0 ± 1 m"}, "specification.process.K_II: "),
+        ({"K_II": 1.0}, "specification.process.K_II: "),
+    ],
+)
+def test_mistakes_in_a_process_are_named(process, message):
+    specifications, problems = process_of(process)
+    assert specifications is None
+    assert problems[0].startswith(message)

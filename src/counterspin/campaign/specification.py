@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
 from typing import Annotated, Any, Final, get_args
 
 from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, PrivateAttr
@@ -17,6 +18,7 @@ from counterspin.campaign.field_types import Contradiction, SettingsSection, exa
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
 from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.inference.conformity import DecisionRule, Specification
+from counterspin.inference.global_risk import Process
 from counterspin.inference.verdicts import RuleName
 from counterspin.physics.terms import TERMS
 
@@ -79,6 +81,14 @@ class Specifications(SettingsSection):
         float, PlainValidator(_number), AfterValidator(_probability)
     ] = key_field(
         "required probability of conformity; only with `probability`", 0.99, 0.95, kind="number"
+    )
+
+    process: dict[str, str] = key_field(
+        "distribution of a term between items of its type, by term: mean ± standard deviation; "
+        "for the [global risks](conformity.md#global-risk)",
+        {"K_II": "0 ± 2.5e-5 g/g^2"},
+        {},
+        absent="none",
     )
 
     _terms: Mapping[str, Mapping[str, Specification]] = PrivateAttr()
@@ -172,9 +182,42 @@ def resolve_specifications(
         problems.add(path, f"contains no term; write for example K_II = {_FORMS.split(',')[0]}")
     if rule is None or len(problems.lines) > before:
         return None
+    terms = {n: {**shared, **by_accelerometer.get(n, {})} for n in accelerometers}
+    processes = _processes(rule.process, terms, path, problems, gravity)
+    if len(problems.lines) > before:
+        return None
     return rule.with_private(
-        terms={n: {**shared, **by_accelerometer.get(n, {})} for n in accelerometers}
+        terms={
+            name: {
+                symbol: replace(specification, process=processes.get(symbol))
+                for symbol, specification in own.items()
+            }
+            for name, own in terms.items()
+        }
     )
+
+
+def _processes(
+    raw: Mapping[str, str],
+    terms: Mapping[str, Mapping[str, Specification]],
+    path: KeyPath,
+    problems: Problems,
+    gravity: float | None,
+) -> dict[str, Process]:
+    """Return the distribution of each term between items of its type."""
+    specified = {symbol for own in terms.values() for symbol in own}
+    processes = {}
+    for symbol, text in raw.items():
+        key = (*path, "process", symbol)
+        if symbol not in specified:
+            problems.add(key, f'"{symbol}" has no limits in [specification]')
+            continue
+        stated = problems.collect(key, parse, text, TERMS[symbol].unit, gravity=gravity)
+        if stated is not None and stated.u <= 0.0:
+            problems.add(key, "needs a standard deviation, such as 0 ± 2.5e-5 g/g^2")
+        elif stated is not None:
+            processes[symbol] = Process(stated.value, stated.u)
+    return processes
 
 
 def _terms(

@@ -9,6 +9,7 @@ What stands in this room:
   the distribution of a sum of an estimated and a known part
 - `diagnostics`: whether the model fits the records
 - `conformity`: whether a quantity meets a specification, and the risk of being wrong;
+  `global_risk`: that risk for items of a known process;
   `verdicts`: what a result states of that
 - `noise`: models of a record's noise, whitening, estimation of its size
 - `joint`: full records of all runs and accelerometers, solved together

@@ -1,17 +1,24 @@
 """Conformity of a quantity, given its estimate and uncertainty (JCGM 106:2012).
 
 What is known of the quantity is a normal distribution about the estimate, or Student's t where the
-uncertainty has few degrees of freedom (JCGM 101:2008, 6.4.9). No knowledge of other items is used.
+uncertainty has few degrees of freedom (JCGM 101:2008, 6.4.9). Only global risks use other items.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Final
 
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import expanded_uncertainty, student_cdf
+from counterspin.inference.global_risk import Process, global_risk
 from counterspin.inference.verdicts import Conformity, RuleName, Verdict
+
+#: Widest guard band of a rule by probability at one limit, in standard uncertainties.
+_MAX_BAND: Final = 1e6
+
+_BISECTIONS: Final = 80
 
 
 @frozen
@@ -45,6 +52,8 @@ class Specification:
     low: float | None
     high: float | None
     unit: str  #: That of the coefficient.
+    #: Distribution of the coefficient between items of its process; None: not stated.
+    process: Process | None = None
 
 
 def conformance_probability(
@@ -109,14 +118,41 @@ def decide(
         elif not _between(value, *acceptance_limits(low, high, -guard_band)):
             verdict = "fail"
         reason = "the estimate is closer to a tolerance limit than the guard band"
+    accepted = _acceptance_interval(u, dof, specification, rule, guard_band)
     return replace(
         undecided(specification, rule, reason),
+        global_risk=None
+        if specification.process is None
+        else global_risk(specification.process, u, dof, (low, high), accepted),
         guard_band=guard_band,
         verdict=verdict,
         probability=inside,
         risk={"pass": outside, "fail": inside, "undecided": None}[verdict],
         reason=reason if verdict == "undecided" else None,
     )
+
+
+def _acceptance_interval(
+    u: float, dof: float | None, specification: Specification, rule: DecisionRule, guard_band: float
+) -> tuple[float | None, float | None]:
+    """Return the limits of the estimates that pass; the lower is above the upper if none does."""
+    low, high = specification.low, specification.high
+    if rule.name != "probability":
+        return acceptance_limits(low, high, guard_band)
+
+    def passes(band: float) -> bool:
+        value = high - band if high is not None else (low or 0.0) + band
+        return conformance_probability(value, u, dof, low, high) >= rule.needed
+
+    # With two limits, the probability grows from a limit to the middle between both.
+    reach = 0.5 * (high - low) if low is not None and high is not None else _MAX_BAND * u
+    if not passes(reach):
+        return math.inf, -math.inf
+    outside, inside = 0.0, reach
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (outside + inside)
+        outside, inside = (outside, middle) if passes(middle) else (middle, inside)
+    return acceptance_limits(low, high, inside)
 
 
 def undecided(specification: Specification, rule: DecisionRule, reason: str) -> Conformity:

@@ -12,6 +12,17 @@ Verdict = Literal["pass", "fail", "undecided"]
 
 
 @frozen
+class GlobalRisk:
+    """Risks of a decision rule for items of a process (JCGM 106, clause 9)."""
+
+    _: KW_ONLY
+    mean: float  #: Mean of the process, in the unit of the limits.
+    sigma: float  #: Standard deviation of the process.
+    consumer: float  #: Probability that an item is accepted and does not conform.
+    producer: float  #: Probability that an item conforms and is not accepted.
+
+
+@frozen
 class Conformity:
     """Verdict on a coefficient's specification, by a stated decision rule (JCGM 106)."""
 
@@ -32,3 +43,5 @@ class Conformity:
     #: producer's risk of a fail; None if it is undecided.
     risk: float | None
     reason: str | None = None  #: Why it is undecided; None if it is not.
+    #: Risks for items of the stated process; None if none is stated.
+    global_risk: GlobalRisk | None = None

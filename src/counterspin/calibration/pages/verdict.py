@@ -187,6 +187,17 @@ def conformity_blocks(result: Result) -> Iterator[Block]:
             yield Paragraph(f"{symbol} of {name} does not meet its specification.", "warning")
         elif verdict.reason is not None:
             yield Paragraph(f"{symbol} of {name} is undecided: {verdict.reason}.", "warning")
+    for name, symbol, verdict, _ in verdicts:
+        if (risk := verdict.global_risk) is not None:
+            unit, factor = field_unit(verdict.unit)
+            process = format_estimate(risk.mean * factor, risk.sigma * factor, unit)
+            yield Paragraph(
+                f"{symbol} of {name}, items of a process {process}: an item passes and does not "
+                f"conform with a probability of {format_probability(risk.consumer)} (consumer's "
+                "risk); it conforms and does not pass with a probability of "
+                f"{format_probability(risk.producer)} (producer's risk).",
+                "quiet",
+            )
     for rule in dict.fromkeys(rule_in_words(verdict) for _, _, verdict, _ in verdicts):
         yield Paragraph(rule, "quiet")
     bands = [
