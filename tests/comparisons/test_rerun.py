@@ -12,7 +12,7 @@ import counterspin as cs
 from counterspin.calibration.options import (
     TwoStageOptions,
     command_arguments,
-    exclusion_arguments,
+    further_arguments,
     parse_options,
 )
 from counterspin.cli import main
@@ -142,7 +142,7 @@ def test_what_was_in_memory_cannot_be_repeated(camp, capsys):
 
 def test_words_are_read_back():
     options = TwoStageOptions("as-printed", False, "ratio", False, True)
-    words = [*command_arguments("two-stage", options), *exclusion_arguments(["slow"])]
+    words = [*command_arguments("two-stage", options), *further_arguments(["slow"], 0)]
     assert parse_options(words) == ("two-stage", options, ("slow",))
     assert parse_options([]) == ("joint", TwoStageOptions(), ())
     with pytest.raises(CampaignError, match="--newer"):

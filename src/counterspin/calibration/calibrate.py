@@ -11,11 +11,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-from counterspin.calibration.options import Method, TwoStageOptions, exclusion_arguments
+from counterspin.calibration.options import MONTE_CARLO, Method, TwoStageOptions, further_arguments
 from counterspin.campaign.checksums import checksums_of
 from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, RecordError
 from counterspin.input import FileIdentity
+from counterspin.loading import load_name
 from counterspin.records.isolation import uses_reader_process
 from counterspin.records.memory import MemoryTable
 from counterspin.threads import one_blas_thread
@@ -34,6 +35,7 @@ def calibrate(
     options: TwoStageOptions | None = None,
     accept_misfit: str | None = None,
     without: Sequence[str] = (),
+    monte_carlo: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Result:
     """Calibrate every accelerometer of a campaign.
@@ -52,6 +54,8 @@ def calibrate(
         contradict it; it is kept in the result then.
     without
         Names of runs to leave out, beside those that the description leaves out.
+    monte_carlo
+        Trials of a Monte Carlo for coverage intervals (JCGM 101), 10^4 to 10^7; 0: none.
     progress
         Called with (runs read, runs in all).
 
@@ -71,6 +75,8 @@ def calibrate(
         If the records cannot determine the unknowns.
     """
     _check_method(method, options)
+    if monte_carlo:
+        load_name(f"{MONTE_CARLO}:check_trials")(monte_carlo, method)
     if accept_misfit is not None and not accept_misfit.strip():
         raise CampaignError("calibrate", ["accept_misfit: give the reason in words"])
     with checksums_of(where) as checksums, ThreadPoolExecutor(1) as loader:
@@ -97,9 +103,11 @@ def calibrate(
                 lambda: _collect_inputs(campaign, observed, file_identities, checksums),
                 accept_misfit,
             )
-        if not without:
+        if monte_carlo:
+            result = load_name(f"{MONTE_CARLO}:add_intervals")(result, campaign.model, monte_carlo)
+        if not without and not monte_carlo:
             return result
-        option_words = [*result.provenance.options, *exclusion_arguments(without)]
+        option_words = [*result.provenance.options, *further_arguments(without, monte_carlo)]
         provenance = result.provenance.model_copy(update={"options": option_words})
         return result.model_copy(update={"provenance": provenance})
 
@@ -167,13 +175,8 @@ def _check_method(method: str, options: TwoStageOptions | None) -> None:
         known = " or ".join(get_args(Method))
         raise CampaignError("calibrate", [f"method: {method!r} is not {known}"])
     if method == "joint" and options not in (None, TwoStageOptions()):
-        raise CampaignError(
-            "calibrate",
-            [
-                "model, sigma, bias, ripple and weights are options of the "
-                'two-stage method; with them give `method="two-stage"`'
-            ],
-        )
+        options_text = "model, sigma, bias, ripple and weights are options of the two-stage method"
+        raise CampaignError("calibrate", [f'{options_text}; with them give `method="two-stage"`'])
 
 
 def _observe_runs(

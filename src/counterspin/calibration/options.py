@@ -34,9 +34,14 @@ def acceptance_arguments(accepted_misfit: str | None) -> list[str]:
     return [] if accepted_misfit is None else [f"--accept-misfit={accepted_misfit}"]
 
 
-def exclusion_arguments(without: Sequence[str]) -> list[str]:
-    """Return the words by which a command line leaves runs out."""
-    return [f"--without={name}" for name in without]
+#: The module of intervals by Monte Carlo, loaded where they are asked for.
+MONTE_CARLO: Final = "counterspin.calibration.monte_carlo"
+
+
+def further_arguments(without: Sequence[str], monte_carlo: int) -> list[str]:
+    """Return the words by which a command line leaves runs out and draws inputs."""
+    trials = [f"--monte-carlo={monte_carlo}"] if monte_carlo else []
+    return [*(f"--without={name}" for name in without), *trials]
 
 
 def command_arguments(method: str, options: TwoStageOptions) -> list[str]:

@@ -34,6 +34,19 @@ if TYPE_CHECKING:
 State = Literal["good", "reservations", "not-determined", "contradicted"]
 
 
+class MonteCarloInterval(ResultPart):
+    """Coverage interval of a coefficient by Monte Carlo (JCGM 101), probability 95 %."""
+
+    trials: int  #: Number of trials.
+    u: float  #: Standard deviation of the trials.
+    low: float  #: Lower end of the shortest interval.
+    high: float  #: Upper end of the shortest interval.
+    tolerance: float  #: Half a unit of the second digit of the coefficient's u.
+    #: Whether both ends agree with those of `Coefficient.interval` within `tolerance` (JCGM 101,
+    #: 8.2); null if the trials are too few to tell.
+    gum_validated: bool | None = None
+
+
 class Coefficient(ResultPart):
     """One coefficient and where its uncertainty comes from."""
 
@@ -55,6 +68,8 @@ class Coefficient(ResultPart):
     dof: float | None = None
     unit: str  #: Unit of value and uncertainties: g-units, or SI for platform terms.
     estimated: bool  #: Whether the records determine it.
+    #: Interval by Monte Carlo; null unless it was requested.
+    monte_carlo: MonteCarloInterval | None = None
 
     _gravity: StatedGravity | None = PrivateAttr(default=None)
 

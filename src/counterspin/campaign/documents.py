@@ -76,12 +76,19 @@ def description_file(where: Path | str) -> Path:
     return given / DESCRIPTION_NAME if os.path.isdir(given) else given  # noqa: PTH112 -- any name
 
 
-def flatten_keys(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Undo TOML's nesting of keys with dots that are not quoted, ``platform.tilt = ...``."""
+def flatten_keys(
+    table: Mapping[str, Any],
+    prefix: str = "",
+    is_value: Callable[[object], bool] = lambda _: False,
+) -> dict[str, Any]:
+    """Undo TOML's nesting of keys with dots that are not quoted, ``platform.tilt = ...``.
+
+    is_value: Whether a table is a value and not a part of a key.
+    """
     flat: dict[str, Any] = {}
     for key, value in table.items():
-        if isinstance(value, Mapping):
-            flat |= flatten_keys(value, f"{prefix}{key}.")
+        if isinstance(value, Mapping) and not is_value(value):
+            flat |= flatten_keys(value, f"{prefix}{key}.", is_value)
         else:
             flat[prefix + key] = value
     return flat

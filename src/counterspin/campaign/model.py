@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import field
 from functools import cached_property
 from typing import Any, Final
 
 from counterspin.arrays import Array
+from counterspin.campaign.distribution import InputDistribution, is_prior_table, parse_prior
 from counterspin.campaign.documents import KeyPath, flatten_keys
 from counterspin.campaign.field_types import exact
-from counterspin.campaign.quantity import Quantity, parse
+from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.settings import CentrifugeSettings, ModelSettings
 from counterspin.campaign.terms import (
@@ -75,6 +77,8 @@ class ErrorModel:
     typical: Mapping[str, float]
     #: What is taken as perfect where nothing is stated: names, ``platform.*``, ``all``.
     assume: tuple[str, ...] = ()
+    #: Name of a term, with its accelerometer -> distribution of its prior, where it is not normal.
+    distributions: Mapping[str, InputDistribution] = field(default_factory=dict)
     setting: Quantity | None = None  #: Error of setting a position at rest, where one is stated.
     named: bool = False  #: Whether the description names the terms, and not the usual ones count.
 
@@ -197,7 +201,7 @@ def resolve_model(
             problems.add(("model", key), f'"{symbol}" is in model.terms too; keep one')
     if not any(symbol in TERMS for symbol in terms):
         problems.add(("model", "terms"), "contains no accelerometer term to estimate")
-    shared, accelerometer_priors = _resolve_priors(
+    shared, accelerometer_priors, distributions = _resolve_priors(
         settings.priors, stated_priors, setup, problems, gravity
     )
     setup_priors = setup.setup_priors((*terms, *considered))
@@ -223,7 +227,7 @@ def resolve_model(
             problems.add(("model", "assume", place), f'"{name}" is in model.{key} too; keep one')
     named = settings.terms is not None
     return ErrorModel(
-        terms, considered, shared, limits, typical, assume, setup.setting, named
+        terms, considered, shared, limits, typical, assume, distributions, setup.setting, named
     ), accelerometer_priors
 
 
@@ -326,11 +330,15 @@ def _resolve_priors(
     setup: MeasurementSetup,
     problems: Problems,
     gravity: float | None,
-) -> tuple[dict[str, Quantity], dict[str, dict[str, Quantity]]]:
-    """Return priors that all share, and each accelerometer's; a narrower name overrides a wider."""
+) -> tuple[dict[str, Quantity], dict[str, dict[str, Quantity]], dict[str, InputDistribution]]:
+    """Return priors that all share, and each accelerometer's; a narrower name overrides a wider.
+
+    And by the name of a term, with its accelerometer, the distributions that are not normal.
+    """
     shared: dict[str, Quantity] = {}
+    distributions: dict[str, InputDistribution] = {}
     merged = {name: dict(priors) for name, priors in stated_priors.items()}
-    flat = flatten_keys(raw)
+    flat = flatten_keys(raw, is_value=is_prior_table)
     for key in _widest_first(flat):
         path = ("model", "priors", key)
         owner, _, symbol_part = key.partition(".")
@@ -352,9 +360,14 @@ def _resolve_priors(
             continue
         if not symbols:
             continue
-        prior = problems.collect(path, parse, flat[key], term(symbols[0]).unit, gravity=gravity)
-        if prior is None:
+        unit = term(symbols[0]).unit
+        stated = problems.collect(path, parse_prior, flat[key], unit, gravity=gravity)
+        if stated is None:
             continue
+        prior, distribution = stated
+        if distribution.shape != "normal":
+            names = [f"{name}.{symbol_part}" for name in owners] or symbols
+            distributions |= dict.fromkeys(names, distribution)
         grades = (setup.grades.get(name, DEFAULT_GRADE) for name in owners)
         widest_grade = max(grades, key=GRADES.index, default=DEFAULT_GRADE)
         problems.collect(path, check_near_nominal, symbols[0], prior, widest_grade)
@@ -367,7 +380,7 @@ def _resolve_priors(
                     f"a prior of {symbol_part} is given in accelerometers.{name} too; keep one",
                 )
             merged[name][symbol_part] = prior
-    return shared, merged
+    return shared, merged, distributions
 
 
 def as_deviation(symbol: str, prior: Quantity, centrifuge: CentrifugeSettings | None) -> Quantity:

@@ -324,7 +324,8 @@ class ModelSettings(SettingsSection):
         "former name of `hold`", ["K_PP"], [], absent="none", kind="list of terms"
     )
     priors: dict[str, Any] = key_field(
-        "priors by term, for requested and other terms",
+        "priors by term, for requested and other terms; a table states [a "
+        "distribution](methods.md#distributions-and-monte-carlo)",
         {"platform.tilt": "0 ± 0.5 arcsec", "Qx.K_PP": "0 ± 2e-6 g/g^2"},
         {},
         absent="none",

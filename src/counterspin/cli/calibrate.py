@@ -45,6 +45,9 @@ class Estimation:
     without
         Exclude the run with this name; may be repeated. With several campaigns, the run must
         exist in every one.
+    monte_carlo
+        Number of trials of a Monte Carlo (JCGM 101) for the coverage intervals, at least 10000.
+        The result says whether they validate those of the GUM. One campaign only.
     """
 
     method: Literal["joint", "two-stage"] = "joint"
@@ -54,6 +57,7 @@ class Estimation:
     fit_bias: OnOff = True
     sigma: Literal["given", "residuals"] = "given"
     without: Annotated[tuple[str, ...], Parameter(consume_multiple=False)] = ()
+    monte_carlo: int = 0
 
 
 @option_group
@@ -174,6 +178,8 @@ def calibrate(
         from_residuals=estimation.sigma == "residuals",
     )
     ledger_options.check(1 + len(more), save_options.json)
+    if more and estimation.monte_carlo:
+        raise CampaignError("calibrate", ["--monte-carlo takes one campaign only"])
     if more:
         calibrate_several(
             (directory, *more),
@@ -192,6 +198,7 @@ def calibrate(
             options=options,
             accept_misfit=ledger_options.accept_misfit,
             without=estimation.without,
+            monte_carlo=estimation.monte_carlo,
             progress=advance,
         )
     # Loaded last, so that reading begins as early as can be.

@@ -298,20 +298,13 @@ def _wave_orders(orders: tuple[int, ...], words: str) -> Iterator[tuple[int, str
 
 def _setup_rows() -> Iterator[Term[SetupError]]:
     radius = "a fixture's drawing; measured, 1e-7 to 4e-6 of the radius"
+    proof_mass = "centrifuge.radius.ACCELEROMETER.MOUNTING"
     head = f"{_NO_SOURCE}: 5 arcsec"
     rate = f"{_NO_SOURCE}: the mean rate of a precision centrifuge"
     iso = "ISO 16063-21: 1 % at k = 2 of a transducer calibrated by comparison"
     for symbol, words, unit, limit, typical, source, motions in (
         ("centrifuge.radius.MOUNTING", "radius of a mounting", "m", 0.1, 1e-3, radius, ("arm",)),
-        (
-            "centrifuge.radius.ACCELEROMETER.MOUNTING",
-            "radius of the proof mass",
-            "m",
-            0.1,
-            1e-3,
-            radius,
-            ("arm",),
-        ),
+        (proof_mass, "radius of the proof mass", "m", 0.1, 1e-3, radius, ("arm",)),
         ("centrifuge.rate", "random error of a rate", "1", 1e-2, 1e-7, rate, ()),
         ("centrifuge.droop", "droop of the arm", "rad s^2", 1e-3, 1e-8, _NO_SOURCE, ("arm",)),
         *(

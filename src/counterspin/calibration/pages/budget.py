@@ -14,6 +14,7 @@ from counterspin.physics.terms import description_of
 from counterspin.reports.blocks import Block, Column, Heading, Table
 from counterspin.reports.numbers import (
     field_unit,
+    format_interval,
     format_number,
     format_share,
     format_uncertainty,
@@ -31,6 +32,41 @@ def budget_blocks(name: str, result: Result) -> Iterator[Block]:
     for symbol in sorted(budgets, key=lambda symbol: symbol != "K_II"):
         yield Heading(f"Uncertainty budget of {symbol}, {name}", 3)
         yield budget_table(name, symbol, result, *split_small_lines(budgets[symbol]))
+
+
+def interval_blocks(name: str, result: Result) -> Iterator[Block]:
+    """Yield the coverage intervals of an accelerometer by the GUM and by Monte Carlo, if drawn."""
+    words = {True: "validated", False: "not validated", None: "trials too few"}
+    rows = []
+    for symbol, coefficient in result.accelerometers[name].coefficients.items():
+        drawn = coefficient.monte_carlo
+        if drawn is None or coefficient.value is None or coefficient.u is None:
+            continue
+        unit, factor = field_unit(coefficient.unit)
+        u = coefficient.u * factor
+        intervals = (coefficient.interval(), (drawn.low, drawn.high))
+        gum, shortest = (
+            format_interval(0.5 * (low + high) * factor, u, 0.5 * (high - low) * factor)
+            for low, high in intervals
+        )
+        rows.append((symbol, gum, shortest, unit, words[drawn.gum_validated]))
+    if rows:
+        trials = max(
+            c.monte_carlo.trials
+            for c in result.accelerometers[name].coefficients.values()
+            if c.monte_carlo
+        )
+        yield Heading(f"95 % coverage intervals of {name}, {trials} trials (JCGM 101)", 3)
+        yield Table(
+            columns=(
+                Column("Coefficient"),
+                Column("GUM", "right"),
+                Column("Monte Carlo, shortest", "right"),
+                Column("Unit"),
+                Column("GUM interval"),
+            ),
+            rows=tuple(rows),
+        )
 
 
 def budget_table(

@@ -16,7 +16,7 @@ from counterspin.calibration.pages.accelerometer import (
     note_blocks,
     to_field_units,
 )
-from counterspin.calibration.pages.budget import budget_blocks
+from counterspin.calibration.pages.budget import budget_blocks, interval_blocks
 from counterspin.calibration.pages.card import accelerometer_card
 from counterspin.calibration.pages.methods import model_blocks, origin_blocks
 from counterspin.calibration.pages.pictures import (
@@ -95,6 +95,7 @@ def sections(result: Result, *, budget: bool = False, details: bool = False) -> 
     ]
     for name, accelerometer in result.accelerometers.items():
         blocks += accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=details)
+        blocks += interval_blocks(name, result)
         if budget:
             blocks += budget_blocks(name, result)
     blocks += triad_blocks(result, details=details)
@@ -369,6 +370,7 @@ def _coefficients(result: Result) -> Iterator[Block]:
 
 def _budgets(result: Result) -> Iterator[Block]:
     for name, accelerometer in result.accelerometers.items():
+        yield from interval_blocks(name, result)
         yield from budget_blocks(name, result)
         yield from _drawable(budget_bars(name, accelerometer))
     yield from prior_blocks(result)

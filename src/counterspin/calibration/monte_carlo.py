@@ -1,0 +1,186 @@
+"""Coverage intervals by Monte Carlo (JCGM 101), beside those of the GUM.
+
+The fit is linear in its inputs at the estimate. Each trial adds to a coefficient the errors of all
+lines of its budget, each drawn from its distribution: noise whose size is estimated from Student's
+t, priors from the distributions that the description states, all others from the normal one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.calibration.result_parts import Coefficient, MonteCarloInterval
+from counterspin.campaign.distribution import InputDistribution
+from counterspin.errors import CampaignError
+from counterspin.inference.joint.summary import BudgetLine
+
+if TYPE_CHECKING:
+    from counterspin.calibration.result import Result
+    from counterspin.campaign.model import ErrorModel
+
+#: Fewest and most trials: JCGM 101, 7.2 wants 10^4 times 1 / (1 - p) as a rule of thumb.
+MIN_TRIALS: Final = 10_000
+MAX_TRIALS: Final = 10_000_000
+
+_COVERAGE: Final = 0.95
+_SEED: Final = 101
+
+#: Parts of the trials that are compared with each other (JCGM 101, 7.9).
+_BATCHES: Final = 10
+
+#: Intervals whose lengths are within this ratio count as equally short.
+_SAME_LENGTH: Final = 1.01
+
+#: Significant digits of u to which the GUM interval is validated (JCGM 101, 8.1).
+_DIGITS: Final = 2
+
+
+def check_trials(trials: int, method: str) -> None:
+    """Refuse a number of trials that is too small for an interval, or too large for the memory."""
+    if method != "joint":
+        raise CampaignError("calibrate", ["monte_carlo: belongs to the joint method"])
+    if not MIN_TRIALS <= trials <= MAX_TRIALS:
+        raise CampaignError(
+            "calibrate", [f"monte_carlo: give {MIN_TRIALS} to {MAX_TRIALS} trials, not {trials}"]
+        )
+
+
+def add_intervals(result: Result, model: ErrorModel, trials: int) -> Result:
+    """Return a result whose estimated coefficients have their interval by Monte Carlo.
+
+    Parameters
+    ----------
+    result
+        Of the joint method.
+    model
+        The distributions of its priors.
+    trials
+        Number of trials.
+    """
+    accelerometers = {}
+    for place, (name, accelerometer) in enumerate(result.accelerometers.items()):
+        coefficients = dict(accelerometer.coefficients)
+        for number, (symbol, coefficient) in enumerate(coefficients.items()):
+            lines = accelerometer.budget.get(symbol)
+            if lines and coefficient.estimated and coefficient.u:
+                generator = np.random.default_rng((_SEED, place, number))
+                errors = draw_errors(
+                    lines, coefficient, _of_owner(model.distributions, name), trials, generator
+                )
+                interval = interval_of(errors, coefficient)
+                coefficients[symbol] = coefficient.model_copy(update={"monte_carlo": interval})
+        accelerometers[name] = accelerometer.model_copy(update={"coefficients": coefficients})
+    return result.model_copy(update={"accelerometers": accelerometers})
+
+
+def _of_owner(
+    distributions: Mapping[str, InputDistribution], owner: str
+) -> dict[str, InputDistribution]:
+    """Return distributions by source, as the budget of an accelerometer names them."""
+    prefix = f"{owner}."
+    return {name.removeprefix(prefix): shape for name, shape in distributions.items()}
+
+
+def draw_errors(
+    lines: list[BudgetLine],
+    coefficient: Coefficient,
+    distributions: Mapping[str, InputDistribution],
+    trials: int,
+    generator: np.random.Generator,
+) -> Array:
+    """Return the error of a coefficient in each trial, in its unit, shape (trials,).
+
+    Lines with a normal distribution are drawn together.
+    """
+    errors = np.zeros(trials)
+    normal_variance = 0.0
+    noise_variance = sum(line.contribution**2 for line in lines if line.kind == "noise")
+    noise_dof = _noise_dof(coefficient, noise_variance)
+    for line in lines:
+        distribution = distributions.get(line.source)
+        if line.kind in ("stated", "held") and distribution is not None:
+            errors += line.contribution * _standard_draws(distribution, trials, generator)
+        elif line.kind != "noise" or math.isinf(noise_dof):
+            normal_variance += line.contribution**2
+    if not math.isinf(noise_dof):
+        errors += math.sqrt(noise_variance) * generator.standard_t(noise_dof, trials)
+    errors += math.sqrt(normal_variance) * generator.standard_normal(trials)
+    return errors
+
+
+def _noise_dof(coefficient: Coefficient, noise_variance: float) -> float:
+    """Return the degrees of freedom of the noise, of which those of u come (GUM G.4)."""
+    if coefficient.dof is None or coefficient.u is None or noise_variance <= 0.0:
+        return math.inf
+    return coefficient.dof * (noise_variance / coefficient.u**2) ** 2
+
+
+def _standard_draws(
+    distribution: InputDistribution, trials: int, generator: np.random.Generator
+) -> Array:
+    """Return draws about zero whose standard uncertainty is one (t: whose scale is one)."""
+    if distribution.shape == "t":
+        return np.asarray(generator.standard_t(distribution.dof, trials))
+    if distribution.shape == "rectangular":
+        return generator.uniform(-math.sqrt(3.0), math.sqrt(3.0), trials)
+    if distribution.shape == "triangular":
+        half_width = math.sqrt(6.0)
+        return generator.triangular(-half_width, 0.0, half_width, trials)
+    if distribution.shape == "arcsine":
+        return math.sqrt(2.0) * np.sin(generator.uniform(-0.5 * math.pi, 0.5 * math.pi, trials))
+    return generator.standard_normal(trials)
+
+
+def interval_of(errors: Array, coefficient: Coefficient) -> MonteCarloInterval:
+    """Return the shortest coverage interval of drawn errors, and whether it validates the GUM's.
+
+    The symmetric interval is compared with the GUM's: its ends scatter less than the shortest's.
+
+    errors: About the estimate, in the coefficient's unit, shape (trials,).
+    References: JCGM 101, 7.7 (intervals), 7.9 (scatter of their ends), 8 (validation).
+    """
+    assert coefficient.value is not None
+    assert coefficient.u is not None
+    low, high = shortest_interval(errors)
+    tails = (0.5 * (1.0 - _COVERAGE), 0.5 * (1.0 + _COVERAGE))
+    batches = [np.quantile(batch, tails) for batch in np.array_split(errors, _BATCHES)]
+    scatter = 2.0 * np.std(batches, axis=0, ddof=1) / math.sqrt(_BATCHES)
+    # u as a number of two digits times a power of ten; half a unit of the last digit.
+    exponent = math.floor(math.log10(coefficient.u)) - (_DIGITS - 1)
+    tolerance = 0.5 * 10.0**exponent
+    gum = np.array(coefficient.interval(_COVERAGE)) - coefficient.value
+    difference = np.abs(np.quantile(errors, tails) - gum)
+    validated: bool | None = None
+    if (difference + scatter <= tolerance).all():
+        validated = True
+    elif (difference - scatter > tolerance).any():
+        validated = False
+    return MonteCarloInterval(
+        trials=errors.size,
+        u=float(errors.std(ddof=1)),
+        low=coefficient.value + low,
+        high=coefficient.value + high,
+        tolerance=tolerance,
+        gum_validated=validated,
+    )
+
+
+def shortest_interval(errors: Array) -> tuple[float, float]:
+    """Return the ends of the shortest interval that covers 95 % of draws (JCGM 101, 7.7.2).
+
+    Where the symmetric interval is longer by less than 1 %, it is returned: the place of the
+    shortest is then a matter of chance, and of a rectangular distribution it is not unique.
+    """
+    ordered = np.sort(errors)
+    covered = math.ceil(_COVERAGE * errors.size)
+    lengths = ordered[covered:] - ordered[: errors.size - covered]
+    start = int(np.argmin(lengths))
+    symmetric = (errors.size - covered) // 2
+    if lengths[symmetric] < _SAME_LENGTH * lengths[start]:
+        start = symmetric
+    return float(ordered[start]), float(ordered[start + covered])

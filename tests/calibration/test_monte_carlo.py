@@ -1,0 +1,169 @@
+"""Coverage intervals by Monte Carlo against closed forms, and priors with a distribution."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import counterspin as cs
+from counterspin.calibration.monte_carlo import draw_errors, interval_of, shortest_interval
+from counterspin.calibration.result_parts import Coefficient
+from counterspin.campaign.distribution import InputDistribution, parse_prior
+from counterspin.errors import CampaignError
+from counterspin.inference.joint.summary import BudgetLine
+
+TRIALS = 200_000
+#: Standard deviation of a 2.5 % quantile of so many draws of a normal distribution, over its own.
+QUANTILE_SD = math.sqrt(0.025 * 0.975 / TRIALS) / stats.norm.pdf(1.96)
+
+
+def line(source, contribution, kind="stated"):
+    return BudgetLine(source, kind, contribution, "g", 1.0, contribution, 0.5)
+
+
+def coefficient(u, dof=None):
+    return Coefficient(value=3.0, u=u, dof=dof, unit="g", estimated=True)
+
+
+def drawn(lines, shapes=None, dof=None, trials=TRIALS):
+    u = math.sqrt(sum(item.contribution**2 for item in lines))
+    of = coefficient(u, dof)
+    errors = draw_errors(lines, of, shapes or {}, trials, np.random.default_rng(1))
+    return errors, interval_of(errors, of)
+
+
+@pytest.mark.parametrize(
+    ("shape", "half_width"),
+    [
+        ("rectangular", 0.95 * math.sqrt(3.0)),
+        ("triangular", math.sqrt(6.0) * (1.0 - math.sqrt(0.05))),
+        ("arcsine", math.sqrt(2.0) * math.sin(0.475 * math.pi)),
+    ],
+)
+def test_a_dominating_input_with_limits_has_their_interval(shape, half_width):
+    """By its distribution function; the GUM interval is 1.96 u and is not validated."""
+    errors, interval = drawn([line("K_PP", 1.0)], {"K_PP": InputDistribution(shape)})
+    assert errors.std() == pytest.approx(1.0, abs=0.01)
+    assert [interval.low, interval.high] == pytest.approx(
+        [3.0 - half_width, 3.0 + half_width], abs=0.02
+    )
+    assert interval.gum_validated is (abs(half_width - 1.96) < interval.tolerance)
+
+
+def test_the_interval_of_a_rectangular_input_covers_95_percent():
+    """200,000 true errors from the same limits; the GUM's 1.96 u = 1.13 a covers all of them."""
+    _, interval = drawn([line("K_PP", 1.0)], {"K_PP": InputDistribution("rectangular")})
+    truths = np.random.default_rng(2).uniform(-math.sqrt(3.0), math.sqrt(3.0), TRIALS)
+    covered = np.mean((interval.low - 3.0 <= truths) & (truths <= interval.high - 3.0))
+    assert covered == pytest.approx(0.95, abs=5.0 * math.sqrt(0.05 * 0.95 / TRIALS) * math.sqrt(2))
+    assert np.abs(truths).max() < 1.96
+
+
+def test_normal_inputs_validate_the_gum():
+    _, interval = drawn([line("a", 0.6), line("noise of A", 0.8, "noise")])
+    half_width = stats.norm.ppf(0.975)
+    assert interval.u == pytest.approx(1.0, abs=4.0 / math.sqrt(2 * TRIALS))
+    assert interval.high - interval.low == pytest.approx(2.0 * half_width, abs=20 * QUANTILE_SD)
+    assert interval.gum_validated is True
+
+
+def test_an_estimated_noise_is_drawn_from_student_s_t():
+    errors, interval = drawn([line("noise of A", 1.0, "noise")], dof=5.0)
+    assert stats.kstest(errors, stats.t(5.0).cdf).pvalue > 1e-3
+    assert interval.gum_validated is not False  # the GUM's interval is that of Student's t
+
+
+def test_a_stated_t_has_its_tails():
+    errors, interval = drawn([line("K_PP", 1.0)], {"K_PP": InputDistribution("t", 4.0)})
+    assert stats.kstest(errors, stats.t(4.0).cdf).pvalue > 1e-3
+    assert interval.gum_validated is False
+
+
+def test_the_shortest_interval_of_a_skewed_sample_starts_at_its_edge():
+    """Of an exponential distribution it begins at zero and ends at ln 20 = 2.996."""
+    low, high = shortest_interval(np.random.default_rng(4).exponential(size=TRIALS))
+    assert low == pytest.approx(0.0, abs=5e-3)
+    assert high == pytest.approx(math.log(20.0), abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("table", "u", "shape"),
+    [
+        ("0 ± 2 ug/g^2", 2e-6, "normal"),
+        ({"value": "0 ug/g^2", "u": "2 ug/g^2"}, 2e-6, "normal"),
+        ({"value": "0 ug/g^2", "u": "2 ug/g^2", "dof": 4}, 2e-6, "t"),
+        ({"value": "0 ug/g^2", "U": "4 ug/g^2", "k": 2}, 2e-6, "normal"),
+        (
+            {"value": "0 ug/g^2", "half_width": "3 ug/g^2", "distribution": "rectangular"},
+            3e-6 / math.sqrt(3.0),
+            "rectangular",
+        ),
+        (
+            {"value": "0 ug/g^2", "half_width": "3 ug/g^2", "distribution": "arcsine"},
+            3e-6 / math.sqrt(2.0),
+            "arcsine",
+        ),
+    ],
+)
+def test_every_form_of_a_prior_has_its_u(table, u, shape):
+    prior, distribution = parse_prior(table, "g/g^2", gravity=None)
+    assert prior.u == pytest.approx(u, rel=1e-12)
+    assert distribution.shape == shape
+
+
+CAMPAIGN = """schema = 1
+site = {{ gravity = "9.8 m/s^2", latitude = "45 deg" }}
+[accelerometers.A]
+input_axis = "up"
+pendulous_axis = "west"
+[model]
+terms = ["K_F", "K_I", "K_II", "delta_O"]
+assume = "all"
+[model.priors]
+{prior}
+"""
+RUNS = "".join(
+    f'[[runs]]\nname = "p{angle}"\nmotion = "static"\nattitude = "{angle} deg about north"\n'
+    f'reading = "{math.cos(math.radians(angle)) + 1e-6 * (-1) ** angle:.7f} ± 1e-6 g"\n'
+    for angle in range(0, 360, 45)
+)
+LIMITS = '{ value = "0 g/g^2", half_width = "2e-5 g/g^2", distribution = "rectangular" }'
+
+
+@pytest.mark.parametrize("key", ["K_PP", "A.K_PP", '"A.K_PP"'])
+def test_a_calibration_draws_its_priors(tmp_path, capsys, key):
+    text = CAMPAIGN.format(prior=f"{key} = {LIMITS}") + RUNS
+    (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
+    result = cs.calibrate(tmp_path, monte_carlo=100_000)
+    k_ii = result.accelerometers["A"].coefficients["K_II"]
+    assert k_ii.monte_carlo.high - k_ii.monte_carlo.low == pytest.approx(2 * 0.95 * 2e-5, rel=0.03)
+    assert k_ii.monte_carlo.gum_validated is False
+    assert result.provenance.options[-1] == "--monte-carlo=100000"
+    result.write(tmp_path / "r.json")
+    kept = json.loads((tmp_path / "r.json").read_text("utf-8"))["accelerometers"]["A"]
+    assert kept["coefficients"]["K_II"]["monte_carlo"]["trials"] == 100_000
+
+
+@pytest.mark.parametrize(
+    ("prior", "message"),
+    [
+        ('K_PP = { value = "0 g/g^2" }', "give value with u"),
+        ('K_PP = { value = "0 g/g^2", u = "1e-6 g/g^2", k = 2 }', "give value with u"),
+        (f"K_PP = {LIMITS.replace('rectangular', 'square')}", "'square' is none of rectangular"),
+        (f"K_PP = {LIMITS.replace('2e-5', '0')}", "half_width must be greater than zero"),
+        ('K_PP = { value = "0 g/g^2", u = "1e-6 g/g^2", dof = "4" }', "dof must be a number"),
+    ],
+)
+def test_a_wrong_table_is_named(tmp_path, prior, message):
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN.format(prior=prior) + RUNS, encoding="utf-8")
+    with pytest.raises(CampaignError, match=message) as caught:
+        cs.calibrate(tmp_path)
+    assert "model.priors" in str(caught.value)
+
+
+@pytest.mark.parametrize("trials", [1, 9_999, 10_000_001])
+def test_numbers_of_trials_that_make_no_sense(tmp_path, trials):
+    with pytest.raises(CampaignError, match="10000 to 10000000 trials"):
+        cs.calibrate(tmp_path, monte_carlo=trials)
