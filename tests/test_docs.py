@@ -10,6 +10,7 @@ Each page is read from the top in an empty folder with records of the paper's pl
 - ``console``: the same after ``$ ``, and what follows must be what is printed; a line ``...``
   stands for any lines.
 - ``python``: executed, one namespace a page.
+- ``matlab``: see `test_docs_matlab`.
 """
 
 import re
@@ -156,7 +157,7 @@ def use(block, namespace, capsys):
         case "json":
             cs.Result.model_validate_json(text)
         case other:
-            assert other == "text", f"no rule for a block of {other}"
+            assert other in {"text", "matlab"}, f"no rule for a block of {other}"
 
 
 @every_page
