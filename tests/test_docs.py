@@ -222,3 +222,13 @@ def test_headings_are_not_skipped():
         assert levels[0] == 1
         assert levels.count(1) == 1
         assert all(after <= before + 1 for before, after in pairwise(levels)), page
+
+
+def test_page_on_standards_names_commands_that_exist():
+    page = (ROOT / "docs" / "standards.md").read_text(encoding="utf-8")
+    tables = page.partition("## Other standards")[0]
+    rows = [line.split(" | ") for line in tables.splitlines() if line.count(" | ") == 3]
+    assert len(rows) > 30
+    named = {name for row in rows[1:] for name in re.findall(r"`(\w+)`", row[2])}
+    assert named <= set(cli.app)
+    assert {"applied", "calibrate", "plan"} <= named
