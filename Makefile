@@ -44,7 +44,9 @@ TSC := $(VENV)/typescript/node_modules/typescript/bin/tsc
 PLATFORMS := linux darwin win32
 mypy = $(BIN)/python -m mypy --cache-dir .mypy_cache/$(1) --platform $(1)
 
-.PHONY: help setup demo test quick slow lint format bench fuzz docs docs-tests pictures violations \
+CHECKS := check-style $(PLATFORMS:%=types-%) types-benchmarks check-imports check-scripts
+
+.PHONY: check-style check-imports check-scripts ci doctests help setup demo test quick slow lint format bench fuzz docs docs-tests pictures violations \
   coverage alarms coverage-of-tests mutants wheelhouse lock clean
 
 help: ## Show this list
@@ -65,11 +67,22 @@ quick: $(READY) ## The short tests, for working: a minute at most
 slow: $(READY) ## Time all tests, one by one, and list in tests/slow.txt what quick leaves out
 	$(BIN)/python -m pytest --write-slow
 
+# The build of the site and the checks fill two cores together, and all tests are collected once.
+ci: $(READY) $(TYPESCRIPT) $(DOCS) ## All of test and docs-tests, in less time
+	$(MAKE) --no-print-directory -j 2 doctests $(COMPILED) $(CHECKS)
+	COUNTERSPIN_SITE=build/site $(BIN)/python -m pytest $(PARALLEL)
+
 lint: $(READY) $(TYPESCRIPT) ## Lint, format, types and import rules only
+	$(MAKE) --no-print-directory -j 2 $(PREPARED) $(CHECKS)
+
+check-style: $(READY)
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
-	$(MAKE) --no-print-directory -j 2 $(PREPARED) $(PLATFORMS:%=types-%) types-benchmarks
+
+check-imports: $(READY)
 	$(BIN)/lint-imports --no-logo
+
+check-scripts:
 	@if [ -e $(TYPESCRIPT) ]; then node $(TSC) -p jsconfig.json; fi
 
 # With the package's types from the cache.
@@ -94,8 +107,10 @@ docs: $(READY) $(DOCS) ## Build the documentation's site in build/site
 	@$(BIN)/sphinx-build $(SPHINX) -q -b html -j 8 docs build/site
 	@echo "Open build/site/index.html."
 
-docs-tests: docs ## Build the site; test the documentation, and all pages in a browser
+doctests: docs
 	$(BIN)/sphinx-build $(SPHINX) -b doctest -q docs build/doctest
+
+docs-tests: doctests ## Build the site; test the documentation, and all pages in a browser
 	COUNTERSPIN_SITE=build/site $(BIN)/python -m pytest $(PARALLEL) $(PAGE_TESTS)
 
 violations: $(READY) ## Make the tables of what violations of the model do again

@@ -633,6 +633,13 @@ def test_every_test_is_run_by_make_test_or_by_make_docs_tests():
     files = {f"tests/{path.as_posix()}": ROOT / "tests" / path for path in TESTS}
     assert ignored == {word for word in pages if word in files}
     assert not [word for word in fast if word in files]
+    shown = subprocess.run(
+        [make, "--dry-run", "ci"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    (everything,) = (line for line in shown.stdout.splitlines() if " -m pytest -n " in line)
+    assert everything.split()[0] == "COUNTERSPIN_SITE=build/site"
+    assert "--ignore" not in everything
+    assert "tests/" not in everything
     browser = {name for name, path in files.items() if "needs_chromium" in path.read_text("utf-8")}
     assert browser - {"tests/test_house.py"} <= ignored
 
