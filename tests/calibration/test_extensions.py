@@ -31,7 +31,7 @@ EXTRAS = {
     ),
     "conformity": (
         ("calibration/conformity.py", "campaign/specification.py", "inference/conformity.py"),
-        {"application", "certificates", "schemas", "validation"},
+        {"acceleration_standard", "application", "certificates", "schemas", "validation"},
     ),
     "notebook": (("calibration/result_conversion.py",), set()),
     "formats": (
@@ -54,22 +54,30 @@ CONTRADICTED = {
     "noise": ('[noise]\ndisplacement = "0.01 m"', '[noise]\ndisplacement = "0.001 m"'),
 }
 
-#: Prints the packages that import what is not there, and the results of campaigns.
+#: Prints, for each line with folders, the packages that import what is not there, and the results
+#: of campaigns. It imports counterspin again each time, and what counterspin is built on once.
 PROGRAM = """
 import importlib, json, pkgutil, sys
-import counterspin
-from counterspin.calibration.calibrate import calibrate
 
-lost = set()
-for module in pkgutil.walk_packages(counterspin.__path__, "counterspin.", lost.add):
-    if not module.name.endswith("__main__"):
-        try:
-            importlib.import_module(module.name)
-        except ModuleNotFoundError as error:
-            assert error.name.startswith("counterspin."), error
-            lost.add(module.name)
-results = [json.loads(calibrate(folder).to_json()) for folder in sys.argv[1:]]
-print(json.dumps([sorted(lost), results]))
+def run(folders):
+    for name in [name for name in sys.modules if name.partition(".")[0] == "counterspin"]:
+        del sys.modules[name]
+    importlib.invalidate_caches()
+    import counterspin
+    from counterspin.calibration.calibrate import calibrate
+
+    lost = set()
+    for module in pkgutil.walk_packages(counterspin.__path__, "counterspin.", lost.add):
+        if not module.name.endswith("__main__"):
+            try:
+                importlib.import_module(module.name)
+            except ModuleNotFoundError as error:
+                assert error.name.startswith("counterspin."), error
+                lost.add(module.name)
+    return sorted(lost), [json.loads(calibrate(folder).to_json()) for folder in folders]
+
+for line in sys.stdin:
+    print(json.dumps(run(json.loads(line))), flush=True)
 """
 
 
@@ -90,7 +98,7 @@ def folders(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory, folders):
-    """Return a function that runs the program with a copy of the package."""
+    """Yield a function that runs the program with a copy of the package."""
     root = tmp_path_factory.mktemp("package")
     # With bytecode, which the processes would compile again.
     shutil.copytree(PACKAGE, root / "counterspin")
@@ -108,18 +116,23 @@ def run(tmp_path_factory, folders):
                 (removed / name.replace("/", "-")).rename(package / name)
             removed.rmdir()
 
-    def run_without(modules=()):
-        with without(modules):
-            finished = subprocess.run(
-                [sys.executable, "-c", PROGRAM, *map(str, folders)],
-                env={**os.environ, "PYTHONPATH": str(root)},
-                stdout=subprocess.PIPE,
-                check=True,
-            )
-        lost, results = json.loads(finished.stdout)
-        return lost, results
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM],
+        env={**os.environ, "PYTHONPATH": str(root)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+    ) as process:
 
-    return run_without
+        def run_without(modules=()):
+            with without(modules):
+                print(json.dumps([str(folder) for folder in folders]), file=process.stdin)
+                process.stdin.flush()
+                lost, results = json.loads(process.stdout.readline())
+            return lost, results
+
+        yield run_without
 
 
 @pytest.fixture(scope="module")
