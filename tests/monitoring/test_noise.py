@@ -166,6 +166,15 @@ def test_a_filter_is_told():
     assert any("times the power" in remark for remark in signal.remarks)
 
 
+def test_unreadable_time_cell_is_located(tmp_path):
+    rows = [f"17,{n * 10_000_000},{n % 7}" for n in range(99)]
+    rows[40] = "17,late,5"
+    (tmp_path / "a.csv").write_text("\n".join(["sec,nanosec,a_m", *rows, ""]))
+    message = r"no column is a time.*a\.csv, line 42: column 'nanosec' holds the text 'late'"
+    with pytest.raises(RecordError, match=message):
+        cs.noise(tmp_path / "a.csv")
+
+
 @pytest.mark.parametrize(
     ("frame", "words", "message"),
     [

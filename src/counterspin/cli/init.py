@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -13,7 +14,7 @@ from counterspin.errors import CampaignError, CounterspinError
 from counterspin.ingest.starter import Test
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from counterspin.ingest.contents import FileContents
     from counterspin.ingest.questions import FileQuestion
@@ -114,11 +115,23 @@ def _import_files(
             detected_test = drafted(all_contents, answers, test)
         extra = [statement for statement in detected_test.statements if statement not in previous]
         print_output(*(f"  {statement}" for statement in extra))
-    written = write_description(detected_test, directory)
+    try:
+        written = write_description(detected_test, directory)
+    except CampaignError as error:
+        questions = {f"{question.key}: ": question for question in detected_test.open_questions}
+        raise CampaignError("init", map(partial(_name_option, questions), error.problems)) from None
     print_output(
         f"Wrote {written}. Check it, then:",
         f"  counterspin calibrate {shell_word(directory)}",
     )
+
+
+def _name_option(questions: Mapping[str, FileQuestion], problem: str) -> str:
+    """Return a problem with the option that answers its question."""
+    question = next((q for start, q in questions.items() if problem.startswith(start)), None)
+    if question is None:
+        return problem
+    return f'{problem} Answer with `answer`, such as "{question.key}={question.example}".'
 
 
 def _choose_test(all_contents: Sequence[FileContents], *, asks: bool) -> Test:

@@ -124,7 +124,7 @@ def _unfit(contents: FileContents) -> str:
         return (
             f"{contents.path.name} has {rows} rows of numbers in {len(contents.columns)} columns, "
             "too few for a record of a run. Export a row for each sample and a column for each "
-            "quantity; of a table of readings say which test it is of (`test`)"
+            "quantity; for a table of readings, choose that kind of test"
         )
     for name, cells in contents.first_words.items():
         kinds = len(set(cells))

@@ -167,7 +167,7 @@ class AnsweredDraft:
         if unfit := [line for line in self.problems if line.startswith(f"{UNFIT}: ")]:
             raise CampaignError("init", unfit)
         missing = [
-            f'{q.key}: {q.text} Answer with `answer`, such as "{q.key}={q.example}".'
+            f"{q.key}: {q.text} No answer is given."
             for q in self.open_questions
             if not any(line.startswith(f"{q.key}: ") for line in self.problems)
         ]

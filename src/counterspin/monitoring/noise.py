@@ -266,7 +266,9 @@ def _row_times(
     if guess.shared is not None and not stated:
         return guess.shared.values
     if guess.sampling is None:
-        raise RecordError(f'{source}: no column is a time; give `sampling_rate`, such as "100 Hz".')
+        problem = f'{source}: no column is a time; give `sampling_rate`, such as "100 Hz".'
+        unread = [f"Not read: {reason}" for reason in guess.contents.spoilt]
+        raise RecordError(" ".join([problem, *unread]))
     return np.arange(max(len(column.values) for column in columns)) / guess.sampling
 
 

@@ -90,7 +90,7 @@ _BETWEEN_BLANKS: Final = re.compile(
 #: Blanks that part names which have blanks within them.
 _WIDE_BLANKS: Final = re.compile(r"\s{2,}|\t")
 #: A mark of a comment at the beginning of a line, and the blanks behind it.
-_COMMENT: Final = re.compile(r"\s*(?:#+|%+|//+|!+)\s*")
+_COMMENT: Final = re.compile(r"\s*(?:#+|%+|//+|!+|\*(?=[\sA-Za-z]))\s*")
 #: Lines of comments above the rows in which names may stand.
 _COMMENT_LINES: Final = 4
 #: Words that label a row of results below a table.
