@@ -90,7 +90,7 @@ def draw_the_tutorial() -> None:
     residuals = result.residuals("Qx", campaign.runs[-1].name)
     some = residuals.gather_every(max(1, residuals.height // 100))
     error = Plot(
-        title="The whole record less the true motion, and the fit through it",
+        title="The whole record minus the true motion, and the fit through it",
         x_label="time, s",
         y_label="error, m",
         series=(

@@ -37,7 +37,7 @@ def test_calibrate_writes_the_result_and_exits_with_1(folder, tmp_path, capsys):
         "is stated for it. The data have one rate only; add a run at another rate."
     )
     assert "Qx is not determined by its data: " in out
-    assert "In its favour" not in out
+    assert "Passed checks" not in out
     document = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))
     assert document["state"] == document["accelerometers"]["Qy"]["state"] == "not-determined"
     assert document["findings"][0]["undetermined"]

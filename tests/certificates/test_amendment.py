@@ -68,7 +68,7 @@ def test_changed_numbers_are_told_and_nothing_else(desk):
         "K_II of Qx: it was 27.0000 ± 0.0020 ug/g^2, and is 27.1000 ± 0.0020 ug/g^2.",
     ]
     assert told[2:] == ['the statement "Not determined, accelerometer Qx" is new.']
-    assert describe_changes(made[0], made[0]) == ["Nothing but identifier and date of issue."]
+    assert describe_changes(made[0], made[0]) == ["Only the identifier and the date of issue."]
 
 
 def test_statements_that_come_and_go_are_told(desk):

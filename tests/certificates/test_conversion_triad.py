@@ -103,7 +103,12 @@ def test_verify_shows_them_and_names_a_matrix_that_is_another(tmp_path, poses, c
     file.write_bytes(made)
     assert main(["certificate", "--verify", str(file)]) == 0
     told = capsys.readouterr().out
-    for words in ("sensitivity of Z", "angle between Y and Z less 90 deg", "M ± U", "are those of"):
+    for words in (
+        "sensitivity of Z",
+        "angle between Y and Z minus 90 deg",
+        "M ± U",
+        "are those of",
+    ):
         assert words in told
     first = f"{poses.triad.matrix[2][2]!r}".encode()
     assert made.count(first) == 1
@@ -165,7 +170,7 @@ def test_pages_and_xml_say_the_same(tmp_path, poses):
     tables = {block.columns[0].title: block for block in blocks if isinstance(block, Table)}
     first = [row[0] for row in tables["Parameter"].rows]
     assert first[0] == "offset of X"
-    assert first[-1] == "angle between Y and Z less 90 deg"
+    assert first[-1] == "angle between Y and Z minus 90 deg"
     assert [row[0] for row in tables["M ± U"].rows] == ["f_x", "f_y", "f_z"]
     assert tables["M ± U"].rows[0][2:4] == ("0", "0")  # by choice of the frame
 

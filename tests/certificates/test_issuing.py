@@ -127,7 +127,7 @@ def test_the_xml_of_a_pdf_is_verified(desk, capsys):
     assert "27.0000 ± 0.0020 ug/g^2" in out
     pages = "The pages carry a valid signature of the same signer.\n"
     assert out.endswith(f"The signature is valid.\n{pages}")
-    assert "its pages were not checked" in command(capsys, "--verify", "c.pdf")[1]
+    assert "the visible pages were not checked" in command(capsys, "--verify", "c.pdf")[1]
     # Pages that show something else, and those of nobody or somebody else, with the same XML.
     made = (desk / "c.pdf").read_bytes()
     place = made.index(b"/StructParents") + 4
@@ -139,7 +139,7 @@ def test_the_xml_of_a_pdf_is_verified(desk, capsys):
     (desk / "e.pdf").write_bytes(plain)
     told = command(capsys, "--verify", "e.pdf", "--cert", cert)
     assert told[0] == 0
-    assert told[1].endswith("its pages are not signed.\n")
+    assert told[1].endswith("the visible pages are not signed.\n")
     other = read_signer(*write_pair(desk / "o", ec.generate_private_key(ec.SECP256R1())))
     (desk / "f.pdf").write_bytes(sign_pages(plain, other, datetime.now(UTC)))
     status, out, err = command(capsys, "--verify", "f.pdf", "--cert", cert)

@@ -166,7 +166,7 @@ def test_a_command_of_windows_keeps_its_backslashes(tmp_path, keys, monkeypatch)
     ("text", "words"),
     [
         ("import sys; sys.exit('no card in the reader')", "ended with 1: no card in the reader"),
-        ("import sys; sys.exit(3)", "ended with 3: it does not say why"),
+        ("import sys; sys.exit(3)", "ended with 3: no reason given"),
         (
             "print('words')",
             "wrote 6 bytes that are not a signature with the key of its certificate",

@@ -64,7 +64,7 @@ def test_nine_parameters_are_followed_with_what_nobody_states_in_common(tmp_path
         )  # years -1.5 to 1.5
         assert one.verdict == "constant"
     if kind == "angle":
-        assert "angle less 90 deg" in str(history)
+        assert "angle minus 90 deg" in str(history)
 
 
 def test_a_term_of_a_triad_has_the_others_terms_in_common(tmp_path):

@@ -52,10 +52,11 @@ def test_the_first_lines_say_what_decides_u_and_what_is_assumed(tmp_path):
     assert u[0] == pytest.approx(2e-6, rel=0.1)
     _, answer, decides = sentences(honest)[:3]
     assert answer.startswith("u(K_II of Qx) = 2.")
-    assert "coefficient, K_OO, which is not stated (typical 2 ug/g^2)" in decides
+    assert "K_OO (second-order output-axis coefficient) contributes" in decides
+    assert "not stated, so the default of 2 ug/g^2 was used" in decides
     assert any("Nothing is assumed perfect" in text for text in sentences(honest))
     assert sentences(taken)[2].startswith("Assumed perfect, so not included in u: ")
-    assert not any("which is not stated" in text for text in sentences(taken))
+    assert not any("was not stated" in text for text in sentences(taken))
 
 
 READ = """schema = 1

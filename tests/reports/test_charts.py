@@ -508,7 +508,7 @@ def test_long_names_are_shortened():
 
 
 def test_long_words_of_bars_take_lines_and_all_is_read():
-    name = "error of an eccentric encoder, four times a revolution, encoder.harmonic.4.cos (stated)"
+    name = "encoder error, four times a revolution, encoder.harmonic.4.cos (stated)"
     for room in (130.0, 226.0):
         lines = wrap_text(name, room).split("\n")
         assert " ".join(lines) == name

@@ -255,7 +255,7 @@ def test_campaign_without_truth_cannot_be_simulated(tmp_path):
     with pytest.raises(CampaignError, match=r"truth: missing; .*\[truth.NAME\]"):
         simulate(write(tmp_path, text), tmp_path / "made")
     campaign = campaign_of(tmp_path, text)
-    with pytest.raises(ValueError, match="does not state what to simulate"):
+    with pytest.raises(ValueError, match="has no data for a simulation"):
         simulate_run(campaign, campaign.runs[0], np.random.default_rng(0))
 
 

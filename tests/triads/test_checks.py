@@ -23,7 +23,9 @@ def found(seed, count=30, drift=0.0, squares=(0.0, 0.0, 0.0), minutes=5.0):
     return pose_findings(estimated.fit, parts)
 
 
-@pytest.mark.parametrize(("minutes", "cure"), [(5.0, "ask"), (0.0, "the time of each pose")])
+@pytest.mark.parametrize(
+    ("minutes", "cure"), [(5.0, "add K_F.trend"), (0.0, "the time of each pose")]
+)
 def test_a_drift_of_one_accelerometer_is_named(minutes, cure):
     findings = [found(seed, drift=20.0 * NOISE, minutes=minutes) for seed in range(5)]
     for own in findings:

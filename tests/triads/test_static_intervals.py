@@ -204,7 +204,7 @@ def test_a_record_without_a_clear_gap_says_so() -> None:
     time = np.arange(6000) * STEP
     loud = np.where(np.sin(2.0 * np.pi * time / 10.0) > 0.0, 1.0, 2.2)[:, None]
     found = find_poses(time, loud * rng.normal(size=(6000, 3)))
-    assert any("not clearly apart" in doubt for doubt in found.warnings)
+    assert any("not clearly separated" in doubt for doubt in found.warnings)
     still = find_poses(time, NOISE * rng.normal(size=(6000, 3)))
     assert len(still.start) == 1
     assert "Nothing moves" in still.warnings[0]

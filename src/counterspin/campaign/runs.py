@@ -92,8 +92,8 @@ class PosesSettings(SettingsSection):
         absent="detected in the record",
     )
     u: Annotated[float, read_exactly("m/s^2"), AfterValidator(positive)] | None = key_field(
-        "standard uncertainty of each axis in a pose, without what the scatter at rest "
-        "shows; required for nine poses or fewer",
+        "standard uncertainty of each axis in a pose, excluding the scatter at rest; required "
+        "for nine poses or fewer",
         "0.01 m/s^2",
         None,
         absent="estimated from the poses",

@@ -164,7 +164,7 @@ _FAMILIES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
         {"1": {"cos": "1 um"}},
     ),
     "centrifuge.axis_tilt": (
-        "tilt of the spindle's axis about `east` or `north`",
+        "tilt of the spindle axis about `east` or `north`",
         {"east": "5 arcsec"},
     ),
     "table.harmonic": (

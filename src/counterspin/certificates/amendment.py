@@ -120,7 +120,7 @@ def describe_changes(old: bytes, new: bytes) -> list[str]:
     return [
         *_number_changes(before, after),
         *_text_changes(parse(old, "the certificate"), parse(new, "the certificate")),
-    ] or ["Nothing but identifier and date of issue."]
+    ] or ["Only the identifier and the date of issue."]
 
 
 def amendment_lines(amended: AmendedCertificate | None) -> list[str]:

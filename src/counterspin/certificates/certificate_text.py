@@ -83,8 +83,8 @@ DRAFT: Final = (
 
 #: Relation of the method to the standard.
 BASED_ON: Final = (
-    "Based on the terms of IEEE Std 1293 but not in accordance with it: the model is "
-    "not divided by K_I, unlike that of the standard, whose K2 is K_II/K_I."
+    "Based on the terms of IEEE Std 1293 but not in accordance with it: the coefficients are not "
+    "normalised by K_I (IEEE Std 1293: K2 = K_II/K_I)."
 )
 
 #: Disclaimer required by ISO/IEC 17025:2017, 7.8.2.2.
@@ -146,10 +146,9 @@ def unit_statement(gravity: float) -> str:
     return (
         f"g is the local gravity of the site, g = {g} m/s^2. A coefficient that multiplies the "
         "n-th power of specific force is g^(1-n) times as large in SI units as in g-units: K_F in "
-        "m/s^2 is K_F in g times g, K_II in s^2/m is K_II in g/g^2 divided by g. Where the "
-        "campaign states an uncertainty of g, it is part of the coefficients' uncertainties: of "
-        "those in g-units through its effect on the estimates, of those in SI units through what "
-        "remains of it after the conversion, in which most of it cancels."
+        "m/s^2 is K_F in g times g, K_II in s^2/m is K_II in g/g^2 divided by g. If the "
+        "campaign states an uncertainty of g, the uncertainties of the coefficients include it. In "
+        "SI units most of it cancels."
     )
 
 

@@ -47,9 +47,9 @@ def missing_evidence(source: str, share: float, quantity: str) -> MissingEntry:
     """Return the entry for a default uncertainty that causes a share of a variance."""
     return MissingEntry(
         f"evidence.{source}",
-        f"is missing; the default uncertainty of {name_with_words(source)} makes "
-        f"{format_share(share)} of the variance of {quantity}: state what bounds it, "
-        "such as a data sheet, or state its prior in the campaign",
+        f"is missing; the default uncertainty of {name_with_words(source)} causes "
+        f"{format_share(share)} of the variance of {quantity}: give the evidence for its "
+        "bound, such as a data sheet, or state its prior in the campaign",
     )
 
 
@@ -102,7 +102,8 @@ def _missing_evidence(lab: Lab, result: Result) -> Iterator[MissingEntry]:
     for term in terms_without_evidence(result.assumed, lab.evidence):
         yield MissingEntry(
             f"evidence.{term}",
-            "is missing; the result assumes this term to be perfect: state what bounds it",
+            "is missing; the result assumes this term to be perfect: give the evidence for its "
+            "bound",
         )
     lacking = dict[str, tuple[float, str]]()
     for name, source, share, symbol in _default_shares(lab, result):

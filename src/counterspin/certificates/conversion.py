@@ -169,7 +169,8 @@ def triad_lines(triad: TriadResult) -> list[str]:
     if triad.poses:
         rms = ""
         if triad.rms_before is not None:
-            rms = f" The size of f less g has an rms of {format_number(triad.rms_before, 3)} m/s^2"
+            before = format_number(triad.rms_before, 3)
+            rms = f" The magnitude of f minus g has an rms of {before} m/s^2"
             after = triad.rms_after
             rms += "." if after is None else f", corrected {format_number(after, 3)} m/s^2."
         lines.append(
@@ -212,7 +213,7 @@ def parameter_line(name: str, parameter: Coefficient) -> str:
     """Return a determined parameter, with U and k, in g-units and its SI unit."""
     words, c = shown_parameter(name, parameter)
     k = coverage_factor(c.dof)
-    full_text = "the whole angle is " if c.value != parameter.value else ""
+    full_text = "the complete angle is " if c.value != parameter.value else ""
     value_text = certificate_text.unit_remark(si_unit(c.unit)[0])
     estimate = f"{certificate_text.format_in_g_units(c, k)} (U, k = {format_decimal(k)})"
     return f"{words} = {estimate}; {full_text}{value_text}"
@@ -226,13 +227,13 @@ def output_lines(result: Result, triad: TriadResult) -> list[str]:
     by = f" ({outputs})" if outputs else ""
     names = ", ".join(triad.accelerometers)
     other_terms = [name for name in triad.parameters if name.split(".")[0] in triad.accelerometers]
-    reduced = f", less what {', '.join(other_terms)} add to them" if other_terms else ""
+    reduced = f", minus the contributions of {', '.join(other_terms)}" if other_terms else ""
     return [
         f"Corrected output: f = M (y - b), y being the indications of {names} by their nominal "
         f"sensitivities{by}{reduced}, and b their offsets. "
         "f lies along the axes x, y, z in which the "
         "campaign states their directions: east, north and up while the sensor is level. "
-        "Misalignments that are no coefficients above are there as stated, or zero."
+        "Misalignments that are not among the coefficients above have their stated values, or zero."
     ]
 
 

@@ -59,8 +59,8 @@ def require_evidence(assumed: Sequence[str], evidence: Mapping[str, str], source
     lines = " ".join(f'"{name}" = "..."' for name in lacking)
     problem = (
         f"evidence: the result assumes {', '.join(lacking)} to be perfect, which u does not "
-        f"include; state for each in [evidence] what bounds it, such as a measurement or "
-        f"a data sheet: {lines}; or calibrate without the assumption"
+        f"include; give for each in [evidence] the evidence for its bound, such as a measurement "
+        f"or a data sheet: {lines}; or calibrate without the assumption"
     )
     raise CampaignError(source, [problem])
 

@@ -392,9 +392,9 @@ def _unsealed_error(result: Result, accept_unsealed: str | None) -> str | None:
     """Return the error of a result whose file must not be certified; None if it may be."""
     if not result.sealed and accept_unsealed is None:
         return (
-            "the file has no seal, so nobody can say whether it was changed after it was written; "
-            "give the original file, calibrate again, or state in `accept_unsealed` why it is "
-            "certified all the same"
+            "the file has no seal, so changes after writing cannot be excluded; give the "
+            "original file, calibrate again, or state in `accept_unsealed` why it is certified "
+            "nevertheless"
         )
     if result.sealed and accept_unsealed is not None:
         return "the file has a valid seal; leave `accept_unsealed` out"
@@ -485,7 +485,7 @@ def certificate_blocks(certified: CertificateNumbers) -> Iterator[Block]:
             yield output_table(triad.accelerometers, matrix, expanded, triad.factor)
             yield Paragraph("Matrix and offsets are those of these parameters.", "quiet")
     yield Paragraph(
-        f"g = {format_number(certified.gravity, 9)} m/s^2, taken as exact for what is shown in "
+        f"g = {format_number(certified.gravity, 9)} m/s^2, assumed exact for the values in "
         "g-units.",
         "quiet",
     )

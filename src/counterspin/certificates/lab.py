@@ -96,7 +96,7 @@ class CertificateSettings(SettingsSection):
         "unique identifier of the certificate",
         "2026-014",
         None,
-        absent="`CS-` and 12 digits of the SHA-256 of the result's file and of what LAB.toml says",
+        absent="`CS-` and 12 digits of the SHA-256 of the result file and LAB.toml",
     )
     language: Language = key_field(
         "language of the laboratory's entries in this file; standard texts are in "

@@ -168,7 +168,7 @@ def _sign_with_command(words: Sequence[str], data: bytes, public: Any) -> bytes:
         raise failed(f"did not end within {_COMMAND_SECONDS:g} s") from error
     if process.returncode != 0:
         message = process.stderr.decode("utf-8", "replace").strip()[:REASON_LENGTH]
-        raise failed(f"ended with {process.returncode}: {message or 'it does not say why'}")
+        raise failed(f"ended with {process.returncode}: {message or 'no reason given'}")
     try:
         public.verify(process.stdout, data, *_signature_scheme(public))
     except InvalidSignature as error:

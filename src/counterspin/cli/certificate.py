@@ -114,8 +114,8 @@ _ISSUED_AS_IS = IssueOptions()
 
 #: What is said of a PDF's pages.
 _PAGES = {
-    None: "This applies to the XML attached to the PDF; its pages were not checked.",
-    "none": "This applies to the XML attached to the PDF; its pages are not signed.",
+    None: "This applies only to the XML attached to the PDF; the visible pages were not checked.",
+    "none": "This applies only to the XML attached to the PDF; the visible pages are not signed.",
     "valid": "The pages carry a valid signature of the same signer.",
 }
 

@@ -139,7 +139,7 @@ def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Ite
         agree = "agree" if pair.agrees else "differ significantly"
         difference = format_number(pair.difference * factor, 2)
         yield (
-            f"{pair.second} less {pair.first}: {difference} {unit}, E_n = {pair.e_n:.2f}: they "
+            f"{pair.second} minus {pair.first}: {difference} {unit}, E_n = {pair.e_n:.2f}: they "
             f"{agree}."
         )
 
@@ -194,7 +194,7 @@ def _repeatability_blocks(history: History, repeats: Repeatability) -> Iterator[
         if name != "day"
     ]
     yield Paragraph(
-        f"Standard deviations about {about} in excess of the results' own uncertainties, by "
+        f"Standard deviations about {about} in excess of the uncertainties of the results, by "
         f"restricted likelihood."
         + (
             f" With few {' and '.join(few)} the estimates are poor: use the intervals."
@@ -296,7 +296,7 @@ def history_plots(history: History) -> list[Plot]:
 
 
 def _title(history: History) -> str:
-    return "angle less 90 deg" if history.term == "angle" else history.term
+    return "angle minus 90 deg" if history.term == "angle" else history.term
 
 
 def _instrument_name(instrument: InstrumentHistory) -> str:

@@ -151,7 +151,7 @@ def _select_run(campaign: Campaign, file: Path | None, name: str | None) -> Reco
     if len(recorded) == 1:
         return recorded[0]
     raise CampaignError(
-        "`run`", [f"name the run, one of: {', '.join(by_name) or 'none has a record'}"]
+        "`run`", [f"name the run, one of: {', '.join(by_name) or 'no run has a record'}"]
     )
 
 

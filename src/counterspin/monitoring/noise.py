@@ -416,13 +416,13 @@ def _sampling_remarks(record: StaticRecord) -> Iterator[str]:
     if stretches.filled and stretches.recorded_fraction < 1.0:
         part = 100.0 * (1.0 - stretches.recorded_fraction)
         yield (
-            f"{stretches.filled} samples are missing ({part:.2g} %). The recorded samples are used "
-            "as they follow one another; slow noise is resolved to that extent."
+            f"{stretches.filled} samples are missing ({part:.2g} %). The recorded samples are "
+            "used in sequence, which limits the resolution of slow noise."
         )
         if record.signal.order == 0 and record.analysis.noise.components["white"].variance:
             yield (
-                "With missing samples, quantisation noise of the velocity cannot be told from "
-                "white noise: use a record without missing samples."
+                "With missing samples, quantisation noise of the velocity cannot be "
+                "distinguished from white noise: use a record without missing samples."
             )
     elif stretches.filled > stretches.outliers:
         yield f"{stretches.filled - stretches.outliers} missing samples are interpolated."
@@ -443,9 +443,9 @@ def _motion_remarks(record: StaticRecord) -> Iterator[str]:
         start_time = start + index * size * record.segments.step
         yield (
             f"From {start_time:.4g} s to {start_time + size * record.segments.step:.4g} s the "
-            f"record scatters {scatter[index] / median_scatter:.2g} times as much as where it is "
-            "quiet: it is not at rest all along, and these figures are not those of its noise. "
-            "Cut it there."
+            f"record scatters {scatter[index] / median_scatter:.2g} times as much as in its "
+            "quiet parts: the sensor was not at rest throughout, and these figures are not its "
+            "noise. Cut the record there."
         )
 
 

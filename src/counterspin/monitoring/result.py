@@ -194,7 +194,7 @@ class NoiseResult(ReportableResult):
 
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:noise_blocks"
     KIND: ClassVar[str] = "noise"
-    REPORT_KIND: ClassVar[str | None] = "a report of noise"
+    REPORT_KIND: ClassVar[str | None] = "a noise report"
 
     record: str  #: Record file.
     checksum: str | None  #: SHA-256 of the file; None for a record in memory.

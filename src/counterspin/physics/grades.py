@@ -86,18 +86,18 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
     ),
     "K_II": (
         (1e-4, 1e-5, "the paper's Table 1 (2e-5 g/g²), half of it"),
-        (3e-3, 3e-4, "MS1010: nonlinearity 0.3 % of 10 g, as if all of it were of second order"),
+        (3e-3, 3e-4, "MS1010: nonlinearity 0.3 % of 10 g, attributed entirely to second order"),
         (1e-2, 1e-3, "ADXL313 and ADXL350: nonlinearity ±0.5 % of 4 g and of 8 g, likewise"),
     ),
     "K_III": (
         (1e-4, 1e-6, "the paper's Table 1 (4e-6 g/g³), a quarter of it"),
-        (1e-3, 3e-5, "MS1010: nonlinearity 0.3 % of 10 g, as if all of it were of third order"),
+        (1e-3, 3e-5, "MS1010: nonlinearity 0.3 % of 10 g, attributed entirely to third order"),
         (1e-2, 1e-4, "ADXL350: nonlinearity ±0.5 % of 8 g, likewise"),
     ),
     "K_4": ((1e-5, 1e-9, _NONE), (1e-4, 1e-7, _NONE), (1e-3, 1e-6, _NONE)),
     "K_5": (
-        (1e-5, 1e-8, "order of magnitude: 1 mg at 10 g, as much as K_II or K_III is there"),
-        (1e-4, 3e-7, "MS1010: nonlinearity 0.3 % of 10 g, as if all of it were of fifth order"),
+        (1e-5, 1e-8, "order of magnitude: 1 mg at 10 g, as much as K_II or K_III"),
+        (1e-4, 3e-7, "MS1010: nonlinearity 0.3 % of 10 g, attributed entirely to fifth order"),
         (1e-3, 1e-6, "ADXL350: nonlinearity ±0.5 % of 8 g, likewise"),
     ),
     "K_0_asym": (
@@ -123,7 +123,7 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
     ),
     "K_I.temperature": (
         (1e-2, 1e-4, "HASI: 78 ppm/K at 293 K"),
-        (1e-2, 1e-4, "as of the grades above and below, which agree"),
+        (1e-2, 1e-4, "equal to the grades above and below"),
         (1e-2, 1e-4, "ADXL313 and ADXL350: ±0.01 %/K"),
     ),
     **{
@@ -139,7 +139,7 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
     },
     "K_II.temperature": ((1e-5, 1e-8, _NONE), (1e-4, 3e-7, _NONE), (1e-3, 1e-6, _NONE)),
     "K_F.hysteresis": tuple(
-        (limit, typical, "order of magnitude, no source: what 4 K do to K_F")
+        (limit, typical, "order of magnitude, no source: effect of 4 K on K_F")
         for limit, typical in ((1e-2, 2e-5), (1e-2, 4e-4), (5e-2, 8e-4))
     ),
     "K_F.trend": (

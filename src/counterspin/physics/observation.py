@@ -291,7 +291,7 @@ _along_short, _along_long = (
 
 
 def table_angle_error(turn: AttitudeError, angle: Array) -> Array:
-    """Return the error of the counter-rotating table's angle per unit of its term, shape (n,).
+    """Return the angle error of the counter-rotating table per unit of its term, shape (n,).
 
     angle: Of the spindle, rad, shape (n,).
     """

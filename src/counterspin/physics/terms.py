@@ -128,7 +128,7 @@ _UNITS: Final = {
 
 
 def _product_rows() -> Iterator[Term[SpecificForceProduct]]:
-    asymmetry = "asymmetry of the {}, positive less negative input"
+    asymmetry = "asymmetry of the {}, positive minus negative input"
     for symbol, factors, ieee, words in (
         ("K_F", "", "K0", "bias"),
         ("K_I", "I", "K1", "scale factor"),
@@ -186,7 +186,7 @@ _NO_SOURCE: Final = "order of magnitude, no source"
 
 def _attitude_rows() -> Iterator[Term[AttitudeError]]:
     levelled = f"{_NO_SOURCE}: 0.5 arcsec, a good level or autocollimator", 0.5 * ARCSEC
-    aligned = f"{_NO_SOURCE}: 10 arcsec, as azimuth is found less well", 10.0 * ARCSEC
+    aligned = f"{_NO_SOURCE}: 10 arcsec, because azimuth is harder to determine", 10.0 * ARCSEC
     for axis, name in enumerate(_NAMES):
         source, typical = aligned if name == "up" else levelled
         turn, words = AttitudeError("tilt", axis), f"tilt about {name}"
@@ -195,10 +195,10 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
     rate = 10.0 * DEGREE_PER_HOUR, 0.01 * DEGREE_PER_HOUR
     of_square = "sensitivity of the gyro about {} to the square of the force"
     of_force = "g-sensitivity of the {} gyro to force along {}"
-    lean = "turn of the platform about {} by force along {}"
+    lean = "platform rotation about {} by force along {}"
     by_axis = (
         ("drift", "rad/s", "gyro drift about {}"),
-        (*rate, "one nautical mile an hour again: 0.01 deg/h is 0.6 nautical miles an hour"),
+        (*rate, "one nautical mile an hour, as for K_F: 0.01 deg/h is 0.6 nautical miles an hour"),
     )
     by_square = (
         ("g2_sensitivity", "rad/s/g^2", of_square),
@@ -206,7 +206,7 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
     )
     by_force = (
         ("g_sensitivity", "rad/s/g", of_force),
-        (*rate, "as the drift: the share of it that 1 g makes"),
+        (*rate, "equal to the drift: the part that 1 g causes"),
     )
     by_lean = (
         ("compliance", "rad/g", lean),
@@ -224,9 +224,7 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
                 called = words.format(*([name] if j is None else suffix))
                 turn = AttitudeError(kind, i, j)
                 yield Term(f"platform.{kind}.{suffix}", turn, called, unit, *sizes, "platform")
-    for n, quadrature, called in _wave_orders(
-        (1, 2), "error of the counter-rotating table, {} a turn"
-    ):
+    for n, quadrature, called in _wave_orders((1, 2), "counter-rotating table error, {} a turn"):
         yield Term(
             f"table.harmonic.{n}.{quadrature}",
             AttitudeError("table", 2, harmonic=n, quadrature=quadrature),
@@ -262,7 +260,7 @@ def _trajectory_rows() -> Iterator[Term[TrajectoryError]]:
         yield Term(
             f"centrifuge.axis_tilt.{axis}",
             TrajectoryError("axis_tilt", about=axis),
-            f"tilt of the spindle's axis about {axis}",
+            f"tilt of the spindle axis about {axis}",
             "rad",
             1e-2,
             10.0 * ARCSEC,
@@ -274,7 +272,7 @@ def _trajectory_rows() -> Iterator[Term[TrajectoryError]]:
         "encoder.harmonic",
         (1, 2, 3, 4),
         ("rad", 1e-3, ARCSEC, "Lu et al.: 1 arcsec, the best angle encoders, properly mounted"),
-        "error of an eccentric encoder, {} a revolution",
+        "encoder error, {} a revolution",
     )
 
 
@@ -297,7 +295,7 @@ def _wave_orders(orders: tuple[int, ...], words: str) -> Iterator[tuple[int, str
 
 
 def _setup_rows() -> Iterator[Term[SetupError]]:
-    radius = "a fixture's drawing; measured, 1e-7 to 4e-6 of the radius"
+    radius = "fixture drawing; measured radii: 1e-7 to 4e-6"
     proof_mass = "centrifuge.radius.ACCELEROMETER.MOUNTING"
     head = f"{_NO_SOURCE}: 5 arcsec"
     rate = f"{_NO_SOURCE}: the mean rate of a precision centrifuge"
@@ -305,7 +303,7 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
     for symbol, words, unit, limit, typical, source, motions in (
         ("centrifuge.radius.MOUNTING", "radius of a mounting", "m", 0.1, 1e-3, radius, ("arm",)),
         (proof_mass, "radius of the proof mass", "m", 0.1, 1e-3, radius, ("arm",)),
-        ("centrifuge.rate", "random error of a rate", "1", 1e-2, 1e-7, rate, ()),
+        ("centrifuge.rate", "random error of the rate", "1", 1e-2, 1e-7, rate, ()),
         ("centrifuge.droop", "droop of the arm", "rad s^2", 1e-3, 1e-8, _NO_SOURCE, ("arm",)),
         *(
             (
@@ -343,19 +341,18 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
         effect = SetupError("misalignment", about) if turned else SetupError(of)
         yield Term(symbol, effect, words, unit, limit, typical, source, scope, motions=motions)
     arcseconds = (
-        "order of magnitude: mounting errs by arcseconds (Lu et al.), ±5 shared out among the waves"
+        "order of magnitude: mounting errors of arcseconds (Lu et al.), ±5 distributed over the "
+        "harmonics"
     )
     graduated = (1e-3, 1e-5, arcseconds)
-    for n, quadrature, called in _wave_orders(
-        (1, 2, 3, 4), "error of the dividing head, {} a turn"
-    ):
+    for n, quadrature, called in _wave_orders((1, 2, 3, 4), "dividing head error, {} a turn"):
         effect = SetupError("wave", "", n, quadrature)
         symbol = f"{HEAD_WAVES}{n}.{quadrature}"
         yield Term(symbol, effect, called, "rad", *graduated, "machine", motions=("static",))
 
 
 def _input_rows() -> Iterator[Term[Input]]:
-    radius = "4e-6 of 2.5 m, the larger of what measured radii reach"
+    radius = "4e-6 of 2.5 m, the larger relative uncertainty of measured radii"
     # An absolute gravimeter does better by 1000.
     gravity = f"{_NO_SOURCE}: a gravity map, corrected for the height"
     delay = "delay of the recorded angle"
@@ -381,7 +378,7 @@ def _input_rows() -> Iterator[Term[Input]]:
             (-1e-2, 1e-2),
             1e-2,
             2e-5,
-            "a free quartz",
+            "a free-running quartz oscillator",
         ),
         (
             "centrifuge.clock",
@@ -390,7 +387,7 @@ def _input_rows() -> Iterator[Term[Input]]:
             (-1e-2, 1e-2),
             1e-2,
             2e-5,
-            "a free quartz",
+            "a free-running quartz oscillator",
         ),
     ):
         effect = Input(symbol.partition(".")[2], between)

@@ -75,7 +75,7 @@ def _summary_blocks(result: PlanResult) -> Iterator[Block]:
     gravity = format_number(result.gravity, 9)
     yield Paragraph(
         "All are standard uncertainties (k = 1) that a joint calibration will give, in units "
-        f"of the site's own gravity, g = {gravity} m/s^2.",
+        f"of the site's gravity, g = {gravity} m/s^2.",
         "quiet",
     )
 
@@ -187,7 +187,7 @@ def _accelerometer_blocks(
         (
             Column("Coefficient"),
             Column("u"),
-            Column("Known beforehand"),
+            Column("u (prior)"),
             Column("Sources", wraps=True),
         ),
         tuple(rows),

@@ -137,7 +137,8 @@ def _check_redundancy(view: AccelerometerView) -> list[Finding]:
         return []
     text = (
         f"{count} readings cannot test the {len(free_symbols)} coefficients that they determine "
-        f"({', '.join(free_symbols)}): the model fits them whatever is wrong. Take more readings."
+        f"({', '.join(free_symbols)}): the model would fit them despite any error. Take "
+        "more readings."
     )
     return [Finding(code="unjudged-readings", subject=view.name, text=text)]
 

@@ -263,8 +263,8 @@ def _solve(
         raise ConvergenceError(
             f"the fit of the readings did not converge in {_ROUNDS} rounds; check "
             f'"{name}", which is furthest off the others: its sign, digits and unit, and whether '
-            "it was exchanged with another. Else give the machine's terms priors, or state the "
-            "standard uncertainties of the readings"
+            "it was exchanged with another. Otherwise state priors for the terms of the "
+            "machine, or state the standard uncertainties of the readings"
         )
     dof = [
         part.noise_dof(solution) + group.repeat_dof if group.u is None else math.inf

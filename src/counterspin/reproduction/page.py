@@ -108,7 +108,7 @@ def _cell(method: AccelerometerResult, symbol: str, considered: bool) -> str:
         return "held" if considered else "-"
     coefficient = method.coefficients[symbol]
     if not coefficient.estimated:
-        return "known beforehand" if coefficient.value is not None else "not determined"
+        return "prior value" if coefficient.value is not None else "not determined"
     value, u, _ = to_field_units(coefficient)
     return format_estimate(value, u)
 
@@ -145,7 +145,7 @@ def demonstration_plots(shown: Demonstration) -> list[Plot]:
         lower.append(_residuals(run, index, (0.0, end), reach))
     return [
         Plot(
-            title=f"{shown.campaign.title}: {name}, displacement error less the parabola of K_F",
+            title=f"{shown.campaign.title}: {name}, displacement error minus the parabola of K_F",
             x_label="time, s",
             y_label="displacement error, m",
             series=tuple(upper),
@@ -163,7 +163,7 @@ def _residuals(run: StrobedRun, index: int, x_range: tuple[float, float], reach:
     band = 2e3 * _sigma(parabola)
     ends = (time[0], time[-1])
     return Plot(
-        title=f"{run.name}: strobes less fitted parabola; band: ± 2 standard deviations",
+        title=f"{run.name}: strobes minus fitted parabola; band: ± 2 standard deviations",
         x_label="time, s",
         y_label="mm",
         series=(

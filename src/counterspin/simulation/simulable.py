@@ -154,13 +154,13 @@ def refuse_unsupported(campaign: Campaign) -> None:
             if channel is not None and channel.name and (channel.kind != "numbers"):
                 problems.append(f"{where}.{key}: simulated records have numbers in every row")
             elif channel is not None and channel.name and not channel.unit:
-                problems.append(f"{where}.{key}.unit: is missing, to simulate records")
+                problems.append(f"{where}.{key}.unit: is missing; a simulation of records needs it")
         if recording.time.kind == "rows" and campaign.runs:
             problems.append(f"{where}.time: simulated records have a column of the time")
     for name, accelerometer in campaign.accelerometers.items():
         if accelerometer.channel.name and not accelerometer.channel.unit:
             key = f"accelerometers.{name}.{accelerometer.observable}.unit"
-            problems.append(f"{key}: is missing, to simulate records")
+            problems.append(f"{key}: is missing; a simulation of records needs it")
     problems += _clock_problems(campaign)
     problems += _missing_temperatures(campaign)
     records = [run.record for run in campaign.runs]

@@ -344,7 +344,7 @@ def simulate_run(
         column for each accelerometer.
     """
     if campaign.simulation is None or run.duration is None:
-        raise ValueError("this campaign does not state what to simulate")
+        raise ValueError("this campaign has no data for a simulation")
     run_truth = campaign.simulation.truth.runs[run.name]
     rate = campaign.simulation.sampling_rate
     true, recording = apply_true_inputs(campaign), campaign.recording_of(run)

@@ -428,7 +428,7 @@ def _insufficient_poses_error(poses: TriadPoses, solution: Solution, model: Unkn
     )
     angles = [u for u in model.unknowns if u.is_of_interest and u.symbol.startswith("delta")]
     suggestion = (
-        " They can determine biases and scale factors, if these alone are asked for: terms = "
+        " They can determine biases and scale factors, if only these are requested: terms = "
         '["K_F", "K_I"] in [model].'
         if angles and poses.size > len(requested) - len(angles)
         else ""

@@ -89,9 +89,10 @@ class StaticIntervals:
             messages.append("Nothing moves in the record: all of it counts as rest.")
         elif self.contrast < MIN_CONTRAST:
             messages.append(
-                f"Rest and motion are not clearly apart: motion has {self.contrast:.2g} times the "
-                f"level of rest. Compare the plot of the level with the threshold "
-                f"of {self.threshold:.3g}, and state another one if it separates them better."
+                f"Rest and motion are not clearly separated: motion has "
+                f"{self.contrast:.2g} times the level of rest. Compare the plot of the level with "
+                f"the threshold of {self.threshold:.3g}, and state another one if it "
+                "separates them better."
             )
         total_scatter = np.sqrt((self.scatter**2).sum(axis=1))
         for index in np.flatnonzero(total_scatter > _DRIFT_RATIO * self.threshold)[:1]:
@@ -354,7 +355,7 @@ def _no_interval_message(
     return (
         f"{message} The quietest stretch, from {time[starts[0]]:.6g} s to "
         f"{time[ends[0] - 1]:.6g} s, stays below {candidates[low]:.3g}: a higher threshold would "
-        "take it, or a shorter rest a quieter part."
+        "include it, or a shorter rest a quieter part."
     )
 
 
@@ -384,8 +385,7 @@ def _interval_faults(
         constant_axes = np.flatnonzero(is_testable & (values[a:b] == values[a]).all(axis=0))
         if len(constant_axes):
             faults[index] = (
-                f"axis {constant_axes[0] + 1} does not change at all, beside others that do, as "
-                "where a "
-                "sensor hangs."
+                f"axis {constant_axes[0] + 1} does not change at all while other axes do, as if "
+                "the sensor had stopped."
             )
     return faults

@@ -146,7 +146,7 @@ def test_every_picture_of_a_full_result_is_there():
         "Residuals of Qx, fast",
         "Mean residual of Qx over the revolution",
         "Spectrum of the whitened residuals of Qx",
-        "Whitened residuals of Qx less those of a normal distribution",
+        "Detrended normal Q-Q plot of the whitened residuals of Qx",
         "Ripple of the rate by harmonic; bars: 95 %",
     ]
 

@@ -53,16 +53,16 @@ def test_the_largest_unstated_source_is_named_with_what_would_be_left():
     told = default_prior_sentence(resting(2e-6).accelerometers["Qx"])
     # Known to a tenth of its typical size, K_OO leaves hypot(0.2, 0.1) ug/g^2.
     assert told == (
-        "100 % of u^2 of K_II comes from the second-order output-axis coefficient, K_OO, which is "
-        "not stated (typical 2 ug/g^2); stating or measuring it to 0.2 ug/g^2 would leave "
-        "u = 0.22 ug/g^2."
+        "K_OO (second-order output-axis coefficient) contributes 100 % of the variance of K_II. "
+        "Its uncertainty was not stated, so the default of 2 ug/g^2 was used. Knowing it to "
+        "0.2 ug/g^2 would leave u = 0.22 ug/g^2."
     )
 
 
 def test_the_answer_has_one_sentence_about_its_uncertainty_whatever_decides_it():
     stated = resting(5e-8)
     _, _, told, *_ = answer_blocks(stated)
-    assert told.text == "80 % of u^2 of K_II comes from noise of Qx."
+    assert told.text == "Noise of Qx contributes 80 % of the variance of K_II."
     _, _, told, *_ = answer_blocks(resting(2e-6))
     assert told.text == default_prior_sentence(resting(2e-6).accelerometers["Qx"])
 
@@ -109,8 +109,8 @@ def test_what_counts_in_a_budget_is_in_the_table_the_largest_first():
     blocks = list(prior_blocks(resting(2e-6, rests_on=rows, assumed=["K_4"])))
     (table,) = (block for block in blocks if isinstance(block, Table))
     assert [row[0] for row in table.rows] == ["Qx.K_OO", "noise of Qx"]
-    assert table.rows[0][1:3] == ("second-order output-axis coefficient", "unstated")
-    assert table.rows[1][4] == "held"
+    assert table.rows[0][1:3] == ("second-order output-axis coefficient", "default")
+    assert table.rows[1][4] == "held (considered)"
     assert isinstance(blocks[-1], Paragraph)
     assert blocks[-1].text.startswith("Assumed perfect")
     assert list(prior_blocks(resting(2e-6))) == []

@@ -26,7 +26,7 @@ def test_reservations_say_the_gravest_first_and_how_many_more():
     assert told == (
         "Qx can be used with reservations: Without slow K_II moves by 0.01 ug/g^2, 3.1 times "
         "as far as its uncertainty explains: this run disagrees with the others. There are 2 more "
-        "findings. In its favour: the residuals look like the stated noise (p = 0.5); the "
+        "findings. Passed checks: the residuals look like the stated noise (p = 0.5); the "
         "two-stage method agrees."
     )
 
@@ -34,7 +34,7 @@ def test_reservations_say_the_gravest_first_and_how_many_more():
 def test_nothing_speaks_for_a_contradicted_result():
     told = sentence(jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -6.1}])
     assert told.startswith("Qx is contradicted by its records and must not be used: Without slow")
-    assert "In its favour" not in told
+    assert "Passed checks" not in told
 
 
 def test_nothing_supports_a_result_that_is_not_determined():
@@ -66,5 +66,5 @@ def test_what_a_cause_accounts_for_stands_with_it():
     }
     assert sentence(findings=[cause]).startswith(
         "Qx can be used with reservations: A radius of 2.5 m would fit. That explains the "
-        "other findings: The residuals are large. In its favour"
+        "other findings: The residuals are large. Passed checks"
     )

@@ -115,7 +115,7 @@ def check_default_priors(rests_on: Sequence[Knowledge]) -> Iterator[Finding]:
         estimate = format_estimate(row.found * factor, row.u_found * factor, unit)
         size = f"{format_number(row.u * factor, 2)} {unit}"
         text = (
-            f"{row.name}, which is not stated, is estimated as {estimate}: "
+            f"{row.name}, without a stated value, is estimated as {estimate}: "
             f"{format_number(ratio, 2)} "
             f"times its default standard uncertainty, {size}. State a prior for it in "
             "[model.priors], or look for another error with the same effect."

@@ -184,7 +184,7 @@ def _uncertainty_origin(coefficient: Coefficient) -> str:
     components = {
         "noise": coefficient.u_noise,
         "stated": coefficient.u_stated,
-        "unstated": coefficient.u_unstated,
+        "default": coefficient.u_unstated,
     }
     total_variance = sum(u * u for u in components.values() if u is not None)
     if total_variance == 0.0:
@@ -198,7 +198,7 @@ def _uncertainty_origin(coefficient: Coefficient) -> str:
 def confounding_text(confounded: ConfoundedTerms) -> str:
     """Return a clause on confounded terms and the degree of confounding."""
     names = ", ".join(confounded.terms[:-1]) + " and " + confounded.terms[-1]
-    return f"{names} {'cannot be' if confounded.inseparable else 'are hardly'} told apart"
+    return f"{names} {'cannot' if confounded.inseparable else 'can hardly'} be separated"
 
 
 def _confounded_sentence(confounded: ConfoundedTerms) -> str:
@@ -215,7 +215,7 @@ def _confounded_sentence(confounded: ConfoundedTerms) -> str:
 
 
 def confounded_sentences(accelerometer: AccelerometerResult) -> Iterator[str]:
-    """Return a sentence for each set of terms that the records cannot tell apart."""
+    """Return a sentence for each set of terms that the records cannot separate."""
     return map(_confounded_sentence, accelerometer.confounded)
 
 
@@ -237,10 +237,8 @@ def _residual_sentence(accelerometer: AccelerometerResult) -> str:
         text += f"; chi-square/dof {format_number(residual.chi2 / residual.dof, 4)}"
     if residual.lack_of_fit_p is not None:
         # Noise that was estimated fits by its size; only the pattern of the residuals can tell.
-        alternative = (
-            "a worse fit" if residual.chi2 is not None else "a pattern at least this unusual"
-        )
-        text += f", probability of {alternative} {format_number(residual.lack_of_fit_p, 2)}"
+        event = "a worse fit" if residual.chi2 is not None else "a less random pattern"
+        text += f"; probability of {event} {format_number(residual.lack_of_fit_p, 2)}"
     return text + "."
 
 
@@ -256,7 +254,7 @@ def _noise_sentence(noise: dict[str, NoiseLine], gravity: float) -> str:
             value, unit = value * 1e6, "us"
         label = {"timing": "time stamps"}.get(name, name.replace("_", " "))
         if line.estimated and value == 0.0:
-            lines.append(f"{label} none (the records show none)")
+            lines.append(f"{label} none detected")
             continue
         source = f"from {line.record}" if line.record else "as given"
         evaluation = "estimated from the residuals" if line.estimated else source
@@ -276,14 +274,14 @@ def _noise_sentence(noise: dict[str, NoiseLine], gravity: float) -> str:
 
 def _comparison_sentence(comparison: Comparison, coefficient: Coefficient | None) -> str:
     unit, factor = field_unit(coefficient.unit if coefficient else "")
-    agreement = "they agree" if methods_agree(comparison) else "they do not agree"
+    agreement = "consistent" if methods_agree(comparison) else "not consistent"
     value = format_estimate(comparison.value * factor, comparison.u * factor, unit)
     difference = format_estimate(
         comparison.difference * factor, comparison.u_difference * factor, unit
     )
     return (
-        f"The two-stage method gives K_II = {value}; the difference is {difference}, or "
-        f"{format_number(comparison.z)} times its standard uncertainty: {agreement}."
+        f"The two-stage method gives K_II = {value}. Difference: {difference} "
+        f"(z = {format_number(comparison.z)}): {agreement}."
     )
 
 

@@ -146,9 +146,8 @@ def answer_blocks(result: Result, *, report: bool = False) -> Iterator[Block]:
     gravity = format_number(result.inputs.gravity, 9)
     yield Paragraph(
         f"{result.method.capitalize()} method, {result.model} model. ± is one standard uncertainty "
-        f"(k = 1). Coefficients are in units of the site's own gravity, g = {gravity} m/s^2, and "
-        f"of an error model that is not divided by K_I, unlike that of IEEE Std 1293, "
-        "whose K2 is K_II/K_I.",
+        f"(k = 1). Coefficients are in units of the site's gravity, g = {gravity} m/s^2. They "
+        "are not normalised by K_I (IEEE Std 1293: K2 = K_II/K_I).",
         "quiet",
     )
 
@@ -170,9 +169,7 @@ def _answer_line(
     """Return K_II in one line; a contradicted value has neither interval nor colour."""
     value, u, unit = to_field_units(coefficient)
     if not coefficient.estimated or value is None or u is None:
-        prior = (
-            f"; known beforehand: {format_estimate(value, u, unit)}" if value is not None else ""
-        )
+        prior = f"; prior: {format_estimate(value, u, unit)}" if value is not None else ""
         style: Style = "undetermined" if state == "not-determined" else "warning"
         return Paragraph(f"{name}: {NOT_DETERMINED} by these records{prior}", style)
     text = f"{name} = {format_estimate(value, u, unit)}"

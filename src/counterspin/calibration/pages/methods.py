@@ -124,8 +124,8 @@ def _method_sentence(result: Result) -> str:
         observations = " and ".join([*records, *readings, *poses])
         return (
             f"{observations[:1].upper()}{observations[1:]} in one weighted least-squares fit, "
-            "with prior knowledge as further observations; quantities that are held and not "
-            "estimated contribute to u by their sensitivity."
+            "with priors as further observations. Fixed (considered) quantities are propagated "
+            "through their sensitivity coefficients."
         )
     return (
         "All samples of all runs and accelerometers in one weighted least-squares fit, with "

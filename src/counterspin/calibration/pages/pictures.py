@@ -6,7 +6,11 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from counterspin.calibration.pages.uncertainty import source_label, split_small_lines
+from counterspin.calibration.pages.uncertainty import (
+    kind_words,
+    source_label,
+    split_small_lines,
+)
 from counterspin.calibration.result_parts import AccelerometerResult, RunResult, Trace
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries
@@ -44,7 +48,9 @@ def budget_bars(name: str, accelerometer: AccelerometerResult, symbol: str = "K_
         return None
     unit, factor = field_unit(coefficient.unit)
     labels = [
-        line.source if line.kind == "noise" else f"{source_label(line.source)} ({line.kind})"
+        line.source
+        if line.kind == "noise"
+        else f"{source_label(line.source)} ({kind_words(line.kind)})"
         for line in lines
     ]
     colours = [_KIND_COLOURS[line.kind] for line in lines]
@@ -314,9 +320,9 @@ def _quantile_plot(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot
         for residual_trace, quantiles in traces_with_quantiles
     ]
     yield Plot(
-        title=f"Whitened residuals of {name} less those of a normal distribution",
+        title=f"Detrended normal Q-Q plot of the whitened residuals of {name}",
         x_label="quantile of the normal distribution",
-        y_label="residual less quantile",
+        y_label="residual minus quantile",
         series=tuple(series),
         levels=(0.0,),
     )

@@ -140,7 +140,7 @@ def shown_parameter(name: str, c: Coefficient) -> tuple[str, Coefficient]:
     if name.startswith("angle.") and c.value is not None:
         is_near_right = abs(c.value - _RIGHT_ANGLE) < _ANGLE_TOLERANCE
         c = c.model_copy(update={"value": c.value - _RIGHT_ANGLE}) if is_near_right else c
-        words += " less 90 deg" if is_near_right else ""
+        words += " minus 90 deg" if is_near_right else ""
     return words, c
 
 

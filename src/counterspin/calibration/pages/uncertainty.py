@@ -90,20 +90,24 @@ def default_prior_sentence(accelerometer: HasAnswer, symbol: str = "K_II") -> st
         return ""
     largest = max(unstated, key=lambda line: line.share)
     text = (
-        f"{format_share(largest.share)} of u^2 of {symbol} comes from "
-        f"{source_phrase(largest.source)}, which is not stated "
-        f"(typical {_format_source_u(largest, 1.0)})"
+        f"{_contribution_sentence(largest, symbol)} Its uncertainty was not stated, so the "
+        f"default of {_format_source_u(largest, 1.0)} was used."
     )
     update = accelerometer.what_if
     if update is None or largest.source not in update.known:
-        return f"{text}."
+        return text
     improved_u = IMPROVEMENT_FACTOR * update.known[largest.source]
     unit, factor = field_unit(coefficient.unit)
     remaining_u = format_uncertainty(update.u(symbol, {largest.source: improved_u}) * factor)
     return (
-        f"{text}; stating or measuring it to {_format_source_u(largest, IMPROVEMENT_FACTOR)} "
-        f"would leave u = {remaining_u} {unit}."
+        f"{text} Knowing it to {_format_source_u(largest, IMPROVEMENT_FACTOR)} would leave "
+        f"u = {remaining_u} {unit}."
     )
+
+
+def kind_words(kind: str) -> str:
+    """Return the kind of a source of uncertainty in words."""
+    return {"unstated": "default", "held": "considered"}.get(kind, kind)
 
 
 def source_label(source: str) -> str:
@@ -112,19 +116,20 @@ def source_label(source: str) -> str:
     return f"{words}, {source}" if words else source
 
 
-def source_phrase(source: str) -> str:
-    """Return a term or source of uncertainty as a phrase for a sentence."""
-    return f"the {source_label(source)}" if description_of(source) else source
-
-
 def main_source_sentence(accelerometer: HasAnswer, symbol: str = "K_II") -> str:
     """Return a sentence on the main source of the u of a coefficient; empty if not known."""
     lines = accelerometer.budget.get(symbol, [])
     if not lines:
         return ""
     largest = max(lines, key=lambda line: line.share)
-    words = source_phrase(largest.source)
-    return f"{format_share(largest.share)} of u^2 of {symbol} comes from {words}."
+    return _contribution_sentence(largest, symbol)
+
+
+def _contribution_sentence(line: BudgetLine, symbol: str) -> str:
+    """Return a sentence on the share of a source in the variance of a coefficient."""
+    words = description_of(line.source)
+    source = f"{line.source} ({words})" if words else line.source[:1].upper() + line.source[1:]
+    return f"{source} contributes {format_share(line.share)} of the variance of {symbol}."
 
 
 def _format_source_u(line: BudgetLine, factor_of_u: float) -> str:
@@ -161,9 +166,9 @@ def prior_blocks(result: Result) -> Iterator[Block]:
             (
                 Column("Term or input", wraps=True),
                 Column("Meaning", wraps=True),
-                Column("Known"),
-                Column("Before", "right"),
-                Column("With the data", "right"),
+                Column("Source of the prior"),
+                Column("Prior", "right"),
+                Column("Posterior", "right"),
                 Column("Largest share of u^2", "right"),
             ),
             tuple(_prior_row(row, shares[row.name]) for row in rows),
@@ -184,13 +189,13 @@ def _largest_shares(result: Result) -> dict[str, float]:
 
 def _prior_row(row: Knowledge, share: float) -> tuple[str, ...]:
     unit, factor = field_unit(row.unit)
-    posterior = "held"
+    posterior = "held (considered)"
     if row.found is not None and row.u_found is not None:
         posterior = format_estimate(row.found * factor, row.u_found * factor, unit)
     return (
         row.name,
         description_of(row.name),
-        row.kind,
+        kind_words(row.kind),
         format_estimate(row.value * factor, row.u * factor, unit),
         posterior,
         format_share(share),

@@ -63,7 +63,7 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
                 else f"There are {remaining} more findings."
             )
         if evidence and accelerometer.state in _USABLE:
-            sentences.append(f"In its favour: {evidence}.")
+            sentences.append(f"Passed checks: {evidence}.")
     else:
         sentences = [f"{opening}: {evidence}." if evidence else f"{opening}."]
     return " ".join(sentences)
