@@ -8,6 +8,7 @@ from counterspin.application.campaign_files import (
     TRASH,
     add_records,
     copy_campaign,
+    discard_uploads,
     move_to_trash,
     rename_campaign,
     restore_campaign,
@@ -54,9 +55,40 @@ def test_what_is_restored_replaces_nothing(app, folder):
         place = move_to_trash(app, name)["place"]
         if name == "three":
             copy_campaign(app, "lab/first", "three")
-        assert restore_campaign(app, place) == {"name": restored}
+        assert restore_campaign(app, place) == {"name": restored, "files": []}
         assert names(folder / restored) == before
     assert trash_contents(app) == []
+
+
+def test_discarded_files_are_in_the_trash_until_they_are_restored(app, folder):
+    (folder / "new").mkdir()
+    for name in ("a.csv", "b.csv", "notes.txt"):
+        (folder / "new" / name).write_text(name)
+    discarded = ["new/a.csv", "new/b.csv", "new/missing.csv"]
+    place = discard_uploads(app, "new", discarded)["place"]
+    assert names(folder / "new") == ["notes.txt"]
+    assert discard_uploads(app, "new", discarded) == {"place": None}
+    restored = {"name": "new-2", "files": ["new-2/a.csv", "new-2/b.csv"]}
+    assert restore_campaign(app, place) == restored
+    assert (folder / "new-2" / "a.csv").read_text() == "a.csv"
+    discard_uploads(app, "new", ["new/notes.txt"])
+    assert not (folder / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("source", "name", "words"),
+    [
+        ("three", "three/slow.csv", "three is a campaign; its files are kept"),
+        ("new", "three/slow.csv", "only files of one folder"),
+        ("", "slow.csv", "only files of one folder"),
+        ("new", "../slow.csv", "not a valid file name"),
+    ],
+)
+def test_only_files_of_an_import_are_discarded(app, folder, source, name, words):
+    before = sorted(folder.rglob("*"))
+    with pytest.raises(CounterspinError, match=words):
+        discard_uploads(app, source, [name])
+    assert sorted(folder.rglob("*")) == before
 
 
 @pytest.mark.parametrize("place", ["", "three", "../three", "20260101T000000000000-..%2F..%2Fout"])

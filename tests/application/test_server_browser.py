@@ -46,6 +46,16 @@ def see_pictures(tab):
     tab.locator("figure.zoomed canvas").first.wait_for()
 
 
+def leave_and_return(tab):
+    """Reload the Confirm step, then discard its files and undo this: files and answers remain."""
+    answer_field(tab, "Radius").blur()
+    tab.reload()
+    answer_field(tab, "Radius").wait_for()
+    assert answer_field(tab, "Radius").input_value() == "2.5"
+    tab.get_by_role("button", name="Discard").click()
+    tab.get_by_role("button", name="Undo").click()
+
+
 def test_from_exports_to_the_certificate(opened, app, folder):
     """As a person would: bring the recorder's files, calibrate, look, issue the certificate."""
     tab = opened()
@@ -55,6 +65,7 @@ def test_from_exports_to_the_certificate(opened, app, folder):
     tab.get_by_label("The recorder's files").set_input_files(records)
     for question, said in PLACE:
         answer_field(tab, question).fill(said)
+    leave_and_return(tab)
     # The axes and the angle that are asked for are drawn.
     tab.get_by_role("img", name="Double turntable").wait_for()
     # What is guessed of a column may be changed, and changed back, before anything is written.
@@ -700,6 +711,17 @@ def test_a_sample_campaign_is_opened_with_its_result(opened, folder):
     tab.get_by_role("button", name="Open a sample campaign").click()
     tab.wait_for_url("**#/campaign/sample")
     tab.locator(".instrument").first.wait_for()
+    # The tour can be closed and started again.
+    tour = tab.get_by_role("dialog", name="Tour of the campaign")
+    tour.get_by_role("button", name="Close the tour").click()
+    assert not tour.is_visible()
+    tab.get_by_text("More", exact=True).click()
+    tab.get_by_role("button", name="Tour").click()
+    for _ in range(4):
+        tour.get_by_role("button", name="Next").click()
+    assert tab.locator(".toured").count() == 1
+    tour.get_by_role("button", name="Done").click()
+    assert tab.locator(".toured").count() == 0
     (found,) = Result.read(folder / "sample" / "result.json").accelerometers.values()
     k_ii = found.coefficients["K_II"]
     truth = read_campaign(folder / "sample").simulation.truth.coefficients

@@ -111,12 +111,39 @@ def rename_campaign(app: AppState, name: str, to: str) -> dict[str, Any]:
 def move_to_trash(app: AppState, name: str) -> dict[str, Any]:
     """Move a campaign's folder to the trash; return its new path."""
     source = _idle_campaign_folder(app, name)
-    timestamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%f")
-    # A campaign of a subfolder is restored into it.
-    target = app.folder.root / TRASH / f"{timestamp}-{quote(app.folder.name(source), safe='')}"
+    target = _trash_path(app, source)
     make_folder(target.parent)
     _move(source, target)
     return {"place": target.name}
+
+
+def discard_uploads(app: AppState, folder: str, names: list[str]) -> dict[str, Any]:
+    """Move the files of an unfinished import to the trash; return their place.
+
+    names: Names of the files, relative to the served folder; missing files are skipped.
+    """
+    source = app.folder.path(folder)
+    paths = [app.folder.path(name) for name in dict.fromkeys(names)]
+    if source == app.folder.root or any(path.parent != source for path in paths):
+        raise PathForbiddenError("only files of one folder of an import can be discarded")
+    if (source / DESCRIPTION_NAME).exists():
+        raise CounterspinError(f"{folder} is a campaign; its files are kept")
+    files = [path for path in paths if path.is_file() and not path.is_symlink()]
+    if not files:
+        return {"place": None}
+    target = _trash_path(app, source)
+    make_folder(target)
+    for file in files:
+        _move(file, target / file.name)
+    with suppress(OSError):  # a folder with further files remains
+        source.rmdir()
+    return {"place": target.name}
+
+
+def _trash_path(app: AppState, source: Path) -> Path:
+    """Return the path of a folder in the trash; its name contains that of its parent folders."""
+    timestamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%f")
+    return app.folder.root / TRASH / f"{timestamp}-{quote(app.folder.name(source), safe='')}"
 
 
 def trash_contents(app: AppState) -> list[dict[str, str]]:
@@ -132,9 +159,11 @@ def trash_contents(app: AppState) -> list[dict[str, str]]:
 
 
 def restore_campaign(app: AppState, place: str) -> dict[str, Any]:
-    """Move a campaign from the trash back to its folder, or beside what is there; return its name.
+    """Move a folder from the trash back to its place, or beside a new folder of its name.
 
     place: Its name in the trash.
+
+    Returns the folder's name, and the names of the files of an unfinished import.
     """
     former_name = {entry["place"]: entry["name"] for entry in trash_contents(app)}.get(place)
     if former_name is None:
@@ -142,7 +171,9 @@ def restore_campaign(app: AppState, place: str) -> dict[str, Any]:
     target = app.folder.path(free_name(app, former_name))
     make_folder(target.parent)
     _move(app.folder.root / TRASH / place, target)
-    return {"name": app.folder.name(target)}
+    is_campaign = (target / DESCRIPTION_NAME).exists()
+    files = [] if is_campaign else sorted(path for path in target.iterdir() if path.is_file())
+    return {"name": app.folder.name(target), "files": [app.folder.name(file) for file in files]}
 
 
 def free_name(app: AppState, name: str) -> str:

@@ -100,6 +100,7 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Callable[..., Any]]] = {
     ("POST", "copy"): campaign_files.copy_campaign,
     ("POST", "rename"): campaign_files.rename_campaign,
     ("POST", "put-away"): campaign_files.move_to_trash,
+    ("POST", "discard"): campaign_files.discard_uploads,
     ("POST", "restore"): campaign_files.restore_campaign,
     ("POST", "sample"): campaigns.begin_sample,
     ("POST", "records"): campaign_files.add_records,

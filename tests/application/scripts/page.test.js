@@ -14,6 +14,7 @@ import { carryOut, follow, followRunning, remaining } from "./job.js";
 import { columnsOf, stepsAround, withPoint } from "./live.js";
 import { inUnit } from "./plan.js";
 import { partsOf, quantityText } from "./quantity.js";
+import { discardImport, keepImport, unfinishedImport } from "./unfinished.js";
 
 const KEY = "counterspin-key";
 
@@ -51,6 +52,23 @@ test("files are looked at until what was answered before is sent, and no more th
   assert.deepEqual(await looksAt(3), { sent: [0, 1, 2, 3], told: 4 });
   assert.deepEqual(await looksAt(9), { sent: [0, 1, 2, 3], told: 4 });
   assert.deepEqual(await looksAt(9, (look) => look === 2), { sent: [0, 1], told: null });
+});
+
+test("an unfinished import is kept for the window, and its discarded files can be restored", async () => {
+  const state = { folder: "new", names: ["new/b.csv"], uploaded: ["new/a.csv", "new/b.csv"], test: "", answers: { radius: "2 m" } };
+  keepImport(state);
+  assert.deepEqual(unfinishedImport(), state);
+  server.answer = (path) => json(path === "/api/discard" ? { place: "trashed" } : { name: "new-2", files: [] });
+  await discardImport();
+  assert.equal(unfinishedImport(), null);
+  assert.deepEqual(JSON.parse(server.requests[0].body), { folder: "new", names: state.uploaded });
+  said.children.at(-1).click();
+  await new Promise((done) => { setTimeout(done); });
+  assert.deepEqual(JSON.parse(server.requests[1].body), { place: "trashed" });
+  assert.deepEqual(unfinishedImport(), {
+    folder: "new-2", names: ["new-2/b.csv"], uploaded: ["new-2/a.csv", "new-2/b.csv"], test: "", answers: { radius: "2 m" },
+  });
+  assert.equal(location.hash, "#/import");
 });
 
 // Addresses

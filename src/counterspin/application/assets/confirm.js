@@ -7,6 +7,7 @@ import { attempt, labelled, make, say, warning, working } from "./dom.js";
 import { drawingOf } from "./drawings.js";
 import { circleOf, curveOf } from "./curves.js";
 import { quantityField } from "./quantity.js";
+import { forgetImport, keepImport } from "./unfinished.js";
 
 /** @typedef {import("./quantity.js").Question} Question */
 /** @typedef {import("./quantity.js").Field} Field */
@@ -66,20 +67,19 @@ export async function lookUntilSettled(look, answered) {
 export class Confirmation {
   /**
    * @param {HTMLElement} place
-   * @param {string[]} names of the files
-   * @param {string} folder of the new campaign
+   * @param {import("./unfinished.js").Unfinished} state files and folder; answers, also to another kind of test
    * @param {string[]|null} tests kinds of test that are possible, the first one by default; null: any
-   * @param {Record<string, string>} answers given already, of the same or another kind of test
    */
-  constructor(place, names, folder, tests, answers = {}) {
+  constructor(place, state, tests) {
     this.place = place;
-    this.names = names;
-    this.folder = folder;
+    this.unfinished = state;
+    this.names = state.names;
+    this.folder = state.folder;
     this.tests = tests;
     /** Kind of test; empty: to be guessed. */
-    this.test = "";
+    this.test = state.test;
     /** @type {Record<string, string>} a person's answers, by the keys of questions */
-    this.answers = answers;
+    this.answers = state.answers;
     /** @type {Record<string, string>} those of them that this kind of test asks for */
     this.sent = {};
     /** @type {Question[]} of this kind of test, as far as they are known */
@@ -118,6 +118,7 @@ export class Confirmation {
   /** The files and the answers so far. */
   request() {
     this.sent = answersTo(this.questions, this.answers);
+    keepImport({ ...this.unfinished, test: this.test, answers: this.answers });
     return { names: this.names, answers: this.sent, test: this.test || null };
   }
 
@@ -381,6 +382,7 @@ export class Confirmation {
     }
     try {
       const { name } = await send("POST", "drafted", { folder: this.folder, ...this.request() });
+      forgetImport();
       say(`Wrote the campaign ${name}.`);
       // A calibration that cannot begin says why on the campaign's page.
       if (calibrate) await send("POST", "jobs", { name }).catch(() => {});

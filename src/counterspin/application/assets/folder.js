@@ -6,6 +6,7 @@ import { get, send } from "./api.js";
 import { importEntry } from "./import.js";
 import { attempt, labelled, make, say, stateMark, submitting, symbols } from "./dom.js";
 import { pagePart } from "./result.js";
+import { keepImport } from "./unfinished.js";
 
 /** @typedef {{name: string, state: string, words: string, title?: string,
  *   answers?: {name: string, text: string}[]}} ResultLine */
@@ -118,9 +119,10 @@ function instruments(names) {
 function trashPart(trash) {
   const wrong = make("div");
   const restore = (/** @type {string} */ place) => () => attempt(wrong, async () => {
-    const { name } = await send("POST", "restore", { place });
+    const { name, files } = await send("POST", "restore", { place });
     say(`Restored ${name}.`);
-    location.hash = campaignAddress(name);
+    if (files.length) keepImport({ folder: name, names: files, uploaded: files, test: "", answers: {} });
+    location.hash = files.length ? "#/import" : campaignAddress(name);
   });
   return make("details", { class: "keeping" }, make("summary", {}, `Trash (${trash.length})`),
     ...trash.map(({ place, name }) => make("div", { class: "row" }, make("span", {}, name),

@@ -8,6 +8,9 @@ import { attempt, labelled, make, working } from "./dom.js";
 import { carryOut } from "./job.js";
 import { stepList } from "./tabs.js";
 import { requestTour } from "./tour.js";
+import { discardImport, keepImport, unfinishedImport } from "./unfinished.js";
+
+/** @typedef {import("./unfinished.js").Unfinished} Unfinished */
 
 /** Kinds of test of a pasted table. */
 const TABLES = ["tumble", "arm"];
@@ -75,11 +78,16 @@ function importPanel(take) {
   return zone;
 }
 
-/** The same area on another page, which leads to that of the import. */
-export const importEntry = () => importPanel((files, folder) => {
-  passed = { files, folder };
-  location.hash = "#/import";
-});
+/** The same area on another page, which leads to that of the import, with a link to an unfinished import. */
+export function importEntry() {
+  const state = unfinishedImport();
+  const panel = importPanel((files, folder) => {
+    passed = { files, folder };
+    location.hash = "#/import";
+  });
+  return make("div", {},
+    state ? make("p", { class: "unfinished" }, make("a", { href: "#/import" }, `Continue the import of ${state.folder}`)) : null, panel);
+}
 
 /**
  * A table that is typed or pasted, as a file.
@@ -113,9 +121,10 @@ export const asTable = (text) =>
  * @param {File[]} files
  * @param {string} typed the folder; empty: suggested
  * @param {(text: string) => void} show the progress
+ * @param {(folder: string, name: string) => void} uploaded called for each file
  * @returns {Promise<{folder: string, names: string[]}>}
  */
-async function upload(files, typed, show) {
+async function upload(files, typed, show, uploaded) {
   const { campaigns } = await get("folder");
   const taken = new Set(campaigns.map((/** @type {{name: string}} */ campaign) => campaign.name));
   const date = new Date().toISOString().slice(0, 10);
@@ -125,7 +134,9 @@ async function upload(files, typed, show) {
       const names = [];
       for (const [place, file] of files.entries()) {
         show(`Uploading ${file.name}, ${place + 1} of ${files.length}`);
-        names.push((await bring(`${folder}/${file.name}`, file)).name);
+        const { name } = await bring(`${folder}/${file.name}`, file);
+        names.push(name);
+        uploaded(folder, name);
       }
       return { folder, names };
     } catch (error) {
@@ -141,31 +152,55 @@ export async function importView() {
   const place = make("div");
   const title = make("h1", {}, "New campaign");
   const steps = make("nav", { class: "steps", "aria-label": "Steps of the campaign" }, stepList(0));
-  let folder = "";
   /** @type {Confirmation|null} */
   let confirmation = null;
-  const take = (/** @type {File[]} */ files, /** @type {string} */ typed) => attempt(place, async () => {
-    confirmation?.end();
-    const show = (/** @type {string} */ text) => place.replaceChildren(working(text));
-    const uploaded = await upload(files, typed || folder, show);
-    folder = uploaded.folder;
+  const show = (/** @type {string} */ text) => place.replaceChildren(working(text));
+
+  /**
+   * Show the Confirm step.
+   * @param {Unfinished} state
+   * @param {string[]|null} tests kinds of test that are possible; null: any
+   */
+  const open = async (state, tests) => {
     show("Reading the files");
-    const readings = files[0].type === PASTED;
-    const next = new Confirmation(place, uploaded.names, folder, readings ? TABLES : null, confirmation?.answers);
+    const next = new Confirmation(place, state, tests);
     confirmation = next;
     await next.update();
     if (next !== confirmation) return;
-    title.textContent = folder;
+    title.textContent = state.folder;
     panel.classList.add("compact");
     steps.replaceChildren(stepList(1));
+  };
+  const take = (/** @type {File[]} */ files, /** @type {string} */ typed) => attempt(place, async () => {
+    confirmation?.end();
+    const before = unfinishedImport() ?? { folder: "", names: [], uploaded: [], test: "", answers: {} };
+    let state = before;
+    const { folder, names } = await upload(files, typed || before.folder, show, (target, name) => {
+      const earlier = target === state.folder ? state.uploaded : [];
+      state = { ...before, folder: target, names: [], uploaded: [...new Set([...earlier, name])] };
+      keepImport(state);
+    });
+    await open({ ...state, folder, names, test: "" }, files[0].type === PASTED ? TABLES : null);
+  });
+  const discard = () => attempt(place, async () => {
+    confirmation?.end();
+    show("Moving the files to the trash");
+    await discardImport();
+    location.hash = "#/";
   });
   const panel = importPanel(take);
-  if (passed) take(passed.files, passed.folder);
+  const state = unfinishedImport();
+  if (passed) {
+    if (state) await discardImport();
+    take(passed.files, passed.folder);
+  } else if (state?.names.length) {
+    attempt(place, () => open(state, null));
+  }
   passed = null;
   return {
     title: "New campaign",
     content: [
-      make("div", { class: "head" }, title, make("a", { class: "button", href: "#/" }, "Discard")),
+      make("div", { class: "head" }, title, make("button", { type: "button", onclick: discard }, "Discard")),
       steps, panel, place,
     ],
   };

@@ -2,6 +2,7 @@
 // The steps of a campaign, and its further places.
 
 import { make } from "./dom.js";
+import { requestTour } from "./tour.js";
 
 /** Further places of a campaign: address -> title. */
 const PLACES = { description: "Description", runs: "Records", live: "Live", try: "Try out" };
@@ -37,5 +38,12 @@ export function campaignTabs(name, here, { step = "review", result } = {}) {
   return make("nav", { class: "steps", "aria-label": "The campaign" }, stepList(now, links),
     make("details", { class: "menu" }, make("summary", {}, "More"),
       make("div", {}, ...Object.entries({ campaign: "Result", ...PLACES }).map(([place, words]) =>
-        make("a", { href: at(place), "aria-current": place === here ? "page" : null }, words)))));
+        make("a", { href: at(place), "aria-current": place === here ? "page" : null }, words)),
+      here === "campaign" && result !== undefined ? make("button", {
+        type: "button", class: "link",
+        onclick: () => {
+          requestTour(name);
+          dispatchEvent(new HashChangeEvent("hashchange"));
+        },
+      }, "Tour") : null)));
 }

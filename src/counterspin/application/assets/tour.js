@@ -1,18 +1,18 @@
 // @ts-check
-// A tour of the sample campaign, in a few steps.
+// A tour of a calibrated campaign, in a few steps.
 
-import { make } from "./dom.js";
+import { make, symbols } from "./dom.js";
 
 /** The campaign whose tour is wanted, for this window. */
 const KEY = "counterspin-tour";
 
 /** Steps: what is shown, its title and its explanation. */
 const STEPS = [
-  [".steps", "Five steps", "A campaign leads from the files to a certificate. This sample has simulated records, and its calibration is done."],
-  [".instrument", "The result", "K_II with its standard uncertainty u and its 95 % interval. The bar shows the sources of u, and the checks below it test the fit."],
-  ['[role="tablist"]', "The chapters", "The uncertainty budget has sliders: they show u if a source were known better. Residuals show data minus model, and Inputs all files with checksums."],
-  [".head .row", "Report and certificate", "Save a report, copy the values, or issue a certificate. The sample is for practice: its certificate stays a draft until you state a laboratory."],
-  [".steps .menu", "Description and records", "More leads to the description with every setting, the records as plots, a forecast and a study. The Glossary explains the terms."],
+  [".steps", "Five steps", "A campaign leads from the files to a certificate in five steps. This one is calibrated: Review shows its result."],
+  [".instrument", "Result", "Each card shows K_II with its standard uncertainty u and its 95 % interval. The bar shows the sources of u; the checks below the bar test the fit."],
+  ['[role="tablist"]', "Tabs", "In the uncertainty budget, sliders show how u falls if a source becomes better known. Residuals shows data minus model. Inputs lists all files with checksums."],
+  [".head .row", "Report and certificate", "Save a report, copy the values, or issue a certificate. A certificate is a draft until all entries of the laboratory are complete."],
+  [".steps .menu", "Description and records", "More leads to the description with every setting, to plots of the records, to a forecast and a study. The glossary explains the terms."],
 ];
 
 /** @param {string} name of the campaign that is shown next */
@@ -30,7 +30,7 @@ export function tourOf(name) {
   const back = make("button", { type: "button", onclick: () => show(now - 1) }, "Back");
   const next = make("button", { type: "button", class: "main", onclick: () => (now + 1 < STEPS.length ? show(now + 1) : close()) });
   const box = make("aside", {
-    class: "tour panel", role: "dialog", "aria-label": "Tour of the sample campaign",
+    class: "tour panel", role: "dialog", "aria-label": "Tour of the campaign",
     onkeydown: (/** @type {KeyboardEvent} */ event) => { if (event.key === "Escape") close(); },
   }, title, make("div", { "aria-live": "polite" }, text),
   make("div", { class: "row" }, count, back, next, make("button", { type: "button", onclick: () => close() }, "Close the tour")));
@@ -47,7 +47,7 @@ export function tourOf(name) {
     document.querySelector(selector)?.classList.add("toured");
     document.querySelector(selector)?.scrollIntoView({ block: "nearest" });
     title.textContent = words;
-    text.textContent = explained;
+    text.replaceChildren(...symbols(explained));
     count.textContent = `${step + 1} of ${STEPS.length}`;
     back.disabled = step === 0;
     next.textContent = step + 1 < STEPS.length ? "Next" : "Done";
