@@ -102,7 +102,7 @@ ROWS = {
         ("an estimate differs by more than {} u", engine_selection._MAX_ESTIMATE_DIFFERENCE),
         ("or u by more than {} %, the study", 100.0 * engine_selection._MAX_U_DIFFERENCE),
         ("by the same factor, down to {}.", math.sqrt(0.5)),
-        ("A study that will take {} an hour or more", study._WARNING_HOURS),
+        ("A study that will take {} s or more", study._WARNING_DURATION),
         ("at most {} for each processor core", workers._PROCESSES_PER_CORE),
         ("it waits up to {} minutes for the first", workers._FIRST_WORKER_TIMEOUT / 60.0),
     ],

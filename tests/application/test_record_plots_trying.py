@@ -43,6 +43,21 @@ def at_once(app):
 
 
 @pytest.mark.usefixtures("at_once")
+def test_the_duration_of_a_study_is_estimated_once_and_again_after_a_change(page, folder):
+    job = page.post("/api/study-duration", json={"name": "three"}).json()["job"]
+    assert (job["state"], job["kind"], job["output"]) == ("done", "estimate", "")
+    answer = page.post("/api/study-duration", json={"name": "three"}).json()
+    # No analysis of this campaign needs full records.
+    duration = answer["duration"]
+    assert (answer["job"], duration["slow_analyses"]) == (None, "")
+    assert 0.0 < 1000 * duration["per_trial"] < 0.1
+    assert duration["preparation"] > 0.0
+    description = folder / "three" / "campaign.toml"
+    description.write_text(description.read_text() + "\n")
+    assert page.post("/api/study-duration", json={"name": "three"}).json()["job"] is not None
+
+
+@pytest.mark.usefixtures("at_once")
 def test_records_are_simulated_into_a_folder_of_their_own(page, folder):
     job = ended(page, "simulation", folder="again")
     assert (job["state"], job["output"]) == ("done", "again")

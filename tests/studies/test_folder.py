@@ -262,7 +262,7 @@ def test_options_of_the_folder_need_one(campaign, capsys):
 # Patience
 
 
-def test_study_that_takes_hours_says_so_first(campaign, monkeypatch, capsys):
+def test_study_that_takes_long_says_so_first(campaign, monkeypatch, capsys):
     monkeypatch.setattr(study_module, "expected_duration", lambda engine, trials: 0.8 * trials)
     said = []
     monkeypatch.setattr(study_module, "run_batches", lambda *_, **__: said.append(1) or 1 / 0)
@@ -275,5 +275,10 @@ def test_study_that_takes_hours_says_so_first(campaign, monkeypatch, capsys):
     error = " ".join(capsys.readouterr().err.split())
     assert "counterspin: 40000 trials will take about 9 h" in error
     assert "fewer --trials, more --workers or a --cluster" in error
+    with (
+        pytest.warns(CounterspinWarning, match=r"2000 trials will take about 27 min"),
+        pytest.raises(ZeroDivisionError),
+    ):
+        study(campaign, trials=2000)
     with pytest.raises(ZeroDivisionError):
-        study(campaign, trials=2000)  # half an hour: not a word
+        study(campaign, trials=30)  # 24 s: no warning

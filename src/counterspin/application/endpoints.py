@@ -137,6 +137,7 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Callable[..., Any]]] = {
     ("POST", "planned"): plans.begin_planned,
     ("GET", "jobs"): _jobs,
     ("POST", "jobs"): campaigns.begin_calibration,
+    ("POST", "study-duration"): record_plots.study_duration,
     ("POST", "study"): record_plots.begin_study,
     ("POST", "simulation"): record_plots.begin_simulation,
     ("DELETE", "jobs"): _stop,

@@ -112,9 +112,9 @@ class Job:
     output: str
     command: str  #: The same as a command.
     #: What it is.
-    kind: Literal["calibration", "study", "simulation", "forecast", "plan", "fit", "sample"] = (
-        "calibration"
-    )
+    kind: Literal[
+        "calibration", "study", "estimate", "simulation", "forecast", "plan", "fit", "sample"
+    ] = "calibration"
     state: JobState = "waiting"  #: Where it stands.
     progress: tuple[int, int] = (0, 0)  #: Runs or trials that are done, and all of them.
     error: str = ""  #: Why it failed.

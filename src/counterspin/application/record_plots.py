@@ -315,6 +315,39 @@ def begin_study(app: AppState, name: str, trials: int) -> dict[str, Any]:
     return app.jobs.begin(make_job, run_study, path, target, trials).to_dict()
 
 
+def study_duration(app: AppState, name: str) -> dict[str, Any]:
+    """Return the expected duration of a study on one processor core, or the job that estimates it.
+
+    name: The campaign's folder.
+    """
+    from counterspin.studies.description import read_study
+
+    path = app.description(name)
+    files = [path, *(run.record for run in app.campaign(name).runs)]
+    duration, store = app.cache.lookup(("duration", path), files)
+    if duration is not None:
+        return {"job": None, "duration": vars(duration)}
+    read_study(path)
+    command = study_command(path.parent, 1000, path.parent / STUDY_NAME)
+
+    def make_job(number: int) -> Job:
+        return Job(number, name, "", command, "estimate")
+
+    job = app.jobs.begin(make_job, run_duration_estimate, path, on_done=store)
+    return {"job": job.to_dict(), "duration": None}
+
+
+def run_duration_estimate(connection: Connection, campaign: Path) -> None:
+    """Estimate the duration of a study; report to `connection` as `report_progress` does."""
+
+    def work(_: Progress) -> Any:
+        from counterspin.studies.study import estimate_duration
+
+        return estimate_duration(campaign)
+
+    report_progress(connection, work)
+
+
 def run_study(connection: Connection, campaign: Path, output: Path, trials: int) -> None:
     """Study a campaign and write its result; report to `connection` as `report_progress` does."""
 

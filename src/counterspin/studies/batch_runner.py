@@ -197,7 +197,7 @@ _SAVE_INTERVAL: Final = 10.0
 _MAX_CONSECUTIVE_CRASHES: Final = 5
 
 #: Approximate duration of full records, s, from which a trial is timed.
-_MIN_TIMED_DURATION: Final = 60.0
+_MIN_TIMED_DURATION: Final = 10.0
 
 #: Approximate duration of a trial, s.
 _TRIAL_DURATIONS: Final[dict[CostClass, float]] = {

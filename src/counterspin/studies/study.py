@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import time
 import warnings
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -14,6 +15,7 @@ import numpy as np
 from counterspin._version import __version__
 from counterspin.campaign.description import Campaign
 from counterspin.errors import CounterspinError, CounterspinWarning
+from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.studies.batch_runner import (
     BatchResults,
@@ -36,8 +38,11 @@ from counterspin.studies.result import (
 from counterspin.threads import one_blas_thread
 from counterspin.workers import ALONE, Workers, worker_pool
 
-#: Hours of work above which a user is told before it begins.
-_WARNING_HOURS: Final = 0.5
+#: Duration, s, from which a user is told the duration before the first trial.
+_WARNING_DURATION: Final = 30.0
+
+#: Trials of a study whose duration is estimated without a number of trials.
+_TYPICAL_TRIALS: Final = 1000
 
 #: More trials would take days, and their results much of the memory.
 _MAX_TRIALS: Final = 10**9
@@ -149,23 +154,53 @@ def _check_memory(engine: StudyEngine, trials: int) -> None:
 
 
 def _warn_of_duration(engine: StudyEngine, trials: int, workers: int) -> None:
-    hours = expected_duration(engine, trials) / workers / 3600.0
-    if hours < _WARNING_HOURS:
+    seconds = expected_duration(engine, trials) / workers
+    if seconds < _WARNING_DURATION:
         return
-    slow_analyses = [
-        analysis for analysis in engine.analysis_engines if analysis.cost_class == "full"
-    ]
-    reasons = "; ".join(
-        f"{analysis.coefficients[0].analysis}: {analysis.description}" for analysis in slow_analyses
-    )
+    reason = _slow_analyses(engine)
     warnings.warn(
-        f"{trials} trials will take about {hours:.1g} h"
-        + (f" ({reasons})" if reasons else "")
+        f"{trials} trials will take about {_format_duration(seconds)}"
+        + (f" ({reason})" if reason else "")
         + "; use fewer `trials`, more `workers` or a `cluster` to shorten it; Ctrl-C ends "
         "it with a valid result of the completed trials",
         CounterspinWarning,
         stacklevel=4,
     )
+
+
+def _slow_analyses(engine: StudyEngine) -> str:
+    """Return the analyses that need full records, with the reasons."""
+    return "; ".join(
+        f"{analysis.coefficients[0].analysis}: {analysis.description}"
+        for analysis in engine.analysis_engines
+        if analysis.cost_class == "full"
+    )
+
+
+def _format_duration(seconds: float) -> str:
+    if seconds < 100.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 6000.0 else f"{seconds / 3600.0:.1g} h"
+
+
+@frozen
+class StudyDuration:
+    """The expected duration of a study on one processor core."""
+
+    preparation: float  #: Duration before the first trial, s.
+    per_trial: float  #: Duration of a trial, s.
+    slow_analyses: str  #: Analyses that need full records, with the reasons; empty without one.
+
+
+@one_blas_thread()
+def estimate_duration(where: Path) -> StudyDuration:
+    """Return the expected duration of a study; it is prepared, and a slow trial is timed."""
+    start = time.perf_counter()
+    description = read_study(where)
+    prepared = prepare_study(description, description.seed)
+    preparation = time.perf_counter() - start
+    per_trial = expected_duration(prepared, _TYPICAL_TRIALS) / _TYPICAL_TRIALS
+    return StudyDuration(preparation, per_trial, _slow_analyses(prepared))
 
 
 def _fingerprint(engine: StudyEngine) -> str:

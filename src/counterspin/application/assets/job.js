@@ -11,6 +11,7 @@ import { attempt, make, say, submitting, warning, working } from "./dom.js";
 const WORDS = /** @type {Record<string, [string, string]>} */ ({
   calibration: ["Reading runs", "Estimating"],
   study: ["Trials", "Writing the result"],
+  estimate: ["Estimating the duration", "Estimating the duration"],
   simulation: ["Simulating", "Simulating"],
   forecast: ["Forecasting", "Forecasting"],
   plan: ["Planning", "Planning"],
@@ -49,17 +50,22 @@ export const carryOut = (place, begin, done) => submitting(place, async () => {
 });
 
 /**
+ * A duration in words.
+ * @param {number} seconds
+ */
+export function duration(seconds) {
+  if (seconds < 100) return `${Math.max(1, Math.round(seconds))} s`;
+  return seconds < 6000 ? `${Math.round(seconds / 60)} min` : `${(seconds / 3600).toFixed(1)} h`;
+}
+
+/**
  * The remaining time in words, from the time for what is done; empty at the beginning.
  * @param {number} done
  * @param {number} all
  * @param {number} seconds
  */
-export function remaining(done, all, seconds) {
-  if (!done || seconds < 2) return "";
-  const left = seconds * (all - done) / done;
-  if (left < 100) return `, about ${Math.max(1, Math.round(left))} s left`;
-  return left < 6000 ? `, about ${Math.round(left / 60)} min left` : `, about ${(left / 3600).toFixed(1)} h left`;
-}
+export const remaining = (done, all, seconds) =>
+  !done || seconds < 2 ? "" : `, about ${duration(seconds * (all - done) / done)} left`;
 
 /**
  * Follow a job to its end.

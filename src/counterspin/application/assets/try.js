@@ -4,7 +4,7 @@
 import { get, send } from "./api.js";
 import { commandLine, labelled, make } from "./dom.js";
 import { campaignAddress, descriptionAddress } from "./addresses.js";
-import { carryOut, followRunning } from "./job.js";
+import { carryOut, duration, follow, followRunning } from "./job.js";
 import { fill } from "./result.js";
 import { campaignTabs } from "./tabs.js";
 
@@ -32,6 +32,32 @@ function jobForm(campaign, kind, label, words, begin, done) {
 }
 
 /**
+ * The expected duration of a study, which follows the number of trials.
+ * @param {string} name of the campaign
+ * @param {HTMLInputElement} trials
+ */
+function durationPart(name, trials) {
+  const place = make("div", { class: "quiet", role: "status" });
+  const estimate = async () => {
+    try {
+      const { job, duration: expected } = await send("POST", "study-duration", { name });
+      if (job) return follow(job, place, estimate);
+      const show = () => {
+        const seconds = expected.preparation + Number(trials.value) * expected.per_trial;
+        place.textContent = `${Number(trials.value).toLocaleString("en")} trials take about ${duration(seconds)}.` +
+          (expected.slow_analyses ? ` Each trial takes ${expected.per_trial.toPrecision(2)} s: ${expected.slow_analyses}.` : "");
+      };
+      trials.addEventListener("input", show);
+      show();
+    } catch (error) {
+      place.textContent = /** @type {Error} */ (error).message;
+    }
+  };
+  setTimeout(estimate);
+  return place;
+}
+
+/**
  * The page on which a campaign is tried out.
  * @param {string} name
  */
@@ -53,7 +79,8 @@ export async function tryView(name) {
       make("section", {}, make("h2", {}, "Study"),
         make("p", { class: "quiet" }, "The campaign is simulated many times with the true values of its ",
           make("a", { href: descriptionAddress(name, "s-truth") }, "description"),
-          " and calibrated each time, which shows whether the stated uncertainties hold. A thousand trials take from seconds to some minutes."),
+          " and calibrated each time, which shows whether the stated uncertainties hold."),
+        durationPart(name, trials),
         ...jobForm(campaign, "study", labelled("Trials", trials), "Study",
           () => send("POST", "study", { name, trials: Number(trials.value) }),
           () => showStudy().then(() => studied.scrollIntoView()))),
