@@ -52,6 +52,19 @@ def test_no_uncertainty_is_below_the_capability_of_the_laboratory(applied, tmp_p
     assert at_capability == pytest.approx(5e-6 * result.levels[1].acceleration, rel=1e-9)
 
 
+def test_uncertainty_covers_an_interval_that_is_not_validated(applied, tmp_path):
+    """A misalignment of 0.02 rad lowers the acceleration by chi-square of one degree."""
+    azimuth = '"fixture.misalignment.in.up" = "0 ± 0.02 rad"\n'
+    result = applied(COMPLETE + azimuth)
+    made = certify_applied(result, write_lab(tmp_path))
+    for level, expanded in zip(result.levels, numbers(made, EXPANDED), strict=True):
+        assert not level.monte_carlo.validated
+        assert expanded == pytest.approx(level.acceleration - level.monte_carlo.low, rel=1e-4)
+        # The 97.5 % quantile of beta^2/2 is 5.0239 u^2/2.
+        assert expanded == pytest.approx(level.acceleration * 5.0239 * 2e-4, rel=0.02)
+    assert b"U covers the interval by Monte Carlo" in made.xml
+
+
 @needs_schema
 def test_the_certificate_agrees_with_the_schema(applied, tmp_path):
     check_schema(certify_applied(applied(), write_lab(tmp_path)).xml, SCHEMA, "made")

@@ -11,7 +11,6 @@ from typing import Final
 from counterspin._version import __version__
 from counterspin.acceleration_standard.model import (
     UNITS,
-    Distribution,
     applied_acceleration,
     draw_distributions,
     sensitivities,
@@ -143,7 +142,7 @@ def applied(
 
 
 def _level(
-    values: Mapping[str, float], u: Mapping[str, float], rate: float, drawn: Distribution
+    values: Mapping[str, float], u: Mapping[str, float], rate: float, drawn: MonteCarloCheck
 ) -> AppliedLevel:
     """Return acceleration, budget and Monte Carlo check at a rate."""
     slopes = sensitivities(values, rate)
@@ -167,15 +166,7 @@ def _level(
         u_relative=total / abs(acceleration),
         dominant=budget[0].source if total else None,
         budget=budget,
-        monte_carlo=MonteCarloCheck(
-            mean=drawn.mean,
-            u=drawn.u,
-            low=drawn.low,
-            high=drawn.high,
-            distance=drawn.distance,
-            tolerance=drawn.tolerance,
-            validated=drawn.distance <= drawn.tolerance,
-        ),
+        monte_carlo=drawn,
     )
 
 

@@ -138,9 +138,17 @@ def certify_applied(
 
 
 def _stated_u(lab: Lab, level: AppliedLevel) -> float:
-    """Return u of a level, not below the laboratory's capability divided by k, m/s^2."""
+    """Return u of a level, m/s^2: U = k u is not below the laboratory's capability."""
     capability = lab.capability(APPLIED, 1.0) or 0.0
-    return max(level.u, capability * abs(level.acceleration) / coverage_factor(None))
+    return max(_evaluated_u(level), capability * abs(level.acceleration) / coverage_factor(None))
+
+
+def _evaluated_u(level: AppliedLevel) -> float:
+    """Return u of a level; if its interval is not validated, U covers that by Monte Carlo."""
+    drawn, value = level.monte_carlo, level.acceleration
+    if drawn.validated:
+        return level.u
+    return max(level.u, max(value - drawn.low, drawn.high - value) / coverage_factor(None))
 
 
 def _missing_evidence(lab: Lab, result: AppliedAcceleration) -> Iterator[MissingEntry]:
@@ -169,15 +177,14 @@ def _sections(
     settings, quality = lab.certificate, ("ISO/IEC 17025:2017",)
     raised = [
         f"{level_words(level)}: the evaluated uncertainty is "
-        f"U = {format_uncertainty(coverage_factor(None) * level.u)} m/s^2; the certificate states "
-        "the laboratory's calibration and measurement capability, the smallest uncertainty that it "
-        "may state."
+        f"U = {format_uncertainty(coverage_factor(None) * _evaluated_u(level))} m/s^2; the "
+        "certificate states the laboratory's calibration and measurement capability, the smallest "
+        "uncertainty that it may state."
         for level, u in stated
-        if u > level.u
+        if u > _evaluated_u(level)
     ]
     assumed = [s.symbol for s in result.applied_sources if s.origin == "assumed"]
     defaults = list(_default_shares(result))
-    remarks = list(settings.remarks)
     return [
         (certificate_text.UNCERTAINTY, _uncertainty_lines(result), ("JCGM 100:2008",)),
         (certificate_text.CAPABILITY, raised, ("ILAC-P14:09/2020",)),
@@ -185,12 +192,12 @@ def _sections(
         (certificate_text.DEFAULTS, [*evidence_lines(defaults, lab.evidence)], ()),
         (certificate_text.SUPPLIED, [*certificate_text.customer_lines(settings)], quality),
         (certificate_text.SCOPE, [certificate_text.scope_statement()], quality),
-        (certificate_text.REMARKS, remarks, ()),
+        (certificate_text.REMARKS, [*settings.remarks], ()),
     ]
 
 
 def _uncertainty_lines(result: AppliedAcceleration) -> list[str]:
-    k, defaults = coverage_factor(None), []
+    k = coverage_factor(None)
     defaults = [s.symbol for s in result.applied_sources if s.origin == "default"]
     lines = [
         "The number after ± is the expanded uncertainty U: the combined standard uncertainty "
@@ -199,6 +206,8 @@ def _uncertainty_lines(result: AppliedAcceleration) -> list[str]:
         f"{format_share(COVERAGE)}.",
         validation_sentence(result),
     ]
+    if not all(level.monte_carlo.validated for level in result.levels):
+        lines.append("Where it is not validated, U covers the interval by Monte Carlo.")
     if defaults:
         lines.append(
             f"No uncertainty is stated for {', '.join(defaults)}; the default uncertainty was used."

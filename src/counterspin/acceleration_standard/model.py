@@ -15,8 +15,8 @@ from typing import Final
 
 import numpy as np
 
+from counterspin.acceleration_standard.result import MonteCarloCheck
 from counterspin.arrays import Array
-from counterspin.frozen import frozen
 from counterspin.inference.distributions import COVERAGE, expanded_uncertainty
 from counterspin.physics.motion import EARTH_RATE
 
@@ -91,27 +91,13 @@ def sensitivities(sources: Mapping[str, float], rate: float) -> dict[str, float]
     }
 
 
-@frozen
-class Distribution:
-    """The distribution of the applied acceleration at a level by Monte Carlo (JCGM 101)."""
-
-    mean: float  #: m/s^2.
-    u: float  #: Standard deviation, m/s^2.
-    #: Ends of the probabilistically symmetric interval for 95 %, m/s^2.
-    low: float
-    high: float
-    #: Largest distance of these ends from those of the GUM's interval, m/s^2.
-    distance: float
-    tolerance: float  #: Largest distance that validates the GUM's interval, m/s^2.
-
-
 def draw_distributions(
     values: Mapping[str, float],
     u: Mapping[str, float],
     rates: list[float],
     draws: int,
     seed: int,
-) -> list[Distribution]:
+) -> list[MonteCarloCheck]:
     """Draw all sources from normal distributions; return the distribution at each rate.
 
     The linear model is evaluated with the same draws. Its exact quantiles are known, so the
@@ -134,14 +120,16 @@ def draw_distributions(
         half_width = expanded_uncertainty(u_linear, None, COVERAGE)
         tail = 0.5 * (1.0 - COVERAGE)
         shifts = np.quantile(exact, (tail, 1.0 - tail)) - np.quantile(linear, (tail, 1.0 - tail))
+        distance, tolerance = float(np.max(np.abs(shifts))), numerical_tolerance(u_linear)
         found.append(
-            Distribution(
+            MonteCarloCheck(
                 mean=estimate + float(np.mean(exact)),
                 u=float(np.std(exact, ddof=1)),
                 low=estimate - half_width + float(shifts[0]),
                 high=estimate + half_width + float(shifts[1]),
-                distance=float(np.max(np.abs(shifts))),
-                tolerance=numerical_tolerance(u_linear),
+                distance=distance,
+                tolerance=tolerance,
+                validated=distance <= tolerance,
             )
         )
     return found

@@ -6,9 +6,6 @@ import math
 from collections.abc import Iterator
 from typing import Final
 
-import numpy as np
-
-from counterspin.acceleration_standard.model import sensitivities
 from counterspin.acceleration_standard.result import AppliedAcceleration, AppliedLevel
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
 from counterspin.reports.numbers import (
@@ -27,9 +24,8 @@ _ORIGINS: Final = {"stated": "stated", "default": "default uncertainty", "assume
 #: Unit of the latitude, and its conversion factor.
 _DEGREES: Final = ("deg", math.degrees(1.0))
 
-#: Points of a curve, and the smallest share of a variance whose source is drawn.
-_POINTS: Final = 60
-_DRAWN_SHARE: Final = 0.01
+#: Smallest share of a variance whose source is drawn.
+_DRAWN: Final = 0.01
 
 
 def applied_blocks(result: AppliedAcceleration) -> Iterator[Block]:
@@ -37,6 +33,14 @@ def applied_blocks(result: AppliedAcceleration) -> Iterator[Block]:
     yield Heading(f"Applied acceleration: {result.title}", 1)
     yield _levels_table(result)
     yield Paragraph(validation_sentence(result))
+    for level in result.levels:
+        if not level.monte_carlo.validated:
+            low, high = level.monte_carlo.low, level.monte_carlo.high
+            yield Paragraph(
+                f"{level_words(level)}: use the 95 % interval by Monte Carlo, "
+                f"{format_number(low, 9)} to {format_number(high, 9)} m/s^2.",
+                "warning",
+            )
     yield relative_plot(result)
     yield Heading("Sources of uncertainty")
     yield _sources_table(result)
@@ -109,7 +113,7 @@ def validation_sentence(result: AppliedAcceleration) -> str:
         )
     return (
         f"Monte Carlo (JCGM 101, {draws}) does not validate the 95 % interval of the GUM to two "
-        f"digits of u at {', '.join(failed)}. Use the Monte Carlo interval there."
+        f"digits of u at {', '.join(failed)}."
     )
 
 
@@ -188,47 +192,28 @@ def _sensitivity_unit(unit: str) -> str:
 
 def relative_plot(result: AppliedAcceleration) -> Plot:
     """Return the relative standard uncertainty against the level, with its largest sources."""
-    values = {source.name: source.value for source in result.applied_sources}
-    u = {source.name: source.u for source in result.applied_sources}
     ordered = sorted(result.levels, key=lambda level: level.level)
-    low, high = ordered[0].level, ordered[-1].level
-    grid = np.geomspace(low, high, _POINTS) if high > low else np.array([low])
-    sign = -1.0 if all(level.rate < 0.0 for level in ordered) else 1.0
-    curves: dict[str, list[float]] = {name: [] for name in values}
-    for level in grid:
-        rate = sign * float(np.sqrt(level * values["gravity"] / values["radius"]))
-        slopes = sensitivities(values, rate)
-        for name, curve in curves.items():
-            curve.append(abs(slopes[name]) * u[name] / (level * values["gravity"]))
-    drawn = {
-        line.source: None
-        for level in ordered
-        for line in level.budget
-        if line.share >= _DRAWN_SHARE
-    }
-    total = np.sqrt(np.sum(np.square([*curves.values()]), axis=0))
-    levels = tuple(map(float, grid))
+    levels = tuple(level.level for level in ordered)
+    combined = tuple(level.u_relative for level in ordered)
+    curves: dict[str, list[float | None]] = {}
+    for index, level in enumerate(ordered):
+        for line in level.budget:
+            curve = curves.setdefault(line.source, [None] * len(ordered))
+            curve[index] = line.u / abs(level.acceleration) or None
+    drawn = {line.source for level in ordered for line in level.budget if line.share >= _DRAWN}
     lines = [
-        PlotSeries(result.source(name).words, levels, tuple(value or None for value in curve))
-        for name, curve in curves.items()
-        if name in drawn
+        PlotSeries(result.source(name).words, levels, tuple(curves[name]), colour=index)
+        for index, name in enumerate((name for name in curves if name in drawn), 1)
     ]
-    points = PlotSeries(
-        "levels of the table",
-        tuple(level.level for level in ordered),
-        tuple(level.u_relative for level in ordered),
-        kind="points",
-        colour=0,
-    )
     return Plot(
         title="Relative standard uncertainty of the applied acceleration",
         x_label="level, g",
         y_label="u/a",
         series=(
-            PlotSeries("combined", levels, tuple(map(float, total)), colour=0),
-            points,
+            PlotSeries("combined", levels, combined, colour=0),
+            PlotSeries("", levels, combined, kind="points", colour=0),
             *lines,
         ),
-        log_x=high > low,
-        log_y=bool(np.all(total > 0.0)),
+        log_x=levels[-1] > levels[0],
+        log_y=min(combined) > 0.0,
     )

@@ -58,29 +58,21 @@ class CertificateOptions:
 
     def check(self) -> None:
         """Refuse incomplete options and existing files."""
-        from counterspin.certificates.issuing import check_output_path, check_output_paths
-
         if (self.lab is None) != (self.certificate is None):
             raise CampaignError("applied", ["give `certificate` and `lab` together"])
         if self.certificate is not None:
-            (check_output_paths if self.signing.both else check_output_path)(self.certificate)
+            self.signing.check_output(self.certificate)
 
     def write(self, result: AppliedAcceleration) -> None:
         """Write the certificate, if there is to be one."""
         from counterspin.acceleration_standard.certificate import certify_applied
 
-        if self.lab is None or self.certificate is None:
-            return
-        signing = self.signing
-        done = certify_applied(
-            result, self.lab, schema=signing.schema, signer=signing.signer_reader()
-        )
-        paths = (
-            done.write_both(self.certificate) if signing.both else [done.write(self.certificate)]
-        )
-        print_output(f"Wrote {' and '.join(map(str, paths))}: certificate {done.identifier}.")
-        for note in done.notes:
-            print_output(note)
+        if self.lab is not None and self.certificate is not None:
+            signing = self.signing
+            done = certify_applied(
+                result, self.lab, schema=signing.schema, signer=signing.signer_reader()
+            )
+            signing.write(done, self.certificate)
 
 
 _NO_CERTIFICATE = CertificateOptions()

@@ -13,6 +13,7 @@ from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 
 if TYPE_CHECKING:
+    from counterspin.certificates.issuing import Certificate
     from counterspin.certificates.signers import Signer
 
 
@@ -43,6 +44,22 @@ class SigningOptions:
     signer: str | None = None
     cert: Path | None = None
     both: bool = False
+
+    def check_output(self, output: Path) -> None:
+        """Refuse a path with another ending, and existing files."""
+        from counterspin.certificates.issuing import check_output_path, check_output_paths
+
+        (check_output_paths if self.both else check_output_path)(output)
+
+    def write(self, done: Certificate, output: Path, ledger: Path | None = None) -> None:
+        """Write a certificate, and print its files and notes."""
+        write = done.write_both if self.both else done.write
+        written = write(output, ledger=ledger)
+        files = " and ".join(map(str, written if isinstance(written, list) else [written]))
+        names = f" of {', '.join(done.accelerometers)}" if done.accelerometers else ""
+        print_output(f"Wrote {files}: certificate {done.identifier}{names}.")
+        for note in done.notes:
+            print_output(note)
 
     def signer_reader(self) -> Callable[[], Signer] | None:
         """Return a function that reads the key; None without a key."""
@@ -151,8 +168,6 @@ def certificate(
     from counterspin.certificates.issuing import (
         certificate_blocks,
         check_certificate,
-        check_output_path,
-        check_output_paths,
     )
     from counterspin.certificates.lab import write_example
     from counterspin.reports.text import Report, report_console
@@ -190,7 +205,7 @@ def certificate(
         raise CampaignError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])
     if (issue.amends is None) != (issue.reason is None):
         raise CampaignError("certificate", ["give --amends OLD.xml and --reason WHY together"])
-    (check_output_paths if signing.both else check_output_path)(output)
+    signing.check_output(output)
     done = make(
         result,
         lab,
@@ -202,11 +217,4 @@ def certificate(
         if issue.amends is None or issue.reason is None
         else Amendment(issue.amends, issue.reason),
     )
-    if signing.both:
-        outputs = done.write_both(output, ledger=issue.ledger)
-    else:
-        outputs = [done.write(output, ledger=issue.ledger)]
-    files, names = " and ".join(map(str, outputs)), ", ".join(done.accelerometers)
-    print_output(f"Wrote {files}: certificate {done.identifier} of {names}.")
-    for note in done.notes:
-        print_output(note)
+    signing.write(done, output, issue.ledger)
