@@ -117,9 +117,10 @@ from = "rest.csv"
 [model]
 assume = "all"
 [limits]
-total_time = "700 s"
+total_time = "240 s"
 highest_rate = "1 rev/s"
 sampling_rate = "50 Hz"
+runs = 4
 [goal]
 minimise = ["K_II"]
 """

@@ -79,6 +79,29 @@ UNCERTAIN_PLACE = changed(
     ('"45.75 deg"', '"45.75 ± 0.01 deg"'),
     ('"2.5 m"', '"2.5 ± 1e-4 m"'),
 )
+TWO_RATES = """
+schema = 1
+[site]
+gravity = "9.8 m/s^2"
+latitude = "45.75 deg"
+[centrifuge]
+radius = "2.5 m"
+[accelerometers.Qx]
+input_axis = "east"
+pendulous_axis = "down"
+displacement = { column = "east_m", unit = "m" }
+[noise]
+displacement = "0.01 m"
+[model]
+assume = "all"
+[limits]
+total_time = "40 s"
+highest_rate = "1 rev/s"
+sampling_rate = "50 Hz"
+runs = 2
+[goal]
+minimise = ["K_II"]
+"""
 EVERYTHING = (
     UNCERTAIN_PLACE
     + """
@@ -204,6 +227,16 @@ def test_gain_of_one_rate_fewer_is_that_of_planning_anew(plan_of):
     one = plan_of(*changes).result
     # A gain is at least what it says; rounding to 0.1 s a run is left out of it.
     assert gains["fewest_rates"] == pytest.approx(1.0 - one.total_time / two.total_time, abs=0.01)
+
+
+def test_two_rates_are_planned_in_a_time_that_is_short_for_the_lowest(written):
+    """Five revolutions at the lowest rate, an eighth of the highest, take all of the 40 s."""
+    found = plan(written(TWO_RATES)).result
+    assert len({run.rate for run in found.runs}) == 2
+    assert 11.25 < found.total_time <= 40.0
+    half = found.others[-1]
+    assert half.words.startswith("the best plan in half of the time")
+    assert half.ratio["Qx.K_II"] < 1.0
 
 
 def test_only_drift_makes_one_run_long(starter):

@@ -69,13 +69,18 @@ def optimise(
         starts = list(_integer_starts(support, relaxed, allowed))
         if start is not None and (adjusted := fit_to_limits(start, allowed)) is not None:
             starts = [adjusted, *starts[:1]]
+        starts = starts or list(_fastest_starts(allowed))
         if not starts:
             continue
         polished = _polish_best(predictor, allowed, criterion, starts)
         exchanged = _exchange(predictor, allowed, criterion, polished)
         if best is None or exchanged[0] < best[0] - _MIN_GAIN:
             best = exchanged
-    assert best is not None  # the choices hold one attitude alone, into which a run fits
+    if best is None:
+        raise NotIdentifiableError(
+            f"no plan of at most {limits.runs} runs was found that fits into "
+            f"{limits.total_time:.6g} s; allow more time"
+        )
     value, design = _order_runs(predictor, criterion, *best)
     return Optimum(design, value, min(choices[0][1].bound, value))
 
@@ -152,6 +157,16 @@ def _integer_starts(design: Design, relaxed: Optimum[Array], limits: Limits) -> 
             fitted = scale_to_time(Design(types, spread_rates, scaled.revolutions), limits)
             if fitted is not None:
                 yield fitted
+
+
+def _fastest_starts(limits: Limits) -> Iterator[Design]:
+    """Yield starts at the highest rates, for a time that is too short at the relaxation's."""
+    rate = np.array(limits.different_rates(limits.rate[1]))
+    revolutions = np.full(rate.size, limits.revolutions)
+    for run_type in dict.fromkeys(limits.types):
+        fitted = scale_to_time(Design((run_type,) * rate.size, rate, revolutions), limits)
+        if fitted is not None:
+            yield fitted
 
 
 def _largest_remainder(weight: Array, count: int) -> npt.NDArray[np.int64]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import field, replace
 from importlib.resources import files
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any, Final, Literal
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.campaign.quantity import attitude_words
-from counterspin.errors import CounterspinError
+from counterspin.errors import CounterspinError, NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.output import make_folder, write_text
 from counterspin.planning.design import Design, Limits
@@ -336,8 +337,10 @@ def _alternative_plans(
     half = replace(search.limits, total_time=0.5 * total)
     shorter = None
     if search.plan.goal.kind == "minimise" and half.is_feasible:
-        start = search.smallest(half).design
-        shorter = search.rounded(search.in_order(start), half)
+        # The best rates may leave no time for a record.
+        with suppress(NotIdentifiableError):
+            start = search.smallest(half).design
+            shorter = search.rounded(search.in_order(start), half)
     others = []
     for words, alternative in (
         (
