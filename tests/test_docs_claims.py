@@ -602,7 +602,12 @@ def test_names_of_terms_are_those_of_the_standard(page):
     )
     named = 0
     for terms, standard in rows:
-        for symbol in (one for one in terms.split(", ") if TERMS[one].effect.ieee.startswith("K")):
-            assert re.search(rf"\b{TERMS[symbol].effect.ieee}\b", standard), (symbol, standard)
+        for symbol in (
+            one for one in terms.split(", ") if TERMS[one].effect.ieee_symbol.startswith("K")
+        ):
+            assert re.search(rf"\b{TERMS[symbol].effect.ieee_symbol}\b", standard), (
+                symbol,
+                standard,
+            )
             named += 1
     assert named >= 7

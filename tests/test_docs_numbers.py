@@ -65,7 +65,7 @@ ROWS = {
         ("blocks of at most {} revolution", 1.0 / reduction.BLOCKS_PER_REVOLUTION),
         ("Up to {} rows that stand alone", reduction._MAX_ISOLATED_ROWS),
         ("a gap of a revolution and of {} rows", reading._ISOLATION_STEPS),
-        ("more than {} % empty cells", 100.0 * reading.MAX_EMPTY_PART),
+        ("more than {} % empty cells", 100.0 * reading.MAX_EMPTY_FRACTION),
         ("less than {} revolutions, a clock", reading.MIN_REVOLUTIONS),
         ("a gap of more than {} revolutions", clock._GAP_REVOLUTIONS),
         ("more than {} revolutions unless", reading.ANY_REVOLUTIONS),

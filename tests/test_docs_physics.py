@@ -46,7 +46,7 @@ def test_accelerometer_table_lists_exactly_the_terms():
             # a bare bar would end the cell
             f"`{'-' if row.effect.weight < 0 else ''}{row.effect.text}`".replace("|", r"\|"),
             row.unit,
-            row.effect.ieee,
+            row.effect.ieee_symbol,
             row.words,
             f"{row.limit:g}",
             f"{row.typical:g}",

@@ -213,7 +213,7 @@ def test_however_time_is_recorded(tmp_path, time):
         for size in ("0", "1e-3")
     )
     file = SimpleNamespace(path="f", units={"time_s": "ms"}, units_row=True)
-    right, fast = (channel.resolved(file).factor for channel in (right, fast))
+    right, fast = (channel.resolve_unit(file).factor for channel in (right, fast))
     assert right / fast == pytest.approx(1.001, rel=1e-12)
 
 

@@ -32,8 +32,8 @@ def test_outliers_of_the_fit_are_counted_in_samples(tmp_path):
 def report(outliers):
     return RecordReport(
         path=Path("r.csv"), rows=1000, used=900, repeated=3, differing=1, empty={"t": 1, "a": 2},
-        outliers={"a": outliers, "b": 4}, lone=0, listed=(), gaps=(), gap_count=2, wrapped=False,
-        step=0.1, rate=None, block=8,
+        outliers={"a": outliers, "b": 4}, isolated=0, listed=(), gaps=(), gap_count=2,
+        wrapped=False, step=0.1, rate=None, block=8,
     )  # fmt: skip
 
 

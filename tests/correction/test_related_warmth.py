@@ -15,7 +15,7 @@ from counterspin.calibration.result_parts import Coefficient, Correlation, Knowl
 from counterspin.correction.apply import ApplyOptions, apply
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import QX, QY, Mounting, indicated
-from counterspin.physics.correction import CalibratedAccelerometer, Warmth, correct
+from counterspin.physics.correction import CalibratedAccelerometer, TemperatureOffset, correct
 from counterspin.physics.terms import ACCELEROMETER_TERMS
 
 G = 9.8066
@@ -143,7 +143,7 @@ def test_two_that_sense_each_other_at_a_temperature_of_their_own_rows():
     between = {(0, 1): whole[:4, 4:]}
 
     def forces(shift, more=0.0):
-        return correct(instruments(shift), y, (), between, Warmth(warm + more)).force
+        return correct(instruments(shift), y, (), between, TemperatureOffset(warm + more)).force
 
     jacobian = []
     for place in range(8):
@@ -151,7 +151,7 @@ def test_two_that_sense_each_other_at_a_temperature_of_their_own_rows():
         step[place] = 1e-6
         jacobian.append((forces(step) - forces(-step)) / 2e-6)
     jacobian = np.array(jacobian)  # (8, n, m)
-    exact = correct(instruments(np.zeros(8)), y, (), between, Warmth(warm))
+    exact = correct(instruments(np.zeros(8)), y, (), between, TemperatureOffset(warm))
     expected = np.sqrt(np.einsum("inm,ij,jnm->nm", jacobian, whole, jacobian))
     np.testing.assert_allclose(exact.u, expected, rtol=1e-6)
     by_warmth = (forces(np.zeros(8), 1e-3) - forces(np.zeros(8), -1e-3)) / 2e-3
@@ -159,7 +159,7 @@ def test_two_that_sense_each_other_at_a_temperature_of_their_own_rows():
         CalibratedAccelerometer(i.name, i.mounting, i.coefficients, np.zeros((4, 4)))
         for i in instruments(np.zeros(8))
     ]
-    alone = correct(sure, y, (), {}, Warmth(warm, 0.3))
+    alone = correct(sure, y, (), {}, TemperatureOffset(warm, 0.3))
     np.testing.assert_allclose(alone.u, 0.3 * np.abs(by_warmth), rtol=1e-6)
 
 

@@ -68,7 +68,7 @@ def test_slopes_are_the_derivatives_of_the_products(symbol):
             assert row.effect.slope(np.array(at)[:, None], axis)[0] == pytest.approx(
                 exact, rel=1e-14
             )
-    if not row.effect.of_rotation:
+    if not row.effect.requires_rotation:
         positive = product.subs({sympy.Abs(i): i, sympy.sign(i): 1})
         assert row.effect.power == sympy.Poly(positive, i).degree()
 

@@ -67,7 +67,7 @@ def test_columns_agree_with_the_reference_to_1e_11(label, name, observable):
     table = case[observable][name]
     times = np.array(case["times"], dtype=float)
     shown = table if case.get("platform") else ()
-    own = [symbol for symbol, row in TERMS.items() if not row.effect.of_rotation]
+    own = [symbol for symbol, row in TERMS.items() if not row.effect.requires_rotation]
     symbols = [*own, *(symbol for symbol in PLATFORM_TERMS if symbol in shown)]
     got = columns(trajectory_of(case), MOUNTINGS[name], symbols, times, observable)
     for symbol, column in zip(symbols, got.T, strict=True):
@@ -507,8 +507,8 @@ def test_long_runs_are_not_kept_and_say_the_same(monkeypatch):
     trajectory = Trajectory(Spindle(3.0, 1e-6), 2.5, Site(9.8, 0.8))
     times = np.linspace(0.0, 40.0, 500)
     short = columns(trajectory, QX, ["K_I", "K_II", "platform.tilt.north"], times)
-    monkeypatch.setattr(observation, "_MOST_NODES", 0)
-    monkeypatch.setattr(motion, "_MOST_KEPT", 0)
+    monkeypatch.setattr(observation, "_MAX_NODES", 0)
+    monkeypatch.setattr(motion, "_CACHE_SIZE", 0)
     observation._along_long.cache_clear()
     long = columns(trajectory, QX, ["K_I", "K_II", "platform.tilt.north"], times)
     np.testing.assert_array_equal(long, short)

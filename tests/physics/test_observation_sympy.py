@@ -109,7 +109,7 @@ def derived(symbol, accelerometer):
 
 
 KINKED = [symbol for symbol, row in TERMS.items() if row.effect.has_kink]
-ROTATING = [symbol for symbol, row in TERMS.items() if row.effect.of_rotation]
+ROTATING = [symbol for symbol, row in TERMS.items() if row.effect.requires_rotation]
 SMOOTH = [s for s in [*TERMS, *PLATFORM_TERMS] if s not in (*KINKED, *ROTATING)]
 
 # The formulas as they are published with the package; metres per unit coefficient.

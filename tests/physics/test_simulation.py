@@ -253,7 +253,7 @@ def test_flicker_has_its_autocovariance_and_a_walk_its_variance():
     )
     # A variance of some 3.5 is known to 1.8 %.
     np.testing.assert_allclose(found, exact, atol=0.07 * exact[0, 0])
-    walks = np.array([bias_wander(rng, times, 0.0, 0.1, 0, before=40.0) for _ in range(3000)])
+    walks = np.array([bias_wander(rng, times, 0.0, 0.1, 0, elapsed=40.0) for _ in range(3000)])
     expected = 0.01 * (40.0 + times)
     np.testing.assert_allclose(np.mean(walks**2, axis=0), expected, rtol=0.15)
 
@@ -262,7 +262,7 @@ def test_wander_is_integrated_as_often_as_the_observable():
     times = np.linspace(0.0, 50.0, 501)
 
     def drawn(order):
-        return bias_wander(np.random.default_rng(3), times, 2.0, 0.5, order, before=9.0)
+        return bias_wander(np.random.default_rng(3), times, 2.0, 0.5, order, elapsed=9.0)
 
     bias, velocity, position = (drawn(order) for order in (0, 1, 2))
     linear = np.concatenate([[0.0], np.cumsum(0.05 * (bias[1:] + bias[:-1]))])

@@ -22,7 +22,7 @@ SYMBOLS = list(TERMS)
 
 
 def means_at(station, site, symbols):
-    means = mean_products(Stations.of([station]), site)[0]
+    means = mean_products(Stations.from_stations([station]), site)[0]
     return means[[SYMBOLS.index(symbol) for symbol in symbols]]
 
 

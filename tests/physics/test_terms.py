@@ -31,7 +31,7 @@ def test_no_term_is_listed_twice():
     # No product under two names, in whatever order its factors are written.
     products = [tuple(sorted(row.effect.factors)) for row in TERMS.values()]
     assert len(set(products)) == len(products)
-    assert len({row.effect.ieee.lower() for row in TERMS.values()}) == len(TERMS)
+    assert len({row.effect.ieee_symbol.lower() for row in TERMS.values()}) == len(TERMS)
     assert len({row.words for row in (TERMS | PLATFORM_TERMS).values()}) == len(symbols)
     effects = [row.effect for row in PLATFORM_TERMS.values()]
     assert len(set(effects)) == len(effects)
@@ -70,7 +70,7 @@ def test_every_product_is_that_of_equation_7(symbol):
     for ipo in itertools.product([-1.5, 0.7, 2.0], [-0.9, 1.1], [0.3, -2.2]):
         expected = EQUATION_7[symbol](*ipo)
         assert TERMS[symbol].effect.evaluate(np.array(ipo)) == pytest.approx(expected, rel=1e-15)
-    assert TERMS[symbol].effect.ieee == IEEE[symbol]
+    assert TERMS[symbol].effect.ieee_symbol == IEEE[symbol]
 
 
 def test_products_keep_the_shape_of_their_times():
@@ -84,7 +84,7 @@ def test_products_keep_the_shape_of_their_times():
 def test_units_follow_the_degree_of_the_product(symbol):
     """In g-units a coefficient of degree n has the unit g/g^n: doubling the force shows n."""
     row = TERMS[symbol]
-    if row.effect.of_rotation:
+    if row.effect.requires_rotation:
         assert row.unit == {"K_spin": "g s^2/rad^2", "K_ang": "g s^2/rad"}[symbol]
         return
     force = np.array([1.3, -0.7, 0.4])

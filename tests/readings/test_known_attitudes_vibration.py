@@ -32,7 +32,7 @@ def means(mounting=UP, amplitude=5.0, bias=0.0):
         amplitude=amplitude * SITE.gravity,
         bias_acceleration=bias * SITE.gravity,
     )
-    return dict(zip(TERMS, mean_products(Stations.of([station]), SITE)[0], strict=True))
+    return dict(zip(TERMS, mean_products(Stations.from_stations([station]), SITE)[0], strict=True))
 
 
 @pytest.mark.parametrize(("amplitude", "bias"), [(5.0, 0.0), (0.7, 0.0), (3.0, -1.0), (20.0, 9.0)])

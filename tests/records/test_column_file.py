@@ -34,11 +34,11 @@ def test_times_of_day_go_on_after_midnight(tmp_path):
         (tmp_path / "a.csv").open("rb", buffering=0) as stream,
         CsvFile(tmp_path / "a.csv", stream) as file,
     ):
-        file.stamps = frozenset("t")
+        file.timestamp_columns = frozenset("t")
         file.require(["t"])
         stamps = file.table().select(nanoseconds("t"))["t"]
         for pieces in ([5], [1, 4], [3, 2], [1, 1, 1, 1, 1]):
-            file.first_stamp, place, seconds = None, 0, []
+            file.first_timestamp, place, seconds = None, 0, []
             for size in pieces:
                 seconds += file.seconds(stamps[place : place + size]).tolist()
                 place += size
@@ -46,7 +46,7 @@ def test_times_of_day_go_on_after_midnight(tmp_path):
             assert seconds[1] != seconds[1]
             assert seconds[2:] == pytest.approx([1.0, 64800.5, 86400.5], abs=1e-9)
         # A date that goes back is a clock that runs backwards.
-        file.first_stamp = None
+        file.first_timestamp = None
         dated = file.seconds(file.table().select(nanoseconds("v"))["v"])
         assert dated[2] == -86399.0
 

@@ -31,7 +31,7 @@ def test_names_units_and_rows_below_lines_about_the_measurement():
     assert (layout.delimiter, layout.decimal) == (";", ",")
     assert layout.names == ("Time", "Angle", "East")
     assert layout.units == ("s", "deg", "mm")
-    assert layout.words("latin-1") == (
+    assert layout.describe("latin-1") == (
         "names in line 5, a row of units, semicolon-separated, decimal commas, latin-1"
     )
 
@@ -89,7 +89,7 @@ def test_rows_need_no_names():
     layout = found(ROWS)
     assert (layout.header, layout.before_rows) == (0, 0)
     assert layout.names == ("column 1", "column 2", "column 3")
-    assert layout.words("utf-8") == "columns without names, semicolon-separated, decimal commas"
+    assert layout.describe("utf-8") == "columns without names, semicolon-separated, decimal commas"
     titled = found(["Run 7", "0.5,1.25,3", "1.0,2.5,4", "1.5,2.75,4", "2.0,1.5,1"])
     assert (titled.names, titled.before_rows) == (("column 1", "column 2", "column 3"), 1)
 
@@ -97,7 +97,9 @@ def test_rows_need_no_names():
 def test_names_may_be_fewer_than_columns():
     layout = found(["a;b", *ROWS])
     assert layout.names == ("column 1", "column 2", "column 3")
-    assert "line 1 has 2 names for 3 columns, so the columns are numbered" in layout.words("utf-8")
+    assert "line 1 has 2 names for 3 columns, so the columns are numbered" in layout.describe(
+        "utf-8"
+    )
     # As R writes a table, the numbers of the rows have no name above them.
     counted = found(["x y", "1 0.5 2", "2 0.75 3", "3 1.0 4"])
     assert counted.names == ("column 1", "x", "y")
@@ -141,7 +143,7 @@ def test_names_stand_above_their_columns_however_the_line_is_written(head):
 def test_names_are_never_shifted_against_columns(head, rows, told):
     layout = found([head, *rows])
     assert layout.names == ("column 1", "column 2", "column 3", "column 4")
-    assert told in layout.words("utf-8")
+    assert told in layout.describe("utf-8")
 
 
 def test_names_of_rows_have_no_name_above_them():

@@ -97,7 +97,7 @@ def test_values_that_a_faster_log_repeats_are_used_once(tmp_path, rows, step):
     record = read(write(tmp_path / "run.csv", columns))
     part = 1.0 - len(np.unique(first)) / len(first)
     told = f"column '{SIGNAL}' repeats {100.0 * part:.3g} % of its values, not used"
-    assert told in record.report.found
+    assert told in record.report.format_description
     assert record.report.empty[SIGNAL] == 0
     good = np.isfinite(record.signals["Qx"])
     angle = record.angle[good]
@@ -133,7 +133,7 @@ def test_rows_that_stand_alone_are_left_out(tmp_path, end, dense):
     record = read(write(tmp_path / "run.parquet", columns))
     rest = {name: np.delete(values, lone) for name, values in columns.items()}
     without = read(write(tmp_path / "rest.parquet", rest))
-    assert record.report.lone == len(lone)
+    assert record.report.isolated == len(lone)
     assert "alone beyond a gap" in " ".join(record.report.notes())
     assert record.report.rows == n
     np.testing.assert_array_equal(record.time, without.time)
@@ -147,7 +147,7 @@ def test_rows_beyond_a_gap_that_are_more_than_a_few_are_kept(tmp_path):
     columns[ANGLE] = RATE * columns[TIME]
     columns[SIGNAL] = RADIUS * np.cos(columns[ANGLE])
     record = read(write(tmp_path / "run.csv", columns))
-    assert record.report.lone == 0
+    assert record.report.isolated == 0
     assert len(record.time) == 1000
 
 

@@ -19,10 +19,10 @@ def in_two(folder, cut=400):
 def test_a_record_goes_on_in_further_files(tmp_path):
     whole = read(write(tmp_path / "whole.csv", table()))
     first, second = in_two(tmp_path)
-    record = read(first, more=(second,))
+    record = read(first, continuation_files=(second,))
     np.testing.assert_array_equal(record.time, whole.time)
     np.testing.assert_array_equal(record.signals["Qx"], whole.signals["Qx"])
-    assert record.others[second].size == second.stat().st_size
+    assert record.other_files[second].size == second.stat().st_size
     assert "2 files, one after the other" in record.report.notes()[0]
 
 
@@ -31,7 +31,7 @@ def test_a_mistake_in_a_further_file_is_told_by_its_name(tmp_path):
     text = second.read_text().splitlines()
     text[3] = text[3].replace(text[3].split(",")[0], "0.5")
     write(second, text)
-    assert "b.csv, line 4: time runs backwards" in refusal(first, more=(second,))
+    assert "b.csv, line 4: time runs backwards" in refusal(first, continuation_files=(second,))
 
 
 def test_rows_are_counted_where_there_is_no_time(tmp_path):
@@ -41,17 +41,19 @@ def test_rows_are_counted_where_there_is_no_time(tmp_path):
     record = read(write(tmp_path / "run.csv", columns), time=time)
     np.testing.assert_allclose(record.time, table()[TIME], atol=1e-12)
     first, second = in_two(tmp_path)
-    np.testing.assert_array_equal(read(first, more=(second,), time=time).time, record.time)
+    np.testing.assert_array_equal(
+        read(first, continuation_files=(second,), time=time).time, record.time
+    )
 
 
 def test_only_a_part_of_a_record_is_used(tmp_path):
     path = write(tmp_path / "run.csv", table())
-    record = read(path, part=(3.0, 15.0))
+    record = read(path, time_range=(3.0, 15.0))
     assert record.start_time == 3.0
     assert record.time[-1] == pytest.approx(12.0)
     assert record.report.outside == 1000 - 601
     assert "399 rows outside the part to be used were left out." in record.report.notes()
-    assert "in the part to be used" in refusal(path, part=(30.0, 50.0))
+    assert "in the part to be used" in refusal(path, time_range=(30.0, 50.0))
 
 
 def test_units_are_taken_from_the_file_or_compared_with_it(tmp_path):
@@ -59,12 +61,12 @@ def test_units_are_taken_from_the_file_or_compared_with_it(tmp_path):
     text.insert(1, "s,rad,m")
     path = write(tmp_path / "run.csv", text)
     taken = {
-        "time": ColumnSpec(TIME, wanted="s"),
-        "angle": ColumnSpec(ANGLE, -1.0, wanted="rad"),
-        "signals": {"Qx": ColumnSpec(SIGNAL, wanted="m")},
+        "time": ColumnSpec(TIME, target_unit="s"),
+        "angle": ColumnSpec(ANGLE, -1.0, target_unit="rad"),
+        "signals": {"Qx": ColumnSpec(SIGNAL, target_unit="m")},
     }
     np.testing.assert_array_equal(read(path, -RATE, **taken).angle, -table()[ANGLE])
-    stated = ColumnSpec(TIME, 1e-3, unit="ms", wanted="s")
+    stated = ColumnSpec(TIME, 1e-3, unit="ms", target_unit="s")
     assert "is in 's' by the file's row of units, but in 'ms'" in refusal(path, time=stated)
     plain = write(tmp_path / "plain.csv", table())
     assert f"column '{TIME}' has no unit in the file" in refusal(plain, **taken)
@@ -123,7 +125,7 @@ def test_pulses_of_another_file(tmp_path):
     spec = ColumnSpec(TIME, kind="pulses")
     record = read(write(tmp_path / "run.csv", columns), angle=spec, pulses=pulses)
     np.testing.assert_allclose(record.angle, angle[: len(record.angle)], atol=1e-4)
-    assert record.others[pulses].size == pulses.stat().st_size
+    assert record.other_files[pulses].size == pulses.stat().st_size
     pulses.write_text("time_s\n1\n2.5\n4\n")
     with pytest.raises(RecordError, match=r"index.csv: column 'time_s': .* should be 2 s"):
         read(tmp_path / "run.csv", angle=spec, pulses=pulses)

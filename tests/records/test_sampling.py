@@ -37,7 +37,7 @@ def test_samples_that_are_equal_by_chance_are_no_repeats(resolution):
     values = white(4000)
     if resolution:
         values = np.round(values / resolution) * resolution
-    assert ValueHolding.of(values) is None
+    assert ValueHolding.detect(values) is None
 
 
 def test_a_coarse_sensor_in_a_faster_log_is_thinned_at_its_phase_or_refused():

@@ -37,7 +37,7 @@ def test_two_columns_make_one_time(tmp_path, coarse, fine, name):
     assert first.stamps
     np.testing.assert_allclose(first.values, TIME, atol=1e-9)
     # The reader of records, by the name that a description states.
-    spec = ColumnSpec(first.name, unit="iso", wanted="s", kind="stamps")
+    spec = ColumnSpec(first.name, unit="iso", target_unit="s", kind="stamps")
     (read,) = read_scaled(file, [spec], AUTODETECT)
     np.testing.assert_allclose(read, TIME, atol=1e-9)
     (noise,) = cs.noise(file, columns=["a"], unit="m/s^2").signals

@@ -26,7 +26,7 @@ def parts_of(t, x, pieces=1):
     sums = PolynomialMoments(1)
     for rows in np.array_split(np.arange(len(t)), pieces):
         sums.add(t[rows], [x[rows]])
-    return np.append(sums.of(0), sums.ends(0))
+    return np.append(sums.normalised_coefficients(0), sums.end_size(0))
 
 
 @pytest.mark.parametrize("pieces", [1, 7])

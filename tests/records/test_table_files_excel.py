@@ -105,7 +105,7 @@ def test_a_sheet_is_read_as_a_record(tmp_path):
     np.testing.assert_allclose(record.time, columns[TIME], atol=1e-6)
     expected = np.where(np.arange(400) == 7, np.nan, columns[SIGNAL])
     np.testing.assert_array_equal(record.signals["Qx"], expected)
-    assert record.report.found == "sheet 'Run', names in row 3, a row of units"
+    assert record.report.format_description == "sheet 'Run', names in row 3, a row of units"
     rows[200][1] = "oops"
     write_workbook(path, {"Run": [*head, *rows]})
     assert f"row 205: column '{ANGLE}' holds the text 'oops'" in refusal(path, time=time)

@@ -9,8 +9,8 @@ from counterspin.records.frames import memory_table
 from counterspin.records.record import ColumnSpec, RecordColumns
 from counterspin.records.temperature_profile import MAX_KNOTS, read_temperature_profile
 
-CELSIUS = ColumnSpec("T", unit="degC", wanted="K", kind="temperature")
-TIME = ColumnSpec("t", unit="s", wanted="s")
+CELSIUS = ColumnSpec("T", unit="degC", target_unit="K", kind="temperature")
+TIME = ColumnSpec("t", unit="s", target_unit="s")
 T = np.arange(0.0, 400.0, 0.05)
 
 
@@ -48,8 +48,8 @@ def test_one_temperature_throughout_is_one():
 
 
 def test_kelvin_are_not_shifted_and_the_part_is_the_one_that_is_used():
-    kelvin = ColumnSpec("T", unit="K", wanted="K", kind="temperature")
-    found = course(280.0 + 0.1 * T, spec=kelvin, part=(100.0, 200.0))
+    kelvin = ColumnSpec("T", unit="K", target_unit="K", kind="temperature")
+    found = course(280.0 + 0.1 * T, spec=kelvin, time_range=(100.0, 200.0))
     assert (found[0], found[-1]) == pytest.approx((290.0, 300.0))
 
 
@@ -57,12 +57,12 @@ def test_the_files_unit_is_taken_where_none_is_stated(tmp_path):
     file = tmp_path / "r.csv"
     rows = "".join(f"{t},{20 + t}\n" for t in range(40))
     file.write_text(f"t (s),T (°C)\n{rows}", encoding="utf-8")
-    time = ColumnSpec("t (s)", wanted="s")
-    spec = ColumnSpec("T (°C)", wanted="K", kind="temperature")
+    time = ColumnSpec("t (s)", target_unit="s")
+    spec = ColumnSpec("T (°C)", target_unit="K", kind="temperature")
     found = read_temperature_profile(file, RecordColumns(time, None, {"T": spec}))
     assert (found[0], found[-1]) == pytest.approx((293.15, 332.15))
     file.write_text(f"t (s),T (V)\n{rows}", encoding="utf-8")
-    spec = ColumnSpec("T (V)", wanted="K", kind="temperature")
+    spec = ColumnSpec("T (V)", target_unit="K", kind="temperature")
     with pytest.raises(RecordError, match=r"column 'T \(V\)' is in 'V' by the file"):
         read_temperature_profile(file, RecordColumns(time, None, {"T": spec}))
 

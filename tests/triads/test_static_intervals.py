@@ -231,7 +231,7 @@ def test_a_file_without_names_or_times_is_read(tmp_path: Path) -> None:
     values[200, 2] = 1e6
     np.savetxt(path, np.column_stack([values, values]), fmt="%.5f")
     columns = RecordColumns(
-        ColumnSpec("", STEP, kind="rows", wanted="s"),
+        ColumnSpec("", STEP, kind="rows", target_unit="s"),
         None,
         {name: ColumnSpec(f"column {place}") for place, name in enumerate("XYZ", 1)},
     )

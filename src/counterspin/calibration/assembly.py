@@ -170,7 +170,7 @@ def _record_end_findings(observed: Sequence[ObservedRun]) -> list[Finding]:
             findings.append(
                 Finding(code="short-record", subject=name, text=text, size=nominal / duration)
             )
-        if isolated := run.record.report.lone:
+        if isolated := run.record.report.isolated:
             rows = "1 row stands" if isolated == 1 else f"{isolated} rows stand"
             text = (
                 f"{name}: {rows} alone at an end of the record, beyond a gap; left out. Look at "

@@ -212,7 +212,7 @@ def _collect_inputs(
     read_files: list[tuple[Path, FileIdentity]] = []
     for run in observed:
         if run.record.identity is not None:
-            read_files += [(run.run.record, run.record.identity), *run.record.others.items()]
+            read_files += [(run.run.record, run.record.identity), *run.record.other_files.items()]
     # These are the same before and after they were read and hashed.
     changed = [
         file for file, identity in file_identities.items() if _current_identity(file) != identity

@@ -232,7 +232,7 @@ def _is_active(campaign: Campaign, row: Term[SpecificForceProduct | Slope]) -> b
     """Return whether what a coefficient changes with has changed."""
     if isinstance(row.effect, SpecificForceProduct):
         arm_axes = (reading.axes for reading in campaign.readings if reading.motion == "arm")
-        return not row.effect.of_rotation or any(
+        return not row.effect.requires_rotation or any(
             _has_mean_product(row.effect, axes) for axes in arm_axes
         )
     if row.effect.condition == "force":

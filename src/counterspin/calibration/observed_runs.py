@@ -323,7 +323,7 @@ def _has_angle(campaign: Campaign, reading: Reading) -> bool:
     if isinstance(source, Path) and not source.exists():
         return True
     with open_columns(source, campaign.dialect) as file:
-        return file.has(campaign.angle.name)
+        return file.has_column(campaign.angle.name)
 
 
 def recorded_temperatures(
@@ -336,7 +336,7 @@ def recorded_temperatures(
     columns = temperature_columns(campaign, item)
     if columns is None or item.record is None:
         return item.temperature
-    source, key = campaign.record_at(item.record), (item.record, columns.part)
+    source, key = campaign.record_at(item.record), (item.record, columns.time_range)
     if isinstance(source, Path) and not source.exists():
         return item.temperature  # whoever reads the rest of it says so
     if key not in profiles:
@@ -366,7 +366,9 @@ def temperature_columns(
     columns = RecordColumns(campaign.time, None, {})
     if isinstance(item, Run):
         recording = campaign.recording_of(item)
-        columns = replace(columns, part=item.part, more=tuple(item.continued_in))
+        columns = replace(
+            columns, time_range=item.part, continuation_files=tuple(item.continued_in)
+        )
     if recording.temperature is None:
         return None
     signals = {"temperature": recording.temperature}

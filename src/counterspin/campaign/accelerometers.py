@@ -318,7 +318,7 @@ class AccelerometersReader:
         """Return the column of an accelerometer; an output such as a current as m/s^2."""
         column, output = getattr(table, observable), table.output
         if column is None:
-            return ColumnSpec("", wanted=OBSERVABLES[observable])
+            return ColumnSpec("", target_unit=OBSERVABLES[observable])
         if observable != "specific_force":
             return spec_of(column, OBSERVABLES[observable])
         try:

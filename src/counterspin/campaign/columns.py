@@ -92,9 +92,9 @@ class TimeChannel(SettingsSection):
         """The column, s."""
         if self.column is None:
             step = 1.0 / self.sampling_rate if self.sampling_rate else math.nan
-            return ColumnSpec("", step, unit="s", wanted="s", kind="rows")
+            return ColumnSpec("", step, unit="s", target_unit="s", kind="rows")
         if self.unit == STAMPS:
-            return ColumnSpec(self.column, unit=STAMPS, wanted="s", kind="stamps")
+            return ColumnSpec(self.column, unit=STAMPS, target_unit="s", kind="stamps")
         return spec_of(self, "s")
 
 
@@ -152,7 +152,7 @@ class AngleChannel(_Channel):
             return replace(angle, factor=sense * angle.factor, offset=self.zero)
         counts = spec_of(self, "count")
         factor = sense * counts.factor * 2.0 * math.pi / self.per_revolution
-        return replace(counts, factor=factor, offset=self.zero, wanted="")
+        return replace(counts, factor=factor, offset=self.zero, target_unit="")
 
 
 class TemperatureChannel(_Channel):
@@ -165,7 +165,7 @@ class TemperatureChannel(_Channel):
     @property
     def spec(self) -> ColumnSpec:
         """The column, K."""
-        return ColumnSpec(self.column, unit=self.unit, wanted="K", kind="temperature")
+        return ColumnSpec(self.column, unit=self.unit, target_unit="K", kind="temperature")
 
 
 class RowSelection(SettingsSection):

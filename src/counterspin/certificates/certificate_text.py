@@ -324,7 +324,7 @@ def coefficient_line(symbol: str, coefficient: Coefficient) -> str:
     k = coverage_factor(coefficient.dof)
     row = TERMS.get(symbol)
     words = "" if row is None else f"{row.words[:1].upper()}{row.words[1:]}"
-    description = "" if row is None else f"{words} ({row.effect.ieee} in IEEE Std 1293); "
+    description = "" if row is None else f"{words} ({row.effect.ieee_symbol} in IEEE Std 1293); "
     value_text = unit_remark(si_unit(coefficient.unit)[0])
     estimate = f"{format_in_g_units(coefficient, k)} (U, k = {format_decimal(k)})"
     return f"{description}{symbol} = {estimate}; {value_text}"

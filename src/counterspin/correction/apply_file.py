@@ -183,7 +183,7 @@ def apply_file(
             (f"{corrected_column}_corrected_u", column_correction.u),
         ):
             added.append(pl.Series(new, array).fill_nan(None))
-    report = replace(reports[0], found=table.found, more=tuple(reports[1:]))
+    report = replace(reports[0], found=table.format_description, more=tuple(reports[1:]))
     write_whole(
         output,
         _writer(frame.with_columns(added), suffix, table.decimal),

@@ -199,7 +199,7 @@ def normalise(table: CoefficientTable, result: Result) -> CoefficientTable:
     return replace(
         table,
         accelerometers=tuple(table.accelerometers[i] for i in kept),
-        symbols=tuple(TERMS[table.symbols[i]].effect.ieee for i in kept),
+        symbols=tuple(TERMS[table.symbols[i]].effect.ieee_symbol for i in kept),
         values=values,
         covariance=covariance,
         units=tuple(units),

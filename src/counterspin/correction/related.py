@@ -13,7 +13,7 @@ from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.campaign.field_types import parse_uncertain_temperature
 from counterspin.errors import CampaignError
-from counterspin.physics.correction import CalibratedAccelerometer, Warmth
+from counterspin.physics.correction import CalibratedAccelerometer, TemperatureOffset
 from counterspin.units import ZERO_CELSIUS
 
 #: Temperatures in degC as in `ApplyOptions`, or text.
@@ -25,7 +25,7 @@ _TEMPERATURE_MARGIN: Final = 1.0
 
 def temperature_offset(
     result: Result, instruments: Sequence[CalibratedAccelerometer], temperature: Temperature
-) -> Warmth:
+) -> TemperatureOffset:
     """Return a record's temperature minus the reference temperature of the result's coefficients.
 
     Raises
@@ -36,7 +36,7 @@ def temperature_offset(
     value, u = _parse_temperature(temperature)
     reference = result.inputs.reference_temperature
     if reference is not None and value is not None:
-        return Warmth(value - reference, u)
+        return TemperatureOffset(value - reference, u)
     if needed := list(_needing_messages(instruments)):
         words = (
             'give `temperature`: a column, or a constant such as `temperature="23 ± 1 degC"`'
@@ -46,7 +46,7 @@ def temperature_offset(
         raise CampaignError(
             "apply", [f"{', '.join(needed)} with the temperature of the record; {words}"]
         )
-    return Warmth()
+    return TemperatureOffset()
 
 
 def _needing_messages(instruments: Sequence[CalibratedAccelerometer]) -> Iterator[str]:
@@ -93,7 +93,9 @@ def temperature_notes(
     )
 
 
-def temperature_warnings(result: Result, warmth: Warmth, temperature: Temperature) -> Iterator[str]:
+def temperature_warnings(
+    result: Result, warmth: TemperatureOffset, temperature: Temperature
+) -> Iterator[str]:
     """Yield warnings on temperatures outside those of the calibration."""
     reference, seen = result.inputs.reference_temperature, result.inputs.temperatures
     if temperature is None or reference is None or not seen:

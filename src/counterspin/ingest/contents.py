@@ -194,7 +194,7 @@ def _read_contents(
             if sensor in kinds:
                 return _read_contents(path, sheet, sheets, f"{told_apart}={sensor}", group)
         if not columns:
-            seen = file.seen()
+            seen = file.preview()
             lines = f"Its first lines:\n{seen}\n{_WANTED}" if seen else _WANTED
             if reasons and len(reasons) == len(names):
                 more = "" if "each run" in reasons[0] else f" {_ANOTHER_RUN}"
@@ -205,7 +205,7 @@ def _read_contents(
             path,
             tuple(columns),
             tuple(others),
-            file.found,
+            file.format_description,
             file.decimal,
             sheet,
             sheets,
@@ -243,8 +243,8 @@ def _with_split_time(file: ColumnFile, columns: list[FileColumn]) -> list[FileCo
     split = find_split_time({column.name: column.values for column in columns})
     if split is None:
         return columns
-    file.stamps, file.first_stamp = frozenset([split.name]), None
-    seconds = np.array(file.whole([split.name])[split.name][:_MAX_ROWS], dtype=float)
+    file.timestamp_columns, file.first_timestamp = frozenset([split.name]), None
+    seconds = np.array(file.read_columns([split.name])[split.name][:_MAX_ROWS], dtype=float)
     rest = [column for column in columns if column.name not in (split.coarse, split.fine)]
     return [FileColumn(split.name, "", seconds, stamps=True), *rest]
 
@@ -262,11 +262,11 @@ def _column(file: ColumnFile, name: str) -> tuple[FileColumn | None, str]:
     """Return a column as numbers or time stamps; or None, and why it has no numbers."""
     why = ""
     for stamps in (False, True):
-        file.stamps = frozenset([name] if stamps else [])
-        file.first_stamp = None
+        file.timestamp_columns = frozenset([name] if stamps else [])
+        file.first_timestamp = None
         try:
             file.require([name])
-            values = file.whole([name])[name][:_MAX_ROWS]
+            values = file.read_columns([name])[name][:_MAX_ROWS]
         except RecordError as error:
             why = why or str(error)
             continue

@@ -78,7 +78,7 @@ def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
         if column.stamps or column.name in clocks:
             continue
         try:
-            holding = ValueHolding.of(column.values)
+            holding = ValueHolding.detect(column.values)
         except ValueError as error:
             yield f"column '{column.name}': {error}"
             continue

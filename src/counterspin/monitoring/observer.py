@@ -156,7 +156,7 @@ class GrowingTable:
         """Return the columns of a file, and the line number of the last of its first rows."""
         with open_columns(path, self.dialect) as file:
             file.require(list(self.names))
-            columns = file.whole(list(self.names))
+            columns = file.read_columns(list(self.names))
             number = re.search(r"\d+", file.locate(_FIRST_ROWS - 1))
             return columns, int(number[0]) if number else 0
 
@@ -402,15 +402,15 @@ def _growing_table(
     specs = [columns.time, *([columns.angle] if columns.angle else []), *columns.signals.values()]
     specs += more
     kinds = ("numbers", "temperature", *(() if isinstance(run, Run) else ("rows",)))
-    plain = all(spec.kind in kinds and (spec.unit or not spec.wanted) for spec in specs)
+    plain = all(spec.kind in kinds and (spec.unit or not spec.target_unit) for spec in specs)
     if (
         run.record.suffix.lower() not in GROWING_SUFFIXES
         or not plain
-        or columns.more
+        or columns.continuation_files
         or columns.pulses
     ):
         return None
-    names = [*columns.filed, *(spec.name for spec in more)]
+    names = [*columns.file_columns, *(spec.name for spec in more)]
     return GrowingTable(run.record, names, columns.dialect)
 
 

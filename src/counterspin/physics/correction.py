@@ -1,4 +1,4 @@
-"""Correction of accelerometers for their calibrated errors, and how uncertain it leaves them.
+"""Correction of accelerometers for their calibrated errors, and the uncertainty that remains.
 
 The products with a_P and a_O need the specific force along the other two axes. It is known, or
 it is what other accelerometers on the same platform sense; their errors are then corrected too,
@@ -88,13 +88,13 @@ def _solve_rising_branch(
     poly[0] -= y
     poly *= side
     poly[0] = np.minimum(poly[0], 0.0)
-    flat = np.flatnonzero(~(poly[1] > 0.0))
-    if flat.size:
-        worst = int(flat[0])
+    not_rising = np.flatnonzero(~(poly[1] > 0.0))
+    if not_rising.size:
+        row = int(not_rising[0])
         raise NotInvertibleError(
-            int(rows[worst]),
+            int(rows[row]),
             "cannot be corrected: the indication does not rise with the specific force at zero "
-            f"(slope {poly[1, worst]:.3g}); check the coefficients and their units.",
+            f"(slope {poly[1, row]:.3g}); check the coefficients and their units.",
         )
     high = 2.0 * -poly[0] / poly[1]
     # The slope without its positive terms decreases: if it is positive at `high`, no turning point
@@ -103,25 +103,25 @@ def _solve_rising_branch(
         np.minimum(_derivative(poly)[1:], 0.0), high
     )
     may_turn = ~((lowest_slope > 0.0) & (_evaluate_polynomial(poly, high) >= 0.0))
-    turn = np.full_like(high, np.inf)
+    turning_point = np.full_like(high, np.inf)
     if may_turn.any():
-        turn[may_turn] = _turning_point(poly[:, may_turn])
-    high = np.minimum(turn, high)
+        turning_point[may_turn] = _turning_point(poly[:, may_turn])
+    high = np.minimum(turning_point, high)
     while True:
-        short = (_evaluate_polynomial(poly, high) < 0.0) & (high < turn)
-        if not short.any():
+        is_too_low = (_evaluate_polynomial(poly, high) < 0.0) & (high < turning_point)
+        if not is_too_low.any():
             break
-        high = np.where(short, np.minimum(2.0 * high, turn), high)
+        high = np.where(is_too_low, np.minimum(2.0 * high, turning_point), high)
     beyond = np.flatnonzero(_evaluate_polynomial(poly, high) < -_rounding_bound(poly, high, y))
     if beyond.size:
-        worst = int(beyond[0])
-        level = float(side[worst] * turn[worst])
-        worst_value = _evaluate_polynomial(poly[:, worst : worst + 1], turn[worst : worst + 1])
-        reach = float(y[worst] + side[worst] * worst_value[0])
+        row = int(beyond[0])
+        force = float(side[row] * turning_point[row])
+        largest = _evaluate_polynomial(poly[:, row : row + 1], turning_point[row : row + 1])
+        max_indication = float(y[row] + side[row] * largest[0])
         raise NotInvertibleError(
-            int(rows[worst]),
-            f"cannot be corrected: it indicates {y[worst]:.6g} g, and this model has its turning "
-            f"point at {level:.6g} g, where it indicates {reach:.6g} g.",
+            int(rows[row]),
+            f"cannot be corrected: it indicates {y[row]:.6g} g, and this model has its "
+            f"turning point at {force:.6g} g, where it indicates {max_indication:.6g} g.",
         )
     return side * _root(poly, high, y, rows)
 
@@ -130,8 +130,8 @@ def _used_products(
     coefficients: Mapping[str, Array | float],
 ) -> dict[SpecificForceProduct, Array | float]:
     """Return the products whose coefficient is not zero in every sample, and their coefficients."""
-    given = {row.effect: coefficients.get(row.symbol, row.nominal) for row in TERMS.values()}
-    return {product: value for product, value in given.items() if np.any(value)}
+    coefficient = {row.effect: coefficients.get(row.symbol, row.nominal) for row in TERMS.values()}
+    return {product: value for product, value in coefficient.items() if np.any(value)}
 
 
 def _polynomial(
@@ -170,21 +170,26 @@ def _positive_zeros(poly: Array) -> Array:
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             zero = -poly[:1] / poly[1:]
         return np.where((zero > 0.0) & (zero <= _MAX_FORCE), zero, np.inf)
-    stretches = np.empty((poly.shape[0] + 1, poly.shape[1]))
-    stretches[0], stretches[-1] = 0.0, _MAX_FORCE
-    stretches[1:-1] = np.minimum(_positive_zeros(_derivative(poly)), _MAX_FORCE)
-    low, high = stretches[:-1], stretches[1:]
-    of_stretches = poly[:, None]
-    rising, ends = (_evaluate_polynomial(of_stretches, at) > 0.0 for at in (low, high))
-    crosses = rising != ends
+    intervals = np.empty((poly.shape[0] + 1, poly.shape[1]))
+    intervals[0], intervals[-1] = 0.0, _MAX_FORCE
+    intervals[1:-1] = np.minimum(_positive_zeros(_derivative(poly)), _MAX_FORCE)
+    low, high = intervals[:-1], intervals[1:]
+    interval_poly = poly[:, None]
+    low_is_positive, high_is_positive = (
+        _evaluate_polynomial(interval_poly, at) > 0.0 for at in (low, high)
+    )
+    crosses = low_is_positive != high_is_positive
     zero = np.where(crosses, 0.5 * (low + high), np.inf)
     for _ in range(_MAX_STEPS if crosses.any() else 0):
-        before = _evaluate_polynomial(of_stretches, np.where(crosses, zero, 0.0)) > 0.0
-        low, high = np.where(before == rising, zero, low), np.where(before == rising, high, zero)
-        new = np.where(crosses, 0.5 * (low + high), np.inf)
-        if np.all((new == zero) | ~crosses):
+        zero_is_positive = _evaluate_polynomial(interval_poly, np.where(crosses, zero, 0.0)) > 0.0
+        low, high = (
+            np.where(zero_is_positive == low_is_positive, zero, low),
+            np.where(zero_is_positive == low_is_positive, high, zero),
+        )
+        midpoint = np.where(crosses, 0.5 * (low + high), np.inf)
+        if np.all((midpoint == zero) | ~crosses):
             break
-        zero = new
+        zero = midpoint
     return np.sort(zero, axis=0)
 
 
@@ -194,10 +199,10 @@ def _first_zero_of_parabola(poly: Array) -> Array:
     square = b * b - 4.0 * a * c
     # This form of the root keeps its digits as c goes to zero.
     divisor = -b + np.sqrt(np.maximum(square, 0.0))
-    crosses = (square >= 0.0) & (divisor > 0.0)
+    has_zero = (square >= 0.0) & (divisor > 0.0)
     zero = np.full(a.shape, np.inf)
     with np.errstate(over="ignore"):
-        zero[crosses] = 2.0 * a[crosses] / divisor[crosses]
+        zero[has_zero] = 2.0 * a[has_zero] / divisor[has_zero]
     return zero
 
 
@@ -224,16 +229,18 @@ def _root(poly: Array, high: Array, y: Array, rows: np.ndarray) -> Array:
         value, slope = _evaluate_polynomial(poly, x), _slope(poly, x)
         low, high = np.where(value < 0.0, x, low), np.where(value < 0.0, high, x)
         step = np.divide(-value, slope, out=np.full_like(x, np.inf), where=slope > 0.0)
-        new = x + step
-        new = np.where((new >= low) & (new <= high), new, 0.5 * (low + high))
-        settled = (np.abs(value) <= _rounding_bound(poly, x, y)) | (
-            np.abs(new - x) <= 2.0 * _EPSILON * x
+        next_guess = x + step
+        next_guess = np.where(
+            (next_guess >= low) & (next_guess <= high), next_guess, 0.5 * (low + high)
         )
-        x = new
-        if settled.all():
+        has_converged = (np.abs(value) <= _rounding_bound(poly, x, y)) | (
+            np.abs(next_guess - x) <= 2.0 * _EPSILON * x
+        )
+        x = next_guess
+        if has_converged.all():
             return x
-    worst = int(rows[int(np.flatnonzero(~settled)[0])])
-    raise NotInvertibleError(worst, f"has not converged after {_MAX_STEPS} steps.")
+    row = int(rows[int(np.flatnonzero(~has_converged)[0])])
+    raise NotInvertibleError(row, f"has not converged after {_MAX_STEPS} steps.")
 
 
 # Accelerometers together -----------------------------------------------------------------------
@@ -256,13 +263,13 @@ class CalibratedAccelerometer:
     coefficients: Mapping[str, float]
     covariance: Array  #: Of these coefficients in their order, shape (t, t).
 
-    def using(self, axis: str) -> tuple[str, ...]:
+    def symbols_using(self, axis: str) -> tuple[str, ...]:
         """Return the symbols whose value or variance needs the specific force along P or O."""
         return tuple(
             symbol
-            for place, (symbol, value) in enumerate(self.coefficients.items())
+            for index, (symbol, value) in enumerate(self.coefficients.items())
             if axis in product_of_symbol(symbol).factors
-            and (value or self.covariance[place, place])
+            and (value or self.covariance[index, index])
         )
 
     @property
@@ -271,8 +278,8 @@ class CalibratedAccelerometer:
         effects = {s: ACCELEROMETER_TERMS[s].effect for s in self.coefficients}
         return {s: effect for s, effect in effects.items() if isinstance(effect, Slope)}
 
-    def at(self, warmth: Array | float) -> dict[str, Array | float]:
-        """Return the coefficients of products at a temperature, as of `Warmth`."""
+    def at(self, temperature_offset: Array | float) -> dict[str, Array | float]:
+        """Return the coefficients of products at a temperature, as of `TemperatureOffset`."""
         slopes = self.slopes
         values: dict[str, Array | float] = {
             s: value for s, value in self.coefficients.items() if s not in slopes
@@ -281,7 +288,7 @@ class CalibratedAccelerometer:
             reference_value = values.get(slope.coefficient, TERMS[slope.coefficient].nominal)
             values[slope.coefficient] = reference_value + self.coefficients[
                 symbol
-            ] * _design_factor(slope, warmth)
+            ] * _design_factor(slope, temperature_offset)
         return values
 
 
@@ -291,10 +298,10 @@ def product_of_symbol(symbol: str) -> SpecificForceProduct:
     return TERMS[effect.coefficient].effect if isinstance(effect, Slope) else effect
 
 
-def _design_factor(slope: Slope, warmth: Array | float) -> Array:
+def _design_factor(slope: Slope, temperature_offset: Array | float) -> Array:
     """Return the factor of a slope, with time and direction of the temperature at zero."""
-    zero = np.zeros_like(warmth)
-    return slope.design_factors(zero, np.asarray(warmth, dtype=np.float64), zero, zero)
+    zero = np.zeros_like(temperature_offset)
+    return slope.design_factors(zero, np.asarray(temperature_offset, dtype=np.float64), zero, zero)
 
 
 @frozen(eq=False)
@@ -307,7 +314,7 @@ class KnownForce:
 
 
 @frozen(eq=False)
-class Warmth:
+class TemperatureOffset:
     """Temperature minus the temperature of the stated coefficients, K."""
 
     value: Array | float = 0.0  #: Shape (n,), or one for all samples.
@@ -339,19 +346,19 @@ class CorrectedForces:
     u: Array
 
 
-_AS_CALIBRATED: Final = Warmth()
+_AS_CALIBRATED: Final = TemperatureOffset()
 
 
 def missing_axes(
     instruments: Sequence[CalibratedAccelerometer], known: Sequence[KnownForce]
 ) -> list[tuple[CalibratedAccelerometer, str, tuple[str, ...]]]:
     """Return (instrument, ``P`` or ``O``, symbols that need it) where the force is not known."""
-    _, determined = _projections(instruments, known)
+    _, is_determined = _projections(instruments, known)
     return [
-        (instrument, axis, instrument.using(axis))
+        (instrument, axis, instrument.symbols_using(axis))
         for k, instrument in enumerate(instruments)
         for a, axis in enumerate("PO")
-        if instrument.using(axis) and not determined[k, a]
+        if instrument.symbols_using(axis) and not is_determined[k, a]
     ]
 
 
@@ -360,7 +367,7 @@ def correct(
     indicated: Array,
     known: Sequence[KnownForce] = (),
     between: Mapping[tuple[int, int], Array] = MappingProxyType({}),
-    warmth: Warmth = _AS_CALIBRATED,
+    temperature_offset: TemperatureOffset = _AS_CALIBRATED,
 ) -> CorrectedForces:
     """Correct the indications of accelerometers that stand on one platform.
 
@@ -374,8 +381,8 @@ def correct(
     indicated: Indicated specific force in g, shape (n, m); not finite: nor is the sample's result.
     between: Places of two accelerometers, the lower first -> covariance of their coefficients, of
         the first along the rows; where there is none they are uncorrelated.
-    warmth: For slopes with temperature. Its u moves the force by the slopes, and what these are
-        uncertain by counts at every temperature that it may have been.
+    temperature_offset: For slopes with temperature. Its u moves the force by the slopes, and their
+        own uncertainty counts at every temperature that it may have been.
     """
     missing = missing_axes(instruments, known)
     if missing:
@@ -385,27 +392,34 @@ def correct(
         )
     weights, _ = _projections(instruments, known)
     n, m = indicated.shape
-    given = np.empty((n, len(known)))
-    for place, item in enumerate(known):
-        given[:, place] = item.force
-    force = _correct_jointly(instruments, indicated, given, weights, warmth.value)
-    a_ipo = _along_axes(force, given, weights)
+    known_forces = np.empty((n, len(known)))
+    for index, item in enumerate(known):
+        known_forces[:, index] = item.force
+    force = _correct_jointly(
+        instruments, indicated, known_forces, weights, temperature_offset.value
+    )
+    a_ipo = _forces_along_axes(force, known_forces, weights)
 
     jacobian = np.empty((n, m, m))
-    from_known = np.zeros((n, m, len(known) + 1))
+    known_sensitivity = np.zeros((n, m, len(known) + 1))
     variance = np.zeros((n, m, m))
     for k, instrument in enumerate(instruments):
-        at = instrument.at(warmth.value)
-        p, o = (_total_slope(at, a_ipo[k], axis)[:, None] for axis in "PO")
+        coefficients_at = instrument.at(temperature_offset.value)
+        p, o = (_total_slope(coefficients_at, a_ipo[k], axis)[:, None] for axis in "PO")
         jacobian[:, k] = p * weights[k, 0, :m] + o * weights[k, 1, :m]
-        jacobian[:, k, k] += _total_slope(at, a_ipo[k], "I")
-        from_known[:, k, :-1] = p * weights[k, 0, m:] + o * weights[k, 1, m:]
-        from_known[:, k, -1] = _temperature_sensitivity(instrument, a_ipo[k], warmth.value)
-        variance[:, k, k] = _variance(instrument, a_ipo[k], warmth)
+        jacobian[:, k, k] += _total_slope(coefficients_at, a_ipo[k], "I")
+        known_sensitivity[:, k, :-1] = p * weights[k, 0, m:] + o * weights[k, 1, m:]
+        known_sensitivity[:, k, -1] = _temperature_sensitivity(
+            instrument, a_ipo[k], temperature_offset.value
+        )
+        variance[:, k, k] = _variance(instrument, a_ipo[k], temperature_offset)
     for (k, column), covariance in between.items():
-        for weight, value in warmth.nodes:
+        for weight, value in temperature_offset.nodes:
             row_products, column_products = (
-                _products(instruments[at], a_ipo[at], value) for at in (k, column)
+                _coefficient_sensitivities(
+                    instruments[coefficients_at], a_ipo[coefficients_at], value
+                )
+                for coefficients_at in (k, column)
             )
             variance[:, k, column] += weight * np.sum(
                 (row_products @ covariance) * column_products, axis=1
@@ -415,8 +429,8 @@ def correct(
     is_finite = np.isfinite(jacobian).all(axis=(1, 2))
     inverse[is_finite] = np.linalg.inv(jacobian[is_finite])
     total = np.sum((inverse @ variance) * inverse, axis=2)
-    spread = inverse @ from_known * [*(item.u for item in known), warmth.u]
-    total += np.sum(spread**2, axis=2)
+    sds = inverse @ known_sensitivity * [*(item.u for item in known), temperature_offset.u]
+    total += np.sum(sds**2, axis=2)
     # Rounding alone may leave less than nothing where errors of two accelerometers cancel.
     return CorrectedForces(force, np.sqrt(np.maximum(total, 0.0)))
 
@@ -469,51 +483,51 @@ def _projections(
             f"{len(rows)} accelerometers ({', '.join(i.name for i in instruments)}) and "
             f"{len(known)} known forces, whose directions are not independent"
         )
-    wanted = np.stack([instrument.mounting.matrix[1:] for instrument in instruments])
-    weights = wanted @ np.linalg.pinv(directions)
-    determined = np.linalg.norm(weights @ directions - wanted, axis=2) < _PROJECTION_ROUNDING
-    weights[~determined] = 0.0
-    return np.where(np.abs(weights) < _PROJECTION_ROUNDING, 0.0, weights), determined
+    targets = np.stack([instrument.mounting.matrix[1:] for instrument in instruments])
+    weights = targets @ np.linalg.pinv(directions)
+    is_determined = np.linalg.norm(weights @ directions - targets, axis=2) < _PROJECTION_ROUNDING
+    weights[~is_determined] = 0.0
+    return np.where(np.abs(weights) < _PROJECTION_ROUNDING, 0.0, weights), is_determined
 
 
-def _along_axes(force: Array, given: Array, weights: Array) -> Array:
+def _forces_along_axes(force: Array, known_forces: Array, weights: Array) -> Array:
     """Return the forces along I, P, O of each instrument, shape (m, 3, n)."""
-    all_known = np.concatenate([force, given], axis=1).T
+    all_known = np.concatenate([force, known_forces], axis=1).T
     return np.concatenate([force.T[:, None], weights @ all_known], axis=1)
 
 
 def _correct_jointly(
     instruments: Sequence[CalibratedAccelerometer],
     indicated: Array,
-    given: Array,
+    known_forces: Array,
     weights: Array,
-    warmth: Array | float,
+    temperature_offset: Array | float,
 ) -> Array:
     """Correct each accelerometer with the others' corrected forces until none moves."""
     force = np.array(indicated, dtype=np.float64)
     # A sample that one accelerometer misses is missing altogether.
-    finite = np.isfinite(np.concatenate([force, given], axis=1)).all(axis=1)
-    force[~(finite & np.isfinite(warmth))] = np.nan
+    finite = np.isfinite(np.concatenate([force, known_forces], axis=1)).all(axis=1)
+    force[~(finite & np.isfinite(temperature_offset))] = np.nan
     m = len(instruments)
     coupled = bool(np.any(weights[:, :, :m]))
     scale = 32.0 * _EPSILON * (1.0 + np.max(np.abs(force), axis=1, keepdims=True))
-    coefficients = [instrument.at(warmth) for instrument in instruments]
+    coefficients = [instrument.at(temperature_offset) for instrument in instruments]
     for _ in range(_MAX_ROUNDS if coupled else 1):
-        a_ipo = _along_axes(force, given, weights)
+        a_ipo = _forces_along_axes(force, known_forces, weights)
         new = np.empty_like(force)
         for k, (instrument, (_, p, o)) in enumerate(zip(instruments, a_ipo, strict=True)):
-            wanted = np.where(np.isnan(force[:, k]), np.nan, indicated[:, k])
+            target = np.where(np.isnan(force[:, k]), np.nan, indicated[:, k])
             try:
-                new[:, k] = invert(coefficients[k], wanted, p, o)
+                new[:, k] = invert(coefficients[k], target, p, o)
             except NotInvertibleError as error:
                 raise NotInvertibleError(
                     error.row, f"of {instrument.name} {error.reason}"
                 ) from error
-        moving = np.abs(new - force) > scale
+        is_moving = np.abs(new - force) > scale
         force = new
-        if not coupled or not moving.any():
+        if not coupled or not is_moving.any():
             return force
-    worst = int(np.flatnonzero(moving.any(axis=1))[0])
+    worst = int(np.flatnonzero(is_moving.any(axis=1))[0])
     raise NotInvertibleError(
         worst,
         "cannot be corrected: the accelerometers' mutual corrections have not converged after "
@@ -531,32 +545,38 @@ def _total_slope(coefficients: Mapping[str, Array | float], a_ipo: Array, axis: 
 
 
 def _temperature_sensitivity(
-    instrument: CalibratedAccelerometer, a_ipo: Array, warmth: Array | float
+    instrument: CalibratedAccelerometer, a_ipo: Array, temperature_offset: Array | float
 ) -> Array:
-    """Return by what an error of the temperature moves the indication, g/K, shape (n,)."""
+    """Return the change of the indication by an error of the temperature, g/K, shape (n,)."""
     total = np.zeros(a_ipo.shape[1])
     for symbol, slope in instrument.slopes.items():
         if slope.condition == "temperature":
-            sensitivity = slope.power * np.asarray(warmth) ** (slope.power - 1)
+            sensitivity = slope.power * np.asarray(temperature_offset) ** (slope.power - 1)
             value = instrument.coefficients[symbol]
             total += value * sensitivity * product_of_symbol(symbol).evaluate(a_ipo)
     return total
 
 
-def _products(instrument: CalibratedAccelerometer, a_ipo: Array, warmth: Array | float) -> Array:
-    """Return by what an error of each coefficient moves the indication, shape (n, t)."""
+def _coefficient_sensitivities(
+    instrument: CalibratedAccelerometer, a_ipo: Array, temperature_offset: Array | float
+) -> Array:
+    """Return the change of the indication by an error of each coefficient, shape (n, t)."""
     slopes = instrument.slopes
     columns = [product_of_symbol(symbol).evaluate(a_ipo) for symbol in instrument.coefficients]
-    for place, symbol in enumerate(instrument.coefficients):
+    for index, symbol in enumerate(instrument.coefficients):
         if symbol in slopes:
-            columns[place] = columns[place] * _design_factor(slopes[symbol], warmth)
+            columns[index] = columns[index] * _design_factor(slopes[symbol], temperature_offset)
     return np.stack(columns, axis=1)
 
 
-def _variance(instrument: CalibratedAccelerometer, a_ipo: Array, warmth: Warmth) -> Array:
-    root = semidefinite_root(instrument.covariance)
+def _variance(
+    instrument: CalibratedAccelerometer, a_ipo: Array, temperature_offset: TemperatureOffset
+) -> Array:
+    sqrt_covariance = semidefinite_root(instrument.covariance)
     total = np.zeros(a_ipo.shape[1])
-    for weight, value in warmth.nodes:
+    for weight, value in temperature_offset.nodes:
         # A sum of squares: no error of the covariance makes it less than nothing.
-        total += weight * np.sum((_products(instrument, a_ipo, value) @ root) ** 2, axis=1)
+        total += weight * np.sum(
+            (_coefficient_sensitivities(instrument, a_ipo, value) @ sqrt_covariance) ** 2, axis=1
+        )
     return total

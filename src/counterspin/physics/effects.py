@@ -43,8 +43,8 @@ class RunConditions:
 
     def direction_at(self, times: Array) -> Array:
         """Return the direction at times from the start of the run, s, shape (n,)."""
-        turned = np.searchsorted(np.sort(self.reversal_times), times)
-        return np.asarray(self.direction * (1.0 - 2.0 * (turned % 2)))
+        reversals = np.searchsorted(np.sort(self.reversal_times), times)
+        return np.asarray(self.direction * (1.0 - 2.0 * (reversals % 2)))
 
 
 #: At the beginning of a campaign, at the reference temperature.
@@ -61,7 +61,7 @@ class SpecificForceProduct:
     #: The product, factor by factor: ``("I", "I")`` is a_I^2, ``("I", "|I|")`` is a_I|a_I|;
     #: ``sign_I`` is the sign of a_I, and `ROTATIONS` are those of the rotation.
     factors: tuple[str, ...]
-    ieee: str  #: The coefficient's name in IEEE Std 1293, before that standard's division by K1.
+    ieee_symbol: str  #: Name in IEEE Std 1293, before that standard's division by K1.
     weight: float = 1.0  #: The number with which the product enters Eq. 7.
 
     @property
@@ -97,7 +97,7 @@ class SpecificForceProduct:
         return self.factors in (("I",), ("P",), ("O",))
 
     @property
-    def of_rotation(self) -> bool:
+    def requires_rotation(self) -> bool:
         """True if the instrument must rotate in space to show the coefficient."""
         return not set(self.factors).isdisjoint(ROTATIONS)
 
@@ -172,11 +172,11 @@ class Slope:
 
     def varies_within(self, conditions: RunConditions) -> bool:
         """Return True if temperature or direction changed in a run; False for other conditions."""
-        within = {
+        has_changed = {
             "temperature": conditions.temperature_profile,
             "direction": conditions.reversal_times,
         }
-        return bool(within.get(self.condition))
+        return bool(has_changed.get(self.condition))
 
     def design_factors_at(self, conditions: RunConditions, force: float, times: Array) -> Array:
         """Return the factor of the slope at times (n,) from the start of a run, s.
@@ -256,7 +256,7 @@ class TrajectoryError:
     #: n, and ``cos`` or ``sin``; 0 and empty for the stretch and the tilts.
     harmonic: int = 0
     quadrature: str = ""
-    about: str = ""  #: For a tilt ``east`` or ``north``.
+    axis: str = ""  #: For a tilt ``east`` or ``north``.
 
 
 @frozen
@@ -265,8 +265,8 @@ class SetupError:
 
     #: ``radius``, ``rate``, ``droop``, ``misalignment``, or of the dividing head ``zero`` or
     #: ``wave``.
-    of: str
-    about: str = ""  #: For a misalignment the axis of the motion's frame about which it turns.
+    kind: str
+    axis: str = ""  #: For a misalignment the axis of the motion's frame about which it turns.
     #: For a wave n times a turn of the head n, and ``cos`` or ``sin``.
     harmonic: int = 0
     quadrature: str = ""
@@ -276,8 +276,8 @@ class SetupError:
 class Input:
     """A quantity of the campaign description that enters the reference or its units."""
 
-    of: str  #: ``radius``, ``gravity``, ``latitude``, ``timing_offset`` or ``clock``.
-    between: tuple[float, float]  #: Range of possible values, SI.
+    quantity: str  #: ``radius``, ``gravity``, ``latitude``, ``timing_offset`` or ``clock``.
+    bounds: tuple[float, float]  #: Range of possible values, SI.
 
 
 #: The effect of a term.

@@ -29,7 +29,7 @@ from counterspin.physics.terms import MOTION_TERMS
 _TINY: Final = float(np.finfo(float).tiny)
 
 #: Times up to which the motion at them is kept for a while.
-_MOST_KEPT: Final = 16384
+_CACHE_SIZE: Final = 16384
 
 EARTH_RATE: Final = 7.292115e-5  #: rad/s, rotation rate of the Earth (WGS 84)
 
@@ -186,7 +186,7 @@ def spindle_state(spindle: Spindle, t: Array) -> SpindleState:
     The accelerometers of a run share it, and so do all paths along which the spindle may carry
     them: what an error of the radius does, or of gravity, is the difference of two of them.
     """
-    if t.size > _MOST_KEPT:
+    if t.size > _CACHE_SIZE:
         return SpindleState(spindle, t)
     return _cached_spindle_state(spindle, t.tobytes(), t.shape)
 
@@ -201,7 +201,7 @@ def motion_at(trajectory: Trajectory, t: Array) -> Motion:
 
     The accelerometers of a run share it.
     """
-    if t.size > _MOST_KEPT:
+    if t.size > _CACHE_SIZE:
         return trajectory.at(t)
     return _cached_motion(trajectory, t.tobytes(), t.shape)
 
@@ -248,34 +248,34 @@ class Motion:
         return self.spindle_state.cosine, self.spindle_state.sine
 
     @cached_property
-    def _growth(self) -> tuple[Array, Array, Array] | None:
+    def _radius_growth(self) -> tuple[Array, Array, Array] | None:
         """Growth of the radius, m, and its time derivatives; None if the radius is constant."""
         trajectory, w = self.trajectory, self.rate
         if trajectory.stretch == 0.0 and not trajectory.imbalance:
             return None
         spindle = trajectory.spindle
         theta, alpha = self.angle, self.angular_acceleration
-        growth, speed, curve = np.zeros((3, *self.t.shape))
+        growth, speed, growth_acceleration = np.zeros((3, *self.t.shape))
         for n, c, s in trajectory.imbalance:
             cos, sin = np.cos(n * theta), np.sin(n * theta)
-            slope, bend = n * (s * cos - c * sin), -(n**2) * (c * cos + s * sin)
+            slope, second_slope = n * (s * cos - c * sin), -(n**2) * (c * cos + s * sin)
             growth += c * cos + s * sin
             speed += w * slope
-            curve += alpha * slope + w**2 * bend
+            growth_acceleration += alpha * slope + w**2 * second_slope
         scale = trajectory.stretch * trajectory.radius**2
         growth += scale * w**2
         speed += 2.0 * scale * w * alpha
-        curve += 2.0 * scale * (alpha**2 + w * spindle.angular_jerk(self.t))
-        return growth, speed, curve
+        growth_acceleration += 2.0 * scale * (alpha**2 + w * spindle.angular_jerk(self.t))
+        return growth, speed, growth_acceleration
 
     @cached_property
     def position(self) -> Array:
         """m, from the spindle axis."""
         cos, sin = self._outward
         position: Array = self.trajectory.radius * _vectors(cos, sin)
-        if self._growth is not None:
-            position += _vectors(self._growth[0] * cos, self._growth[0] * sin)
-        return self._lift(position)
+        if self._radius_growth is not None:
+            position += _vectors(self._radius_growth[0] * cos, self._radius_growth[0] * sin)
+        return self._tilt_level_vector(position)
 
     @cached_property
     def velocity(self) -> Array:
@@ -283,11 +283,11 @@ class Motion:
         cos, sin = self._outward
         speed = self.trajectory.radius * self.rate
         velocity = _vectors(-speed * sin, speed * cos)
-        if self._growth is not None:
-            growth, outward, _ = self._growth
+        if self._radius_growth is not None:
+            growth, outward, _ = self._radius_growth
             forward = growth * self.rate
             velocity += _vectors(outward * cos - forward * sin, outward * sin + forward * cos)
-        return self._lift(velocity)
+        return self._tilt_level_vector(velocity)
 
     @cached_property
     def acceleration(self) -> Array:
@@ -296,24 +296,24 @@ class Motion:
         squared, alpha = self.rate**2, self.angular_acceleration
         inward = _vectors(squared * cos + alpha * sin, squared * sin - alpha * cos)
         acceleration: Array = -self.trajectory.radius * inward
-        if self._growth is not None:
-            growth, speed, curve = self._growth
+        if self._radius_growth is not None:
+            growth, speed, curve = self._radius_growth
             outward = curve - growth * squared
             forward = 2.0 * speed * self.rate + growth * alpha
             acceleration += _vectors(outward * cos - forward * sin, outward * sin + forward * cos)
-        return self._lift(acceleration)
+        return self._tilt_level_vector(acceleration)
 
-    def _lift(self, level: Array) -> Array:
+    def _tilt_level_vector(self, level_vector: Array) -> Array:
         """Return a vector of the level plane, or its derivative, as the tilted axis lifts it."""
         east, north = self.trajectory.axis_tilt
         if east or north:
-            level[..., 2] = east * level[..., 1] - north * level[..., 0]
-        return level
+            level_vector[..., 2] = east * level_vector[..., 1] - north * level_vector[..., 0]
+        return level_vector
 
     @cached_property
     def harmful_acceleration(self) -> Array:
         """m/s^2, Coriolis acceleration and the reaction to gravity."""
-        harmful = self._turned_by_earth(self.velocity)
+        harmful = self._coriolis(self.velocity)
         harmful[..., 2] += self.trajectory.site.gravity
         return harmful
 
@@ -326,10 +326,10 @@ class Motion:
     def velocity_of_specific_force(self) -> Array:
         """m/s, the integral of the specific force from t = 0."""
         start = self.trajectory.at(np.zeros(1))
-        gained = self.velocity - start.velocity
-        gained += self._turned_by_earth(self.position - start.position)
-        gained[..., 2] += self.trajectory.site.gravity * self.t
-        return gained
+        velocity_change = self.velocity - start.velocity
+        velocity_change += self._coriolis(self.position - start.position)
+        velocity_change[..., 2] += self.trajectory.site.gravity * self.t
+        return velocity_change
 
     @cached_property
     def displacement_of_specific_force(self) -> Array:
@@ -340,37 +340,37 @@ class Motion:
         2 Omega x (integral of the position), needs a quadrature.
         """
         t, start = self.t, self.trajectory.at(np.zeros(1))
-        doubled = self.position - start.position - start.velocity * t[:, None]
-        path = self._integrated(lambda motion: motion.position.T[:2])
-        path -= start.position[:, :2] * t[:, None]
-        east, north = 2.0 * path.T
-        _, to_north, to_up = self.trajectory.site.earth_rotation
-        doubled[:, 0] -= to_up * north
-        doubled[:, 1] += to_up * east
-        doubled[:, 2] += 0.5 * self.trajectory.site.gravity * t**2 - to_north * east
-        return np.asarray(doubled)
+        displacement = self.position - start.position - start.velocity * t[:, None]
+        position_integral = self._integrate(lambda motion: motion.position.T[:2])
+        position_integral -= start.position[:, :2] * t[:, None]
+        east, north = 2.0 * position_integral.T
+        _, rotation_north, rotation_up = self.trajectory.site.earth_rotation
+        displacement[:, 0] -= rotation_up * north
+        displacement[:, 1] += rotation_up * east
+        displacement[:, 2] += 0.5 * self.trajectory.site.gravity * t**2 - rotation_north * east
+        return np.asarray(displacement)
 
     @cached_property
     def square_of_specific_force(self) -> Array:
         """m^2/s^3, the integral of the squared specific force from t = 0, shape (n,)."""
-        total: Array = self._integrated(
+        total: Array = self._integrate(
             lambda motion: np.sum(motion.specific_force**2, axis=1)[None]
         )
         return total[:, 0]
 
-    def _integrated(self, function: Callable[[Motion], Array]) -> Array:
+    def _integrate(self, function: Callable[[Motion], Array]) -> Array:
         """Return integrals of k functions of the motion from t = 0, shape (n, k)."""
         end = max(float(np.max(self.t, initial=0.0)), _TINY)
         edges = quadrature.panel_edges(self.trajectory.spindle, end, coarse=self.trajectory.coarse)
         return quadrature.integrate(lambda t: function(self.trajectory.at(t)), edges, self.t, 1)
 
-    def _turned_by_earth(self, vector: Array) -> Array:
+    def _coriolis(self, vector: Array) -> Array:
         """Return 2 Omega x a vector."""
         _, north, up = 2.0 * self.trajectory.site.earth_rotation
-        turned = _vectors(-up * vector[..., 1], up * vector[..., 0], -north * vector[..., 0])
+        product = _vectors(-up * vector[..., 1], up * vector[..., 0], -north * vector[..., 0])
         if any(self.trajectory.axis_tilt):
-            turned[..., 0] += north * vector[..., 2]
-        return turned
+            product[..., 0] += north * vector[..., 2]
+        return product
 
 
 def _vectors(east: Array, north: Array, up: Array | None = None) -> Array:
@@ -393,13 +393,13 @@ def perturbed_trajectory(trajectory: Trajectory, shared: Mapping[str, float]) ->
         if error.kind == "imbalance" and value != 0.0
     )
     stretch = shared.get("centrifuge.stretch", 0.0)
-    tilt = (
+    axis_tilt = (
         shared.get("centrifuge.axis_tilt.east", 0.0),
         shared.get("centrifuge.axis_tilt.north", 0.0),
     )
-    if not imbalance and stretch == 0.0 and tilt == (0.0, 0.0):
+    if not imbalance and stretch == 0.0 and axis_tilt == (0.0, 0.0):
         return trajectory
-    return replace(trajectory, stretch=stretch, imbalance=imbalance, axis_tilt=tilt)
+    return replace(trajectory, stretch=stretch, imbalance=imbalance, axis_tilt=axis_tilt)
 
 
 def encoder_error(shared: Mapping[str, float], angle: Array) -> Array:
@@ -427,14 +427,14 @@ def trajectory_sensitivity(symbol: str, circle: Motion, order: int) -> Array:
     if (error := MOTION_TERMS[symbol].effect).kind == "encoder":
         return _encoder_sensitivity(error, circle, order)
     # The motion is linear in radius and tilt: a whole unit of the error shows its derivative.
-    moved = motion_at(perturbed_trajectory(circle.trajectory, {symbol: 1.0}), circle.t)
+    perturbed = motion_at(perturbed_trajectory(circle.trajectory, {symbol: 1.0}), circle.t)
     change: Array
     if order == 2:
-        change = moved.position - circle.position
+        change = perturbed.position - circle.position
     elif order == 1:
-        change = moved.velocity - circle.velocity
+        change = perturbed.velocity - circle.velocity
     else:
-        change = moved.specific_force - circle.specific_force
+        change = perturbed.specific_force - circle.specific_force
     return change
 
 
@@ -456,14 +456,14 @@ def _encoder_sensitivity(error: TrajectoryError, circle: Motion, order: int) -> 
 
     def change(order: int) -> Array:
         if order == 2:
-            along = wave
+            tangential = wave
         elif order == 1:
-            along = n * rate * slope + 1j * rate * wave
+            tangential = n * rate * slope + 1j * rate * wave
         else:
-            curve = n * acceleration * slope - (n * rate) ** 2 * wave
-            along = curve + 2j * n * rate**2 * slope + (1j * acceleration - rate**2) * wave
-        level = -1j * trajectory.radius * along * phasor
-        return np.column_stack([level.real, level.imag, np.zeros(wave.size)])
+            second = n * acceleration * slope - (n * rate) ** 2 * wave
+            tangential = second + 2j * n * rate**2 * slope + (1j * acceleration - rate**2) * wave
+        level_vector = -1j * trajectory.radius * tangential * phasor
+        return np.column_stack([level_vector.real, level_vector.imag, np.zeros(wave.size)])
 
     if order > 0:
         return change(order)

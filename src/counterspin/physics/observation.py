@@ -30,7 +30,7 @@ from counterspin.physics.quadrature import Panels
 from counterspin.physics.terms import TERMS, term
 
 #: Nodes up to which integrals along a trajectory are kept: of some hundred revolutions.
-_MOST_NODES: Final = 16384
+_MAX_NODES: Final = 16384
 
 #: What is integrated along a trajectory.
 Integrated = SpecificForceProduct | AttitudeError | Slope
@@ -147,53 +147,53 @@ def columns(
         for i, effect in enumerate(effects)
         if (vector := integrals.linear_vector(effect)) is not None
     }
-    bias = [i for i, symbol in enumerate(symbols) if symbol == "K_F"]
-    kinked = {
+    bias_indices = [i for i, symbol in enumerate(symbols) if symbol == "K_F"]
+    kinked_effects = {
         i: effect
         for i, effect in enumerate(effects)
         if isinstance(effect, SpecificForceProduct) and effect.has_kink
     }
-    path = [i for i, effect in enumerate(effects) if isinstance(effect, TrajectoryError)]
+    motion_errors = [i for i, effect in enumerate(effects) if isinstance(effect, TrajectoryError)]
     slopes = {
         i: effect
         for i, effect in enumerate(effects)
         if isinstance(effect, Slope) and not effect.varies_within(trajectory.conditions)
     }
-    solved = {*linear, *bias, *kinked, *path, *slopes}
-    smooth = {
+    evaluated = {*linear, *bias_indices, *kinked_effects, *motion_errors, *slopes}
+    smooth_effects = {
         i: effect
         for i, effect in enumerate(effects)
-        if i not in solved and isinstance(effect, Integrated)
+        if i not in evaluated and isinstance(effect, Integrated)
     }
-    if unseen := set(range(len(effects))) - solved - set(smooth):
-        raise ValueError(f"no record shows {', '.join(symbols[i] for i in sorted(unseen))}")
+    if unobserved := set(range(len(effects))) - evaluated - set(smooth_effects):
+        raise ValueError(f"no record shows {', '.join(symbols[i] for i in sorted(unobserved))}")
     result = np.empty((len(effects), times.size))
-    result[bias] = trajectory.site.gravity * times**order / max(1, order)
-    if kinked:
-        result[list(kinked)] = integrals.kinked(list(kinked.values()))
-    if smooth:
-        result[list(smooth)] = integrals.smooth(list(smooth.values()))
+    result[bias_indices] = trajectory.site.gravity * times**order / max(1, order)
+    if kinked_effects:
+        result[list(kinked_effects)] = integrals.kinked(list(kinked_effects.values()))
+    if smooth_effects:
+        result[list(smooth_effects)] = integrals.smooth(list(smooth_effects.values()))
     for i, vector in linear.items():
         result[i] = vector @ integrals.force
-    for i in path:
+    for i in motion_errors:
         result[i] = (
             trajectory_sensitivity(symbols[i], integrals.motion, order) @ integrals.input_axis
         )
-    own_columns = {symbol: result[i] for i, symbol in enumerate(symbols) if i not in slopes}
-    changing = {slope.coefficient for slope in slopes.values()} - own_columns.keys()
-    if changing:
-        more = columns(trajectory, mounting, [*changing], times, observable, attitude=attitude)
-        own_columns |= dict(zip(changing, more.T, strict=True))
+    product_columns = {symbol: result[i] for i, symbol in enumerate(symbols) if i not in slopes}
+    missing = {slope.coefficient for slope in slopes.values()} - product_columns.keys()
+    if missing:
+        extra = columns(trajectory, mounting, [*missing], times, observable, attitude=attitude)
+        product_columns |= dict(zip(missing, extra.T, strict=True))
     for i, slope in slopes.items():
         factor = slope.design_factor(trajectory.conditions, trajectory.centripetal)
-        result[i] = factor * own_columns[slope.coefficient]
+        result[i] = factor * product_columns[slope.coefficient]
         if slope.condition == "time":  # it goes on changing within the run
             result[i] += trajectory.site.gravity * times ** (order + 1) / math.factorial(order + 1)
     # The accelerometer sees what is shared through its scale factor.
-    shared = [
+    platform_indices = [
         i for i, effect in enumerate(effects) if isinstance(effect, AttitudeError | TrajectoryError)
     ]
-    result[shared] *= scale_factor
+    result[platform_indices] *= scale_factor
     return result.T
 
 
@@ -211,8 +211,8 @@ def block_average(function: Callable[[Array], Array], times: Array, spread: Arra
     """
     if not np.any(spread):
         return function(times)
-    both = function(np.concatenate([times - spread, times + spread]))
-    mean: Array = both[: times.size] + both[times.size :]
+    end_values = function(np.concatenate([times - spread, times + spread]))
+    mean: Array = end_values[: times.size] + end_values[times.size :]
     mean *= 0.5
     return mean
 
@@ -237,22 +237,22 @@ class _Integrals:
 
         All functions are integrated together, so the times are located in the panels only once.
         """
-        return self._panels.at(times, self._of(effects, axes, attitude, order))
+        return self._panels.at(times, self._evaluate(effects, axes, attitude, order))
 
-    def _of(
+    def _evaluate(
         self, effects: Sequence[Integrated], axes: Mounting, attitude: Array, order: int
     ) -> Array:
-        if self._panels.nodes.size > _MOST_NODES:
+        if self._panels.nodes.size > _MAX_NODES:
             return self._panels.series(_integrands(effects, self._motion, axes, attitude), order)
-        who = (axes.matrix.tobytes(), attitude.tobytes(), order)
-        new = [effect for effect in effects if (*who, effect) not in self._kept]
-        integrals = self._panels.series(_integrands(new, self._motion, axes, attitude), order)
+        key = (axes.matrix.tobytes(), attitude.tobytes(), order)
+        missing = [effect for effect in effects if (*key, effect) not in self._kept]
+        integrals = self._panels.series(_integrands(missing, self._motion, axes, attitude), order)
         self._kept |= {
-            (*who, effect): integral for effect, integral in zip(new, integrals, strict=True)
+            (*key, effect): integral for effect, integral in zip(missing, integrals, strict=True)
         }
-        if len(new) == len(effects):
+        if len(missing) == len(effects):
             return integrals
-        return np.stack([self._kept[*who, effect] for effect in effects])
+        return np.stack([self._kept[*key, effect] for effect in effects])
 
 
 def _trajectory_integrals(
@@ -265,22 +265,22 @@ def _trajectory_integrals(
     kinked: An axis; there is an edge wherever the specific force along it changes sign.
     """
     edges = quadrature.panel_edges(trajectory.spindle, duration, coarse=trajectory.coarse)
-    few = edges.size * quadrature.NODES <= _MOST_NODES
-    return (_along_short if few else _along_long)(trajectory, duration, kinked)
+    is_cacheable = edges.size * quadrature.NODES <= _MAX_NODES
+    return (_along_short if is_cacheable else _along_long)(trajectory, duration, kinked)
 
 
 def _make_integrals(
     trajectory: Trajectory, duration: float, kinked: tuple[float, ...]
 ) -> _Integrals:
-    of_panels = partial(
+    make_edges = partial(
         quadrature.panel_edges, trajectory.spindle, duration, coarse=trajectory.coarse
     )
     breaks = trajectory.conditions.breaks
-    edges = of_panels(breaks)
+    edges = make_edges(breaks)
     if kinked:
-        along = np.array(kinked)
-        changes = quadrature.sign_changes(lambda t: trajectory.specific_force(t) @ along, edges)
-        edges = of_panels(np.append(breaks, changes))
+        axis = np.array(kinked)
+        changes = quadrature.sign_changes(lambda t: trajectory.specific_force(t) @ axis, edges)
+        edges = make_edges(np.append(breaks, changes))
     return _Integrals(trajectory, Panels(edges))
 
 
@@ -290,13 +290,13 @@ _along_short, _along_long = (
 )
 
 
-def table_angle_error(turn: AttitudeError, angle: Array) -> Array:
+def table_angle_error(effect: AttitudeError, angle: Array) -> Array:
     """Return the angle error of the counter-rotating table per unit of its term, shape (n,).
 
     angle: Of the spindle, rad, shape (n,).
     """
-    wave = np.sin if turn.quadrature == "sin" else np.cos
-    return np.asarray(wave(turn.harmonic * angle))
+    wave = np.sin if effect.quadrature == "sin" else np.cos
+    return np.asarray(wave(effect.harmonic * angle))
 
 
 def _integrands(
@@ -347,20 +347,20 @@ class _TimeIntegrals:
     @property
     def force(self) -> Array:
         """The integral of the specific force, as often as the observable has it, (3, n)."""
-        of_order = (
+        attributes = (
             "specific_force",
             "velocity_of_specific_force",
             "displacement_of_specific_force",
         )
-        force: Array = getattr(self.motion, of_order[self._order])
+        force: Array = getattr(self.motion, attributes[self._order])
         return force.T
 
     def smooth(self, effects: Sequence[Integrated]) -> Array:
         """Return the integrals of terms, (k, n)."""
         if self._order == 0:
             return self._specific_force_columns(effects)
-        along = _trajectory_integrals(self._trajectory, self._duration)
-        return along.at(self._times, effects, self._axes, self._attitude, self._order)
+        integrals = _trajectory_integrals(self._trajectory, self._duration)
+        return integrals.at(self._times, effects, self._axes, self._attitude, self._order)
 
     def kinked(self, effects: Sequence[Integrated]) -> Array:
         """Return the integrals of terms that have a kink where a_I changes sign, (k, n)."""
@@ -402,17 +402,17 @@ class _SensorInputs:
         integrand: Array = self._attitude_error(effect) * sensitivity
         return integrand
 
-    def _attitude_error(self, turn: AttitudeError) -> Array:
+    def _attitude_error(self, effect: AttitudeError) -> Array:
         """Return the attitude error per unit of a term that is not a tilt, rad, (m,)."""
-        if turn.kind == "drift":
+        if effect.kind == "drift":
             return self._motion.t
-        if turn.kind == "table":
-            return table_angle_error(turn, self._motion.angle)
-        if turn.kind == "g2_sensitivity":
+        if effect.kind == "table":
+            return table_angle_error(effect, self._motion.angle)
+        if effect.kind == "g2_sensitivity":
             return self._motion.square_of_specific_force / self._gravity**2
-        assert turn.force_axis is not None
-        along = self._velocity_gained if turn.kind == "g_sensitivity" else self._platform_force
-        error: Array = along[turn.force_axis]
+        assert effect.force_axis is not None
+        force = self._velocity_change if effect.kind == "g_sensitivity" else self._platform_force
+        error: Array = force[effect.force_axis]
         return error
 
     @cached_property
@@ -423,17 +423,17 @@ class _SensorInputs:
     @cached_property
     def _tilt_sensitivity(self) -> Array:
         """Change of the sensed force per turn about each platform axis, m/s^2, (3, m)."""
-        arms = np.cross(self._attitude, self._axes.input_axis)
-        return arms @ self._motion.specific_force.T
+        lever_arms = np.cross(self._attitude, self._axes.input_axis)
+        return lever_arms @ self._motion.specific_force.T
 
     @cached_property
     def _azimuth_sensitivity(self) -> Array:
         """Change of the sensed force per turn about up, m/s^2, (m,)."""
-        arm = np.cross([0.0, 0.0, 1.0], self._axes.input_axis)
-        return np.asarray(self._motion.specific_force @ arm)
+        lever_arm = np.cross([0.0, 0.0, 1.0], self._axes.input_axis)
+        return np.asarray(self._motion.specific_force @ lever_arm)
 
     @cached_property
-    def _velocity_gained(self) -> Array:
+    def _velocity_change(self) -> Array:
         """Integral of the specific force along the platform's axes in g s, (3, m)."""
         return self._attitude @ self._motion.velocity_of_specific_force.T / self._gravity
 
@@ -461,7 +461,7 @@ def parabola(symbol: str, mounting: Mounting, rate: float, radius: float, gravit
     match term(symbol).effect:
         case Slope() as slope:
             return 0.5 * gravity * slope.design_factor(AT_REFERENCE, force)
-        case SpecificForceProduct(of_rotation=False) as product:
+        case SpecificForceProduct(requires_rotation=False) as product:
             vertical = float(matrix[1, 2]) ** product.factors.count("P")  # a_P is -1 with P down
             horizontal = force ** (product.degree - product.factors.count("P"))
             return 0.5 * gravity * product.weight * vertical * horizontal * _mean(product)
@@ -471,27 +471,27 @@ def parabola(symbol: str, mounting: Mounting, rate: float, radius: float, gravit
 
 
 def _parabola_of_platform(
-    turn: AttitudeError, matrix: Array, rate: float, radius: float, gravity: float
+    effect: AttitudeError, matrix: Array, rate: float, radius: float, gravity: float
 ) -> float:
     force = radius * rate**2 / gravity
-    seen = np.cross(np.eye(3)[turn.axis], matrix[0])
-    if turn.kind == "tilt":
-        return 0.5 * gravity * float(seen[2])
-    if turn.kind == "g_sensitivity" and turn.force_axis in (0, 1):
+    sensed = np.cross(np.eye(3)[effect.axis], matrix[0])
+    if effect.kind == "tilt":
+        return 0.5 * gravity * float(sensed[2])
+    if effect.kind == "g_sensitivity" and effect.force_axis in (0, 1):
         # psi follows the velocity gained since the start. About the vertical it turns the
         # centripetal force, and the product has a mean where the two directions cross;
         # about a horizontal axis the start velocity stays behind as a tilt against gravity.
-        along = float(np.cross(np.eye(3)[turn.force_axis], seen)[2])
-        start_velocity = radius * rate if turn.force_axis == 1 else 0.0
-        return 0.25 * radius * rate * force * along - 0.5 * float(seen[2]) * start_velocity
-    if turn.kind == "table" and turn.harmonic == 1:
+        tangential = float(np.cross(np.eye(3)[effect.force_axis], sensed)[2])
+        start_velocity = radius * rate if effect.force_axis == 1 else 0.0
+        return 0.25 * radius * rate * force * tangential - 0.5 * float(sensed[2]) * start_velocity
+    if effect.kind == "table" and effect.harmonic == 1:
         # The centripetal force turns with the table's error: half of it stays in the mean.
-        side = -matrix[0, 1] if turn.quadrature == "cos" else matrix[0, 0]
+        side = -matrix[0, 1] if effect.quadrature == "cos" else matrix[0, 0]
         return -0.25 * radius * rate**2 * float(side)
-    if turn.kind == "compliance" and turn.force_axis is not None:
+    if effect.kind == "compliance" and effect.force_axis is not None:
         # Gravity leans the platform for good; a level force comes round with what it turns.
-        level = turn.force_axis < 2
-        return 0.5 * gravity * float(seen[turn.force_axis]) * (0.5 * force**2 if level else 1.0)
+        level = effect.force_axis < 2
+        return 0.5 * gravity * float(sensed[effect.force_axis]) * (0.5 * force**2 if level else 1.0)
     return 0.0
 
 

@@ -22,7 +22,7 @@ from counterspin.physics.motion import Site
 NAVIGATED: Final = ("displacement", "velocity")
 
 #: Part of the largest below which a combination of input axes counts as not recorded.
-_RECORDED_PART: Final = 0.05
+_MIN_RECORDED_FRACTION: Final = 0.05
 
 #: Terms of the solution's series in 2 Omega t: in two hours the next one is below 1e-15.
 _TERMS: Final = 20
@@ -57,8 +57,10 @@ def own_velocity_errors(site: Site, errors: Sequence[AxisError]) -> list[Array]:
     site, errors: As for `computer_correction`, but errors of a computer that is given the
         platform's motion.
     """
-    took = _coriolis_projections(site, errors, coriolis(site))
-    return [record.error - part for record, part in zip(errors, took, strict=True)]
+    corrections = _coriolis_projections(site, errors, coriolis(site))
+    return [
+        record.error - correction for record, correction in zip(errors, corrections, strict=True)
+    ]
 
 
 def coriolis(site: Site) -> Array:
@@ -70,7 +72,7 @@ def coriolis(site: Site) -> Array:
 def unobserved_projection(errors: Sequence[AxisError]) -> Array:
     """Return the projection on the directions in which no displacement or velocity is recorded."""
     axes = _axes(errors)
-    projection: Array = np.eye(3) - np.linalg.pinv(axes, rcond=_RECORDED_PART) @ axes
+    projection: Array = np.eye(3) - np.linalg.pinv(axes, rcond=_MIN_RECORDED_FRACTION) @ axes
     return projection
 
 
@@ -88,7 +90,7 @@ def _coriolis_projections(
         return [np.zeros(record.time.size) for record in errors]
     grid = np.unique(np.concatenate([record.time for record in navigated]))
     integral = _make_integrator(grid)
-    recorded = np.linalg.pinv(_axes(errors), rcond=_RECORDED_PART) @ [
+    recorded = np.linalg.pinv(_axes(errors), rcond=_MIN_RECORDED_FRACTION) @ [
         _position_error(record, grid) for record in navigated
     ]
     positions, term = recorded, recorded
@@ -111,8 +113,8 @@ def _position_error(record: AxisError, grid: Array) -> Array:
     time, error = record.time[finite], record.error[finite]
     if record.observable == "velocity":
         error = _make_integrator(time)(error[None])[0]
-    moved: Array = np.interp(grid, time, error - error[0])
-    return moved
+    displacement: Array = np.interp(grid, time, error - error[0])
+    return displacement
 
 
 def _make_integrator(time: Array) -> Callable[[Array], Array]:
@@ -125,14 +127,14 @@ def _make_integrator(time: Array) -> Callable[[Array], Array]:
     part = (time - time[0]) / half - 1.0 if half else np.zeros_like(time)
     powers = chebvander(part, min(_DEGREE, time.size - 1))
     inverse = np.linalg.pinv(powers)
-    whole = half * chebint(np.eye(powers.shape[1]), lbnd=-1.0, axis=1)
-    integrals = chebvander(part, powers.shape[1]) @ whole.T
+    integrated_basis = half * chebint(np.eye(powers.shape[1]), lbnd=-1.0, axis=1)
+    integrals = chebvander(part, powers.shape[1]) @ integrated_basis.T
     steps = 0.5 * np.diff(time)
 
     def integral(values: Array) -> Array:
         smooth = values @ inverse.T
-        rest = values - smooth @ powers.T
-        left = np.cumsum(steps * (rest[:, 1:] + rest[:, :-1]), axis=1)
+        remainder = values - smooth @ powers.T
+        left = np.cumsum(steps * (remainder[:, 1:] + remainder[:, :-1]), axis=1)
         result: Array = smooth @ integrals.T
         result[:, 1:] += left
         return result

@@ -22,8 +22,8 @@ NODES: Final = 16  #: Gauss-Legendre nodes in a panel
 _CHUNK_TIMES: Final = 65536  #: sample times evaluated at once, which bounds the memory
 #: Part of a panel by which times may lie before it: corrected time stamps do. Its polynomials are
 #: as good there, to 1e-9 of a third harmonic.
-_BEFORE: Final = 0.1
-_MOST_KEPT: Final = 16384  #: sample times, or panel edges, up to which places in panels are kept
+_EXTRAPOLATION: Final = 0.1
+_CACHE_SIZE: Final = 16384  #: sample times, or panel edges, up to which places in panels are kept
 
 # The highest harmonic of the smooth products is the third (a_I^3); ripple adds its own.
 # Sixteen nodes reach 1e-12 while a panel spans at most 3/4 of a period of the highest harmonic.
@@ -68,16 +68,16 @@ def panel_edges(
         return edges
     edges = np.sort(np.append(edges, breaks[(breaks > 0.0) & (breaks < duration)]))
     # A panel of rounding width adds nothing and would divide by zero.
-    keep = np.append(np.diff(edges) > 1e-13 * duration, True)
-    kept: Array = edges[keep]
-    return kept
+    is_separate = np.append(np.diff(edges) > 1e-13 * duration, True)
+    separate_edges: Array = edges[is_separate]
+    return separate_edges
 
 
 def sign_changes(function: Callable[[Array], Array], edges: Array) -> Array:
     """Return the times at which a function changes sign, by false position to rounding.
 
-    edges: Panel edges; each panel is searched in 8 steps, so that two changes closer than an eighth
-        of a panel are missed together.
+    edges: Panel edges; each panel is searched in 8 steps, so that two changes closer than an
+        eighth of a panel are missed together.
     References: Dowell and Jarratt, A modified regula falsi method for computing the root of an
         equation, BIT 11 (1971) 168: the Illinois rule.
     """
@@ -93,12 +93,15 @@ def sign_changes(function: Callable[[Array], Array], edges: Array) -> Array:
         step = np.divide(
             f_right * (right - left), slope, out=np.zeros_like(right), where=slope != 0
         )
-        new = right - step
-        f_new = function(new)
-        kept = (f_new > 0.0) == (f_right > 0.0)
+        next_time = right - step
+        next_value = function(next_time)
+        same_sign_as_right = (next_value > 0.0) == (f_right > 0.0)
         # Where the left end stays, half its value moves the next step beyond the root.
-        left, f_left = np.where(kept, left, right), np.where(kept, 0.5 * f_left, f_right)
-        right, f_right = new, f_new
+        left, f_left = (
+            np.where(same_sign_as_right, left, right),
+            np.where(same_sign_as_right, 0.5 * f_left, f_right),
+        )
+        right, f_right = next_time, next_value
         if np.all(np.abs(step) <= short):
             break
     return right
@@ -141,11 +144,11 @@ class Panels:
             series[..., 0] += _running_sum((f @ _WEIGHTS) * half)
             return series
         # The slope at the panel's start goes on through it, as slope x half x (1 + x).
-        gained = _running_sum((f @ _WEIGHTS) * half) * half
+        increments = _running_sum((f @ _WEIGHTS) * half) * half
         np.matmul(f * half[:, None] ** 2, _DOUBLE_INTEGRAL.T, out=series)
-        start = _running_sum((f @ _WEIGHTS_TWICE) * half**2 + 2.0 * gained)
-        series[..., 0] += start + gained
-        series[..., 1] += gained
+        start = _running_sum((f @ _WEIGHTS_TWICE) * half**2 + 2.0 * increments)
+        series[..., 0] += start + increments
+        series[..., 1] += increments
         return series
 
     def at(self, times: Array, series: Array) -> Array:
@@ -156,24 +159,28 @@ class Panels:
         over the rest is neglected: a few milliseconds of a product whose sign just changes.
         """
         edges = self._edges
-        first = edges[0] - _BEFORE * 2.0 * self._half.max()
+        first = edges[0] - _EXTRAPOLATION * 2.0 * self._half.max()
         last = edges[-1] + 1e-12 * (edges[-1] - edges[0])
         if times.size and (times.min() < first or times.max() > last):
             raise ValueError("times lie outside the panels")
-        times = np.maximum(times, edges[0] - _BEFORE * (edges[1] - edges[0]))
-        pieces = []
-        for begin in range(0, times.size if len(series) else 0, _CHUNK_TIMES):
-            t = times[begin : begin + _CHUNK_TIMES]
+        times = np.maximum(times, edges[0] - _EXTRAPOLATION * (edges[1] - edges[0]))
+        chunks = []
+        for chunk_start in range(0, times.size if len(series) else 0, _CHUNK_TIMES):
+            t = times[chunk_start : chunk_start + _CHUNK_TIMES]
             # Accelerometers of a run, and paths of one spindle, are asked at the same times.
-            few = max(t.size, edges.size) <= _MOST_KEPT
-            places = _kept_places(edges.tobytes(), t.tobytes()) if few else _Places(edges, t)
-            pieces.append(places.evaluate(series))
-        if not pieces:
+            is_cacheable = max(t.size, edges.size) <= _CACHE_SIZE
+            positions = (
+                _cached_positions(edges.tobytes(), t.tobytes())
+                if is_cacheable
+                else _PanelPositions(edges, t)
+            )
+            chunks.append(positions.evaluate(series))
+        if not chunks:
             return np.empty((len(series), times.size))
-        return pieces[0] if len(pieces) == 1 else np.concatenate(pieces, axis=1)
+        return chunks[0] if len(chunks) == 1 else np.concatenate(chunks, axis=1)
 
 
-class _Places:
+class _PanelPositions:
     """Positions of times in panels, with the polynomials at these times.
 
     Places in the same panel stand in a row, so that a matrix product serves them all. Rows are a
@@ -182,24 +189,24 @@ class _Places:
     """
 
     def __init__(self, edges: Array, times: Array) -> None:
-        half = 0.5 * np.diff(edges)
-        panel = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, half.size - 1)
+        half_width = 0.5 * np.diff(edges)
+        panel = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, half_width.size - 1)
         order = np.argsort(panel, kind="stable")
         counts = np.bincount(panel)
-        occupied = np.flatnonzero(counts)
-        counts = counts[occupied]
-        width = times.size // occupied.size + 2
+        occupied_panels = np.flatnonzero(counts)
+        counts = counts[occupied_panels]
+        width = times.size // occupied_panels.size + 2
         rows = -(-counts // width)
-        places = np.arange(times.size) - np.repeat(np.cumsum(counts) - counts, counts)
+        slots = np.arange(times.size) - np.repeat(np.cumsum(counts) - counts, counts)
         self._slots = np.empty(times.size, dtype=np.intp)
-        self._slots[order] = places + np.repeat(width * (np.cumsum(rows) - rows), counts)
+        self._slots[order] = slots + np.repeat(width * (np.cumsum(rows) - rows), counts)
         filled = np.zeros(width * rows.sum())
-        filled[self._slots] = (times - edges[panel]) / half[panel] - 1.0
+        filled[self._slots] = (times - edges[panel]) / half_width[panel] - 1.0
         values = chebyshev.chebvander(filled.reshape(-1, width), NODES + 1)
         self._powers = np.moveaxis(values, 2, 1)
         # The panel of each row, where that is not simply the next one.
-        once = occupied.size == half.size and rows.max() == 1
-        self._panels = None if once else np.repeat(occupied, rows)
+        all_single = occupied_panels.size == half_width.size and rows.max() == 1
+        self._panels = None if all_single else np.repeat(occupied_panels, rows)
 
     def evaluate(self, series: Array) -> Array:
         """Return the values of series (k, panels, NODES + 2) at the times, shape (k, n)."""
@@ -215,8 +222,8 @@ class _Places:
 
 
 @lru_cache(maxsize=6)
-def _kept_places(edges: bytes, times: bytes) -> _Places:
-    return _Places(np.frombuffer(edges), np.frombuffer(times))
+def _cached_positions(edges: bytes, times: bytes) -> _PanelPositions:
+    return _PanelPositions(np.frombuffer(edges), np.frombuffer(times))
 
 
 def _running_sum(increments: Array) -> Array:

@@ -21,7 +21,7 @@ from counterspin.physics.motion import Trajectory, perturbed_trajectory
 from counterspin.physics.terms import CONDITION_TERMS, PLATFORM_TERMS, TERMS
 
 #: Times for which slow waves are summed at once: there may be a hundred of them.
-_WAVES_AT_ONCE: Final = 100_000
+_WAVES_PER_BATCH: Final = 100_000
 
 
 def attitude_error(
@@ -100,19 +100,19 @@ def simulate_record(
         """Return the indicated force's error less that of the scale factor, m/s^2."""
         force = trajectory.specific_force(t)
         psi = attitude_error(trajectory, platform, t, attitude)
-        felt = _rotate_force(force, psi) / g
-        sensed = indicated(axes, coefficients, felt) + _change_since_start(
-            all_coefficients, conditions, axes, felt, t
+        sensed_force = _rotate_force(force, psi) / g
+        sensed = indicated(axes, coefficients, sensed_force) + _change_since_start(
+            all_coefficients, conditions, axes, sensed_force, t
         )
         return g * (sensed + trend * t) - (1.0 + scale_error) * (force @ axes.input_axis)
 
     # The scale factor's own part has an exact integral, which a quadrature would spoil.
-    exact = observation.columns(
+    exact_output = observation.columns(
         trajectory, mounting, ["K_I"], times, observable, attitude=attitude
     )[:, 0]
     base = observation.reference(trajectory, mounting, times, observable, attitude)
     if order == 0:
-        return base + scale_error * exact + residual(times)
+        return base + scale_error * exact_output + residual(times)
     duration = max(float(times.max(initial=0.0)), np.finfo(float).tiny)
     breaks = conditions.breaks
     edges = quadrature.panel_edges(trajectory.spindle, duration, breaks)
@@ -122,7 +122,7 @@ def simulate_record(
         )
         edges = quadrature.panel_edges(trajectory.spindle, duration, np.append(breaks, kinks))
     error = quadrature.integrate(lambda t: residual(t)[None], edges, times, order)[:, 0]
-    return base + scale_error * exact + error
+    return base + scale_error * exact_output + error
 
 
 def _change_since_start(
@@ -138,38 +138,40 @@ def _change_since_start(
     times: s from the run's start, shape (n,).
     Returns: g, shape (n,), or 0.
     """
-    more: Array | float = 0.0
+    further_change: Array | float = 0.0
     for symbol, slope in coefficients.items():
         row = CONDITION_TERMS.get(symbol)
         if row is None or slope == 0.0 or not row.effect.varies_within(conditions):
             continue
         if row.effect.condition == "direction":
-            grown = conditions.direction_at(times) - conditions.direction
+            change = conditions.direction_at(times) - conditions.direction
         else:
             power = row.effect.power
-            grown = (
+            change = (
                 conditions.temperature_offset_at(times) ** power
                 - conditions.temperature_offset**power
             )
-        more = more + slope * grown * TERMS[row.effect.coefficient].effect.evaluate(
-            axes.matrix @ force.T
-        )
-    return more
+        further_change = further_change + slope * change * TERMS[
+            row.effect.coefficient
+        ].effect.evaluate(axes.matrix @ force.T)
+    return further_change
 
 
 def coefficients_in_run(
     coefficients: Mapping[str, float], conditions: RunConditions, force: float
 ) -> dict[str, float]:
     """Return an accelerometer's coefficients at the start of a run, in its mean temperature."""
-    at_start = {symbol: value for symbol, value in coefficients.items() if symbol in TERMS}
+    start_values = {symbol: value for symbol, value in coefficients.items() if symbol in TERMS}
     for symbol, slope in coefficients.items():
         row = CONDITION_TERMS.get(symbol)
         if row is None or slope == 0.0:
             continue
-        changing = row.effect.coefficient
-        before = at_start.get(changing, TERMS[changing].nominal)
-        at_start[changing] = before + slope * row.effect.design_factor(conditions, force)
-    return at_start
+        coefficient = row.effect.coefficient
+        reference_value = start_values.get(coefficient, TERMS[coefficient].nominal)
+        start_values[coefficient] = reference_value + slope * row.effect.design_factor(
+            conditions, force
+        )
+    return start_values
 
 
 def _rotate_force(force: Array, psi: Array) -> Array:
@@ -178,9 +180,9 @@ def _rotate_force(force: Array, psi: Array) -> Array:
     first = np.cross(psi, force)
     second = np.cross(psi, first)
     # sin(x)/x and (1 - cos x)/x^2, both written so that x = 0 does no harm
-    turned: Array = force - np.sinc(angle / np.pi) * first
-    turned += 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * second
-    return turned
+    rotated: Array = force - np.sinc(angle / np.pi) * first
+    rotated += 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * second
+    return rotated
 
 
 def accelerometer_walk(
@@ -196,16 +198,16 @@ def accelerometer_walk(
     """
     step = np.diff(times)
     if order == 0:
-        spacing = np.concatenate([step[:1], step])
-        white: Array = random_walk * generator.standard_normal(times.size) / np.sqrt(spacing)
+        intervals = np.concatenate([step[:1], step])
+        white: Array = random_walk * generator.standard_normal(times.size) / np.sqrt(intervals)
         return white
     # Over a step the walk's velocity gains sqrt(h) z1, its position h^1.5 (z1/2 + z2/sqrt(12)).
     z1, z2 = generator.standard_normal((2, step.size))
     velocity: Array = np.concatenate([[0.0], np.cumsum(random_walk * np.sqrt(step) * z1)])
     if order == 1:
         return velocity
-    inside = random_walk * step**1.5 * (0.5 * z1 + z2 / np.sqrt(12.0))
-    position: Array = np.concatenate([[0.0], np.cumsum(velocity[:-1] * step + inside)])
+    interval_noise = random_walk * step**1.5 * (0.5 * z1 + z2 / np.sqrt(12.0))
+    position: Array = np.concatenate([[0.0], np.cumsum(velocity[:-1] * step + interval_noise)])
     return position
 
 
@@ -215,7 +217,7 @@ def bias_wander(
     flicker: float,
     bias_walk: float,
     order: int,
-    before: float = 0.0,
+    elapsed: float = 0.0,
 ) -> Array:
     """Draw the wander of a bias as the observable shows it.
 
@@ -226,7 +228,7 @@ def bias_wander(
     times: s, evenly spaced, shape (n,), at least 2.
     flicker, bias_walk: Bias instability B, m/s^2, and random walk K of the bias, m/s^2/s^0.5.
     order: As for `accelerometer_walk`; 0 is the bias itself.
-    before: For how long the bias had walked at the first time, s.
+    elapsed: Duration of the walk of the bias before the first time, s.
     Returns: shape (n,), zero at the first time for orders 1 and 2.
     """
     n, step = times.size, float(times[1] - times[0])
@@ -245,19 +247,19 @@ def bias_wander(
         sizes = flicker * np.sqrt(np.diff(np.log(edges)) / math.pi)
         w = 2.0 * math.pi * np.sqrt(edges[1:] * edges[:-1])[:, None]
         a, b = sizes * generator.standard_normal((2, sizes.size))
-        for start in range(0, n, _WAVES_AT_ONCE):
-            phases = w * (times[start : start + _WAVES_AT_ONCE] - times[0])
-            bias[start : start + _WAVES_AT_ONCE] += a @ np.cos(phases) + b @ np.sin(phases)
+        for start in range(0, n, _WAVES_PER_BATCH):
+            phases = w * (times[start : start + _WAVES_PER_BATCH] - times[0])
+            bias[start : start + _WAVES_PER_BATCH] += a @ np.cos(phases) + b @ np.sin(phases)
     if bias_walk > 0.0:
-        steps = generator.standard_normal(n) * np.sqrt(np.append(before, np.full(n - 1, step)))
+        steps = generator.standard_normal(n) * np.sqrt(np.append(elapsed, np.full(n - 1, step)))
         bias += bias_walk * np.cumsum(steps)
     if order == 0:
         return bias
     # The bias is taken as linear between samples.
-    gained = 0.5 * step * (bias[1:] + bias[:-1])
-    velocity = np.concatenate([[0.0], np.cumsum(gained)])
+    velocity_change = 0.5 * step * (bias[1:] + bias[:-1])
+    velocity = np.concatenate([[0.0], np.cumsum(velocity_change)])
     if order == 1:
         return velocity
-    moved = velocity[:-1] * step + (2.0 * bias[:-1] + bias[1:]) * step**2 / 6.0
-    position: Array = np.concatenate([[0.0], np.cumsum(moved)])
+    displacement = velocity[:-1] * step + (2.0 * bias[:-1] + bias[1:]) * step**2 / 6.0
+    position: Array = np.concatenate([[0.0], np.cumsum(displacement)])
     return position

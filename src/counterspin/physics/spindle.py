@@ -141,14 +141,14 @@ class Spindle:
 
         The harmonics keep their angular frequency, except for the drift over the delay.
         """
-        turn = self.rate * delay
+        angle_change = self.rate * delay
         rate = self.rate * (1.0 + self.drift * delay)
         return replace(
             self,
             rate=rate,
             drift=self.drift * self.rate / rate,
             ripples=tuple(
-                replace(ripple, phase=ripple.phase + ripple.harmonic * turn)
+                replace(ripple, phase=ripple.phase + ripple.harmonic * angle_change)
                 for ripple in self.ripples
             ),
             start_angle=float(self.angle(np.array([delay]))[0]),
@@ -161,19 +161,25 @@ class Spindle:
 
         coefficients: Shape (m,), in the units of `AngleError`.
         """
-        at_zero, rate_at_zero, _ = (part[0] for part in error.functions(np.zeros(1)))
+        functions_at_zero, rates_at_zero, _ = (
+            component[0] for component in error.functions(np.zeros(1))
+        )
         slow = len(SLOW)
-        start_rate = self.rate + float(rate_at_zero[:slow] @ coefficients[:slow])
-        bend = self.rate * self.drift + error.rate * float(coefficients[2])
-        waves = {r.harmonic: self._wave(r) for r in self.ripples}
-        for place, n in enumerate(error.harmonics):
-            pair = coefficients[slow + 2 * place : slow + 2 * place + 2] / abs(n * error.rate)
-            waves[n] = waves.get(n, 0j) + complex(pair[0], -pair[1])
+        start_rate = self.rate + float(rates_at_zero[:slow] @ coefficients[:slow])
+        curvature = self.rate * self.drift + error.rate * float(coefficients[2])
+        wave_coefficients = {r.harmonic: self._wave(r) for r in self.ripples}
+        for index, n in enumerate(error.harmonics):
+            pair = coefficients[slow + 2 * index : slow + 2 * index + 2] / abs(n * error.rate)
+            wave_coefficients[n] = wave_coefficients.get(n, 0j) + complex(pair[0], -pair[1])
         return Spindle(
             rate=start_rate,
-            drift=bend / start_rate,
-            ripples=tuple(ripple_of(n, start_rate, waves[n]) for n in sorted(waves) if waves[n]),
-            start_angle=self.start_angle + float(at_zero @ coefficients),
+            drift=curvature / start_rate,
+            ripples=tuple(
+                ripple_of(n, start_rate, wave_coefficients[n])
+                for n in sorted(wave_coefficients)
+                if wave_coefficients[n]
+            ),
+            start_angle=self.start_angle + float(functions_at_zero @ coefficients),
         )
 
     def angle_functions(self, error: AngleError, t: Array) -> tuple[Array, Array, Array]:
@@ -182,19 +188,19 @@ class Spindle:
         As `AngleError.functions`, shapes (n, m), and with a rate the frequencies of the ripples
         change.
         """
-        value, first, second = error.functions(t)
+        value, first, second_function = error.functions(t)
         # What a coefficient changes of the rate at t = 0, to which the ripples belong.
-        changed = error.functions(np.zeros(1))[1][0, : len(SLOW)]
+        rate_change = error.functions(np.zeros(1))[1][0, : len(SLOW)]
         for ripple in self.ripples:
-            turning = 1j * ripple.harmonic * self.rate
-            wave = 1j * ripple.harmonic * self._wave(ripple) * np.exp(turning * t)
-            for part, slope in (
+            angular_frequency = 1j * ripple.harmonic * self.rate
+            wave = 1j * ripple.harmonic * self._wave(ripple) * np.exp(angular_frequency * t)
+            for component, slope in (
                 (value, t * wave),
-                (first, (1.0 + turning * t) * wave),
-                (second, (2.0 + turning * t) * turning * wave),
+                (first, (1.0 + angular_frequency * t) * wave),
+                (second_function, (2.0 + angular_frequency * t) * angular_frequency * wave),
             ):
-                part[:, : len(SLOW)] += slope.real[:, None] * changed
-        return value, first, second
+                component[:, : len(SLOW)] += slope.real[:, None] * rate_change
+        return value, first, second_function
 
     def _wave(self, ripple: Ripple) -> complex:
         """Return a - ib of a ripple's angle, a cos(n w0 t) + b sin(n w0 t), rad."""
@@ -243,8 +249,8 @@ class SpindleFit:
         rate = self.spindle.angular_rate(t)
         value = math.copysign(math.sqrt(float(np.mean(rate**2))), self.spindle.rate)
         slopes = np.zeros(self.error.deviation.size)
-        for part in (slice(start, start + _ROWS) for start in range(0, t.size, _ROWS)):
-            slopes += rate[part] @ self.error.functions(t[part])[1]
+        for rows in (slice(start, start + _ROWS) for start in range(0, t.size, _ROWS)):
+            slopes += rate[rows] @ self.error.functions(t[rows])[1]
         slopes /= t.size * value
         return value, float(np.linalg.norm(slopes @ self.error.root))
 
@@ -295,23 +301,27 @@ def fit_spindle(
     wrapped = angle.size == 0 or np.ptp(angle) <= TURN * (1.0 + 1e-9)
     theta = np.unwrap(angle) if wrapped else angle
     root_weight = np.ones_like(time) if weights is None else np.sqrt(weights / np.mean(weights))
-    samples = _Samples(time, theta, root_weight, spread if np.any(spread) else None)
+    samples = _FitSamples(time, theta, root_weight, spread if np.any(spread) else None)
     if harmonics is not None:
         return _fit(samples, nominal_rate, range(1, harmonics + 1))[0]
     highest = _resolvable(time, nominal_rate)
-    everything, whole = _fit(samples, nominal_rate, range(1, highest + 1))
-    kept = [
+    all_harmonics, all_coefficients = _fit(samples, nominal_rate, range(1, highest + 1))
+    significant = [
         ripple.harmonic
-        for ripple, u_ripple in zip(everything.spindle.ripples, everything.u_ripples, strict=True)
-        if _supported(ripple, u_ripple, time.size)
+        for ripple, u_ripple in zip(
+            all_harmonics.spindle.ripples, all_harmonics.u_ripples, strict=True
+        )
+        if _is_significant(ripple, u_ripple, time.size)
     ]
-    fit, part = _fit(samples, everything.spindle.rate, kept)
+    fit, selected_coefficients = _fit(samples, all_harmonics.spindle.rate, significant)
     # What the criterion has left out may be there all the same, as far as its noise allows.
-    open_ = sorted({*kept, *range(1, min(HARMONICS, highest) + 1)})
-    return replace(fit, error=_angle_error(time, open_, whole, part))
+    error_harmonics = sorted({*significant, *range(1, min(HARMONICS, highest) + 1)})
+    return replace(
+        fit, error=_angle_error(time, error_harmonics, all_coefficients, selected_coefficients)
+    )
 
 
-def angle_error_to_come(time: Array, rate: float, noise: float, weights: Array) -> AngleError:
+def forecast_angle_error(time: Array, rate: float, noise: float, weights: Array) -> AngleError:
     """Return the expected angle error of a fit before the angle is measured.
 
     time: Of the samples or block means, s, shape (n,).
@@ -323,7 +333,7 @@ def angle_error_to_come(time: Array, rate: float, noise: float, weights: Array) 
     size, scaled = np.sqrt(weights), time / float(np.ptp(time))
     columns = np.empty((3 + 2 * len(harmonics), time.size))
     columns[:3] = size, size * scaled, size * scaled**2
-    _waves(rate * time, harmonics, size, columns[3:])
+    _fill_harmonics(rate * time, harmonics, size, columns[3:])
     factor = np.asarray(noise * np.linalg.inv(triangle_of(in_parts(columns.T))), np.float64)
     coefficients = _Coefficients(rate, harmonics, np.zeros(len(columns)), factor)
     return _angle_error(time, harmonics, coefficients, coefficients)
@@ -336,7 +346,7 @@ def _resolvable(time: Array, rate: float) -> int:
     return min(MAX_HARMONICS, resolvable, (time.size - 8) // 2)
 
 
-def _supported(ripple: Ripple, u_ripple: tuple[float, float], samples: int) -> bool:
+def _is_significant(ripple: Ripple, u_ripple: tuple[float, float], samples: int) -> bool:
     """Return True if the extended Bayesian information criterion keeps a harmonic.
 
     Two more parameters, chosen among `MAX_HARMONICS` pairs, must gain more than
@@ -347,7 +357,7 @@ def _supported(ripple: Ripple, u_ripple: tuple[float, float], samples: int) -> b
     return ripple.amplitude**2 > 2.0 * math.log(samples * MAX_HARMONICS) * u_ripple[0] ** 2
 
 
-class _Samples(NamedTuple):
+class _FitSamples(NamedTuple):
     """Samples of a fit, each of shape (n,): s, rad, root of the weight, s."""
 
     time: Array
@@ -367,25 +377,27 @@ class _Coefficients:
 
 
 def _angle_error(
-    time: Array, harmonics: Sequence[int], whole: _Coefficients, part: _Coefficients
+    time: Array, harmonics: Sequence[int], full_fit: _Coefficients, reduced_fit: _Coefficients
 ) -> AngleError:
-    """Return the error of the angle of `part`, given the coefficients of `whole`."""
+    """Return the angle error of `reduced_fit`, given the coefficients of `full_fit`."""
     start, span = float(np.min(time)), float(np.ptp(time))
-    rows = [slow_part(whole.factor[:3], part.rate, start, span)]
+    rows = [slow_part(full_fit.factor[:3], reduced_fit.rate, start, span)]
     differences = [
-        slow_part((whole.value[:3] - part.value[:3])[:, None], part.rate, start, span)[:, 0]
+        slow_part(
+            (full_fit.value[:3] - reduced_fit.value[:3])[:, None], reduced_fit.rate, start, span
+        )[:, 0]
     ]
     for n in harmonics:
-        size = abs(n * part.rate)
-        place = 3 + 2 * list(whole.harmonics).index(n)
-        pair = whole.value[place : place + 2]
-        if n in part.harmonics:
-            taken = 3 + 2 * list(part.harmonics).index(n)
-            pair = pair - part.value[taken : taken + 2]
-        rows.append(size * whole.factor[place : place + 2])
-        differences.append(size * pair)
+        size = abs(n * reduced_fit.rate)
+        index = 3 + 2 * list(full_fit.harmonics).index(n)
+        quadratures = full_fit.value[index : index + 2]
+        if n in reduced_fit.harmonics:
+            offset = 3 + 2 * list(reduced_fit.harmonics).index(n)
+            quadratures = quadratures - reduced_fit.value[offset : offset + 2]
+        rows.append(size * full_fit.factor[index : index + 2])
+        differences.append(size * quadratures)
     return AngleError(
-        rate=part.rate,
+        rate=reduced_fit.rate,
         start=start,
         span=span,
         harmonics=tuple(harmonics),
@@ -395,7 +407,7 @@ def _angle_error(
 
 
 def _fit(
-    samples: _Samples, start_rate: float, harmonics: Sequence[int]
+    samples: _FitSamples, start_rate: float, harmonics: Sequence[int]
 ) -> tuple[SpindleFit, _Coefficients]:
     time, theta, root_weight, spread = samples
     count = len(harmonics)
@@ -417,11 +429,11 @@ def _fit(
         columns[2] += root_weight * (spread / span) ** 2
     columns[-1] = root_weight * target
     for _ in range(20):
-        _waves(w0 * time, harmonics, root_weight, columns[3:-1])
+        _fill_harmonics(w0 * time, harmonics, root_weight, columns[3:-1])
         if spread is not None:
             # As `observation.block_average`: the mean of the waves at both ends of the spread.
-            for place, harmonic in enumerate(harmonics):
-                columns[3 + 2 * place : 5 + 2 * place] *= np.cos(harmonic * w0 * spread)
+            for index, harmonic in enumerate(harmonics):
+                columns[3 + 2 * index : 5 + 2 * index] *= np.cos(harmonic * w0 * spread)
         triangle = triangle_of(in_parts(columns.T))
         r = triangle[:unknowns, :unknowns]
         # R's columns are as long as the design's.
@@ -432,9 +444,9 @@ def _fit(
                 "few in a revolution, or they repeat the same angles; ask for fewer harmonics"
             )
         solution = np.asarray(np.linalg.solve(r, triangle[:unknowns, -1]))
-        previous, w0 = w0, start_rate + float(solution[1]) / span
+        previous_rate, w0 = w0, start_rate + float(solution[1]) / span
         # Once the harmonics turn by less than 1e-9 rad over the record they are settled.
-        if abs(w0 - previous) * span * max(harmonics, default=0) < 1e-9:
+        if abs(w0 - previous_rate) * span * max(harmonics, default=0) < 1e-9:
             break
     else:
         raise ConvergenceError(
@@ -449,7 +461,7 @@ def _fit(
     value = solution.copy()
     value[1] = w0 * span
     coefficients = _Coefficients(w0, harmonics, value, math.sqrt(variance) * inverse)
-    ripples, u_ripples = _ripples(w0, harmonics, solution[3:], covariance[3:, 3:])
+    ripples, u_ripples = _to_ripples(w0, harmonics, solution[3:], covariance[3:, 3:])
     half_drift = float(solution[2]) / span**2
     # start_angle is theta(0); the model's own ripple vanishes at t = 0, so the cosines add here.
     at_zero = np.zeros(unknowns)
@@ -473,7 +485,7 @@ def _fit(
     return fit, coefficients
 
 
-def _waves(angle: Array, harmonics: Sequence[int], size: Array, rows: Array) -> None:
+def _fill_harmonics(angle: Array, harmonics: Sequence[int], size: Array, rows: Array) -> None:
     """Write cosine and sine of each harmonic of an angle, times `size`, into rows (2 h, n).
 
     They are the powers of one complex wave.
@@ -489,7 +501,7 @@ def _waves(angle: Array, harmonics: Sequence[int], size: Array, rows: Array) -> 
             place += 2
 
 
-def _ripples(
+def _to_ripples(
     w0: float, harmonics: Sequence[int], coefficients: Array, covariance: Array
 ) -> tuple[tuple[Ripple, ...], tuple[tuple[float, float], ...]]:
     """Turn a_n cos + b_n sin of the angle into amplitude and phase of the rate."""

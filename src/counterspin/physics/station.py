@@ -107,7 +107,7 @@ class Station:
         Neglected are the square of the Earth's rate times the radius (1.3e-8 m/s^2 at 2.5 m) and
         the turn of the plumb line across the radius.
         """
-        force: Array = Stations.of([self]).forces(site, angle, rate, acceleration)[0]
+        force: Array = Stations.from_stations([self]).forces(site, angle, rate, acceleration)[0]
         return force
 
     def products(self, site: Site, force: Array) -> Array:
@@ -115,18 +115,18 @@ class Station:
 
         force: In the station's frame, m/s^2, shape (n, 3).
         """
-        products: Array = Stations.of([self]).products(site, force[None])[:, 0]
+        products: Array = Stations.from_stations([self]).products(site, force[None])[:, 0]
         return products
 
     def axes_under_load(self) -> Array:
         """Return the axes I, P, O with droop and turn, rows, shape (3, 3)."""
-        axes: Array = Stations.of([self]).axes_under_load()[0]
+        axes: Array = Stations.from_stations([self]).axes_under_load()[0]
         return axes
 
     def indicated(self, site: Site, coefficients: Mapping[str, float]) -> float:
         """Return the mean indication in g; coefficients that are not named are nominal."""
         values = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
-        return float(mean_products(Stations.of([self]), site)[0] @ values)
+        return float(mean_products(Stations.from_stations([self]), site)[0] @ values)
 
 
 @frozen
@@ -147,7 +147,7 @@ class Stations:
     table: Mapping[int, Array]
 
     @classmethod
-    def of(cls, stations: Sequence[Station]) -> Stations:
+    def from_stations(cls, stations: Sequence[Station]) -> Stations:
         """Return several stations of one motion as arrays."""
         harmonics = sorted({n for station in stations for n, _, _ in station.table})
         table = {harmonic: np.zeros((len(stations), 2)) for harmonic in harmonics}
@@ -281,7 +281,7 @@ class Stations:
                 moved = {"rate": self.rate * (1.0 + size)}
             case TrajectoryError("stretch"):
                 moved = {"stretch": self.stretch + size}
-            case TrajectoryError("axis_tilt", about=axis):
+            case TrajectoryError("axis_tilt", axis=axis):
                 tilted = np.outer(size, (axis == "east", axis == "north"))
                 moved = {"axis_tilt": self.axis_tilt + tilted}
             case SetupError("amplitude"):
@@ -335,19 +335,19 @@ def mean_products(stations: Stations, site: Site) -> Array:
     rotations = np.moveaxis(stations.rotations(axes), 0, 1)
     means: Array = _products(a_ipo, rotations).mean(axis=2).T
     lowest, highest = a_ipo[0].min(axis=1), a_ipo[0].max(axis=1)
-    bent = (lowest < SIGN_WIDTH) & (highest > -SIGN_WIDTH) & (highest - lowest > _ROUNDING)
+    has_kink = (lowest < SIGN_WIDTH) & (highest > -SIGN_WIDTH) & (highest - lowest > _ROUNDING)
     harmonics = np.fft.rfft(a_ipo[0]) / _ANGLES
     is_sine = np.abs(harmonics[:, 2:]).max(axis=1) <= _ROUNDING
-    means[np.ix_(bent & is_sine, _KINKED)] = _kinked_means_of_sine(
-        harmonics[bent & is_sine, 0].real, 2.0 * np.abs(harmonics[bent & is_sine, 1])
+    means[np.ix_(has_kink & is_sine, _KINKED_PRODUCTS)] = _kinked_means_of_sine(
+        harmonics[has_kink & is_sine, 0].real, 2.0 * np.abs(harmonics[has_kink & is_sine, 1])
     )
-    for k in np.flatnonzero(bent & ~is_sine).tolist():
-        means[k, _KINKED] = _means_with_kinks(stations.take(np.array([k])), site)
+    for k in np.flatnonzero(has_kink & ~is_sine).tolist():
+        means[k, _KINKED_PRODUCTS] = _means_with_kinks(stations.take(np.array([k])), site)
     return means
 
 
 #: Places in `TERMS` of the products with a kink or a jump where a_I changes sign.
-_KINKED: Final = [place for place, row in enumerate(TERMS.values()) if row.effect.has_kink]
+_KINKED_PRODUCTS: Final = [place for place, row in enumerate(TERMS.values()) if row.effect.has_kink]
 
 #: Forces (g) and angles (rad) that differ by less are the same.
 _ROUNDING: Final = 1e-12

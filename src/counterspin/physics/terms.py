@@ -259,7 +259,7 @@ def _trajectory_rows() -> Iterator[Term[TrajectoryError]]:
     for axis in ("east", "north"):
         yield Term(
             f"centrifuge.axis_tilt.{axis}",
-            TrajectoryError("axis_tilt", about=axis),
+            TrajectoryError("axis_tilt", axis=axis),
             f"tilt of the spindle axis about {axis}",
             "rad",
             1e-2,

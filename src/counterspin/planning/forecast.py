@@ -31,7 +31,7 @@ from counterspin.inference.joint.series import ResidualSeries, TimestampErrors
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.motion import Trajectory
-from counterspin.physics.spindle import Spindle, angle_error_to_come
+from counterspin.physics.spindle import Spindle, forecast_angle_error
 from counterspin.physics.terms import ACCELEROMETER_TERMS, CONDITION_TERMS
 from counterspin.planning.weights import PlannedInstrument, Setup, expected_record
 from counterspin.records.reduction import block_size
@@ -243,7 +243,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
         error=np.zeros_like(time),
         in_g=accelerometer.channel.in_g,
         recorder=campaign.recording_of(run).recorder,
-        angle_error=angle_error_to_come(time, run.rate, angle_noise, count)
+        angle_error=forecast_angle_error(time, run.rate, angle_noise, count)
         if campaign.angle is not None and angle_noise > 0.0
         else None,
         timestamp_errors=TimestampErrors(

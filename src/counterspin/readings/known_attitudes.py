@@ -128,7 +128,7 @@ class Readings:
     @cached_property
     def _stations(self) -> Stations:
         """The stations as arrays."""
-        return Stations.of(self.stations)
+        return Stations.from_stations(self.stations)
 
     @cached_property
     def head_angles(self) -> Array:

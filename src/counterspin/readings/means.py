@@ -101,7 +101,7 @@ def read_rows(path: Path | MemoryTable, columns: RecordColumns, rate: float) -> 
     columns: Time, the angle where it is recorded, and one signal.
     rate: The stated rate, rad/s; 0 at rest, where no angle is read.
     """
-    return read_record(path, columns, NominalMotion(rate, steady=True), block=None)
+    return read_record(path, columns, NominalMotion(rate, constant_input=True), block=None)
 
 
 def mean_of_record(

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 #: Rows read at a time (24 MB for three columns).
 _BATCH_ROWS = 1_000_000
 #: A matrix of more columns than these is none.
-_MOST_COLUMNS = 200
+_MAX_COLUMNS = 200
 #: The end of MATLAB's header -> the order of bytes; its length; the type of what is compressed.
 _BYTE_ORDERS = {b"IM": "<", b"MI": ">"}
 _MATLAB_HEADER = 128
@@ -44,7 +44,7 @@ _MATLAB_NUMBERS = {"double", "single", "logical"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
 #: Bytes that show whether a .mat file is text.
-_SHOWN_BYTES = 4096
+_PREVIEW_BYTES = 4096
 
 
 #: A word in the name of a group that stands for a sensor.
@@ -56,9 +56,9 @@ _SENSOR = re.compile(
 class ArrayFile(ColumnFile):
     """A file of named arrays."""
 
-    _full: dict[str, str]  # name, within its group or not -> its path
-    _parts: dict[str, int]  # name of a matrix's column -> which it is, from 0
-    _single: list[str]  # names of arrays that hold one value
+    _paths: dict[str, str]  # name, within its group or not -> its path
+    _column_indices: dict[str, int]  # name of a matrix's column -> which it is, from 0
+    _single_values: list[str]  # names of arrays that hold one value
 
     @abstractmethod
     def _arrays(self, wanted: Sequence[str]) -> AbstractContextManager[Mapping[str, Any]]:
@@ -68,13 +68,13 @@ class ArrayFile(ColumnFile):
     def _shape(self, name: str) -> tuple[int, ...] | None:
         """Return an array's shape; RecordError unless it holds numbers, in this very file."""
 
-    def _name(
+    def _name_columns(
         self,
         shapes: Mapping[str, tuple[int, ...] | None],
         group: str | None,
         *,
-        mark: str,
-        within: str = "/",
+        separator: str,
+        path_separator: str = "/",
     ) -> None:
         """Name the columns within a group: the one that is asked for, or the only one there is.
 
@@ -83,55 +83,61 @@ class ArrayFile(ColumnFile):
         """
         paths = list(shapes)
         if group is None:
-            groups = {path.rpartition(within)[0] for path in paths}
-            start = groups.pop() if len(groups) == 1 else ""
-            self.runs = tuple(run.replace(within, mark) for run in _runs(paths, within))
+            groups = {path.rpartition(path_separator)[0] for path in paths}
+            prefix = groups.pop() if len(groups) == 1 else ""
+            self.runs = tuple(
+                run.replace(path_separator, separator) for run in _group_runs(paths, path_separator)
+            )
         else:
-            start = group.strip(mark).replace(mark, within)
-        start = f"{start}{within}" if start else ""
-        inside = [path for path in paths if path.startswith(start)]
-        short = {path[len(start) :].replace(within, mark): path for path in inside}
-        if group is not None and not short:
+            prefix = group.strip(separator).replace(separator, path_separator)
+        prefix = f"{prefix}{path_separator}" if prefix else ""
+        paths_in_group = [path for path in paths if path.startswith(prefix)]
+        short_names = {
+            path[len(prefix) :].replace(path_separator, separator): path for path in paths_in_group
+        }
+        if group is not None and not short_names:
             raise RecordError(f"{self.path}: there is no group '{group}' with columns in it.")
         # The whole path does as well.
-        self._full = {path.replace(within, mark): path for path in paths} | short
-        self.names, self._single, self._parts = [], [], {}
-        for name, path in list(self._full.items()):
-            count = _columns_of(shapes[path])
-            columns = [name] if count == 1 else [f"{name}{mark}{n + 1}" for n in range(count)]
+        self._paths = {
+            path.replace(path_separator, separator): path for path in paths
+        } | short_names
+        self.names, self._single_values, self._column_indices = [], [], {}
+        for name, path in list(self._paths.items()):
+            count = _column_count(shapes[path])
+            columns = [name] if count == 1 else [f"{name}{separator}{n + 1}" for n in range(count)]
             if count > 1:
-                self._full |= dict.fromkeys(columns, path)
-                self._parts |= {part: place for place, part in enumerate(columns)}
-            if name in short:
+                self._paths |= dict.fromkeys(columns, path)
+                self._column_indices |= {column: index for index, column in enumerate(columns)}
+            if name in short_names:
                 self.names += columns
-                self._single += [name] if count == 0 else []
+                self._single_values += [name] if count == 0 else []
 
     def single_numbers(self) -> dict[str, float]:
         """Return arrays that hold one number."""
         numbers = {}
-        for name in self._single:
+        for name in self._single_values:
             with suppress(RecordError):
                 self._shape(name)  # refuses what holds no numbers
                 numbers[name] = float(next(self._batches([name]))[name][0])
         return numbers
 
-    def has(self, name: str) -> bool:
+    def has_column(self, name: str) -> bool:
         """Return whether the file has a column of this name."""
-        return name in self._full
+        return name in self._paths
 
     def _require(self, wanted: Sequence[str]) -> None:
         lengths = {}
         for name in wanted:
             shape = self._shape(name)
-            if shape is not None and name in self._parts:
+            if shape is not None and name in self._column_indices:
                 shape = (max(shape),)
             size = 0 if shape is None else int(np.prod(shape, dtype=object))
             # HDF5 has datasets without any space, whose shape is None.
             if shape is None or size != max(shape, default=0):
                 columns = [
                     p
-                    for p in self._parts
-                    if self._full[p] == self._full[name] and p.startswith(name)
+                    for p in self._column_indices
+                    if self._paths[p] == self._paths[name] and p.startswith(name)
                 ]
                 hint = f": {format_names(columns)}" if columns else ""
                 raise RecordError(
@@ -139,31 +145,31 @@ class ArrayFile(ColumnFile):
                 )
             lengths[name] = size
         if len(set(lengths.values())) > 1:
-            listed = ", ".join(f"'{name}' {length}" for name, length in lengths.items())
-            raise RecordError(f"{self.path}: the columns differ in length: {listed}.")
-        self._require_bytes(8 * sum(lengths.values()))
+            name_list = ", ".join(f"'{name}' {length}" for name, length in lengths.items())
+            raise RecordError(f"{self.path}: the columns differ in length: {name_list}.")
+        self._check_size(8 * sum(lengths.values()))
 
     def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         with self._arrays(wanted) as arrays:
             for name, array in arrays.items():
-                if name in self.stamps and array.dtype.kind != "M":
+                if name in self.timestamp_columns and array.dtype.kind != "M":
                     raise RecordError(
                         f"{self.path}: '{name}' holds no readable time stamps; "
                         "export the time in seconds."
                     )
-                if name not in self.stamps and array.dtype.kind not in "fiub":
+                if name not in self.timestamp_columns and array.dtype.kind not in "fiub":
                     raise RecordError(f"{self.path}: '{name}' does not hold numbers.")
             length = max((max(array.shape, default=1) for array in arrays.values()), default=0)
             for start in range(0, length, _BATCH_ROWS):
                 stop = min(start + _BATCH_ROWS, length)
                 yield {
-                    name: self._moments(array, start, stop)
-                    if name in self.stamps
-                    else _slice(array, start, stop, self._parts.get(name, 0))
+                    name: self._elapsed_seconds(array, start, stop)
+                    if name in self.timestamp_columns
+                    else _slice(array, start, stop, self._column_indices.get(name, 0))
                     for name, array in arrays.items()
                 }
 
-    def _moments(self, array: Any, start: int, stop: int) -> np.ndarray:
+    def _elapsed_seconds(self, array: Any, start: int, stop: int) -> np.ndarray:
         """Return stamps as seconds after the first one."""
         import polars as pl
 
@@ -201,16 +207,16 @@ class Hdf5File(ArrayFile):
                 path: shape
                 for n, d in found.items()
                 if not is_matlab or n[0] != "#"
-                for path, shape in _fields_of(n, d)
+                for path, shape in _iter_fields(n, d)
             }
             mark = "." if is_matlab else "/"
-            self._name(shapes, dialect.group, mark=mark)
+            self._name_columns(shapes, dialect.group, separator=mark)
 
     def _shape(self, name: str) -> tuple[int, ...] | None:
         import h5py
 
         with h5py.File(self.path, "r") as file:
-            dataset, field = _dataset_and_field(file, self._full[name])
+            dataset, field = _split_field(file, self._paths[name])
             # The checksum would be of this file, the numbers from another.
             if dataset.is_virtual or dataset.external:
                 raise RecordError(
@@ -219,11 +225,11 @@ class Hdf5File(ArrayFile):
                 )
             if field:
                 array = _FieldArray(dataset, field)
-                holds, shape = array.dtype.kind in "fiu", array.shape
+                has_numbers, shape = array.dtype.kind in "fiu", array.shape
             else:
                 kind = dataset.id.get_type().get_class()
-                holds, shape = kind in (h5py.h5t.INTEGER, h5py.h5t.FLOAT), dataset.shape
-            if not holds:
+                has_numbers, shape = kind in (h5py.h5t.INTEGER, h5py.h5t.FLOAT), dataset.shape
+            if not has_numbers:
                 raise RecordError(f"{self.path}: '{name}' does not hold numbers.")
             return shape
 
@@ -234,21 +240,21 @@ class Hdf5File(ArrayFile):
         with h5py.File(self.path, "r") as file:
             arrays = {}
             for name in wanted:
-                dataset, field = _dataset_and_field(file, self._full[name])
+                dataset, field = _split_field(file, self._paths[name])
                 arrays[name] = _FieldArray(dataset, field) if field else dataset
             yield arrays
 
-    def _missing_words(self, missing: Sequence[str]) -> str:
+    def _missing_columns_message(self, missing: Sequence[str]) -> str:
         import h5py
 
         with h5py.File(self.path, "r") as file:
             for name in missing:
                 if isinstance(file.get(name, getlink=True), h5py.ExternalLink | h5py.SoftLink):
                     return f"'{name}' is a link; write a file that contains the column itself."
-        return super()._missing_words(missing)
+        return super()._missing_columns_message(missing)
 
 
-def _fields_of(name: str, dataset: Any) -> Iterator[tuple[str, tuple[int, ...] | None]]:
+def _iter_fields(name: str, dataset: Any) -> Iterator[tuple[str, tuple[int, ...] | None]]:
     """Yield the paths and shapes of a dataset: of each field of a compound one."""
     if not _is_compound(dataset):
         yield name, dataset.shape
@@ -257,7 +263,7 @@ def _fields_of(name: str, dataset: Any) -> Iterator[tuple[str, tuple[int, ...] |
         yield f"{name}/{field}", (*dataset.shape, *dataset.dtype[field].shape)
 
 
-def _dataset_and_field(file: Any, path: str) -> tuple[Any, str]:
+def _split_field(file: Any, path: str) -> tuple[Any, str]:
     """Return the dataset at a path, and the field of a compound one; empty text without a field."""
     group, _, field = path.rpartition("/")
     within = file[group] if group else None
@@ -293,9 +299,9 @@ class _FieldArray:
         return int(np.prod(self.shape))
 
     def __getitem__(self, index: Any) -> Any:
-        first, *rest = index if isinstance(index, tuple) else (index,)
+        first, *remaining = index if isinstance(index, tuple) else (index,)
         values = self.dataset.fields(self.field)[first]
-        return values[(slice(None), *rest)] if rest else values
+        return values[(slice(None), *remaining)] if remaining else values
 
 
 class MatlabFile(ArrayFile):
@@ -305,7 +311,7 @@ class MatlabFile(ArrayFile):
         from scipy.io import whosmat
 
         super().__init__(path, stream)
-        self._require_bytes(_inflated_bytes(stream))
+        self._check_size(_inflated_size(stream))
         try:
             variables = whosmat(stream)
         except (ValueError, TypeError, NotImplementedError) as error:
@@ -317,41 +323,41 @@ class MatlabFile(ArrayFile):
         self._loaded: dict[str, np.ndarray] = {}
         for name, (_, kind) in list(self._variables.items()):
             if kind == "struct":
-                self._open_structure(name)
+                self._expand_structure(name)
         shapes = {name: shape for name, (shape, _) in self._variables.items()}
-        self._name(shapes, dialect.group, mark=".", within=".")
+        self._name_columns(shapes, dialect.group, separator=".", path_separator=".")
 
-    def _open_structure(self, name: str) -> None:
+    def _expand_structure(self, name: str) -> None:
         """Put the fields of a structure in its place, by their paths."""
         from scipy.io import loadmat
 
         self._stream.seek(0)
-        inside = [(name, loadmat(self._stream, variable_names=[name])[name])]
+        members = [(name, loadmat(self._stream, variable_names=[name])[name])]
         del self._variables[name]
-        while inside:
-            path, value = inside.pop()
-            if value.dtype.names is not None and value.size <= _MOST_COLUMNS:
+        while members:
+            path, value = members.pop()
+            if value.dtype.names is not None and value.size <= _MAX_COLUMNS:
                 fields = [
                     (f"{path}{f'({n})' if value.size > 1 else ''}.{key}", element[key])
                     for n, element in enumerate(value.ravel(), 1)
                     for key in value.dtype.names
                 ]
-                inside += reversed(fields)
+                members += reversed(fields)
             elif value.dtype.kind in "fiub":
                 self._variables[path] = (value.shape, "double")
                 self._loaded[path] = value
 
-    def _missing_words(self, missing: Sequence[str]) -> str:
-        opaque = [name for name, (_, kind) in self._variables.items() if kind == "opaque"]
-        if opaque or any(name == "None" for name in self._variables):
+    def _missing_columns_message(self, missing: Sequence[str]) -> str:
+        unreadable = [name for name, (_, kind) in self._variables.items() if kind == "opaque"]
+        if unreadable or any(name == "None" for name in self._variables):
             return (
                 f"there is no column '{missing[0]}'. The file has an object such as a table, which "
                 "only MATLAB can read: save s = table2struct(T, 'ToScalar', true) instead."
             )
-        return super()._missing_words(missing)
+        return super()._missing_columns_message(missing)
 
     def _shape(self, name: str) -> tuple[int, ...]:
-        shape, kind = self._variables[self._full[name]]
+        shape, kind = self._variables[self._paths[name]]
         if kind not in _MATLAB_NUMBERS:
             raise RecordError(f"{self.path}: '{name}' does not hold numbers.")
         return shape
@@ -361,15 +367,15 @@ class MatlabFile(ArrayFile):
         from scipy.io import loadmat
 
         # The format has no way to read part of a variable.
-        paths = [self._full[name] for name in wanted]
+        paths = [self._paths[name] for name in wanted]
         missing = [path for path in paths if path not in self._loaded]
         if missing:
             self._stream.seek(0)
             self._loaded |= loadmat(self._stream, variable_names=missing)
-        yield {name: self._loaded[self._full[name]] for name in wanted}
+        yield {name: self._loaded[self._paths[name]] for name in wanted}
 
 
-def _runs(paths: Sequence[str], within: str) -> list[str]:
+def _group_runs(paths: Sequence[str], within: str) -> list[str]:
     """Return groups with the same columns whose names differ in a number alone; empty if none.
 
     Groups that are called sensors are none: their rows are not those of one sensor.
@@ -378,11 +384,13 @@ def _runs(paths: Sequence[str], within: str) -> list[str]:
     for path in paths:
         group, _, name = path.rpartition(within)
         groups.setdefault(group, set()).add(name)
-    alike: dict[tuple[str, frozenset[str]], list[str]] = {}
+    same_columns: dict[tuple[str, frozenset[str]], list[str]] = {}
     for group, names in groups.items():
         if len(names) > 1 and re.search(r"\d", group) and not _SENSOR.search(group):
-            alike.setdefault((re.sub(r"\d+", "#", group), frozenset(names)), []).append(group)
-    return next((runs for runs in alike.values() if len(runs) > 1), [])
+            same_columns.setdefault((re.sub(r"\d+", "#", group), frozenset(names)), []).append(
+                group
+            )
+    return next((runs for runs in same_columns.values() if len(runs) > 1), [])
 
 
 def open_matlab(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:
@@ -391,14 +399,14 @@ def open_matlab(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:
 
     if h5py.is_hdf5(path):
         return Hdf5File(path, stream, dialect)
-    head = stream.read(_SHOWN_BYTES)
+    head = stream.read(_PREVIEW_BYTES)
     stream.seek(0)
     # MATLAB's own begins with words too; numbers follow in bytes that no text has.
     is_text = not head.startswith(b"MATLAB") and b"\0" not in head
     return (CsvFile if is_text else MatlabFile)(path, stream, dialect)
 
 
-def _inflated_bytes(stream: BinaryIO) -> int:
+def _inflated_size(stream: BinaryIO) -> int:
     """Return how long the compressed variables of a .mat file of version 5 to 7 say they are.
 
     SciPy inflates a variable to get past it. A file is a header of 128 bytes and then elements: a
@@ -408,45 +416,45 @@ def _inflated_bytes(stream: BinaryIO) -> int:
     order = _BYTE_ORDERS.get(stream.read(_MATLAB_HEADER)[-2:])
     total = 0
     while order is not None and len(tag := stream.read(8)) == 8:
-        kind, size = struct.unpack(f"{order}II", tag)
-        if kind == 0:
+        data_type, size = struct.unpack(f"{order}II", tag)
+        if data_type == 0:
             break  # no element
         start = stream.tell()
-        if kind == _MATLAB_COMPRESSED:
+        if data_type == _MATLAB_COMPRESSED:
             try:
-                inside = zlib.decompressobj().decompress(stream.read(min(size, 256)), 8)
+                inner_header = zlib.decompressobj().decompress(stream.read(min(size, 256)), 8)
             except zlib.error:
                 break  # SciPy says so
-            if len(inside) == 8:
-                total += struct.unpack(f"{order}II", inside)[1]
+            if len(inner_header) == 8:
+                total += struct.unpack(f"{order}II", inner_header)[1]
         stream.seek(start + size)
     stream.seek(0)
     return total
 
 
-def _columns_of(shape: tuple[int, ...] | None) -> int:
+def _column_count(shape: tuple[int, ...] | None) -> int:
     """Return how many columns an array is: those of a matrix, 1 of anything else but a number."""
-    wide = [size for size in shape or () if size > 1]
-    if shape is not None and not wide and 0 not in shape:
+    lengths = [size for size in shape or () if size > 1]
+    if shape is not None and not lengths and 0 not in shape:
         return 0
-    return min(wide) if len(wide) == 2 and min(wide) <= _MOST_COLUMNS else 1
+    return min(lengths) if len(lengths) == 2 and min(lengths) <= _MAX_COLUMNS else 1
 
 
 def _slice(array: Any, start: int, stop: int, column: int) -> np.ndarray:
     """Return part of an array along its longest dimension; `column` counts along another."""
     longest = int(np.argmax(array.shape)) if array.shape else 0
     index = tuple(
-        slice(start, stop) if place == longest else (column if size > 1 else 0)
-        for place, size in enumerate(array.shape)
+        slice(start, stop) if axis == longest else (column if size > 1 else 0)
+        for axis, size in enumerate(array.shape)
     )
     return np.atleast_1d(np.asarray(array[index], dtype=float))
 
 
 #: Part of a step by which channels may begin apart, and samples, or a part of them, by which
 #: channels may end apart, to be cut to the shortest.
-_OFF_SAMPLE = 0.1
-_MOST_CUT = 16
-_CUT_PART = 0.01
+_MAX_START_DEVIATION = 0.1
+_MAX_CUT_ROWS = 16
+_MAX_CUT_FRACTION = 0.01
 #: Properties by which channels state their unit.
 _UNITS = ("unit_string", "NI_UnitDescription", "Unit", "unit")
 
@@ -482,23 +490,25 @@ class TdmsFile(ArrayFile):
 
     def __init__(self, path: Path, stream: BinaryIO, dialect: Dialect) -> None:
         super().__init__(path, stream)
-        with self._opened() as file:
+        with self._open() as file:
             channels = {
                 f"{group.name}/{channel.name}": (group.name, channel)
                 for group in file.groups()
                 for channel in group.channels()
             }
             self._places = {path: (group, c.name) for path, (group, c) in channels.items()}
-            self._parts_read = self._aligned({path: c for path, (_, c) in channels.items()})
+            self._parts_read = self._align_channels({path: c for path, (_, c) in channels.items()})
             self._shapes = {path: (length,) for path, (_, length) in self._parts_read.items()}
-            units = {path: _unit(channel.properties) for path, (_, channel) in channels.items()}
-            steps = {_step(channel.properties) for _, channel in channels.values()}
+            units = {
+                path: _channel_unit(channel.properties) for path, (_, channel) in channels.items()
+            }
+            steps = {_sampling_interval(channel.properties) for _, channel in channels.values()}
             self.interval = steps.pop() if len(steps) == 1 else None
-        self._name(self._shapes, dialect.group, mark="/")
-        self.units = {name: units[path] for name, path in self._full.items()}
+        self._name_columns(self._shapes, dialect.group, separator="/")
+        self.units = {name: units[path] for name, path in self._paths.items()}
 
     @contextmanager
-    def _opened(self) -> Iterator[Any]:
+    def _open(self) -> Iterator[Any]:
         try:
             import nptdms
         except ModuleNotFoundError:
@@ -513,57 +523,74 @@ class TdmsFile(ArrayFile):
                 yield file
 
     def _shape(self, name: str) -> tuple[int, ...]:
-        return self._shapes[self._full[name]]
+        return self._shapes[self._paths[name]]
 
     @contextmanager
     def _arrays(self, wanted: Sequence[str]) -> Iterator[Mapping[str, Any]]:
-        with self._opened() as file:
+        with self._open() as file:
             arrays = {}
             for name in wanted:
-                group, channel = self._places[self._full[name]]
-                start, length = self._parts_read[self._full[name]]
+                group, channel = self._places[self._paths[name]]
+                start, length = self._parts_read[self._paths[name]]
                 arrays[name] = _ChannelArray(file[group][channel], start, length)
             yield arrays
 
-    def _aligned(self, channels: Mapping[str, Any]) -> dict[str, tuple[int, int]]:
+    def _align_channels(self, channels: Mapping[str, Any]) -> dict[str, tuple[int, int]]:
         """Return the first sample and the number of samples of each channel.
 
         Waveforms that began at different times, or ended a few samples apart, are cut to the time
         that all of them have.
         """
-        whole = {path: (0, len(channel)) for path, channel in channels.items()}
-        steps = {_step(channel.properties) for channel in channels.values()}
+        full_channels = {path: (0, len(channel)) for path, channel in channels.items()}
+        steps = {_sampling_interval(channel.properties) for channel in channels.values()}
         step = steps.pop() if len(steps) == 1 else None
-        begins = [channel.properties.get("wf_start_time") for channel in channels.values()]
-        if step is None or any(begin is None for begin in begins):
-            return whole
-        last = max(begins)
-        late = [float((last - begin) / np.timedelta64(1, "ns")) * 1e-9 / step for begin in begins]
-        skipped = [round(rows) for rows in late]
-        lengths = [len(c) - skip for c, skip in zip(channels.values(), skipped, strict=True)]
-        least = min(lengths)
-        if any(abs(rows - skip) > _OFF_SAMPLE for rows, skip in zip(late, skipped, strict=True)):
+        starts = [channel.properties.get("wf_start_time") for channel in channels.values()]
+        if step is None or any(start is None for start in starts):
+            return full_channels
+        latest_start = max(starts)
+        late_rows = [
+            float((latest_start - start) / np.timedelta64(1, "ns")) * 1e-9 / step
+            for start in starts
+        ]
+        skipped_rows = [round(rows) for rows in late_rows]
+        row_counts = [
+            len(c) - skipped_count
+            for c, skipped_count in zip(channels.values(), skipped_rows, strict=True)
+        ]
+        common_rows = min(row_counts)
+        if any(
+            abs(rows - skipped_count) > _MAX_START_DEVIATION
+            for rows, skipped_count in zip(late_rows, skipped_rows, strict=True)
+        ):
             raise RecordError(
                 f"{self.path}: the channels began at different times, which are not whole steps "
                 "of the waveform apart. Export them with one start."
             )
-        if max(lengths) - least > max(_MOST_CUT, _CUT_PART * least) or least < 1:
-            return whole
+        if (
+            max(row_counts) - common_rows > max(_MAX_CUT_ROWS, _MAX_CUT_FRACTION * common_rows)
+            or common_rows < 1
+        ):
+            return full_channels
         notes = []
-        if any(skipped):
-            notes.append(f"channels aligned by their start, up to {max(skipped)} samples left out")
-        if max(lengths) > least:
-            notes.append(f"channels cut to the shortest, {least} samples")
-        self.found = ", ".join(notes)
-        return {path: (skip, least) for path, skip in zip(channels, skipped, strict=True)}
+        if any(skipped_rows):
+            notes.append(
+                f"channels aligned by their start, up to {max(skipped_rows)} samples left out"
+            )
+        if max(row_counts) > common_rows:
+            notes.append(f"channels cut to the shortest, {common_rows} samples")
+        self.format_description = ", ".join(notes)
+        return {
+            path: (skipped_count, common_rows)
+            for path, skipped_count in zip(channels, skipped_rows, strict=True)
+        }
 
 
-def _step(properties: Mapping[str, Any]) -> float | None:
+def _sampling_interval(properties: Mapping[str, Any]) -> float | None:
     """Return the time between samples of a waveform, s; None: the channel states none."""
     step = properties.get("wf_increment")
     return float(step) if isinstance(step, int | float) and step > 0.0 else None
 
 
-def _unit(properties: Mapping[str, Any]) -> str:
-    stated = (properties.get(key) for key in _UNITS)
-    return next((unit for text in stated if text and (unit := parse_file_unit(str(text)))), "")
+def _channel_unit(properties: Mapping[str, Any]) -> str:
+    values = (properties.get(key) for key in _UNITS)
+    return next((unit for text in values if text and (unit := parse_file_unit(str(text)))), "")

@@ -113,48 +113,48 @@ class Clock:
 
     def start(self, time: np.ndarray, angle: np.ndarray | None) -> None:
         """Take the spacing and the rate from the first chunk; refuse a wrong rate or unit."""
-        good = np.isfinite(time) if angle is None else np.isfinite(time) & np.isfinite(angle)
-        t = time[good]
+        is_valid = np.isfinite(time) if angle is None else np.isfinite(time) & np.isfinite(angle)
+        t = time[is_valid]
         steps = np.diff(t)
         if not (steps > 0).any():
             if (steps < 0).any():
-                row = int(np.flatnonzero(good)[np.flatnonzero(steps < 0)[0] + 1])
+                row = int(np.flatnonzero(is_valid)[np.flatnonzero(steps < 0)[0] + 1])
                 raise self._fail(row, "time runs backwards.")
             raise RecordError(f"{self._path}: fewer than two rows differ in time.")
         self.step = median(steps[steps > 0])
         if angle is None:
             return
-        a = angle[good]
+        a = angle[is_valid]
         nominal = self.rate
         # Differences over an eighth of a revolution: long against the encoder's noise and step,
         # short against a turn, so that one median serves wrapped and unwrapped angles.
         lag = int(np.clip(_TURN / 8 / abs(nominal * self.step), 1, max(1, len(t) // 4)))
         spans = t[lag:] - t[:-lag]
-        usual = (spans > 0) & (spans < _GAP_STEPS * lag * self.step)
-        advances, spans = (a[lag:] - a[:-lag])[usual], spans[usual]
-        measured = median(advances / spans)
-        ratio = measured / nominal
+        is_typical = (spans > 0) & (spans < _GAP_STEPS * lag * self.step)
+        angle_steps, spans = (a[lag:] - a[:-lag])[is_typical], spans[is_typical]
+        measured_rate = median(angle_steps / spans)
+        ratio = measured_rate / nominal
         if abs(ratio - 1) > 0.05:
-            raise RecordError(f"{self._path}: {_rate_mismatch_message(measured, nominal)}")
-        turned = _wrap(advances - nominal * spans)
-        self.rate = nominal + median(turned / spans)
+            raise RecordError(f"{self._path}: {_rate_mismatch_message(measured_rate, nominal)}")
+        rate_deviation = _wrap(angle_steps - nominal * spans)
+        self.rate = nominal + median(rate_deviation / spans)
 
     def accept(self, first_row: int, chunk: Chunk) -> UsableRows:
         """Check one chunk."""
-        accepted = self._accept_whole(chunk) or self._accept_rows(first_row, chunk)
-        good = accepted.chunk
-        if len(good):
-            last = -1 if accepted.rows is None else int(accepted.rows[-1])
+        usable = self._accept_complete_chunk(chunk) or self._accept_rows(first_row, chunk)
+        accepted_chunk = usable.chunk
+        if len(accepted_chunk):
+            last = -1 if usable.rows is None else int(usable.rows[-1])
             self._last_values = [float(column[last]) for column in chunk.columns]
-            self._last_time = float(good.time[-1])
-            if good.angle is not None:
-                self._last_angle = float(good.angle[-1])
-                span = self._last_time - float(good.time[0])
+            self._last_time = float(accepted_chunk.time[-1])
+            if accepted_chunk.angle is not None:
+                self._last_angle = float(accepted_chunk.angle[-1])
+                span = self._last_time - float(accepted_chunk.time[0])
                 if abs(self.rate) * span > 1.0:
-                    self.rate = (self._last_angle - float(good.angle[0])) / span
-        return accepted
+                    self.rate = (self._last_angle - float(accepted_chunk.angle[0])) / span
+        return usable
 
-    def _accept_whole(  # noqa: PLR0911 - each test hands over to the row-by-row judgement
+    def _accept_complete_chunk(  # noqa: PLR0911 - each test hands over to the row-by-row judgement
         self, chunk: Chunk
     ) -> UsableRows | None:
         """Take the chunk as it stands, if nothing in it needs attention (NaN fails every test)."""
@@ -166,37 +166,43 @@ class Clock:
         if not (shortest > 0 and longest < _GAP_STEPS * self.step):
             return None
         unevenness = max(longest / self.step - 1, 1 - shortest / self.step)
-        gone = self.step if math.isnan(self._last_time) else time[0] - self._last_time
-        if not 0 < gone < _GAP_STEPS * self.step:
+        elapsed = self.step if math.isnan(self._last_time) else time[0] - self._last_time
+        if not 0 < elapsed < _GAP_STEPS * self.step:
             return None
         if angle is None:
             return UsableRows(None, chunk, unevenness)
         if self._lost is not None:
             return None
-        advance = self._differences(angle)
-        low, high = float(advance.min()), float(advance.max())
+        angle_advance = self._differences(angle)
+        low, high = float(angle_advance.min()), float(angle_advance.max())
         if not (low > -MAX_ANGLE and high < MAX_ANGLE and abs(angle[0]) < MAX_ANGLE):
             return None
-        sample = advance[:: max(1, len(advance) // 512)]
-        usual = upper_median(sample)
-        tolerance = _tolerance(_wrap(sample - usual), angle)
+        sample = angle_advance[:: max(1, len(angle_advance) // 512)]
+        typical_advance = upper_median(sample)
+        tolerance = _tolerance(_wrap(sample - typical_advance), angle)
         # Where the angle has been wrapped, and the turns to add from there on.
-        breaks, turns = np.zeros(1, dtype=int), np.zeros(1)
-        if not (low >= usual - tolerance and high <= usual + tolerance):
-            odd = np.flatnonzero(np.abs(advance - usual) > tolerance)
-            more = np.round((usual - advance[odd]) / _TURN)
-            if not (np.abs(advance[odd] + _TURN * more - usual) <= tolerance).all():
+        wrap_indices, revolutions = np.zeros(1, dtype=int), np.zeros(1)
+        if not (low >= typical_advance - tolerance and high <= typical_advance + tolerance):
+            misfit_indices = np.flatnonzero(np.abs(angle_advance - typical_advance) > tolerance)
+            wrap_count = np.round((typical_advance - angle_advance[misfit_indices]) / _TURN)
+            if not (
+                np.abs(angle_advance[misfit_indices] + _TURN * wrap_count - typical_advance)
+                <= tolerance
+            ).all():
                 return None
-            breaks, turns = np.append(breaks, odd + 1), np.append(turns, np.cumsum(more))
+            wrap_indices, revolutions = (
+                np.append(wrap_indices, misfit_indices + 1),
+                np.append(revolutions, np.cumsum(wrap_count)),
+            )
         if not math.isnan(self._last_time):
-            expected = self._last_angle + self.rate * gone
+            expected = self._last_angle + self.rate * elapsed
             before = float(np.round((expected - angle[0]) / _TURN))
             if abs(float(angle[0]) + _TURN * before - expected) > tolerance:
                 return None
-            turns = turns + before
-        if len(turns) > 1 or turns[0]:
-            lengths = np.diff(breaks, append=len(angle))
-            unwrapped = angle + np.repeat(_TURN * turns, lengths)
+            revolutions = revolutions + before
+        if len(revolutions) > 1 or revolutions[0]:
+            lengths = np.diff(wrap_indices, append=len(angle))
+            unwrapped = angle + np.repeat(_TURN * revolutions, lengths)
             self.findings.wrapped = True
             chunk = Chunk(time, unwrapped, chunk.signals)
         return UsableRows(None, chunk, unevenness)
@@ -212,21 +218,21 @@ class Clock:
     def _accept_rows(self, first_row: int, chunk: Chunk) -> UsableRows:
         """Judge a chunk row by row."""
         time = chunk.time
-        for column, word in ((time, "time"), (chunk.angle, "angle")):
+        for column, label in ((time, "time"), (chunk.angle, "angle")):
             if column is not None and np.isinf(column).any():
                 row = first_row + int(np.flatnonzero(np.isinf(column))[0])
-                raise self._fail(row, f"the {word} is infinite.")
+                raise self._fail(row, f"the {label} is infinite.")
         has_time = ~np.isnan(time)
         self.findings.empty_time += int((~has_time).sum())
         rows = np.flatnonzero(has_time)
         before = self._last_time
         steps = np.diff(time[rows], prepend=before)
         if (steps < 0).any():
-            place = int(np.flatnonzero(steps < 0)[0])
-            earlier = self._last_time if place == 0 else float(time[rows[place - 1]])
+            index = int(np.flatnonzero(steps < 0)[0])
+            previous = self._last_time if index == 0 else float(time[rows[index - 1]])
             raise self._fail(
-                first_row + int(rows[place]),
-                f"time runs backwards, from {earlier:.9g} s to {time[rows[place]]:.9g} s "
+                first_row + int(rows[index]),
+                f"time runs backwards, from {previous:.9g} s to {time[rows[index]]:.9g} s "
                 "after the record's start.",
             )
         rows = self._drop_repeats(chunk, rows, steps)
@@ -235,124 +241,133 @@ class Clock:
             has_number = ~np.isnan(chunk.angle[rows])
             self.findings.empty_angle += int((~has_number).sum())
             rows = self._plausible_rows(first_row, rows[has_number], chunk.angle)
-            good, unwrapped = self._unwrap_angle(first_row, rows, time[rows], chunk.angle[rows])
-            rows = rows[good]
-        chosen = chunk[rows]
+            is_fitting, unwrapped = self._unwrap_angle(
+                first_row, rows, time[rows], chunk.angle[rows]
+            )
+            rows = rows[is_fitting]
+        selected = chunk[rows]
         if chunk.angle is not None:
-            chosen = Chunk(chosen.time, unwrapped[good], chosen.signals)
-        unevenness = float(np.abs(np.diff(chosen.time) / self.step - 1).max(initial=0.0))
-        return UsableRows(rows, chosen, unevenness)
+            selected = Chunk(selected.time, unwrapped[is_fitting], selected.signals)
+        unevenness = float(np.abs(np.diff(selected.time) / self.step - 1).max(initial=0.0))
+        return UsableRows(rows, selected, unevenness)
 
     def _plausible_rows(self, first_row: int, rows: np.ndarray, angle: np.ndarray) -> np.ndarray:
         """Return the rows whose angle is plausible; count the others as outliers."""
-        large = np.abs(angle[rows]) > MAX_ANGLE
-        if large.any():
-            self.findings.implausible_angles += int(large.sum())
-            self._note_angle_outliers(first_row + rows[large])
-        plausible: np.ndarray = rows[~large]
+        is_large = np.abs(angle[rows]) > MAX_ANGLE
+        if is_large.any():
+            self.findings.implausible_angles += int(is_large.sum())
+            self._note_angle_outliers(first_row + rows[is_large])
+        plausible: np.ndarray = rows[~is_large]
         return plausible
 
     def _drop_repeats(self, chunk: Chunk, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        again = np.flatnonzero(steps == 0)
-        if not len(again):
+        repeats = np.flatnonzero(steps == 0)
+        if not len(repeats):
             return rows
-        differ = np.zeros(len(again), dtype=bool)
-        for place, column in enumerate(chunk.columns):
-            now = column[rows[again]]
-            then = column[rows[again - 1]]
-            if again[0] == 0:
-                then[0] = self._last_values[place]
-            differ |= (now != then) & ~(np.isnan(now) & np.isnan(then))
-        self.findings.repeated += len(again)
-        self.findings.differing += int(differ.sum())
-        return np.delete(rows, again)
+        differs = np.zeros(len(repeats), dtype=bool)
+        for index, column in enumerate(chunk.columns):
+            repeated_values = column[rows[repeats]]
+            first_values = column[rows[repeats - 1]]
+            if repeats[0] == 0:
+                first_values[0] = self._last_values[index]
+            differs |= (repeated_values != first_values) & ~(
+                np.isnan(repeated_values) & np.isnan(first_values)
+            )
+        self.findings.repeated += len(repeats)
+        self.findings.differing += int(differs.sum())
+        return np.delete(rows, repeats)
 
     def _note_gaps(self, rows: np.ndarray, time: np.ndarray, before: float) -> None:
         steps = np.diff(time, prepend=before)
-        for place in np.flatnonzero(steps > _GAP_STEPS * self.step):
-            length = float(steps[place])
-            turns = length * abs(self.rate) / _TURN
-            if turns > _GAP_REVOLUTIONS:
+        for index in np.flatnonzero(steps > _GAP_STEPS * self.step):
+            length = float(steps[index])
+            revolutions = length * abs(self.rate) / _TURN
+            if revolutions > _GAP_REVOLUTIONS:
                 raise self._fail(
-                    int(rows[place]),
-                    f"no row for {length:.6g} s, {turns:.4g} revolutions; the rotation cannot "
+                    int(rows[index]),
+                    f"no row for {length:.6g} s, {revolutions:.4g} revolutions; the rotation "
+                    "cannot "
                     "be tracked over such a gap. Cut the record here.",
                 )
             self.findings.gap_count += 1
             if len(self.findings.gaps) < LISTED:
-                self.findings.gaps.append(Gap(float(time[place]) - length, length))
+                self.findings.gaps.append(Gap(float(time[index]) - length, length))
 
     def _unwrap_angle(
         self, first_row: int, rows: np.ndarray, time: np.ndarray, angle: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Unwrap the angle along the expected advance; mark the samples that fit it."""
-        good = np.ones(len(rows), dtype=bool)
+        is_fitting = np.ones(len(rows), dtype=bool)
         if not len(rows):
-            return good, angle
+            return is_fitting, angle
         steps = np.diff(time)
-        strays = _wrap(np.diff(angle) - self.rate * steps)
-        usual = median(strays) if len(strays) else 0.0
-        base = _tolerance(strays - usual, angle) + abs(usual)
+        misfits = _wrap(np.diff(angle) - self.rate * steps)
+        typical_misfit = median(misfits) if len(misfits) else 0.0
+        base = _tolerance(misfits - typical_misfit, angle) + abs(typical_misfit)
 
-        def misfit(places: np.ndarray, time0: float, angle0: float) -> np.ndarray:
-            gone = time[places] - time0
-            slack = (
-                _GAP_RATE_CHANGE * abs(self.rate) * np.maximum(gone - _GAP_STEPS * self.step, 0.0)
+        def excess_misfit(indices: np.ndarray, time0: float, angle0: float) -> np.ndarray:
+            elapsed = time[indices] - time0
+            tolerance = (
+                _GAP_RATE_CHANGE
+                * abs(self.rate)
+                * np.maximum(elapsed - _GAP_STEPS * self.step, 0.0)
             )
-            stray = _wrap(angle[places] - angle0 - self.rate * gone)
-            excess: np.ndarray = np.abs(stray) - base - slack
+            deviation = _wrap(angle[indices] - angle0 - self.rate * elapsed)
+            excess: np.ndarray = np.abs(deviation) - base - tolerance
             return excess
 
-        late = np.maximum(steps - _GAP_STEPS * self.step, 0.0)
-        bad = np.abs(strays) > base + _GAP_RATE_CHANGE * abs(self.rate) * late
+        overdue = np.maximum(steps - _GAP_STEPS * self.step, 0.0)
+        is_misfit = np.abs(misfits) > base + _GAP_RATE_CHANGE * abs(self.rate) * overdue
         if math.isnan(self._last_angle):
             # Begin at the first sample that its successor agrees with.
-            begin = int(np.argmin(bad)) if len(bad) else 0
-            good[:begin] = False
-            last, place = begin, begin + 1
-            last_time, last_angle = float(time[begin]), float(angle[begin])
+            start = int(np.argmin(is_misfit)) if len(is_misfit) else 0
+            is_fitting[:start] = False
+            last_index, index = start, start + 1
+            last_time, last_angle = float(time[start]), float(angle[start])
         else:
-            last, place = -1, 0
+            last_index, index = -1, 0
             last_time, last_angle = self._last_time, self._last_angle
-        breaks = np.flatnonzero(bad) + 1
+        breaks = np.flatnonzero(is_misfit) + 1
         patience = max(_TURN / 4 / abs(self.rate), 8 * self.step)
         while True:
-            if last >= 0:
-                where = np.searchsorted(breaks, last + 1)
+            if last_index >= 0:
+                where = np.searchsorted(breaks, last_index + 1)
                 if where == len(breaks):
                     break
-                place = int(breaks[where])
-                last_time, last_angle = float(time[place - 1]), float(angle[place - 1])
-            # `place` may not fit the last good sample: look for the first one that does.
-            begun = time[place] if self._lost is None else self._lost_time
-            stop = int(np.searchsorted(time, begun + patience, side="right"))
+                index = int(breaks[where])
+                last_time, last_angle = float(time[index - 1]), float(angle[index - 1])
+            # `index` may not fit the last good sample: look for the first one that does.
+            lost_since = float(time[index] if self._lost is None else self._lost_time)
+            stop = int(np.searchsorted(time, lost_since + patience, side="right"))
             # Nearly always one of the next few does.
-            for end in (min(place + 32, stop), stop):
-                fits = np.flatnonzero(misfit(np.arange(place, end), last_time, last_angle) <= 0)
-                if len(fits):
+            for end in (min(index + 32, stop), stop):
+                fitting_indices = np.flatnonzero(
+                    excess_misfit(np.arange(index, end), last_time, last_angle) <= 0
+                )
+                if len(fitting_indices):
                     break
-            if len(fits):
-                last = place + int(fits[0])
-                good[place:last] = False
+            if len(fitting_indices):
+                last_index = index + int(fitting_indices[0])
+                is_fitting[index:last_index] = False
                 self._lost = None
                 continue
             if self._lost is None:
-                gone = float(time[place]) - last_time
-                stray = float(_wrap(angle[place] - last_angle - self.rate * gone))
-                self._start_dropout(first_row + int(rows[place]), float(begun), gone, stray)
+                elapsed = float(time[index]) - last_time
+                deviation = float(_wrap(angle[index] - last_angle - self.rate * elapsed))
+                self._start_dropout(first_row + int(rows[index]), lost_since, elapsed, deviation)
             if stop < len(rows):
                 raise self._jump_error()
-            good[place:] = False
+            is_fitting[index:] = False
             break
-        self._note_angle_outliers(first_row + rows[~good])
-        return good, self._unwrapped(time, angle, good)
+        self._note_angle_outliers(first_row + rows[~is_fitting])
+        return is_fitting, self._unwrap_turns(time, angle, is_fitting)
 
     def _note_angle_outliers(self, rows: np.ndarray) -> None:
         self.findings.angle_outliers += len(rows)
-        room = LISTED - len(self.findings.outlier_rows)
-        self.findings.outlier_rows += [int(row) for row in rows[:room]]
+        capacity = LISTED - len(self.findings.outlier_rows)
+        self.findings.outlier_rows += [int(row) for row in rows[:capacity]]
 
-    def _unwrapped(self, time: np.ndarray, angle: np.ndarray, good: np.ndarray) -> np.ndarray:
+    def _unwrap_turns(self, time: np.ndarray, angle: np.ndarray, good: np.ndarray) -> np.ndarray:
         angle = angle.copy()
         t, a = time[good], angle[good]
         if not len(t):
@@ -372,9 +387,9 @@ class Clock:
         if self._lost is not None and self.findings.angle_outliers and self._open_rows() > 3:
             raise self._jump_error()
 
-    def _start_dropout(self, row: int, time: float, gone: float, stray: float) -> None:
+    def _start_dropout(self, row: int, time: float, elapsed: float, misfit: float) -> None:
         self._lost, self._lost_time = row, time
-        self._lost_words = _jump_message(gone, self.step, stray, self.rate)
+        self._lost_words = _jump_message(elapsed, self.step, misfit, self.rate)
 
     def _jump_error(self) -> RecordError:
         return self._fail(self._lost or 0, self._lost_words)
@@ -383,9 +398,9 @@ class Clock:
         return sum(row >= (self._lost or 0) for row in self.findings.outlier_rows)
 
 
-def _tolerance(strays: np.ndarray, angle: np.ndarray) -> float:
+def _tolerance(misfits: np.ndarray, angle: np.ndarray) -> float:
     """Return the tolerance of a step of the angle: noise, the encoder's step, rounding."""
-    size = np.abs(strays)
+    size = np.abs(misfits)
     rounding = 1e-10 + 8 * np.finfo(float).eps * float(abs(angle[0]) + abs(angle[-1]))
     significant = size[size > rounding]
     quantum = float(significant.min()) if len(significant) else 0.0
@@ -393,10 +408,10 @@ def _tolerance(strays: np.ndarray, angle: np.ndarray) -> float:
         # An encoder's step shows again and again, a jump once: it must not excuse itself.
         quantum = min(quantum, _ENCODER_STEP_RAD)
     # Beside a gap, or by an uneven clock, strays may be less than the step, which is common too.
-    rare = int(_COMMON_PART * len(size)) + 4
-    if rare < len(size):
-        common = float(np.partition(size, -rare)[-rare])
-        quantum = max(quantum, min(common, _ENCODER_STEP_RAD))
+    rare_count = int(_COMMON_PART * len(size)) + 4
+    if rare_count < len(size):
+        largest_common = float(np.partition(size, -rare_count)[-rare_count])
+        quantum = max(quantum, min(largest_common, _ENCODER_STEP_RAD))
     return (
         _RESIDUAL_SDS * SIGMA_OF_MAD * upper_median(size) + 3 * quantum + rounding
         if len(size)
@@ -425,20 +440,21 @@ def _rate_mismatch_message(measured: float, nominal: float) -> str:
     return words + " The two must agree within 5 %: check the rate, and the record's units."
 
 
-def _jump_message(gone: float, step: float, stray: float, rate: float) -> str:
+def _jump_message(elapsed: float, step: float, misfit: float, rate: float) -> str:
     """Say that time and angle part company between two rows.
 
-    gone, step: The time between the rows, and the usual one, s.
-    stray: The angle's excess over what that time leads to, rad.
+    elapsed, step: The time between the rows, and the usual one, s.
+    misfit: Deviation of the angle from its expected advance, rad.
     rate: rad/s.
     """
-    if abs(gone / step - 1) < 0.2:
+    if abs(elapsed / step - 1) < 0.2:
         return (
-            f"the angle jumps: it is {stray:.4g} rad off the extrapolation of the rows "
+            f"the angle jumps: it is {misfit:.4g} rad off the extrapolation of the rows "
             "before it, and stays off. Cut the record here."
         )
     return (
-        f"the clock jumps: time advances by {gone:.6g} s over one row, but the angle advances as "
+        f"the clock jumps: time advances by {elapsed:.6g} s over one row, but the "
+        "angle advances as "
         f"in "
-        f"{gone + stray / rate:.6g} s. Cut the record here."
+        f"{elapsed + misfit / rate:.6g} s. Cut the record here."
     )

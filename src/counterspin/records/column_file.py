@@ -71,9 +71,9 @@ def iter_chunks(
     head: list[Columns] = []
     for batch in batches:
         head.append(batch)
-        if sum(map(column_rows, head)) >= chunk_size(1):
+        if sum(map(row_count, head)) >= chunk_size(1):
             break
-    if not sum(map(column_rows, head)):
+    if not sum(map(row_count, head)):
         return
     first = concatenate_batches(head)
     size = choose_rows(first)
@@ -81,7 +81,7 @@ def iter_chunks(
     buffer = dict(zip(first, aligned(len(first), size), strict=True))
     filled = 0
     for batch in chain([first], batches):
-        rows = column_rows(batch)
+        rows = row_count(batch)
         start = 0
         while start < rows:
             stop = min(start + size - filled, rows)
@@ -106,7 +106,7 @@ def concatenate_batches(batches: list[Columns]) -> Columns:
     return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
 
 
-def column_rows(columns: Columns) -> int:
+def row_count(columns: Columns) -> int:
     """Return the length of the columns."""
     return len(next(iter(columns.values())))
 
@@ -147,7 +147,7 @@ def record_errors(path: Path, where: Callable[[], str] = str) -> Iterator[None]:
         raise RecordError(f"{path}: file not found") from None
     except OSError as error:
         if error.errno is None:  # a library's
-            raise DamagedFileError(_damage_words(path, where())) from error
+            raise DamagedFileError(_damage_message(path, where())) from error
         raise RecordError(f"{path}: the file cannot be read{where()}: {error.strerror}.") from None
     except MemoryError:
         raise DamagedFileError(
@@ -155,10 +155,10 @@ def record_errors(path: Path, where: Callable[[], str] = str) -> Iterator[None]:
         ) from None
     # Polars turns a panic into an exception that is no `Exception`.
     except BaseException as error:
-        raise DamagedFileError(_damage_words(path, where())) from error
+        raise DamagedFileError(_damage_message(path, where())) from error
 
 
-def _damage_words(path: Path, where: str) -> str:
+def _damage_message(path: Path, where: str) -> str:
     return (
         f"{path}: the file is damaged{where}, or it contains something that counterspin does not "
         "read. Export it again, or export it as CSV."
@@ -184,9 +184,9 @@ class ColumnFile(ABC):
     units_row: bool
     #: Columns that are to be read as time stamps: seconds after the first one. Set it before
     #: reading.
-    stamps: frozenset[str]
-    first_stamp: int | None  #: The first time stamp, ns; None as long as it is unknown.
-    found: str  #: How the file is written, where that is not plain.
+    timestamp_columns: frozenset[str]
+    first_timestamp: int | None  #: The first time stamp, ns; None as long as it is unknown.
+    format_description: str  #: How the file is written, where that is not plain.
     footer: tuple[str, ...] = ()  #: Lines at the end that are not rows.
     runs: tuple[str, ...] = ()  #: Groups with the same columns, each of which holds a run.
     selection: np.ndarray | None = None  #: Rows that are selected, as a mask; None: all.
@@ -195,8 +195,9 @@ class ColumnFile(ABC):
         self.path = path
         self.names: list[str] = []
         self.identity: FileIdentity | None = FileIdentity.of(stream.fileno())
-        self.units, self.units_row, self.stamps, self.found = {}, False, frozenset(), ""
-        self.first_stamp, self.interval = None, None
+        self.units, self.units_row = {}, False
+        self.timestamp_columns, self.format_description = frozenset(), ""
+        self.first_timestamp, self.interval = None, None
         self._midnights: dict[str, tuple[int, int]] = {}
         self._stream = stream
 
@@ -223,13 +224,13 @@ class ColumnFile(ABC):
     def require(self, wanted: Sequence[str]) -> None:
         """Raise `RecordError` unless the file has the wanted columns and they can hold numbers."""
         wanted = self._columns_in_file(wanted)
-        missing = [name for name in wanted if not self.has(name)]
+        missing = [name for name in wanted if not self.has_column(name)]
         if missing:
-            raise RecordError(f"{self.path}: {self._missing_words(missing)}")
+            raise RecordError(f"{self.path}: {self._missing_columns_message(missing)}")
         with record_errors(self.path):
             self._require(wanted)
 
-    def has(self, name: str) -> bool:
+    def has_column(self, name: str) -> bool:
         """Return True if the file has a column of this name."""
         return name in self.names
 
@@ -238,33 +239,35 @@ class ColumnFile(ABC):
         rows = 0
         with record_errors(self.path, lambda: f" after row {rows}" if rows else ""):
             for batch in self._batches(self._columns_in_file(wanted)):
-                count = column_rows(batch)
-                batch = {name: self._made_column(batch, name) for name in wanted}  # noqa: PLW2901
+                count = row_count(batch)
+                batch = {name: self._derive_column(batch, name) for name in wanted}  # noqa: PLW2901
                 if self.selection is not None:
                     chosen = self.selection[rows : rows + count]
                     batch = {name: values[chosen] for name, values in batch.items()}  # noqa: PLW2901
-                yield {name: without_overflow(values) for name, values in batch.items()}
+                yield {name: mask_overflow(values) for name, values in batch.items()}
                 rows += count
 
     def _columns_in_file(self, wanted: Sequence[str]) -> list[str]:
         """Return the columns of the file that make the wanted ones: of a split time, two."""
-        parts: list[str] = []
+        file_columns: list[str] = []
         for name in wanted:
-            split = None if self.has(name) else _split_time(name)
-            parts += [split.coarse, split.fine] if split else [name]
-        return list(dict.fromkeys(parts))
+            split = None if self.has_column(name) else _split_time(name)
+            file_columns += [split.coarse, split.fine] if split else [name]
+        return list(dict.fromkeys(file_columns))
 
-    def _made_column(self, batch: Columns, name: str) -> np.ndarray:
+    def _derive_column(self, batch: Columns, name: str) -> np.ndarray:
         """Return a column of a batch; a split time as seconds after the first one."""
-        split = None if name in batch else _split_time(name)
-        if split is None:
+        split_time = None if name in batch else _split_time(name)
+        if split_time is None:
             return batch[name]
         import polars as pl
 
-        times, known = split.nanoseconds(batch)
-        return self.seconds(pl.select(pl.when(pl.Series(known)).then(pl.Series(times))).to_series())
+        times, is_valid = split_time.nanoseconds(batch)
+        return self.seconds(
+            pl.select(pl.when(pl.Series(is_valid)).then(pl.Series(times))).to_series()
+        )
 
-    def whole(self, wanted: Sequence[str]) -> Columns:
+    def read_columns(self, wanted: Sequence[str]) -> Columns:
         """Return whole columns, which `require` has passed; with the strict parser if needed."""
         try:
             batches = list(self.batches(wanted))
@@ -286,19 +289,21 @@ class ColumnFile(ABC):
         """Read from now on the rows alone in which a column has a value."""
         import numpy as np
 
-        if not self.has(column):
-            raise RecordError(f"{self.path}: select: {self._missing_words([column])}")
+        if not self.has_column(column):
+            raise RecordError(f"{self.path}: select: {self._missing_columns_message([column])}")
         cells = [cell.strip() for cell in self.all_cells(column)]
         mask = np.array([_same_cell(cell, value) for cell in cells])
         if not mask.any():
-            known = format_names(sorted(set(cells)), 8)
+            values = format_names(sorted(set(cells)), 8)
             raise RecordError(
                 f"{self.path}: select: column '{column}' never has the value '{value}'; it has "
-                f"{known}."
+                f"{values}."
             )
         self.selection = mask
         note = f"rows with {value} in column '{column}'"
-        self.found = f"{self.found}, {note}" if self.found else note
+        self.format_description = (
+            f"{self.format_description}, {note}" if self.format_description else note
+        )
 
     def all_cells(self, column: str) -> list[str]:
         """Return all cells of a column, as text."""
@@ -329,7 +334,7 @@ class ColumnFile(ABC):
         """Say where data row `row` (counted from 0) stands in the file."""
         return f"row {row + 1}"
 
-    def places(self, rows: int) -> list[str]:
+    def row_locations(self, rows: int) -> list[str]:
         """Say where each of the data rows stands in the file."""
         return [self.locate_row(row) for row in range(rows)]
 
@@ -355,7 +360,7 @@ class ColumnFile(ABC):
         batch = next(self._batches([name]), None)
         return [] if batch is None else [f"{value:.12g}" for value in batch[name][:count]]
 
-    def seen(self) -> str:
+    def preview(self) -> str:
         """Say what a text's first lines look like, a line each; empty text of other files."""
         return ""
 
@@ -367,17 +372,17 @@ class ColumnFile(ABC):
         import numpy as np
 
         known = stamps.drop_nulls().to_numpy()
-        if self.first_stamp is None and len(known):
-            self.first_stamp = int(known[0])
+        if self.first_timestamp is None and len(known):
+            self.first_timestamp = int(known[0])
             self._midnights = {}
         # Whole numbers first: seconds since 1970 have digits for no more than microseconds.
-        after = (stamps - (self.first_stamp or 0)).to_numpy().astype(float)
+        elapsed = (stamps - (self.first_timestamp or 0)).to_numpy().astype(float)
         if len(known) and known.min() >= 0 and known.max() < _DAY:  # times without dates
-            last, days = self._midnights.get(stamps.name, (int(known[0]), 0))
-            passed = days + np.cumsum(np.diff(known, prepend=last) < -_DAY // 2)
-            after[stamps.is_not_null().to_numpy()] += passed * float(_DAY)
-            self._midnights[stamps.name] = int(known[-1]), int(passed[-1])
-        return after * 1e-9
+            last_stamp, days = self._midnights.get(stamps.name, (int(known[0]), 0))
+            days_passed = days + np.cumsum(np.diff(known, prepend=last_stamp) < -_DAY // 2)
+            elapsed[stamps.is_not_null().to_numpy()] += days_passed * float(_DAY)
+            self._midnights[stamps.name] = int(known[-1]), int(days_passed[-1])
+        return elapsed * 1e-9
 
     def _require(self, wanted: Sequence[str]) -> None:  # noqa: B027
         """As `require`, of columns that are there."""
@@ -390,16 +395,16 @@ class ColumnFile(ABC):
     def _table(self) -> pl.DataFrame:
         """As `table`."""
 
-    def _missing_words(self, missing: Sequence[str]) -> str:
+    def _missing_columns_message(self, missing: Sequence[str]) -> str:
         from difflib import get_close_matches
 
-        words = (
+        message = (
             f"there is no column {format_names(missing)}; the file has {format_names(self.names)}."
         )
-        close = get_close_matches(missing[0], self.names, n=1)
-        return words + (f" Did you mean '{close[0]}'?" if close else "")
+        similar = get_close_matches(missing[0], self.names, n=1)
+        return message + (f" Did you mean '{similar[0]}'?" if similar else "")
 
-    def _require_bytes(self, needed: int) -> None:
+    def _check_size(self, needed: int) -> None:
         """Refuse columns of numbers, before they are read, that no file of this size can hold."""
         size = self.identity.size if self.identity else 0
         if needed > _UNPACKED_BYTES + _UNPACKED_RATIO * size:
@@ -428,20 +433,22 @@ def _same_cell(cell: str, value: str) -> bool:
         return False
 
 
-def without_overflow(values: np.ndarray) -> np.ndarray:
+def mask_overflow(values: np.ndarray) -> np.ndarray:
     """Return numbers with NaN for those that instruments write where they measured none."""
     import numpy as np
 
-    over = np.abs(values) >= _OVERFLOW
-    if not over.any() or (np.abs(values[over]) > _NOT_A_NUMBER).any():
+    is_overflow = np.abs(values) >= _OVERFLOW
+    if not is_overflow.any() or (np.abs(values[is_overflow]) > _NOT_A_NUMBER).any():
         return values
-    return np.where(over, np.nan, values)
+    return np.where(is_overflow, np.nan, values)
 
 
-def format_names(names: Sequence[str], cap: int = 20) -> str:
+def format_names(names: Sequence[str], max_names: int = 20) -> str:
     """Return column names for a message, in quotation marks, the first ones of many."""
-    listed = ", ".join(f"'{name}'" for name in names[:cap])
-    return listed + (f" and {len(names) - cap} more" if len(names) > cap else "") or "none"
+    quoted = ", ".join(f"'{name}'" for name in names[:max_names])
+    return (
+        quoted + (f" and {len(names) - max_names} more" if len(names) > max_names else "") or "none"
+    )
 
 
 def frame_columns(frame: pl.DataFrame) -> Columns:

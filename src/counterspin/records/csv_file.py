@@ -48,7 +48,7 @@ _CELL_LINE_ENDS = 100
 #: Bytes that are searched for quotation marks at once.
 _CHUNK_BYTES = 1 << 20
 #: Bytes that show whether characters are wide.
-_SHOWN_BYTES = 400
+_PREVIEW_BYTES = 400
 #: Digits beside other signs, as in `10:00 -> 1.5` and `(0.5`.
 _MIXED_CELL = re.compile(r"[([{>=:].*\d|\d.*[)\]}<]")
 #: Lines of a table's body, and bytes of its end, that show what stands below the rows.
@@ -71,7 +71,7 @@ class CsvFile(ColumnFile):
         self._is_utf8 = False  # of the content in memory
         self._head: list[Line] = []
         self._encoding = dialect.encoding or "utf-8"
-        self._find_layout(dialect)
+        self._detect_format(dialect)
 
     def _lines(self) -> Iterator[tuple[int, bytes]]:
         """Yield the numbers and bytes of the lines."""
@@ -92,77 +92,79 @@ class CsvFile(ColumnFile):
                     return
                 yield number, line
 
-    def _find_layout(self, dialect: Dialect) -> None:
+    def _detect_format(self, dialect: Dialect) -> None:
         self._transcode(dialect)
         head = list(islice(self._lines(), HEAD_LINES + (dialect.skip_lines or 0)))
-        lines = self._head = [(number, self._decoded(raw)) for number, raw in head]
-        if (mark := find_thousands_separator(text for _, text in lines)) is not None:
-            self._ungroup(mark)
+        lines = self._head = [(number, self._decode(raw_line)) for number, raw_line in head]
+        if (separator := find_thousands_separator(text for _, text in lines)) is not None:
+            self._strip_thousands(separator)
             head = list(islice(self._lines(), len(head)))
-            lines = self._head = [(number, self._decoded(raw)) for number, raw in head]
-        layout, plain = None, is_plain_format(lines)
+            lines = self._head = [(number, self._decode(raw_line)) for number, raw_line in head]
+        layout, is_plain = None, is_plain_format(lines)
         if dialect.delimiter is None and dialect.decimal is None:
-            unsaid = dialect.skip_lines is None and not dialect.units_row
-            layout = plain_format(lines, dialect) if unsaid and plain else None
+            unstated = dialect.skip_lines is None and not dialect.units_row
+            layout = plain_format(lines, dialect) if unstated and is_plain else None
         detected = layout or detect_format(lines, dialect)
         layout = detected or plain_format(lines, dialect)
         if detected is None and dialect.encoding is None:
             # What is in no known form may be no text at all.
-            self._refuse_what_is_no_text(head)
+            self._check_is_text(head)
         if layout is None:
             raise RecordError(f"{self.path}: the file has no header line and no rows.")
         numbers = [cell for cell in layout.names if _is_number(cell)]
-        mixed = next((cell for cell in layout.names if _MIXED_CELL.search(cell)), None)
-        if len(numbers) == len(layout.names) or (mixed and 2 * len(numbers) >= len(layout.names)):
+        mixed_cell = next((cell for cell in layout.names if _MIXED_CELL.search(cell)), None)
+        if len(numbers) == len(layout.names) or (
+            mixed_cell and 2 * len(numbers) >= len(layout.names)
+        ):
             line = next(line for number, line in lines if number == layout.header)
-            within = f" and text within a cell, '{mixed[:40]}'" if mixed else ""
+            mixed_text = f" and text within a cell, '{mixed_cell[:40]}'" if mixed_cell else ""
             raise RecordError(
                 f"{self.path}, line {layout.header}: the first line must name the columns, "
-                f"but it holds numbers{within}: {line[:60]}"
+                f"but it holds numbers{mixed_text}: {line[:60]}"
             )
         self.delimiter, self.decimal = layout.delimiter, layout.decimal
         self._named = layout.header > 0
         self._before_rows, self.names = layout.before_rows, list(layout.names)
         self.units = dict(zip(layout.names, layout.units, strict=True))
         self.units_row = layout.units_row
-        above = [
+        lines_above = [
             split_cells(line, self.delimiter)
             for number, line in lines
             if number <= layout.before_rows
         ]
-        units, self.interval = parse_header(above, self.names, self.decimal)
+        units, self.interval = parse_header(lines_above, self.names, self.decimal)
         self.units |= units
-        if not plain:
-            self.found = layout.words(self._encoding)
+        if not is_plain:
+            self.format_description = layout.describe(self._encoding)
         self._mismatch = layout.mismatch
         if dialect.skip_footer is None:
-            self.footer = self._footer()
+            self.footer = self._read_footer()
         else:
             self._drop_footer(dialect.skip_footer)
         if self.delimiter == BLANKS:
-            self._part_by_tabs()
+            self._separate_by_tabs()
 
-    def _ungroup(self, mark: str) -> None:
+    def _strip_thousands(self, mark: str) -> None:
         """Take the content without the marks between groups of three digits."""
         self._content = strip_thousands(self.content().decode(self._encoding), mark).encode()
         self._is_utf8 = True
 
-    def _part_by_tabs(self) -> None:
+    def _separate_by_tabs(self) -> None:
         """Take the content with one tab for the blanks between two cells; lines stay lines."""
         self.delimiter = "\t"
-        self._content = b"".join(map(_parted_by_tabs, (line for _, line in self._lines())))
+        self._content = b"".join(map(_split_by_tabs, (line for _, line in self._lines())))
 
-    def _footer(self) -> tuple[str, ...]:
+    def _read_footer(self) -> tuple[str, ...]:
         """Return the lines at the end that are not rows, without those that are blank."""
         self._stream.seek(0, io.SEEK_END)
         start = max(0, self._stream.tell() - _TAIL_BYTES)
         self._stream.seek(start)
         tail = self._stream.read() if self._content is None else self._content[-_TAIL_BYTES:]
-        last = [self._decoded(line) for line in tail.splitlines()]
+        tail_lines = [self._decode(line) for line in tail.splitlines()]
         body = [line for number, line in self._head if number > self._before_rows]
-        whole = start == 0 and self._content is None
-        rest = last[self._before_rows + _BODY_LINES :] if whole else last[1:]
-        lines = [*body[:_BODY_LINES], *rest]
+        is_complete = start == 0 and self._content is None
+        remaining = tail_lines[self._before_rows + _BODY_LINES :] if is_complete else tail_lines[1:]
+        lines = [*body[:_BODY_LINES], *remaining]
         count = footer_lines([split_cells(line, self.delimiter) for line in lines], self.decimal)
         return tuple(lines[len(lines) - count :])
 
@@ -171,8 +173,8 @@ class CsvFile(ColumnFile):
         lines = (self.content() if self._content is None else self._content).splitlines(True)
         self._content = b"".join(lines[: len(lines) - count])
 
-    def _missing_words(self, missing: Sequence[str]) -> str:
-        words = super()._missing_words(missing)
+    def _missing_columns_message(self, missing: Sequence[str]) -> str:
+        words = super()._missing_columns_message(missing)
         if self._named:
             return words
         above = f"above the first numbers, line {self._before_rows + 1}"
@@ -184,7 +186,7 @@ class CsvFile(ColumnFile):
         if not names:
             return {}
         with record_errors(self.path):
-            frame = self._text(names).head(count).collect()
+            frame = self._as_strings(names).head(count).collect()
             cells = {name: [str(cell or "") for cell in frame[name]] for name in names}
         replaced = any("\ufffd" in cell for column in cells.values() for cell in column)
         if replaced and self._use_utf8():
@@ -193,36 +195,36 @@ class CsvFile(ColumnFile):
 
     def _cells(self, column: str) -> list[str]:
         self._use_utf8()
-        frame = self._text([column]).collect()
+        frame = self._as_strings([column]).collect()
         return [str(cell or "") for cell in frame[column]]
 
-    def seen(self) -> str:
+    def preview(self) -> str:
         """Say what the first lines look like, a line each."""
         return describe_lines(self._head)
 
     def _transcode(self, dialect: Dialect) -> None:
         """Take the content as UTF-8 in an encoding of wide characters, with CR as ends of lines."""
         self._stream.seek(0)
-        begin = self._stream.read(_LINE_BYTES)
+        first_bytes = self._stream.read(_LINE_BYTES)
         if dialect.encoding is None:
-            self._encoding = wide_encoding(begin[:_SHOWN_BYTES]) or self._encoding
+            self._encoding = wide_encoding(first_bytes[:_PREVIEW_BYTES]) or self._encoding
         try:
-            wide = "a,;\t1\n".encode(self._encoding) != b"a,;\t1\n"
+            wide_codec = "a,;\t1\n".encode(self._encoding) != b"a,;\t1\n"
         except LookupError:
             raise RecordError(f"{self.path}: there is no encoding '{self._encoding}'.") from None
-        if wide and self._encoding != "utf-8-sig":
+        if wide_codec and self._encoding != "utf-8-sig":
             try:
                 self._content = self.content().decode(self._encoding).encode()
                 self._is_utf8 = True
             except UnicodeError:
                 raise RecordError(f"{self.path}: this is not text in {self._encoding}.") from None
         if self._content is not None:
-            begin = self._content[:_LINE_BYTES]
-        if b"\r" in begin and b"\n" not in begin:
+            first_bytes = self._content[:_LINE_BYTES]
+        if b"\r" in first_bytes and b"\n" not in first_bytes:
             content = self.content() if self._content is None else self._content
             self._content = content.replace(b"\r", b"\n")
 
-    def _decoded(self, raw: bytes) -> str:
+    def _decode(self, raw: bytes) -> str:
         """Return a line of the head as text."""
         encoding = "utf-8" if self._is_utf8 else self._encoding
         try:
@@ -233,7 +235,7 @@ class CsvFile(ColumnFile):
                 self._encoding = "latin-1"
             return raw.decode("latin-1").rstrip("\r\n")
 
-    def _refuse_what_is_no_text(self, head: Sequence[tuple[int, bytes]]) -> None:
+    def _check_is_text(self, head: Sequence[tuple[int, bytes]]) -> None:
         for number, raw in head:
             line = raw.decode("utf-8-sig", errors="replace").strip("\r\n")
             if "\ufffd" in line or any(c < " " and c != "\t" for c in line):
@@ -241,21 +243,23 @@ class CsvFile(ColumnFile):
             if line.strip() and not line.startswith("#"):
                 return
 
-    def _scan(self, wanted: Sequence[str], kind: Any, *, comments: bool) -> pl.LazyFrame:
+    def _scan(self, wanted: Sequence[str], data_type: Any, *, comments: bool) -> pl.LazyFrame:
         import polars as pl
 
         if not self._are_quotes_checked:
-            self._refuse_open_quotation_mark()
+            self._check_quotation_marks()
             self._are_quotes_checked = True
 
-        def kind_of(name: str) -> Any:
-            return kind if name in wanted and name not in self.stamps else pl.String()
+        def data_type_of(name: str) -> Any:
+            return (
+                data_type if name in wanted and name not in self.timestamp_columns else pl.String()
+            )
 
         # An explicit type for every column: a type guessed from the first lines breaks on a
         # column that looks whole at the start. Unwanted columns are never parsed.
         schema = {
-            name if name not in self.names[:place] else f"{name} ({place})": (kind_of(name))
-            for place, name in enumerate(self.names)
+            name if name not in self.names[:index] else f"{name} ({index})": (data_type_of(name))
+            for index, name in enumerate(self.names)
         }
         return pl.scan_csv(
             plain_path(self.path) if self._content is None else self._content,
@@ -270,7 +274,7 @@ class CsvFile(ColumnFile):
             missing_columns="insert",  # where the first row is short, as in any other
         ).select(wanted)
 
-    def _text(self, wanted: Sequence[str]) -> pl.LazyFrame:
+    def _as_strings(self, wanted: Sequence[str]) -> pl.LazyFrame:
         import polars as pl
 
         return self._scan(wanted, pl.String(), comments=True)
@@ -295,9 +299,9 @@ class CsvFile(ColumnFile):
         self._require(names)
         self._use_utf8()
         try:
-            return self._text(names).collect()
+            return self._as_strings(names).collect()
         except pl.exceptions.PolarsError:
-            self._refuse_bad_lines()
+            self._check_lines()
             raise
 
     def use_strict_parser(self) -> bool:
@@ -309,11 +313,11 @@ class CsvFile(ColumnFile):
         """Yield batches of the columns."""
         import polars as pl
 
-        stamps = [name for name in wanted if name in self.stamps]
+        stamps = [name for name in wanted if name in self.timestamp_columns]
         if self._closely:
-            self._refuse_bad_cells(wanted)
-            frames = self._text(wanted).select(
-                pl.col(name) if name in stamps else self._number(name) for name in wanted
+            self._check_cells(wanted)
+            frames = self._as_strings(wanted).select(
+                pl.col(name) if name in stamps else self._number_text(name) for name in wanted
             )
         else:
             # Looking out for comments takes the parser half as long again. They cannot pass for
@@ -322,21 +326,21 @@ class CsvFile(ColumnFile):
             frames = self._scan(wanted, pl.Float64(), comments=comments)
         try:
             for frame in frames.collect_batches(maintain_order=True):
-                yield frame_columns(self._timed(frame, stamps) if stamps else frame)
+                yield frame_columns(self._convert_timestamps(frame, stamps) if stamps else frame)
         except pl.exceptions.NoDataError:
             return
         except pl.exceptions.PolarsError as error:
             raise RecordError(f"{self.path}: a cell is not a number.") from error
 
-    def _refuse_bad_cells(self, wanted: Sequence[str]) -> None:
+    def _check_cells(self, wanted: Sequence[str]) -> None:
         import polars as pl
 
-        self._refuse_bad_lines()
-        bad = [self._bad(name) for name in wanted]
-        marks = self._text(wanted).select(bad)
+        self._check_lines()
+        invalid = [self._is_invalid(name) for name in wanted]
+        is_invalid = self._as_strings(wanted).select(invalid)
         index = _unused_name(wanted)
         rows = (
-            marks.with_row_index(index)
+            is_invalid.with_row_index(index)
             .filter(pl.any_horizontal(wanted))
             .head(1)
             .collect(engine="streaming")
@@ -345,8 +349,8 @@ class CsvFile(ColumnFile):
             return
         row = int(rows[index][0])
         column = next(name for name in wanted if rows[name][0])
-        cell = str(self._text([column]).slice(row, 1).collect().item())
-        if column in self.stamps:
+        cell = str(self._as_strings([column]).slice(row, 1).collect().item())
+        if column in self.timestamp_columns:
             raise RecordError(
                 f"{self.path}, {self.locate(row)}: column '{column}' holds the text '{cell[:40]}' "
                 "instead of a time, such as 2026-03-01T12:00:00.020."
@@ -363,7 +367,7 @@ class CsvFile(ColumnFile):
             f"instead of a number.{hint}"
         )
 
-    def _number(self, name: str) -> pl.Expr:
+    def _number_text(self, name: str) -> pl.Expr:
         """Return the text of a cell as a number, null where it is none."""
         import polars as pl
 
@@ -372,39 +376,39 @@ class CsvFile(ColumnFile):
             text = text.str.replace_all(".", "_", literal=True).str.replace(",", ".", literal=True)
         return text.cast(pl.Float64(), strict=False)
 
-    def _bad(self, name: str) -> pl.Expr:
+    def _is_invalid(self, name: str) -> pl.Expr:
         """Return True for cells that are neither empty nor valid."""
         import polars as pl
 
         empty = pl.col(name).str.strip_chars().str.to_lowercase().is_in(list(EMPTY_CELL_TEXTS))
-        value = nanoseconds(name) if name in self.stamps else self._number(name)
+        value = nanoseconds(name) if name in self.timestamp_columns else self._number_text(name)
         return (value.is_null() & ~empty).fill_null(False).alias(name)
 
-    def _timed(self, frame: pl.DataFrame, stamps: Sequence[str]) -> pl.DataFrame:
+    def _convert_timestamps(self, frame: pl.DataFrame, stamps: Sequence[str]) -> pl.DataFrame:
         """Return a batch with its stamps as seconds after the first one of the file."""
         import polars as pl
 
         for name in stamps:
-            if frame.select(self._bad(name)).to_series().any():
+            if frame.select(self._is_invalid(name)).to_series().any():
                 raise RecordError(f"{self.path}: a cell is not a time.")
             times = frame.select(nanoseconds(name)).to_series()
             frame = frame.with_columns(pl.Series(name, self.seconds(times)))
         return frame
 
-    def _refuse_open_quotation_mark(self) -> None:
+    def _check_quotation_marks(self) -> None:
         """Refuse a quotation mark that is not closed, before Polars reads the rest as one cell.
 
         Polars needs long for such a cell, and crashes on a last cell of one mark.
         """
         open_ends, last = 0, b""
         for chunk in self._chunks():
-            open_ends = _open_line_ends(chunk, open_ends)
+            open_ends = _unclosed_line_ends(chunk, open_ends)
             last = (last + chunk)[-2:]
             if open_ends > _CELL_LINE_ENDS:
                 break
         # A comment may contain a single mark; only the lines tell.
         if open_ends or last.rstrip(b"\r").endswith(b'"'):
-            self._refuse_bad_lines()
+            self._check_lines()
 
     def _chunks(self) -> Iterator[bytes]:
         """Yield the bytes of the rows in chunks."""
@@ -413,24 +417,28 @@ class CsvFile(ColumnFile):
         while chunk := stream.read(_CHUNK_BYTES):
             yield chunk
 
-    def _refuse_bad_lines(self) -> None:
+    def _check_lines(self) -> None:
         """Refuse a line with too many cells, or a quotation mark that is not closed."""
-        opened = 0  # the line at which a quoted cell begins that has not ended yet
+        open_line = 0  # the line at which a quoted cell begins that has not ended yet
         delimiter = self.delimiter.encode()
-        for number, raw in self._lines():
-            if not opened and b'"' not in raw and raw.count(delimiter) < len(self.names):
+        for number, raw_line in self._lines():
+            if (
+                not open_line
+                and b'"' not in raw_line
+                and raw_line.count(delimiter) < len(self.names)
+            ):
                 continue
-            line = raw.decode("utf-8", errors="replace").rstrip("\r\n")
-            if number <= self._before_rows or (line.startswith("#") and not opened):
+            line = raw_line.decode("utf-8", errors="replace").rstrip("\r\n")
+            if number <= self._before_rows or (line.startswith("#") and not open_line):
                 continue
             if line.count('"') % 2:
-                opened = 0 if opened else number
-            elif opened and number > opened + _CELL_LINE_ENDS:
+                open_line = 0 if open_line else number
+            elif open_line and number > open_line + _CELL_LINE_ENDS:
                 raise RecordError(
-                    f"{self.path}, line {opened}: a quotation mark is not closed within "
+                    f"{self.path}, line {open_line}: a quotation mark is not closed within "
                     f"{_CELL_LINE_ENDS} lines."
                 )
-            elif not opened and line.count(self.delimiter) >= len(self.names):
+            elif not open_line and line.count(self.delimiter) >= len(self.names):
                 width = len(split_cells(line, self.delimiter))
                 if width > len(self.names):
                     hint = ""
@@ -440,18 +448,18 @@ class CsvFile(ColumnFile):
                         f"{self.path}, line {number}: the line has {width} cells, "
                         f"the header names {len(self.names)}.{hint}"
                     )
-        if opened:
-            raise RecordError(f"{self.path}, line {opened}: a quotation mark is not closed.")
+        if open_line:
+            raise RecordError(f"{self.path}, line {open_line}: a quotation mark is not closed.")
 
     def locate(self, row: int) -> str:
         """Say on which line, as a text editor counts them, data row `row` stands."""
         number = next(islice(self._data_lines(), row, None), row + self._before_rows + 1)
         return f"line {number}"
 
-    def places(self, rows: int) -> list[str]:
+    def row_locations(self, rows: int) -> list[str]:
         """Say on which line each of the data rows stands."""
         if self.selection is not None:
-            return super().places(rows)
+            return super().row_locations(rows)
         return [f"line {number}" for number in islice(self._data_lines(), rows)]
 
     def _data_lines(self) -> Iterator[int]:
@@ -462,7 +470,7 @@ class CsvFile(ColumnFile):
 
 def open_text_named_excel(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:
     """Open text that is named .xls, as LabVIEW and others name what Excel is to open."""
-    head = stream.read(_SHOWN_BYTES)
+    head = stream.read(_PREVIEW_BYTES)
     stream.seek(0)
     if head.startswith((b"\xd0\xcf\x11\xe0", b"PK")):
         raise RecordError(f"{path}: this is a workbook; save it as .xlsx, without a password.")
@@ -473,7 +481,7 @@ def open_text_named_excel(path: Path, stream: BinaryIO, dialect: Dialect) -> Col
     return CsvFile(path, stream, dialect)
 
 
-def _open_line_ends(chunk: bytes, before: int) -> int:
+def _unclosed_line_ends(chunk: bytes, before: int) -> int:
     """Return the line ends since a quotation mark that is open at the end of a chunk, plus one.
 
     The result is 0 if no mark is open. It is larger than `_CELL_LINE_ENDS` if any cell of the
@@ -484,18 +492,18 @@ def _open_line_ends(chunk: bytes, before: int) -> int:
     if b'"' not in chunk:
         return before + chunk.count(b"\n") if before else 0
     data = np.frombuffer(chunk, np.uint8)
-    marks, ends = np.flatnonzero(data == ord('"')), np.flatnonzero(data == ord("\n"))
+    quotation_marks, line_ends = np.flatnonzero(data == ord('"')), np.flatnonzero(data == ord("\n"))
     # Line ends before each mark and at the end of the chunk.
-    passed = np.append(np.searchsorted(ends, marks), len(ends))
-    in_cells = np.diff(passed, prepend=1 - before)[0 if before else 1 :: 2]
-    most = int(in_cells.max(initial=0))
-    is_open = (len(marks) % 2 == 1) != (before > 0)
-    if most > _CELL_LINE_ENDS:
-        return most
+    line_ends_before = np.append(np.searchsorted(line_ends, quotation_marks), len(line_ends))
+    in_cells = np.diff(line_ends_before, prepend=1 - before)[0 if before else 1 :: 2]
+    max_count = int(in_cells.max(initial=0))
+    is_open = (len(quotation_marks) % 2 == 1) != (before > 0)
+    if max_count > _CELL_LINE_ENDS:
+        return max_count
     return int(in_cells[-1]) + 1 if is_open else 0
 
 
-def _parted_by_tabs(line: bytes) -> bytes:
+def _split_by_tabs(line: bytes) -> bytes:
     """Return a line with one tab between cells that blanks part."""
     if b'"' not in line:
         return b"\t".join(line.split()) + b"\n"
@@ -515,12 +523,12 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def wide_encoding(begin: bytes) -> str | None:
+def wide_encoding(first_bytes: bytes) -> str | None:
     """Return the encoding of a text of two bytes a character, marked as such or not; None: none."""
-    if begin[:2] in (b"\xff\xfe", b"\xfe\xff"):
+    if first_bytes[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "utf-16"
-    for encoding, high in (("utf-16-le", begin[1::2]), ("utf-16-be", begin[::2])):
+    for encoding, high_bytes in (("utf-16-le", first_bytes[1::2]), ("utf-16-be", first_bytes[::2])):
         # Numbers and Latin letters have a zero in their higher byte.
-        if len(high) > 8 and high.count(0) > 0.8 * len(high):
+        if len(high_bytes) > 8 and high_bytes.count(0) > 0.8 * len(high_bytes):
             return encoding
     return None

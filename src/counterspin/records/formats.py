@@ -25,8 +25,8 @@ from counterspin.records.column_file import (
     ColumnFile,
     Columns,
     NoRowsError,
-    column_rows,
     record_errors,
+    row_count,
 )
 from counterspin.records.dialect import AUTODETECT, Dialect
 from counterspin.records.format_registry import RECORD_FORMATS, suffix_problem
@@ -44,8 +44,8 @@ Opener = Callable[[Path, BinaryIO, Dialect], ColumnFile]
 
 def find_opener(path: Path) -> Opener:
     """Return the opener of a file; RecordError for an unknown ending or a folder."""
-    if wrong := suffix_problem(path):
-        raise RecordError(f"{path}: {wrong}")
+    if problem := suffix_problem(path):
+        raise RecordError(f"{path}: {problem}")
     return cast("Opener", load_name(RECORD_FORMATS[path.suffix.lower()].opener))
 
 
@@ -79,19 +79,19 @@ class StoredTable:
     #: What parts cells and decimals in a file of text.
     delimiter: str
     decimal: str
-    found: str  #: How the file is written, where that is not plain.
+    format_description: str  #: How the file is written, where that is not plain.
 
 
 def read_table(path: Path, dialect: Dialect = AUTODETECT) -> StoredTable:
     """Return a whole file as it stands, cells of text remaining text."""
-    return run_isolated(_table, path, dialect)
+    return run_isolated(_read_table, path, dialect)
 
 
 def read_small_table(
     path: Path, dialect: Dialect = AUTODETECT
 ) -> tuple[StoredTable, list[str], str]:
     """Return a table, where each of its rows stands, and the SHA-256 of what was read."""
-    return run_isolated(_small_table, path, dialect)
+    return run_isolated(_read_small_table, path, dialect)
 
 
 def is_workbook(path: Path) -> bool:
@@ -103,14 +103,14 @@ def read_numbers(
     path: Path | MemoryTable, names: Sequence[str], dialect: Dialect = AUTODETECT
 ) -> Columns:
     """Return columns of numbers, NaN where a cell is empty, of a file in any dialect."""
-    return run_isolated(_numbers, path, list(names), dialect)
+    return run_isolated(_read_numbers, path, list(names), dialect)
 
 
 def read_scaled(
     path: Path | MemoryTable, columns: Sequence[ColumnSpec], dialect: Dialect = AUTODETECT
 ) -> list[Array]:
     """Return columns in SI, NaN where a cell is empty; rows may be counted, and stamps timed."""
-    return run_isolated(_scaled, path, list(columns), dialect)
+    return run_isolated(_read_scaled, path, list(columns), dialect)
 
 
 def locate(path: Path | MemoryTable, row: int, dialect: Dialect = AUTODETECT) -> str:
@@ -127,28 +127,28 @@ def row_locations(path: Path, rows: int) -> list[str]:
     return run_isolated(_row_locations, path, rows)
 
 
-def _table(path: Path, dialect: Dialect) -> StoredTable:
+def _read_table(path: Path, dialect: Dialect) -> StoredTable:
     with open_columns(path, dialect) as file:
         return _stored_table(file)
 
 
 def _stored_table(file: ColumnFile) -> StoredTable:
     units = file.units if file.units_row else {}
-    return StoredTable(file.table(), units, file.delimiter, file.decimal, file.found)
+    return StoredTable(file.table(), units, file.delimiter, file.decimal, file.format_description)
 
 
-def _small_table(path: Path, dialect: Dialect) -> tuple[StoredTable, list[str], str]:
+def _read_small_table(path: Path, dialect: Dialect) -> tuple[StoredTable, list[str], str]:
     try:
         with open_columns(path, dialect) as file:
             # On leaving, the file must still be what it was when it was opened.
             table = _stored_table(file)
-            return table, file.places(table.frame.height), _checksum(file.content())
+            return table, file.row_locations(table.frame.height), _checksum(file.content())
     except NoRowsError:  # of words, such as attitudes: names stand in the first row then
         with record_errors(path):
             content = read_file(path)
         frame = load_name("counterspin.records.table_files:excel_table")(path, dialect, content)
-        plain = StoredTable(frame, {}, ColumnFile.delimiter, ColumnFile.decimal, "")
-        return plain, _sheet_locations(frame.height), _checksum(content)
+        table_of_text = StoredTable(frame, {}, ColumnFile.delimiter, ColumnFile.decimal, "")
+        return table_of_text, _sheet_locations(frame.height), _checksum(content)
 
 
 def _checksum(content: bytes) -> str:
@@ -159,23 +159,25 @@ def _sheet_locations(rows: int) -> list[str]:
     return [f"row {row + 1} below the names" for row in range(rows)]
 
 
-def _numbers(path: Path | MemoryTable, names: list[str], dialect: Dialect) -> Columns:
+def _read_numbers(path: Path | MemoryTable, names: list[str], dialect: Dialect) -> Columns:
     with open_columns(path, dialect) as file:
         file.require(names)
-        return file.whole(names)
+        return file.read_columns(names)
 
 
-def _scaled(path: Path | MemoryTable, columns: list[ColumnSpec], dialect: Dialect) -> list[Array]:
-    filed = [spec.name for spec in columns if not spec.is_derived_column]
+def _read_scaled(
+    path: Path | MemoryTable, columns: list[ColumnSpec], dialect: Dialect
+) -> list[Array]:
+    columns_in_file = [spec.name for spec in columns if not spec.is_derived_column]
     with open_columns(path, dialect) as file:
-        file.stamps = frozenset(spec.name for spec in columns if spec.kind == "stamps")
-        file.require(filed)
-        read = file.whole(filed)
-        rows = np.arange(column_rows(read), dtype=float)
-        resolved = [spec.resolved(file) for spec in columns]
+        file.timestamp_columns = frozenset(spec.name for spec in columns if spec.kind == "stamps")
+        file.require(columns_in_file)
+        read = file.read_columns(columns_in_file)
+        rows = np.arange(row_count(read), dtype=float)
+        resolved_specs = [spec.resolve_unit(file) for spec in columns]
         return [
             (rows if spec.is_derived_column else read[spec.name]) * spec.factor + spec.offset
-            for spec in resolved
+            for spec in resolved_specs
         ]
 
 
@@ -186,4 +188,4 @@ def _locate(path: Path | MemoryTable, row: int, dialect: Dialect) -> str:
 
 def _row_locations(path: Path, rows: int) -> list[str]:
     with open_columns(path) as file:
-        return file.places(rows)
+        return file.row_locations(rows)

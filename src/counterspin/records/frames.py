@@ -17,11 +17,11 @@ _NUMBERS: Final = "biuf"
 def memory_table(name: str, frame: Any) -> MemoryTable:
     """Copy the columns of a frame."""
     columns: dict[str, np.ndarray] = {}
-    others = []
+    skipped = []
     for key, values in iter_columns(name, frame):
         numbers = _numbers(values)
         if numbers is None:
-            others.append(key)
+            skipped.append(key)
             continue
         if numbers.ndim != 1:
             raise RecordError(
@@ -35,7 +35,7 @@ def memory_table(name: str, frame: Any) -> MemoryTable:
         raise RecordError(f"{name}: the columns differ in length: {listing}.")
     if not any(lengths.values()):
         raise RecordError(f"{name}: the file has no rows of numbers.")
-    return MemoryTable(name, columns, tuple(others))
+    return MemoryTable(name, columns, tuple(skipped))
 
 
 def iter_columns(name: str, frame: Any) -> Iterator[tuple[str, Any]]:
@@ -51,8 +51,8 @@ def iter_columns(name: str, frame: Any) -> Iterator[tuple[str, Any]]:
         import polars as pl
 
         arrow = hasattr(frame, "__arrow_c_stream__")
-        taken = pl.DataFrame(frame) if arrow else pl.from_dataframe(frame)
-        yield from ((column.name, column) for column in taken.get_columns())
+        polars_frame = pl.DataFrame(frame) if arrow else pl.from_dataframe(frame)
+        yield from ((column.name, column) for column in polars_frame.get_columns())
     else:
         raise RecordError(
             f"{name}: a {type(frame).__name__} has no named columns. Give a mapping of arrays, a "

@@ -126,24 +126,24 @@ class TableFormat:
     decimal: str
     mismatch: str = ""  #: Why a line of names is not used, in words.
 
-    def words(self, encoding: str) -> str:
+    def describe(self, encoding: str) -> str:
         """Say what is not plain; empty text of a plain file."""
-        said = []
+        statements = []
         if not self.header:
-            said.append("columns without names")
+            statements.append("columns without names")
         if self.mismatch:
-            said.append(self.mismatch)
+            statements.append(self.mismatch)
         if self.header > 1:
-            said.append(f"names in line {self.header}")
+            statements.append(f"names in line {self.header}")
         if self.units_row:
-            said.append("a row of units")
+            statements.append("a row of units")
         if self.delimiter in _DELIMITER_WORDS:
-            said.append(_DELIMITER_WORDS[self.delimiter])
+            statements.append(_DELIMITER_WORDS[self.delimiter])
         if self.decimal == ",":
-            said.append("decimal commas")
+            statements.append("decimal commas")
         if encoding != "utf-8":
-            said.append(encoding)
-        return ", ".join(said)
+            statements.append(encoding)
+        return ", ".join(statements)
 
 
 #: A line's number, from 1, and its text without the end of line.
@@ -179,16 +179,16 @@ def _normalise_comment(line: str) -> str:
 
 
 def _join_spaced_names(
-    parted: Sequence[tuple[int, list[str]]], lines: Sequence[Line]
+    split_lines: Sequence[tuple[int, list[str]]], lines: Sequence[Line]
 ) -> list[tuple[int, list[str]]]:
     """Return lines parted by blanks, of which those above the rows may be parted by wide ones.
 
     Names such as `Acc X` have a blank within them, and two or more between them.
     """
-    widths = [len(cells) for _, cells in parted[-_PLAIN_ROWS:] if _has_numbers(cells, ".")]
+    widths = [len(cells) for _, cells in split_lines[-_PLAIN_ROWS:] if _has_numbers(cells, ".")]
     width = max(set(widths), key=widths.count, default=0)
     result = []
-    for (number, cells), (_, line) in zip(parted, lines, strict=True):
+    for (number, cells), (_, line) in zip(split_lines, lines, strict=True):
         wide = [cell for cell in _WIDE_BLANKS.split(_normalise_comment(line).strip()) if cell]
         text = cells and not _has_numbers(cells, ".")
         result.append((number, wide if text and len(wide) == width != len(cells) else cells))
@@ -224,12 +224,12 @@ def plain_format(lines: Sequence[Line], dialect: Dialect) -> TableFormat | None:
     delimiter = dialect.delimiter or max(SINGLE_DELIMITERS, key=line.count)
     names = split_cells(_COMMENT.sub("", line, count=1), delimiter)
     # Among the rows a blank line is a row of empty cells; here it stops the parser.
-    body = iter([place for place, below in lines if place > number and below.strip()])
+    body = iter([n for n, line_text in lines if n > number and line_text.strip()])
     cells: list[str] = []
     if dialect.units_row:
         units_line = next(body, number + 1)
         cells = next(
-            (split_cells(below, delimiter) for place, below in lines if place == units_line), []
+            (split_cells(line_text, delimiter) for n, line_text in lines if n == units_line), []
         )
     units = [parse_file_unit(cell) or "" for cell in [*cells, *[""] * len(names)][: len(names)]]
     units = [unit or bracketed_unit(name) for unit, name in zip(units, names, strict=True)]
@@ -248,12 +248,12 @@ def plain_format(lines: Sequence[Line], dialect: Dialect) -> TableFormat | None:
 
 def _number_duplicates(names: Sequence[str]) -> tuple[str, ...]:
     """Return names of columns, those that occur more than once with their number behind."""
-    seen: dict[str, int] = {}
+    counts: dict[str, int] = {}
     numbered = []
     for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        several = name and names.count(name) > 1
-        numbered.append(f"{name}{NUMBERED}{seen[name]}" if several else name)
+        counts[name] = counts.get(name, 0) + 1
+        duplicates = name and names.count(name) > 1
+        numbered.append(f"{name}{NUMBERED}{counts[name]}" if duplicates else name)
     return tuple(numbered)
 
 
@@ -266,46 +266,46 @@ def find_rows(
     """Return how many numbers more than texts the longest stretch of rows has, and its layout."""
     skipped = dialect.skip_lines
     table = [(number, cells) for number, cells in split_lines if any(cells)]
-    begin, end = _longest_run(table, decimal, start_line=skipped or 0)
-    if end - begin < min(_MIN_ROWS, max(1, len(table) - 2)):
+    start, end = _longest_run(table, decimal, start_line=skipped or 0)
+    if end - start < min(_MIN_ROWS, max(1, len(table) - 2)):
         return None
-    while begin < end - 1 and table[begin][1][0].startswith("#"):
-        begin += 1
-    width = len(table[begin][1])
+    while start < end - 1 and table[start][1][0].startswith("#"):
+        start += 1
+    width = len(table[start][1])
     lines_above = [
         (number, cells)
-        for number, cells in table[:begin]
+        for number, cells in table[:start]
         if not cells[0].startswith("#") and number > (skipped or 0)
     ]
     if skipped is not None:
         lines_above = lines_above[:2]
     if any(len(cells) == width and _is_row(cells, decimal) for _, cells in lines_above):
         return None  # a row like any other stands above: what parts the two is no row of names
-    rows = [cells for _, cells in table[begin:end]]
-    head, mismatch = _header_in_comment(table[:begin], width, decimal), ""
+    rows = [cells for _, cells in table[start:end]]
+    head, mismatch = _header_in_comment(table[:start], width, decimal), ""
     head = head or _find_header(lines_above, dialect, width, decimal)
     if head is not None:
-        (header, names), below = head
+        (header, names), unit_cells = head
         if len(names) == width - 1 and _contains_row_names(rows, decimal, delimiter):
             names = ["column 1", *names]  # as R writes it: nothing above the names of the rows
-            below = ["", *below] if below else below
-    unnamed = head is not None and _has_unnamed_columns(names, rows, decimal)
-    nearest = lines_above or [(number, cells) for number, cells in table[:begin][-1:]]
-    if unnamed or (head is None and _has_miscounted_names(nearest, width, decimal)):
-        number, cells = (header, names) if unnamed else nearest[-1]
+            unit_cells = ["", *unit_cells] if unit_cells else unit_cells
+    is_unnamed = head is not None and _has_unnamed_columns(names, rows, decimal)
+    nearest_line = lines_above or [(number, cells) for number, cells in table[:start][-1:]]
+    if is_unnamed or (head is None and _has_miscounted_names(nearest_line, width, decimal)):
+        number, cells = (header, names) if is_unnamed else nearest_line[-1]
         if not _are_unnamed_rows(rows, decimal, delimiter):
             return None
         mismatch = (
             f"line {number} has {_count_noun(cells, 'name')} for {width} columns, so the columns "
         )
         mismatch += "are numbered"
-        header, names, below = 0, [], []
+        header, names, unit_cells = 0, [], []
     elif head is not None:
         pass
     elif all(2 * len(cells) <= width for _, cells in lines_above[-1:]) and _are_unnamed_rows(
         rows, decimal, delimiter
     ):
-        header, names, below = 0, [], []
+        header, names, unit_cells = 0, [], []
     else:
         return None
     if delimiter == "," and any(
@@ -314,23 +314,24 @@ def find_rows(
         return None  # a number that no name stands above is the rest of one: 1,25 has no two cells
     # A delimiter at the end of every row makes an empty cell that has no name.
     names += [
-        f"column {place + 1}"
-        if any(_is_number(row[place], decimal) or STAMP.fullmatch(row[place]) for row in rows)
+        f"column {index + 1}"
+        if any(_is_number(row[index], decimal) or STAMP.fullmatch(row[index]) for row in rows)
         else ""
-        for place in range(len(names), width)
+        for index in range(len(names), width)
     ]
-    units = [parse_file_unit(cell) or "" for cell in [*below, *[""] * (len(names) - len(below))]]
+    padding = [""] * (len(names) - len(unit_cells))
+    units = [parse_file_unit(cell) or "" for cell in [*unit_cells, *padding]]
     units = [unit or bracketed_unit(name) for unit, name in zip(units, names, strict=True)]
     text_count = [cell for row in rows for cell in row if cell]
     numbers = sum(_is_number(cell, decimal) for cell in text_count)
     texts = sum(not STAMP.fullmatch(cell) for cell in text_count) - numbers
-    before = table[begin][0] - 1
+    before_rows = table[start][0] - 1
     layout = TableFormat(
         header,
-        before,
+        before_rows,
         _number_duplicates(names),
         tuple(units),
-        bool(below),
+        bool(unit_cells),
         delimiter,
         decimal,
         mismatch,
@@ -344,7 +345,7 @@ def _contains_row_names(rows: Sequence[Sequence[str]], decimal: str, delimiter: 
     if not all(_is_number(row[-1], decimal) for row in rows):
         return False
     if all(cell.isdigit() for cell in first):
-        return all(int(after) - int(cell) == 1 for cell, after in pairwise(first))
+        return all(int(next_cell) - int(cell) == 1 for cell, next_cell in pairwise(first))
     if delimiter not in (BLANKS, "\t") or len(rows) < _MIN_ROWS:
         return False
     return not any(_is_number(cell, decimal) or STAMP.fullmatch(cell) for cell in first)
@@ -363,8 +364,8 @@ def _has_miscounted_names(above: Sequence[tuple[int, list[str]]], width: int, de
     if len(cells) < 2 or any(_is_number(cell, decimal) for cell in cells):
         return False
     # A comment may say anything.
-    most = 1 if cells[0].startswith("#") else width
-    return 0 < abs(len(cells) - width) <= most
+    max_cells = 1 if cells[0].startswith("#") else width
+    return 0 < abs(len(cells) - width) <= max_cells
 
 
 def _count_noun(cells: Sequence[str], noun: str) -> str:
@@ -398,12 +399,14 @@ def _find_header(
                     (labelled_rows[key][1] for key in _UNIT_KEYS if key in labelled_rows), []
                 )
                 # Columns before the channels have their names in the last line.
-                before = lines_above[-1][1] if not names[1] else []
-                named = [name or old for name, old in zip_longest(["", *names[1:width]], before)]
+                cells_above = lines_above[-1][1] if not names[1] else []
+                named = [
+                    name or old for name, old in zip_longest(["", *names[1:width]], cells_above)
+                ]
                 return (number, [name or "" for name in named[:width]]), ["", *units[1:width]]
         # Names stand right above the rows, or above the units, below which more may be told.
-        paired = None if units_row is not None else _header_and_unit_rows(lines_above, width)
-        lines_above = paired or lines_above[-2:]
+        header_pair = None if units_row is not None else _header_and_unit_rows(lines_above, width)
+        lines_above = header_pair or lines_above[-2:]
     if not lines_above:
         return None
     if units_row is None:
@@ -415,8 +418,8 @@ def _find_header(
     values = [cell for cell in names if _is_number(cell, decimal)]
     damaged = 2 * len(values) >= len(names) or any(decimal in cell for cell in values)
     # Names of columns that the rows do not have; LabVIEW's rows may end before an empty remark.
-    too_many = any(name.lower() not in ("", "comment") for name in names[width:])
-    if damaged or too_many or 2 * sum(map(bool, names)) < max(2, width):
+    has_too_many = any(name.lower() not in ("", "comment") for name in names[width:])
+    if damaged or has_too_many or 2 * sum(map(bool, names)) < max(2, width):
         return None
     return (number, names[:width]), lines_above[1][1] if units_row else []
 
@@ -433,14 +436,12 @@ def _header_in_comment(
         if not cells[0].startswith("#"):
             break
         names = [cells[0].removeprefix("#").strip(), *cells[1:]]
-        written = [name for name in names if name]
-        if len(names) != width or len(written) != width or width < 2:
+        stated = [name for name in names if name]
+        if len(names) != width or len(stated) != width or width < 2:
             continue
-        if any(_is_number(name, decimal) for name in written):
+        if any(_is_number(name, decimal) for name in stated):
             continue
-        if not units and all(
-            parse_file_unit(name) or name.lower() in _NO_UNITS for name in written
-        ):
+        if not units and all(parse_file_unit(name) or name.lower() in _NO_UNITS for name in stated):
             units = names
             continue
         return (number, names), [parse_file_unit(unit) or "" for unit in units]
@@ -451,10 +452,10 @@ def _header_and_unit_rows(
     above: Sequence[tuple[int, list[str]]], width: int
 ) -> Sequence[tuple[int, list[str]]] | None:
     """Return the line of names and that of units below it; None if there are none near the rows."""
-    for place in range(len(above) - 1, max(0, len(above) - 2 - _LINES_BELOW_UNITS), -1):
-        if _are_units(above[place][1], above[place - 1][1], width):
-            return above[place - 1 : place + 1]
-        if len(above[place][1]) != width:
+    for index in range(len(above) - 1, max(0, len(above) - 2 - _LINES_BELOW_UNITS), -1):
+        if _are_units(above[index][1], above[index - 1][1], width):
+            return above[index - 1 : index + 1]
+        if len(above[index][1]) != width:
             return None  # a line about the measurement
     return None
 
@@ -463,18 +464,18 @@ def _longest_run(
     table: Sequence[tuple[int, list[str]]], decimal: str, start_line: int
 ) -> tuple[int, int]:
     """Return from where to where the longest stretch of rows of one width goes."""
-    best, begin = (0, 0), 0
-    for place in range(len(table) + 1):
-        number, cells = table[place] if place < len(table) else (0, [])
+    longest, start = (0, 0), 0
+    for index in range(len(table) + 1):
+        number, cells = table[index] if index < len(table) else (0, [])
         comment = bool(cells) and cells[0].startswith("#")
         matches = number > start_line and (comment or _has_numbers(cells, decimal))
-        same = place > begin and len(cells) == len(table[begin][1])
-        if matches and (comment or place == begin or same):
+        same = index > start and len(cells) == len(table[start][1])
+        if matches and (comment or index == start or same):
             continue
-        if place - begin > best[1] - best[0]:
-            best = (begin, place)
-        begin = place if matches and not comment else place + 1
-    return best
+        if index - start > longest[1] - longest[0]:
+            longest = (start, index)
+        start = index if matches and not comment else index + 1
+    return longest
 
 
 def footer_lines(split_lines: Sequence[Sequence[str]], decimal: str) -> int:
@@ -493,9 +494,9 @@ def footer_lines(split_lines: Sequence[Sequence[str]], decimal: str) -> int:
     if not numeric:
         return 0
     count = 0
-    for place, cells in enumerate(reversed(split_lines[-_MAX_FOOTER_LINES:]), 1):
+    for index, cells in enumerate(reversed(split_lines[-_MAX_FOOTER_LINES:]), 1):
         if not any(cells) or cells[0].startswith("#"):
-            count += place == count + 1 and count > 0
+            count += index == count + 1 and count > 0
             continue
         fits = all(_is_row_cell(cells[n], decimal) for n in numeric if n < len(cells))
         fits = fits and any(n < len(cells) and _is_number(cells[n], decimal) for n in numeric)
@@ -508,7 +509,7 @@ def footer_lines(split_lines: Sequence[Sequence[str]], decimal: str) -> int:
         )
         if fits and not _RESULT_LABEL.fullmatch(cells[0]):
             break
-        count = place
+        count = index
     return count if count < len(split_lines) - _MIN_ROWS else 0
 
 
@@ -521,19 +522,19 @@ def _is_row_cell(cell: str, decimal: str) -> bool:
 def find_thousands_separator(lines: Iterable[str]) -> str | None:
     """Return the thousands separator of cells that have decimals too; None without one."""
     text = "\n".join(lines)
-    for mark, decimal in _GROUPED.items():
-        edge = '"' if mark == "," else r'["\t;\n]'
-        cell = rf"{edge}[-+]?\d{{1,3}}(?:{re.escape(mark)}\d{{3}})+{decimal}\d+(?={edge})"
+    for separator, decimal in _GROUPED.items():
+        edge = '"' if separator == "," else r'["\t;\n]'
+        cell = rf"{edge}[-+]?\d{{1,3}}(?:{re.escape(separator)}\d{{3}})+{decimal}\d+(?={edge})"
         if re.search(cell, f"\n{text}\n"):
-            return mark
+            return separator
     return None
 
 
-def strip_thousands(text: str, mark: str) -> str:
+def strip_thousands(text: str, separator: str) -> str:
     """Return a text without the marks that part groups of three digits."""
-    edge = '"' if mark == "," else r'["\t;\r\n]'
-    cell = rf"(?<={edge})[-+]?\d{{1,3}}(?:{re.escape(mark)}\d{{3}})+(?=[.,]?\d*{edge})"
-    return re.sub(cell, lambda found: found[0].replace(mark, ""), f"\n{text}\n")[1:-1]
+    edge = '"' if separator == "," else r'["\t;\r\n]'
+    cell = rf"(?<={edge})[-+]?\d{{1,3}}(?:{re.escape(separator)}\d{{3}})+(?=[.,]?\d*{edge})"
+    return re.sub(cell, lambda match: match[0].replace(separator, ""), f"\n{text}\n")[1:-1]
 
 
 def split_cells(line: str, delimiter: str) -> list[str]:
@@ -577,13 +578,13 @@ def _are_units(cells: Sequence[str], names: Sequence[str], width: int) -> bool:
 
 def _is_row(cells: Iterable[str], decimal: str) -> bool:
     """Return whether cells are numbers, times or empty, and at least one is a number."""
-    some = False
+    has_value = False
     for cell in cells:
         if _is_number(cell, decimal):
-            some = True
+            has_value = True
         elif cell.lower() not in EMPTY_CELL_TEXTS and not STAMP.fullmatch(cell):
             return False
-    return some
+    return has_value
 
 
 def _has_numbers(cells: Sequence[str], decimal: str) -> bool:

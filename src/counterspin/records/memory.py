@@ -58,8 +58,9 @@ class MemoryFile(ColumnFile):
         self.path = Path(table.name)
         self.names = [*table.columns, *table.others]
         self.identity = None
-        self.units, self.units_row, self.stamps, self.found = {}, False, frozenset(), ""
-        self.first_stamp, self.interval = None, None
+        self.units, self.units_row = {}, False
+        self.timestamp_columns, self.format_description = frozenset(), ""
+        self.first_timestamp, self.interval = None, None
         self._table_in_memory = table
 
     def __exit__(

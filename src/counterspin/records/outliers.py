@@ -85,19 +85,21 @@ def detect_outliers(
     typical_scale = upper_median(np.abs(signal))
     sentinel = np.abs(signal) > _SENTINEL_RATIO * typical_scale
     if typical_scale > 0.0 and sentinel.any():
-        measured = np.where(sentinel if finite is None else sentinel | ~finite, np.nan, signal)
-        others = detect_outliers(time, measured, rate, step, unevenness, weight)
+        without_sentinels = np.where(
+            sentinel if finite is None else sentinel | ~finite, np.nan, signal
+        )
+        others = detect_outliers(time, without_sentinels, rate, step, unevenness, weight)
         return np.union1d(np.flatnonzero(sentinel if finite is None else sentinel & finite), others)
 
-    def fit_windows(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        index = starts[chosen, None] + np.arange(width)
+    def fit_windows(windows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        index = starts[windows, None] + np.arange(width)
         if uneven_time is None:
             basis = _even_basis(width, phase_step)[0]
         else:
             basis = _basis((time[index] - time[index].mean(axis=1, keepdims=True)) * rate)
-        have = np.ones(index.shape) if finite is None else finite[index].astype(float)
+        availability = np.ones(index.shape) if finite is None else finite[index].astype(float)
         residuals, scales = _robust_fit(
-            signal[index], basis, have if weight is None else have * weight[index]
+            signal[index], basis, availability if weight is None else availability * weight[index]
         )
         return index, residuals, scales
 
@@ -111,11 +113,11 @@ def detect_outliers(
     suspects = np.flatnonzero(suspect)
     for begin in range(0, len(suspects), 1024):
         index, residuals, scales = fit_windows(suspects[begin : begin + 1024])
-        limit = LIMIT_SDS * np.clip(scales, scale, _NOISE_RATIO * scale)
-        out = np.abs(residuals) > limit[:, None]
+        limits = LIMIT_SDS * np.clip(scales, scale, _NOISE_RATIO * scale)
+        is_outlier = np.abs(residuals) > limits[:, None]
         # Where most of a window is out, something has changed; that is not for us to judge.
-        out[2 * out.sum(axis=1) > width] = False
-        marked[index[out]] = True
+        is_outlier[2 * is_outlier.sum(axis=1) > width] = False
+        marked[index[is_outlier]] = True
     return np.flatnonzero(marked)
 
 
@@ -124,10 +126,10 @@ def upper_median(values: np.ndarray) -> float:
 
     For the few hundred values of a chunk `np.median` takes several times as long.
     """
-    half = len(values) // 2
+    middle = len(values) // 2
     partitioned = values.copy()
-    partitioned.partition(half)
-    return float(partitioned[half])
+    partitioned.partition(middle)
+    return float(partitioned[middle])
 
 
 def _screen_all(
@@ -145,9 +147,9 @@ def _screen_all(
         # The usual case again, at a fraction of the time that `_screen` takes for one window.
         basis, functions, _ = _even_basis(width, phase_step)
         remainder = last - (last @ basis) @ functions
-        top, limit = np.abs(remainder).max(), _SCREEN_SDS * scale
+        highest, limit = np.abs(remainder).max(), _SCREEN_SDS * scale
         # Residuals have no mean, and no median is farther from it than their standard deviation.
-        if top <= limit and top + math.sqrt(remainder @ remainder / width) <= limit:
+        if highest <= limit and highest + math.sqrt(remainder @ remainder / width) <= limit:
             return np.append(peak, 0.0), np.append(broken, False), scale
     last_time = None if time is None else time[-width:]
     last_peak, last_broken, _ = _screen(last, last_time, width, phase_step, step)
@@ -164,10 +166,10 @@ def _screen(
     if time is not None:
         # Move each sample along the signal's slope to where an even clock would have taken it.
         times = time.reshape(-1, width)
-        late = (times - times.mean(axis=1, keepdims=True)) / step
-        late -= np.arange(width) - (width - 1) / 2
-        broken = np.abs(late).max(axis=1) > max(_SHIFT_RAD / abs(phase_step), _SHIFT_STEPS)
-        windows = windows - ((windows @ basis) @ slopes) * late
+        offset = (times - times.mean(axis=1, keepdims=True)) / step
+        offset -= np.arange(width) - (width - 1) / 2
+        broken = np.abs(offset).max(axis=1) > max(_SHIFT_RAD / abs(phase_step), _SHIFT_STEPS)
+        windows = windows - ((windows @ basis) @ slopes) * offset
     residuals = aligned(len(windows), width)
     np.matmul(windows @ basis, functions, out=residuals)
     np.subtract(windows, residuals, out=residuals)
@@ -257,8 +259,8 @@ def _robust_fit(
         size = np.maximum(np.abs(residuals), 0.1 * spread(residuals)[:, None])
         residuals = fit(weight**2 * size.min(axis=1, keepdims=True) / size, first)
     for _ in range(4):
-        reach = np.clip(residuals / (6.0 * spread(residuals)[:, None]), -1, 1)
-        residuals = fit(weight**2 * ((1 - reach**2) ** 2 + 1e-12), basis)
+        scaled_residuals = np.clip(residuals / (6.0 * spread(residuals)[:, None]), -1, 1)
+        residuals = fit(weight**2 * ((1 - scaled_residuals**2) ** 2 + 1e-12), basis)
     scale = spread(residuals)
-    used = np.maximum(is_finite.sum(axis=1), basis.shape[-1] + 1)
-    return residuals, scale * np.sqrt(used / (used - basis.shape[-1]))
+    sample_counts = np.maximum(is_finite.sum(axis=1), basis.shape[-1] + 1)
+    return residuals, scale * np.sqrt(sample_counts / (sample_counts - basis.shape[-1]))

@@ -24,8 +24,8 @@ from counterspin.records.column_file import (
     ColumnFile,
     Columns,
     chunk_size,
-    column_rows,
     iter_chunks,
+    row_count,
 )
 from counterspin.records.dialect import AUTODETECT
 from counterspin.records.formats import open_columns
@@ -58,7 +58,7 @@ from counterspin.records.signals import (
 )
 
 #: More empty cells than this part of a run's rows refuse the record.
-MAX_EMPTY_PART = 0.05
+MAX_EMPTY_FRACTION = 0.05
 #: Fewest revolutions of a record, and of one whose mean is a reading.
 MIN_REVOLUTIONS = 3.0
 MIN_REVOLUTIONS_OF_MEAN = 1.0
@@ -92,7 +92,7 @@ def read_record(
     pulses = None
     if columns.angle is not None and columns.angle.kind == "pulses":
         source = record if columns.pulses is None else columns.pulses
-        pulses = run_isolated(_pulse_times, source, columns)
+        pulses = run_isolated(_read_pulse_times, source, columns)
         if pulses is None:
             columns = replace(columns, angle=None)
     if columns.angle is not None and pulses is not None:
@@ -101,8 +101,8 @@ def read_record(
         except ValueError as error:
             raise RecordError(f"{source}: column '{columns.angle.name}': {error}.") from None
     # Every sample of a long record would be much to hand over.
-    place = run_isolated_if_slow if block == "auto" else run_isolated
-    return place(_read_file, record, columns, motion, block, pulses)
+    run = run_isolated_if_slow if block == "auto" else run_isolated
+    return run(_read_file, record, columns, motion, block, pulses)
 
 
 def _read_file(
@@ -119,12 +119,10 @@ def _read_file(
             if not file.use_strict_parser():
                 raise
             record = _read_tested(file, resolved, motion, block)
-        others = {
-            file_read.path: file_read.identity for file_read in files[1:] if file_read.identity
-        }
+        other_files = {f.path: f.identity for f in files[1:] if f.identity}
         if columns.pulses and pulses and pulses[1]:
-            others[columns.pulses] = pulses[1]
-        return replace(record, others=others) if others else record
+            other_files[columns.pulses] = pulses[1]
+        return replace(record, other_files=other_files) if other_files else record
 
 
 @contextmanager
@@ -142,22 +140,22 @@ def open_record(
         files = [stack.enter_context(open_columns(path, columns.dialect))]
         files += [
             stack.enter_context(open_columns(continuation, columns.dialect))
-            for continuation in columns.more
+            for continuation in columns.continuation_files
         ]
         columns = columns.required(files[0])
         for record_file in files:
-            record_file.stamps = columns.stamps
-            record_file.require(columns.filed)
-            refuse_several_sensors(record_file, columns.filed)
-        columns = columns.resolved(files[0])
+            record_file.timestamp_columns = columns.timestamp_columns
+            record_file.require(columns.file_columns)
+            refuse_several_sensors(record_file, columns.file_columns)
+        columns = columns.resolve_units(files[0])
         if len(files) == 1 and not is_derived(columns):
             yield files[0], columns, files
             return
-        columns = columns.made()
+        columns = columns.with_derived_names()
         yield RunFile(files, columns, rate, pulses), columns, files
 
 
-def _pulse_times(
+def _read_pulse_times(
     path: Path | MemoryTable, columns: RecordColumns
 ) -> tuple[np.ndarray, FileIdentity | None] | None:
     """Return the times of a record's pulses, s, and the file they are in.
@@ -169,8 +167,8 @@ def _pulse_times(
         if spec is None:
             return None
         file.require([spec.name])
-        spec = spec.resolved(file)
-        times = file.whole([spec.name])[spec.name]
+        spec = spec.resolve_unit(file)
+        times = file.read_columns([spec.name])[spec.name]
         return times[np.isfinite(times)] * spec.factor, file.identity
 
 
@@ -183,11 +181,11 @@ def _read_tested(
 ) -> Record:
     """Read a file, and read it again without isolated rows at its ends."""
     reader = _RecordReader(file, columns, motion, block)
-    blocks = reader.read(columns.part)
+    blocks = reader.read(columns.time_range)
     segment = reader.main_segment(blocks)
     if segment is not None:
         reader = _RecordReader(file, columns, motion, block)
-        begin, end = columns.part
+        begin, end = columns.time_range
         blocks = reader.read((max(begin, segment[0]), min(end, segment[1])))
     return reader.record(blocks)
 
@@ -229,27 +227,27 @@ class _RecordReader:
 
         time_range: First and last time, s in the file's own clock, between which rows are taken.
         """
-        parts: list[BlockMeans] = []
+        chunks: list[BlockMeans] = []
         averager: BlockAverager | None = None
         for columns in iter_chunks(self._file.batches(self._columns.names), self._choose_rows):
-            rows = column_rows(columns)
-            if not self._motion.steady:
+            rows = row_count(columns)
+            if not self._motion.constant_input:
                 signals = [columns[spec.name] for spec in self._signals]
                 self._polynomials.add(columns[self._columns.time.name], signals)
-            first, last = self._rows_within(columns, time_range)
-            excluded = rows - (last - first)
-            outside = (
-                rows - _row_count(*self._rows_within(columns, self._columns.part))
-                if excluded
+            first, last = self._row_range(columns, time_range)
+            excluded_rows = rows - (last - first)
+            out_of_range = (
+                rows - _row_count(*self._row_range(columns, self._columns.time_range))
+                if excluded_rows
                 else 0
             )
-            self._outside += outside
-            self._lone += excluded - outside
+            self._outside += out_of_range
+            self._lone += excluded_rows - out_of_range
             if first < last:
-                taken = {name: column[first:last] for name, column in columns.items()}
+                used_columns = {name: column[first:last] for name, column in columns.items()}
                 if averager is None:
-                    self._first_time = self._first_number(taken[self._columns.time.name])
-                chunk = self._make_chunk(taken)
+                    self._first_time = self._first_number(used_columns[self._columns.time.name])
+                chunk = self._make_chunk(used_columns)
                 if averager is None:
                     self._clock.start(chunk.time, chunk.angle)
                     self._repeats.start(
@@ -259,13 +257,13 @@ class _RecordReader:
                         self._block,
                         self._clock.step,
                         self._clock.rate,
-                        reject_outliers=not self._motion.posed,
+                        reject_outliers=not self._motion.multi_pose,
                     )
-                signals = self._repeats.without(self._rows + first, chunk.signals, self._block > 1)
+                signals = self._repeats.fill(self._rows + first, chunk.signals, self._block > 1)
                 chunk = Chunk(chunk.time, chunk.angle, signals)
                 blocks = self._process_chunk(self._rows + first, chunk, averager)
                 if blocks is not None:
-                    parts.append(blocks)
+                    chunks.append(blocks)
             self._rows += rows
         if averager is None:
             raise RecordError(
@@ -274,23 +272,23 @@ class _RecordReader:
                 else f"{self._file.path}: the file names its columns, but has no rows."
             )
         self._clock.finish()
-        self._refuse_empty()
-        if not parts:
+        self._check_empty_rows()
+        if not chunks:
             raise RecordError(f"{self._file.path}: no row of the record can be used.")
-        return BlockMeans.joined(parts)
+        return BlockMeans.concatenate(chunks)
 
     def main_segment(self, blocks: BlockMeans) -> tuple[float, float] | None:
         """Return the times, in the file's own clock, between which no rows stand alone."""
         rate = abs(self._motion.rate)
         revolution = 2 * np.pi / rate if rate else 0.0
-        within = main_segment(blocks, max(revolution, _ISOLATION_STEPS * self._clock.step))
-        return within and (within[0] + self._start_time, within[1] + self._start_time)
+        segment = main_segment(blocks, max(revolution, _ISOLATION_STEPS * self._clock.step))
+        return segment and (segment[0] + self._start_time, segment[1] + self._start_time)
 
-    def _rows_within(self, columns: Columns, time_range: tuple[float, float]) -> tuple[int, int]:
+    def _row_range(self, columns: Columns, time_range: tuple[float, float]) -> tuple[int, int]:
         """Return the first of the rows inside, and the one after the last."""
         spec = self._columns.time
         if time_range == (-np.inf, np.inf):
-            return 0, column_rows(columns)
+            return 0, row_count(columns)
         time = columns[spec.name] * spec.factor
         inside = np.flatnonzero(~((time < time_range[0]) | (time > time_range[1])))
         return (int(inside[0]), int(inside[-1]) + 1) if len(inside) else (0, 0)
@@ -329,20 +327,20 @@ class _RecordReader:
     def _process_chunk(
         self, first_row: int, chunk: Chunk, averager: BlockAverager
     ) -> BlockMeans | None:
-        accepted = self._clock.accept(first_row, chunk)
-        good = accepted.chunk
-        if not len(good):
+        usable = self._clock.accept(first_row, chunk)
+        usable_chunk = usable.chunk
+        if not len(usable_chunk):
             self._count_empty(first_row, chunk.signals)
             return None
-        reduced = averager.average(good, accepted.unevenness)
-        if not reduced.complete or accepted.rows is not None:
+        averaged = averager.average(usable_chunk, usable.unevenness)
+        if not averaged.complete or usable.rows is not None:
             self._count_empty(first_row, chunk.signals)
-        for place, outlying in enumerate(reduced.outliers):
-            if len(outlying):
-                rows = outlying if accepted.rows is None else accepted.rows[outlying]
-                values = good.signals[place][outlying]
-                self._note_outliers(place, rows + first_row, good.time[outlying], values)
-        return reduced.blocks
+        for index, outliers in enumerate(averaged.outliers):
+            if len(outliers):
+                rows = outliers if usable.rows is None else usable.rows[outliers]
+                values = usable_chunk.signals[index][outliers]
+                self._note_outliers(index, rows + first_row, usable_chunk.time[outliers], values)
+        return averaged.blocks
 
     def _count_empty(self, first_row: int, signals: list[np.ndarray]) -> None:
         for place, signal in enumerate(signals):
@@ -356,40 +354,40 @@ class _RecordReader:
                 )
 
     def _note_outliers(
-        self, place: int, rows: np.ndarray, times: np.ndarray, values: np.ndarray
+        self, index: int, rows: np.ndarray, times: np.ndarray, values: np.ndarray
     ) -> None:
-        room = LISTED - self._outliers[place]
-        self._outliers[place] += len(rows)
-        spec = self._signals[place]
-        for row, time, value in zip(rows[: max(room, 0)], times, values, strict=False):
+        capacity = LISTED - self._outliers[index]
+        self._outliers[index] += len(rows)
+        spec = self._signals[index]
+        for row, time, value in zip(rows[: max(capacity, 0)], times, values, strict=False):
             size = float(value) * spec.factor + spec.offset
             self._listed.append(
                 Outlier(spec.name, int(row) + 1, float(time) + self._start_time, size)
             )
 
-    def _refuse_empty(self) -> None:
+    def _check_empty_rows(self) -> None:
         counts = self._empty_counts()
-        if self._motion.posed:
+        if self._motion.multi_pose:
             # Of a sensor that is polled more seldom than others many rows are empty; rests are
             # looked for in those that are not.
             counts = {self._columns.time.name: counts[self._columns.time.name]}
         for name, count in counts.items():
-            if count > MAX_EMPTY_PART * self._rows:
+            if count > MAX_EMPTY_FRACTION * self._rows:
                 raise RecordError(
                     f"{self._file.path}: column '{name}' has {count} empty cells in "
-                    f"{self._rows} rows; at most {MAX_EMPTY_PART:.0%} may be empty."
+                    f"{self._rows} rows; at most {MAX_EMPTY_FRACTION:.0%} may be empty."
                 )
         large = self._clock.findings.implausible_angles
-        if self._columns.angle is not None and large > MAX_EMPTY_PART * self._rows:
+        if self._columns.angle is not None and large > MAX_EMPTY_FRACTION * self._rows:
             raise RecordError(
                 f"{self._file.path}: column '{self._columns.angle.name}' has {large} angles beyond "
-                f"{MAX_ANGLE:g} rad in {self._rows} rows; at most {MAX_EMPTY_PART:.0%} may be "
+                f"{MAX_ANGLE:g} rad in {self._rows} rows; at most {MAX_EMPTY_FRACTION:.0%} may be "
                 "so large. Check the unit of the column, or subtract its first value."
             )
-        differing = self._clock.findings.differing
-        if differing > MAX_EMPTY_PART * self._rows:
+        differing_count = self._clock.findings.differing
+        if differing_count > MAX_EMPTY_FRACTION * self._rows:
             raise RecordError(
-                f"{self._file.path}: {differing} of {self._rows} rows repeat the time of "
+                f"{self._file.path}: {differing_count} of {self._rows} rows repeat the time of "
                 "the row before with other values; the time column may be too coarse."
             )
 
@@ -409,18 +407,18 @@ class _RecordReader:
             self._check_magnitude(self._columns.angle, blocks.angle)
         phase = self._motion.rate * blocks.time if blocks.angle is None else blocks.angle
         signals: dict[str, np.ndarray] = {}
-        parts: dict[str, np.ndarray] = {}
-        for place, (name, spec) in enumerate(self._columns.signals.items()):
-            signal = _scale(blocks.signals[place], spec.factor, spec.offset)
+        moments_by_signal: dict[str, np.ndarray] = {}
+        for index, (name, spec) in enumerate(self._columns.signals.items()):
+            signal = _scale(blocks.signals[index], spec.factor, spec.offset)
             self._check_magnitude(spec, signal)
             if self._block > 1:
-                signal = self._reject_outlying_blocks(blocks, place, signal)
-            if not self._motion.steady:
-                signal, fitted = self._check_amplitude(place, name, blocks, phase, signal)
+                signal = self._reject_outlying_blocks(blocks, index, signal)
+            if not self._motion.constant_input:
+                signal, fitted = self._check_amplitude(index, name, blocks, phase, signal)
                 noise = residual_noise(fitted) * np.sqrt(median(blocks.count))
-                ends = self._polynomials.ends(place)
-                moments = np.append(self._polynomials.of(place), ends)
-                parts[name] = moments * (spec.factor / noise)
+                end_sizes = self._polynomials.end_size(index)
+                moments = np.append(self._polynomials.normalised_coefficients(index), end_sizes)
+                moments_by_signal[name] = moments * (spec.factor / noise)
             signals[name] = signal
         return Record(
             blocks.time,
@@ -431,20 +429,20 @@ class _RecordReader:
             self._start_time,
             self._report(blocks),
             self._file.identity,
-            polynomials=parts,
+            polynomials=moments_by_signal,
             angle_sd=blocks.angle_sd,
         )
 
     def _check_length(self, blocks: BlockMeans) -> None:
         duration = float(blocks.time[-1] - blocks.time[0])
         revolutions = duration * abs(self._motion.rate) / (2 * np.pi)
-        steady = self._motion.steady
-        fewest = MIN_REVOLUTIONS_OF_MEAN if steady else MIN_REVOLUTIONS
-        if self._motion.rate and revolutions < fewest * (1.0 - 1e-9):
-            needed = f"{fewest:g} are" if fewest > 1.0 else "1 is"
+        is_constant = self._motion.constant_input
+        min_revolutions = MIN_REVOLUTIONS_OF_MEAN if is_constant else MIN_REVOLUTIONS
+        if self._motion.rate and revolutions < min_revolutions * (1.0 - 1e-9):
+            required = f"{min_revolutions:g} are" if min_revolutions > 1.0 else "1 is"
             raise RecordError(
                 f"{self._file.path}: the record lasts {duration:.6g} s, {revolutions:.3g} "
-                f"revolutions at the run's rate; at least {needed} needed. "
+                f"revolutions at the run's rate; at least {required} needed. "
                 "Check the unit of the time column."
             )
         if revolutions > MAX_REVOLUTIONS_PER_ROW * self._rows:
@@ -452,8 +450,8 @@ class _RecordReader:
                 f"{self._file.path}: the record has {self._rows} rows in {revolutions:.4g} "
                 "revolutions, too few to follow the rotation. Check the unit of the time column."
             )
-        most = ANY_REVOLUTIONS + MAX_REVOLUTIONS_PER_ROW_ANY_PHASE * self._rows
-        if revolutions > most and not steady:
+        max_revolutions = ANY_REVOLUTIONS + MAX_REVOLUTIONS_PER_ROW_ANY_PHASE * self._rows
+        if revolutions > max_revolutions and not is_constant:
             raise RecordError(
                 f"{self._file.path}: the record has {self._rows} rows in {revolutions:.6g} "
                 f"revolutions. Beyond {ANY_REVOLUTIONS:g} revolutions, 16 rows are needed for each "
@@ -470,7 +468,7 @@ class _RecordReader:
 
     def _check_amplitude(
         self,
-        place: int,
+        index: int,
         accelerometer: str,
         blocks: BlockMeans,
         phase: np.ndarray,
@@ -482,31 +480,31 @@ class _RecordReader:
         """
         expected = self._motion.expected_harmonics.get(accelerometer)
         fitted = fit_harmonics(phase, signal)
-        none = np.empty(0, dtype=int)
-        dead = none if expected is None else find_dropout(fitted, phase, signal)
-        if len(dead) > MAX_EMPTY_PART * len(signal):
-            begin, end = blocks.time[dead[0]], blocks.time[dead[-1]]
+        no_rows = np.empty(0, dtype=int)
+        dropout = no_rows if expected is None else find_dropout(fitted, phase, signal)
+        if len(dropout) > MAX_EMPTY_FRACTION * len(signal):
+            start, end = blocks.time[dropout[0]], blocks.time[dropout[-1]]
             raise RecordError(
                 f"{self._file.path}: column '{self._columns.signals[accelerometer].name}' does not "
-                f"follow the rotation for {len(dead) / len(signal):.2g} of the record, between "
-                f"{begin:.6g} s and {end:.6g} s after its start, and does so again after that, as "
-                f"where a channel is dead; at most {MAX_EMPTY_PART:.0%} may be. Cut the record "
+                f"follow the rotation for {len(dropout) / len(signal):.2g} of the record, between "
+                f"{start:.6g} s and {end:.6g} s after its start, and does so again after that, as "
+                f"where a channel is dead; at most {MAX_EMPTY_FRACTION:.0%} may be. Cut the record "
                 "here."
             )
-        if len(dead):
-            dead = dead[~np.isnan(signal[dead])]  # what is empty or out already is counted
-            self._outliers[place] += int(blocks.count[dead].sum())
+        if len(dropout):
+            dropout = dropout[~np.isnan(signal[dropout])]  # what is empty or out already is counted
+            self._outliers[index] += int(blocks.count[dropout].sum())
             signal = signal.copy()
-            signal[dead] = np.nan
+            signal[dropout] = np.nan
             fitted = fit_harmonics(phase, signal)
         change = find_unit_change(fitted, may_grow=expected is None)
         if change is not None:
             raise self._unit_change_error(accelerometer, fitted, change, blocks.time, phase)
         if expected is not None:
-            wrong = check_first_harmonic(fitted, expected, self._columns.angle is not None)
-            if wrong is not None:
+            problem = check_first_harmonic(fitted, expected, self._columns.angle is not None)
+            if problem is not None:
                 column = self._columns.signals[accelerometer].name
-                raise RecordError(f"{self._file.path}: column '{column}' {wrong}.")
+                raise RecordError(f"{self._file.path}: column '{column}' {problem}.")
         return signal, fitted
 
     def _unit_change_error(
@@ -519,7 +517,7 @@ class _RecordReader:
     ) -> RecordError:
         """Say at which line of the file a signal changes its unit."""
         # Samples about the change were taken for outliers: look at the file again.
-        begin = block_times[fitted.first[change.before]]
+        start = block_times[fitted.first[change.before]]
         end = block_times[fitted.last[change.after]]
         spec = self._columns.signals[accelerometer]
         rows: list[np.ndarray] = []
@@ -528,17 +526,19 @@ class _RecordReader:
         row = 0
         for columns in self._file.batches(self._columns.names):
             time = self._make_chunk(columns).time
-            inside = np.flatnonzero((time >= begin) & (time <= end))
+            inside = np.flatnonzero((time >= start) & (time <= end))
             rows.append(row + inside)
             times.append(time[inside])
             signals.append(_scale(columns[spec.name][inside], spec.factor, spec.offset))
             row += len(time)
         angle = np.interp(np.concatenate(times), block_times, phase)
-        at = min(find_changepoint(fitted, change, angle, np.concatenate(signals)), len(angle) - 1)
-        where = self._file.locate_row(int(np.concatenate(rows)[at]))
+        row_index = min(
+            find_changepoint(fitted, change, angle, np.concatenate(signals)), len(angle) - 1
+        )
+        location = self._file.locate_row(int(np.concatenate(rows)[row_index]))
         return RecordError(
-            f"{self._file.path}, {where}: column '{spec.name}' changes its unit or its scale: "
-            f"{change.words}. Cut the record here or correct the column."
+            f"{self._file.path}, {location}: column '{spec.name}' changes its unit or its scale: "
+            f"{change.description}. Cut the record here or correct the column."
         )
 
     def _reject_outlying_blocks(
@@ -568,6 +568,7 @@ class _RecordReader:
             listed += [Outlier(name, row + 1, np.nan, np.nan) for row in findings.outlier_rows]
             advance = blocks.angle[-1] - blocks.angle[0]
             rate = float(advance / (blocks.time[-1] - blocks.time[0]))
+        formats = [self._file.format_description, *self._repeats.notes(self._rows)]
         return RecordReport(
             path=self._file.path,
             rows=self._rows,
@@ -576,7 +577,7 @@ class _RecordReader:
             differing=findings.differing,
             empty=self._empty_counts(),
             outliers=outliers,
-            lone=self._lone,
+            isolated=self._lone,
             listed=tuple(listed),
             gaps=tuple(Gap(gap.time + self._start_time, gap.length) for gap in findings.gaps),
             gap_count=findings.gap_count,
@@ -584,14 +585,14 @@ class _RecordReader:
             step=self._clock.step,
             rate=rate,
             block=self._block,
-            found=", ".join(filter(None, [self._file.found, *self._repeats.words(self._rows)])),
+            format_description=", ".join(filter(None, formats)),
             outside=self._outside,
         )
 
 
 def _scale(values: np.ndarray, factor: float, offset: float = 0.0) -> np.ndarray:
-    scaled = values if factor == 1 else values * factor
-    return scaled + offset if offset else scaled
+    result = values if factor == 1 else values * factor
+    return result + offset if offset else result
 
 
 def _row_count(first: int, last: int) -> int:

@@ -61,7 +61,7 @@ class RecordReport:
     empty: dict[str, int]
     outliers: dict[str, int]
     #: Rows that were left out because they stand alone, before the first or after the last gap.
-    lone: int
+    isolated: int
     listed: tuple[Outlier, ...]  #: The first outliers, at most 100 for each column.
     #: The first hundred stretches of missing rows, and how many there are.
     gaps: tuple[Gap, ...]
@@ -71,7 +71,7 @@ class RecordReport:
     step: float
     rate: float | None
     block: int  #: Samples that a full block holds; 1 for point samples.
-    found: str = ""  #: Description of an unusual file format.
+    format_description: str = ""  #: Description of an unusual file format.
     outside: int = 0  #: Rows outside the time range that is used.
 
     def counts(self, outliers: int = 0) -> dict[str, int]:
@@ -88,27 +88,27 @@ class RecordReport:
     def notes(self) -> list[str]:
         """Return one plain sentence for each thing found, for warnings and reports."""
         notes = []
-        if self.found:
-            notes.append(f"The file was read as follows: {self.found}.")
+        if self.format_description:
+            notes.append(f"The file was read as follows: {self.format_description}.")
         if self.outside:
             notes.append(f"{self.outside} rows outside the part to be used were left out.")
         if self.repeated:
-            words = f", {self.differing} of them with other values" if self.differing else ""
-            notes.append(f"{self.repeated} repeated rows were dropped{words}.")
+            text = f", {self.differing} of them with other values" if self.differing else ""
+            notes.append(f"{self.repeated} repeated rows were dropped{text}.")
         for column, count in self.empty.items():
             if count:
                 notes.append(f"{count} empty cells in column '{column}' were left out.")
         for column, count in self.outliers.items():
             if count:
                 notes.append(f"{count} outliers in column '{column}' were left out.")
-        if self.lone:
-            words = "1 row that stands" if self.lone == 1 else f"{self.lone} rows that stand"
-            was = "was" if self.lone == 1 else "were"
-            notes.append(f"{words} alone beyond a gap {was} left out.")
+        if self.isolated:
+            text = "1 row that stands" if self.isolated == 1 else f"{self.isolated} rows that stand"
+            verb = "was" if self.isolated == 1 else "were"
+            notes.append(f"{text} alone beyond a gap {verb} left out.")
         if self.gap_count:
             longest = max(gap.length for gap in self.gaps)
-            words = "1 gap" if self.gap_count == 1 else f"{self.gap_count} gaps"
-            notes.append(f"{words} in the record; the longest takes {longest:.6g} s.")
+            text = "1 gap" if self.gap_count == 1 else f"{self.gap_count} gaps"
+            notes.append(f"{text} in the record; the longest takes {longest:.6g} s.")
         return notes
 
 
@@ -133,7 +133,7 @@ class ColumnSpec:
     #: without the latter, as of an output such as a current, nothing is compared with what the
     #: file says.
     unit: str | None = None
-    wanted: str = ""
+    target_unit: str = ""
     gravity: float | None = None  #: m/s^2, where g and m/s^2 are to be converted.
     #: ``numbers``; ``stamps`` in ISO 8601; ``rows``, which are counted where there is no such
     #: column, `factor` being the time from one to the next; or ``pulses``: times at which the
@@ -146,11 +146,11 @@ class ColumnSpec:
     @property
     def in_g(self) -> bool:
         """True if the numbers depend on the assumed gravity: recorded in g, or as a current."""
-        if self.wanted:
+        if self.target_unit:
             return self.unit is not None and base_unit(self.unit)[1]["[gravity]"] != 0.0
         return bool(self.name)
 
-    def filed(self, values: Array) -> Array:
+    def to_file_units(self, values: Array) -> Array:
         """Return values in SI, converted to the numbers of the column."""
         filed: Array = (values - self.offset) / self.factor
         return filed
@@ -160,27 +160,27 @@ class ColumnSpec:
         """True if the column is derived and no row of the file contains it."""
         return self.kind in ("rows", "pulses")
 
-    def resolved(self, file: ColumnFile) -> ColumnSpec:
+    def resolve_unit(self, file: ColumnFile) -> ColumnSpec:
         """Return the column with the unit that the file states, or compare that with it."""
-        if not self.wanted or self.kind in ("stamps", "rows"):
+        if not self.target_unit or self.kind in ("stamps", "rows"):
             return self
         file_unit = file.units.get(self.name, "")
-        where = f"{file.path}: column '{self.name}'"
+        place = f"{file.path}: column '{self.name}'"
         if self.unit is None:
             if not file_unit:
-                raise RecordError(f"{where} has no unit in the file; state it in the campaign.")
+                raise RecordError(f"{place} has no unit in the file; state it in the campaign.")
             if self.kind == "temperature" and file_unit in TEMPERATURE_SCALES:
-                return replace(self, unit=file_unit).resolved(file)
+                return replace(self, unit=file_unit).resolve_unit(file)
             try:
-                factor = unit_factor(file_unit, self.wanted, gravity=self.gravity)
+                factor = unit_factor(file_unit, self.target_unit, gravity=self.gravity)
             except ValueError as error:
-                raise RecordError(f"{where} is in '{file_unit}' by the file: {error}.") from None
+                raise RecordError(f"{place} is in '{file_unit}' by the file: {error}.") from None
             # Beside the unit there may be a sense, or a clock that is known to be fast.
             return replace(self, factor=factor * self.factor, unit=file_unit)
-        same = file_unit == self.unit or same_unit(file_unit, self.unit, gravity=self.gravity)
-        if file_unit and file.units_row and not same:
+        is_same = file_unit == self.unit or same_unit(file_unit, self.unit, gravity=self.gravity)
+        if file_unit and file.units_row and not is_same:
             raise RecordError(
-                f"{where} is in '{file_unit}' by the file's row of units, but in '{self.unit}' by "
+                f"{place} is in '{file_unit}' by the file's row of units, but in '{self.unit}' by "
                 "the campaign."
             )
         if self.kind == "temperature":
@@ -199,28 +199,28 @@ class RecordColumns:
     dialect: Dialect = AUTODETECT  #: How the file is written, as far as that is known.
     #: From where to where the record is used, s in its own time; of stamps, and of rows that are
     #: counted, from the first row.
-    part: tuple[float, float] = (-math.inf, math.inf)
-    more: tuple[Path, ...] = ()  #: Files in which the record goes on.
+    time_range: tuple[float, float] = (-math.inf, math.inf)
+    continuation_files: tuple[Path, ...] = ()  #: Files in which the record goes on.
     pulses: Path | None = None  #: The file that has the times of pulses; None: the record itself.
     needs_angle: bool = True  #: Whether a file without the column of the angle is refused.
 
     def required(self, file: ColumnFile) -> RecordColumns:
         """Return the columns without an angle that a file does not have and that is not needed."""
         angle = self.angle
-        if angle is None or self.needs_angle or self.pulses or file.has(angle.name):
+        if angle is None or self.needs_angle or self.pulses or file.has_column(angle.name):
             return self
         return replace(self, angle=None)
 
-    def resolved(self, file: ColumnFile) -> RecordColumns:
-        """Return the columns with the units that the file states; see `ColumnSpec.resolved`."""
+    def resolve_units(self, file: ColumnFile) -> RecordColumns:
+        """Return the columns with the units that the file states; see `ColumnSpec.resolve_unit`."""
         return replace(
             self,
-            time=self.time.resolved(file),
-            angle=self.angle and self.angle.resolved(file),
-            signals={name: spec.resolved(file) for name, spec in self.signals.items()},
+            time=self.time.resolve_unit(file),
+            angle=self.angle and self.angle.resolve_unit(file),
+            signals={name: spec.resolve_unit(file) for name, spec in self.signals.items()},
         )
 
-    def made(self) -> RecordColumns:
+    def with_derived_names(self) -> RecordColumns:
         """Return the columns as `RunFile` yields them, under names that no file has."""
         time, angle = self.time, self.angle
         if time.kind == "rows":
@@ -230,7 +230,7 @@ class RecordColumns:
         return replace(self, time=time, angle=angle)
 
     @property
-    def stamps(self) -> frozenset[str]:
+    def timestamp_columns(self) -> frozenset[str]:
         """The columns of time stamps."""
         return frozenset([self.time.name] if self.time.kind == "stamps" else [])
 
@@ -241,10 +241,10 @@ class RecordColumns:
         return list(dict.fromkeys(spec.name for spec in specs))
 
     @property
-    def filed(self) -> list[str]:
+    def file_columns(self) -> list[str]:
         """The columns that a file contains."""
-        made = [spec.name for spec in (self.time, self.angle) if spec and spec.is_derived_column]
-        return [name for name in self.names if name not in made]
+        derived = [spec.name for spec in (self.time, self.angle) if spec and spec.is_derived_column]
+        return [name for name in self.names if name not in derived]
 
 
 @frozen
@@ -256,9 +256,9 @@ class NominalMotion:
     #: against it.
     expected_harmonics: Mapping[str, FirstHarmonic] = field(default_factory=dict)
     #: Whether the signal is one level, as at rest or on an arm, beside which its waves are small.
-    steady: bool = False
+    constant_input: bool = False
     #: Whether it is moved between rests in an unknown way, so that no sample counts as an outlier.
-    posed: bool = False
+    multi_pose: bool = False
 
 
 @frozen
@@ -276,7 +276,7 @@ class Record:
     report: RecordReport  #: What was found.
     identity: FileIdentity | None  #: Which file it was read from; None of a record in memory.
     #: Likewise of further files: those in which it goes on, and that of its pulses.
-    others: Mapping[Path, FileIdentity] = field(default_factory=dict)
+    other_files: Mapping[Path, FileIdentity] = field(default_factory=dict)
     #: Accelerometer -> parts of its whole column along 1, t and t^2, over the noise of one row,
     #: shape (4,); NaN where nothing tells it. See `counterspin.records.signals`.
     polynomials: Mapping[str, np.ndarray] = field(default_factory=dict)

@@ -42,7 +42,7 @@ class BlockMeans:
     angle_sd: np.ndarray
 
     @classmethod
-    def joined(cls, parts: list[BlockMeans]) -> BlockMeans:
+    def concatenate(cls, parts: list[BlockMeans]) -> BlockMeans:
         """Return the parts one after the other."""
         return cls(
             np.concatenate([part.time for part in parts]),
@@ -73,10 +73,10 @@ def main_segment(blocks: BlockMeans, shortest_gap: float) -> tuple[float, float]
     shortest_gap: s, that sets rows apart.
     """
     # Half of a block's span is sqrt(3) standard deviations of its even times.
-    half = math.sqrt(3) * blocks.time_sd
-    begin, end = (blocks.time - half)[1:], (blocks.time + half)[:-1]
-    middle = (begin + end) / 2
-    gaps = np.flatnonzero(begin - end > shortest_gap)
+    half_width = math.sqrt(3) * blocks.time_sd
+    start, end = (blocks.time - half_width)[1:], (blocks.time + half_width)[:-1]
+    middle = (start + end) / 2
+    gaps = np.flatnonzero(start - end > shortest_gap)
     earlier_gaps = np.cumsum(blocks.count)[gaps]
     rows_before = gaps[earlier_gaps <= _MAX_ISOLATED_ROWS]
     rows_after = gaps[blocks.count.sum() - earlier_gaps <= _MAX_ISOLATED_ROWS]
@@ -123,20 +123,20 @@ class BlockAverager:
             outliers = [
                 detect_outliers(time, x, self._rate, self._step, unevenness) for x in signals
             ]
-        by_rows = unevenness < _ROW_UNEVENNESS
+        rowwise = unevenness < _ROW_UNEVENNESS
         if self._block == 1:
             return AveragedChunk(_point_blocks(chunk, outliers), outliers, False)
-        if by_rows and not any(len(places) for places in outliers):
-            blocks = self._even_means(chunk, unevenness)
+        if rowwise and not any(len(indices) for indices in outliers):
+            blocks = self._mean_complete(chunk, unevenness)
             # The mean over a sample that is no number is none either.
             if all(np.isfinite(x).all() for x in blocks.signals):
                 return AveragedChunk(blocks, outliers, True)
         usable = [np.isfinite(x) for x in signals]
-        for mask, places in zip(usable, outliers, strict=True):
-            mask[places] = False
-        return AveragedChunk(self._means(chunk, usable, by_rows), outliers, False)
+        for mask, indices in zip(usable, outliers, strict=True):
+            mask[indices] = False
+        return AveragedChunk(self._mean_incomplete(chunk, usable, rowwise), outliers, False)
 
-    def _even_means(self, chunk: Chunk, unevenness: float) -> BlockMeans:
+    def _mean_complete(self, chunk: Chunk, unevenness: float) -> BlockMeans:
         size, time = self._block, chunk.time
         full_samples = len(time) // size * size
         tail = len(time) - full_samples
@@ -167,47 +167,47 @@ class BlockAverager:
         signals = [means(x) for x in chunk.signals]
         return BlockMeans(mean_time, sd, count, mean_angle, signals, angle_sd)
 
-    def _means(self, chunk: Chunk, usable: list[np.ndarray], by_rows: bool) -> BlockMeans:
+    def _mean_incomplete(self, chunk: Chunk, usable: list[np.ndarray], by_rows: bool) -> BlockMeans:
         """Reduce a chunk with gaps, empty cells or outliers."""
         time = chunk.time
         if by_rows:
-            places = np.arange(len(time)) // self._block
+            indices = np.arange(len(time)) // self._block
         else:
             span = self._block * self._step
-            places = np.floor((time - time[0] + 0.5 * self._step) / span).astype(int)
-        starts = np.flatnonzero(np.diff(places, prepend=-1))
+            indices = np.floor((time - time[0] + 0.5 * self._step) / span).astype(int)
+        starts = np.flatnonzero(np.diff(indices, prepend=-1))
         rows = np.diff(starts, append=len(time))
-        places = np.repeat(np.arange(len(starts)), rows)
+        indices = np.repeat(np.arange(len(starts)), rows)
         # One set of rows serves the whole block, so that time and angle are the means of the very
         # samples that the signals are means of. A signal that lacks most of a block is left out
         # of it, rather than costing the others their samples.
-        absent = [np.add.reduceat(mask.astype(int), starts) * 2 < rows for mask in usable]
-        keep = np.ones(len(time), dtype=bool)
-        for mask, gone in zip(usable, absent, strict=True):
-            keep &= mask | gone[places]
-        count = np.add.reduceat(keep.astype(int), starts)
-        filled = count > 0
+        is_missing = [np.add.reduceat(mask.astype(int), starts) * 2 < rows for mask in usable]
+        is_used = np.ones(len(time), dtype=bool)
+        for mask, missing_rows in zip(usable, is_missing, strict=True):
+            is_used &= mask | missing_rows[indices]
+        count = np.add.reduceat(is_used.astype(int), starts)
+        is_filled = count > 0
         divisor = np.maximum(count, 1)
 
         def means(x: np.ndarray) -> np.ndarray:
-            return np.add.reduceat(np.where(keep, x, 0.0), starts) / divisor
+            return np.add.reduceat(np.where(is_used, x, 0.0), starts) / divisor
 
         mean_time = means(time)
-        sd = np.sqrt(means((time - mean_time[places]) ** 2))
+        sd = np.sqrt(means((time - mean_time[indices]) ** 2))
         mean_angle, angle_sd = None, np.full(len(sd), math.nan)
         if chunk.angle is not None:
             mean_angle = means(chunk.angle)
-            angle_sd = np.sqrt(means((chunk.angle - mean_angle[places]) ** 2))
+            angle_sd = np.sqrt(means((chunk.angle - mean_angle[indices]) ** 2))
         return BlockMeans(
-            mean_time[filled],
-            sd[filled],
-            count[filled],
-            None if mean_angle is None else mean_angle[filled],
+            mean_time[is_filled],
+            sd[is_filled],
+            count[is_filled],
+            None if mean_angle is None else mean_angle[is_filled],
             [
-                np.where(gone, np.nan, means(np.where(np.isfinite(x), x, 0.0)))[filled]
-                for x, gone in zip(chunk.signals, absent, strict=True)
+                np.where(missing_rows, np.nan, means(np.where(np.isfinite(x), x, 0.0)))[is_filled]
+                for x, missing_rows in zip(chunk.signals, is_missing, strict=True)
             ],
-            angle_sd[filled],
+            angle_sd[is_filled],
         )
 
 

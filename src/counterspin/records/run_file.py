@@ -10,7 +10,7 @@ import numpy as np
 
 from counterspin.arrays import Array, median
 from counterspin.input import FileIdentity
-from counterspin.records.column_file import ColumnFile, Columns, column_rows
+from counterspin.records.column_file import ColumnFile, Columns, row_count
 from counterspin.records.record import RecordColumns
 
 #: How far a pulse may stand from its place, in parts of the interval.
@@ -44,43 +44,43 @@ class RunFile:
         self._ends: list[int] = []
         self.path: Path = files[0].path
         self.identity: FileIdentity | None = files[0].identity
-        notes = [file.found for file in files[:1] if file.found]
+        notes = [file.format_description for file in files[:1] if file.format_description]
         if len(files) > 1:
             notes.append(f"{len(files)} files, one after the other")
         if columns.time.kind == "rows":
             notes.append(f"the time counted, {columns.time.factor:.9g} s a row")
         if pulses is not None:
             notes.append(f"the angle taken between {len(pulses)} pulses")
-        self.found = ", ".join(notes)
+        self.format_description = ", ".join(notes)
 
     def use_strict_parser(self) -> bool:
         """As of `ColumnFile`."""
-        looking = [file.use_strict_parser() for file in self._files]  # all of them
-        return any(looking)
+        switched = [file.use_strict_parser() for file in self._files]  # all of them
+        return any(switched)
 
     def locate_row(self, row: int) -> str:
         """Say where a row stands: in which file, and where in it."""
         start = 0
-        for place, file in enumerate(self._files):
-            end = self._ends[place] if place < len(self._ends) else math.inf
+        for index, file in enumerate(self._files):
+            end = self._ends[index] if index < len(self._ends) else math.inf
             if row < end:
-                where = file.locate_row(row - start)
-                return where if place == 0 else f"{file.path.name}, {where}"
+                location = file.locate_row(row - start)
+                return location if index == 0 else f"{file.path.name}, {location}"
             start = int(end)
         return f"row {row + 1}"
 
     def batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         """Yield columns in consecutive batches, those that are made too."""
         time, angle = self._columns.time, self._columns.angle
-        made = {time.name} if time.kind == "rows" else set()
+        derived = {time.name} if time.kind == "rows" else set()
         if self._pulses is not None and angle is not None:
-            made |= {angle.name}
-        filed = [name for name in wanted if name not in made]
+            derived |= {angle.name}
+        columns_in_file = [name for name in wanted if name not in derived]
         ends, rows = [], 0
         for file in self._files:
-            file.first_stamp = file.first_stamp or self._files[0].first_stamp
-            for batch in file.batches(filed):
-                count = column_rows(batch)
+            file.first_timestamp = file.first_timestamp or self._files[0].first_timestamp
+            for batch in file.batches(columns_in_file):
+                count = row_count(batch)
                 if time.kind == "rows":
                     batch[time.name] = np.arange(rows, rows + count, dtype=float)
                 if self._pulses is not None and angle is not None:
@@ -107,41 +107,45 @@ def pulse_angle(pulses: Array, time: Array, rate: float, per_revolution: float) 
         raise ValueError(f"{len(pulses)} pulses are too few to follow the rotation")
     steps = np.diff(pulses)
     if (steps <= 0).any():
-        place = int(np.flatnonzero(steps <= 0)[0]) + 2
-        raise ValueError(f"pulse {place} is not later than the one before it")
+        index = int(np.flatnonzero(steps <= 0)[0]) + 2
+        raise ValueError(f"pulse {index} is not later than the one before it")
     interval = median(steps)
-    stated = 2 * math.pi / abs(rate) / per_revolution
-    if abs(interval / stated - 1) > 0.05:
+    expected_interval = 2 * math.pi / abs(rate) / per_revolution
+    if abs(interval / expected_interval - 1) > 0.05:
         raise ValueError(
             f"the pulses are {interval:.6g} s apart; at the run's rate, with {per_revolution:g} a "
-            f"revolution, it should be {stated:.6g} s"
+            f"revolution, it should be {expected_interval:.6g} s"
         )
     # A pulse that is missing leaves an interval of two.
-    turns = np.round(steps / interval)
-    offset = np.abs(steps / interval - turns) > _MAX_PULSE_DEVIATION
-    if offset.any() or (turns < 1).any():
-        place = int(np.flatnonzero(offset | (turns < 1))[0]) + 2
+    revolutions = np.round(steps / interval)
+    offset = np.abs(steps / interval - revolutions) > _MAX_PULSE_DEVIATION
+    if offset.any() or (revolutions < 1).any():
+        index = int(np.flatnonzero(offset | (revolutions < 1))[0]) + 2
         raise ValueError(
-            f"pulse {place} comes {steps[place - 2]:.6g} s after the one before it, others after "
+            f"pulse {index} comes {steps[index - 2]:.6g} s after the one before it, others after "
             f"{interval:.6g} s"
         )
     unit = math.copysign(2 * math.pi / per_revolution, rate)
-    angles = unit * np.concatenate([[0.0], np.cumsum(turns)])
+    angles = unit * np.concatenate([[0.0], np.cumsum(revolutions)])
     # Of the two parabolas that pass through an interval's ends, the mean weighted by nearness.
     revolutions_left = np.clip(np.searchsorted(pulses, time, side="right") - 1, 0, len(pulses) - 2)
-    share = np.clip((time - pulses[revolutions_left]) / steps[revolutions_left], 0.0, 1.0)
-    before = _parabola(pulses, angles, np.clip(revolutions_left, 1, len(pulses) - 2), time)
-    after = _parabola(pulses, angles, np.clip(revolutions_left + 1, 1, len(pulses) - 2), time)
-    angle: Array = (1.0 - share) * before + share * after
+    fraction = np.clip((time - pulses[revolutions_left]) / steps[revolutions_left], 0.0, 1.0)
+    before = _interpolate_parabola(
+        pulses, angles, np.clip(revolutions_left, 1, len(pulses) - 2), time
+    )
+    after = _interpolate_parabola(
+        pulses, angles, np.clip(revolutions_left + 1, 1, len(pulses) - 2), time
+    )
+    angle: Array = (1.0 - fraction) * before + fraction * after
     outside = (time < pulses[0] - interval) | (time > pulses[-1] + interval)
     angle[outside] = np.nan
     return angle
 
 
-def _parabola(x: Array, y: Array, place: np.ndarray, at: Array) -> Array:
-    """Return the parabolas through three neighbours about `place`, at `at` (Newton's form)."""
-    x0, x1, x2 = x[place - 1], x[place], x[place + 1]
-    first = (y[place] - y[place - 1]) / (x1 - x0)
-    second = ((y[place + 1] - y[place]) / (x2 - x1) - first) / (x2 - x0)
-    result: Array = y[place - 1] + (at - x0) * (first + (at - x1) * second)
+def _interpolate_parabola(x: Array, y: Array, index: np.ndarray, position: Array) -> Array:
+    """Return the parabolas through three points about `index`, at `position` (Newton)."""
+    x0, x1, x2 = x[index - 1], x[index], x[index + 1]
+    first = (y[index] - y[index - 1]) / (x1 - x0)
+    second = ((y[index + 1] - y[index]) / (x2 - x1) - first) / (x2 - x0)
+    result: Array = y[index - 1] + (position - x0) * (first + (position - x1) * second)
     return result

@@ -24,16 +24,16 @@ from counterspin.records.outliers import resolution
 from counterspin.records.unit_notation import bracketed_unit
 
 #: Rows that show whether values repeat.
-_SHOWING_ROWS: Final = 100_000
+_TEST_ROWS: Final = 100_000
 #: Part of the rows that repeat a value beyond which these are repeats, in addition to three times
 #: the part that is equal by chance.
-_REPEATED_PART: Final = 2e-3
+_MIN_REPEATED_FRACTION: Final = 2e-3
 #: Part of the samples that may be equal by chance where a change of the value tells a new sample.
-_CHANCE_PART: Final = 0.02
+_MAX_CHANCE_FRACTION: Final = 0.02
 #: Part of the changes that are at one phase of a whole number of rows.
-_PHASED_PART: Final = 0.999
+_MIN_PHASE_FRACTION: Final = 0.999
 #: Steps that are so many times the median step are outliers.
-_OUTLYING_STEPS: Final = 8.0
+_OUTLIER_STEPS: Final = 8.0
 #: Steps of the resolution by which values change if they are not those of a smooth coarse signal.
 _COARSE_STEPS: Final = 1.25
 #: Most rows for a sample.
@@ -43,9 +43,9 @@ _MIN_CHANGES: Final = 32
 
 #: Part of the mean step below which a step is within a burst; the fewest bursts that tell, and the
 #: part of the steps between them where the times within a burst differ.
-_BURST_PART: Final = 0.5
+_MAX_BURST_FRACTION: Final = 0.5
 _MIN_BURSTS: Final = 4
-_PAUSES_PART: Final = 0.01
+_MIN_PAUSE_FRACTION: Final = 0.01
 
 Mask = npt.NDArray[np.bool_]
 
@@ -59,36 +59,42 @@ class ValueHolding:
     phase: int  #: Row of the first new value, from 0, where the period is not 0.
 
     @classmethod
-    def of(cls, values: Array) -> ValueHolding | None:
+    def detect(cls, values: Array) -> ValueHolding | None:
         """Return how values repeat; None if they do not. ValueError if it cannot be told.
 
         values: As logged, NaN where a cell is empty, shape (n,).
         """
-        part = values[:_SHOWING_ROWS]
-        good = part[np.isfinite(part)]
-        if good.size < _MIN_CHANGES or np.ptp(good) == 0.0:
+        sample = values[:_TEST_ROWS]
+        finite_values = sample[np.isfinite(sample)]
+        if finite_values.size < _MIN_CHANGES or np.ptp(finite_values) == 0.0:
             return None
-        steps = np.diff(good)
+        steps = np.diff(finite_values)
         changed = steps[steps != 0.0]
         repeated = 1.0 - changed.size / steps.size
         sizes = np.abs(changed)
-        usual = sizes[sizes <= _OUTLYING_STEPS * median(sizes)]
-        step = float(np.sqrt(np.mean(usual**2)))
-        chance = min(1.0, resolution(good) / (math.sqrt(2.0 * math.pi) * step))
-        limit = 3.0 * chance + 5.0 * math.sqrt(chance / steps.size) + _REPEATED_PART
-        places = np.flatnonzero(np.diff(part, prepend=math.nan) != 0.0)[1:]
+        typical_steps = sizes[sizes <= _OUTLIER_STEPS * median(sizes)]
+        step = float(np.sqrt(np.mean(typical_steps**2)))
+        chance_repeats = min(1.0, resolution(finite_values) / (math.sqrt(2.0 * math.pi) * step))
+        limit = (
+            3.0 * chance_repeats
+            + 5.0 * math.sqrt(chance_repeats / steps.size)
+            + _MIN_REPEATED_FRACTION
+        )
+        change_indices = np.flatnonzero(np.diff(sample, prepend=math.nan) != 0.0)[1:]
         # Of samples that are equal by chance, many differ from both neighbours.
-        lengths = np.diff(places)
-        few = lengths.size < _MIN_CHANGES or step < _COARSE_STEPS * resolution(good)
-        alternate = few or np.quantile(lengths, 0.01) < 2.0
+        lengths = np.diff(change_indices)
+        has_few_changes = lengths.size < _MIN_CHANGES or step < _COARSE_STEPS * resolution(
+            finite_values
+        )
+        alternate = has_few_changes or np.quantile(lengths, 0.01) < 2.0
         if (repeated <= limit and alternate) or _is_constant_stretch(
             lengths, 1.0 / (1.0 - repeated)
         ):
             return None
-        if period := _period(places):
-            return cls(float(period), period, int(places[0]) % period)
+        if period := _change_period(change_indices):
+            return cls(float(period), period, int(change_indices[0]) % period)
         rows = 1.0 / (1.0 - repeated)
-        if chance > _CHANCE_PART:
+        if chance_repeats > _MAX_CHANCE_FRACTION:
             raise ValueError(
                 f"it repeats {100.0 * repeated:.2g} % of its values at irregular distances, as "
                 "where a log is faster than the sensor, and its resolution is too coarse to tell "
@@ -96,7 +102,7 @@ class ValueHolding:
             )
         return cls(rows, 0, 0)
 
-    def new(self, values: Array, first_row: int = 0, before: float = math.nan) -> Mask:
+    def is_new(self, values: Array, first_row: int = 0, before: float = math.nan) -> Mask:
         """Return the rows with new values.
 
         first_row: Row of the first value, from 0.
@@ -127,44 +133,46 @@ class RepeatedValues:
         Rows that repeat the time of the row before are no evidence: the clock drops them.
         """
         self._first_row = first_row
-        later = np.diff(time, prepend=math.nan) != 0.0
+        is_later = np.diff(time, prepend=math.nan) != 0.0
         for name, signal in zip(self._names, signals, strict=True):
             try:
-                repeats = later.all() or ValueHolding.of(signal[later]) is not None
-                self._holding.append(ValueHolding.of(signal) if repeats else None)
+                repeats = is_later.all() or ValueHolding.detect(signal[is_later]) is not None
+                self._holding.append(ValueHolding.detect(signal) if repeats else None)
             except ValueError as error:
                 raise RecordError(f"{path}: column '{name}': {error}.") from None
 
-    def without(self, first_row: int, signals: Sequence[Array], interpolates: bool) -> list[Array]:
+    def fill(self, first_row: int, signals: Sequence[Array], interpolates: bool) -> list[Array]:
         """Return the signals of a chunk with repeated values replaced.
 
         interpolates: Whether they are interpolated between new values, as the mean of a block
             needs them; otherwise they are NaN.
         """
         replaced = list(signals)
-        for place, (signal, holding) in enumerate(zip(signals, self._holding, strict=True)):
+        for index, (signal, holding) in enumerate(zip(signals, self._holding, strict=True)):
             if holding is None:
                 continue
-            fresh = holding.new(signal, first_row - self._first_row, self._last[place])
-            old = ~fresh & ~np.isnan(signal)
-            new = np.flatnonzero(fresh & ~np.isnan(signal))
-            self._held[place] += int(old.sum())
-            self._last[place] = float(signal[-1])
+            is_new = holding.is_new(signal, first_row - self._first_row, self._last[index])
+            is_repeat = ~is_new & ~np.isnan(signal)
+            new_indices = np.flatnonzero(is_new & ~np.isnan(signal))
+            self._held[index] += int(is_repeat.sum())
+            self._last[index] = float(signal[-1])
             filled = np.full(len(signal), math.nan)
-            if interpolates and len(new):
-                filled = np.interp(np.arange(len(signal)), new, signal[new])
+            if interpolates and len(new_indices):
+                filled = np.interp(np.arange(len(signal)), new_indices, signal[new_indices])
             else:
-                self.blank[place] += int(old.sum())
-            replaced[place] = np.where(old, filled, signal)
+                self.blank[index] += int(is_repeat.sum())
+            replaced[index] = np.where(is_repeat, filled, signal)
         return replaced
 
-    def words(self, rows: int) -> list[str]:
+    def notes(self, rows: int) -> list[str]:
         """Return a statement on each signal that repeats its values, of so many rows."""
-        shares = ((name, held / rows) for name, held in zip(self._names, self._held, strict=True))
+        fractions = (
+            (name, count / rows) for name, count in zip(self._names, self._held, strict=True)
+        )
         return [
-            f"column '{name}' repeats {100.0 * share:.3g} % of its values, not used"
-            for name, share in shares
-            if share
+            f"column '{name}' repeats {100.0 * fraction:.3g} % of its values, not used"
+            for name, fraction in fractions
+            if fraction
         ]
 
 
@@ -177,7 +185,7 @@ def join_bursts(time: Array) -> Array:
     steps = np.diff(time)
     if not is_bursty(steps):
         return time
-    first = np.append(True, steps > _BURST_PART * float(np.mean(steps)))
+    first = np.append(True, steps > _MAX_BURST_FRACTION * float(np.mean(steps)))
     return np.asarray(time[np.flatnonzero(first)][np.cumsum(first) - 1])
 
 
@@ -186,9 +194,9 @@ def is_bursty(steps: Array) -> bool:
     if steps.size < _MIN_CHANGES or not (steps >= 0.0).all() or not steps.any():
         return False
     mean = float(np.mean(steps))
-    pauses = int(np.sum(steps > _BURST_PART * mean))
-    fewest = _MIN_BURSTS if median(steps) == 0.0 else _PAUSES_PART * steps.size
-    return median(steps) < _BURST_PART * mean and pauses >= fewest
+    pauses = int(np.sum(steps > _MAX_BURST_FRACTION * mean))
+    fewest = _MIN_BURSTS if median(steps) == 0.0 else _MIN_PAUSE_FRACTION * steps.size
+    return median(steps) < _MAX_BURST_FRACTION * mean and pauses >= fewest
 
 
 def row_rate(time: Array) -> float:
@@ -218,44 +226,46 @@ def count_times(time: Array, restamped: int) -> Array:
     spans = time[lag:] - time[:-lag]
     step = median(spans) / lag
     # Where rows are lost, and so the record is cut.
-    cuts = np.flatnonzero(np.diff(time) > (burst + 1.5) * step) + 1
-    pieces: list[Array] = np.split(time, cuts)
+    cut_indices = np.flatnonzero(np.diff(time) > (burst + 1.5) * step) + 1
+    segments: list[Array] = np.split(time, cut_indices)
     # Rows from the first row of a stamp to that of a later stamp: the last stamp may lack rows.
-    ends = [int(np.flatnonzero(np.diff(part, prepend=-math.inf) > 0.0)[-1]) for part in pieces]
+    ends = [
+        int(np.flatnonzero(np.diff(segment, prepend=-math.inf) > 0.0)[-1]) for segment in segments
+    ]
     if sum(ends):
-        lengths = (part[end] - part[0] for part, end in zip(pieces, ends, strict=True))
+        lengths = (segment[end] - segment[0] for segment, end in zip(segments, ends, strict=True))
         step = float(sum(lengths)) / sum(ends)
-    counted: list[Array] = []
-    for part in pieces:
-        size = min(lag, part.size - 1)
-        deviation = part[size:] - part[: part.size - size] - size * step
+    counted_times: list[Array] = []
+    for segment in segments:
+        size = min(lag, segment.size - 1)
+        deviation = segment[size:] - segment[: segment.size - size] - size * step
         if size > 0 and np.abs(deviation).max() > (burst + 1.0) * step:
             raise ValueError(
                 f"{restamped} of {time.size} rows repeat the time of the row before with other "
                 "values, and samples are missing among them, so that rows cannot be counted; "
                 "export finer time stamps"
             )
-        counted.append(part[0] + step * np.arange(part.size))
-    return np.concatenate(counted)
+        counted_times.append(segment[0] + step * np.arange(segment.size))
+    return np.concatenate(counted_times)
 
 
 def _is_constant_stretch(lengths: npt.NDArray[np.int_], rows: float) -> bool:
     """Return whether values stand still in places, as of a dead channel or beyond a range."""
-    several = lengths[lengths > 1]
-    return bool(several.size == 0 or np.quantile(several, 0.95) > 3.0 * rows + 2.0)
+    long_stretches = lengths[lengths > 1]
+    return bool(long_stretches.size == 0 or np.quantile(long_stretches, 0.95) > 3.0 * rows + 2.0)
 
 
-def _period(places: npt.NDArray[np.int_]) -> int:
+def _change_period(change_indices: npt.NDArray[np.int_]) -> int:
     """Return the whole number of rows between changes, of which some may be missing; 0: none is."""
-    lengths = np.diff(places)
+    lengths = np.diff(change_indices)
     if (
         lengths.size < _MIN_CHANGES
         or not 1 < (shortest := int(np.quantile(lengths, 0.01))) < _MAX_ROWS
     ):
         return 0
     for period in range(shortest, 1, -1):
-        at_phase = np.bincount(places % period).max()
-        if at_phase >= _PHASED_PART * places.size:
+        phase_count = np.bincount(change_indices % period).max()
+        if phase_count >= _MIN_PHASE_FRACTION * change_indices.size:
             return period
     return 0
 
@@ -317,24 +327,26 @@ class SplitTime:
         Whole numbers keep nanoseconds, which seconds since 1970 as floating-point numbers lose.
         """
         coarse, fine = columns[self.coarse], columns[self.fine]
-        known = np.isfinite(coarse) & np.isfinite(fine)
-        whole = np.floor(np.where(known, coarse, 0.0))
-        rest = np.where(known, coarse, 0.0) - whole
-        size, part = _LENGTHS[self.coarse_unit], _LENGTHS[self.fine_unit]
-        small = np.round(rest * size + np.where(known, fine, 0.0) * part).astype(np.int64)
-        return whole.astype(np.int64) * size + small, known
+        is_valid = np.isfinite(coarse) & np.isfinite(fine)
+        whole_units = np.floor(np.where(is_valid, coarse, 0.0))
+        fraction = np.where(is_valid, coarse, 0.0) - whole_units
+        size, fine_size = _LENGTHS[self.coarse_unit], _LENGTHS[self.fine_unit]
+        small = np.round(fraction * size + np.where(is_valid, fine, 0.0) * fine_size).astype(
+            np.int64
+        )
+        return whole_units.astype(np.int64) * size + small, is_valid
 
 
 def find_split_time(columns: Mapping[str, Array]) -> SplitTime | None:
     """Return the time that two columns of numbers hold together; None without such columns."""
-    for split in _candidates(columns):
+    for split in _candidate_pairs(columns):
         coarse, fine = columns[split.coarse], columns[split.fine]
         if coarse.size < 2 or coarse.size != fine.size:
             continue
         if not (np.isfinite(coarse).all() and np.isfinite(fine).all()):
             continue
-        most = _LENGTHS[split.coarse_unit] / _LENGTHS[split.fine_unit]
-        within = (fine >= 0.0).all() and (fine < most).all() and np.ptp(fine) > 0.0
+        max_fine = _LENGTHS[split.coarse_unit] / _LENGTHS[split.fine_unit]
+        within = (fine >= 0.0).all() and (fine < max_fine).all() and np.ptp(fine) > 0.0
         if not within or (coarse != np.floor(coarse)).any() or np.abs(coarse).max() > 4e9:
             continue
         time, _ = split.nanoseconds(columns)
@@ -343,32 +355,34 @@ def find_split_time(columns: Mapping[str, Array]) -> SplitTime | None:
     return None
 
 
-def _candidates(columns: Mapping[str, Array]) -> Iterator[SplitTime]:
+def _candidate_pairs(columns: Mapping[str, Array]) -> Iterator[SplitTime]:
     """Yield pairs of columns with fitting names, those with a common beginning first."""
-    plain = {name: _BRACKETS.sub("", name) for name in columns}
-    weeks = [name for name, text in plain.items() if _COARSE["week"].fullmatch(text)]
+    unbracketed = {name: _BRACKETS.sub("", name) for name in columns}
+    weeks = [name for name, text in unbracketed.items() if _COARSE["week"].fullmatch(text)]
     for week, name in product(weeks, columns):
-        if name != week and _OF_WEEK.fullmatch(plain[name]):
+        if name != week and _OF_WEEK.fullmatch(unbracketed[name]):
             unit = bracketed_unit(name)
             if unit not in _LENGTHS:
-                unit = next((u for u, words in _FINE.items() if words.fullmatch(plain[name])), "")
+                unit = next(
+                    (u for u, pattern in _FINE.items() if pattern.fullmatch(unbracketed[name])), ""
+                )
             if not unit:
                 unit = "ms" if np.nanmax(columns[name], initial=0.0) >= _WEEK else "s"
             yield SplitTime(week, "week", name, unit)
     seconds = [
         name
-        for name, text in plain.items()
+        for name, text in unbracketed.items()
         if _COARSE["s"].fullmatch(text) or bracketed_unit(name) == "s"
     ]
     pairs = [
         SplitTime(second, "s", name, unit)
-        for second, name, (unit, words) in product(seconds, columns, _FINE.items())
-        if name != second and (words.fullmatch(plain[name]) or bracketed_unit(name) == unit)
+        for second, name, (unit, pattern) in product(seconds, columns, _FINE.items())
+        if name != second and (pattern.fullmatch(unbracketed[name]) or bracketed_unit(name) == unit)
     ]
-    yield from sorted(pairs, key=lambda pair: -_common_beginning(pair.coarse, pair.fine))
+    yield from sorted(pairs, key=lambda pair: -_common_prefix_length(pair.coarse, pair.fine))
 
 
-def _common_beginning(first: str, second: str) -> int:
+def _common_prefix_length(first: str, second: str) -> int:
     """Return the number of characters with which two names begin alike."""
     pairs = zip(first, second, strict=False)
     return next((n for n, (a, b) in enumerate(pairs) if a != b), min(len(first), len(second)))

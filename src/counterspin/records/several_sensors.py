@@ -43,15 +43,15 @@ def sensor_columns(cells: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, li
         count = len(values)
         if not 2 <= count <= min(_MAX_VALUES, len(column) // 4):
             continue
-        in_turn = column[count:] == column[:-count] and not all(map(_is_number, values))
-        whole = all(
+        alternating = column[count:] == column[:-count] and not all(map(_is_number, values))
+        complete = all(
             not _is_number(value) or float(value.replace(",", ".")).is_integer() for value in values
         )
-        changes = sum(before != after for before, after in pairwise(column))
-        often = changes >= _CHANGING_PART * len(column)
-        fewest = min(column.count(value) for value in values)
-        named = _NAME.fullmatch(name) and whole and often
-        if (in_turn or named) and fewest >= max(2.0, _MIN_FRACTION * len(column)):
+        change_count = sum(before != after for before, after in pairwise(column))
+        is_frequent = change_count >= _CHANGING_PART * len(column)
+        min_rows = min(column.count(value) for value in values)
+        is_named = _NAME.fullmatch(name) and complete and is_frequent
+        if (alternating or is_named) and min_rows >= max(2.0, _MIN_FRACTION * len(column)):
             yield name, sorted(values)
 
 
@@ -72,15 +72,17 @@ def stacked_sensors(
         shortest = min(end - start for start, end in pairwise(edges))
         if not 1 < len(values) <= _MAX_VALUES or shortest < _MIN_STACKED_ROWS:
             continue
-        named = STACKED_NAME.fullmatch(name)
-        once = len(starts) == len(values) - 1
-        falls = (
+        is_named = STACKED_NAME.fullmatch(name)
+        is_contiguous = len(starts) == len(values) - 1
+        time_falls = (
             {row for row, step in enumerate((series[1:] < series[:-1]).tolist(), 1) if step}
             for key, series in numbers.items()
             if key != name
         )
-        at_changes = any(rows and rows <= set(starts) for rows in falls)
-        if at_changes or (named and not named["beside"] and once and "" not in values):
+        falls_at_changes = any(rows and rows <= set(starts) for rows in time_falls)
+        if falls_at_changes or (
+            is_named and not is_named["beside"] and is_contiguous and "" not in values
+        ):
             yield name, sorted(values)
 
 

@@ -89,15 +89,13 @@ class HarmonicFit:
         amplitude: np.ndarray = self.coefficients[:, 0] + 1j * self.coefficients[:, 1]
         return amplitude
 
-    def value(self, place: int, angle: np.ndarray) -> np.ndarray:
-        """Return the wave and trend of revolution `place` at (n,) angles."""
-        value: np.ndarray = (
-            _harmonic_functions(angle, self.centre[place]) @ self.coefficients[place]
-        )
+    def value(self, index: int, angle: np.ndarray) -> np.ndarray:
+        """Return the wave and trend of revolution `index` at (n,) angles."""
+        value: np.ndarray = _harmonic_basis(angle, self.centre[index]) @ self.coefficients[index]
         return value
 
 
-def _harmonic_functions(angle: np.ndarray, centre: np.ndarray) -> np.ndarray:
+def _harmonic_basis(angle: np.ndarray, centre: np.ndarray) -> np.ndarray:
     u = (angle - centre) / math.pi
     return np.stack([np.cos(angle), np.sin(angle), np.ones_like(u), u, u**2], axis=-1)
 
@@ -124,7 +122,7 @@ def fit_harmonics(angle: np.ndarray, signal: np.ndarray) -> HarmonicFit:
     index = np.where(valid, index, edges[:, None])
     th, s = th[index], np.where(valid, s[index], 0.0)
     centre = th.sum(axis=1, where=valid) / sizes
-    functions = _harmonic_functions(th, centre[:, None]) * valid[..., None]
+    functions = _harmonic_basis(th, centre[:, None]) * valid[..., None]
     transposed = np.swapaxes(functions, -1, -2)
     normal = transposed @ functions + 1e-12 * np.eye(5)
     fitted = np.linalg.solve(normal, transposed @ s[..., None])
@@ -147,7 +145,7 @@ class UnitChange:
 
     before: int
     after: int
-    words: str
+    description: str
 
 
 def _outlying_revolutions(fitted: HarmonicFit) -> np.ndarray:
@@ -156,11 +154,11 @@ def _outlying_revolutions(fitted: HarmonicFit) -> np.ndarray:
     if len(size) < 3:
         return np.zeros(len(size), dtype=bool)
     # One of the amplitudes, not the middle of two: half the record may be in either unit.
-    usual = float(np.sort(size)[len(size) // 2])
-    clear = _CHANGE_SDS * median(fitted.u_amplitude)
-    odd: np.ndarray = (size > _CHANGE_RATIO * usual) | (size < usual / _CHANGE_RATIO)
-    odd &= (np.abs(size - usual) > clear) & (usual > clear)
-    return odd
+    typical = float(np.sort(size)[len(size) // 2])
+    clear_size = _CHANGE_SDS * median(fitted.u_amplitude)
+    is_outlying: np.ndarray = (size > _CHANGE_RATIO * typical) | (size < typical / _CHANGE_RATIO)
+    is_outlying &= (np.abs(size - typical) > clear_size) & (typical > clear_size)
+    return is_outlying
 
 
 def find_unit_change(fitted: HarmonicFit, *, may_grow: bool) -> UnitChange | None:
@@ -176,22 +174,24 @@ def find_unit_change(fitted: HarmonicFit, *, may_grow: bool) -> UnitChange | Non
     if not outlying.any():
         return None
     size = np.abs(fitted.amplitude)
-    turn = int(np.flatnonzero(outlying != outlying[0])[0])
-    if may_grow and not (_is_steady(size[:turn][-4:-1]) and _is_steady(size[turn + 1 : turn + 4])):
+    revolution = int(np.flatnonzero(outlying != outlying[0])[0])
+    if may_grow and not (
+        _is_steady(size[:revolution][-4:-1]) and _is_steady(size[revolution + 1 : revolution + 4])
+    ):
         return None
     # The revolution in which the unit changes is a mixture of both: take those beside it.
-    before, after = max(turn - 2, 0), min(turn + 1, len(size) - 1)
+    before, after = max(revolution - 2, 0), min(revolution + 1, len(size) - 1)
     factor = float(size[after] / size[before]) if size[before] else math.inf
     if may_grow and 1 / _CHANGE_RATIO <= factor <= _CHANGE_RATIO:
         return None
-    words = "its wave of one period a revolution "
+    description = "its wave of one period a revolution "
     if not 1e-9 < factor < 1e9:
-        return UnitChange(before, after, words + ("stops" if factor < 1.0 else "only begins"))
-    words += f"changes by a factor of {factor:.4g}"
+        return UnitChange(before, after, description + ("stops" if factor < 1.0 else "only begins"))
+    description += f"changes by a factor of {factor:.4g}"
     nearest, distance = _nearest_unit_ratio(factor)
     if distance < 0.02:
-        words += f", as between {nearest}"
-    return UnitChange(before, after, words)
+        description += f", as between {nearest}"
+    return UnitChange(before, after, description)
 
 
 def find_dropout(fitted: HarmonicFit, angle: np.ndarray, signal: np.ndarray) -> np.ndarray:
@@ -209,12 +209,12 @@ def find_dropout(fitted: HarmonicFit, angle: np.ndarray, signal: np.ndarray) -> 
         neighbours = (max(int(first) - 1, 0), min(int(last) + 1, len(outlying) - 1))
         samples = np.arange(fitted.first[neighbours[0]], fitted.last[neighbours[1]] + 1)
         deviation = np.ones(len(samples), dtype=bool)
-        for turn in neighbours:
-            min_count = (
-                _DROPOUT_FRACTION * abs(fitted.amplitude[turn])
-                + _DROPOUT_SDS * fitted.deviation[turn]
+        for revolution in neighbours:
+            limit = (
+                _DROPOUT_FRACTION * abs(fitted.amplitude[revolution])
+                + _DROPOUT_SDS * fitted.deviation[revolution]
             )
-            deviation &= np.abs(signal[samples] - fitted.value(turn, angle[samples])) > min_count
+            deviation &= np.abs(signal[samples] - fitted.value(revolution, angle[samples])) > limit
         if deviation.any():
             # Between them the wave crosses what a dead channel shows.
             lost.append(np.arange(samples[deviation][0], samples[deviation][-1] + 1))
@@ -240,15 +240,17 @@ def find_changepoint(
     return int(np.argmin(np.append(0.0, np.cumsum(np.nan_to_num(before - after)))))
 
 
-def check_first_harmonic(fitted: HarmonicFit, swing: FirstHarmonic, has_angle: bool) -> str | None:
+def check_first_harmonic(
+    fitted: HarmonicFit, nominal: FirstHarmonic, has_angle: bool
+) -> str | None:
     """Compare a signal's wave with the motion's; say what is wrong, or return None.
 
-    fitted: The signal's waves, in the unit of `swing`.
+    fitted: The signal's waves, in the unit of `nominal`.
     has_angle: Whether the waves are over the recorded angle; else their phase means nothing.
     """
     if not len(fitted.amplitude):
         return None
-    expected, unit = swing.amplitude, swing.unit
+    expected, unit = nominal.amplitude, nominal.unit
     mean = complex(median(fitted.amplitude.real), median(fitted.amplitude.imag))
     ratio, size = mean / expected, abs(mean / expected)
     tolerance = _DEVIATIONS * _sd_of_median(fitted, mean) / abs(expected)
@@ -256,29 +258,31 @@ def check_first_harmonic(fitted: HarmonicFit, swing: FirstHarmonic, has_angle: b
         not has_angle and 0.5 - tolerance < size < 2 + tolerance
     ):
         return None
-    words = (
+    message = (
         f"swings by {size * abs(expected):.4g} {unit} about the spindle axis, "
         f"but the radius and the input axis give {abs(expected):.4g} {unit}"
     )
     if 0.5 < size < 2:
-        turn = math.degrees(math.atan2(ratio.imag, ratio.real))
+        angle_degrees = math.degrees(math.atan2(ratio.imag, ratio.real))
         return (
-            f"is turned by {turn:.0f} degrees against the input axis: "
+            f"is turned by {angle_degrees:.0f} degrees against the input axis: "
             "check the input axis, its sign, and which column is which"
         )
     nearest, distance = _nearest_unit_ratio(size) if size > 0.0 else ("", math.inf)
     if distance < 0.05:
-        return f"{words}; the factor {size:.4g} is that between {nearest}: check the column's unit"
-    return f"{words}: check the column's unit, the radius and the input axis"
+        return (
+            f"{message}; the factor {size:.4g} is that between {nearest}: check the column's unit"
+        )
+    return f"{message}: check the column's unit, the radius and the input axis"
 
 
 def _sd_of_median(fitted: HarmonicFit, mean: complex) -> float:
     """Return the standard deviation of the median wave, from what the revolutions differ by."""
-    turns = len(fitted.amplitude)
-    between = SIGMA_OF_MAD * median(np.abs(fitted.amplitude - mean))
+    revolution_count = len(fitted.amplitude)
+    between_sd = SIGMA_OF_MAD * median(np.abs(fitted.amplitude - mean))
     samples = np.maximum(fitted.last - fitted.first + 1, 1)
-    within = median(fitted.deviation * np.sqrt(2.0 / samples))
-    return math.hypot(between, within) * math.sqrt(0.5 * math.pi / turns)
+    within_sd = median(fitted.deviation * np.sqrt(2.0 / samples))
+    return math.hypot(between_sd, within_sd) * math.sqrt(0.5 * math.pi / revolution_count)
 
 
 # What a recorder removed -----------------------------------------------------------------------
@@ -312,56 +316,56 @@ class PolynomialMoments:
 
     def add(self, time: Array, signals: Sequence[Array]) -> None:
         """Take in further rows; time in any unit, shapes (n,)."""
-        stamped = np.isfinite(time)
-        if not stamped.any():
+        has_time = np.isfinite(time)
+        if not has_time.any():
             return
         if self._origin is None:
-            self._origin = float(time[np.argmax(stamped)])
-        since = time - self._origin
-        powers = np.stack([np.ones_like(since), since, since * since])
-        self._last = max(self._last, float(since[stamped][-1]))
-        whole = powers @ powers.T
-        for place, signal in enumerate(signals):
+            self._origin = float(time[np.argmax(has_time)])
+        elapsed = time - self._origin
+        powers = np.stack([np.ones_like(elapsed), elapsed, elapsed * elapsed])
+        self._last = max(self._last, float(elapsed[has_time][-1]))
+        gram = powers @ powers.T
+        for index, signal in enumerate(signals):
             sums = powers @ signal
             if np.isfinite(sums[2]):
-                self._of_time[place] += whole
+                self._of_time[index] += gram
             else:
-                good = stamped & np.isfinite(signal)
-                used_powers = powers[:, good]
-                sums = used_powers @ signal[good]
-                self._of_time[place] += used_powers @ used_powers.T
-            self._of_signals[place] += sums
-            self._take_ends(place, signal)
+                is_finite = has_time & np.isfinite(signal)
+                used_powers = powers[:, is_finite]
+                sums = used_powers @ signal[is_finite]
+                self._of_time[index] += used_powers @ used_powers.T
+            self._of_signals[index] += sums
+            self._update_ends(index, signal)
 
-    def _take_ends(self, place: int, signal: Array) -> None:
+    def _update_ends(self, index: int, signal: Array) -> None:
         """Keep the first two rows and the last two that have a value."""
-        first, final = self._first[place], self._final[place]
-        filled = signal[np.isfinite(signal)]
-        first += filled[: 2 - len(first)].tolist()
-        self._final[place] = [*final, *filled[-2:].tolist()][-2:]
+        first, last_rows = self._first[index], self._final[index]
+        finite_rows = signal[np.isfinite(signal)]
+        first += finite_rows[: 2 - len(first)].tolist()
+        self._final[index] = [*last_rows, *finite_rows[-2:].tolist()][-2:]
 
-    def ends(self, place: int) -> float:
+    def end_size(self, index: int) -> float:
         """Return the larger of a column's first and last row, in its unit.
 
         Infinite if they are not far below the rows beside them.
         """
-        (first, *second), (*before, last) = self._first[place] or [0.0], self._final[place] or [0.0]
+        (first, *second), (*before, last) = self._first[index] or [0.0], self._final[index] or [0.0]
         size = max(abs(first), abs(last))
-        beside = min((abs(row) for row in (*second, *before)), default=0.0)
-        return size if size < _ROW_ROUNDING * beside else math.inf
+        next_size = min((abs(row) for row in (*second, *before)), default=0.0)
+        return size if size < _ROW_ROUNDING * next_size else math.inf
 
-    def of(self, place: int) -> Array:
+    def normalised_coefficients(self, index: int) -> Array:
         """Return a column's parts along the polynomials made orthonormal, shape (3,).
 
         In the column's unit; each is as large as the noise of one row where that is all there is.
         """
         scale = (self._last or 1.0) ** -np.arange(3.0)
-        gram = self._of_time[place] * np.outer(scale, scale)
+        gram = self._of_time[index] * np.outer(scale, scale)
         try:
             root = np.linalg.cholesky(gram)
         except np.linalg.LinAlgError:  # fewer than three times
             return np.full(3, math.inf)
-        return np.asarray(np.linalg.solve(root, self._of_signals[place] * scale))
+        return np.asarray(np.linalg.solve(root, self._of_signals[index] * scale))
 
 
 def detrending_order(parts: Sequence[Array]) -> int:

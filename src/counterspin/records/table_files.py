@@ -55,13 +55,13 @@ class ParquetFile(ColumnFile):
         import polars as pl
 
         for name in wanted:
-            if name not in self.stamps and not self._schema[name].is_numeric():
+            if name not in self.timestamp_columns and not self._schema[name].is_numeric():
                 raise RecordError(
                     f"{self.path}: column '{name}' is of type {self._schema[name]}; "
                     "numbers are needed."
                 )
         rows = int(self._scan().select(pl.len()).collect().item())
-        self._require_bytes(8 * rows * len(wanted))
+        self._check_size(8 * rows * len(wanted))
 
     def _table(self) -> pl.DataFrame:
         """Return every column of the file with its type."""
@@ -70,10 +70,10 @@ class ParquetFile(ColumnFile):
 
     def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         """Yield batches of the columns as the streaming engine decodes them."""
-        numbers = self._scan().select(self._column(name) for name in wanted)
+        numbers = self._scan().select(self._column_expression(name) for name in wanted)
         for frame in numbers.collect_batches(maintain_order=True):
             columns = frame_columns(frame)
-            for name in self.stamps:
+            for name in self.timestamp_columns:
                 columns[name] = self.seconds(frame[name])
             yield columns
 
@@ -89,11 +89,11 @@ class ParquetFile(ColumnFile):
         frame = self._scan().select(pl.col(name).cast(pl.String())).head(count).collect()
         return [str(cell or "") for cell in frame[name]]
 
-    def _column(self, name: str) -> pl.Expr:
+    def _column_expression(self, name: str) -> pl.Expr:
         import polars as pl
 
         kind = self._schema[name]
-        if name not in self.stamps:
+        if name not in self.timestamp_columns:
             return pl.col(name).cast(pl.Float64())
         if kind == pl.String():
             return nanoseconds(name)
@@ -125,13 +125,13 @@ def excel_table(
         }
         # A type that is guessed from the first rows breaks on a column that looks whole there.
         table: pl.DataFrame = book.load_sheet(sheet, schema_sample_rows=None, **head).to_polars()
-        mixed = [name for name, kind in table.schema.items() if kind == pl.String()]
-        if mixed:
+        mixed_columns = [name for name, kind in table.schema.items() if kind == pl.String()]
+        if mixed_columns:
             # Among text the reader rounds numbers to nine decimals.
-            kinds: dict[str | int, Any] = dict.fromkeys(mixed, "float")
-            numbers = book.load_sheet(sheet, dtypes=kinds, **head).to_polars().select(mixed)
+            kinds: dict[str | int, Any] = dict.fromkeys(mixed_columns, "float")
+            numbers = book.load_sheet(sheet, dtypes=kinds, **head).to_polars().select(mixed_columns)
             exact = numbers.cast(pl.String())
-            table = table.with_columns(exact[name].fill_null(table[name]) for name in mixed)
+            table = table.with_columns(exact[name].fill_null(table[name]) for name in mixed_columns)
         return table
 
 
@@ -161,16 +161,16 @@ def _find_sheet(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str
             raise RecordError(f"{path}: there is no sheet '{sheet}'; it has {format_names(names)}.")
         return book, sheet
     # A workbook may come with empty sheets, and with one of remarks.
-    full = [name for name in names if book.load_sheet(name).height > 0]
-    found = full if len(full) == 1 else _table_sheets(book, full)
-    if len(found) != 1:
-        held = (
-            f"the sheets {format_names(found or full)} hold rows; name one"
-            if full
+    filled_sheets = [name for name in names if book.load_sheet(name).height > 0]
+    matches = filled_sheets if len(filled_sheets) == 1 else _table_sheets(book, filled_sheets)
+    if len(matches) != 1:
+        text = (
+            f"the sheets {format_names(matches or filled_sheets)} hold rows; name one"
+            if filled_sheets
             else "it has none"
         )
-        raise RecordError(f"{path}: which sheet is the table: {held}.")
-    return book, found[0]
+        raise RecordError(f"{path}: which sheet is the table: {text}.")
+    return book, matches[0]
 
 
 def table_sheets(path: Path) -> list[str]:
@@ -215,19 +215,19 @@ class ExcelFile(ColumnFile):
         super().__init__(path, stream)
         self._rows = _MAX_ROWS
         self._book, self._sheet = _find_sheet(path, dialect.sheet, self.content())
-        found = _score_rows(self._book, self._sheet, dialect)
-        if found is None:
+        table_position = _score_rows(self._book, self._sheet, dialect)
+        if table_position is None:
             raise NoRowsError(f"{path}: sheet '{self._sheet}' has no rows of numbers below names.")
-        self._layout = found[1]
+        self._layout = table_position[1]
         self.names, self.decimal = list(self._layout.names), self._layout.decimal
         self.units = dict(zip(self._layout.names, self._layout.units, strict=True))
         self.units_row = self._layout.units_row
-        rows = self._loaded("string", self._layout.before_rows).rows()
-        parted = [[str(cell or "").strip() for cell in row] for row in rows]
+        rows = self._load("string", self._layout.before_rows).rows()
+        split_rows = [[str(cell or "").strip() for cell in row] for row in rows]
         self._rows = len(rows) - (dialect.skip_footer or 0)
-        if dialect.skip_footer is None and (count := footer_lines(parted, self.decimal)):
-            self.footer = tuple("; ".join(filter(None, cells)) for cells in parted[-count:])
-        self.found = ", ".join(
+        if dialect.skip_footer is None and (count := footer_lines(split_rows, self.decimal)):
+            self.footer = tuple("; ".join(filter(None, cells)) for cells in split_rows[-count:])
+        self.format_description = ", ".join(
             [f"sheet '{self._sheet}'"] * (len(self._book.sheet_names) > 1)
             + ["columns without names"] * (self._layout.header == 0)
             + [f"names in row {self._layout.header}"] * (self._layout.header > 1)
@@ -236,13 +236,13 @@ class ExcelFile(ColumnFile):
         )
 
     def _cells(self, column: str) -> list[str]:
-        text = self._loaded("string", self._layout.before_rows)
+        text = self._load("string", self._layout.before_rows)
         return [str(cell or "") for cell in text.to_series(self.names.index(column))]
 
     def _first_cells(self, name: str, count: int) -> list[str]:
         return self._cells(name)[:count]
 
-    def _loaded(self, kind: Any, skip: int) -> pl.DataFrame:
+    def _load(self, kind: Any, skip: int) -> pl.DataFrame:
         """Return the rows below `skip` rows, without those of a footer that is skipped."""
         return _load_cells(self._book, self._sheet, kind, skip).head(self._rows)
 
@@ -250,38 +250,38 @@ class ExcelFile(ColumnFile):
         import polars as pl
 
         skip = self._layout.before_rows
-        text, numbers = self._loaded("string", skip), self._loaded("float", skip)
-        times = self._loaded("datetime", skip) if self.stamps else text
+        text, numbers = self._load("string", skip), self._load("float", skip)
+        times = self._load("datetime", skip) if self.timestamp_columns else text
         columns = {}
         for name in wanted:
-            place = self.names.index(name)
-            written = text.to_series(place).alias("text").str.strip_chars()
-            empty = written.is_null() | written.str.to_lowercase().is_in(list(EMPTY_CELL_TEXTS))
-            if name in self.stamps:
-                whole = times.to_series(place).cast(pl.Datetime("ns")).cast(pl.Int64())
-                parsed = written.to_frame().select(nanoseconds("text")).to_series()
-                value = parsed.fill_null(whole)
+            index = self.names.index(name)
+            stated = text.to_series(index).alias("text").str.strip_chars()
+            empty = stated.is_null() | stated.str.to_lowercase().is_in(list(EMPTY_CELL_TEXTS))
+            if name in self.timestamp_columns:
+                datetimes = times.to_series(index).cast(pl.Datetime("ns")).cast(pl.Int64())
+                parsed = stated.to_frame().select(nanoseconds("text")).to_series()
+                value = parsed.fill_null(datetimes)
                 columns[name] = self.seconds(value)
             else:
-                value = numbers.to_series(place)
+                value = numbers.to_series(index)
                 if self.decimal == ",":
-                    plain = written.str.replace(",", ".", literal=True)
-                    value = value.fill_null(plain.cast(pl.Float64(), strict=False))
+                    plain_text = stated.str.replace(",", ".", literal=True)
+                    value = value.fill_null(plain_text.cast(pl.Float64(), strict=False))
                 columns[name] = value.to_numpy()
-            bad = (value.is_null() & ~empty).arg_true()
-            if len(bad):
-                row = int(bad[0])
-                belongs = "time" if name in self.stamps else "number"
+            invalid = (value.is_null() & ~empty).arg_true()
+            if len(invalid):
+                row = int(invalid[0])
+                noun = "time" if name in self.timestamp_columns else "number"
                 raise RecordError(
                     f"{self.path}, {self.locate(row)}: column '{name}' holds the text "
-                    f"'{str(written[row])[:40]}' instead of a {belongs}."
+                    f"'{str(stated[row])[:40]}' instead of a {noun}."
                 )
         yield columns
 
     def _table(self) -> pl.DataFrame:
         layout = self._layout
         if not layout.header:
-            rows = self._loaded("float", layout.before_rows)
+            rows = self._load("float", layout.before_rows)
             return rows.rename(dict(zip(rows.columns, layout.names, strict=True)))
         place = Dialect(skip_lines=layout.header - 1, units_row=layout.units_row, sheet=self._sheet)
         return excel_table(self.path, place, self.content()).head(self._rows)
@@ -295,15 +295,15 @@ def _require_size(path: Path, content: bytes) -> None:
     """Refuse what is no workbook, or unpacks to what no table has, before it is unpacked."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as parts:
-            size = sum(part.file_size for part in parts.infolist())
+            size = sum(entry.file_size for entry in parts.infolist())
     except zipfile.BadZipFile as error:
         raise DamagedFileError(
             f"{path}: this is not a workbook, or it is damaged. If it has an older format or a "
             "password, save it as .xlsx without a password, or as CSV."
         ) from error
-    most = max(_UNPACKED_BYTES, _UNPACKED_PER_BYTE * len(content))
-    if size > most:
+    max_bytes = max(_UNPACKED_BYTES, _UNPACKED_PER_BYTE * len(content))
+    if size > max_bytes:
         raise DamagedFileError(
             f"{path}: the workbook unpacks to {size / 1e6:.0f} MB, more than the "
-            f"{most / 1e6:.0f} MB allowed for a file of its size; save the table as CSV."
+            f"{max_bytes / 1e6:.0f} MB allowed for a file of its size; save the table as CSV."
         )

@@ -27,11 +27,11 @@ from counterspin.units import WORKING_TEMPERATURES, ZERO_CELSIUS
 MAX_KNOTS: Final = 64
 
 #: Parts of a chunk of a record whose means are kept, and of the record whose means are fitted.
-_PARTS_OF_PIECE: Final = 256
-_PARTS: Final = 1024
+_SEGMENTS_PER_PIECE: Final = 256
+_MAX_SEGMENTS: Final = 1024
 
 #: Longest stretch without a value, as part of the record.
-_LONGEST_GAP: Final = 0.25
+_MAX_GAP_FRACTION: Final = 0.25
 
 #: Weight of a bend of the course beside the values', which decides only where there are none.
 _STIFFNESS: Final = 1e-4
@@ -43,10 +43,10 @@ def read_temperature_profile(path: Path | MemoryTable, columns: RecordColumns) -
     columns: Time, and the temperature as their only signal.
     Returns: One value of a temperature that did not change, else 2 to `MAX_KNOTS`.
     """
-    return run_isolated(_read, path, columns)
+    return run_isolated(_read_profile, path, columns)
 
 
-def _read(path: Path | MemoryTable, columns: RecordColumns) -> tuple[float, ...]:
+def _read_profile(path: Path | MemoryTable, columns: RecordColumns) -> tuple[float, ...]:
     with open_record(path, columns, 0.0) as (file, resolved, _):
         try:
             return _temperature_profile(file, resolved)
@@ -58,61 +58,71 @@ def _read(path: Path | MemoryTable, columns: RecordColumns) -> tuple[float, ...]
 
 def _temperature_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> tuple[float, ...]:
     (spec,) = columns.signals.values()
-    where = f"{file.path}: column '{spec.name}'"
+    location = f"{file.path}: column '{spec.name}'"
     span, last, gap, rows = (math.inf, -math.inf), math.nan, (0.0, 0.0, 0.0), 0
-    parts: list[Array] = []
+    segments: list[Array] = []
     for chunk in iter_chunks(file.batches(columns.names), lambda _: chunk_size(1)):
-        time, warm = chunk[columns.time.name] * columns.time.factor, chunk[spec.name] + spec.offset
+        time, temperatures = (
+            chunk[columns.time.name] * columns.time.factor,
+            chunk[spec.name] + spec.offset,
+        )
         infinite = np.flatnonzero(np.isinf(time))
         if len(infinite):
-            place = file.locate_row(rows + int(infinite[0]))
-            raise RecordError(f"{file.path}, {place}: the time is infinite.")
+            row_location = file.locate_row(rows + int(infinite[0]))
+            raise RecordError(f"{file.path}, {row_location}: the time is infinite.")
         coldest, warmest = WORKING_TEMPERATURES
-        impossible = np.flatnonzero((warm < coldest) | (warm > warmest))
+        impossible = np.flatnonzero((temperatures < coldest) | (temperatures > warmest))
         if len(impossible):
-            odd, place = float(warm[impossible[0]]), file.locate_row(rows + int(impossible[0]))
+            implausible, row_location = (
+                float(temperatures[impossible[0]]),
+                file.locate_row(rows + int(impossible[0])),
+            )
             raise RecordError(
-                f"{file.path}, {place}: column '{spec.name}' holds {odd:.6g} K "
-                f"({odd - ZERO_CELSIUS:.6g} degC), at which no accelerometer works. Check the unit "
+                f"{file.path}, {row_location}: column '{spec.name}' holds {implausible:.6g} K "
+                f"({implausible - ZERO_CELSIUS:.6g} degC), at which no accelerometer works. "
+                "Check the unit "
                 "of the column."
             )
         rows += len(time)
-        used = (time >= columns.part[0]) & (time <= columns.part[1])
-        if not used.any():
+        is_used = (time >= columns.time_range[0]) & (time <= columns.time_range[1])
+        if not is_used.any():
             continue
-        span = min(span[0], float(time[used].min())), max(span[1], float(time[used].max()))
-        used &= np.isfinite(warm)
-        t, x = time[used], warm[used]
+        span = min(span[0], float(time[is_used].min())), max(span[1], float(time[is_used].max()))
+        is_used &= np.isfinite(temperatures)
+        t, x = time[is_used], temperatures[is_used]
         if not len(t):
             continue
         before = np.append(span[0] if math.isnan(last) else last, t)
         steps = np.diff(before)
-        widest = int(np.argmax(steps))
-        gap = max(gap, (float(steps[widest]), float(before[widest]), float(t[widest])))
+        largest_gap = int(np.argmax(steps))
+        gap = max(
+            gap, (float(steps[largest_gap]), float(before[largest_gap]), float(t[largest_gap]))
+        )
         last = float(t[-1])
-        parts.append(_segment_means(np.stack([t, x, np.ones(len(t))]), _PARTS_OF_PIECE))
-    if not parts:
-        raise RecordError(f"{where} has no number in the part that is used.")
+        segments.append(_segment_means(np.stack([t, x, np.ones(len(t))]), _SEGMENTS_PER_PIECE))
+    if not segments:
+        raise RecordError(f"{location} has no number in the part that is used.")
     gap = max(gap, (span[1] - last, last, span[1]))
-    if gap[0] > _LONGEST_GAP * (span[1] - span[0]):
+    if gap[0] > _MAX_GAP_FRACTION * (span[1] - span[0]):
         raise RecordError(
-            f"{where} has no number from {gap[1]:.6g} s to {gap[2]:.6g} s, more than a quarter of "
+            f"{location} has no number from {gap[1]:.6g} s to {gap[2]:.6g} s, more than "
+            "a quarter of "
             "the record. State the temperature of the run instead (`temperature`), and no column."
         )
-    values = np.concatenate(parts, axis=1)
+    values = np.concatenate(segments, axis=1)
     low, high = float(values[1].min()), float(values[1].max())
     return _fit_broken_line(values, span) if high > low else (low,)
 
 
-def _segment_means(values: Array, parts: int) -> Array:
+def _segment_means(values: Array, segment_count: int) -> Array:
     """Return means of time and value over consecutive parts, and their weights, shape (3, m).
 
     values: Times, values and weights, shape (3, n).
     """
     n = values.shape[1]
-    if n <= parts:
+    if n <= segment_count:
         return values
-    starts = np.arange(parts) * n // parts
+    starts = np.arange(segment_count) * n // segment_count
     weight = np.add.reduceat(values[2], starts)
     means = np.add.reduceat(values[:2] * values[2], starts, axis=1) / weight
     return np.concatenate([means, weight[None]])
@@ -123,14 +133,14 @@ def _fit_broken_line(values: Array, span: tuple[float, float]) -> tuple[float, .
 
     values: Times (s), values and weights, shape (3, n).
     """
-    time, value, weight = _segment_means(values, _PARTS)
+    time, value, weight = _segment_means(values, _MAX_SEGMENTS)
     count = min(MAX_KNOTS, max(2, time.size // 2))
-    place = (time - span[0]) / (span[1] - span[0]) * (count - 1)
+    position = (time - span[0]) / (span[1] - span[0]) * (count - 1)
     knots = np.arange(count)
-    hats = np.maximum(1.0 - np.abs(place[:, None] - knots), 0.0)
+    basis = np.maximum(1.0 - np.abs(position[:, None] - knots), 0.0)
     root = np.sqrt(weight / weight.max())
-    bends = _STIFFNESS * np.diff(np.eye(count), 2, axis=0)
-    rows = np.concatenate([root[:, None] * hats, bends])
+    second_differences = _STIFFNESS * np.diff(np.eye(count), 2, axis=0)
+    rows = np.concatenate([root[:, None] * basis, second_differences])
     mean = float(value.mean())
-    target = np.append(root * (value - mean), np.zeros(len(bends)))
+    target = np.append(root * (value - mean), np.zeros(len(second_differences)))
     return tuple((mean + np.linalg.lstsq(rows, target, rcond=None)[0]).tolist())

@@ -242,11 +242,11 @@ def _simulate_mean_records(campaign: Campaign, head_errors: Array) -> Iterator[p
                 columns[campaign.time.name] = stamps / campaign.time.factor
                 if campaign.angle is not None:
                     angle = _add_noise(generator, angle, noise.angle)
-                    columns[campaign.angle.name] = campaign.angle.filed(angle)
+                    columns[campaign.angle.name] = campaign.angle.to_file_units(angle)
                 columns |= _temperature_column(campaign.temperature, reading.temperature, time)
             signal = _add_output_noise(generator, time, signal, accelerometer, noise)
             channel = accelerometer.channel
-            columns[channel.name] = channel.filed(signal * gravity_ratio(campaign, channel))
+            columns[channel.name] = channel.to_file_units(signal * gravity_ratio(campaign, channel))
         yield pl.DataFrame(columns)
 
 
@@ -269,7 +269,7 @@ def _simulate_pose_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
             assert channel is not None
             felt = accelerometer.with_private(observable="specific_force", channel=channel)
             noisy = _add_output_noise(generator, time, signal, felt, noise)
-            columns[channel.name] = channel.filed(noisy * gravity_ratio(campaign, channel))
+            columns[channel.name] = channel.to_file_units(noisy * gravity_ratio(campaign, channel))
         yield pl.DataFrame(columns)
 
 
@@ -281,7 +281,7 @@ def _temperature_column(
         return {}
     scale = replace(column, offset=TEMPERATURE_SCALES[column.unit or "degC"])
     knots = np.linspace(times[0], times[-1], len(course))
-    return {column.name: scale.filed(np.interp(times, knots, course))}
+    return {column.name: scale.to_file_units(np.interp(times, knots, course))}
 
 
 def _is_simulated(description: Path) -> bool:
@@ -362,7 +362,7 @@ def simulate_run(
         angle_delay = true.timing_offset.value if true.timing_offset else 0.0
         angle = run_truth.spindle.angle(times + angle_delay)
         angle = _add_noise(generator, angle + encoder_error(run_truth.shared, angle), noise.angle)
-        columns[recording.angle.name] = recording.angle.filed(angle)
+        columns[recording.angle.name] = recording.angle.to_file_units(angle)
     columns |= _temperature_column(recording.temperature, run.temperature, times)
     indicated = _indicated_output(true, run, trajectory, times)
     for name, accelerometer in campaign.accelerometers.items():
@@ -379,7 +379,7 @@ def simulate_run(
             )
         signal = _add_output_noise(generator, times, signal, accelerometer, noise)
         channel = accelerometer.channel
-        columns[channel.name] = channel.filed(signal * gravity_ratio(campaign, channel))
+        columns[channel.name] = channel.to_file_units(signal * gravity_ratio(campaign, channel))
     return columns
 
 

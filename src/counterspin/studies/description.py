@@ -399,7 +399,7 @@ def _varied_quantities(
     if symbol == WHITE and first <= 0.0:
         problems.add(path, "must be greater than zero")
     if symbol in INPUTS:
-        low, high = term(symbol).effect.between
+        low, high = term(symbol).effect.bounds
         if not all(
             low <= value <= high
             for value in (first, second if distribution == "uniform" else first)

@@ -115,7 +115,9 @@ def read_poses(
 
     rest, threshold: As of `find_poses`; the threshold in the unit that the columns come in.
     """
-    record = read_record(path, columns, NominalMotion(0.0, steady=True, posed=True), block=None)
+    record = read_record(
+        path, columns, NominalMotion(0.0, constant_input=True, multi_pose=True), block=None
+    )
     values = np.column_stack(list(record.signals.values()))
     try:
         poses = find_poses(record.time + record.start_time, values, rest, threshold)

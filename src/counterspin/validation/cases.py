@@ -95,7 +95,7 @@ def compared_integrals(given: Mapping[str, Any]) -> dict[str, list[str]]:
     motion = select_motion(given)
     integrals = motion[given["observable"]]["QX"] if motion.get("platform") else ()
     platform = [symbol for symbol in PLATFORM_TERMS if symbol in integrals]
-    symbols = [symbol for symbol, row in TERMS.items() if not row.effect.of_rotation]
+    symbols = [symbol for symbol, row in TERMS.items() if not row.effect.requires_rotation]
     compared = given.get("terms", [*symbols, *platform])
     compared = [symbol for symbol in compared if symbol not in given.get("without", ())]
     return dict.fromkeys(motion[given["observable"]], compared)

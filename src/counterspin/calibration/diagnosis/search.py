@@ -283,7 +283,7 @@ def _with_input_ranges(
     """Return alternatives with what an input may be, which hangs on what is stated of it."""
     inputs = stated_inputs(campaign)
     ranges = {
-        name: row.effect.between
+        name: row.effect.bounds
         for name in inputs
         for symbol, row in INPUTS.items()
         if name == symbol or name.endswith(f".{symbol}")

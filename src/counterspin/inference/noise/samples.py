@@ -45,11 +45,11 @@ class SensorSamples:
         else:
             keep = np.append(True, np.diff(time) > 0.0)
             time, values = time[keep], values[keep]
-        holding = ValueHolding.of(values)
+        holding = ValueHolding.detect(values)
         if holding is None:
             return cls(time, values, 0, restamped)
         row = median(np.diff(time))
-        new = holding.new(values) & np.isfinite(values)
+        new = holding.is_new(values) & np.isfinite(values)
         repeated = int(np.isfinite(values).sum() - new.sum())
         time, values = time[new], values[new]
         if not holding.period:
