@@ -223,7 +223,7 @@ class Row:
     def cell(self) -> str:
         """The row in a few words."""
         if not self.text:
-            return "nothing said"
+            return "no finding"
         return f"{self.state} ({self.code}: {self.subject})" if self.code else self.state
 
 

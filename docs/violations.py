@@ -193,7 +193,7 @@ class Row:
     @property
     def said(self) -> str:
         """What the result says of it."""
-        return f"{self.state} ({', '.join(self.codes)})" if self.codes else "nothing said"
+        return f"{self.state} ({', '.join(self.codes)})" if self.codes else "no finding"
 
     @property
     def cell(self) -> str:

@@ -140,7 +140,7 @@ NUMBERS = [
     ),
     ("diagnosis", "head of the finding, then up to {} others", [search._MAX_RIVALS]),
     ("diagnosis", "for up to {} causes", [search._MAX_CAUSES]),
-    ("diagnosis", "what is below {} % of its size", [100 * search._MIN_RELATIVE_SIZE]),
+    ("diagnosis", "effects below {} % of its size", [100 * search._MIN_RELATIVE_SIZE]),
     ("diagnosis", "blamed in at most {} % of good campaigns", [CAUSES]),
     ("diagnosis", "left out (`run-disagrees`): {} % of campaigns", [ALARMS]),
     ("diagnosis", "(`noise-differs`): {} %, likewise", [ALARMS]),

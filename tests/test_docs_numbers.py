@@ -63,7 +63,7 @@ ROWS = {
             400.0,
         ),
         ("blocks of at most {} revolution", 1.0 / reduction.BLOCKS_PER_REVOLUTION),
-        ("Up to {} rows that stand alone", reduction._MAX_ISOLATED_ROWS),
+        ("Up to {} rows alone at an end", reduction._MAX_ISOLATED_ROWS),
         ("a gap of a revolution and of {} rows", reading._ISOLATION_STEPS),
         ("more than {} % empty cells", 100.0 * reading.MAX_EMPTY_FRACTION),
         ("less than {} revolutions, a clock", reading.MIN_REVOLUTIONS),
@@ -94,7 +94,7 @@ ROWS = {
         ("u would grow by {}. If", math.hypot(1.0, faults._TOLERABLE_FRACTION_OF_U) - 1.0),
     ],
     "study": [
-        ("known with an uncertainty, and {} analyses compete", len(description._DEFAULT_ANALYSES)),
+        ("{} analyses compete", len(description._DEFAULT_ANALYSES)),
         ("share of trials whose {}, {} and {} % intervals", *(100.0 * p for p in result.LEVELS)),
         ("contain the truth in {} to {} % of", *(100.0 * p for p in result._ACCEPTED_COVERAGE)),
         ("must not exceed {} of the stated u", result._MAX_BIAS_RATIO),
@@ -138,7 +138,7 @@ ROWS = {
     "compare": [("the same within {}, or", rerun.LIMIT)],
     "monitoring": [
         ("its rate is off by more than {} %", 100.0 * assembly.MAX_RATE_DEVIATION),
-        ("shorter than {} of what is stated", assembly.COMPLETE_FRACTION),
+        ("shorter than {} of the stated length", assembly.COMPLETE_FRACTION),
         ("more than {} % of it are outliers", 100.0 * outcome.OUTLIER_SHARE),
         ("A run of fewer than {} revolutions is not assessed", observer.MIN_REVOLUTIONS),
         (

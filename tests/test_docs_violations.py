@@ -92,4 +92,4 @@ def test_a_silent_one_would_be_found():
     moved = {"K_F": 0.0, "K_II": -30.1}
     row = STUDY["Row"]("x", "1", "displacement", moved, "good", [], {"K_II": -3.1}, [])
     assert row.silent
-    assert row.cell == "K_II 30 u: nothing said; 3.1 u"
+    assert row.cell == "K_II 30 u: no finding; 3.1 u"

@@ -58,7 +58,7 @@ def reserve(
         if not place.exists():
             if not place.parent.is_dir():
                 raise CounterspinError(
-                    f"{path}: cannot be written: there is no folder {path.parent}"
+                    f"{path}: cannot be written: the folder {path.parent} does not exist"
                 )
             return
     except OSError as error:

@@ -53,7 +53,7 @@ def test_a_run_is_left_out_by_command_as_by_the_description(tmp_path, plain, cap
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["solw"], '--without: there is no run "solw"; its runs are "slow", "fast"'),
+        (["solw"], '--without: no run is named "solw"; its runs are "slow", "fast"'),
         (["slow", "fast"], '--without: no run would be left; its runs are "slow", "fast"'),
     ],
 )

@@ -122,7 +122,7 @@ def test_heating_is_never_asked_for(tmp_path):
         for accelerometer in campaign.accelerometers.values():
             assert accelerometer.priors["K_F.heating"].u == pytest.approx(1e-7)
     (problem,) = problems(tmp_path, BARE + model(hold='"K_F.heating"'))
-    assert "there is no prior for Qx, Qy" in problem
+    assert "no prior is stated for Qx, Qy" in problem
 
 
 def test_a_prior_of_one_accelerometer_s_slope(tmp_path):

@@ -96,7 +96,7 @@ def test_mistakes_are_told_as_of_a_file(tmp_path):
 @pytest.mark.parametrize(
     ("records", "message"),
     [
-        ({"slwo": {}}, r'records: there is no run "slwo"; did you mean "slow"\?'),
+        ({"slwo": {}}, r'records: no run is named "slwo"; did you mean "slow"\?'),
         ({}, r'runs\[0\].record: is missing \(run "slow"\)'),
     ],
 )
@@ -113,7 +113,7 @@ def test_a_frame_that_is_none_is_told_by_its_run():
 def test_what_toml_could_not_hold_is_refused():
     with pytest.raises(CampaignError, match=r"campaign\.title: contains the character NUL"):
         make_campaign(frames.small() | {"campaign": {"title": "a\0"}})
-    with pytest.raises(CampaignError, match="runs: a set cannot stand here"):
+    with pytest.raises(CampaignError, match="runs: a set is not allowed here"):
         make_campaign(frames.small() | {"runs": {1}})
 
 

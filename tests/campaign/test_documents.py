@@ -201,7 +201,7 @@ def test_what_cannot_stand_in_a_description_is_noted_with_its_key():
     to_toml_value({"site": {"gravity": 1j}, 7: 1}, (), problems.add)
     assert problems.lines == [
         ": the key 7 must be text",
-        "site.gravity: a complex cannot stand here; write text or a number",
+        "site.gravity: a complex is not allowed here; write text or a number",
     ]
 
 

@@ -129,7 +129,7 @@ def test_values_without_an_uncertainty(tmp_path):
         "Qx.K_F is stated as 0.005 g without an uncertainty, and so taken with its "
         'typical uncertainty. How well is it known? Write "0.005 ± U g".'
     )
-    assert "and so taken as exact, as model.assume has it. How well" in scale_factor.text
+    assert "and so taken as exact, because model.assume names it. How well" in scale_factor.text
 
 
 def test_simulate_and_plan_warn_and_calibrate_finds(tmp_path, capsys):

@@ -141,7 +141,7 @@ def test_all_mistakes_at_once_by_key():
         'specification.K_IV: unknown term "K_IV"; did you mean "K_I',
         'specification.decisionrule: unknown term "decisionrule"; did you mean "deci',
         'specification."platform.tilt": belongs to the machine',
-        'specification.Qz: there is no accelerometer "Qz"',
+        'specification.Qz: no accelerometer is named "Qz"',
         "specification.Qx.K_F: ",
         'specification.Qx.bias: unknown term "bias"',
     ]

@@ -150,7 +150,7 @@ def test_held_terms_need_a_prior_for_every_accelerometer():
     given = {"Qx": {"K_OO": Quantity(0.0, 1e-6, "g/g^2")}}
     _, _, (problem,) = resolve({"Qx": QX, "Qy": QY}, given=given, terms=["K_II"], hold=["K_OO"])
     assert problem == (
-        'model.hold: "K_OO" is held, but there is no prior for Qy; '
+        'model.hold: "K_OO" is held, but no prior is stated for Qy; '
         'add "K_OO" = "VALUE ± U g/g^2" to [model.priors]'
     )
 

@@ -59,7 +59,7 @@ SLIPS = {
     ),
     "[truth.noise]\nreading = '1 uV'": "truth.noise.reading: 'uV' is not a unit",
     "[truth.noise]\nreading = '-1 uA'": "a standard deviation is not negative",
-    "[truth.noise]\nreading = { B = '1 uA' }": 'there is no accelerometer "B"',
+    "[truth.noise]\nreading = { B = '1 uA' }": 'no accelerometer is named "B"',
 }
 
 

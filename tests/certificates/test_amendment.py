@@ -75,7 +75,7 @@ def test_statements_that_come_and_go_are_told(desk):
     old = certificate(result(), "LAB.toml").xml
     write_lab(desk, LAB.replace('remarks = ["Bemerkung."]', 'customer_data = ["K_I"]'))
     assert describe_changes(old, certificate(result(), "LAB.toml").xml) == [
-        'the statement "Prior knowledge" reads otherwise.',
+        'the statement "Prior information" reads otherwise.',
         'the statement "Remarks" is gone.',
         'the statement "Data supplied by the customer" is new.',
     ]

@@ -402,7 +402,7 @@ def test_what_the_procedure_is_and_what_the_customer_supplied(tmp_path):
     assert "".join(state.itertext()).strip() == "The item was calibrated as received."
     (known, supplied) = (
         find(made, f"//dcc:statement[dcc:name/dcc:content='{name}']/dcc:declaration/dcc:content")
-        for name in ("Prior knowledge", "Data supplied by the customer")
+        for name in ("Prior information", "Data supplied by the customer")
     )
     assert known[0].text == (
         "Prior for Qx: K_I (scale factor), standard uncertainty 5.0e-6 g/g, supplied by the "

@@ -64,7 +64,7 @@ def test_the_result_is_entered_as_it_was_written(desk, capsys):
         (("--json", "r.json", "--who", "B"), 2, "--who and --why need --ledger FILE"),
         ((".", "--json", "r.json", "--ledger", "l.jsonl", *WHO), 2, "the result of one campaign"),
         (("--json", "r.json", "--ledger", "./r.json", *WHO), 2, "name the same file"),
-        (("--json", "r.json", "--ledger", "no/l.jsonl", *WHO), 1, "there is no folder no"),
+        (("--json", "r.json", "--ledger", "no/l.jsonl", *WHO), 1, "the folder no does not exist"),
         (("--json", "r.json", "--ledger", "altered.jsonl", *WHO), 1, "entry 1 was altered"),
     ],
 )

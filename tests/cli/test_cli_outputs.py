@@ -162,7 +162,7 @@ def test_the_input_is_not_replaced_by_its_correction(here, capsys):
 def test_a_folder_that_is_not_there_is_told_before_the_work(here, capsys):
     assert cli.main(["calibrate", "camp", "--json", "none/r.json"]) == 1
     told = capsys.readouterr()
-    assert "none/r.json: cannot be written: there is no folder none" in told.err
+    assert "none/r.json: cannot be written: the folder none does not exist" in told.err
     assert told.out == ""
 
 

@@ -80,7 +80,7 @@ def test_what_is_not_known_is_told_or_asked(tmp_path, plain, monkeypatch, capsys
     words = ["init", str(tmp_path), "--from", str(plain / "slow.csv"), *PLACE]
     assert main([*words, "--yes"]) == 2
     told = capsys.readouterr().err
-    assert 'Answer with --answer, such as "radius=2.5' in told
+    assert 'Give the answer with --answer, such as "radius=2.5' in told
     assert "sense: In which sense does the angle increase" in told
     assert not (tmp_path / "campaign.toml").exists()
     assert main(words) == 2  # nobody is there to be asked

@@ -101,7 +101,7 @@ def test_frames_and_other_files_are_judged_too(folder, tmp_path):
     frame.write_csv(tmp_path / "other.csv")
     with pytest.raises(CampaignError, match="name the run, one of: slow, middle, fast"):
         cs.check(tmp_path / "other.csv", folder)
-    with pytest.raises(CampaignError, match='there is no run "sloww"'):
+    with pytest.raises(CampaignError, match='no run is named "sloww"'):
         cs.check(tmp_path / "other.csv", folder, run="sloww")
     with pytest.raises(RecordError, match="file not found"):
         cs.check(tmp_path / "nowhere.csv", folder)

@@ -167,7 +167,7 @@ def test_poses_are_followed_while_they_are_recorded(tmp_path, suffix):
 
 def test_a_run_that_is_none_and_a_campaign_without_records_are_told(tmp_path):
     posed_records.campaign(tmp_path, {"all": MANY})
-    with pytest.raises(CampaignError, match='there is no run "al"'):
+    with pytest.raises(CampaignError, match='no run is named "al"'):
         cs.check(tmp_path / "all.log", tmp_path, run="al")
     values = triads.indications(triads.directions(20, np.random.default_rng(1)))
     folder = triads.table(tmp_path / "table", values)

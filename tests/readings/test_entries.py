@@ -187,7 +187,7 @@ SLIPS = {
     ),
     "held without a prior": (
         HEAD + '[model]\nassume = "all"\nterms = ["K_F"]\nhold = ["head.zero"]\n' + RUN,
-        'model.hold: "head.zero" is held, but there is no prior for the machine; '
+        'model.hold: "head.zero" is held, but no prior is stated for the machine; '
         'add "head.zero" = "VALUE ± U rad" to [model.priors]',
     ),
     "a head of no angle": (

@@ -145,7 +145,7 @@ def test_columns_of_a_group_or_a_structure_by_path(tmp_path):
         long = {"time": ColumnSpec(f"{group}{mark}{TIME}"), "angle": None}
         long["signals"] = {"Qx": ColumnSpec(f"{group}{mark}{SIGNAL}")}
         np.testing.assert_array_equal(read(path, **long).time, columns[TIME])
-        assert "no group 'runs' with columns" in refusal(path, dialect=Dialect(group="runs"))
+        assert "no group 'runs' contains columns" in refusal(path, dialect=Dialect(group="runs"))
 
 
 @pytest.mark.parametrize("name", ["run.mat", "run.h5"])

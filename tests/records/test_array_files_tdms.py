@@ -33,7 +33,7 @@ def test_channels_are_columns_of_their_group(tmp_path):
     record = read(path, time=ColumnSpec(f"Run/{TIME}"), **columns)
     np.testing.assert_array_equal(record.time, table()[TIME])
     assert "there is no column" in refusal(path)
-    assert "no group 'Fast' with columns" in refusal(path, dialect=Dialect(group="Fast"))
+    assert "no group 'Fast' contains columns" in refusal(path, dialect=Dialect(group="Fast"))
 
 
 def test_an_index_beside_the_file_is_not_read(tmp_path):

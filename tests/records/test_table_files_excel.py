@@ -47,7 +47,7 @@ def test_which_sheet_must_be_clear(tmp_path):
     path = write_workbook(tmp_path / "r.xlsx", {"before": ROWS, "after": ROWS})
     with pytest.raises(RecordError, match="the sheets 'before', 'after' hold rows; name one"):
         read_small_table(path)
-    with pytest.raises(RecordError, match="there is no sheet 'aftr'; it has 'before', 'after'"):
+    with pytest.raises(RecordError, match="no sheet is named 'aftr'; it has 'before', 'after'"):
         read_small_table(path, Dialect(sheet="aftr"))
 
 

@@ -240,7 +240,7 @@ def test_a_measured_campaign_is_never_overwritten(tmp_path, text):
     path = write(tmp_path, SMALL)
     write(tmp_path / "made", text)
     write(tmp_path / "made", "measured", "middle.csv")
-    with pytest.raises(CounterspinError, match=r"campaign\.toml is not of a simulated campaign"):
+    with pytest.raises(CounterspinError, match=r"campaign\.toml does not belong to a simulated"):
         simulate(path, tmp_path / "made", overwrite=True)
     assert contents(tmp_path / "made") == {
         "campaign.toml": text.encode(),

@@ -148,7 +148,7 @@ def _check_excluded(campaign: Campaign, without: Sequence[str]) -> None:
             )
         elif name not in runs:
             hint = f"its runs are {_quote_names(runs)}" if runs else "it has no [[runs]]"
-            problems.append(f'`without`: there is no run "{name}"; {hint}')
+            problems.append(f'`without`: no run is named "{name}"; {hint}')
     if not problems and not table_rows and set(runs) <= {*without, *campaign.skipped}:
         problems.append(f"`without`: no run would be left; its runs are {_quote_names(runs)}")
     if problems:

@@ -135,7 +135,7 @@ class AngleChannel(_Channel):
     def _counts(self) -> Self:
         counted = self.unit is not None and is_unit(self.unit, "count")
         if counted and self.per_revolution is None:
-            raise ValueError("counts need per_revolution: how many make one revolution")
+            raise ValueError("counts need per_revolution, the number of counts per revolution")
         if self.per_revolution is not None and not (counted or self.pulses):
             raise ValueError('per_revolution belongs to pulses, or to unit = "count"')
         return self

@@ -327,7 +327,7 @@ def to_toml_value(value: Any, path: KeyPath, note: Callable[[KeyPath, str], None
     if isinstance(value, PurePath):
         return str(value)
     if not isinstance(value, str | bool | int | float | datetime.date | datetime.time):
-        note(path, f"a {type(value).__name__} cannot stand here; write text or a number")
+        note(path, f"a {type(value).__name__} is not allowed here; write text or a number")
     return value
 
 

@@ -184,7 +184,7 @@ def attach_records(
             continue
         if name not in names:
             known = [known for known in names if isinstance(known, str)]
-            problems.add(("records",), f'there is no run "{name}"' + suggest_name(name, known))
+            problems.add(("records",), f'no run is named "{name}"' + suggest_name(name, known))
             continue
         run = dict(given[names[name]])
         if isinstance(record, Path | str):

@@ -211,7 +211,7 @@ def resolve_model(
     for symbol, missing in _missing_priors(considered, shared, accelerometer_priors):
         problems.add(
             ("model", key),
-            f'"{symbol}" is held, but there is no prior for {missing}; '
+            f'"{symbol}" is held, but no prior is stated for {missing}; '
             f'add "{symbol}" = "VALUE ± U {term(symbol).unit}" to [model.priors]',
         )
     for symbol in (*terms, *considered, *shared):

@@ -148,7 +148,9 @@ def _exact_priors(campaign: Campaign) -> Iterator[Question]:
             value = f"{prior.value:.9g}"
             assumed = campaign.model.assumes(symbol_of(subject))
             taken = (
-                "as exact, as model.assume has it" if assumed else "with its typical uncertainty"
+                "as exact, because model.assume names it"
+                if assumed
+                else "with its typical uncertainty"
             )
             yield Question(
                 code="exact-prior",

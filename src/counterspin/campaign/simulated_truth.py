@@ -305,7 +305,7 @@ class TruthReader:
         ).items():
             if name not in outputs:
                 if name not in self.names:
-                    message = f'there is no accelerometer "{name}"' + suggest_name(name, self.names)
+                    message = f'no accelerometer is named "{name}"' + suggest_name(name, self.names)
                     self.problems.add(path, message)
                 continue
             output = outputs[name]

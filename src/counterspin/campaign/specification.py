@@ -175,7 +175,7 @@ def resolve_specifications(
             continue
         if name not in accelerometers:
             problems.add(
-                (*path, name), f'there is no accelerometer "{name}"' + _hint(name, accelerometers)
+                (*path, name), f'no accelerometer is named "{name}"' + _hint(name, accelerometers)
             )
         by_accelerometer[name] = _terms(tables[name], (*path, name), list(TERMS), problems, gravity)
     if not shared and not any(by_accelerometer.values()) and len(problems.lines) == before:

@@ -77,8 +77,8 @@ _RULES: Final = {
 
 #: Statement of a certificate that lacks data of the laboratory, or is not issued yet.
 DRAFT: Final = (
-    "DRAFT. It is not issued with complete data of the laboratory: this is not a certificate, and "
-    "it certifies nothing."
+    "DRAFT. The laboratory's data are incomplete. This document is not a certificate and "
+    "certifies nothing."
 )
 
 #: Relation of the method to the standard.
@@ -100,7 +100,7 @@ TRACEABILITY: Final = "Metrological traceability"
 EQUIPMENT: Final = "Equipment and traceability"
 CAPABILITY: Final = "Calibration and measurement capability"
 BASIS: Final = "Basis of the result"
-PRIOR_KNOWLEDGE: Final = "Prior knowledge"
+PRIOR_KNOWLEDGE: Final = "Prior information"
 ASSUMED: Final = "Assumed perfect, and the evidence"
 DEFAULTS: Final = "Evidence for default uncertainties"
 SUPPLIED: Final = "Data supplied by the customer"

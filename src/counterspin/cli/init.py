@@ -94,7 +94,8 @@ def _import_files(
     asks_questions = asks_questions and sys.stdin is not None and sys.stdin.isatty()
     if (question := sensor_question(all_contents)) is not None:
         if not asks_questions:
-            text = f'{question.text} Answer with `answer`, such as "select={question.example}".'
+            example = f'"select={question.example}"'
+            text = f"{question.text} Give the answer with `answer`, such as {example}."
             raise CampaignError("init", [f"select: {text}"])
         answers["select"] = _ask(question)
         all_contents = read_files(files, answers)
@@ -131,7 +132,7 @@ def _name_option(questions: Mapping[str, FileQuestion], problem: str) -> str:
     question = next((q for start, q in questions.items() if problem.startswith(start)), None)
     if question is None:
         return problem
-    return f'{problem} Answer with `answer`, such as "{question.key}={question.example}".'
+    return f'{problem} Give the answer with `answer`, such as "{question.key}={question.example}".'
 
 
 def _choose_test(all_contents: Sequence[FileContents], *, asks: bool) -> Test:

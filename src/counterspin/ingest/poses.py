@@ -229,7 +229,7 @@ def _questions(
         text = "How long must a rest last at least to count as a pose?"
         usual = f"{found.rest if found else MIN_DURATION:g} s"
         yield FileQuestion("rest", text, usual, guess=usual, quantity="s")
-    text = "Of which grade is the sensor? It sets the typical size of all that is not stated."
+    text = "What is the grade of the sensor? It sets the default uncertainties."
     grade = grade_of(found, guess) if found else None
     yield FileQuestion("grade", text, "consumer", GRADES, grade)
 

@@ -136,7 +136,7 @@ def _select_run(campaign: Campaign, file: Path | None, name: str | None) -> Reco
     if name is not None:
         if name not in by_name:
             raise CampaignError(
-                "`run`", [f'there is no run "{name}"{suggest_name(name, list(by_name))}']
+                "`run`", [f'no run is named "{name}"{suggest_name(name, list(by_name))}']
             )
         return by_name[name]
     if file is not None:

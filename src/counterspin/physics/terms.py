@@ -301,7 +301,7 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
     rate = f"{_NO_SOURCE}: the mean rate of a precision centrifuge"
     iso = "ISO 16063-21: 1 % at k = 2 of a transducer calibrated by comparison"
     for symbol, words, unit, limit, typical, source, motions in (
-        ("centrifuge.radius.MOUNTING", "radius of a mounting", "m", 0.1, 1e-3, radius, ("arm",)),
+        ("centrifuge.radius.MOUNTING", "radius of mounting", "m", 0.1, 1e-3, radius, ("arm",)),
         (proof_mass, "radius of the proof mass", "m", 0.1, 1e-3, radius, ("arm",)),
         ("centrifuge.rate", "random error of the rate", "1", 1e-2, 1e-7, rate, ()),
         ("centrifuge.droop", "droop of the arm", "rad s^2", 1e-3, 1e-8, _NO_SOURCE, ("arm",)),

@@ -388,7 +388,7 @@ def unreachable(search: Search) -> CounterspinError:
         _, relaxed = relax(search.relaxing or search.predictor, unlimited, search.criterion)
         floor = math.exp(relaxed.value) * size
         if floor > size:
-            text += f". With any amount of time it would be {format_distinct(floor, size)} {unit}"
+            text += f". With unlimited time it would be {format_distinct(floor, size)} {unit}"
     if all(run_type.sense == 1 for run_type in search.limits.types):
         both = search.smallest(allow_both_senses(search.limits), best.design)
         u = search.predictor.u(both.design)[search.predictor.names.index(name)]

@@ -116,7 +116,7 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
         ),
         (
             run.revolutions is not None and run.duration is None and not rotates,
-            "a run that does not turn has a duration",
+            "a run at rest needs a duration",
             "revolutions duration rate",
         ),
         (
@@ -219,7 +219,7 @@ def _accelerometer_readings(
             yield name, texts if isinstance(texts, list) else [texts], value_path
         elif names:
             hint = suggest_name(name, names)
-            problems.add(value_path, f'there is no accelerometer "{name}"{hint}')
+            problems.add(value_path, f'no accelerometer is named "{name}"{hint}')
 
 
 def _make_reading(run: Run, name: str, parsed: _ParsedValue, axes: Mounting) -> Reading:

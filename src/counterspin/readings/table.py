@@ -287,7 +287,7 @@ class ReadingsTable:
                 required += columns
                 if owner not in self.accelerometers:
                     hint = suggest_name(owner, self.accelerometers)
-                    problems.add((*path, key), f'there is no accelerometer "{owner}"' + hint)
+                    problems.add((*path, key), f'no accelerometer is named "{owner}"' + hint)
         self._check_existence(required, names)
 
     def _check_mounting_columns(self, names: Sequence[str]) -> None:

@@ -96,7 +96,7 @@ class ArrayFile(ColumnFile):
             path[len(prefix) :].replace(path_separator, separator): path for path in paths_in_group
         }
         if group is not None and not short_names:
-            raise RecordError(f"{self.path}: there is no group '{group}' with columns in it.")
+            raise RecordError(f"{self.path}: no group '{group}' contains columns.")
         # The whole path does as well.
         self._paths = {
             path.replace(path_separator, separator): path for path in paths

@@ -211,7 +211,7 @@ class CsvFile(ColumnFile):
         try:
             wide_codec = "a,;\t1\n".encode(self._encoding) != b"a,;\t1\n"
         except LookupError:
-            raise RecordError(f"{self.path}: there is no encoding '{self._encoding}'.") from None
+            raise RecordError(f"{self.path}: '{self._encoding}' is not a known encoding.") from None
         if wide_codec and self._encoding != "utf-8-sig":
             try:
                 self._content = self.content().decode(self._encoding).encode()

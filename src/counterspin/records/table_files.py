@@ -158,7 +158,7 @@ def _find_sheet(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str
     names = book.sheet_names
     if sheet is not None:
         if sheet not in names:
-            raise RecordError(f"{path}: there is no sheet '{sheet}'; it has {format_names(names)}.")
+            raise RecordError(f"{path}: no sheet is named '{sheet}'; it has {format_names(names)}.")
         return book, sheet
     # A workbook may come with empty sheets, and with one of remarks.
     filled_sheets = [name for name in names if book.load_sheet(name).height > 0]

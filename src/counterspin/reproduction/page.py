@@ -34,8 +34,8 @@ def reproduction_blocks(reproduction: Reproduction) -> list[Block]:
         blocks += [Heading(section.title), _table(section)]
     blocks.append(
         Paragraph(
-            "Paper: a number that it states, or that its equation gives as printed. "
-            "counterspin: computed just now. The derivations are in docs/paper.md.",
+            "Paper: printed number, or value of the printed equation. counterspin: computed "
+            "now. The derivations are in docs/paper.md.",
             "quiet",
         )
     )

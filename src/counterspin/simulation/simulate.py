@@ -124,8 +124,8 @@ def simulate(
     own = description.exists() and read_from is not None and description.samefile(read_from)
     if description.exists() and not own and not _is_simulated(description):
         raise CounterspinError(
-            f"{description} is not of a simulated campaign, so its files are not replaced: "
-            "simulate into another folder"
+            f"{description} does not belong to a simulated campaign, so its files are not "
+            "replaced: simulate into another folder"
         )
     replaced = [description] if text is not None or not own else []
     taken_along = _static_record_copy(campaign, folder)

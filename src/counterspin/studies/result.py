@@ -319,7 +319,7 @@ def summarise_analyses(analyses: Mapping[str, AnalysisResult]) -> list[str]:
             + ". "
             + _findings(trustworthy[best].coefficients.values())
         )
-        lines += [f"{name}: no fault found either." for name in trustworthy if name != best]
+        lines += [f"{name}: also without a fault." for name in trustworthy if name != best]
     for name, analysis in analyses.items():
         if not analysis.trustworthy:
             faulty = [c for c in analysis.coefficients.values() if not c.trustworthy]

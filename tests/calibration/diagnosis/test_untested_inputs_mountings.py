@@ -81,7 +81,8 @@ def test_the_right_axis_is_good(recorded):
     # In displacement K_OO has the t^2 of K_II: only the description knows which way it lies.
     (text,) = remarks(result)
     assert re.search(
-        r"With (north|south) for down they would fit as well, and K_II would be 2 ug/g\^2 larger",
+        r"With (north|south) for down the records would fit equally well, and K_II would be "
+        r"2 ug/g\^2 larger",
         text,
     )
 

@@ -200,9 +200,8 @@ def undetermined_axis_remarks(mountings: Sequence[AlternativeMounting]) -> Itera
         yield (
             f"{name}: the records do not show where the pendulous axis points, and the "
             f"stated {values} of {_join_symbols(symbols)} {verb} on it. With {fitted} for "
-            f"{stated} they "
-            f"would fit as well, and {symbol} would be {format_size(symbol, abs(shift))} "
-            f"{direction}, "
+            f"{stated} the records would fit equally well, and {symbol} would be "
+            f"{format_size(symbol, abs(shift))} {direction}, "
             f"{format_number(size, 2)} times its u."
         )
 

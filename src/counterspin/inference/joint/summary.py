@@ -80,7 +80,7 @@ class WhatIf:
     def parts(self, name: str, known: Mapping[str, float]) -> dict[str, float]:
         """Return the u^2 of a coefficient by source, and the rest, as ``""``; as `u`."""
         if unknown := [source for source in known if source not in self.known]:
-            raise ValueError(f"there is no prior for {', '.join(unknown)}")
+            raise ValueError(f"no prior of {', '.join(unknown)}")
         if not all(u > 0.0 and math.isfinite(u) for u in known.values()):
             raise ValueError("a standard uncertainty is a number above 0")
         weighted = np.array(self.weighed)
