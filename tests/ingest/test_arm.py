@@ -12,7 +12,7 @@ from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError
 from counterspin.ingest.arm import arm_draft
 from counterspin.ingest.contents import read_files
-from counterspin.ingest.description import drafted, write_description
+from counterspin.ingest.description import make_draft, write_description
 from counterspin.ingest.overview import likely_test
 
 EARTH_RATE, GRAVITY, LATITUDE = 7.292115e-5, 9.8066, math.radians(45.75)
@@ -64,7 +64,7 @@ def test_a_german_table(tmp_path):
     path.write_text("\n".join(lines) + "\n", encoding="latin-1")
     looks = read_files([path])
     assert likely_test(looks) == "arm"
-    found = drafted(looks, SAID | {"Signal sensitivity": "1,25"}, "arm")
+    found = make_draft(looks, SAID | {"Signal sensitivity": "1,25"}, "arm")
     assert found.open_questions == []
     assert "4 readings at rest, where the rate is 0" in found.statements
     document = found.document(tmp_path / "camp")
@@ -284,7 +284,7 @@ def test_a_rate_in_any_form_gives_the_same_campaign(tmp_path, head, number, unit
 def test_what_cannot_be_described_is_told(tmp_path):
     path = write_table(tmp_path / "t.csv", table())
     with pytest.raises(CampaignError, match="are one table: name one file"):
-        drafted(read_files([path, path]), {}, "arm")
+        make_draft(read_files([path, path]), {}, "arm")
     rows = [["in", 30.0 + n, 1.0 + n, reading(felt(30.0))] for n in range(2)]
     path = write_table(tmp_path / "r.csv", rows, "side,n_rpm,radius_m,out_mA")
     answers = PLACE | {"sense": "cw", "out_mA sensitivity": "1.25", "u": "2e-6"}

@@ -8,7 +8,7 @@ from workbooks import write_workbook
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.ingest.contents import read_files
-from counterspin.ingest.description import drafted, write_description
+from counterspin.ingest.description import make_draft, write_description
 from counterspin.ingest.overview import likely_test
 
 EARTH_RATE, GRAVITY, LATITUDE, RADIUS = 7.292115e-5, 9.8073, math.radians(48.2), 0.85
@@ -132,10 +132,10 @@ def least_squares_u():
 def test_from_the_file_to_a_result_without_another_answer(tmp_path, write):
     looks = read_files([write(tmp_path)])
     assert likely_test(looks) == "arm"
-    asked = drafted(looks, SAID, "arm").open_questions
+    asked = make_draft(looks, SAID, "arm").open_questions
     # All but the nominal sensitivity follows from the table.
     assert [question.key.split()[-1] for question in asked] == ["sensitivity"]
-    found = drafted(looks, SAID | {asked[0].key: f"{TABLES[write]}"}, "arm")
+    found = make_draft(looks, SAID | {asked[0].key: f"{TABLES[write]}"}, "arm")
     write_description(found, tmp_path / "camp")
     (result,) = calibrate(tmp_path / "camp").accelerometers.values()
     for name, true in TRUE.items():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from counterspin.errors import RecordError
-from counterspin.ingest.column_roles import agreed, guess_file, unit_in_name
+from counterspin.ingest.column_roles import common_guess, guess_file, unit_in_name
 from counterspin.ingest.contents import FileColumn, FileContents
 
 TIME = np.arange(1500) * 0.02
@@ -131,12 +131,12 @@ def test_amplitudes_at_two_rates_show_the_observable():
         return guess_file(seen(t=TIME, q=signal(rate, 2.5 * rate**power), angle_rad=rate * TIME))
 
     for power, name in enumerate(("displacement", "velocity", "specific_force")):
-        assert agreed([file(power, 1.5), file(power, 3.0)]).signals[0].observable == name
-    assert agreed([file(1, 1.5)]).signals[0].observable is None
+        assert common_guess([file(power, 1.5), file(power, 3.0)]).signals[0].observable == name
+    assert common_guess([file(1, 1.5)]).signals[0].observable is None
 
 
 def test_files_that_are_not_alike():
     one = guess_file(seen(t=TIME, angle=RATE * TIME, east_m=signal()))
     other = guess_file(seen("b.csv", t=TIME, angle=RATE * TIME, x=signal()))
     with pytest.raises(RecordError, match=r"b.csv: has no column 'east_m', which a.csv has"):
-        agreed([one, other])
+        common_guess([one, other])

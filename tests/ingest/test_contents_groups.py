@@ -10,7 +10,7 @@ from counterspin.calibration.observed_runs import read_run
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError
 from counterspin.ingest.contents import read_files
-from counterspin.ingest.description import drafted, write_description
+from counterspin.ingest.description import make_draft, write_description
 from counterspin.ingest.overview import likely_test, overview
 
 PLACE = {"gravity": "9.81", "latitude": "48"}
@@ -41,7 +41,7 @@ def test_tables_of_hdf5_become_poses(tmp_path, write):
     write(tmp_path / "a.h5")
     contents = read_files([tmp_path / "a.h5"])
     assert likely_test(contents) == "poses"
-    found = drafted(contents, PLACE, "poses")
+    found = make_draft(contents, PLACE, "poses")
     assert found.open_questions == []
     assert found.guesses[0].time.column.rpartition("/")[2] == "time"
     assert len(found.found.poses.start) == 12
@@ -84,7 +84,7 @@ def test_each_structure_or_group_of_a_file_is_a_run(tmp_path, name, write, names
     for n, axis in ((1, "east"), (2, "north")):
         key = f"pos{mark}{n}"
         answers |= {f"{key} is": "displacement", f"{key} unit": "m", f"{key} axis": axis}
-    found = drafted(contents, answers, "double-turntable")
+    found = make_draft(contents, answers, "double-turntable")
     campaign = read_campaign(write_description(found, tmp_path / "camp"))
     assert [run.rate for run in campaign.runs] == pytest.approx([np.pi, 0.5 * np.pi])
     for run, theta in zip(campaign.runs, TURNS.values(), strict=True):
@@ -96,7 +96,7 @@ def test_poses_in_several_groups_need_a_file_each(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         for n in range(2):
             file[f"run{n}/time"], file[f"run{n}/acc"] = POSED.time, POSED.values
-    found = drafted(read_files([tmp_path / "a.h5"]), PLACE, "poses")
+    found = make_draft(read_files([tmp_path / "a.h5"]), PLACE, "poses")
     with pytest.raises(CampaignError, match="each sheet or group to a file of its own"):
         found.document(tmp_path)
 

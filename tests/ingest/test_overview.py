@@ -9,7 +9,7 @@ from counterspin.cli import main
 from counterspin.errors import CampaignError
 from counterspin.ingest.column_roles import guess_file
 from counterspin.ingest.contents import FileColumn, FileContents, read_files
-from counterspin.ingest.description import drafted
+from counterspin.ingest.description import make_draft
 from counterspin.ingest.overview import UndecidedDraft, likely_test, overview
 
 
@@ -105,13 +105,13 @@ def test_constant_columns_and_nominal_orientations_are_no_measurements(tmp_path)
     )
     contents = read_files([tmp_path / "t.csv"])
     assert likely_test(contents) == "tumble"
-    roles = drafted(contents, {}, "tumble").roles
+    roles = make_draft(contents, {}, "tumble").roles
     assert (roles["nominal"], roles["residual"], roles["out_mA"]) == ("unused", "unused", "reading")
     time = np.arange(400) * 0.05
     east = 2.5 * np.cos(np.pi * time)
     rows = [f"{t:.2f},{e:.6f},0" for t, e in zip(time, east, strict=True)]
     (tmp_path / "r.csv").write_text("\n".join(["time_s,east_m,north residual_m", *rows]) + "\n")
-    (signal,) = drafted(read_files([tmp_path / "r.csv"]), {}, "double-turntable").common.signals
+    (signal,) = make_draft(read_files([tmp_path / "r.csv"]), {}, "double-turntable").common.signals
     assert signal.column == "east_m"
 
 

@@ -12,7 +12,7 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError, RecordError
 from counterspin.ingest.contents import read_files
-from counterspin.ingest.description import drafted, write_description
+from counterspin.ingest.description import make_draft, write_description
 from counterspin.ingest.overview import likely_test, no_test_reasons
 from counterspin.ingest.poses import poses_draft
 from counterspin.toml_text import write_document
@@ -39,7 +39,7 @@ def write_log(folder, values):
 def test_a_log_without_names_and_times(tmp_path, values):
     looks = read_files([write_log(tmp_path, values)])
     assert likely_test(looks) == "poses"
-    found = drafted(looks, ANSWERS, "poses")
+    found = make_draft(looks, ANSWERS, "poses")
     assert found.open_questions == []
     assert found.triad == ("column 1", "column 2", "column 3")
     assert any(one.startswith("12 poses in imu.log: rests of at least") for one in found.statements)
@@ -75,7 +75,7 @@ def test_a_thermometer_beside_the_axes_tells_their_slopes(tmp_path):
     rows = np.column_stack([truth.time, values, np.round(warm, 1)])
     names = "t_s,ax,ay,az,Temp (°C)"
     np.savetxt(tmp_path / "imu.csv", rows, "%.5f", ",", header=names, comments="", encoding="utf-8")
-    found = drafted(read_files([tmp_path / "imu.csv"]), PLACE, "poses")
+    found = make_draft(read_files([tmp_path / "imu.csv"]), PLACE, "poses")
     assert "temperature: column 'Temp (°C)', in degC" in found.statements
     document = found.document(tmp_path)
     assert document["records"]["temperature"] == {"column": "Temp (°C)", "unit": "degC"}
@@ -96,7 +96,7 @@ def test_counts_of_a_thermometer_are_not_guessed_to_be_degrees(tmp_path, values)
     counts = np.full(len(values), 3120.0)
     rows = np.column_stack([time, values, counts])
     np.savetxt(tmp_path / "i.csv", rows, "%.5f", ",", header="t_s,ax,ay,az,temp", comments="")
-    document = drafted(read_files([tmp_path / "i.csv"]), PLACE, "poses").document(tmp_path)
+    document = make_draft(read_files([tmp_path / "i.csv"]), PLACE, "poses").document(tmp_path)
     assert set(document["records"]) == {"time"}
 
 
@@ -112,7 +112,7 @@ def test_what_is_guessed_can_be_overruled(tmp_path, values):
     with pytest.raises(CampaignError, match="each axis has a column of its own"):
         poses_draft(looks, ANSWERS | {"X": "column 2"}).document(tmp_path)
     # The kind itself, too.
-    asked = [one.key for one in drafted(looks, {}, "double-turntable").questions]
+    asked = [one.key for one in make_draft(looks, {}, "double-turntable").questions]
     assert "radius" in asked
 
 
@@ -169,7 +169,7 @@ def write_raw(file, values, *, counts=415.0, middle=MIDDLE):
 def test_counts_of_a_converter_that_is_not_zero_where_nothing_is_felt(tmp_path):
     looks = write_raw(tmp_path / "imu_acc.txt", posed(4.0, 1.5, count=24).values + BIAS)
     assert likely_test(looks) == "poses"
-    found = drafted(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
+    found = make_draft(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
     assert found.open_questions == []
     document = found.document(tmp_path / "camp")
     assert document["records"] == {"time": {"column": "column 1", "unit": "s"}}
@@ -215,7 +215,7 @@ def test_a_file_for_each_pose(tmp_path):
         pl.DataFrame(columns | {"z": noisy[:, 2]}).write_csv(files[-1])
     looks = read_files(files)
     assert likely_test(looks) == "poses"
-    found = drafted(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
+    found = make_draft(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
     assert any(one.startswith("16 poses in 16 files: rests") for one in found.statements)
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
     assert len(result.triad.poses) == 16
@@ -237,7 +237,7 @@ def test_a_table_with_a_pose_in_each_row(tmp_path, unit, size):
     pl.DataFrame(columns).write_csv(tmp_path / "poses.csv")
     looks = read_files([tmp_path / "poses.csv"])
     assert likely_test(looks) == "poses"
-    found = drafted(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
+    found = make_draft(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
     assert [question.key for question in found.open_questions] == []
     assert "24 poses, one in each row; their attitudes are unknown" in found.statements
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
@@ -328,7 +328,7 @@ def test_layouts_of_loggers(tmp_path, name):
     (tmp_path / "log.csv").write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")
     looks = read_files([tmp_path / "log.csv"])
     assert likely_test(looks) == "poses"
-    found = drafted(looks, PLACE, "poses")
+    found = make_draft(looks, PLACE, "poses")
     assert found.triad == axes
     campaign = read_campaign(write_description(found, tmp_path / "camp"))
     assert len(calibrate(campaign).triad.poses) == 12
@@ -357,7 +357,7 @@ def test_an_unnamed_time_follows_a_counter_of_rows(tmp_path, values):
 
 def test_rests_of_a_second_are_found(tmp_path):
     truth = posed(1.0, 0.6, 20)
-    found = drafted(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")
+    found = make_draft(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")
     assert any(
         one.startswith("20 poses in log.csv: rests of at least 0.5 s") for one in found.statements
     )
@@ -378,7 +378,7 @@ def test_poses_of_one_to_four_seconds_after_a_long_rest(tmp_path):
     values += 0.02 * rng.normal(size=values.shape) + BIAS
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), values)
     assert poses_draft(looks, {"rest": "1.5 s"}).found.means.shape[0] < 20
-    found = drafted(looks, PLACE, "poses")
+    found = make_draft(looks, PLACE, "poses")
     assert found.found.means.shape[0] == 30
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
     for name, bias in zip("XYZ", BIAS, strict=True):
@@ -394,7 +394,7 @@ def test_axes_are_in_the_order_of_their_names(tmp_path, values):
         for k, (x, y, z) in zip(time, values, strict=True)
     ]
     (tmp_path / "log.csv").write_text("time,seconds_elapsed,z,y,x\n" + "".join(rows))
-    found = drafted(read_files([tmp_path / "log.csv"]), PLACE, "poses")
+    found = make_draft(read_files([tmp_path / "log.csv"]), PLACE, "poses")
     assert found.triad == ("x", "y", "z")
     assert len(calibrate(write_description(found, tmp_path / "camp").parent).triad.poses) == 12
 
@@ -405,7 +405,7 @@ def test_a_telephone_writes_rows_when_it_has_them(tmp_path, values):
     told = {"time unit": "s"}  # 1 s for 10 ms
     assert poses_draft(looks, PLACE | told).guesses[0].time.column == "timestamp_ms"
     looks = write_rows(tmp_path, 0.01 * kept, values[kept], "Time (s),ax,ay,az")
-    found = drafted(looks, PLACE, "poses")
+    found = make_draft(looks, PLACE, "poses")
     assert found.open_questions == []
     assert found.found.means.shape[0] == 12
 
@@ -421,7 +421,7 @@ def test_gravity_by_a_filter_is_no_sensor(tmp_path, values):
     both = np.column_stack([values - BIAS, values])
     head = "t,gravity_x,gravity_y,gravity_z,acc_x,acc_y,acc_z"
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), both, head)
-    assert drafted(looks, PLACE, "poses").triad == ("acc_x", "acc_y", "acc_z")
+    assert make_draft(looks, PLACE, "poses").triad == ("acc_x", "acc_y", "acc_z")
 
 
 def test_forces_without_gravity_are_told(tmp_path):
@@ -451,7 +451,7 @@ def faces(count, tilt=0.005, seed=6):
 
 def test_faces_set_twice_do_not_tell_angles(tmp_path):
     """An angle would be known by a product of tilts: it takes any value."""
-    found = drafted(write_rows(tmp_path, *faces(13)), PLACE, "poses")
+    found = make_draft(write_rows(tmp_path, *faces(13)), PLACE, "poses")
     assert found.document(tmp_path)["model"] == {"terms": ["K_F", "K_I"]}
     assert any("poses near the six faces do not tell the angles" in s for s in found.statements)
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
@@ -465,7 +465,7 @@ def test_faces_set_twice_do_not_tell_angles(tmp_path):
 def test_a_real_sensor_on_six_faces(tmp_path):
     """Half the sum and half the difference of opposite faces tell the same, but for their tilts."""
     answers = {"gravity": "9.8066 m/s^2", "latitude": "49.6 deg", "sampling_rate": "204.8 Hz"}
-    found = drafted(read_files([REAL / "session.csv"]), answers, "poses")
+    found = make_draft(read_files([REAL / "session.csv"]), answers, "poses")
     assert found.triad == ("acc_x", "acc_y", "acc_z")
     assert found.document(tmp_path)["model"] == {"terms": ["K_F", "K_I"]}
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
@@ -489,10 +489,10 @@ def test_six_faces_need_a_stated_uncertainty(tmp_path, in_table):
     if in_table:
         means = [values[500 * place :][:400].mean(axis=0) for place in range(6)]
         looks = write_rows(tmp_path, np.arange(1, 7), means, "pose,x,y,z")
-    (asked,) = drafted(looks, PLACE, "poses").open_questions
+    (asked,) = make_draft(looks, PLACE, "poses").open_questions
     assert asked.key == "u"
     assert "6 poses do not tell their own noise" in asked.text
-    found = drafted(looks, PLACE | {"u": "0.003 m/s^2", "grade": "consumer"}, "poses")
+    found = make_draft(looks, PLACE | {"u": "0.003 m/s^2", "grade": "consumer"}, "poses")
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
     for name, bias in zip("XYZ", BIAS, strict=True):
         one = result.accelerometers[name].coefficients["K_F"]
@@ -520,13 +520,13 @@ def test_numbers_that_lost_their_sign_are_refused(tmp_path, values):
 def test_a_second_sensor_in_the_file_is_said(tmp_path, values):
     both = np.column_stack([values, 1.02 * values + 0.05])
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), both, "t,a1,a2,a3,b1,b2,b3")
-    found = drafted(looks, PLACE, "poses")
+    found = make_draft(looks, PLACE, "poses")
     assert found.triad == ("a1", "a2", "a3")
     assert (
         "three more axes rest alike, as of a second sensor, and are not used; "
         "to calibrate that one, answer X=b1, Y=b2, Z=b3"
     ) in found.statements
-    other = drafted(looks, PLACE | {"X": "b1", "Y": "b2", "Z": "b3"}, "poses")
+    other = make_draft(looks, PLACE | {"X": "b1", "Y": "b2", "Z": "b3"}, "poses")
     assert other.triad == ("b1", "b2", "b3")
 
 
@@ -540,7 +540,7 @@ def test_words_between_numbers_have_to_go(tmp_path):
 def test_nine_poses_are_asked_for_biases_and_scale_factors_alone(tmp_path, count):
     truth = posed(4.0, 1.0, count, noise=0.01, seed=4)
     looks = write_rows(tmp_path, truth.time, truth.values + BIAS)
-    found = drafted(looks, PLACE | {"grade": "consumer"}, "poses")
+    found = make_draft(looks, PLACE | {"grade": "consumer"}, "poses")
     few = count == 9
     assert found.document(tmp_path).get("model") == ({"terms": ["K_F", "K_I"]} if few else None)
     assert any("nine poses or fewer" in one for one in found.statements) is few
@@ -553,7 +553,7 @@ def test_nine_poses_are_asked_for_biases_and_scale_factors_alone(tmp_path, count
 def test_poses_of_a_record_may_state_their_uncertainty(tmp_path):
     """Nine poses have no degree of freedom left beside nine parameters: u is the stated one's."""
     truth = posed(4.0, 1.0, 9, noise=0.01, seed=8)
-    found = drafted(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")
+    found = make_draft(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")
     document = found.document(tmp_path / "camp")
     document["model"] = {"terms": ["K_F", "K_I", "delta_O", "delta_P"], "assume": "all"}
     u = {}

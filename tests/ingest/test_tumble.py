@@ -7,7 +7,7 @@ from workbooks import write_workbook
 from counterspin.calibration.calibrate import calibrate
 from counterspin.errors import CampaignError
 from counterspin.ingest.contents import read_files
-from counterspin.ingest.description import drafted, write_description
+from counterspin.ingest.description import make_draft, write_description
 from counterspin.ingest.overview import likely_test
 from counterspin.ingest.tumble import tumble_draft
 
@@ -114,11 +114,11 @@ def test_a_workbook_with_title_and_units(tmp_path):
 def test_what_a_table_does_not_say_is_asked(tmp_path):
     rows = [row[1:3] for row in table()]
     path = write_table(tmp_path / "t.csv", rows, ("a", "b"), ("", ""))
-    found = drafted(read_files([path]), {}, "tumble")
+    found = make_draft(read_files([path]), {}, "tumble")
     asked = [question.key for question in found.open_questions]
     assert asked == ["gravity", "latitude", "position", "axis at 0", "a unit", "b unit"]
     answers = ANSWERS | {"position": "a", "b unit": "mA"}
-    found = drafted(read_files([path]), answers, "tumble")
+    found = make_draft(read_files([path]), answers, "tumble")
     (last,) = found.open_questions
     assert last.key == "b sensitivity"
     assert "It is about 1.25 mA/g." in last.text
@@ -138,4 +138,4 @@ def test_a_table_without_readings_says_so(tmp_path):
 def test_one_table(tmp_path):
     path = write_table(tmp_path / "t.csv", table())
     with pytest.raises(CampaignError, match="one table of readings: give one file"):
-        drafted(read_files([path, path]), {}, "tumble")
+        make_draft(read_files([path, path]), {}, "tumble")

@@ -12,7 +12,7 @@ from workbooks import write_workbook
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import DamagedFileError, RecordError
 from counterspin.ingest.contents import read_files
-from counterspin.ingest.description import drafted, write_description
+from counterspin.ingest.description import make_draft, write_description
 from counterspin.ingest.overview import likely_test
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import read_small_table, row_locations
@@ -139,6 +139,6 @@ def test_rows_below_a_sheet_s_table_are_detected_and_ignored(tmp_path):
     assert [len(column.values) for column in contents[0].columns] == [12, 12]
     assert likely_test(contents) == "tumble"
     answers = {"gravity": "9.81", "latitude": "48", "out sensitivity": "1.25"}
-    found = drafted(contents, answers, "tumble")
+    found = make_draft(contents, answers, "tumble")
     campaign = read_campaign(write_description(found, tmp_path / "camp"))
     assert len(campaign.readings) == 12

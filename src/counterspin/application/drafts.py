@@ -17,7 +17,7 @@ from counterspin.frozen import frozen
 from counterspin.ingest.column_roles import FileGuess, counts_rows
 from counterspin.ingest.contents import FileColumn, FileContents, read_files
 from counterspin.ingest.description import AnyDraft, Draft, write_description
-from counterspin.ingest.description import drafted as described_as
+from counterspin.ingest.description import make_draft as described_as
 from counterspin.ingest.overview import (
     TESTS,
     UndecidedDraft,

@@ -70,7 +70,11 @@ def add_intervals(result: Result, model: ErrorModel, trials: int) -> Result:
             if lines and coefficient.estimated and coefficient.u:
                 generator = np.random.default_rng((_SEED, place, number))
                 errors = draw_errors(
-                    lines, coefficient, _of_owner(model.distributions, name), trials, generator
+                    lines,
+                    coefficient,
+                    _distributions_of_owner(model.distributions, name),
+                    trials,
+                    generator,
                 )
                 interval = interval_of(errors, coefficient)
                 coefficients[symbol] = coefficient.model_copy(update={"monte_carlo": interval})
@@ -78,7 +82,7 @@ def add_intervals(result: Result, model: ErrorModel, trials: int) -> Result:
     return result.model_copy(update={"accelerometers": accelerometers})
 
 
-def _of_owner(
+def _distributions_of_owner(
     distributions: Mapping[str, InputDistribution], owner: str
 ) -> dict[str, InputDistribution]:
     """Return distributions by source, as the budget of an accelerometer names them."""

@@ -18,7 +18,7 @@ from counterspin.campaign.terms import (
     BARE_NAMES,
     POSITION,
     expand,
-    of_readings,
+    is_reading_term,
     rows_of,
     symbols_shown,
 )
@@ -268,7 +268,7 @@ def _resolve_symbols(
     name: str, path: KeyPath, setup: MeasurementSetup, problems: Problems
 ) -> tuple[str, ...]:
     """Return the symbols of a name in a list."""
-    if setup.has_readings and of_readings(name):
+    if setup.has_readings and is_reading_term(name):
         return _observable_symbols(name, path, setup, problems)
     if (
         name in ACCELEROMETER_TERMS
@@ -344,7 +344,7 @@ def _resolve_priors(
         owner, _, symbol_part = key.partition(".")
         owners: Sequence[str] = ()
         symbols: Sequence[str] = (key,)
-        if read := setup.has_readings and of_readings(key):
+        if read := setup.has_readings and is_reading_term(key):
             symbols = _observable_symbols(key, path, setup, problems)
         elif owner in stated_priors and symbol_part in ACCELEROMETER_TERMS:
             symbols, owners = (symbol_part,), (owner,)

@@ -134,7 +134,7 @@ def parse(
         )
     twice = _UNIT_TWICE.fullmatch(match[3])
     if match[2] is None and twice is not None:
-        raise ValueError(f"{text!r} {_unit_once(match[1], twice, gravity)}")
+        raise ValueError(f"{text!r} {_suggest_single_unit(match[1], twice, gravity)}")
     written = Quantity(float(match[1]), float(match[2] or 0.0), match[3])
     return _in_unit(written, unit, text, gravity)
 
@@ -182,7 +182,7 @@ def last_digit(written: str | Quantity) -> str:
     return f"1e{int(match[2] or 0) - len(match[1])}{clean[match.end() :]}"
 
 
-def _unit_once(value: str, twice: re.Match[str], gravity: float | None) -> str:
+def _suggest_single_unit(value: str, twice: re.Match[str], gravity: float | None) -> str:
     """Suggest the text of ``VALUE UNIT ± U UNIT`` with one unit."""
     unit, u, unit_of_u = twice.groups()
     try:
@@ -243,7 +243,7 @@ def read_attitude(value: object) -> Attitude:
         value = HeadTurn(parse(match[1], "rad"), match[2])
     if isinstance(value, HeadTurn):
         turn, axis = parse(value.angle, "rad"), read_direction(value.about)
-        return Attitude(_turned(turn.value, np.array(axis)), axis, turn.value, turn.u)
+        return Attitude(_rotate_axes(turn.value, np.array(axis)), axis, turn.value, turn.u)
     if not isinstance(value, Mapping) or not {"x", "y"} <= set(value) <= {"x", "y", "z"}:
         raise ValueError(NO_ATTITUDE)
     x, y = (np.array(read_direction(value[axis])) for axis in "xy")
@@ -261,7 +261,7 @@ def read_attitude(value: object) -> Attitude:
     return Attitude(np.stack([x, y, z]))
 
 
-def of_platform(attitude: Attitude) -> Attitude:
+def platform_attitude(attitude: Attitude) -> Attitude:
     """Return an attitude that a platform holds; ValueError of one that is uncertain or unknown."""
     if attitude.unknown:
         raise ValueError(NO_ATTITUDE)
@@ -274,7 +274,7 @@ def of_platform(attitude: Attitude) -> Attitude:
 
 def attitude_rows(value: object) -> Array:
     """Return the directions of a platform's axes, shape (3, 3); `value` as of `read_attitude`."""
-    return of_platform(read_attitude(value)).rows
+    return platform_attitude(read_attitude(value)).rows
 
 
 def attitude_words(rows: Array) -> str:
@@ -292,7 +292,7 @@ def attitude_words(rows: Array) -> str:
     return ", ".join(words)
 
 
-def _turned(angle: float, axis: Array) -> Array:
+def _rotate_axes(angle: float, axis: Array) -> Array:
     """Return the axes of the level platform after a right-handed turn (Rodrigues), as rows."""
     # A quarter turn leaves the axes exactly along the directions: cos(pi/2) is not quite zero.
     quarters = round(angle / (math.pi / 2.0))

@@ -30,7 +30,7 @@ from counterspin.campaign.field_types import (
     require_units,
     uncertain_quantity,
 )
-from counterspin.campaign.quantity import UNKNOWN, Quantity, of_platform, read_attitude
+from counterspin.campaign.quantity import UNKNOWN, Quantity, platform_attitude, read_attitude
 from counterspin.campaign.validation import Problems, Section
 from counterspin.loading import load_name
 from counterspin.physics.terms import MotionKind
@@ -336,7 +336,7 @@ class Run(SettingsSection):
             message = "the centrifuge must turn; the rate is zero" if stated else "is missing"
             yield ("rate",), message, "motion", "reading"
         try:
-            of_platform(self.stand)
+            platform_attitude(self.stand)
         except ValueError as error:
             yield ("attitude",), str(error), "motion", "reading"
         for place, file in enumerate(self.continued_in if self.file else ()):
@@ -392,11 +392,11 @@ def resolve_runs(
         path = ("runs", index)
         run = None if is_reading(raw) else problems.check(Run, raw, path, folder=folder)
         if run is not None and run.file is not None:
-            resolved[index] = _completed(run, records, turns, path, problems)
+            resolved[index] = _complete_run(run, records, turns, path, problems)
     return resolved
 
 
-def _completed(
+def _complete_run(
     run: Run, records: Mapping[str, Any], turns: float | None, path: KeyPath, problems: Problems
 ) -> Run:
     """Return a run with its length, if its revolutions determine it, and its recording."""

@@ -173,7 +173,7 @@ def _per_g(value: object, info: ValidationInfo) -> float:
     return sensitivity
 
 
-def _in_output(value: object, info: ValidationInfo) -> float:
+def _parse_zero_output(value: object, info: ValidationInfo) -> float:
     """Read what is indicated where no force is felt."""
     unit = info.data.get("unit")
     return 0.0 if unit is None else exact(value, unit)
@@ -193,7 +193,7 @@ class Output(SettingsSection):
         kind="text",
         validate_default=True,
     )
-    zero: Annotated[float, PlainValidator(_in_output, Text)] = key_field(
+    zero: Annotated[float, PlainValidator(_parse_zero_output, Text)] = key_field(
         "nominal output at zero specific force; K_F is the true output minus this value",
         "4 mA",
         0.0,

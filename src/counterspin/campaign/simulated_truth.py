@@ -350,11 +350,11 @@ def true_inputs(
         ("", "centrifuge.clock"): centrifuge and centrifuge.clock,
         ("", "records.timing_offset"): records and records.timing_offset,
     }
-    clocks = _by_recorder((records and records.clock) or {}, recorders, problems)
+    clocks = _clock_by_recorder((records and records.clock) or {}, recorders, problems)
     return {key: value for key, value in stated.items() if value is not None} | clocks
 
 
-def _by_recorder(
+def _clock_by_recorder(
     clocks: Mapping[str, float], recorders: Mapping[str, str], problems: Problems
 ) -> dict[tuple[str, str], float]:
     if ALL_RECORDERS in clocks:

@@ -192,7 +192,7 @@ def symbols_shown(readings: Sequence[Reading], *, recorded: bool = False) -> tup
     return tuple(symbols)
 
 
-def of_readings(name: str) -> bool:
+def is_reading_term(name: str) -> bool:
     """Return whether a name is that of a term shown by readings: of the machine, or of a slope."""
     is_family = "." in name and any(symbol.startswith(f"{name}.") for symbol in READING_TERMS)
     if is_family or affects_readings(name):

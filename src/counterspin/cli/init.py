@@ -83,7 +83,7 @@ def _import_files(
 ) -> None:
     """Write a campaign of a recorder's files."""
     from counterspin.ingest.contents import read_files
-    from counterspin.ingest.description import drafted, write_description
+    from counterspin.ingest.description import make_draft, write_description
     from counterspin.ingest.overview import overview, sensor_question
     from counterspin.reports.text import work_progress
 
@@ -101,7 +101,7 @@ def _import_files(
         all_contents = read_files(files, answers)
     answers.pop("select", None)
     test = stated_test or _choose_test(all_contents, asks=asks_questions)
-    detected_test = drafted(all_contents, answers, test)
+    detected_test = make_draft(all_contents, answers, test)
     print_output(
         f"Detected for the test {test} (please check):",
         *(f"  {s}" for s in detected_test.statements),
@@ -113,7 +113,7 @@ def _import_files(
             answers[question.key] = _ask(question)
             if question.key == "sheet":
                 all_contents = read_files(files, answers)
-            detected_test = drafted(all_contents, answers, test)
+            detected_test = make_draft(all_contents, answers, test)
         extra = [statement for statement in detected_test.statements if statement not in previous]
         print_output(*(f"  {statement}" for statement in extra))
     try:

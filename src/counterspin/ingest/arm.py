@@ -27,13 +27,13 @@ from counterspin.ingest.questions import (
     SENSES,
     FileQuestion,
     place_questions,
-    settled,
+    validate_answers,
 )
 from counterspin.ingest.readings import (
     WORD_ROLES,
     OutputEstimate,
     ReadingsDraft,
-    of_role,
+    columns_of_role,
     output_questions,
     output_unit,
     outputs_of,
@@ -106,7 +106,7 @@ class ArmTable:
     def of(cls, contents: FileContents, answers: Mapping[str, str]) -> ArmTable:
         """Return a table with the roles of its columns."""
         roles = arm_roles(contents, answers)
-        rate = next(iter(of_role(contents, roles, "rate")), None)
+        rate = next(iter(columns_of_role(contents, roles, "rate")), None)
         unit = answers.get("rate unit") or (_rate_unit(rate) if rate else None)
         position = next((name for name, role in roles.items() if role == "position"), None)
         numbers = next((c.values for c in contents.columns if c.name == position), None)
@@ -117,7 +117,7 @@ class ArmTable:
         words = [*map(mounting_of, words), *[""] * rows][:rows]
         # Remarks below a table have no numbers.
         empty = np.ones(rows, dtype=bool)
-        for column in filter(None, [rate, *of_role(contents, roles, "reading")]):
+        for column in filter(None, [rate, *columns_of_role(contents, roles, "reading")]):
             empty[: len(column.values)] &= np.isnan(column.values)
         named = ("" if none else word for word, none in zip(words, empty, strict=True))
         return cls(contents, roles, rate, unit, position, tuple(named))
@@ -125,7 +125,7 @@ class ArmTable:
     @property
     def readings(self) -> list[FileColumn]:
         """The columns of readings."""
-        return of_role(self.contents, self.roles, "reading")
+        return columns_of_role(self.contents, self.roles, "reading")
 
     def values(self, column: FileColumn | None) -> Array:
         """Return a column, NaN in rows without a value."""
@@ -156,7 +156,7 @@ class ArmTable:
 
     def radii(self) -> dict[str, list[float]]:
         """Return the radii of each mounting from the column, m; empty without one."""
-        columns = of_role(self.contents, self.roles, "radius")
+        columns = columns_of_role(self.contents, self.roles, "radius")
         if not columns:
             return {}
         units = (columns[0].unit, unit_in_name(columns[0].name))
@@ -295,7 +295,7 @@ def arm_draft(
     def ask(taken: Mapping[str, str]) -> tuple[FileQuestion, ...]:
         return tuple(_questions(ArmTable.of(contents, taken), taken))
 
-    taken, problems = settled(answers, ask)
+    taken, problems = validate_answers(answers, ask)
     table = ArmTable.of(contents, taken)
     return ArmDraft(tuple(_statements(table)), ask(taken), taken, problems, contents, table.roles)
 
@@ -404,7 +404,7 @@ def _direction(text: str) -> str | None:
         return None
 
 
-def _followed(table: ArmTable, word: str) -> str | None:
+def _follows_acceleration(table: ArmTable, word: str) -> str | None:
     """Return whether a mounting's readings follow the acceleration or its negative."""
     if not table.readings:
         return None
@@ -419,7 +419,7 @@ def _pointing(table: ArmTable, word: str) -> str | None:
     """Return the direction of the input axis in a mounting, from its name or else its readings."""
     meant = direction_of(word)
     # A tangential axis does not read the acceleration: "forward" is then the way of mounting.
-    return meant if meant in ("inward", "outward") else _followed(table, word) or meant
+    return meant if meant in ("inward", "outward") else _follows_acceleration(table, word) or meant
 
 
 def _resting(table: ArmTable, sensed: OutputEstimate, word: str) -> str | None:
@@ -461,7 +461,7 @@ def _questions(table: ArmTable, answers: Mapping[str, str]) -> Iterator[FileQues
         text = "How does the input axis point while the arm turns?"
         if table.mountings:
             text = "How does the input axis point where the table names no mounting?"
-        guess = _followed(table, "")
+        guess = _follows_acceleration(table, "")
         yield FileQuestion("axis", text, "inward", DIRECTIONS, guess)
         axes[""] = answers.get("axis", guess)
     sensed = {column.name: _sensed(table, column, axes, answers) for column in readings}
@@ -548,7 +548,11 @@ def _statements(table: ArmTable) -> Iterator[str]:
         if converts(table.unit or "", "m/s^2"):
             yield "accelerations are those at the radius; g is the gravity of the site"
     for word in table.mountings:
-        meant, seen, axis = direction_of(word), _followed(table, word), _pointing(table, word)
+        meant, seen, axis = (
+            direction_of(word),
+            _follows_acceleration(table, word),
+            _pointing(table, word),
+        )
         if axis == meant and seen not in (None, meant):
             yield f"mounting '{word}': {meant} by its name, {seen} if the sensitivity is positive"
         elif axis:

@@ -229,7 +229,7 @@ def guess_file(
         rate = abs(float(np.polyfit(seconds[good], theta[good], 1)[0]))
     elif (time or sampling) and (per_minute := _number(contents, _TURNING)):
         rate = per_minute * 2.0 * np.pi / 60.0
-    if time is not None and time.unit is None and (unit := _unit_by_turning(rate)):
+    if time is not None and time.unit is None and (unit := _time_unit_from_rate(rate)):
         return guess_file(contents, {**answers, "time unit": unit})
     signals = tuple(_signal(column, seconds, theta, rate, answers) for column in swinging)
     taken = {signal.column for signal in signals}
@@ -319,7 +319,7 @@ def _counts_days(time: FileColumn) -> bool:
     return dated and float(np.nanmedian(np.diff(time.values))) < _LONGEST_STEP_DAYS
 
 
-def _unit_by_turning(rate: float | None) -> str | None:
+def _time_unit_from_rate(rate: float | None) -> str | None:
     """Return the unit of time that fits a spindle's rate, rad per unit; None if no unit does."""
     for unit, (slowest, fastest) in _TURNING_UNITS.items():
         if rate is not None and slowest <= abs(rate) <= fastest:
@@ -346,7 +346,7 @@ def _is_signal(column: FileColumn, swing: float | None, answers: Mapping[str, st
     return bool(swing or _axis(column.name))
 
 
-def agreed(guesses: Sequence[FileGuess]) -> FileGuess:
+def common_guess(guesses: Sequence[FileGuess]) -> FileGuess:
     """Return the guess common to several files, for which the first stands.
 
     A signal's observable may show in how its amplitude grows with the rate.

@@ -214,7 +214,7 @@ def _read_contents(
             file.interval,
             file.single_numbers(),
             file.first_cells(others, _FIRST_CELLS),
-            _words(file, others, max(len(column.values) for column in columns)),
+            _read_text_columns(file, others, max(len(column.values) for column in columns)),
             tuple(spoilt),
             footer,
             sensors=(told_apart, tuple(kinds)) if told_apart else None,
@@ -249,7 +249,7 @@ def _with_split_time(file: ColumnFile, columns: list[FileColumn]) -> list[FileCo
     return [FileColumn(split.name, "", seconds, stamps=True), *rest]
 
 
-def _words(file: ColumnFile, names: Sequence[str], rows: int) -> dict[str, list[str]]:
+def _read_text_columns(file: ColumnFile, names: Sequence[str], rows: int) -> dict[str, list[str]]:
     """Return columns of words of a table that is small enough to be one of readings."""
     if not names or rows > MOST_READINGS:
         return {}

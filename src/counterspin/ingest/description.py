@@ -18,7 +18,7 @@ from counterspin.campaign.validation import Problems
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.ingest.arm import ArmDraft, arm_draft
-from counterspin.ingest.column_roles import NONE, FileGuess, agreed, guess_file
+from counterspin.ingest.column_roles import NONE, FileGuess, common_guess, guess_file
 from counterspin.ingest.contents import FileContents, read_files
 from counterspin.ingest.poses import PosesDraft, poses_draft
 from counterspin.ingest.questions import (
@@ -26,10 +26,10 @@ from counterspin.ingest.questions import (
     UNFIT,
     AnsweredDraft,
     FileQuestion,
-    completed,
+    complete_guess,
     questions_of,
     relative_name,
-    settled,
+    validate_answers,
     waves_sense,
 )
 from counterspin.ingest.starter import Test
@@ -92,16 +92,16 @@ def draft(all_contents: Sequence[FileContents], answers: Mapping[str, str] | Non
 
     def seen(taken: Mapping[str, str]) -> tuple[tuple[FileGuess, ...], FileGuess]:
         guesses = tuple(guess_file(contents, taken) for contents in all_contents)
-        return guesses, completed(agreed(guesses), taken)
+        return guesses, complete_guess(common_guess(guesses), taken)
 
     def asked(taken: Mapping[str, str]) -> tuple[FileQuestion, ...]:
         _, common = seen(taken)
         return tuple(questions_of(common, taken.get("sense") or waves_sense(common), taken))
 
-    taken, problems = settled(answers, asked)
+    taken, problems = validate_answers(answers, asked)
     guesses, common = seen(taken)
     unfit = (f"{UNFIT}: {why}" for contents in all_contents if (why := _unfit(contents)))
-    shown = waves_sense(agreed(guesses))
+    shown = waves_sense(common_guess(guesses))
     problems = (*unfit, *problems, *_against_waves(taken.get("sense"), shown))
     questions = asked(taken)
     statements = tuple(_statements(common, shown))
@@ -140,7 +140,7 @@ def _unfit(contents: FileContents) -> str:
 AnyDraft = Draft | TumbleDraft | ArmDraft | PosesDraft
 
 
-def drafted(
+def make_draft(
     all_contents: Sequence[FileContents], answers: Mapping[str, str], test: Test
 ) -> AnyDraft:
     """Return a draft from the files of a test."""

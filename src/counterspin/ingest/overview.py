@@ -56,7 +56,7 @@ def _lines(contents: FileContents) -> Iterator[str]:
         unit = f" [{column.unit}]" if column.unit else ""
         yield f"  {column.name}{unit}: {_appearance(column, guess)}"
     for name in contents.others[:_SHOWN]:
-        yield f"  {name}: {_words(contents, name)}"
+        yield f"  {name}: {_column_words(contents, name)}"
     if more := len(contents.columns) + len(contents.others) - 2 * _SHOWN:
         yield from [f"  and {more} more columns"] if more > 0 else []
     if contents.numbers:
@@ -148,7 +148,7 @@ def _appearance(column: FileColumn, guess: FileGuess) -> str:
     return f"{low:.6g} to {high:.6g}{shown}"
 
 
-def _words(contents: FileContents, name: str) -> str:
+def _column_words(contents: FileContents, name: str) -> str:
     """Return the words of a column."""
     cells = contents.words.get(name) or contents.first_words.get(name, ())
     kinds = sorted({cell for cell in cells if cell})

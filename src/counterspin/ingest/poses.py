@@ -21,8 +21,8 @@ from counterspin.ingest.questions import (
     FileQuestion,
     place_questions,
     relative_name,
-    settled,
     time_questions,
+    validate_answers,
 )
 from counterspin.ingest.triads import (
     AXES,
@@ -167,7 +167,7 @@ def poses_draft(
         questions = tuple(_questions(guesses[0], found, taken))
         return questions
 
-    taken, problems = settled(answers, asked)
+    taken, problems = validate_answers(answers, asked)
     statements = tuple(_statements(guesses, found, taken))
     return PosesDraft(statements, questions, taken, problems, guesses, found)
 
@@ -239,7 +239,7 @@ def _statements(
 ) -> Iterator[str]:
     time, sampling = guesses[0].time, guesses[0].sampling
     if found is not None and found.in_table:
-        yield from _of_table(guesses[0], found)
+        yield from _pose_table_messages(guesses[0], found)
         return
     if time is not None:
         yield f"time: column '{time.column}', in {time.unit or 'an unknown unit'}"
@@ -274,7 +274,7 @@ def _statements(
     yield from _not_used(guesses[0], found)
 
 
-def _of_table(guess: FileGuess, found: TriadColumns) -> Iterator[str]:
+def _pose_table_messages(guess: FileGuess, found: TriadColumns) -> Iterator[str]:
     """Yield the messages about a table with a pose in each row."""
     assert found.means is not None
     unit = f" in {found.unit}" if found.unit else ""

@@ -298,7 +298,7 @@ def _signal_questions(common: FileGuess) -> Iterator[FileQuestion]:
         yield FileQuestion(f"{name} axis", text, AXES[0], AXES, guess=signal.axis)
 
 
-def settled(
+def validate_answers(
     answers: Mapping[str, str] | None,
     asked: Callable[[Mapping[str, str]], Sequence[FileQuestion]],
 ) -> tuple[dict[str, str], tuple[str, ...]]:
@@ -360,7 +360,7 @@ def waves_sense(common: FileGuess) -> str | None:
     return None
 
 
-def completed(common: FileGuess, answers: Mapping[str, str]) -> FileGuess:
+def complete_guess(common: FileGuess, answers: Mapping[str, str]) -> FileGuess:
     """Return a guess with units that follow from the radius and axes that follow from the sense.
 
     answers: A person's answers, by the keys of questions.

@@ -201,7 +201,9 @@ def roles_of(
     return roles
 
 
-def of_role(contents: FileContents, roles: Mapping[str, str], role: str) -> list[FileColumn]:
+def columns_of_role(
+    contents: FileContents, roles: Mapping[str, str], role: str
+) -> list[FileColumn]:
     """Return the columns of numbers of a role."""
     return [column for column in contents.columns if roles[column.name] == role]
 
@@ -210,7 +212,7 @@ def outputs_of(
     contents: FileContents, roles: Mapping[str, str], answers: Mapping[str, str]
 ) -> list[list[FileColumn]]:
     """Return the columns of readings of each accelerometer; several are repeats."""
-    columns = of_role(contents, roles, "reading")
+    columns = columns_of_role(contents, roles, "reading")
     if columns and (answers.get(SEVERAL) or kind_of_columns(columns)) != ACCELEROMETERS:
         return [columns]
     return [[column] for column in columns]

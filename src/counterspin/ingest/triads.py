@@ -145,7 +145,7 @@ def find_triad(guesses: Sequence[FileGuess], answers: Mapping[str, str]) -> Tria
     at rest.
     """
     guess = guesses[0]
-    columns, seconds = _together(guesses)
+    columns, seconds = _concatenate_files(guesses)
     if "rest" in answers:
         return _found_triad(columns, seconds, guess, answers, parse(answers["rest"], "s").value)
     found, shorter = (_found_triad(columns, seconds, guess, answers, rest) for rest in _RESTS)
@@ -206,7 +206,7 @@ def _varies(found: TriadColumns) -> bool:
 
 def without_gravity(guess: FileGuess) -> tuple[str, ...]:
     """Return the axes of a sensor that reads zero at rest, as if a filter removed gravity."""
-    columns, seconds = _together([guess])
+    columns, seconds = _concatenate_files([guess])
     candidates = [column for column in columns.values() if len(column.values) == len(seconds)]
     for three in islice(threes(candidates), _MOST_THREES):
         if not all(converts(column.unit, "m/s^2") for column in three):
@@ -229,7 +229,7 @@ def _felt_alike(triad: TriadColumns, reference: TriadColumns) -> bool:
     return known and bool(abs(triad.gravity / reference.gravity - 1.0) < _GRAVITY_PART)
 
 
-def _together(guesses: Sequence[FileGuess]) -> tuple[dict[str, FileColumn], Array]:
+def _concatenate_files(guesses: Sequence[FileGuess]) -> tuple[dict[str, FileColumn], Array]:
     """Return the columns that all files have, one file after the other, and the time in s."""
     files = [
         {column.name: column for column in guess.contents.columns if not column.stamps}
@@ -295,14 +295,14 @@ def _looked_at(
         unit = next(iter(near), "")
     # Counts and volts may be any number where nothing is felt, a specific force is none there.
     zero = np.zeros(3) if converts(unit or "", "m/s^2") else _middle(means)
-    unit = unit or ("count" if _whole(values) else "")
+    unit = unit or ("count" if _are_integers(values) else "")
     return TriadColumns(named, unit or None, poses, means, zero, rest)
 
 
 def _refuse_unsigned(columns: Sequence[FileColumn], values: Array) -> None:
     """Refuse counts below zero that were written as unsigned numbers: -1 as 65535."""
     known = values[np.isfinite(values).all(axis=1)]
-    if not len(known) or not _whole(known) or known.min() < 0.0:
+    if not len(known) or not _are_integers(known) or known.min() < 0.0:
         return
     for bits in _WORD_BITS:
         most = 2.0**bits
@@ -327,7 +327,7 @@ def _rows_of(values: Array) -> Array | None:
     return rows if turned > _LEAST_TURN and _turns(apart) else None
 
 
-def _whole(values: Array) -> bool:
+def _are_integers(values: Array) -> bool:
     """Return whether all numbers are integers, as a converter counts."""
     known = values[np.isfinite(values)]
     return bool(np.all(known == np.round(known)) and np.ptp(known) > 1.0)
@@ -415,14 +415,14 @@ def threes(columns: Sequence[FileColumn]) -> Iterator[Three]:
     Names that differ in these letters alone belong together, in the order of the letters and at any
     place; other columns do if they are adjacent.
     """
-    named = _named(columns)
+    named = _axis_columns(columns)
     yield from sorted(named, key=lambda three: bool(_OF_FILTER.match(three[0].name)))
     taken = {column.name for three in named for column in three}
     others = [column for column in columns if column.name not in taken]
     yield from zip(others, others[1:], others[2:], strict=False)
 
 
-def _named(columns: Sequence[FileColumn]) -> list[Three]:
+def _axis_columns(columns: Sequence[FileColumn]) -> list[Three]:
     """Return columns whose names differ only in the letters x, y and z, in the file's order."""
     alike: dict[tuple[str, str, bool], dict[str, FileColumn]] = {}
     for column in columns:

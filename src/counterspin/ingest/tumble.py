@@ -19,11 +19,11 @@ from counterspin.arrays import Array
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.ingest.contents import FileColumn, FileContents, wave
-from counterspin.ingest.questions import FileQuestion, place_questions, settled
+from counterspin.ingest.questions import FileQuestion, place_questions, validate_answers
 from counterspin.ingest.readings import (
     OutputEstimate,
     ReadingsDraft,
-    of_role,
+    columns_of_role,
     output_questions,
     outputs_of,
     part_question,
@@ -97,7 +97,7 @@ def tumble_draft(
     def asked(taken: Mapping[str, str]) -> tuple[FileQuestion, ...]:
         return tuple(_questions(contents, _roles(contents, taken), taken))
 
-    taken, problems = settled(answers, asked)
+    taken, problems = validate_answers(answers, asked)
     roles, questions = _roles(contents, taken), asked(taken)
     statements = tuple(_statements(contents, roles, questions))
     return TumbleDraft(statements, questions, taken, problems, contents, roles)
@@ -109,14 +109,14 @@ def shows_tumble(all_contents: Sequence[FileContents]) -> bool:
         return False
     (contents,) = all_contents
     roles = _roles(contents, {})
-    position = next(iter(of_role(contents, roles, "position")), None)
-    readings = of_role(contents, roles, "reading")
+    position = next(iter(columns_of_role(contents, roles, "position")), None)
+    readings = columns_of_role(contents, roles, "reading")
     if position is None or not readings or contents.interval is not None:
         return False
     if not _ROWS[0] <= len(position.values) <= _ROWS[1]:
         return False
     # A record of a spindle has times that run evenly, or paths.
-    times = of_role(contents, roles, "time")
+    times = columns_of_role(contents, roles, "time")
     if any(map(_is_even, times)) or any(converts(column.unit, "m") for column in readings):
         return False
     angles = position.values * unit_factor(_angle_unit(position), "rad")
@@ -182,13 +182,13 @@ def _questions(
     text = "Which column is the angle of the dividing head?"
     yield part_question("position", text, names, roles, needed=True)
     angles = None
-    position = next(iter(of_role(contents, roles, "position")), None)
+    position = next(iter(columns_of_role(contents, roles, "position")), None)
     if position is not None:
         unit = answers.get("position unit") or _angle_unit(position)
         text = f"In which unit is the position, column '{position.name}'?"
         yield FileQuestion("position unit", text, "deg", _ANGLES, unit, unit="rad")
         angles = position.values * unit_factor(unit, "rad")
-    readings = of_role(contents, roles, "reading")
+    readings = columns_of_role(contents, roles, "reading")
     guess = None
     if angles is not None and readings:
         guess = _axis(angles, readings[0].values)

@@ -40,7 +40,7 @@ def sensitivities(fit: JointFit, columns: Columns) -> Sensitivities:
     blocks = [_block(observation, columns(observation), fit) for observation in fit.observations]
     solution = solve_blocks(blocks, _with_further(model, blocks[0].considered.shape[1]))
     owners = [_owner(observation) for observation in fit.observations]
-    left, left_in = _left(blocks, owners, model)
+    left, left_in = _residual_products(blocks, owners, model)
     ends = np.cumsum([block.factor.shape[0] for block in blocks])
     freedom: dict[str, float] = {}
     followed = np.split(solution.leverages, ends[:-1])
@@ -102,7 +102,7 @@ def columns_of(fit: JointFit, terms: Sequence[Considered], expected: Array) -> C
     return columns_at
 
 
-def _left(
+def _residual_products(
     blocks: Sequence[Block], owners: Sequence[str], model: Unknowns
 ) -> tuple[Array, dict[str, Array]]:
     """Return the products of what columns behind the considered ones leave in rows and priors.

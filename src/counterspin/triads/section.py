@@ -88,7 +88,7 @@ def resolve_triad(
     settings = problems.check(TriadSettings, raw, ("triad",))
     names = () if settings is None else tuple(settings.accelerometers)
     axes = _axes_of(names, mountings, problems)
-    of_frame = () if given is None or not axes else _of_frame(names, axes, problems)
+    of_frame = () if given is None or not axes else _frame_misalignments(names, axes, problems)
     for name, symbol in of_frame:
         if symbol in (given or {}).get(name, {}):
             problems.add(
@@ -124,7 +124,7 @@ def _axes_of(
     return axes
 
 
-def _of_frame(
+def _frame_misalignments(
     names: Sequence[str], axes: Sequence[Mounting], problems: Problems
 ) -> tuple[tuple[str, str], ...]:
     """Return the misalignments that the frame makes nothing: two of the first, one of the second.

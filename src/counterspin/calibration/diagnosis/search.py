@@ -385,7 +385,7 @@ def _correct_cause(
             estimate, fit=augment(estimate.fit, [added_unknown], [alternative.columns])
         )
         value = float(corrected.fit.solution.estimate[-1])
-        refined = mistakes.at_value(corrected.fit, alternative, value)
+        refined = mistakes.evaluate_alternative(corrected.fit, alternative, value)
         if refined is alternative:
             break
         alternative = refined

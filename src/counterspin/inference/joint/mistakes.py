@@ -201,7 +201,7 @@ def coriolis_mistakes(fit: JointFit, *, own_velocity: bool) -> Iterator[Alternat
         )
 
 
-def at_value(fit: JointFit, alternative: Alternative, value: float) -> Alternative:
+def evaluate_alternative(fit: JointFit, alternative: Alternative, value: float) -> Alternative:
     """Return an alternative with the columns that it has where it is as large as `value`.
 
     A turned angle is no longer a first-order matter from a degree on, and what a record is a
