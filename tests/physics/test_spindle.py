@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import sympy as sp
+from scipy import stats
 
 from counterspin.errors import ConvergenceError, NotIdentifiableError
+from counterspin.physics.angle_error import UNRESOLVED_SD
 from counterspin.physics.spindle import MAX_HARMONICS, Ripple, Spindle, fit_spindle
 
 DRIFTING = Spindle(
@@ -304,6 +306,35 @@ def test_no_more_harmonics_than_the_sampling_resolves():
     assert fit.spindle.highest_harmonic == 1
     assert fit.spindle.ripples[0].amplitude == pytest.approx(1e-2, rel=1e-2)
     assert MAX_HARMONICS > 1
+
+
+@pytest.mark.parametrize("samples", [4.0, 7.0, 8.0, 9.3])
+def test_harmonics_that_the_samples_do_not_resolve_are_in_the_error_of_the_angle(samples):
+    """The waves are drawn from the default prior; chi-square is that of the stated covariance."""
+    rng, trials, rate = np.random.default_rng(23), 60, 2.0 * math.pi
+    times = np.arange(0.0, 12.0, 1.0 / samples)
+    resolved = int(samples / 2.0) - 1
+    chi2 = 0.0
+    for _ in range(trials):
+        waves = UNRESOLVED_SD * rng.standard_normal((4, 2))
+        waves[:resolved] *= 20.0  # without a prior
+        angle = rate * times + 1e-6 * rng.standard_normal(times.size)
+        for n, (cos, sin) in enumerate(waves, 1):
+            angle += cos * np.cos(n * rate * times) + sin * np.sin(n * rate * times)
+        fit = fit_spindle(times, angle, rate)
+        # The functions of the error tell the true angle from the fitted one at any time.
+        dense = np.linspace(0.0, 12.0, 400)
+        true = rate * dense
+        for n, (cos, sin) in enumerate(waves, 1):
+            true += cos * np.cos(n * rate * dense) + sin * np.sin(n * rate * dense)
+        functions = fit.error.functions(dense)[0]
+        coefficients = np.linalg.lstsq(functions, true - fit.spindle.angle(dense))[0]
+        chi2 += float(
+            np.sum(np.linalg.solve(fit.error.root, coefficients - fit.error.deviation) ** 2)
+        )
+    low, high = stats.chi2.ppf([1e-4, 1.0 - 1e-4], trials * fit.error.deviation.size)
+    assert fit.error.harmonics == (1, 2, 3, 4)
+    assert low < chi2 < high
 
 
 @pytest.mark.parametrize("size", [0, 1, 5])

@@ -23,6 +23,10 @@ SLOW: Final = ("angle", "rate", "drift")
 #: above the third.
 HARMONICS: Final = 4
 
+#: Default standard uncertainty of each quadrature of a harmonic that the samples of a revolution do
+#: not resolve, rad: 1 arcsec, that of an encoder's harmonics.
+UNRESOLVED_SD: Final = math.radians(1.0 / 3600.0)
+
 
 @frozen
 class AngleError:

@@ -17,7 +17,7 @@ import numpy as np
 from counterspin.arrays import Array, in_parts, median, triangle_of, triangular_root
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.physics.angle_error import HARMONICS, SLOW, AngleError, slow_part
+from counterspin.physics.angle_error import HARMONICS, SLOW, UNRESOLVED_SD, AngleError, slow_part
 
 TURN: Final = 2.0 * math.pi  #: rad
 
@@ -25,6 +25,9 @@ TURN: Final = 2.0 * math.pi  #: rad
 _ROWS: Final = 65536
 
 MAX_HARMONICS: Final = 8  #: highest ripple harmonic that `fit_spindle` tries by itself
+
+#: Fits by which the noise of the angle, and so the weight of the default priors, converges.
+_PRIOR_ROUNDS: Final = 4
 
 
 @frozen
@@ -268,7 +271,8 @@ def fit_spindle(
 
     Linear least squares in (theta0, w0, C w0/2, a_n, b_n) with the harmonics taken at the
     current w0, iterated; the noise of the angle is estimated from the residuals. Of the first
-    `MAX_HARMONICS` harmonics those are kept that an information criterion supports.
+    `MAX_HARMONICS` harmonics those are kept that an information criterion supports. Those of the
+    first `HARMONICS` that the samples of a revolution do not resolve have a default prior.
 
     Parameters
     ----------
@@ -304,8 +308,14 @@ def fit_spindle(
     samples = _FitSamples(time, theta, root_weight, spread if np.any(spread) else None)
     if harmonics is not None:
         return _fit(samples, nominal_rate, range(1, harmonics + 1))[0]
-    highest = _resolvable(time, nominal_rate)
-    all_harmonics, all_coefficients = _fit(samples, nominal_rate, range(1, highest + 1))
+    resolved = _resolvable(time, nominal_rate)
+    all_harmonics, all_coefficients = _fit(samples, nominal_rate, range(1, resolved + 1))
+    # The first harmonics reach a coefficient even where the samples do not resolve them.
+    highest = max(resolved, _count_harmonics(time, HARMONICS))
+    prior = None
+    for _ in range(_PRIOR_ROUNDS if highest > resolved else 0):
+        prior = _UnresolvedPrior(resolved, all_harmonics.rms)
+        all_harmonics, all_coefficients = _fit(samples, nominal_rate, range(1, highest + 1), prior)
     significant = [
         ripple.harmonic
         for ripple, u_ripple in zip(
@@ -313,7 +323,7 @@ def fit_spindle(
         )
         if _is_significant(ripple, u_ripple, time.size)
     ]
-    fit, selected_coefficients = _fit(samples, all_harmonics.spindle.rate, significant)
+    fit, selected_coefficients = _fit(samples, all_harmonics.spindle.rate, significant, prior)
     # What the criterion has left out may be there all the same, as far as its noise allows.
     error_harmonics = sorted({*significant, *range(1, min(HARMONICS, highest) + 1)})
     return replace(
@@ -329,12 +339,14 @@ def forecast_angle_error(time: Array, rate: float, noise: float, weights: Array)
     noise: Standard deviation of one sample's angle, rad.
     weights: Samples in each block, shape (n,).
     """
-    harmonics = range(1, min(HARMONICS, _resolvable(time, rate)) + 1)
+    harmonics = range(1, _count_harmonics(time, HARMONICS) + 1)
     size, scaled = np.sqrt(weights), time / float(np.ptp(time))
     columns = np.empty((3 + 2 * len(harmonics), time.size))
     columns[:3] = size, size * scaled, size * scaled**2
     _fill_harmonics(rate * time, harmonics, size, columns[3:])
-    factor = np.asarray(noise * np.linalg.inv(triangle_of(in_parts(columns.T))), np.float64)
+    prior = _UnresolvedPrior(_resolvable(time, rate), noise)
+    triangle = triangle_of(np.vstack([triangle_of(in_parts(columns.T)), prior.rows(harmonics)]))
+    factor = np.asarray(noise * np.linalg.inv(triangle), np.float64)
     coefficients = _Coefficients(rate, harmonics, np.zeros(len(columns)), factor)
     return _angle_error(time, harmonics, coefficients, coefficients)
 
@@ -343,7 +355,12 @@ def _resolvable(time: Array, rate: float) -> int:
     """Return the largest number of harmonics that the samples of a revolution can resolve."""
     spacing = median(np.diff(time)) if time.size > 1 else 0.0
     resolvable = int(math.pi / abs(rate * spacing)) - 1 if spacing else 0
-    return min(MAX_HARMONICS, resolvable, (time.size - 8) // 2)
+    return min(_count_harmonics(time, MAX_HARMONICS), resolvable)
+
+
+def _count_harmonics(time: Array, largest: int) -> int:
+    """Return the largest number of harmonics for which a fit has samples enough."""
+    return min(largest, (time.size - 8) // 2)
 
 
 def _is_significant(ripple: Ripple, u_ripple: tuple[float, float], samples: int) -> bool:
@@ -364,6 +381,21 @@ class _FitSamples(NamedTuple):
     angle: Array
     root_weight: Array
     spread: Array | None
+
+
+class _UnresolvedPrior(NamedTuple):
+    """Default priors of the harmonics that the samples of a revolution do not resolve."""
+
+    resolved: int  #: Number of harmonics that they resolve.
+    noise: float  #: Standard deviation of a sample's angle, rad.
+
+    def rows(self, harmonics: Sequence[int]) -> Array:
+        """Return the rows of the priors, in units of the noise, shape (m, 3 + 2 h)."""
+        unresolved = [place for place, n in enumerate(harmonics) if n > self.resolved]
+        rows = np.zeros((2 * len(unresolved), 3 + 2 * len(harmonics)))
+        for row, place in enumerate(unresolved):
+            rows[2 * row, 3 + 2 * place] = rows[2 * row + 1, 4 + 2 * place] = 1.0
+        return rows * (self.noise / UNRESOLVED_SD)
 
 
 @frozen
@@ -407,7 +439,10 @@ def _angle_error(
 
 
 def _fit(
-    samples: _FitSamples, start_rate: float, harmonics: Sequence[int]
+    samples: _FitSamples,
+    start_rate: float,
+    harmonics: Sequence[int],
+    prior: _UnresolvedPrior | None = None,
 ) -> tuple[SpindleFit, _Coefficients]:
     time, theta, root_weight, spread = samples
     count = len(harmonics)
@@ -435,6 +470,9 @@ def _fit(
             for index, harmonic in enumerate(harmonics):
                 columns[3 + 2 * index : 5 + 2 * index] *= np.cos(harmonic * w0 * spread)
         triangle = triangle_of(in_parts(columns.T))
+        if prior is not None:
+            rows = np.pad(prior.rows(harmonics), ((0, 0), (0, 1)))
+            triangle = triangle_of(np.vstack([triangle, rows]))
         r = triangle[:unknowns, :unknowns]
         # R's columns are as long as the design's.
         size = np.maximum(np.linalg.norm(r, axis=0), math.sqrt(n))
