@@ -222,6 +222,13 @@ def _campaign_remarks(campaign: Campaign) -> list[str]:
             f"The stated uncertainty of the rate is not used for {names}: the rate is identified "
             "from the record, and the stated rate is its nominal value."
         )
+    if campaign.rate_clock is None and campaign.clock is not None:
+        count = sum(1 for reading in campaign.readings if reading.rate and not reading.by_clock)
+        if count:
+            remarks.append(
+                f"[records] clock is used for the stated rates of {count} readings too, because "
+                "[centrifuge] clock is not stated. State that key if another clock measured them."
+            )
     recordings = [campaign.recording_of(run) for run in campaign.runs]
     if any(recording.angle and recording.angle.kind == "pulses" for recording in recordings):
         remarks.append(
