@@ -11,6 +11,9 @@ from reading_descriptions import at_rest, on_arm
 import triads
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.pages.verdict import verdict_sentence
+from counterspin.inference.joint.alternatives import Alternative
+from counterspin.readings.patterns import REVERSED, STEP
+from counterspin.readings.undetected_faults import _expected_size
 
 SIGMA = 2e-6
 PART = 0.7  #: Of a fault's stated size, which noise does not show.
@@ -146,6 +149,21 @@ def test_the_sense_of_rotation_is_an_unseen_fault_where_readings_do_not_show_it(
         moved = abs(own.coefficients["K_I"].value - other.coefficients["K_I"].value)
         assert moved == pytest.approx(shift, rel=0.05)
         assert moved / own.coefficients["K_I"].u == pytest.approx(times, rel=0.05)
+
+
+@pytest.mark.parametrize("value", [-0.3, 0.6])
+def test_the_expected_size_of_a_fault_is_that_of_bayes_theorem(value):
+    """By quadrature over the product of the prior and the likelihood."""
+    typical, u = 0.8, 0.5
+    size = np.linspace(-8.0, 8.0, 20_001)
+    density = np.exp(-0.5 * (size / typical) ** 2 - 0.5 * ((size - value) / u) ** 2)
+    expected = math.sqrt(np.sum(size**2 * density) / np.sum(density))
+    step = Alternative(STEP, "A", "p5")
+    assert _expected_size(step, typical, value, u) == pytest.approx(expected, rel=1e-9)
+    assert _expected_size(step, typical, value, math.inf) == typical
+    right, wrong = (math.exp(-0.5 * ((sense - value) / u) ** 2) for sense in (0.0, 1.0))
+    sense = _expected_size(Alternative(REVERSED, "A", ""), 1.0, value, u)
+    assert sense == pytest.approx(math.sqrt(wrong / (right + wrong)), rel=1e-12)
 
 
 def test_a_wrong_sense_of_rotation_that_readings_show_is_named(tmp_path):

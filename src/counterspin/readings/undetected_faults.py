@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,11 @@ from counterspin.campaign.conditions import DEFAULT_WARMING
 from counterspin.campaign.description import Campaign
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.distributions import student_quantile
-from counterspin.inference.joint.alternatives import Alternative, undetected_effects
+from counterspin.inference.joint.alternatives import (
+    Alternative,
+    run_score_tests,
+    undetected_effects,
+)
 from counterspin.inference.joint.fit import JointFit, estimate_considered
 from counterspin.physics.terms import ARCSEC
 from counterspin.readings.checks import pattern_columns, residual_group
@@ -41,14 +45,28 @@ _HEAD: Final = 36.0 * ARCSEC
 _MIN_READINGS: Final = 4
 
 
-def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list[str]]:
-    """Return for each accelerometer the faults that it would not show, the worst one first.
+class _UndetectedFault(NamedTuple):
+    """Faults of one kind that the residuals would not show."""
 
-    Of each kind of fault the one that moves a coefficient most.
+    expected_ratio: float  #: Largest expected shift of a coefficient over its u.
+    ratio: float  #: Largest shift over u at the size that the tests do not detect.
+    clause: str  #: Description of the fault with the largest shift.
+
+    def merge(self, known: _UndetectedFault) -> _UndetectedFault:
+        """Return the faults of both, which are of the same kind."""
+        expected = max(self.expected_ratio, known.expected_ratio)
+        return max(self, known, key=lambda fault: fault.ratio)._replace(expected_ratio=expected)
+
+
+def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list[str]]:
+    """Return for each accelerometer the faults that it would not show, in order of expected shift.
+
+    Of each kind of fault the one that moves a coefficient most. The expected shift of a kind is the
+    largest root mean square of a shift given the residuals, in u.
     """
     fit = estimate_considered(views[0].fit)
     groups = {id(group.readings): group for view in views for group in groups_of_view(view)}
-    faults_by_name: dict[str, dict[str, tuple[float, str]]] = {view.name: {} for view in views}
+    faults_by_name: dict[str, dict[str, _UndetectedFault]] = {view.name: {} for view in views}
     for group in groups.values():
         index = group.index_in(fit)
         if index is None or group.readings.size < _MIN_READINGS:
@@ -63,6 +81,7 @@ def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list
             continue
         detectable = _detectable_effect(group, len(columns))
         residual_norms, shifts = undetected_effects(fit, tuple(faults))
+        tests = run_score_tests(fit, tuple(faults), noise_given=group.has_external_noise)
         for column_index, (column, typical) in enumerate(faults.items()):
             size = min(typical, detectable / max(float(residual_norms[column_index]), 1e-300))
             if column.kind == REVERSED and size < typical:
@@ -72,14 +91,21 @@ def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list
                 ratio *= _noise_shrinkage(
                     view, fit, symbol, group, size * float(residual_norms[column_index])
                 )
-                known = faults_by_name[view.name].get(column.kind, (_MIN_SHIFT, ""))
-                if ratio > known[0]:
-                    clause = f"{_describe_fault(column, size)} moves {symbol} by "
-                    clause += f"{format_size(symbol, abs(shift), 3)} ({ratio:.2g} times its u)"
-                    faults_by_name[view.name][column.kind] = ratio, clause
+                expected = _expected_size(
+                    column, typical, float(tests.value[column_index]), float(tests.u[column_index])
+                )
+                clause = f"{_describe_fault(column, size)} moves {symbol} by "
+                clause += f"{format_size(symbol, abs(shift), 3)} ({ratio:.2g} times its u)"
+                fault = _UndetectedFault(ratio * expected / size, ratio, clause)
+                kinds = faults_by_name[view.name]
+                kinds[column.kind] = fault.merge(kinds.get(column.kind, fault))
     return {
-        name: [clause for _, clause in sorted(faults.values(), reverse=True)]
-        for name, faults in faults_by_name.items()
+        name: [
+            fault.clause
+            for fault in sorted(kinds.values(), reverse=True)
+            if fault.ratio > _MIN_SHIFT
+        ]
+        for name, kinds in faults_by_name.items()
     }
 
 
@@ -102,6 +128,20 @@ def _detectable_effect(group: FittedReadings, tests: int) -> float:
     level = 0.5 * SIGNIFICANCE / max(tests, 1)
     dof = group.noise_dof - 1.0
     return -student_quantile(dof, 0.5 * level) if dof >= 1.0 else math.inf
+
+
+def _expected_size(fault: Alternative, typical: float, value: float, u: float) -> float:
+    """Return the root mean square of the size of a fault given the residuals.
+
+    The prior has the mean 0 and the standard deviation `typical`. A sense of rotation is right or
+    wrong, with equal prior probabilities.
+
+    value, u: Estimate of the size from the residuals; u is infinite where they show nothing of it.
+    """
+    if fault.kind == REVERSED:
+        return typical * math.sqrt(0.5 * (1.0 + math.tanh((value - 0.5) / (2.0 * u**2))))
+    weight = 1.0 / (1.0 + (u / typical) ** 2)
+    return math.sqrt((weight * value) ** 2 + (1.0 - weight) * typical**2)
 
 
 def _noise_shrinkage(
