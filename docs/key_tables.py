@@ -24,6 +24,7 @@ from counterspin.certificates.lab import Lab
 from counterspin.comparisons.result import Intercomparison, RepeatedCalibration, ResultComparison
 from counterspin.histories.result import History
 from counterspin.monitoring.result import CheckedRun, NoiseResult, WatchState
+from counterspin.operating_tests.result import OperatingTests
 from counterspin.physics.terms import ACCELEROMETER_TERMS
 from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
 from counterspin.studies.description import StudiedDocument, StudyDocument
@@ -51,6 +52,7 @@ PARTS = {
     for result in (
         Result,
         AppliedAcceleration,
+        OperatingTests,
         ResultComparison,
         RepeatedCalibration,
         Intercomparison,

@@ -118,6 +118,7 @@ def test_every_result_of_the_package_is_written_so():
     }
     assert set(files) == {
         "AppliedAcceleration",
+        "OperatingTests",
         "BatchResult",
         "CheckedRun",
         "ResultComparison",

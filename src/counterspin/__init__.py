@@ -22,6 +22,7 @@ The commands, as functions:
 - `history`: a coefficient of each instrument through all its results (`History`)
 - `applied`: the uncertainty budget of the acceleration that a centrifuge applies, by level
   (`AppliedAcceleration`)
+- `operating`: linearity, hysteresis, threshold, resolution, dead band, warm-up (`OperatingTests`)
 - `compare`: results of other models, methods or campaigns beside each other (`ResultComparison`)
 - `intercompare`: laboratories that calibrated the same instrument (`Intercomparison`)
 - `rerun`: a result's calibration made again (`RepeatedCalibration`)
@@ -136,6 +137,8 @@ if TYPE_CHECKING:
     from counterspin.monitoring.result import WatchState as WatchState
     from counterspin.monitoring.watch import Pace as Pace
     from counterspin.monitoring.watch import watch as watch
+    from counterspin.operating_tests.measure import operating as operating
+    from counterspin.operating_tests.result import OperatingTests as OperatingTests
     from counterspin.physics.accelerometer import QX as QX
     from counterspin.physics.accelerometer import QY as QY
     from counterspin.physics.accelerometer import QZ as QZ
@@ -175,6 +178,8 @@ _OFFERED = {
     "_version": ("__version__",),
     "acceleration_standard.budget": ("applied",),
     "acceleration_standard.result": ("AppliedAcceleration",),
+    "operating_tests.measure": ("operating",),
+    "operating_tests.result": ("OperatingTests",),
     "campaign.description": ("Campaign", "read_campaign"),
     "campaign.memory": ("make_campaign",),
     "planning.forecast": ("Forecast", "forecast"),

@@ -2,7 +2,7 @@
 
 A command imports what it uses when it runs, so that `--help` answers at once.
 
-- `init`, `calibrate`, `applied`, `certificate`, `apply`, `plan`, `study`: a command each
+- `init`, `calibrate`, `applied`, `operating`, `certificate`, `apply`, `plan`, `study`: one each
 - `records`: `simulate`, `check`, `watch`, `noise`
 - `results`: `report`, `history`, `compare`, `intercompare`, `rerun`, `export`,
   `ledger`
@@ -28,6 +28,7 @@ from counterspin.cli import (
     calibrate,
     certificate,
     init,
+    operating,
     plan,
     program,
     records,
@@ -75,6 +76,7 @@ for _command in (
     results.intercompare,
     results.rerun,
     applied.applied,
+    operating.operating,
     records.check,
     records.watch,
     records.noise,

@@ -19,6 +19,7 @@ _RESULT_CLASSES: Final = (
     ("studies.result", "StudyResult"),
     ("histories.result", "History"),
     ("acceleration_standard.result", "AppliedAcceleration"),
+    ("operating_tests.result", "OperatingTests"),
     ("comparisons.result", "ResultComparison"),
     ("comparisons.result", "RepeatedCalibration"),
     ("comparisons.result", "Intercomparison"),

@@ -1,0 +1,98 @@
+"""`counterspin operating`: operating tests of IEEE Std 1293 from a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from counterspin.cli.common import NOT_SAVED, SaveOptions, option_group, print_output
+from counterspin.frozen import frozen
+
+
+@option_group
+@frozen
+class TableColumns:
+    """Columns and units of the table.
+
+    Parameters
+    ----------
+    input
+        Column of the applied inputs.
+    time
+        Column of the times since switching on, s, in place of inputs: the warm-up.
+    input_unit
+        Unit of the inputs.
+    output_unit
+        Unit of the outputs.
+    full_scale
+        Full scale of the input, in its unit; default: the largest input of the table.
+    """
+
+    input: str | None = None
+    time: str | None = None
+    input_unit: str = "g"
+    output_unit: str | None = None
+    full_scale: float | None = None
+
+
+_NO_COLUMNS = TableColumns()
+
+
+def operating(
+    table: Path,
+    /,
+    *,
+    output: str,
+    columns: TableColumns = _NO_COLUMNS,
+    report: Path | None = None,
+    figure: Path | None = None,
+    saved: SaveOptions = NOT_SAVED,
+) -> None:
+    """Evaluate linearity, hysteresis, threshold, resolution, dead band, or a warm-up.
+
+    Parameters
+    ----------
+    table
+        Table of inputs and outputs, or of times and outputs, in the order of recording.
+    output
+        Column of the outputs.
+    report
+        Also write a report: .html, .pdf or .md.
+    figure
+        Plot the deviations from the line, or the warm-up: .svg, .png or .pdf.
+    """
+    from counterspin.operating_tests.measure import operating as run
+    from counterspin.operating_tests.page import FILE_DESCRIPTION, operating_plot
+    from counterspin.operating_tests.result import OperatingTests
+    from counterspin.output import marked, reserve
+    from counterspin.reports.charts import check_format, save_figure
+    from counterspin.reports.publication import check_format as check_report
+    from counterspin.reports.text import Report, report_console
+
+    if report is not None:
+        check_report(report)
+        kind = OperatingTests.report_kind()
+        reserve(report, lambda: marked(kind), overwrite=saved.overwrite)
+    if figure is not None:
+        check_format(figure)
+        reserve(figure, lambda: marked(FILE_DESCRIPTION), overwrite=saved.overwrite)
+    saved.reserve(OperatingTests.file_kind)
+    result = run(
+        table,
+        output=output,
+        input=columns.input,
+        time=columns.time,
+        input_unit=columns.input_unit,
+        output_unit=columns.output_unit or "",
+        full_scale=columns.full_scale,
+    )
+    with saved.writing(result):
+        if figure is not None:
+            save_figure(
+                [operating_plot(result)], figure, FILE_DESCRIPTION, overwrite=saved.overwrite
+            )
+        if report is not None:
+            result.write_report(report, overwrite=saved.overwrite)
+        report_console().print(Report(list(result.blocks())))
+    for path in (report, figure):
+        if path is not None:
+            print_output(f"Wrote {path}.")

@@ -1,0 +1,210 @@
+"""Operating tests of an accelerometer, from a table of inputs and outputs or of a warm-up."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from counterspin._version import __version__
+from counterspin.arrays import Array
+from counterspin.errors import CampaignError, RecordError
+from counterspin.input import path_of, read_file
+from counterspin.operating_tests import model
+from counterspin.operating_tests.model import Line, OperatingEstimate
+from counterspin.operating_tests.result import OperatingQuantity, OperatingTests
+from counterspin.records.formats import read_numbers
+
+#: Most rows of a table.
+_MAX_ROWS: Final = 1_000_000
+
+#: Rows that a result keeps for its figure.
+_KEPT_ROWS: Final = 2_000
+
+
+def operating(
+    file: Path | str,
+    *,
+    output: str,
+    input: str | None = None,
+    time: str | None = None,
+    input_unit: str = "g",
+    output_unit: str = "",
+    full_scale: float | None = None,
+) -> OperatingTests:
+    """Evaluate the operating tests of IEEE Std 1293 from a table.
+
+    With a column of inputs: linearity, hysteresis, threshold, resolution and dead band. With a
+    column of times alone: the warm-up.
+
+    Parameters
+    ----------
+    file
+        Table in any record format, its rows in the order in which they were recorded.
+    output
+        Column of the outputs.
+    input
+        Column of the applied inputs.
+    time
+        Column of the times since switching on, s.
+    input_unit, output_unit
+        Units, for tables and figures.
+    full_scale
+        Full scale of the input, in its unit; default: the largest input of the table.
+
+    Returns
+    -------
+    OperatingTests
+        Each test with its standard uncertainty.
+
+    Raises
+    ------
+    CampaignError
+        If the arguments contradict each other, or the table does not suit the tests.
+    RecordError
+        If the file or a column cannot be read.
+    """
+    path = path_of(file, "the file of a table")
+    if (input is None) == (time is None):
+        raise CampaignError("operating", ["name a column of inputs, or one of times (warm-up)"])
+    if full_scale is not None and not 0.0 < full_scale < math.inf:
+        raise CampaignError("operating", ["full_scale: give a number greater than zero"])
+    first, outputs, digest = _read_columns(path, str(input or time), output)
+    try:
+        if input is not None:
+            scale = full_scale or float(np.max(np.abs(first)))
+            line = model.fit_line(first, outputs)
+            quantities = list(_static_tests(line, first, outputs, scale, input_unit, output_unit))
+            noise = line.noise, line.dof, line.from_repeats
+        else:
+            scale = full_scale or 0.0
+            warm_up = model.fit_warm_up(first, outputs)
+            quantities = list(_warm_up(warm_up, output_unit))
+            residuals = outputs - _warm_up_curve(warm_up, first)
+            dof = float(outputs.size - 3)
+            noise = math.sqrt(float(residuals @ residuals) / dof), dof, False
+    except ValueError as error:
+        raise CampaignError(path.name, [str(error)]) from error
+    kept = np.unique(np.linspace(0, first.size - 1, min(first.size, _KEPT_ROWS)).astype(int))
+    columns = first[kept].tolist()
+    return OperatingTests(
+        file=path.name,
+        sha256=digest,
+        version=__version__,
+        input_unit=input_unit if input is not None else "s",
+        output_unit=output_unit,
+        full_scale=scale,
+        noise=noise[0],
+        noise_dof=noise[1],
+        noise_from_repeats=noise[2],
+        quantities=quantities,
+        time=[] if input is not None else columns,
+        inputs=columns if input is not None else [],
+        outputs=outputs[kept].tolist(),
+    )
+
+
+def _read_columns(path: Path, first: str, output: str) -> tuple[Array, Array, str]:
+    """Return two columns without rows in which either is empty, and the SHA-256 of the file."""
+    content = read_file(path)
+    columns = read_numbers(path, [first, output])
+    pair = np.column_stack(
+        [np.asarray(columns[name], dtype=np.float64) for name in (first, output)]
+    )
+    pair = pair[np.isfinite(pair).all(axis=1)]
+    if not 0 < len(pair) <= _MAX_ROWS:
+        raise RecordError(f"{path}: {len(pair)} rows with numbers; 1 to {_MAX_ROWS} are possible")
+    return pair[:, 0].copy(), pair[:, 1].copy(), hashlib.sha256(content).hexdigest()
+
+
+def _static_tests(
+    line: Line, inputs: Array, outputs: Array, scale: float, input_unit: str, output_unit: str
+) -> Iterator[OperatingQuantity]:
+    """Yield the results of the tests with inputs."""
+    per_input = f"{output_unit or '1'}/{input_unit}"
+    yield _quantity(
+        "scale-factor", OperatingEstimate(line.slope, line.u_slope), per_input, "slope of the line"
+    )
+    yield _quantity(
+        "bias",
+        OperatingEstimate(line.intercept / line.slope, line.u_intercept / abs(line.slope)),
+        input_unit,
+        "intercept of the line divided by its slope",
+    )
+    of_line = "largest deviation of a setting from the least-squares line"
+    yield _quantity(
+        "linearity-error", model.linearity_error(line, inputs), input_unit, of_line, scale
+    )
+    tests: tuple[tuple[str, Callable[[], OperatingEstimate | None], str, str], ...] = (
+        (
+            "hysteresis-error",
+            lambda: model.hysteresis(line, inputs, outputs),
+            "largest difference between outputs at an input, upwards minus downwards",
+            "no input was reached both upwards and downwards",
+        ),
+        (
+            "threshold",
+            lambda: model.smallest_step(line, inputs, outputs, from_zero=True),
+            "smallest step from zero input with at least 50 % of the expected change",
+            "no step from zero input shows at least 50 % of the expected change",
+        ),
+        (
+            "resolution",
+            lambda: model.smallest_step(line, inputs, outputs, from_zero=False),
+            "smallest step from larger inputs with at least 50 % of the expected change",
+            "no step from larger inputs shows at least 50 % of the expected change",
+        ),
+        (
+            "dead-band",
+            lambda: model.dead_band(line, inputs, outputs),
+            "inputs about zero with less than 10 % of the expected change",
+            "zero input, or an input outside the band on each side, is missing",
+        ),
+    )
+    for name, test, definition, missing in tests:
+        found = test()
+        yield _quantity(name, found, input_unit, missing if found is None else definition, scale)
+
+
+def _warm_up(fitted: model.WarmUp, output_unit: str) -> Iterator[OperatingQuantity]:
+    """Yield the results of a warm-up."""
+    approach = "output = final + change exp(-t/tau) after switching on"
+    yield _quantity("time-constant", fitted.time_constant, "s", approach)
+    yield _quantity("final-output", fitted.final, output_unit, "output after the warm-up")
+    yield _quantity(
+        "change", fitted.change, output_unit, "output at switching on minus final output"
+    )
+    size, u = abs(fitted.change.value), fitted.final.u or 0.0
+    if size > u > 0.0:
+        tau = fitted.time_constant
+        factor = math.log(size / u)
+        time = OperatingEstimate(tau.value * factor, (tau.u or 0.0) * factor)
+        note = "time until the rest of the change is below u of the final output"
+        yield _quantity("warm-up-time", time, "s", note)
+
+
+def _warm_up_curve(fitted: model.WarmUp, time: Array) -> Array:
+    decay = np.exp(-time / fitted.time_constant.value)
+    return np.asarray(fitted.final.value + fitted.change.value * decay)
+
+
+def _quantity(
+    name: str, estimate: OperatingEstimate | None, unit: str, note: str, scale: float | None = None
+) -> OperatingQuantity:
+    """Return a result; scale: full scale of the input, where a percentage has a meaning."""
+    value, u = (None, None) if estimate is None else (estimate.value, estimate.u)
+    factor = 100.0 / scale if scale else None
+    return OperatingQuantity(
+        name=name,
+        value=value,
+        u=u,
+        unit=unit,
+        percent=None if value is None or factor is None else value * factor,
+        u_percent=None if u is None or factor is None else u * factor,
+        at=None if estimate is None else estimate.at,
+        note=note,
+    )

@@ -1,0 +1,108 @@
+"""Report of operating tests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from counterspin.operating_tests.result import OperatingQuantity, OperatingTests
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
+from counterspin.reports.numbers import NOT_DETERMINED, format_estimate, format_number
+
+#: Description in the file of a figure.
+FILE_DESCRIPTION: Final = "a figure of operating tests"
+
+#: Name of a test -> its words, and the test of IEEE Std 1293 that it belongs to.
+_TESTS: Final = {
+    "scale-factor": ("scale factor", "scale factor and bias"),
+    "bias": ("bias", "scale factor and bias"),
+    "linearity-error": ("linearity error", "linearity"),
+    "hysteresis-error": ("hysteresis error", "hysteresis"),
+    "threshold": ("threshold", "threshold and resolution"),
+    "resolution": ("resolution", "threshold and resolution"),
+    "dead-band": ("dead band", "threshold and resolution"),
+    "time-constant": ("time constant", "warm-up and turn-on"),
+    "final-output": ("final output", "warm-up and turn-on"),
+    "change": ("change during warm-up", "warm-up and turn-on"),
+    "warm-up-time": ("warm-up time", "warm-up and turn-on"),
+}
+
+
+def operating_blocks(result: OperatingTests) -> Iterator[Block]:
+    """Yield the results of the tests, their figure and definitions."""
+    yield Heading(f"Operating tests: {result.file}", 1)
+    yield Table(
+        (
+            Column("Quantity"),
+            Column("Value", "right"),
+            Column("% of full scale", "right"),
+            Column("At input", "right"),
+            Column("Definition", wraps=True, narrowest=24),
+            Column("IEEE Std 1293, test of", wraps=True, narrowest=12),
+        ),
+        tuple(_row(result, quantity) for quantity in result.quantities),
+    ).without_empty_columns()
+    yield operating_plot(result)
+    basis = "repeats at the same input" if result.noise_from_repeats else "the residuals"
+    noise = f"{format_number(result.noise)} {result.output_unit}".strip()
+    scale = (
+        f" Full scale is {format_number(result.full_scale, 6)} {result.input_unit}."
+        if result.full_scale
+        else ""
+    )
+    yield Paragraph(
+        f"± is one standard uncertainty (k = 1). The noise of a point is {noise} with "
+        f"{format_number(result.noise_dof, 4)} degrees of freedom, from {basis}.{scale}",
+        "quiet",
+    )
+
+
+def _row(result: OperatingTests, quantity: OperatingQuantity) -> tuple[str, ...]:
+    words, test = _TESTS[quantity.name]
+    if quantity.value is None:
+        return words, NOT_DETERMINED, "", "", quantity.note, test
+    percent = (
+        ""
+        if quantity.percent is None
+        else format_estimate(quantity.percent, quantity.u_percent or 0.0, "")
+    )
+    at = "" if quantity.at is None else f"{format_number(quantity.at, 6)} {result.input_unit}"
+    unit = "" if quantity.unit == "1" else quantity.unit
+    value = format_estimate(quantity.value, quantity.u or 0.0, unit)
+    return words, value, percent, at, quantity.note, test
+
+
+def operating_plot(result: OperatingTests) -> Plot:
+    """Return the deviations from the line against the input, or the warm-up."""
+    output = f"output, {result.output_unit}" if result.output_unit else "output"
+    if not result.inputs:
+        time = tuple(result.time)
+        tau, final, change = (
+            result.quantity(name).value or 0.0
+            for name in ("time-constant", "final-output", "change")
+        )
+        fitted = final + change * np.exp(-np.array(time) / tau)
+        return Plot(
+            "Warm-up",
+            "time since switching on, s",
+            output,
+            (
+                PlotSeries("recorded", time, tuple(result.outputs), kind="points"),
+                PlotSeries("exponential", time, tuple(fitted.tolist()), kind="line"),
+            ),
+        )
+    slope, bias = (result.quantity(name).value or 0.0 for name in ("scale-factor", "bias"))
+    inputs = np.array(result.inputs)
+    deviations = np.array(result.outputs) / slope - bias - inputs
+    rising = np.diff(inputs, prepend=inputs[0]) >= 0.0
+    series = tuple(
+        PlotSeries(
+            label, tuple(inputs[chosen].tolist()), tuple(deviations[chosen].tolist()), kind="points"
+        )
+        for label, chosen in (("input rising", rising), ("input falling", ~rising))
+        if chosen.any()
+    )
+    unit = result.input_unit
+    return Plot("Deviation from the line", f"input, {unit}", f"deviation, {unit}", series, (0.0,))
