@@ -266,8 +266,8 @@ def _implausible_numbers(value: Any, path: str, key: str = "") -> Iterator[str]:
         if not abs(value) <= _LARGEST_NUMBER:
             yield f"{path} is implausibly large"
         elif value < _SMALLEST_UNCERTAINTY and value != 0 and _UNCERTAINTY.fullmatch(key):
-            wrong = "not negative" if value < 0 else "0 or not so small"
-            yield f"{path} is {value:g}, and an uncertainty is {wrong}"
+            wrong = "negative" if value < 0 else "implausibly small"
+            yield f"{path} is {value:g}; an uncertainty of this size is {wrong}"
 
 
 def unsealed_sentences(names: Sequence[str]) -> list[str]:

@@ -113,7 +113,7 @@ def test_a_chain_that_returns_to_itself_is_refused_without_a_ledger(desk):
     # One that was made by another program is found by its reader.
     whole = (desk / "2.xml").read_bytes()
     (desk / "2.xml").write_bytes(whole.replace(b">CS 002<", b">CS 000<"))
-    with pytest.raises(RecordError, match="the amendments return to their beginning"):
+    with pytest.raises(RecordError, match="the amendments form a circle"):
         check_certificate(desk / "2.xml", amends=desk / "1.xml")
 
 

@@ -453,7 +453,9 @@ def test_faces_set_twice_do_not_tell_angles(tmp_path):
     """An angle would be known by a product of tilts: it takes any value."""
     found = make_draft(write_rows(tmp_path, *faces(13)), PLACE, "poses")
     assert found.document(tmp_path)["model"] == {"terms": ["K_F", "K_I"]}
-    assert any("poses near the six faces do not tell the angles" in s for s in found.statements)
+    assert any(
+        "poses near the six faces do not determine the angles" in s for s in found.statements
+    )
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
     for name, bias in zip("XYZ", BIAS, strict=True):
         own = result.accelerometers[name].coefficients

@@ -396,7 +396,7 @@ def test_report_says_what_the_issue_asks_for(plan_of, capsys):
         "Expected uncertainty budget of K_II of Qx",
         "platform.tilt.north,",
         "relaxed by 10 %",
-        "both senses instead",
+        "both senses of rotation",
         "the paper's plan",
         "equally spaced rates",
         "Requirements for the centrifuge",

@@ -257,7 +257,7 @@ SLIPS = {
     ),
     "a spindle": (
         '[study.vary]\n"spindle.drift" = { fixed = "1e-6 1/s" }\n',
-        "acts on records of a double turntable only, and there are none",
+        "needs records of a double turntable, and the campaign has none",
     ),
     "another mounting": (
         '[study.vary]\n"centrifuge.radius.inn" = { fixed = "1 mm" }\n',

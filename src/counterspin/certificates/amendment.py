@@ -158,7 +158,7 @@ def verify_amended(new: bytes, old: Path, source: str) -> str:
     ):
         raise RecordError(
             f"{source}: has the identifier of {old} or of a certificate that {old} amends: the "
-            "amendments return to their beginning; do not rely on any of them"
+            "amendments form a circle; do not rely on any of them"
         )
     return before.identifier
 

@@ -291,14 +291,12 @@ def _few(found: TriadColumns) -> Iterator[str]:
         return
     few = len(found.means) <= PARAMETERS
     why = (
-        "nine poses or fewer do not tell the angles between axes beside their noise"
+        "nine poses or fewer do not determine the angles between axes and the noise"
         if few
-        else "poses near the six faces do not tell the angles between axes"
+        else "poses near the six faces do not determine the angles between axes"
     )
     more = "all over the sphere" if few else "halfway between two axes on both sides"
-    yield (
-        f"{why}: biases and scale factors alone are asked for; take twelve poses or more, {more}"
-    )
+    yield (f"{why}: only biases and scale factors are requested; take twelve poses or more, {more}")
 
 
 def _not_used(guess: FileGuess, found: TriadColumns) -> Iterator[str]:

@@ -29,7 +29,7 @@ _EMPTY_BOUND: Final = 90.0
 _DETECTION_DEVIATIONS: Final = 4.0
 
 #: Descriptions of changes to limits that are not sizes.
-_CHANGES: Final = {"senses": "both senses instead", "fewest_rates": "one fewer"}
+_CHANGES: Final = {"senses": "both senses of rotation", "fewest_rates": "one fewer"}
 
 
 def plan_blocks(result: PlanResult) -> list[Block]:

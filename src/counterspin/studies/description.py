@@ -430,7 +430,7 @@ def _resolve_names(
     if key in INPUTS or symbol_name == CLOCK:
         return _resolve_inputs(key, path, campaign, recorders, problems)
     if key in OTHER_QUANTITIES and not campaign.runs:
-        problems.add(path, "acts on records of a double turntable only, and there are none")
+        problems.add(path, "needs records of a double turntable, and the campaign has none")
     shared = (key,) if key in SHARED_TERMS or key in OTHER_QUANTITIES else ()
     if symbols := shared or expand(key, observable_symbols):
         return [("", symbol) for symbol in symbols]

@@ -46,7 +46,7 @@ class WhatIf:
 
     names: list[str]  #: Coefficients and sources, named as in a budget.
     units: list[str]  #: Of each: SI, or g-units.
-    #: By source: its standard uncertainty beforehand; what is not there has none that can change.
+    #: By source: its prior standard uncertainty; a source without an entry has none to change.
     known: dict[str, float]
     #: The covariance that the weights minimise, rows and columns as `names`.
     weighed: list[list[float]]
