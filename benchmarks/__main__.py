@@ -15,6 +15,7 @@ import commands
 import costs
 import machine
 import plan
+import sizes
 import study
 import workers
 from table import ROOT, options, place, render, save
@@ -27,6 +28,7 @@ BENCHMARKS = {
     "workers": workers,
     "calibrate": calibrate,
     "costs": costs,
+    "sizes": sizes,
 }
 
 
