@@ -236,6 +236,7 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
         "GET check": [run],
         "GET watch": [{"name": "three"}, {"name": "three", "goal": "K_II 1e-8 g/g^2"}],
         "POST draft": [{"names": files}],
+        "POST discard": [{"folder": "new", "names": files[:1]}],
         "POST drafted": [{"folder": "new", "names": files, "answers": ANSWERS}],
         "POST certificate": [
             {"result": result, "lab": "LAB.toml", "output": "three/certificate.xml"},
@@ -269,6 +270,7 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
         ],
         "GET report": [{"name": result, "kind": "md"}],
         "POST study": [{"name": "three", "trials": 4}],
+        "POST study-duration": [{"name": "three"}],
         "POST simulation": [{"name": "three", "folder": "new"}],
         "DELETE jobs": [{"number": 1}],
     }

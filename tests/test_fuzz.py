@@ -254,7 +254,7 @@ def test_the_page_says_how_much_is_tried():
     (seconds,) = told("bulwark", "more than {} s of processor time or")
     (gigabytes,) = told("bulwark", "of processor time or {} GB of memory")
     new, asked = told(
-        "bulwark", "reads all of these and {} new ones, and asks the application in {}"
+        "bulwark", "reads all of these and {} new ones, and sends {} cases to the application"
     )
     (commands,) = told("bulwark", "The kills are those of {} commands")
     assert [value_of(number) for number in (seconds, gigabytes, new, asked, commands)] == [
@@ -294,5 +294,5 @@ def test_what_the_page_says_was_tried_is_what_its_commands_try():
     assert sum(value_of(tried) for tried, _ in asked_of) == asked["requests"]
     assert all(value_of(refused) < value_of(tried) for tried, refused in asked_of)
     # A case of requests has 1 to 3 of them, 1.6 in the mean.
-    (sent,) = told("bulwark", "cases of requests sent {} of them")
+    (sent,) = told("bulwark", "The cases of requests sent {} requests")
     assert value_of(sent) == pytest.approx(1.6 * value_of(asked_of[0][0]), rel=0.01)

@@ -41,7 +41,7 @@ def test_eccentricity_and_imbalance_at_which_u_is_a_twentieth_larger(starter):
     paths = ("encoder.harmonic.1", "centrifuge.imbalance.1")
     found = fault_sensitivities(prediction, [path_fault(symbol) for symbol in paths])
     sizes = {line.words: line.size for line in planned.result.requirements}
-    for one, words in zip(found, ("eccentric encoder", "imbalance"), strict=True):
+    for one, words in zip(found, ("encoder error", "imbalance"), strict=True):
         size = next(size for key, size in sizes.items() if words in key)
         added = one.unit_shift(place) * size / prediction.u["Qx.K_II"]
         assert 1.0 + added**2 == pytest.approx(1.05**2, rel=1e-9)
@@ -59,7 +59,7 @@ def test_what_is_required_of_a_fault_that_is_an_unknown_is_said_without_it(start
         result = check(tmp_path)
         u = result.accelerometers["Qx"].coefficients["K_II"].u
         sizes = {line.words: line.size for line in result.requirements}
-        moved += [u / next(size for words, size in sizes.items() if "eccentric" in words)]
+        moved += [u / next(size for words, size in sizes.items() if "encoder error" in words)]
     assert moved[1] == pytest.approx(moved[0], rel=1e-6)
 
 

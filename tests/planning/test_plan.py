@@ -643,7 +643,7 @@ def test_a_mapping_is_planned_as_its_file(starter, plan_of):
     assert in_memory.result.runs == of_file.result.runs
     assert in_memory.result.goal == of_file.result.goal
     document["limits"]["runs"] = 1j
-    with pytest.raises(CampaignError, match=r"plan in memory: limits\.runs: a complex cannot"):
+    with pytest.raises(CampaignError, match=r"plan in memory: limits\.runs: a complex is not"):
         plan(document)
     document["limits"]["runs"] = "many"
     with pytest.raises(CampaignError, match=r"memory: limits\.runs: must be a whole number"):

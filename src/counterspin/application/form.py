@@ -104,7 +104,7 @@ def lab_form() -> tuple[Field, ...]:
         {
             "key": "evidence",
             "words": unlinked(evidence.description or ""),
-            "explained": "certificate#what-is-assumed",
+            "explained": "certificate#assumed-terms",
             "repeat": None,
             "fields": [
                 _text_field(ALL, "a report") | {"help": "for every term"},

@@ -51,7 +51,7 @@ def check_trials(trials: int, method: str) -> None:
 
 
 def add_intervals(result: Result, model: ErrorModel, trials: int) -> Result:
-    """Return a result whose estimated coefficients have their interval by Monte Carlo.
+    """Return a result with the intervals of its estimated coefficients by Monte Carlo.
 
     Parameters
     ----------
@@ -64,8 +64,8 @@ def add_intervals(result: Result, model: ErrorModel, trials: int) -> Result:
     """
     accelerometers = {}
     for place, (name, accelerometer) in enumerate(result.accelerometers.items()):
-        coefficients = dict(accelerometer.coefficients)
-        for number, (symbol, coefficient) in enumerate(coefficients.items()):
+        intervals = {}
+        for number, (symbol, coefficient) in enumerate(accelerometer.coefficients.items()):
             lines = accelerometer.budget.get(symbol)
             if lines and coefficient.estimated and coefficient.u:
                 generator = np.random.default_rng((_SEED, place, number))
@@ -76,9 +76,8 @@ def add_intervals(result: Result, model: ErrorModel, trials: int) -> Result:
                     trials,
                     generator,
                 )
-                interval = interval_of(errors, coefficient)
-                coefficients[symbol] = coefficient.model_copy(update={"monte_carlo": interval})
-        accelerometers[name] = accelerometer.model_copy(update={"coefficients": coefficients})
+                intervals[symbol] = interval_of(errors, coefficient)
+        accelerometers[name] = accelerometer.model_copy(update={"monte_carlo": intervals})
     return result.model_copy(update={"accelerometers": accelerometers})
 
 

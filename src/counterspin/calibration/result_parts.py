@@ -68,8 +68,6 @@ class Coefficient(ResultPart):
     dof: float | None = None
     unit: str  #: Unit of value and uncertainties: g-units, or SI for platform terms.
     estimated: bool  #: Whether the records determine it.
-    #: Interval by Monte Carlo; null unless it was requested.
-    monte_carlo: MonteCarloInterval | None = None
 
     _gravity: StatedGravity | None = PrivateAttr(default=None)
 
@@ -463,6 +461,8 @@ class AccelerometerResult(ResultPart):
     residual: Residual  #: Residuals and goodness of fit.
     noise: dict[str, NoiseLine] = {}  #: Noise used, by component.
     budget: dict[str, list[BudgetLine]] = {}  #: Uncertainty budget of each term.
+    #: Coverage interval of each estimated coefficient by Monte Carlo; empty unless requested.
+    monte_carlo: dict[str, MonteCarloInterval] = {}
     #: Data for updating the uncertainties if an input were known better; None if no input
     #: matters.
     what_if: WhatIf | None = None

@@ -37,13 +37,14 @@ def budget_blocks(name: str, result: Result) -> Iterator[Block]:
 def interval_blocks(name: str, result: Result) -> Iterator[Block]:
     """Yield the coverage intervals of an accelerometer by the GUM and by Monte Carlo, if drawn."""
     words = {True: "validated", False: "not validated", None: "trials too few"}
-    rows = []
-    for symbol, coefficient in result.accelerometers[name].coefficients.items():
-        drawn = coefficient.monte_carlo
-        if drawn is None or coefficient.value is None or coefficient.u is None:
+    rows, trials = [], 0
+    accelerometer = result.accelerometers[name]
+    for symbol, drawn in accelerometer.monte_carlo.items():
+        coefficient = accelerometer.coefficients[symbol]
+        if coefficient.value is None or coefficient.u is None:
             continue
         unit, factor = field_unit(coefficient.unit)
-        u = coefficient.u * factor
+        u, trials = coefficient.u * factor, drawn.trials
         intervals = (coefficient.interval(), (drawn.low, drawn.high))
         gum, shortest = (
             format_interval(0.5 * (low + high) * factor, u, 0.5 * (high - low) * factor)
@@ -51,11 +52,6 @@ def interval_blocks(name: str, result: Result) -> Iterator[Block]:
         )
         rows.append((symbol, gum, shortest, unit, words[drawn.gum_validated]))
     if rows:
-        trials = max(
-            c.monte_carlo.trials
-            for c in result.accelerometers[name].coefficients.values()
-            if c.monte_carlo
-        )
         yield Heading(f"95 % coverage intervals of {name}, {trials} trials (JCGM 101)", 3)
         yield Table(
             columns=(
