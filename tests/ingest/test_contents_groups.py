@@ -12,6 +12,7 @@ from counterspin.errors import CampaignError
 from counterspin.ingest.contents import read_files
 from counterspin.ingest.description import make_draft, write_description
 from counterspin.ingest.overview import likely_test, overview
+from counterspin.triads.record_poses import campaign_poses
 
 PLACE = {"gravity": "9.81", "latitude": "48"}
 
@@ -92,13 +93,23 @@ def test_each_structure_or_group_of_a_file_is_a_run(tmp_path, name, write, names
         np.testing.assert_allclose(record.angle, theta, atol=1e-9)
 
 
-def test_poses_in_several_groups_need_a_file_each(tmp_path):
+def test_each_group_of_poses_is_a_run(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         for n in range(2):
-            file[f"run{n}/time"], file[f"run{n}/acc"] = POSED.time, POSED.values
+            file[f"run{n}/time"], file[f"run{n}/acc"] = POSED.time, POSED.values + n
     found = make_draft(read_files([tmp_path / "a.h5"]), PLACE, "poses")
-    with pytest.raises(CampaignError, match="each sheet or group to a file of its own"):
-        found.document(tmp_path)
+    document = found.document(tmp_path)
+    assert [run["records"] for run in document["runs"]] == [{"group": "run0"}, {"group": "run1"}]
+    campaign = read_campaign(write_description(found, tmp_path / "c"))
+    poses = campaign_poses(campaign)
+    half = len(poses) // 2
+    values = np.array([[reading.value for reading in pose.pose] for pose in poses])
+    shift = (values[half:] - values[:half]) * campaign.gravity.value
+    np.testing.assert_allclose(shift, 1.0, atol=1e-9)
+    path = campaign.path
+    path.write_text(path.read_text("utf-8").replace('group = "run1"', 'clock = "1 ppm"'), "utf-8")
+    with pytest.raises(CampaignError, match="clock: cannot be set for a record of poses"):
+        read_campaign(path)
 
 
 def test_groups_of_sensors_are_no_runs(tmp_path):

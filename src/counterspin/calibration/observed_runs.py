@@ -362,7 +362,9 @@ def temperature_columns(
     campaign: Campaign, item: Run | Reading | PoseRecord
 ) -> RecordColumns | None:
     """Return the columns of time and temperature of a record; None where it has no temperature."""
-    recording = Recording(campaign.time, None, campaign.dialect, campaign.temperature)
+    own_dialect = item.dialect if isinstance(item, PoseRecord) else None
+    dialect = own_dialect or campaign.dialect
+    recording = Recording(campaign.time, None, dialect, campaign.temperature)
     columns = RecordColumns(campaign.time, None, {})
     if isinstance(item, Run):
         recording = campaign.recording_of(item)

@@ -14,6 +14,7 @@ from counterspin.campaign.documents import KeyPath
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.terms import MotionKind
+from counterspin.records.dialect import Dialect
 
 #: How many poses a record is taken to have before it is read.
 MANY: Final = 1000
@@ -83,6 +84,7 @@ class PoseRecord:
     temperature: tuple[float, ...] | None
     time: float | None
     u: float | None = None  #: Of each axis in a pose, m/s^2; None: not stated.
+    dialect: Dialect | None = None  #: How its file is written; None: as the other records.
 
 
 @frozen

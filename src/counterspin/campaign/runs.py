@@ -233,7 +233,8 @@ class Run(SettingsSection):
     )
     records: dict[str, Any] | None = key_field(
         "keys of `[records]` that differ in this run: `time`, `angle`, `temperature`, "
-        "`recorder`, `clock` and those of the file format",
+        "`recorder`, `clock` and those of the file format; for a record of poses, only those "
+        "of the file format",
         {"decimal": "."},
         None,
         absent="as `[records]`",
@@ -315,6 +316,8 @@ class Run(SettingsSection):
         read = self.motion != "counter-rotating" or self.reading is not None
         invalid = RECORDS if read else READINGS
         for name, field in type(self).model_fields.items():
+            if name == "records" and self.stand.unknown and self.file is not None:
+                continue  # A record of poses states the format of its file.
             if name in self.model_fields_set and extra_of(field).get("x-of") == invalid:
                 other_kind = "a record of a double turntable" if read else "a reading"
                 message = f"belongs to a run with {other_kind}; leave it out"

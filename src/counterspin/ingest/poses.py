@@ -127,12 +127,7 @@ class PosesDraft(AnsweredDraft):
         names: list[Any] = []
         runs = []
         keys = self.contents.dialect_keys
-        if any(guess.contents.dialect_keys != keys for guess in self.guesses):
-            text = (
-                "records of poses are read in one way, which [records] states: write each sheet or "
-                "group to a file of its own, and name one sensor"
-            )
-            raise CampaignError("init", [text])
+        alike = all(guess.contents.dialect_keys == keys for guess in self.guesses)
         for contents in (guess.contents for guess in self.guesses):
             names.append(Path(record_name(contents.title, "", names)).name)
             run = {
@@ -142,8 +137,8 @@ class PosesDraft(AnsweredDraft):
                 "record": relative_name(contents.path, place),
                 "poses": poses,
             }
-            runs.append(run)
-        records = {"time": rows} | keys | self.guesses[0].temperature_table
+            runs.append(run if alike else run | {"records": contents.dialect_keys})
+        records = {"time": rows} | (keys if alike else {}) | self.guesses[0].temperature_table
         return {"records": records, "runs": runs}
 
 

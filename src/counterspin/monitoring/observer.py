@@ -231,9 +231,10 @@ class Observer:
         self._campaign = campaign
         self._watched = []
         for run in recordings(campaign):
-            columns = (
-                record_columns(campaign, run) if isinstance(run, Run) else pose_columns(campaign)
-            )
+            if isinstance(run, Run):
+                columns = record_columns(campaign, run)
+            else:
+                columns = pose_columns(campaign, run)
             warm = temperature_columns(campaign, run)
             table = _growing_table(run, columns, warm) if grow else None
             self._watched.append(_WatchedRun(run, columns, table))

@@ -7,14 +7,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final, cast
 
-from counterspin.campaign.documents import KeyPath, table_of
+from counterspin.campaign.documents import KeyPath, merge_patch, table_of
 from counterspin.campaign.reading import DescribedReadings, Reading, Triad
 from counterspin.campaign.resolution import DescriptionReader
 from counterspin.campaign.runs import is_pose, is_reading
 from counterspin.campaign.settings import FixtureSettings
+from counterspin.campaign.validation import Problems
 from counterspin.loading import is_installed, load_name
 from counterspin.readings.entries import number_positions, resolve_readings, with_recorded_angles
 from counterspin.readings.table import read_table
+from counterspin.records.dialect import Dialect
 
 #: Reader of [triad] and of poses; signature of `counterspin.triads.section.resolve_triad`.
 TRIAD: Final = "counterspin.triads.section:resolve_triad"
@@ -52,7 +54,12 @@ def read_readings(
     if records and records.recording.angle is not None:
         readings = with_recorded_angles(readings)
     is_valid = len(problems.lines) == error_count
-    pose_entries = [entry for entry in entries if is_pose(entry[0])]
+    section = table_of(reader.raw, "records")
+    pose_entries = [
+        (_with_common_records(raw, path, section, problems), path)
+        for raw, path in entries
+        if is_pose(raw)
+    ]
     default_priors = None if readings or has_records else accelerometers.own_priors
     triad = _resolve_triad(reader, pose_entries, mountings, resolve, default_priors)
     truths = {
@@ -77,6 +84,21 @@ def _reading_entries(
             reader.raw, reader.file.parent, outputs_by_name, reader.problems, checksums
         )
     return runs
+
+
+def _with_common_records(
+    raw: Mapping[str, Any], path: KeyPath, section: Mapping[str, Any], problems: Problems
+) -> Mapping[str, Any]:
+    """Return the entry of a record of poses, its `records` completed by the section."""
+    stated = raw.get("records")
+    if not isinstance(stated, Mapping):
+        return raw
+    known = Dialect.__dataclass_fields__
+    for key in stated:
+        if key not in known:
+            problem = f"cannot be set for a record of poses; known: {', '.join(known)}"
+            problems.add((*path, "records", key), problem)
+    return {**raw, "records": merge_patch(section, stated)}
 
 
 def _resolve_triad(

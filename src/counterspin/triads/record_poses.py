@@ -68,9 +68,10 @@ def pooled_noise(poses: Sequence[LocatedPose], gravity: float) -> float:
     )
 
 
-def pose_columns(campaign: Campaign) -> RecordColumns:
-    """Return the columns of records with poses, and how their files are written."""
-    return RecordColumns(campaign.time, None, _force_columns(campaign), campaign.dialect)
+def pose_columns(campaign: Campaign, record: PoseRecord) -> RecordColumns:
+    """Return the columns of a record with poses, and how its file is written."""
+    dialect = record.dialect or campaign.dialect
+    return RecordColumns(campaign.time, None, _force_columns(campaign), dialect)
 
 
 def _force_columns(campaign: Campaign) -> dict[str, ColumnSpec]:
@@ -86,7 +87,8 @@ def extract_poses(campaign: Campaign, record: PoseRecord) -> Iterator[LocatedPos
     # Within a record times are known, from its first row, whether or not it says when it began.
     start_time = reference_point(campaign).time if record.time is None else record.time
     in_si = {name: not channel.in_g for name, channel in _force_columns(campaign).items()}
-    detected, table = read_poses(source, pose_columns(campaign), record.rest, record.threshold)
+    columns = pose_columns(campaign, record)
+    detected, table = read_poses(source, columns, record.rest, record.threshold)
     source_record = PosesOfRecord(record.name, detected, table.report)
     temperatures, middles = record.temperature, 0.5 * (detected.start + detected.end)
     knots = np.linspace(detected.time[0], detected.time[-1], len(temperatures or ()))

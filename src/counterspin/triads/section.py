@@ -9,6 +9,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import Field
 
+from counterspin.campaign.columns import RecordsSettings
 from counterspin.campaign.documents import KeyPath
 from counterspin.campaign.field_types import SettingsSection, Text, key_field
 from counterspin.campaign.quantity import Quantity
@@ -167,7 +168,11 @@ def _resolve_pose(
         if run is not None:
             poses = run.poses or PosesSettings()
             more = (poses.rest, poses.threshold, run.temperature, run.time, poses.u)
-            yield PoseRecord(run.name, run.record, *more)
+            dialect = None
+            if run.records is not None:
+                settings = problems.check(RecordsSettings, run.records, (*path, "records"))
+                dialect = settings.dialect if settings else None
+            yield PoseRecord(run.name, run.record, *more, dialect)
         return
     readings = {one.accelerometer: one for one in read([(raw, path)])}
     if names and readings and set(readings) != set(names):
