@@ -105,7 +105,7 @@ def test_a_trash_that_is_a_link_to_another_folder_is_empty(app, folder, tmp_path
     (outside / "20260101T000000000000-theirs").mkdir()
     (folder / TRASH).symlink_to(outside)
     assert trash_contents(app) == []
-    with pytest.raises(CounterspinError, match="the trash has no"):
+    with pytest.raises(CounterspinError, match="is not in the trash"):
         restore_campaign(app, "20260101T000000000000-theirs")
     assert names(outside) == ["20260101T000000000000-theirs"]
 
@@ -121,8 +121,8 @@ def test_a_planted_name_does_not_lead_out_of_the_folder(app, folder):
 @pytest.mark.parametrize(
     ("to", "told"),
     [
-        ("three", "three exists, and is not replaced"),
-        ("", "this folder exists"),
+        ("three", "three already exists; choose another name"),
+        ("", "this folder already exists"),
         ("three/inside", "lies in three"),
         ("../out", "is not a valid file name in this folder"),
         (".hidden", "is not a valid file name in this folder"),

@@ -68,6 +68,28 @@ def with_own_lab(page, folder):
     return page
 
 
+def test_an_issued_certificate_is_amended(with_own_lab, folder):
+    lab = {"file": "LAB.toml", "result": "three/result.json"}
+    assert with_own_lab.get("/api/lab", params=lab).json()["certificates"] == []
+    first = with_own_lab.post("/api/certificate", json=SAID).json()
+    listed = with_own_lab.get("/api/lab", params=lab).json()["certificates"]
+    assert listed == [{"file": "three/certificate.xml", "identifier": first["identifier"]}]
+    request = SAID | {
+        "output": "three/certificate-A1.xml",
+        "amends": {"file": "three/certificate.xml", "reason": "The date was wrong."},
+    }
+    second = with_own_lab.post("/api/certificate", json=request).json()
+    assert second["identifier"] == f"{first['identifier']}-A1"
+    assert "--reason=The date was wrong." in shlex.split(second["command"])
+    amended = check_certificate(
+        folder / "three" / "certificate-A1.xml", amends=folder / "three" / "certificate.xml"
+    )
+    assert amended.certified.amends == first["identifier"]
+    request |= {"output": "three/certificate-A2.xml"}
+    request["amends"]["reason"] = " "
+    assert "`reason`" in str(with_own_lab.post("/api/certificate", json=request).json())
+
+
 def brought(path):
     return {"name": path.name, "content": b64encode(path.read_bytes()).decode()}
 

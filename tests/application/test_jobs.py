@@ -37,7 +37,7 @@ def test_one_that_fails_says_why_and_one_that_is_stopped_leaves_nothing(page, fo
 def test_a_process_that_dies_is_told(page, monkeypatch):
     monkeypatch.setattr("counterspin.application.campaigns.run_calibration", exit)
     number = page.post("/api/jobs", json={"name": "three"}).json()["number"]
-    assert "died" in wait(page, number)["error"]
+    assert "ended unexpectedly" in wait(page, number)["error"]
 
 
 def test_a_process_that_cannot_begin_is_told(page, monkeypatch):

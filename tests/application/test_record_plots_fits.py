@@ -17,10 +17,10 @@ def test_data_and_fit_differ_by_the_residuals(page, app, folder):
     about = page.get("/api/record-about", params=RUN).json()
     assert about["together"] == 2
     assert [column["name"] for column in about["columns"]] == [
-        "Qx: data less its parabola",
-        "Qx: fit less its parabola",
-        "Qy: data less its parabola",
-        "Qy: fit less its parabola",
+        "Qx: data minus its parabola",
+        "Qx: fit minus its parabola",
+        "Qy: data minus its parabola",
+        "Qy: fit minus its parabola",
     ]
     window = RUN | {"low": about["first"], "high": about["last"], "parts": 4000}
     told = page.get("/api/record", params=window).json()

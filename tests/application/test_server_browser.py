@@ -73,11 +73,11 @@ def test_from_exports_to_the_certificate(opened, app, folder):
     what.select_option("velocity")
     tab.get_by_label("In which unit is column 'north_m'?").wait_for()
     tab.get_by_role("button", name="Calibrate").click()
-    tab.get_by_text("Needed, such as m/s.").wait_for()
+    tab.get_by_text("Required, for example m/s.").wait_for()
     assert not (folder / "mine" / "campaign.toml").exists()
     assert tab.get_by_label("Latitude", exact=True).input_value() == "45.75"
     what.select_option("displacement")
-    tab.get_by_text("Needed, such as m/s.").wait_for(state="detached")
+    tab.get_by_text("Required, for example m/s.").wait_for(state="detached")
     tab.get_by_label("Latitude", exact=True).fill("45.75 degs")
     tab.get_by_role("button", name="Calibrate").click()
     tab.get_by_text("unknown unit 'degs'").wait_for()
@@ -110,7 +110,7 @@ def test_from_exports_to_the_certificate(opened, app, folder):
     assert saved.value.suggested_filename == "certificate.xml"
     certificate = folder / "mine" / "certificate.xml"
     assert saved.value.path().read_bytes() == certificate.read_bytes()
-    tab.get_by_text("The same as a command").click()
+    tab.get_by_text("Equivalent command").click()
     shown = tab.locator("code:visible").last.inner_text()
     assert shown.startswith("counterspin certificate ")
     assert b"digitalCalibrationCertificate" in certificate.read_bytes()
@@ -138,7 +138,7 @@ def test_a_certificate_is_signed_by_mouse(opened, folder, tmp_path, kind):
     tab.get_by_role("heading", name="Nothing is missing.").wait_for()
     assert button.get_attribute("aria-disabled") is None
     if kind == "pem":
-        tab.get_by_label("Its certificate (PEM)").set_input_files(cert)
+        tab.get_by_label("Certificate of the key (PEM)").set_input_files(cert)
     password = tab.get_by_label("Password of the key")
     password.fill("wrong")
     button.click()
@@ -244,7 +244,7 @@ def test_from_a_pasted_table_of_an_arm_to_a_result(opened, folder):
     tab = opened()
     tab.get_by_label("Folder of the new campaign").fill("arm")
     tab.get_by_text("Paste a table").click()
-    tab.get_by_label("Names of the columns").fill("\n".join([*rows, rows[1], rows[2]]))
+    tab.get_by_label("Column names").fill("\n".join([*rows, rows[1], rows[2]]))
     tab.get_by_role("button", name="Use this table").click()
     tab.get_by_label("Sense of rotation").select_option("clockwise")
     known = (*PLACE[:2], ("Radius", "1.0 ± 1e-3 m"))
@@ -300,7 +300,7 @@ def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder, tmp_pat
     tab.get_by_text("Add records, copy").click()
     tab.get_by_label("Name of the folder").fill("three")
     tab.get_by_role("button", name="Rename").click()
-    tab.get_by_text("three exists, and is not replaced").wait_for()
+    tab.get_by_text("three already exists; choose another name").wait_for()
     tab.goto(tab.url.partition("#")[0] + "#/")
     tab.locator(".card").nth(1).wait_for()
     tab.get_by_label("Search").fill("fou")
@@ -344,7 +344,7 @@ def test_a_table_of_readings_is_pasted_and_becomes_a_campaign(opened, folder):
     rows = [(angle, 1.25 * (0.002 + math.cos(math.radians(angle)))) for angle in range(0, 360, 30)]
     # As a spreadsheet gives it where numbers have a decimal comma.
     lines = ["position_deg\treading_mA", *(f"{a}\t{v:.6f}".replace(".", ",") for a, v in rows)]
-    tab.get_by_label("Names of the columns").fill("\r\n".join(lines))
+    tab.get_by_label("Column names").fill("\r\n".join(lines))
     tab.get_by_role("button", name="Use this table").click()
     circle = tab.get_by_role("img", name="The input axis at 12 positions")
     circle.wait_for()
@@ -378,7 +378,7 @@ def test_a_plan_is_searched_on_a_click_and_its_search_can_be_stopped(opened, fol
     tab.get_by_text("highest rate 3.99988 rad/s").wait_for()
     assert not tab.get_by_text("The limits have changed since this plan.").is_visible()
     tab.get_by_label("Folder of the planned campaign").fill("new")
-    tab.get_by_role("button", name="Write these limits and the campaign").click()
+    tab.get_by_role("button", name="Save these limits and create the campaign").click()
     tab.wait_for_url("**#/campaign/new")
     assert (folder / "new" / "campaign.toml").is_file()
 
@@ -427,7 +427,7 @@ def test_without_the_key_the_page_says_what_to_do(opened, door_of_server):
         # In the same window the page loads itself again for a link.
         open_again()
         tab.wait_for_url(lambda address: "token" not in address)
-        tab.get_by_role("heading", name="This window has no key").wait_for()
+        tab.get_by_role("heading", name="This window is not authorised").wait_for()
         tab.get_by_text("Open the newest link in the terminal").wait_for()
     # In the same window, in which nothing but the fragment differs.
     tab.goto(door_of_server.link)
@@ -609,7 +609,7 @@ def test_results_are_compared_with_the_one_that_is_chosen(opened, app):
     for name in ("three/result.json", "b.json", "c.json"):
         tab.get_by_role("checkbox", name=name).check()
     tab.get_by_text("Differences are from three/result.json").wait_for()
-    tab.get_by_label("Each is compared with").select_option("c.json")
+    tab.get_by_label("Reference result").select_option("c.json")
     tab.get_by_text("Differences are from c.json").wait_for()
     command = tab.locator("pre.command").first.text_content()
     files = [app.folder.root / name for name in ("c.json", "three/result.json", "b.json")]
@@ -622,7 +622,7 @@ def test_the_value_that_a_click_prepares_is_ready_to_be_typed_over(opened, folde
     calibrate(folder / "three").write(folder / "three" / "result.json", overwrite=True)
     tab = opened("/campaign/three")
     tab.get_by_role("tab", name="Uncertainty budget").click()
-    tab.get_by_role("button", name="Prepare the value").first.click()
+    tab.get_by_role("button", name="Prepare a copy with this value").first.click()
     field = tab.locator("input:focus")
     tab.wait_for_url("**#/description/three-K_OO#*")
     field.wait_for()

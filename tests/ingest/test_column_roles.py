@@ -69,6 +69,15 @@ def test_pulses_are_times_once_a_revolution():
     assert guess.temperature == ("temperature", "degC")
 
 
+def test_the_column_of_the_temperature_can_be_chosen_or_left_out():
+    contents = seen(t=TIME, temp_in=20 + 0 * TIME, temp_out=25 + 0 * TIME, east_m=signal())
+    answers = {"temp_in is": "unused"}
+    assert guess_file(contents, {}).temperature[0] == "temp_in"
+    assert guess_file(contents, answers).temperature[0] == "temp_out"
+    assert guess_file(contents, {"temp_out is": "temperature"}).temperature[0] == "temp_out"
+    assert guess_file(contents, answers | {"temp_out is": "unused"}).temperature is None
+
+
 def test_without_a_time_rows_are_counted():
     guess = guess_file(seen(angle=RATE * TIME, east_m=signal()))
     assert guess.time is None

@@ -198,12 +198,12 @@ class AccessControl:
         origins = headers.getlist("origin")
         same_site = headers.get("sec-fetch-site", "same-origin") in ("same-origin", "none")
         if any(origin.lower() != f"http://{hosts[0]}" for origin in origins):
-            yield 403, "Another page sent this request, which is refused."
+            yield 403, "The request was refused because another page sent it."
         if scope["method"] not in _SAFE_METHODS and not origins:
             yield 403, "The request does not state its origin."
         if path.startswith("/api/"):
             if not same_site:
-                yield 403, "Another page sent this request, which is refused."
+                yield 403, "The request was refused because another page sent it."
             if not (is_authorized or path == SESSION_PATH or path.startswith(TICKET_PATH)):
                 yield 401, NO_KEY_MESSAGE
         length = headers.get("content-length", "0")
@@ -274,4 +274,4 @@ def _max_bytes(path: str) -> int:
 
 
 def _too_large_message(max_bytes: int) -> str:
-    return f"The request is too large; at most {max_bytes} bytes are taken."
+    return f"The request is too large; at most {max_bytes} bytes are accepted."

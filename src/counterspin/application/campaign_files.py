@@ -167,7 +167,7 @@ def restore_campaign(app: AppState, place: str) -> dict[str, Any]:
     """
     former_name = {entry["place"]: entry["name"] for entry in trash_contents(app)}.get(place)
     if former_name is None:
-        raise NotFoundError(f"the trash has no {place}")
+        raise NotFoundError(f"{place} is not in the trash")
     target = app.folder.path(free_name(app, former_name))
     make_folder(target.parent)
     _move(app.folder.root / TRASH / place, target)
@@ -215,10 +215,12 @@ def _campaign_folder(app: AppState, name: str) -> Path:
     """Return a campaign's folder; OutsideError if it is outside the served folder."""
     source = app.description(name).parent
     if source == app.folder.root:
-        raise CounterspinError("this campaign is the served folder itself; move it by hand")
+        raise CounterspinError(
+            "this campaign is the served folder itself; move it outside the application"
+        )
     if app.folder.root.joinpath(*Path(name).parts).is_symlink():
         raise PathForbiddenError(
-            f"{name} is a link to a folder, which the application leaves alone"
+            f"{name} is a link to a folder; the application does not move or copy links"
         )
     for path in source.rglob("*"):
         if path.is_symlink():
@@ -239,10 +241,10 @@ def _new_folder(app: AppState, name: str, to: str) -> Path:
     """Return a free folder for a campaign, from which its records can be found."""
     target = app.folder.path(to)
     if target == app.folder.root or target.exists():
-        raise CounterspinError(f"{to or 'this folder'} exists, and is not replaced")
+        raise CounterspinError(f"{to or 'this folder'} already exists; choose another name")
     source = app.description(name).parent
     if target.is_relative_to(source):
-        raise CounterspinError(f"{to} lies in {name}; choose a place beside it")
+        raise CounterspinError(f"{to} lies in {name}; choose a folder outside it")
     try:
         names_outside = ".." in str(load_document(source / DESCRIPTION_NAME))
     except CounterspinError:

@@ -39,7 +39,7 @@ _STATE_LABELS: Final[Mapping[str, str]] = {
     "mistakes": "The description has mistakes",
     "records missing": "Records are missing",
     "not calibrated": "Not calibrated yet",
-    "changed": "Changed since its result",
+    "changed": "Changed since the calibration",
     **{str(state): words for state, words in STATE_WORDS.items()},
 }
 
@@ -253,7 +253,7 @@ def begin_calibration(
     path = app.description(name)
     app.campaign(name)
     if "/" in output or not output.lower().endswith(".json"):
-        raise CounterspinError(f"{output!r}: name the result's file, such as result.json")
+        raise CounterspinError(f"{output!r}: give a file name such as result.json")
     target = app.folder.path(f"{name}/{output}" if name else output)
     command = calibrate_command(path.parent, target, method, accept_misfit)
 
@@ -268,7 +268,7 @@ def begin_campaign(app: AppState, name: str, test: Test = "double-turntable") ->
     from counterspin.ingest.starter import init
 
     if not name:
-        raise CounterspinError("give the new campaign's folder a name")
+        raise CounterspinError("name the folder of the new campaign")
     folder = app.target_path(name)
     init(folder, test)
     return {"name": name, "command": init_command(folder, test)}

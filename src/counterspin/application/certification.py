@@ -13,6 +13,7 @@ from counterspin.application.app_state import AppState
 from counterspin.application.commands import certificate_command
 from counterspin.application.served_folder import PathForbiddenError
 from counterspin.campaign.documents import load_document
+from counterspin.certificates.amendment import Amendment
 from counterspin.certificates.issuing import (
     certificate,
     check_certificate,
@@ -78,6 +79,15 @@ def _sign_without_drawing_lock(app: AppState, data: bytes) -> bytes:
         app.drawing.acquire()
 
 
+class AmendmentRequest(BaseModel):
+    """An issued certificate of the served folder that the new one replaces, and the reason."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    file: str
+    reason: str
+
+
 def begin_certificate(
     app: AppState,
     result: str,
@@ -85,10 +95,12 @@ def begin_certificate(
     output: str,
     both: bool = False,
     signing: Signing | None = None,
+    amends: AmendmentRequest | None = None,
 ) -> dict[str, Any]:
     """Issue the certificate of a result; return its identifier and the notes to check.
 
     both: The other of XML and PDF is written next to it too.
+    amends: Set for a certificate that replaces an issued one.
     """
     files = app.file(result), app.file(lab)
     target = app.folder.path(output)
@@ -99,6 +111,7 @@ def begin_certificate(
         check_output_path(target)
     # The ledger, too.
     app.require_inside(files[1].parent, load_document(files[1]))
+    amendment = None if amends is None else Amendment(app.file(amends.file), amends.reason)
     signers: list[Signer] = []
 
     def read_signing() -> Signer:
@@ -107,9 +120,14 @@ def begin_certificate(
         return signers[0]
 
     with app.drawing:
-        issued = certificate(*files, signer=None if signing is None else read_signing)
+        issued = certificate(
+            *files, signer=None if signing is None else read_signing, amends=amendment
+        )
         outputs = issued.write_both(target) if both else [issued.write(target)]
         pages = issued.page_images()
+    options = _signing_options(app, signing)
+    if amendment is not None:
+        options |= {"amends": str(amendment.path), "reason": amendment.reason}
     return {
         "identifier": issued.identifier,
         "draft": issued.draft,
@@ -121,7 +139,7 @@ def begin_certificate(
         "pages": pages,
         "signer": signers[0].name if signers else "",
         "signer_certificate": signers[0].pem if signers else None,
-        "command": certificate_command(*files, target, both, _signing_options(app, signing)),
+        "command": certificate_command(*files, target, both, options),
     }
 
 
@@ -169,9 +187,7 @@ def download_file(app: AppState, name: str) -> tuple[str, bytes]:
     """Return a file's name and content; OutsideError for files that are not made here."""
     path: Path = app.file(name)
     if path.suffix.lower() not in _DOWNLOAD_SUFFIXES:
-        raise PathForbiddenError(
-            f"{name}: only files that counterspin writes can be saved from here"
-        )
+        raise PathForbiddenError(f"{name}: only files that counterspin writes can be downloaded")
     try:
         return path.name, read_file(path)
     except OSError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -130,14 +131,8 @@ def _number_column(column: FileColumn, guess: FileGuess | None) -> dict[str, Any
         "name": column.name,
         "first": ["" if np.isnan(v) else f"{v:.9g}" for v in column.values[:_PREVIEW_ROWS]],
         "curve": vars(detrended_curve(column, guess)),
-        "role": "temperature" if (column.name,) == _temperature_column(guess) else "",
         "reason": _unused_reason(column, guess),
     }
-
-
-def _temperature_column(guess: FileGuess | None) -> tuple[str, ...]:
-    """Return the name of the temperature's column; empty without one."""
-    return guess.temperature[:1] if guess and guess.temperature else ()
 
 
 def _unused_reason(column: FileColumn, guess: FileGuess | None) -> str:
@@ -240,7 +235,8 @@ def _regular_steps(values: Array) -> Array:
 def _detrend(values: Array, degree: int, revolutions: float = 0.0) -> Array:
     """Return values minus a polynomial that is fitted to them; unchanged with too few values.
 
-    turns: Revolutions of a wave that is fitted with the polynomial, and stays; 0 without a wave.
+    revolutions: Revolutions of a wave that is fitted with the polynomial, and is not subtracted;
+        0 without a wave.
     """
     is_finite = np.isfinite(values)
     design = np.vander(np.linspace(-1.0, 1.0, len(values)), degree + 1)
@@ -267,8 +263,17 @@ def newest_site(app: AppState) -> dict[str, dict[str, str]]:
 
     A simulated campaign, which has true values, is skipped.
     """
+    paths = [
+        folder / DESCRIPTION_NAME
+        for folder, files in app.folder.folders()
+        if DESCRIPTION_NAME in files and app.folder.contains(folder / DESCRIPTION_NAME)
+    ]
+    return app.cache.get(("site", *paths), paths, lambda: _read_newest_site(app, paths))
+
+
+def _read_newest_site(app: AppState, paths: Sequence[Path]) -> dict[str, dict[str, str]]:
     remembered: dict[str, dict[str, str]] = {}
-    for name, document in _newest_descriptions(app):
+    for name, document in _newest_descriptions(app, paths):
         for key, (section, entry) in _SITE_ENTRIES.items():
             value = table_of(document, section).get(entry)
             if key not in remembered and isinstance(value, str):
@@ -278,13 +283,10 @@ def newest_site(app: AppState) -> dict[str, dict[str, str]]:
     return remembered
 
 
-def _newest_descriptions(app: AppState) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def _newest_descriptions(
+    app: AppState, paths: Sequence[Path]
+) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Yield folder and document of each measured campaign, the newest first."""
-    paths = [
-        folder / DESCRIPTION_NAME
-        for folder, files in app.folder.folders()
-        if DESCRIPTION_NAME in files and app.folder.contains(folder / DESCRIPTION_NAME)
-    ]
     for path in sorted(paths, key=lambda path: -path.stat().st_mtime):
         try:
             document = load_document(path)

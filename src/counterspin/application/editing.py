@@ -141,7 +141,7 @@ def set_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
     value: The new value; None removes the key, or the list's entry.
     """
     if not path:
-        raise CounterspinError("no key is named")
+        raise CounterspinError("the key is missing")
     if kind == "date" and value is not None:
         try:
             value = datetime.date.fromisoformat(value)
@@ -161,7 +161,9 @@ def set_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
     return changed_text
 
 
-_CANNOT_CHANGE: Final = "This field cannot change the file as it is written; edit the text instead."
+_CANNOT_CHANGE: Final = (
+    "This field cannot edit the file in its present form. Edit the text instead."
+)
 
 
 def _expected_document(document: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]:
@@ -309,7 +311,7 @@ def _parse_text_of(app: AppState, file: str, text: str, result: str | None) -> E
         return parse_lab_text(text, app.result(result))
     if not (path.is_file() and is_plan(load_document(path))):
         raise PathForbiddenError(
-            f"{file}: only descriptions, plans and the laboratory's data are edited here"
+            f"{file}: only descriptions, plans and laboratory data can be edited here"
         )
     return parse_plan_text(app, path, text)
 
@@ -331,5 +333,5 @@ def _text_path(app: AppState, file: str) -> Path:
     """Return the path of a text; OutsideError unless it is a TOML file."""
     path = app.folder.path(file)
     if path.suffix.lower() != ".toml":
-        raise PathForbiddenError(f"{file}: only files in TOML are edited here")
+        raise PathForbiddenError(f"{file}: only TOML files can be edited here")
     return path

@@ -162,7 +162,7 @@ def handle_request(
 ) -> ApiResponse:
     """Answer one request, also if it fails."""
     if (method, name) not in ENDPOINTS:
-        return ApiResponse(404, {"error": "There is nothing with that name."})
+        return ApiResponse(404, {"error": "There is no such request."})
     handler = ENDPOINTS[method, name]
 
     def call_handler() -> Any:
@@ -180,7 +180,9 @@ def handle_ticket(app: AppState, ticket: str) -> ApiResponse:
     """Answer the request of a ticket; a ticket is valid once."""
     target = app.tickets.take(ticket)
     if target is None:
-        return ApiResponse(404, {"error": "This address works once; click again on the page."})
+        return ApiResponse(
+            404, {"error": "This download link has been used. Click the button again."}
+        )
     return handle_request(app, "GET", *target)
 
 
@@ -223,5 +225,5 @@ def _unexpected_error_response(error: Exception) -> ApiResponse:
         case json.JSONDecodeError() | UnicodeDecodeError() | RecursionError():
             return ApiResponse(400, {"error": "The request is not JSON."})
         case OSError():
-            return ApiResponse(422, {"error": f"The operating system refuses: {error.strerror}"})
+            return ApiResponse(422, {"error": f"The operating system reports: {error.strerror}"})
     return ApiResponse(500, {"error": f"internal error ({type(error).__name__}: {error})"})

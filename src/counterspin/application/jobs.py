@@ -61,7 +61,7 @@ class Worker:
                 self._connection.recv() if self._connection.poll(seconds) else None
             )
         except (EOFError, OSError):
-            return "failed", "its process died; perhaps memory ran out"
+            return "failed", "its process ended unexpectedly, perhaps for lack of memory"
         return message
 
     def terminate(self) -> None:
@@ -110,7 +110,7 @@ class Job:
     campaign: str  #: The campaign's name in the folder.
     #: The result's name there, or the folder's that is filled; empty: it is only shown.
     output: str
-    command: str  #: The same as a command.
+    command: str  #: Equivalent command.
     #: What it is.
     kind: Literal[
         "calibration", "study", "estimate", "simulation", "forecast", "plan", "fit", "sample"
@@ -160,7 +160,7 @@ class Jobs:
         """
         with self._lock:
             if self._closed:
-                raise CounterspinError("the server is ending")
+                raise CounterspinError("the server is shutting down")
             job = make_job(self._number + 1)
             for active_job in self._jobs.values():
                 if (
@@ -310,7 +310,7 @@ class LiveViews:
         view = self._views.get(key)
         if view is None:
             if len(self._views) >= _MAX_VIEWS:
-                raise CounterspinError("too many campaigns are followed at once")
+                raise CounterspinError("too many campaigns are monitored at the same time")
             view = self._views[key] = _View(Worker(run_watch, *key))
             if len(self._views) == 1:
                 threading.Thread(target=self._end_unused, daemon=True).start()

@@ -18,6 +18,7 @@ from counterspin.application.editing import parse_lab_text, parse_text, set_valu
 from counterspin.application.form import lab_form
 from counterspin.calibration.result import Result
 from counterspin.campaign.documents import KeyPath, key_path, table_of
+from counterspin.certificates.certificate_reader import read_certificate, read_document
 from counterspin.certificates.issuing import draft_pages
 from counterspin.certificates.lab import example_text, is_template_value
 from counterspin.errors import CounterspinError
@@ -42,7 +43,20 @@ def lab_data(app: AppState, file: str, result: str) -> dict[str, Any]:
         "form": lab_form(),
         "signer": "" if app.signer is None else app.signer.name,
         "profile": bool(_profile(app)),
+        "certificates": list(_issued_certificates(app, app.file(result).parent)),
     }
+
+
+def _issued_certificates(app: AppState, folder: Path) -> Iterator[dict[str, str]]:
+    """Yield file and identifier of each issued certificate of a folder, the newest first."""
+    paths = [path for path in folder.glob("*.xml") if app.folder.contains(path) and path.is_file()]
+    for path in sorted(paths, key=lambda path: -path.stat().st_mtime):
+        try:
+            identifier = read_certificate(read_document(path), path.name).identifier
+        except CounterspinError:
+            continue  # an XML file of another program
+        if not identifier.startswith("DRAFT-"):
+            yield {"file": app.folder.name(path), "identifier": identifier}
 
 
 def draft_preview(app: AppState, file: str, text: str, result: str) -> dict[str, Any]:

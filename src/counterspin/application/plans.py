@@ -59,11 +59,15 @@ PLAN_SLIDERS: Final[Mapping[str, SliderSpec]] = {
     "total_time": SliderSpec("Time at the centrifuge", "s", 0.25, 4.0),
     "highest_rate": SliderSpec("Highest rate", "rad/s", 0.5, 2.0),
     "settling": SliderSpec("Settling of each run", "s", 0.0, 4.0),
-    "runs": SliderSpec("Runs at most", "", 0.25, 2.0, is_integer=True, minimum=1.0),
-    "fewest_revolutions": SliderSpec("Revolutions of a run at least", "", 0.5, 4.0, minimum=1.0),
+    "runs": SliderSpec("Maximum number of runs", "", 0.25, 2.0, is_integer=True, minimum=1.0),
+    "fewest_revolutions": SliderSpec(
+        "Minimum number of revolutions of a run", "", 0.5, 4.0, minimum=1.0
+    ),
 }
 READING_PLAN_SLIDERS: Final[Mapping[str, SliderSpec]] = {
-    "readings": SliderSpec("Readings at most", "", 0.25, 4.0, is_integer=True, minimum=1.0),
+    "readings": SliderSpec(
+        "Maximum number of readings", "", 0.25, 4.0, is_integer=True, minimum=1.0
+    ),
     "total_time": SliderSpec("Time of all readings", "s", 0.25, 4.0),
 }
 
@@ -245,7 +249,7 @@ def begin_planned(
     file = app.file(name)
     target = app.target_path(folder)
     if not folder:
-        raise CounterspinError("give the campaign's folder a name")
+        raise CounterspinError("name the folder of the campaign")
     require_no_campaign(target)
     plan_text = app.folder.read(name)
     text = _set_limits(app, name, plan_text.text, moved or {})

@@ -287,7 +287,7 @@ def _merge_columns(run_data: list[tuple[str, str, Array, Array, Array]]) -> Plot
             column = np.full(time.size, np.nan)
             column[np.searchsorted(time, series_time)] = series_values
             values.append(column)
-            names.append(f"{accelerometer}: {label} less its {trends[observable]}")
+            names.append(f"{accelerometer}: {label} minus its {trends[observable]}")
             units.append(OBSERVABLES[observable])
     return PlotColumns(time, tuple(names), tuple(units), tuple(values))
 
@@ -371,9 +371,9 @@ def begin_simulation(app: AppState, name: str, folder: str) -> dict[str, Any]:
     app.campaign(name)
     target = app.target_path(folder)
     if not folder:
-        raise CounterspinError("give the folder of the simulated records a name")
+        raise CounterspinError("name the folder of the simulated records")
     if (target / DESCRIPTION_NAME).exists():
-        raise CounterspinError(f"{folder} holds a campaign already; name another folder")
+        raise CounterspinError(f"{folder} already contains a campaign; name another folder")
     app.require_inside(target, load_document(path))
     command = simulate_command(path.parent, target)
 

@@ -154,7 +154,7 @@ class ServedFolder:
         try:
             data = text.encode("utf-8")
         except UnicodeEncodeError as error:
-            raise CounterspinError(f"{name}: what it is to hold is no text") from error
+            raise CounterspinError(f"{name}: the content is not text") from error
         with self._write_lock:
             current = self.read(name)
             if current.version != edited_version:

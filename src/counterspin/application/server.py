@@ -140,7 +140,8 @@ def make_application(app: AppState, credentials: Credentials) -> Starlette:
             key = None
         if key is None:
             why = (
-                "That link has been used or is not of this server; open the newest in its terminal."
+                "This link has been used or belongs to another server. Open the newest link in "
+                "the terminal."
             )
             return JSONResponse({"error": why}, 403)
         if credentials.on_token_used is not None:
@@ -272,7 +273,7 @@ def serve(
     with open_listener(port) as listener, temporary_folder(_PREFIX, private) as link_folder:
 
         def print_link(link: str) -> None:
-            say("That link has been used; each works once. For another browser or window:")
+            say("The link has been used; each link works once. For another browser or window:")
             say(f"  {link}")
 
         credentials = Credentials(listener.getsockname()[1], on_token_used=print_link)

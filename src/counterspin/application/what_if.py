@@ -251,7 +251,9 @@ def _best_prior(result: Result, accelerometer: str) -> tuple[tuple[str, str], st
     """Return the key and the text of the most helpful prior, and its term."""
     improvement = next(_prior_improvements(result, accelerometer), None)
     if improvement is None:
-        raise NotFoundError(f"{accelerometer}: stating one thing more would not reduce its u")
+        raise NotFoundError(
+            f"{accelerometer}: no further statement of a single quantity would reduce its u"
+        )
     source, (_, update) = (
         improvement["source"],
         _requested_update(_accelerometer_result(result, accelerometer)),

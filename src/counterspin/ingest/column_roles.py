@@ -61,9 +61,10 @@ _COUNTER: Final = re.compile(
 _SAMPLING: Final = re.compile(r"(?i)(.*[._])?(fs|f_s|sampl(e|ing)_?(rate|frequency))(_?hz)?")
 _STEP: Final = re.compile(r"(?i)(.*[._])?(dt|delta_?t|ts|sampl(e|ing)_?(time|interval))(_?s)?")
 _TURNING: Final = re.compile(r"(?i)(.*[._])?(n_?)?rpm")
-#: The answer that there is no such column, and that a column is none of a signal.
+#: Answers: there is no such column; it is not used; it is that of the temperature.
 NONE: Final = "none"
 UNUSED: Final = "unused"
+TEMPERATURE: Final = "temperature"
 #: Units of one revolution -> the unit's name.
 _TURNS: Final = {2.0 * np.pi: "rad", 360.0: "deg", 1.0: "rev"}
 #: Relative size within which a revolution's numbers are those of a unit.
@@ -234,7 +235,7 @@ def guess_file(
     signals = tuple(_signal(column, seconds, theta, rate, answers) for column in swinging)
     taken = {signal.column for signal in signals}
     taken |= {part.column for part in (time, angle) if part}
-    warm = _temperature([column for column in columns if column.name not in taken])
+    warm = _temperature([column for column in columns if column.name not in taken], answers)
     taken |= {warm[0]} if warm else set()
     unused = tuple(column.name for column in columns if column.name not in taken)
     unused = (*unused, *contents.others, *contents.numbers)
@@ -252,18 +253,22 @@ def _chosen(
     return named if answers == NONE or named is not None else guess(columns)
 
 
-def _temperature(columns: Sequence[FileColumn]) -> tuple[str, str] | None:
-    """Return a temperature's column, by its unit or its name, and its scale; None without one.
+def _temperature(
+    columns: Sequence[FileColumn], answers: Mapping[str, str]
+) -> tuple[str, str] | None:
+    """Return name and scale of the temperature's column, by answer, unit or name; None without."""
+    scales = {column.name: scale for column in columns if (scale := temperature_scale(column))}
+    used = {name: scale for name, scale in scales.items() if answers.get(f"{name} is") != UNUSED}
+    chosen = [name for name in used if answers.get(f"{name} is") == TEMPERATURE]
+    return next(((name, used[name]) for name in (*chosen, *used)), None)
 
-    Raw counts of a thermometer are ignored: their scale would be a guess.
-    """
-    for column in columns:
-        scale = column.unit or ("degC" if _TEMPERATURE.fullmatch(column.name) else "")
-        low, high = _THERMOMETER.get(scale, (math.inf, -math.inf))
-        known = column.values[np.isfinite(column.values)]
-        if known.size and low < known.min() and known.max() < high:
-            return column.name, scale
-    return None
+
+def temperature_scale(column: FileColumn) -> str | None:
+    """Return the scale of a column of temperatures; None for others, such as raw counts."""
+    scale = column.unit or ("degC" if _TEMPERATURE.fullmatch(column.name) else "")
+    low, high = _THERMOMETER.get(scale, (math.inf, -math.inf))
+    known = column.values[np.isfinite(column.values)]
+    return scale if known.size and low < known.min() and known.max() < high else None
 
 
 def _sampling(contents: FileContents, answers: Mapping[str, str]) -> float | None:
@@ -336,7 +341,7 @@ def _number(contents: FileContents, names: re.Pattern[str]) -> float | None:
 def _is_signal(column: FileColumn, swing: float | None, answers: Mapping[str, str]) -> bool:
     """Return whether a column is a signal: by an answer, by its wave, or by its name."""
     if (what := answers.get(f"{column.name} is")) is not None:
-        return what != UNUSED
+        return what not in (TEMPERATURE, UNUSED)
     if "signal" in answers:
         return column.name == answers["signal"]
     if np.ptp(column.values[np.isfinite(column.values)]) == 0.0:

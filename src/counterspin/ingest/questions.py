@@ -21,7 +21,14 @@ from counterspin.campaign.quantity import BARE, latitude_text, parse
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.ingest.column_roles import NONE, UNUSED, FileGuess, SignalGuess
+from counterspin.ingest.column_roles import (
+    NONE,
+    TEMPERATURE,
+    UNUSED,
+    FileGuess,
+    SignalGuess,
+    temperature_scale,
+)
 from counterspin.ingest.contents import ALL_SHEETS, FileContents
 from counterspin.readings.cells import SENSE_WORDS
 from counterspin.records.unit_notation import parse_file_unit
@@ -234,7 +241,7 @@ def _size_seen(common: FileGuess) -> str:
     for signal in common.signals:
         if signal.observable == "displacement" and signal.unit and signal.amplitude > 0.0:
             about = signal.amplitude * unit_factor(signal.unit, "m")
-            return f" The displacement swings by {about:.4g} m."
+            return f" The displacement has an amplitude of {about:.4g} m."
     return ""
 
 
@@ -285,8 +292,11 @@ def _signal_questions(common: FileGuess) -> Iterator[FileQuestion]:
             continue
         signal = signals.get(name)
         guess = signal.observable if signal else UNUSED
+        if common.temperature is not None and common.temperature[0] == name:
+            guess = TEMPERATURE
         text = f"What is column '{name}'?"
-        choices = (*OBSERVABLES, UNUSED)
+        scale = temperature_scale(column)
+        choices = (*OBSERVABLES, *([] if scale is None else [TEMPERATURE]), UNUSED)
         yield FileQuestion(f"{name} is", text, choices[0], choices, guess)
         if signal is None:
             continue

@@ -22,7 +22,9 @@ from counterspin.reports.blocks import (
 
 #: A coefficient, score or force in prose, such as K_II: the letter and its index. A superscript
 #: may follow.
-SYMBOL: Final = r"(K|E|a(?=_[IPO])|delta(?=_[IPO]))_([A-Z]{1,3}|\d|n)(?![^\W²³⁴]|\.\w)"
+SYMBOL: Final = (
+    r"(K|E|a(?=_[IPO])|delta(?=_[IPO]))_((?:[A-Z]{1,3}|\d|n)(?:_asym)?)(?![^\W²³⁴]|\.\w)"
+)
 #: Names of Greek letters -> printed letters.
 _GREEK: Final = {"delta": "δ"}
 
@@ -58,7 +60,7 @@ def set_indices(text: str, index: Callable[[str, str], str], symbol: str = SYMBO
     """
 
     def placed(found: re.Match[str]) -> str:
-        return index(_GREEK.get(found[1], found[1]), found[2])
+        return index(_GREEK.get(found[1], found[1]), found[2].replace("_", ","))
 
     return re.sub(rf"(?<![\w.]){symbol}", placed, text)
 

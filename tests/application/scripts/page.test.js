@@ -229,7 +229,7 @@ test("text stays text, and what is not there is no child", () => {
   assert.equal(element.textContent, "<b>&amp;");
   assert.equal(element.children.length, 3);
   assert.equal(warning("<script>").children[0], "<script>");
-  assert.equal(commandLine("rm *").textContent, "The same as a commandrm *");
+  assert.equal(commandLine("rm *").textContent, "Equivalent commandrm *");
 });
 
 test("a state's words have a class of one word each", () => {
@@ -280,11 +280,11 @@ test("a refusal says what the server says, or its status", async () => {
     return true;
   });
   server.answer = () => new Response("<html>", { status: 502 });
-  await assert.rejects(get("result"), { status: 502, message: "The server answers 502." });
+  await assert.rejects(get("result"), { status: 502, message: "The server responds with status 502." });
   server.answer = () => {
     throw new TypeError("network");
   };
-  await assert.rejects(get("result"), { status: 0, message: /does not answer/ });
+  await assert.rejects(get("result"), { status: 0, message: /does not respond/ });
 });
 
 test("a key that the server no longer knows is forgotten, but none that came since", async () => {

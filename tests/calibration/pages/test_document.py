@@ -295,7 +295,7 @@ def test_budget_and_correlation():
     bars = budget_bars("Qx", found)
     assert bars.stacked
     assert bars.values == pytest.approx((64.0, 36.0))
-    assert bars.labels == ("noise of Qx", "scale factor, K_I (stated)")
+    assert bars.labels == ("noise of Qx (Type B)", "scale factor, K_I (Type B)")
     assert bars.colours[0] != bars.colours[1]
     assert bars.texts == ("0.00080 (64 %)", "0.00060 (36 %)")
     assert correlation_map("Qx", found).values == ((1.0, 0.25), (0.25, 1.0))

@@ -3,7 +3,7 @@
 
 import { campaignAddress, descriptionAddress, resultAddress } from "./addresses.js";
 import { bring, get, send } from "./api.js";
-import { attempt, command, commandLine, labelled, make, say, stateMark, warning } from "./dom.js";
+import { attempt, command, commandLine, labelled, make, say, stateMark, warning, working } from "./dom.js";
 import { resultLines } from "./folder.js";
 import { carryOut, followRunning } from "./job.js";
 import { dashboard, pagePart } from "./result.js";
@@ -29,7 +29,7 @@ function calibration(campaign) {
   const place = make("div");
   const method = make("select", {},
     make("option", { value: "joint" }, "Joint: all samples in one fit"),
-    make("option", { value: "two-stage" }, "Two-stage: the paper's"));
+    make("option", { value: "two-stage" }, "Two-stage: the method of the paper"));
   const output = make("input", { value: "result.json", required: true, autocomplete: "off" });
   const reason = make("input", { autocomplete: "off" });
   const show = (/** @type {import("./job.js").Job} */ job) => showResult(campaign.name, job.output);
@@ -74,20 +74,22 @@ function keeping(name) {
   const place = make("div");
 
   /**
-   * @param {() => Promise<string>} work it returns what to say
+   * @param {string} text shown while the work goes on
+   * @param {() => Promise<string>} work it returns the message
    * @param {() => void} then
    */
-  const doing = (work, then) => attempt(place, async () => {
+  const doing = (text, work, then) => attempt(place, async () => {
+    place.replaceChildren(working(text));
     say(await work());
     then();
   });
   const go = (/** @type {string} */ where) => () => { location.hash = where; };
-  const moved = (/** @type {"copy"|"rename"} */ how, /** @type {string} */ said) => () =>
-    doing(async () => {
+  const moved = (/** @type {"copy"|"rename"} */ how, /** @type {string} */ text, /** @type {string} */ said) => () =>
+    doing(text, async () => {
       const made = await send("POST", how, { name, to: to.value.trim() });
       return `${said} ${made.name}.`;
     }, () => go(campaignAddress(to.value.trim()))());
-  files.addEventListener("change", () => doing(async () => {
+  files.addEventListener("change", () => doing("Adding the records", async () => {
     const names = [...files.files ?? []].map((file) => (name ? `${name}/${file.name}` : file.name));
     for (const [place, file] of [...files.files ?? []].entries()) await bring(names[place], file);
     const { added } = await send("POST", "records", { name, files: names });
@@ -95,13 +97,14 @@ function keeping(name) {
       : "The records are in the folder; the description already names them.";
   }, () => dispatchEvent(new HashChangeEvent("hashchange"))));
   return make("details", { class: "keeping" }, make("summary", {}, "Add records, copy, rename, move to the trash"),
-    make("div", { class: "row" }, labelled("Add records: each becomes a run, at the rate found in it", files)),
+    make("div", { class: "row" }, labelled("Add records: each record becomes a run at its detected rate", files)),
     make("div", { class: "row" }, labelled("Name of the folder", to),
-      make("button", { type: "button", onclick: moved("copy", "Copied to") }, "Copy"),
-      make("button", { type: "button", onclick: moved("rename", "It is now called") }, "Rename"),
+      make("button", { type: "button", onclick: moved("copy", "Copying the campaign", "Copied to") }, "Copy"),
+      make("button", { type: "button", onclick: moved("rename", "Renaming the campaign", "Renamed to") }, "Rename"),
       make("button", {
         type: "button",
         onclick: () => attempt(place, async () => {
+          place.replaceChildren(working("Moving the campaign to the trash"));
           const { place: trashed } = await send("POST", "put-away", { name });
           location.hash = "#/";
           say(`${name} is in the trash.`, async () => {
@@ -130,7 +133,7 @@ export async function campaignView(name) {
   const troubles = [
     ...campaign.mistakes.map(warning),
     ...(campaign.missing.length
-      ? [warning(`Not there: ${campaign.missing.join(", ")}`)] : []),
+      ? [warning(`Missing: ${campaign.missing.join(", ")}`)] : []),
   ];
   /** @type {Node[]} */
   const content = [];

@@ -4,11 +4,52 @@
 import { resultAddress } from "./addresses.js";
 import { get, send } from "./api.js";
 import { CertificateForm, titleOf } from "./certificate_form.js";
-import { labelled, make, oneAtATime, submitting } from "./dom.js";
+import { labelled, make, oneAtATime, submitting, working } from "./dom.js";
 import { guardUnsaved } from "./editor.js";
 import { receiptOf } from "./receipt.js";
 import { Signing } from "./signing.js";
 import { campaignTabs } from "./tabs.js";
+
+/** The file of the certificate that the next page is to amend. */
+let amendedFile = "";
+
+/** The choice between a new certificate and an amendment, with the reason of the amendment. */
+class Amendment {
+  /**
+   * @param {{file: string, identifier: string}[]} certificates issued certificates of the folder
+   * @param {() => void} changed
+   */
+  constructor(certificates, changed) {
+    this.file = make("select", {
+      onchange: () => {
+        this.show();
+        changed();
+      },
+    }, make("option", { value: "" }, "New certificate"),
+    ...certificates.map(({ file, identifier }) => make("option", { value: file }, `Amendment of ${identifier}`)));
+    this.reason = make("input", { autocomplete: "off", oninput: changed });
+    this.row = labelled("Reason for the amendment", this.reason);
+    this.element = make("div", { class: "row" }, labelled("Type of certificate", this.file), this.row);
+    this.element.hidden = !certificates.length;
+    if (certificates.some(({ file }) => file === amendedFile)) this.file.value = amendedFile;
+    amendedFile = "";
+    this.show();
+  }
+
+  show() {
+    this.row.hidden = !this.file.value;
+  }
+
+  /** Whether the reason is missing. */
+  get gap() {
+    return this.file.value !== "" && !this.reason.value.trim();
+  }
+
+  /** The amendment as a request states it; undefined for a new certificate. */
+  get request() {
+    return this.file.value ? { file: this.file.value, reason: this.reason.value.trim() } : undefined;
+  }
+}
 
 /** The pages of a certificate as images. */
 class Preview {
@@ -53,9 +94,16 @@ export async function certificateView(result) {
   const file = folder.labs.includes(beside) ? beside : folder.labs[0] ?? beside;
   const told = await get("lab", { file, result });
   const preview = new Preview();
-  const output = make("input", {
-    value: result.replace(/(result)?\.json$/, "certificate.xml"), required: true, autocomplete: "off",
+  const output = make("input", { required: true, autocomplete: "off" });
+  const nameFile = () => {
+    const suffix = amendment.request ? `-A${told.certificates.length}` : "";
+    output.value = result.replace(/(result)?\.json$/, `certificate${suffix}.xml`);
+  };
+  const amendment = new Amendment(told.certificates, () => {
+    nameFile();
+    judge();
   });
+  nameFile();
   const both = make("input", { type: "checkbox", checked: true });
   const button = make("button", { class: "main" }, "Sign and issue");
   const place = make("div", { "aria-live": "polite" });
@@ -64,6 +112,7 @@ export async function certificateView(result) {
   /** What prevents a signature, each with what is done about it. */
   const gaps = () => [
     ...form.gaps(),
+    ...amendment.gap ? [{ section: "Amendment", text: "Reason for the amendment", words: "", go: () => amendment.reason.focus(), leaveOut: null }] : [],
     ...signing.gap ? [{ section: "Signature", text: signing.gap, words: "", go: () => signing.focus(), leaveOut: null }] : [],
   ];
   const judge = () => {
@@ -92,13 +141,13 @@ export async function certificateView(result) {
     const { text } = form.now;
     if (text === drawn) return;
     if (form.now.problems.some(({ words }) => !words.includes("missing"))) {
-      preview.state.textContent = "The pages show the entries before the mistake.";
+      preview.state.textContent = "The preview does not show the latest entries, because they contain a mistake.";
       return;
     }
     preview.state.textContent = "Drawing the pages.";
     drawn = text;
     const { pages } = await send("POST", "certificate-preview", { file, text, result });
-    preview.show(pages, "As the data are now. DRAFT stands on every page until the certificate is issued.");
+    preview.show(pages, "Preview of the current entries. Every page is marked DRAFT until the certificate is issued.");
   }, preview.wrong);
 
   const signing = new Signing(told.signer, () => judge());
@@ -120,14 +169,18 @@ export async function certificateView(result) {
     }
     if (form.changed || !form.version) await form.save();
     if (form.changed) return;
-    place.replaceChildren(make("p", { class: "quiet" }, signing.wanted ? "Signing." : "Writing."));
+    place.replaceChildren(working(signing.wanted ? "Signing" : "Writing"));
     button.disabled = true;
     try {
       const made = await send("POST", "certificate", {
-        result, lab: file, output: output.value, both: both.checked, signing: await signing.said(),
+        result, lab: file, output: output.value, both: both.checked, signing: await signing.said(), amends: amendment.request,
       });
-      entries.replaceChildren(receiptOf(made, { result, signed: signing.wanted, form }));
-      preview.show(made.pages, made.draft ? "As written, a draft." : "As issued.");
+      const amend = () => {
+        amendedFile = made.files.find((/** @type {string} */ name) => name.endsWith(".xml")) ?? "";
+        dispatchEvent(new HashChangeEvent("hashchange"));
+      };
+      entries.replaceChildren(receiptOf(made, { result, signed: signing.wanted, form, amend }));
+      preview.show(made.pages, made.draft ? "Pages of the draft." : "Pages of the issued certificate.");
       entries.querySelector("h2")?.focus();
     } finally {
       button.disabled = false;
@@ -138,11 +191,11 @@ export async function certificateView(result) {
     make("details", { class: "aside" }, make("summary", {}, `${titleOf("file")}: ${file}`),
       labelled(`${file}, as text`, form.area), form.button),
     make("form", { class: "sign", novalidate: true, onsubmit: issue },
-      signing.element,
+      amendment.element, signing.element,
       make("details", { class: "aside" }, make("summary", {}, "Files of the certificate"),
         make("div", { class: "row" },
           labelled("File of the certificate, .xml or .pdf", output),
-          make("label", { class: "choice" }, both, "XML and PDF, both"))),
+          make("label", { class: "choice" }, both, "Write both XML and PDF"))),
       place, button));
   const campaign = campaignOf(folder, result);
   return {

@@ -20,7 +20,7 @@ export async function compareView() {
   const place = make("div");
   const boxes = results.map((result) => make("input", { type: "checkbox", value: result.name }));
   const reference = make("select", {});
-  const against = make("div", { class: "row" }, labelled("Each is compared with", reference));
+  const against = make("div", { class: "row" }, labelled("Reference result", reference));
   const show = () => {
     const chosen = boxes.filter((box) => box.checked).map((box) => box.value);
     against.hidden = chosen.length < 2;

@@ -24,7 +24,7 @@ const ROLES = {
 /** Kind of test -> its words. */
 const TESTS = {
   "double-turntable": "Records of a double turntable",
-  "tumble": "Readings of a tumble",
+  "tumble": "Readings of a tumble test",
   "arm": "Readings on the arm of a centrifuge",
   "poses": "Records of a sensor in many poses",
 };
@@ -99,7 +99,7 @@ export class Confirmation {
     this.list = make("ul", { class: "checklist" });
     this.state = make("p", { class: "quiet", role: "status" });
     this.kindOfTest = make("select", { onchange: () => this.chooseTest() },
-      make("option", { value: "" }, "Recognise from the files"),
+      make("option", { value: "" }, "Detect from the files"),
       ...Object.entries(TESTS).map(([value, words]) => make("option", { value }, words)));
     // The buttons stay where they are while the files are judged again.
     this.form = make("form", {
@@ -181,7 +181,7 @@ export class Confirmation {
     const wrong = new Map(problems.map((line) => {
       const key = [...questions.keys()].find((known) => line.startsWith(`${known}: `)) ?? "";
       const open = key && !(key in this.sent);
-      return [key, open ? `Needed, such as ${questions.get(key)?.example}.` : line.slice(key ? key.length + 2 : 0)];
+      return [key, open ? `Required, for example ${questions.get(key)?.example}.` : line.slice(key ? key.length + 2 : 0)];
     }));
     const active = /** @type {HTMLElement} */ (document.activeElement);
     this.found = found;
@@ -191,7 +191,7 @@ export class Confirmation {
     const others = this.questions.filter(({ key }) => !shown.has(key) && !key.endsWith(" is"));
     const site = others.filter(({ key }) => key in LABELS), rest = others.filter(({ key }) => !(key in LABELS));
     this.asks.replaceChildren(
-      make("h2", {}, "Facts that the files do not state"),
+      make("h2", {}, "Information that the files do not contain"),
       make("div", { class: "site" }, ...site.map((question) => this.field(question, wrong))),
       make("div", { class: "site" }, ...rest.map((question) => this.field(question, wrong))),
       ...(wrong.has("") ? [warning(/** @type {string} */ (wrong.get("")))] : []));
@@ -236,8 +236,7 @@ export class Confirmation {
    * @param {any} column
    * @returns {string}
    */
-  roleOf({ name, role }) {
-    if (role) return role;
+  roleOf({ name }) {
     const byKey = (/** @type {string} */ key) => this.sent[key] ?? this.questions.find((question) => question.key === key)?.guess;
     return this.roles().parts.find((part) => byKey(part) === name) ?? byKey(`${name} is`) ?? "";
   }
@@ -303,7 +302,6 @@ export class Confirmation {
    */
   role(column, role, questions, wrong) {
     const { name } = column;
-    if (column.role) return make("span", { class: "fixed" }, column.role);
     const { parts, others, blank } = this.roles();
     const choices = [...new Set([...parts, ...questions.get(`${name} is`)?.choices ?? others])];
     const control = make("select", {

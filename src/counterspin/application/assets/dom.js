@@ -35,9 +35,9 @@ export const labelled = (words, control) => make("label", {}, words, control);
  * @returns {(Node|string)[]}
  */
 export const symbols = (text) =>
-  text.split(/\b((?:[KE]_(?:[A-Z]{1,3}|\d)|delta_[OP])(?![\w.]))/).map((piece, place) => {
-    const [letter, index] = piece.split("_");
-    return place % 2 ? make("span", {}, letter === "delta" ? "δ" : letter, make("sub", {}, index)) : piece;
+  text.split(/\b((?:[KE]_(?:[A-Z]{1,3}|\d)(?:_asym)?|delta_[OP])(?![\w.]))/).map((piece, place) => {
+    const [letter, ...index] = piece.split("_");
+    return place % 2 ? make("span", {}, letter === "delta" ? "δ" : letter, make("sub", {}, index.join(","))) : piece;
   });
 
 /**
@@ -55,7 +55,7 @@ export const command = (text) =>
  * @returns {HTMLElement}
  */
 export const commandLine = (text) =>
-  make("details", { class: "aside" }, make("summary", {}, "The same as a command"), command(text));
+  make("details", { class: "aside" }, make("summary", {}, "Equivalent command"), command(text));
 
 /**
  * A warning that says what is wrong.

@@ -30,7 +30,7 @@ export function drawingOf(name, begin = false) {
       if (!details.open || place.childElementCount) return;
       await attempt(place, async () => {
         const answer = await fetch(`/assets/machine-${name}.svg`);
-        if (!answer.ok) throw new Error(`The server answers ${answer.status}.`);
+        if (!answer.ok) throw new Error(`The server responds with status ${answer.status}.`);
         // The program's own, the same for everybody.
         place.innerHTML = await answer.text();
       });

@@ -2,7 +2,7 @@
 // A file as a form with the text beside it; the text is what counts, and both are always the same.
 
 import { Refused, send } from "./api.js";
-import { labelled, make, say, warning } from "./dom.js";
+import { labelled, make, say, warning, working } from "./dom.js";
 import { drawingOf } from "./drawings.js";
 import { linked, manualLink } from "./manual.js";
 
@@ -75,8 +75,8 @@ const MOST_LISTED = 4;
 /** Section -> what is asked of a table that is added. */
 const ADDED = /** @type {Record<string, string>} */ ({
   accelerometers: "Name of another accelerometer",
-  specification: "Limits of one accelerometer only: its name",
-  truth: "Truth of an accelerometer, or of spindle, platform, centrifuge, encoder or noise",
+  specification: "Limits for a single accelerometer: name",
+  truth: "True values of an accelerometer, or of spindle, platform, centrifuge, encoder or noise",
 });
 
 /**
@@ -200,6 +200,8 @@ export class Editor {
   }
 
   async save() {
+    const state = working(`Saving ${this.file}`);
+    this.notes.prepend(state);
     await this.last;
     try {
       const told = await send("PUT", "text", { ...this.said(), version: this.version });
@@ -211,6 +213,8 @@ export class Editor {
     } catch (error) {
       if (error instanceof Refused && error.status === 409) this.conflict(error);
       else this.notes.prepend(warning(/** @type {Error} */ (error).message));
+    } finally {
+      state.remove();
     }
   }
 

@@ -4,7 +4,7 @@
 import { campaignAddress, resultAddress } from "./addresses.js";
 import { get, send } from "./api.js";
 import { importEntry } from "./import.js";
-import { attempt, labelled, make, say, stateMark, submitting, symbols } from "./dom.js";
+import { attempt, labelled, make, say, stateMark, submitting, symbols, working } from "./dom.js";
 import { pagePart } from "./result.js";
 import { keepImport } from "./unfinished.js";
 
@@ -37,7 +37,7 @@ function campaignCard(campaign) {
       make("p", { class: "answer-line" }, ...symbols(`${a.name} = ${a.text}`))),
     make("p", {}, stateMark(campaign.state, campaign.words),
       campaign.missing.length ? ` ${campaign.missing.length} missing` : "",
-      campaign.mistakes.length ? ` ${campaign.mistakes.length} to mend` : "")));
+      campaign.mistakes.length ? ` ${campaign.mistakes.length} to correct` : "")));
 }
 
 /** What campaigns are sorted by -> what a campaign has of it, the first one least. */
@@ -83,6 +83,7 @@ function newCampaign() {
   const form = make("form", {
     class: "row",
     onsubmit: submitting(wrong, async () => {
+      wrong.replaceChildren(working("Writing the example"));
       const made = await send("POST", "campaign", { name: name.value, test: test.value });
       say(`Wrote ${made.name}/campaign.toml.`);
       location.hash = campaignAddress(made.name);
@@ -91,7 +92,7 @@ function newCampaign() {
   make("button", {}, "Write an example"));
   return [
     make("h2", {}, "New campaign"), importEntry(),
-    make("details", {}, make("summary", {}, "Begin with an example to be filled in"), form, wrong),
+    make("details", {}, make("summary", {}, "Start from a template"), form, wrong),
   ];
 }
 
@@ -119,6 +120,7 @@ function instruments(names) {
 function trashPart(trash) {
   const wrong = make("div");
   const restore = (/** @type {string} */ place) => () => attempt(wrong, async () => {
+    wrong.replaceChildren(working("Restoring"));
     const { name, files } = await send("POST", "restore", { place });
     say(`Restored ${name}.`);
     if (files.length) keepImport({ folder: name, names: files, uploaded: files, test: "", answers: {} });

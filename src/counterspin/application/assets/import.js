@@ -98,7 +98,7 @@ function pastedTable(take) {
     placeholder: "position_deg\treading_mA\n0\t1.2503\n30\t1.0825" });
   let count = 0;
   return make("details", {}, make("summary", {}, "Paste a table"),
-    labelled("Names of the columns, then a line for each reading, as copied from a spreadsheet", text),
+    labelled("Column names, then one line per reading, as copied from a spreadsheet", text),
     make("button", {
       type: "button",
       // A changed table is another file, because no file is replaced.

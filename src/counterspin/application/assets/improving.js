@@ -3,7 +3,7 @@
 
 import { campaignAddress, descriptionAddress } from "./addresses.js";
 import { get, send } from "./api.js";
-import { attempt, make, oneAtATime, say, symbols } from "./dom.js";
+import { attempt, make, oneAtATime, say, symbols, working } from "./dom.js";
 import { carryOut } from "./job.js";
 
 /** @typedef {{name: string, words: string, u: number, factor: number, unit: string, share: number}} Source */
@@ -102,6 +102,7 @@ export async function waysPart(name, result) {
    * @param {string} then
    */
   const prepare = (accelerometer, way, then) => () => attempt(place, async () => {
+    place.replaceChildren(working("Preparing a copy of the campaign"));
     const made = await send("POST", "way", { name, result, accelerometer, way });
     say(then);
     location.hash = made.key ? descriptionAddress(made.name, `f-${made.key}`) : campaignAddress(made.name);
@@ -112,21 +113,21 @@ export async function waysPart(name, result) {
       ...symbols(`Add ${runs.count} run${runs.count === 1 ? "" : "s"} turned ${runs.attitude} (${runs.minutes} min of records): ` +
         `the uncertainty of ${stated.symbol}${of} becomes ${runs.left} instead of ${runs.now}. `),
       make("button", { type: "button",
-        onclick: prepare(accelerometer, "runs", "A copy of the campaign has these runs; record them, then calibrate it.") }, "Prepare these runs"))]
+        onclick: prepare(accelerometer, "runs", "A copy of the campaign contains these runs. Record them, then calibrate the copy.") }, "Prepare a copy with these runs"))]
       : told.searched ? [make("li", {}, `No run in another attitude would improve ${accelerometer}.`)] : [];
     return [make("li", {},
       ...symbols(`Measure or state the ${named({ name: stated.source, words: stated.words })}, to ${stated.known}: ` +
         `the uncertainty of ${stated.symbol}${of} becomes ${stated.left} instead of ${stated.now}. `),
       make("button", { type: "button",
-        onclick: prepare(accelerometer, "state", "A copy of the campaign states it: replace the value by yours.") }, "Prepare the value")),
+        onclick: prepare(accelerometer, "state", "A copy of the campaign states a value for it. Replace this value by yours.") }, "Prepare a copy with this value")),
     ...found];
   });
-  const box = make("section", { class: "ways" }, make("h2", {}, "Ways to a smaller uncertainty"), make("ul", {}, ...lines));
+  const box = make("section", { class: "ways" }, make("h2", {}, "How to reduce the uncertainty"), make("ul", {}, ...lines));
   if (!told.searched && told.has_runs) {
     box.append(make("button", {
       type: "button",
       onclick: carryOut(place, () => send("POST", "ways", { name }), again),
-    }, "Look for runs in another attitude"));
+    }, "Search for runs in another attitude"));
   }
   box.append(place);
   return box;

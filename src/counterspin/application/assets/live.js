@@ -133,7 +133,7 @@ export async function liveView(name) {
       }
       if (told.complete) {
         say("All runs are recorded.");
-        place.append(make("p", {}, make("a", { class: "button", href: campaignAddress(name) }, "Go on to the result")));
+        place.append(make("p", {}, make("a", { class: "button", href: campaignAddress(name) }, "Continue to the result")));
         looking = false;
         return;
       }

@@ -65,7 +65,7 @@ async function show() {
     ({ title, content, begin } = await found.place.view(...words));
   } catch (error) {
     const keyless = error instanceof Refused && error.status === 401;
-    content = [make("h1", {}, keyless ? "This window has no key" : "That did not work"),
+    content = [make("h1", {}, keyless ? "This window is not authorised" : "This page could not be loaded"),
       warning(/** @type {Error} */ (error).message)];
   }
   if (mine !== turn) return;
@@ -90,7 +90,7 @@ addEventListener("hashchange", () => {
   if (location.hash.startsWith("#token=")) location.reload();
   // A link within a page is none to another place.
   if (!location.hash.startsWith("#/")) return;
-  if (location.hash !== shownAt && unsaved() && !confirm("Leave without saving?")) {
+  if (location.hash !== shownAt && unsaved() && !confirm("Leave this page without saving?")) {
     history.replaceState(null, "", shownAt);
     return;
   }

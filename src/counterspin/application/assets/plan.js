@@ -24,7 +24,7 @@ export async function plansView() {
       await send("POST", "plan", { name: name.value.trim(), example: example.value });
       location.hash = planAddress(name.value.trim());
     }),
-  }, labelled("File of the example", name), labelled("What is planned", example), make("button", {}, "Write an example"));
+  }, labelled("File of the example", name), labelled("Kind of plan", example), make("button", {}, "Write an example"));
   return {
     title: "Plans",
     content: [
@@ -145,7 +145,7 @@ export async function planView(name) {
     onsubmit: carryOut(written, () => send("POST", "planned", { name, moved, folder: folder.value }),
       (job) => { location.hash = campaignAddress(job.output); }),
   }, labelled("Folder of the planned campaign", folder),
-  make("button", {}, "Write these limits and the campaign"));
+  make("button", {}, "Save these limits and create the campaign"));
   const search = make("form", {
     onsubmit: submitting(planned, () => {
       state.textContent = "";
@@ -162,7 +162,7 @@ export async function planView(name) {
         edited.replaceChildren(editorOf(await get("plan-text", { name }), { saved }).element);
       });
     },
-  }, make("summary", {}, "The plan's file: goal, limits and what is known"), edited);
+  }, make("summary", {}, "Plan file: goal, limits and known values"), edited);
   return {
     title: plan.title,
     content: [

@@ -53,7 +53,7 @@ export function quantityField({ key, choices, example, guess, units = [] }, labe
   const control = choices.length
     ? make("select", { id }, ...(guess === null ? [""] : []).concat(choices).map((value) => make("option", { value }, value || "choose")))
     : make("input", { id, autocomplete: "off", spellcheck: "false", placeholder: units.length ? "" : example });
-  const hint = make("p", { class: "help", id: `${id}-help` }, help || (units.length ? `Such as ${example}.` : ""));
+  const hint = make("p", { class: "help", id: `${id}-help` }, help || (units.length ? `For example ${example}.` : ""));
   const usual = hint.textContent ?? "";
   const u = make("input", { autocomplete: "off", spellcheck: "false", placeholder: "typical", "aria-label": `${label}, standard uncertainty` });
   const unit = make("select", { "aria-label": `${label}, unit` }, ...units.map((value) => make("option", { value }, value.replace("^2", "²"))));

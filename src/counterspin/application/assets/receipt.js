@@ -3,15 +3,15 @@
 
 import { resultAddress } from "./addresses.js";
 import { send } from "./api.js";
-import { attempt, commandLine, make, warning } from "./dom.js";
+import { attempt, commandLine, make, warning, working } from "./dom.js";
 import { saving } from "./result.js";
 
 /**
  * The receipt.
  * @param {any} made what the server says of the certificate
- * @param {{result: string, signed: boolean, form: import("./certificate_form.js").CertificateForm}} about
+ * @param {{result: string, signed: boolean, form: import("./certificate_form.js").CertificateForm, amend: () => void}} about
  */
-export function receiptOf(made, { result, signed, form }) {
+export function receiptOf(made, { result, signed, form, amend }) {
   const pem = made.signer_certificate;
   const state = made.draft ? "Draft" : "Certificate";
   const facts = [
@@ -27,10 +27,12 @@ export function receiptOf(made, { result, signed, form }) {
     make("dl", {}, ...facts.flatMap(([term, text]) => [make("dt", {}, term), make("dd", {}, text)])),
     ...made.notes.map((/** @type {string} */ note) => make("p", { class: "warning" }, note)),
     ...files,
-    pem ? make("p", { class: "help" }, "The receiver needs the certificate of the signer to verify the signature, and must get it by another way: ",
+    pem ? make("p", { class: "help" }, "To verify the signature, the recipient needs the signer’s certificate. Send it separately: ",
       make("a", { href: `data:application/x-pem-file;base64,${btoa(pem)}`, download: "signer.pem" }, "signer.pem"), ".") : null,
     make("div", { class: "row" },
       form.hasProfile || made.draft ? null : form.profileButton(),
+      made.draft || !made.files.some((/** @type {string} */ name) => name.endsWith(".xml")) ? null
+        : make("button", { type: "button", onclick: amend }, "Amend"),
       make("a", { class: "button", href: resultAddress(result) }, "Back to the result")),
     commandLine(made.command));
 }
@@ -46,7 +48,7 @@ function fileBox(name, checksum, pem) {
   const save = saving("Save", "file", { name });
   save.setAttribute("aria-label", `Save ${name}`);
   const verify = () => attempt(state, async () => {
-    state.replaceChildren("Verifying.");
+    state.replaceChildren(working("Verifying"));
     const told = await send("POST", "certificate-check", {
       name, ...pem ? { certificate: { name: "signer.pem", content: btoa(pem) } } : {},
     });
@@ -56,7 +58,7 @@ function fileBox(name, checksum, pem) {
     }
     state.replaceChildren(make("span", { class: "state good" }, {
       valid: told.pages ? "Signatures of XML and pages are valid" : "Signature is valid",
-      none: "Unchanged, without a signature",
+      none: "Unchanged; not signed",
       unchecked: "Unchanged; the signature was not verified",
     }[/** @type {"valid" | "none" | "unchecked"} */ (told.signature)]));
   });

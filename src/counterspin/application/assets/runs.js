@@ -177,7 +177,7 @@ export async function runsView(name) {
   select.addEventListener("change", show);
   fitted.addEventListener("change", show);
   if (runs.length) setTimeout(show);
-  const missing = campaign.missing.map(/** @param {string} file */ (file) => warning(`Not there: ${file}`));
+  const missing = campaign.missing.map(/** @param {string} file */ (file) => warning(`Missing: ${file}`));
   return {
     title: `${campaign.title}, records`,
     content: [
@@ -186,7 +186,7 @@ export async function runsView(name) {
       ...(runs.length
         ? [make("div", { class: "row" }, labelled("Run", select),
           make("button", { type: "button", onclick: check }, "Check this run"),
-          make("label", { class: "choice" }, fitted, "Data and fit, less the parabola of the bias")), judgement, place]
+          make("label", { class: "choice" }, fitted, "Data and fit, minus the parabola of the bias")), judgement, place]
         : [make("p", {}, "There is no record to show. The records that the description names are drawn here once their files exist; " +
           "single readings are listed with the result.")]),
     ],

@@ -28,15 +28,15 @@ export class Signing {
         changed();
       },
     },
-      signer ? make("option", { value: "command" }, `With this server's command: ${signer}`) : null,
-      make("option", { value: "key" }, "With a key in a file"),
+      signer ? make("option", { value: "command" }, `With the server’s signing command: ${signer}`) : null,
+      make("option", { value: "key" }, "With a key file"),
       make("option", { value: "" }, "Not signed"));
     this.key = make("input", { type: "file", accept: ".pem,.key,.p12,.pfx", onchange: changed });
     this.certificate = make("input", { type: "file", accept: ".pem,.crt,.cer" });
     this.password = make("input", { type: "password", autocomplete: "off" });
     this.files = make("div", { class: "row" },
       labelled("Key, PEM or PKCS #12", this.key),
-      labelled("Its certificate (PEM), if the key's file has none", this.certificate),
+      labelled("Certificate of the key (PEM), if the key file contains none", this.certificate),
       labelled("Password of the key, if it has one", this.password));
     this.words = make("p", { class: "quiet" });
     this.element = make("div", {}, make("div", { class: "row" }, labelled("Signature", this.how)),

@@ -85,7 +85,7 @@ export async function tryView(name) {
           () => send("POST", "study", { name, trials: Number(trials.value) }),
           () => showStudy().then(() => studied.scrollIntoView()))),
       make("section", {}, make("h2", {}, "Simulated records"),
-        make("p", { class: "quiet" }, "Writes the records that the true values in the description would produce into a folder of their own."),
+        make("p", { class: "quiet" }, "Simulates the records that the true values in the description would produce, and writes them into a separate folder."),
         ...jobForm(campaign, "simulation", labelled("Folder of the records", folder), "Simulate",
           () => send("POST", "simulation", { name, folder: folder.value }),
           (job) => simulated.replaceChildren("The records are in ",

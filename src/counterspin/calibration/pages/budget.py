@@ -80,13 +80,12 @@ def budget_table(
     accelerometer = result.accelerometers[name]
     coefficient = accelerometer.coefficients.get(symbol)
     unit, factor = field_unit(coefficient.unit if coefficient else "")
-    evaluations = _EVALUATIONS | {"noise": _noise_evaluation(accelerometer)}
     values = prior_values(name, result)
     rows: list[tuple[str, ...]] = [
         (
             line.source,
             description_of(line.source),
-            evaluations[line.kind],
+            evaluation_type(line, accelerometer),
             *_prior_cells(line, values.get(line.source)),
             _sensitivity_cell(line, factor),
             format_uncertainty(line.contribution * factor),
@@ -128,7 +127,10 @@ def prior_values(name: str, result: Result) -> Mapping[str, float]:
     return prior_only | priors
 
 
-def _noise_evaluation(accelerometer: AccelerometerResult) -> str:
+def evaluation_type(line: BudgetLine, accelerometer: AccelerometerResult) -> str:
+    """Return the type of evaluation of a source (GUM 3.3.4), A or B."""
+    if line.kind != "noise":
+        return _EVALUATIONS[line.kind]
     return "A" if any(line.estimated for line in accelerometer.noise.values()) else "B"
 
 

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
+from counterspin.calibration.pages.budget import evaluation_type
 from counterspin.calibration.pages.uncertainty import (
-    kind_words,
     source_label,
     split_small_lines,
 )
@@ -48,9 +48,8 @@ def budget_bars(name: str, accelerometer: AccelerometerResult, symbol: str = "K_
         return None
     unit, factor = field_unit(coefficient.unit)
     labels = [
-        line.source
-        if line.kind == "noise"
-        else f"{source_label(line.source)} ({kind_words(line.kind)})"
+        f"{line.source if line.kind == 'noise' else source_label(line.source)} "
+        f"(Type {evaluation_type(line, accelerometer)})"
         for line in lines
     ]
     colours = [_KIND_COLOURS[line.kind] for line in lines]
