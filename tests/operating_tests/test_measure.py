@@ -42,18 +42,44 @@ def test_a_parabola_and_a_loop_have_their_errors(tmp_path):
 
 
 def test_errors_of_noisy_ramps_are_covered_by_their_u():
-    """200 ramps: z rms of slope, linearity error and hysteresis within 4 sqrt(1 / 400) of 1."""
+    """200 ramps: z rms of slope, bias and linearity error within 4 sqrt(1 / 400) = 0.2 of 1.
+
+    Linearity and bias by their exact values: one input is 0.1 off, so that it is always the worst.
+    """
+    from counterspin.operating_tests.model import fit_line, linearity_error
+
+    rng, z, noise = np.random.default_rng(5), [], []
+    inputs = np.tile(RAMP, 3)
+    exact = 1.25 * inputs + np.where(inputs == 4.0, 0.1, 0.0)
+    slope, intercept = np.polyfit(inputs, exact, 1)
+    worst = (exact - np.polyval((slope, intercept), inputs))[inputs == 4.0].mean() / slope
+    for _ in range(200):
+        line = fit_line(inputs, exact + rng.normal(0.0, 1e-3, inputs.size))
+        linearity = linearity_error(line, inputs)
+        z.append(
+            [
+                (line.slope - slope) / line.u_slope,
+                (line.intercept - intercept) / line.u_intercept,
+                (linearity.value - worst) / linearity.u,
+            ]
+        )
+        noise.append(line.noise)
+    assert np.sqrt(np.mean(np.square(z), axis=0)) == pytest.approx(1.0, abs=0.2)
+    assert np.mean(noise) == pytest.approx(1e-3, rel=0.02)
+
+
+def test_the_u_of_a_loop_is_that_of_its_two_means():
+    """Three repeats upwards and three downwards: u = sigma sqrt(2 / 3) / slope; z of 200 loops."""
     from counterspin.operating_tests.model import fit_line, hysteresis
 
-    rng, z = np.random.default_rng(5), []
-    inputs = np.tile(RAMP, 3)
+    rng, z = np.random.default_rng(7), []
+    inputs = np.tile([0.0, 5.0, 10.0, 5.0], 3)
+    line = fit_line(np.tile(RAMP, 3), np.tile(1.25 * RAMP, 3) + rng.normal(0.0, 1e-3, 63))
     for _ in range(200):
-        line = fit_line(inputs, 1.25 * inputs + rng.normal(0.0, 1e-3, inputs.size))
-        loop = hysteresis(line, np.tile([0.0, 5.0, 10.0, 5.0], 10), rng.normal(0.0, 1e-3, 40))
-        z.append([(line.slope - 1.25) / line.u_slope, line.noise / 1e-3, loop.value / loop.u])
-    rms = np.sqrt(np.mean(np.square(z), axis=0))
-    assert abs(rms[0] - 1.0) < 0.2
-    assert abs(rms[1] - 1.0) < 0.05
+        loop = hysteresis(line, inputs, 1.25 * inputs + rng.normal(0.0, 1e-3, inputs.size))
+        z.append(loop.value / (1e-3 * (2.0 / 3.0) ** 0.5 / 1.25))
+    assert loop.u == pytest.approx(line.noise * (2.0 / 3.0) ** 0.5 / line.slope, rel=1e-12)
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.mark.parametrize("band", [0.0, 1.5e-6])
@@ -103,6 +129,7 @@ def test_what_the_rows_do_not_show_is_not_determined(tmp_path):
         ({"input": "input_g", "time": "input_g"}, "name a column of inputs, or one of times"),
         ({"input": "input_g", "full_scale": 0.0}, "greater than zero"),
         ({"input": "force"}, "no column 'force'"),
+        ({"input": "output_mA"}, "named as two columns"),
         ({"time": "input_g"}, "increasing times"),
     ],
 )
@@ -122,3 +149,56 @@ def test_the_file_of_a_result_is_read_again(tmp_path):
     result = evaluated(write(tmp_path / "r.csv", RAMP, 1.25 * RAMP))
     result.write(tmp_path / "r.json")
     assert OperatingTests.read(tmp_path / "r.json").quantities == result.quantities
+
+
+def test_many_settings_are_evaluated_together():
+    """Each input is reached once upwards and once downwards, and the loop is 4e-4 wide."""
+    from counterspin.operating_tests.model import fit_line, hysteresis
+
+    rise = np.linspace(0.0, 10.0, 100_000)
+    inputs = np.append(rise, rise[-2::-1])
+    outputs = 1.25 * inputs
+    outputs[: rise.size] += 5e-4
+    loop = hysteresis(fit_line(inputs, outputs), inputs, outputs)
+    assert loop.value == pytest.approx(4e-4, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("first", "output", "message"),
+    [
+        ([1.0, 2.0, 3.0, 4.0], [2.0, 2.0, 2.0, 2.0], "does not depend on the input"),
+        ([0.0, 1.0, 0.0, 1.0, 0.0, 1.0], [1.0, 2.0, 2.0, 1.0, 1.5, 1.5], "does not depend"),
+        ([1e200, -1e200, 5.0], [1.0, 2.0, 3.0], "larger than 1e\\+150"),
+    ],
+)
+def test_columns_that_are_no_response_are_refused(tmp_path, first, output, message):
+    path = write(tmp_path / "r.csv", np.array(first), np.array(output))
+    with pytest.raises(CampaignError, match=message):
+        evaluated(path)
+
+
+def test_a_constant_warm_up_is_refused(tmp_path):
+    path = write(tmp_path / "w.csv", np.arange(8.0), np.ones(8), ("t", "out"))
+    with pytest.raises(CampaignError, match="does not change"):
+        cs.operating(path, time="t", output="out")
+
+
+def test_steps_far_below_the_full_scale_are_told_apart(tmp_path):
+    """A step of 1e-8 g beside a ramp to 50 g is no zero input."""
+    inputs = np.array([0.0, 1e-8, 0.0, 2e-8, 0.0, 25.0, 50.0, 25.0, 0.0])
+    output = np.where(inputs < 1.5e-8, 0.0, 1.25 * inputs)
+    threshold = evaluated(write(tmp_path / "r.csv", inputs, output)).quantity("threshold")
+    assert threshold.value == pytest.approx(1.5e-8)
+
+
+def test_the_u_of_a_linearity_error_is_that_of_the_hat_matrix():
+    from counterspin.operating_tests.model import fit_line, linearity_error
+
+    inputs = np.array([0.0, 1.0, 2.0, 2.0, 1.0, 0.0, 0.0])
+    line = fit_line(inputs, np.array([0.0, 1.3, 2.0, 2.1, 1.4, 0.1, 0.05]))
+    design = np.column_stack([np.ones(7), inputs])
+    residual = np.eye(7) - design @ np.linalg.inv(design.T @ design) @ design.T
+    linearity = linearity_error(line, inputs)
+    mean = np.where(inputs == linearity.at, 1.0 / np.sum(inputs == linearity.at), 0.0)
+    u = line.noise * np.sqrt(mean @ residual @ mean) / line.slope
+    assert linearity.u == pytest.approx(u, rel=1e-12)

@@ -18,10 +18,16 @@ THRESHOLD_RATIO: Final = 0.5
 DEAD_BAND_RATIO: Final = 0.1
 
 #: Inputs that differ by less, relative to the largest, are the same.
-_SAME_INPUT: Final = 1e-9
+_SAME_INPUT: Final = 1e-12
 
 #: Fewest degrees of freedom of repeats by which they determine the noise of a point.
 _MIN_DOF: Final = 3
+
+#: A slope that is not this many times its standard uncertainty shows no response to the input.
+_MIN_SLOPE_RATIO: Final = 3.0
+
+#: Largest size of a number in a table, so that its square is finite.
+_MAX_SIZE: Final = 1e150
 
 _SQRT_12: Final = math.sqrt(12.0)
 
@@ -57,6 +63,11 @@ def group_inputs(inputs: Array) -> npt.NDArray[np.intp]:
     return np.asarray(np.unique(rounded, return_inverse=True)[1].reshape(-1), dtype=np.intp)
 
 
+def _require_finite_squares(*columns: Array) -> None:
+    if any(np.max(np.abs(column), initial=0.0) > _MAX_SIZE for column in columns):
+        raise ValueError(f"a number is larger than {_MAX_SIZE:g}")
+
+
 def directions(inputs: Array) -> npt.NDArray[np.intp]:
     """Return 1 where an input was reached upwards, -1 downwards, 0 where it did not change."""
     settings = group_inputs(inputs)
@@ -66,8 +77,10 @@ def directions(inputs: Array) -> npt.NDArray[np.intp]:
 def fit_line(inputs: Array, outputs: Array) -> Line:
     """Fit a line; the noise is that of repeats at an input reached alike, else of the residuals.
 
-    Raises ValueError if there are fewer than three points or two inputs.
+    Raises ValueError if there are fewer than three points or two inputs, or if the output does not
+    depend on the input.
     """
+    _require_finite_squares(inputs, outputs)
     settings = group_inputs(inputs)
     count = int(settings.max(initial=-1)) + 1
     if inputs.size < 3 or count < 2:
@@ -85,6 +98,8 @@ def fit_line(inputs: Array, outputs: Array) -> Line:
     dof = float(repeat_dof if from_repeats else inputs.size - 2)
     noise = math.sqrt(float(deviations @ deviations) / dof)
     u_slope = noise / math.sqrt(square)
+    if not abs(slope) > _MIN_SLOPE_RATIO * u_slope:
+        raise ValueError("the output does not depend on the input; check the two columns")
     u_intercept = noise * math.sqrt(1.0 / inputs.size + float(inputs.mean()) ** 2 / square)
     leverages = 1.0 / inputs.size + centred**2 / square
     return Line(
@@ -110,17 +125,23 @@ def hysteresis(line: Line, inputs: Array, outputs: Array) -> OperatingEstimate |
     In the input's unit, upwards minus downwards. None: no input was reached both ways.
     """
     settings, direction = group_inputs(inputs), directions(inputs)
-    largest: OperatingEstimate | None = None
-    for setting in range(int(settings.max()) + 1):
-        up = outputs[(settings == setting) & (direction > 0)]
-        down = outputs[(settings == setting) & (direction < 0)]
-        if not up.size or not down.size:
-            continue
-        difference = float(up.mean() - down.mean()) / line.slope
-        u = line.noise * math.sqrt(1.0 / up.size + 1.0 / down.size) / abs(line.slope)
-        if largest is None or abs(difference) > abs(largest.value):
-            largest = OperatingEstimate(difference, u, float(inputs[settings == setting][0]))
-    return largest
+    count = int(settings.max()) + 1
+    up, down = (
+        np.bincount(settings[chosen], minlength=count) for chosen in (direction > 0, direction < 0)
+    )
+    both = np.flatnonzero((up > 0) & (down > 0))
+    if not both.size:
+        return None
+    up_mean, down_mean = (
+        np.bincount(settings[chosen], outputs[chosen], minlength=count)[both] / size[both]
+        for chosen, size in ((direction > 0, up), (direction < 0, down))
+    )
+    differences = (up_mean - down_mean) / line.slope
+    worst = int(np.argmax(np.abs(differences)))
+    setting = both[worst]
+    u = line.noise * math.sqrt(1.0 / up[setting] + 1.0 / down[setting]) / abs(line.slope)
+    at = float(inputs[np.argmax(settings == setting)])
+    return OperatingEstimate(float(differences[worst]), u, at)
 
 
 def smallest_step(
@@ -200,6 +221,9 @@ def fit_warm_up(time: Array, outputs: Array) -> WarmUp:
 
     if time.size < 6 or not np.all(np.diff(time) > 0.0):
         raise ValueError("a warm-up needs at least six rows with increasing times")
+    _require_finite_squares(time, outputs)
+    if np.ptp(outputs) == 0.0:
+        raise ValueError("the output does not change, so it shows no warm-up")
     span = float(time[-1] - time[0])
 
     def approach(t: Array, final: float, change: float, rate: float) -> Array:
