@@ -9,7 +9,6 @@ from counterspin.acceleration_standard.model import (
     UNITS,
     applied_acceleration,
     draw_distributions,
-    numerical_tolerance,
     sensitivities,
 )
 from counterspin.physics.accelerometer import Mounting
@@ -98,8 +97,3 @@ def test_a_large_misalignment_does_not_validate_the_interval_of_the_gum():
     sampling = acceleration * 0.02**2 / math.sqrt(2.0) / math.sqrt(200_000)
     assert drawn.mean - acceleration == pytest.approx(shift, abs=4.0 * sampling)
     assert drawn.distance > drawn.tolerance
-
-
-def test_numerical_tolerance_of_the_example_of_jcgm_101():
-    """JCGM 101, 7.9.2, example 1: u = 0.00035 g is 35e-5 g, so that the tolerance is 5e-6 g."""
-    assert numerical_tolerance(0.00035) == pytest.approx(5e-6)

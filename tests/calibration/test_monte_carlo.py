@@ -8,7 +8,12 @@ import pytest
 from scipy import stats
 
 import counterspin as cs
-from counterspin.calibration.monte_carlo import draw_errors, interval_of, shortest_interval
+from counterspin.calibration.monte_carlo import (
+    _by_source,
+    draw_errors,
+    interval_of,
+    shortest_interval,
+)
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.campaign.distribution import InputDistribution, parse_prior
 from counterspin.errors import CampaignError
@@ -59,6 +64,11 @@ def test_the_interval_of_a_rectangular_input_covers_95_percent():
     covered = np.mean((interval.low - 3.0 <= truths) & (truths <= interval.high - 3.0))
     assert covered == pytest.approx(0.95, abs=5.0 * math.sqrt(0.05 * 0.95 / TRIALS) * math.sqrt(2))
     assert np.abs(truths).max() < 1.96
+
+
+def test_a_held_prior_is_drawn_from_its_distribution():
+    errors, _ = drawn([line("K_PP", 1.0, "held")], {"K_PP": InputDistribution("rectangular")})
+    assert np.abs(errors).max() <= math.sqrt(3.0)
 
 
 def test_normal_inputs_validate_the_gum():
@@ -154,6 +164,13 @@ def test_a_calibration_draws_its_priors(tmp_path, capsys, key):
         (f"K_PP = {LIMITS.replace('rectangular', 'square')}", "'square' is none of rectangular"),
         (f"K_PP = {LIMITS.replace('2e-5', '0')}", "half_width must be greater than zero"),
         ('K_PP = { value = "0 g/g^2", u = "1e-6 g/g^2", dof = "4" }', "dof must be a number"),
+        ('K_PP = { value = "0 g/g^2", u = "1e-6 g/g^2", dof = 0.01 }', "dof is 0.01"),
+        ('K_PP = { value = "0 g/g^2", u = "1e-6 g/g^2", dof = inf }', "dof is inf"),
+        ('K_PP = { u = "1e-6 g/g^2" }', "give value with u"),
+        (
+            "K_PP = { value = '0 g/g^2', half_width = '1e-6 g/g^2', distribution = ['arcsine'] }",
+            "is none of rectangular",
+        ),
     ],
 )
 def test_a_wrong_table_is_named(tmp_path, prior, message):
@@ -167,3 +184,12 @@ def test_a_wrong_table_is_named(tmp_path, prior, message):
 def test_numbers_of_trials_that_make_no_sense(tmp_path, trials):
     with pytest.raises(CampaignError, match="10000 to 10000000 trials"):
         cs.calibrate(tmp_path, monte_carlo=trials)
+
+
+def test_terms_of_a_run_and_of_all_are_drawn_by_their_symbol():
+    """A budget names the tilt of a run with the run, and the own terms without their owner."""
+    lines = [line(source, 0.1) for source in ("run1.platform.tilt.east", "K_PP", "Qy.K_PP")]
+    limited = InputDistribution("rectangular")
+    stated = {"platform.tilt.east": limited, "Qx.K_PP": limited}
+    assert list(_by_source(stated, lines, "Qx", {"run1"})) == ["run1.platform.tilt.east", "K_PP"]
+    assert list(_by_source(stated, lines, "Qy", {"run1"})) == ["run1.platform.tilt.east"]

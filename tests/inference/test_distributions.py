@@ -13,6 +13,7 @@ from counterspin.inference.distributions import (
     log_binomial,
     normal_cdf,
     normal_quantile,
+    numerical_tolerance,
     student_cdf,
     student_quantile,
 )
@@ -127,3 +128,8 @@ def test_what_is_known_or_estimated_alone_has_its_own_freedom():
 )
 def test_degrees_of_freedom_that_nobody_can_count_are_infinite(dof, stated):
     assert finite_dof(dof) == stated
+
+
+def test_numerical_tolerance_of_the_example_of_jcgm_101():
+    """JCGM 101, 7.9.2, example 1: u = 0.00035 g is 35e-5 g, so that the tolerance is 5e-6 g."""
+    assert numerical_tolerance(0.00035) == pytest.approx(5e-6)

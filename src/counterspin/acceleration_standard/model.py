@@ -17,7 +17,7 @@ import numpy as np
 
 from counterspin.acceleration_standard.result import MonteCarloCheck
 from counterspin.arrays import Array
-from counterspin.inference.distributions import COVERAGE, expanded_uncertainty
+from counterspin.inference.distributions import COVERAGE, expanded_uncertainty, numerical_tolerance
 from counterspin.physics.motion import EARTH_RATE
 
 #: Sources of uncertainty -> SI unit.
@@ -32,9 +32,6 @@ UNITS: Final = {
     "gravity": "m/s^2",
     "latitude": "rad",
 }
-
-#: Significant digits of u that a validated interval of the GUM needs (JCGM 101, clause 8.1).
-_DIGITS: Final = 2
 
 
 def applied_acceleration(sources: Mapping[str, Array | float], rate: float) -> Array | float:
@@ -133,8 +130,3 @@ def draw_distributions(
             )
         )
     return found
-
-
-def numerical_tolerance(u: float) -> float:
-    """Return half a unit of the last of two significant digits of u (JCGM 101, clause 7.9.2)."""
-    return 0.5 * 10.0 ** (math.floor(math.log10(u)) - _DIGITS + 1) if u else 0.0

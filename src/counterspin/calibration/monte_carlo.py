@@ -8,7 +8,7 @@ t, priors from the distributions that the description states, all others from th
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -17,6 +17,7 @@ from counterspin.arrays import Array
 from counterspin.calibration.result_parts import Coefficient, MonteCarloInterval
 from counterspin.campaign.distribution import InputDistribution
 from counterspin.errors import CampaignError
+from counterspin.inference.distributions import COVERAGE, numerical_tolerance
 from counterspin.inference.joint.summary import BudgetLine
 
 if TYPE_CHECKING:
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 MIN_TRIALS: Final = 10_000
 MAX_TRIALS: Final = 10_000_000
 
-_COVERAGE: Final = 0.95
 _SEED: Final = 101
 
 #: Parts of the trials that are compared with each other (JCGM 101, 7.9).
@@ -35,9 +35,6 @@ _BATCHES: Final = 10
 
 #: Intervals whose lengths are within this ratio count as equally short.
 _SAME_LENGTH: Final = 1.01
-
-#: Significant digits of u to which the GUM interval is validated (JCGM 101, 8.1).
-_DIGITS: Final = 2
 
 
 def check_trials(trials: int, method: str) -> None:
@@ -62,31 +59,37 @@ def add_intervals(result: Result, model: ErrorModel, trials: int) -> Result:
     trials
         Number of trials.
     """
-    accelerometers = {}
+    accelerometers, runs = {}, set(result.runs)
     for place, (name, accelerometer) in enumerate(result.accelerometers.items()):
         intervals = {}
         for number, (symbol, coefficient) in enumerate(accelerometer.coefficients.items()):
             lines = accelerometer.budget.get(symbol)
             if lines and coefficient.estimated and coefficient.u:
                 generator = np.random.default_rng((_SEED, place, number))
-                errors = draw_errors(
-                    lines,
-                    coefficient,
-                    _distributions_of_owner(model.distributions, name),
-                    trials,
-                    generator,
-                )
+                shapes = _by_source(model.distributions, lines, name, runs)
+                errors = draw_errors(lines, coefficient, shapes, trials, generator)
                 intervals[symbol] = interval_of(errors, coefficient)
         accelerometers[name] = accelerometer.model_copy(update={"monte_carlo": intervals})
     return result.model_copy(update={"accelerometers": accelerometers})
 
 
-def _distributions_of_owner(
-    distributions: Mapping[str, InputDistribution], owner: str
+def _by_source(
+    distributions: Mapping[str, InputDistribution],
+    lines: list[BudgetLine],
+    owner: str,
+    runs: Collection[str],
 ) -> dict[str, InputDistribution]:
-    """Return distributions by source, as the budget of an accelerometer names them."""
-    prefix = f"{owner}."
-    return {name.removeprefix(prefix): shape for name, shape in distributions.items()}
+    """Return the distributions of the sources of a budget.
+
+    A budget names the terms of its owner without it, and those of a run with the run.
+    """
+    shapes: dict[str, InputDistribution] = {}
+    for source in (line.source for line in lines):
+        run, _, symbol = source.partition(".")
+        for name in (f"{owner}.{source}", source, symbol if run in runs else source):
+            if name in distributions:
+                shapes[source] = distributions[name]
+    return shapes
 
 
 def draw_errors(
@@ -150,13 +153,11 @@ def interval_of(errors: Array, coefficient: Coefficient) -> MonteCarloInterval:
     assert coefficient.value is not None
     assert coefficient.u is not None
     low, high = shortest_interval(errors)
-    tails = (0.5 * (1.0 - _COVERAGE), 0.5 * (1.0 + _COVERAGE))
+    tails = (0.5 * (1.0 - COVERAGE), 0.5 * (1.0 + COVERAGE))
     batches = [np.quantile(batch, tails) for batch in np.array_split(errors, _BATCHES)]
     scatter = 2.0 * np.std(batches, axis=0, ddof=1) / math.sqrt(_BATCHES)
-    # u as a number of two digits times a power of ten; half a unit of the last digit.
-    exponent = math.floor(math.log10(coefficient.u)) - (_DIGITS - 1)
-    tolerance = 0.5 * 10.0**exponent
-    gum = np.array(coefficient.interval(_COVERAGE)) - coefficient.value
+    tolerance = numerical_tolerance(coefficient.u)
+    gum = np.array(coefficient.interval(COVERAGE)) - coefficient.value
     difference = np.abs(np.quantile(errors, tails) - gum)
     validated: bool | None = None
     if (difference + scatter <= tolerance).all():
@@ -180,7 +181,7 @@ def shortest_interval(errors: Array) -> tuple[float, float]:
     shortest is then a matter of chance, and of a rectangular distribution it is not unique.
     """
     ordered = np.sort(errors)
-    covered = math.ceil(_COVERAGE * errors.size)
+    covered = math.ceil(COVERAGE * errors.size)
     lengths = ordered[covered:] - ordered[: errors.size - covered]
     start = int(np.argmin(lengths))
     symmetric = (errors.size - covered) // 2

@@ -13,7 +13,7 @@ from counterspin.frozen import frozen
 Shape = Literal["normal", "t", "rectangular", "triangular", "arcsine"]
 
 #: Half-width over the standard deviation of the distributions with limits.
-_LIMITED: Final[Mapping[str, float]] = {
+_LIMITED: Final[Mapping[Shape, float]] = {
     "rectangular": math.sqrt(3.0),
     "triangular": math.sqrt(6.0),
     "arcsine": math.sqrt(2.0),
@@ -26,6 +26,11 @@ _FORMS: Final = (
     {"value", "U", "k"},
     {"value", "half_width", "distribution"},
 )
+
+_KEYS: Final = set[object]().union(*_FORMS)
+
+#: Fewest degrees of freedom of a stated uncertainty.
+_MIN_DOF: Final = 1.0
 
 _ADVICE: Final = (
     "give value with u, with u and dof, with U and k, or with half_width and distribution "
@@ -42,8 +47,8 @@ class InputDistribution:
 
 
 def is_prior_table(value: object) -> bool:
-    """Return whether a value is a prior in the form of a table."""
-    return isinstance(value, Mapping) and "value" in value
+    """Return whether a value is a prior in the form of a table; no term has a name of its keys."""
+    return isinstance(value, Mapping) and not _KEYS.isdisjoint(value)
 
 
 def parse_prior(
@@ -69,15 +74,18 @@ def parse_prior(
 
     value = exact(written["value"], unit, gravity=gravity)
     if "half_width" in written:
-        shape = written["distribution"]
-        if shape not in _LIMITED:
-            raise ValueError(f"{shape!r} is none of {', '.join(_LIMITED)}")
+        named = written["distribution"]
+        shape = next((name for name in _LIMITED if name == named), None)
+        if shape is None:
+            raise ValueError(f"{named!r} is none of {', '.join(_LIMITED)}")
         return Quantity(value, size("half_width") / _LIMITED[shape], unit), InputDistribution(shape)
     if "U" in written:
         u = size("U") / _positive_number(written, "k")
         return Quantity(value, u, unit), InputDistribution()
     if "dof" in written:
         dof = _positive_number(written, "dof")
+        if not _MIN_DOF <= dof < math.inf:
+            raise ValueError(f"dof is {dof:g}; give a number from {_MIN_DOF:g}, or leave it out")
         return Quantity(value, size("u"), unit), InputDistribution("t", dof)
     return Quantity(value, size("u"), unit), InputDistribution()
 

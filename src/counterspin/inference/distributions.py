@@ -194,3 +194,8 @@ def expanded_uncertainty(u: float, dof: float | None, coverage: float = COVERAGE
     """Return half the width of the coverage interval: Student's factor times u (GUM G.3)."""
     tail = 0.5 * (1.0 + coverage)
     return student_quantile(math.inf if dof is None else dof, tail) * u
+
+
+def numerical_tolerance(u: float) -> float:
+    """Return half a unit of the last of two significant digits of u (JCGM 101, 7.9.2)."""
+    return 0.5 * 10.0 ** (math.floor(math.log10(u)) - 1) if u else 0.0
