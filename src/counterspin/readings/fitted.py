@@ -28,6 +28,9 @@ MIN_DOF: Final = 4.5
 #: Readings without any noise, but for one that is off, leave this chi-square of the others.
 _MIN_REMAINDER: Final = 1e-6
 
+#: Below this part of its readings' variance the fit follows a combination of them wholly.
+_LEAST_VARIANCE: Final = 1e-9
+
 #: In so many of good campaigns a position, or a reading, is called off.
 _SINGLE_LEVEL: Final = 0.5 * SIGNIFICANCE
 
@@ -218,59 +221,68 @@ class FittedReadings:
         )
 
 
-class _Combinations:
-    """Residuals of a fit in k combinations of its n readings.
+class _ReadingSets:
+    """Sets of readings, k of them, whose members stand one after the other in `readings`."""
+
+    def __init__(self, sets: Sequence[Sequence[int]]) -> None:
+        self.lengths = [len(indices) for indices in sets]
+        self.readings = np.concatenate(sets)
+        self._starts = np.cumsum([0, *self.lengths])[:-1]
+
+    def sum(self, values: Array) -> Array:
+        """Return the sums of the members' values over each set, shape (k, ...)."""
+        return np.asarray(np.add.reduceat(values, self._starts, axis=0))
+
+
+class _CombinedResiduals:
+    """Residuals of a fit in combinations of its n readings, one for each of k sets.
 
     With r = s - H s of a combination s in standard uncertainties, and H the hat matrix of the
     readings: sums over r need the q unknowns only, and not the n x n hat matrix.
     """
 
     def __init__(
-        self, part: LinearReadings, solution: Solution, sets: Sequence[Sequence[int]], s: Array
+        self, part: LinearReadings, solution: Solution, sets: _ReadingSets, s: Array
     ) -> None:
-        """Project combinations; s: weights of the readings of all sets, one after the other."""
+        """Project combinations; s: weights of the members of all sets."""
         self._rows = part.design / part.sigma[:, None]
-        self._readings, self._s = np.concatenate(sets), s
-        self._starts = np.cumsum([0, *map(len, sets)])[:-1]
-        self._followed = self._rows_sum(np.ones(len(self._rows))) @ part.covariance(solution)
+        self._sets, self._s = sets, s
         self._covariance = part.covariance(solution)
+        self._row_sums = self._weighted_rows(np.ones(len(self._rows)))
+        self._projection = self._row_sums @ self._covariance
 
-    def _sum(self, values: Array) -> Array:
-        """Return the sums over the readings of each set, shape (k, ...)."""
-        return np.asarray(np.add.reduceat(values, self._starts, axis=0))
-
-    def _rows_sum(self, weights: Array) -> Array:
+    def _weighted_rows(self, weights: Array) -> Array:
         """Return rows' (weights s), shape (k, q); weights: shape (n,)."""
-        return self._sum((weights[self._readings] * self._s)[:, None] * self._rows[self._readings])
+        readings = self._sets.readings
+        return self._sets.sum((weights[readings] * self._s)[:, None] * self._rows[readings])
 
-    def product(self, vector: Array) -> Array:
+    def dot(self, vector: Array) -> Array:
         """Return r . vector, shape (k,); vector: shape (n,)."""
-        total = self._sum(self._s * vector[self._readings])
-        return np.asarray(total - self._followed @ (self._rows.T @ vector))
+        total = self._sets.sum(self._s * vector[self._sets.readings])
+        return np.asarray(total - self._projection @ (self._rows.T @ vector))
 
     @property
     def variance(self) -> Array:
         """The products r . s, the variances of the combined residuals, shape (k,)."""
-        rows_sum = self._rows_sum(np.ones(len(self._rows)))
-        followed: Array = np.sum(rows_sum * self._followed, axis=1)
-        return np.asarray(np.maximum(self._sum(self._s**2) - followed, 0.0))
+        projected: Array = np.sum(self._row_sums * self._projection, axis=1)
+        return np.asarray(np.maximum(self._sets.sum(self._s**2) - projected, 0.0))
 
     def squares(self, weights: Array) -> Array:
         """Return the sums of weights r^2, shape (k,); weights: shape (n,)."""
-        total = self._sum(weights[self._readings] * self._s**2)
-        total -= np.sum((self._rows_sum(weights) + self.gradient(weights)) * self._followed, 1)
-        return np.asarray(np.maximum(total, 0.0))
+        total = self._sets.sum(weights[self._sets.readings] * self._s**2)
+        rows = self._weighted_rows(weights) + self._residual_rows(weights)
+        return np.asarray(np.maximum(total - np.sum(rows * self._projection, axis=1), 0.0))
 
-    def gradient(self, weights: Array) -> Array:
+    def _residual_rows(self, weights: Array) -> Array:
         """Return rows' (weights r), shape (k, q)."""
         gram = self._rows.T @ (weights[:, None] * self._rows)
-        return np.asarray(self._rows_sum(weights) - self._followed @ gram)
+        return np.asarray(self._weighted_rows(weights) - self._projection @ gram)
 
     def weighted_variance(self, weights: Array) -> Array:
         """Return w . (w - H w) of w = weights r, shape (k,)."""
-        gradient = self.gradient(weights)
-        followed: Array = np.sum((gradient @ self._covariance) * gradient, axis=1)
-        return self.squares(weights**2) - followed
+        rows = self._residual_rows(weights)
+        projected: Array = np.sum((rows @ self._covariance) * rows, axis=1)
+        return self.squares(weights**2) - projected
 
 
 def evaluate_positions(
@@ -286,30 +298,30 @@ def evaluate_positions(
     noise: Readings and solution by which their noise was estimated, and the repeats' degrees of
         freedom; None: it was not.
     """
-    readings = np.concatenate(sets)
-    starts = np.cumsum([0, *map(len, sets)])[:-1]
-    weights = 1.0 / part.sigma[readings] ** 2
-    weights /= np.repeat(np.add.reduceat(weights, starts), [len(indices) for indices in sets])
-    combined = weights * part.sigma[readings]
-    r = _Combinations(part, solution, sets, combined)
-    sensitivity = part.considered_sensitivity(solution)[readings] * model.considered_sds
-    shifts = np.add.reduceat(weights[:, None] * sensitivity, starts, axis=0)
+    members = _ReadingSets(sets)
+    sigma = part.sigma[members.readings]
+    weights = sigma**-2.0
+    weights /= np.repeat(members.sum(weights), members.lengths)
+    combined = weights * sigma
+    r = _CombinedResiduals(part, solution, members, combined)
+    sensitivity = part.considered_sensitivity(solution)[members.readings] * model.considered_sds
+    shifts = members.sum(weights[:, None] * sensitivity)
     variance = r.variance + np.sum(shifts**2, axis=1)
-    residual = np.add.reduceat(weights * part.residuals(solution, model)[readings], starts)
-    followed = variance <= 1e-9 * np.add.reduceat(combined**2, starts)
-    variance[followed] = 1.0
+    residual = members.sum(weights * part.residuals(solution, model)[members.readings])
+    undetermined = variance <= _LEAST_VARIANCE * members.sum(combined**2)
+    variance[undetermined] = 1.0
     z = residual / np.sqrt(variance)
     studentized, share, dof = z, np.zeros(len(sets)), np.full(len(sets), math.inf)
     if noise is not None:
         # The head, priors and what is considered have their parts of the variance too.
         fraction = np.minimum(r.squares(part.noise_share) / variance, 1.0)
-        scale, dof = _deleted_noise(*noise, sets, combined)
+        scale, dof = _deleted_noise(*noise, members, combined)
         ratio = 1.0 - fraction + fraction * scale
         studentized, share = z / np.sqrt(ratio), fraction * scale / ratio
     positions = []
     for k, indices in enumerate(sets):
         values = (math.nan, math.nan, math.nan)
-        if not followed[k]:
+        if not undetermined[k]:
             p = 2.0 * mixture_tail(float(share[k]), float(dof[k]), abs(float(studentized[k])))
             values = (float(z[k]), float(studentized[k]), p)
         positions.append(Position(tuple(indices), float(residual[k]), *values))
@@ -320,7 +332,7 @@ def _deleted_noise(
     part: LinearReadings,
     solution: Solution,
     repeat_dof: float,
-    sets: Sequence[Sequence[int]],
+    sets: _ReadingSets,
     combined: Array,
 ) -> tuple[Array, Array]:
     """Return the noise variance estimated without each set, over that with it, and its dof.
@@ -328,24 +340,23 @@ def _deleted_noise(
     All else being equal. Arguments as of `evaluate_positions`; combined: the weights of the
     readings in standard uncertainties.
     """
-    r = _Combinations(part, solution, sets, combined)
-    share, remainder = part.noise_share, r.variance
+    r = _CombinedResiduals(part, solution, sets, combined)
+    share, variance = part.noise_share, r.variance
     residual = part.residuals_at(solution.estimate) / part.sigma
-    starts = np.cumsum([0, *map(len, sets)])[:-1]
-    readings = np.concatenate(sets)
     total_dof = part.noise_dof(solution) + repeat_dof
     # The noise is such that the squares of residuals and repeats are what is expected.
     total_squares = float(share @ (1.0 - part.leverages(solution))) + repeat_dof
-    followed = remainder <= 1e-9 * np.add.reduceat(combined**2, starts)
-    remainder[followed] = 1.0
-    removed = np.add.reduceat(combined * residual[readings], starts) / remainder
+    undetermined = variance <= _LEAST_VARIANCE * sets.sum(combined**2)
+    variance[undetermined] = 1.0
+    removed = sets.sum(combined * residual[sets.readings]) / variance
     removed_squares = r.squares(share)
-    removed_dof = removed_squares / remainder
-    squares = total_squares - removed * (
-        2.0 * r.product(share * residual) - removed * removed_squares
-    )
+    removed_dof = removed_squares / variance
+    squares = total_squares - removed * (2.0 * r.dot(share * residual) - removed * removed_squares)
     scale = np.maximum(squares, _MIN_REMAINDER) / np.maximum(
         total_squares - removed_dof, _MIN_REMAINDER
     )
-    dof = total_dof - 2.0 * r.weighted_variance(share) / remainder + removed_dof**2
-    return np.where(followed, 1.0, scale), np.where(followed, total_dof, np.maximum(dof, 1.0))
+    dof = total_dof - 2.0 * r.weighted_variance(share) / variance + removed_dof**2
+    return (
+        np.where(undetermined, 1.0, scale),
+        np.where(undetermined, total_dof, np.maximum(dof, 1.0)),
+    )

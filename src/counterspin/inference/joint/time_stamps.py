@@ -18,6 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.outlier_rejection import remove_harmonics
 from counterspin.inference.joint.series import TimestampErrors
@@ -33,9 +34,6 @@ MIN_ROWS: Final = 43
 
 #: Probability at which errors of time stamps of which nothing is stated are taken for chance.
 _SIGNIFICANCE: Final = 1e-6
-
-#: A chi-square that has this probability with one degree of freedom is larger.
-_MIN_CHI2: Final = 23.0
 
 
 class _Regression(NamedTuple):
@@ -118,11 +116,7 @@ def estimate_timestamp_fractions(fit: JointFit) -> Mapping[str, float]:
 
 def _is_beyond_chance(chi2: float, count: int) -> bool:
     """Return whether chi-square of so many shares is larger than chance makes it."""
-    if chi2 < _MIN_CHI2:
-        return False  # without SciPy, which takes as long to load as a fit takes
-    from scipy.special import chdtri
-
-    return chi2 > float(chdtri(count, _SIGNIFICANCE))
+    return count > 0 and chi_square_tail(count, chi2) < _SIGNIFICANCE
 
 
 def _regression(fit: JointFit, index: int) -> _Regression | None:
