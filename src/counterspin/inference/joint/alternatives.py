@@ -25,7 +25,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import MIN_RESIDUAL_FRACTION
 from counterspin.inference.distributions import student_cdf
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint.fit import JointFit, augment_blocks, solve_blocks
+from counterspin.inference.joint.fit import JointFit, augment_block, solve_blocks
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import Block, Solution
 from counterspin.physics.terms import INPUTS, mounting_of
@@ -277,10 +277,14 @@ def _augment_rows(
     if not with_columns:
         return fit.blocks, fit.solution, np.empty((0, 0))
     p = len(fit.model.unknowns)
-    _, wide_blocks = augment_blocks(fit, [alternative.columns for alternative in with_columns])
-    blocks = [replace(block, factor=block.factor[:, :p]) for block in wide_blocks]
-    augmented = np.vstack([block.factor[:, p:] for block in wide_blocks])
-    return blocks, solve_blocks(blocks, fit.model), augmented
+    columns = [alternative.columns for alternative in with_columns]
+    blocks = list(fit.blocks)
+    augmented = [np.zeros((block.factor.shape[0], len(columns))) for block in blocks]
+    for index in {place for column in columns for place in column}:
+        _, wide = augment_block(fit, index, columns)
+        blocks[index] = replace(wide, factor=wide.factor[:, :p])
+        augmented[index] = wide.factor[:, p:]
+    return blocks, solve_blocks(blocks, fit.model), np.vstack(augmented)
 
 
 def _columns(

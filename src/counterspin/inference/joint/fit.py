@@ -245,21 +245,37 @@ def augment_blocks(
     columns: Of each: the place of an observation -> what it shows of one unit, shape (n,); one
         that is not named shows nothing.
     """
-    p, m = len(fit.model.unknowns), len(columns)
-    added = [Unknown("", str(place), NO_PRIOR, 1.0) for place in range(m)]
-    model = replace(fit.model, unknowns=(*fit.model.unknowns, *added))
+    model = _widened_model(fit, len(columns))
     observations, blocks = [], []
-    for i, (observation, block) in enumerate(zip(fit.observations, fit.blocks, strict=True)):
-        added_columns = {p + k: column[i] for k, column in enumerate(columns) if i in column}
-        observations.append(
-            observation.with_columns(tuple(added_columns), tuple(added_columns.values()))
-        )
-        blocks.append(
-            observations[-1].block_in(model, fit.noise)
-            if added_columns
-            else replace(block, factor=np.pad(block.factor, ((0, 0), (0, m))))
-        )
+    for i in range(len(fit.blocks)):
+        observation, block = augment_block(fit, i, columns, model)
+        if block is fit.blocks[i]:
+            block = replace(block, factor=np.pad(block.factor, ((0, 0), (0, len(columns)))))
+        observations.append(observation)
+        blocks.append(block)
     return tuple(observations), tuple(blocks)
+
+
+def _widened_model(fit: JointFit, count: int) -> Unknowns:
+    """Return the model of a fit with a number of further unknowns."""
+    added = [Unknown("", str(place), NO_PRIOR, 1.0) for place in range(count)]
+    return replace(fit.model, unknowns=(*fit.model.unknowns, *added))
+
+
+def augment_block(
+    fit: JointFit, index: int, columns: Sequence[Mapping[int, Array]], model: Unknowns | None = None
+) -> tuple[Observation, Block]:
+    """Append columns to an observation, and return its block; the same where it shows none.
+
+    columns: As of `augment_blocks`.
+    model: With the columns' unknowns; None: it is made.
+    """
+    p = len(fit.model.unknowns)
+    added = {p + k: column[index] for k, column in enumerate(columns) if index in column}
+    observation = fit.observations[index].with_columns(tuple(added), tuple(added.values()))
+    if not added:
+        return observation, fit.blocks[index]
+    return observation, observation.block_in(model or _widened_model(fit, len(columns)), fit.noise)
 
 
 def augment(
