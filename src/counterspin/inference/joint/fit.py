@@ -237,52 +237,31 @@ def estimate_considered(fit: JointFit) -> JointFit:
     )
 
 
-def augment_blocks(
-    fit: JointFit, columns: Sequence[Mapping[int, Array]]
-) -> tuple[tuple[Observation, ...], tuple[Block, ...]]:
-    """Append columns to observations and blocks of a fit whose considered terms are estimated.
+def augment_block(
+    fit: JointFit, index: int, columns: Sequence[Mapping[int, Array]]
+) -> tuple[Observation, Block]:
+    """Append columns to an observation of a fit whose considered terms are estimated.
 
     columns: Of each: the place of an observation -> what it shows of one unit, shape (n,); one
         that is not named shows nothing.
     """
-    model = _widened_model(fit, len(columns))
-    observations, blocks = [], []
-    for i in range(len(fit.blocks)):
-        observation, block = augment_block(fit, i, columns, model)
-        if block is fit.blocks[i]:
-            block = replace(block, factor=np.pad(block.factor, ((0, 0), (0, len(columns)))))
-        observations.append(observation)
-        blocks.append(block)
-    return tuple(observations), tuple(blocks)
-
-
-def _widened_model(fit: JointFit, count: int) -> Unknowns:
-    """Return the model of a fit with a number of further unknowns."""
-    added = [Unknown("", str(place), NO_PRIOR, 1.0) for place in range(count)]
-    return replace(fit.model, unknowns=(*fit.model.unknowns, *added))
-
-
-def augment_block(
-    fit: JointFit, index: int, columns: Sequence[Mapping[int, Array]], model: Unknowns | None = None
-) -> tuple[Observation, Block]:
-    """Append columns to an observation, and return its block; the same where it shows none.
-
-    columns: As of `augment_blocks`.
-    model: With the columns' unknowns; None: it is made.
-    """
-    p = len(fit.model.unknowns)
+    p, m = len(fit.model.unknowns), len(columns)
     added = {p + k: column[index] for k, column in enumerate(columns) if index in column}
     observation = fit.observations[index].with_columns(tuple(added), tuple(added.values()))
     if not added:
-        return observation, fit.blocks[index]
-    return observation, observation.block_in(model or _widened_model(fit, len(columns)), fit.noise)
+        block = fit.blocks[index]
+        return observation, replace(block, factor=np.pad(block.factor, ((0, 0), (0, m))))
+    free = (Unknown("", str(place), NO_PRIOR, 1.0) for place in range(m))
+    model = replace(fit.model, unknowns=(*fit.model.unknowns, *free))
+    return observation, observation.block_in(model, fit.noise)
 
 
 def augment(
     fit: JointFit, unknowns: Sequence[Unknown], columns: Sequence[Mapping[int, Array]]
 ) -> JointFit:
-    """Add unknowns to a fit with considered terms estimated; columns as of `augment_blocks`."""
-    observations, blocks = augment_blocks(fit, columns)
+    """Add unknowns to a fit with considered terms estimated; columns as of `augment_block`."""
+    augmented = (augment_block(fit, i, columns) for i in range(len(fit.blocks)))
+    observations, blocks = zip(*augmented, strict=True)
     model = replace(fit.model, unknowns=(*fit.model.unknowns, *unknowns))
     solution = solve_blocks(blocks, model)
     return replace(fit, model=model, solution=solution, observations=observations, blocks=blocks)
