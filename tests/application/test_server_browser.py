@@ -616,6 +616,25 @@ def test_results_are_compared_with_the_one_that_is_chosen(opened, app):
     assert command == f"counterspin compare {' '.join(map(str, files))}"
 
 
+def test_a_late_answer_does_not_replace_a_newer_comparison(opened, app):
+    for name in ("b", "c"):
+        shutil.copy(app.folder.root / "three" / "result.json", app.folder.root / f"{name}.json")
+    held = []
+    tab = opened("/compare")
+    tab.route(
+        re.compile("/api/page.*=three.*c.json"),
+        lambda route: route.continue_() if held else held.append(route),
+    )
+    for name in ("three/result.json", "b.json", "c.json"):
+        tab.get_by_role("checkbox", name=name).check()
+    tab.get_by_label("Reference result").select_option("c.json")
+    tab.get_by_text("Differences are from c.json").wait_for()
+    with tab.expect_response(held[0].request.url):
+        held[0].continue_()
+    tab.wait_for_timeout(200)
+    assert tab.get_by_text("Differences are from c.json").is_visible()
+
+
 def test_the_value_that_a_click_prepares_is_ready_to_be_typed_over(opened, folder):
     file = folder / "three" / "campaign.toml"
     file.write_text(file.read_text("utf-8").replace('assume = "all"', ""), encoding="utf-8")

@@ -19,7 +19,11 @@ const WORDS = /** @type {Record<string, [string, string]>} */ ({
   sample: ["Simulating", "Estimating"],
 });
 
+/** Time between two requests for the state of a job, ms. */
 const PAUSE = 250;
+
+/** Requests before the page that follows a job is shown; a busy server takes its time. */
+const MOST_EARLY_REQUESTS = 240;
 
 /** @param {Job} job */
 const goesOn = ({ state }) => state === "waiting" || state === "running";
@@ -101,12 +105,14 @@ export function follow(job, place, done) {
     numbers.textContent = `${counted ? `: ${read} of ${all}` : ""}, ${Math.round(now.seconds)} s${counted ? remaining(read, all, now.seconds) : ""}`;
   };
   const ask = () => attempt(place, async () => {
-    if (!place.isConnected && asked++ > 4) return;
+    // The page was left, or was never shown.
+    if (!place.isConnected && (wasShown || asked++ > MOST_EARLY_REQUESTS)) return;
+    wasShown ||= place.isConnected;
     /** @type {Job[]} */
     const jobs = await get("jobs");
     const now = jobs.find(({ number }) => number === job.number);
-    if (now && goesOn(now)) {
-      show(now);
+    if (!place.isConnected || now && goesOn(now)) {
+      if (now && goesOn(now)) show(now);
       setTimeout(ask, PAUSE);
     } else if (now?.state === "done") {
       if (now.output) say(`Wrote ${now.output}.`);
@@ -116,6 +122,7 @@ export function follow(job, place, done) {
     }
   });
   let asked = 0;
+  let wasShown = false;
   show(job);
   setTimeout(ask, PAUSE);
 }

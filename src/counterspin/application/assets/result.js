@@ -64,9 +64,16 @@ export async function pagePart(kind, names, term) {
  * @param {string} [term]
  */
 export async function fill(place, kind, names, term) {
-  place.replaceChildren(working("Calculating"));
+  const waiting = working("Calculating");
+  place.replaceChildren(waiting);
+  // A later call replaces the notice; the answer to an earlier one is then dropped.
+  const isCurrent = () => waiting.parentNode === place;
   return attempt(place, async () => {
-    const { told, part } = await pagePart(kind, names, term);
+    const answer = await pagePart(kind, names, term).catch((error) => {
+      if (isCurrent()) throw error;
+    });
+    if (!answer || !isCurrent()) return undefined;
+    const { told, part } = answer;
     if (!part) {
       follow(told.job, place, () => fill(place, kind, names, term));
       return told;
