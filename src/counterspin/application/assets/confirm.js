@@ -118,13 +118,29 @@ export class Confirmation {
   /** The files and the answers so far. */
   request() {
     this.sent = answersTo(this.questions, this.answers);
-    keepImport({ ...this.unfinished, test: this.test, answers: this.answers });
+    this.keep();
     return { names: this.names, answers: this.sent, test: this.test || null };
   }
 
-  /** Show nothing more, because another confirmation takes the place. */
+  /** Keep the answers, and show nothing more, because another confirmation takes the place. */
   end() {
     this.looks++;
+    this.takeFields();
+    this.keep();
+  }
+
+  /** Keep the files and the answers for a reload. */
+  keep() {
+    keepImport({ ...this.unfinished, test: this.test, answers: this.answers });
+  }
+
+  /** Take up the text of each field; the field that is typed in counts, too. */
+  takeFields() {
+    for (const [key, field] of this.fields) {
+      const guess = this.questions.find((question) => question.key === key)?.guess;
+      const text = field.read();
+      if (field.element.isConnected && text && text !== guess) this.answers[key] = text;
+    }
   }
 
   /** Roles of the columns. */
@@ -372,12 +388,7 @@ export class Confirmation {
     buttons.forEach((button) => { button.disabled = true; });
     // The last look would replace the fields that are marked below.
     await this.last;
-    // The field that is typed in counts, too.
-    for (const [key, field] of this.fields) {
-      const guess = this.questions.find((question) => question.key === key)?.guess;
-      const text = field.read();
-      if (field.element.isConnected && text && text !== guess) this.answers[key] = text;
-    }
+    this.takeFields();
     try {
       const { name } = await send("POST", "drafted", { folder: this.folder, ...this.request() });
       forgetImport();
