@@ -366,8 +366,12 @@ const job = (more) => ({
 });
 
 /** Follow a job that the server tells these states of, one after another. */
-async function followed(...states) {
+const followed = (...states) => followedUntil(0, ...states);
+
+/** Follow a job on a page that is shown after some requests. */
+async function followedUntil(shownAfter, ...states) {
   const place = new Element("div");
+  place.isConnected = shownAfter === 0;
   const seen = [];
   let done = 0;
   mock.timers.enable({ apis: ["setTimeout"] });
@@ -378,6 +382,7 @@ async function followed(...states) {
     for (let turn = 0; turn < 20; turn += 1) await Promise.resolve();
     await new Promise(setImmediate);
     seen.push(place.textContent);
+    place.isConnected = seen.length >= shownAfter;
   }
   mock.timers.reset();
   return { place, seen, done };
@@ -405,6 +410,13 @@ test("a job that fails says why, and one that is gone was stopped", async () => 
   const gone = await followed([]);
   assert.equal(gone.place.textContent, "The calibration was stopped.");
   assert.equal(failed.done + gone.done, 0);
+});
+
+test("a job is followed until its page is shown, however long that takes", async () => {
+  const working = [job({ progress: [1, 2] })], ended = [job({ state: "done" })];
+  const early = await followedUntil(9, ...Array(8).fill(working), ended, ended);
+  assert.deepEqual([early.done, early.seen.length], [1, 10]);
+  assert.equal((await followedUntil(3, ended, ended, ended)).done, 0);
 });
 
 test("a job that cannot be begun says why in its place, and one that goes on is followed", async () => {
