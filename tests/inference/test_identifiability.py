@@ -441,7 +441,7 @@ def test_collinear_pairs_are_those_of_50_digits(seed):
     for first, exponent in zip((0, 2, 4, 6), rng.uniform(-9, -0.5, 4), strict=True):
         data[:, first + 1] = data[:, first] + 10.0**exponent * data[:, first + 1]
     weights = 10.0 ** rng.uniform(-6, 6, size)
-    information = _Information(data, weights, limits := 10.0 ** rng.uniform(-1, 3, size))
+    information = _Information(data, np.diag(weights), limits := 10.0 ** rng.uniform(-1, 3, size))
 
     with mpmath.workdps(50):
         rows = mpmath.matrix(information.data.tolist())

@@ -58,6 +58,14 @@ def apply_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outcome:
     method = _load_optional(TWO_STAGE)
     if method is None:
         raise CampaignError("calibrate", ["method: this installation has no two-stage method"])
+    if problem.campaign.model.correlations:
+        raise CampaignError(
+            str(problem.campaign.path),
+            [
+                "model.priors.correlation: the two-stage method takes priors as independent; "
+                "use the joint method, or remove the correlations"
+            ],
+        )
     return cast(Outcome, method(problem, options))
 
 

@@ -41,6 +41,7 @@ from counterspin.calibration.outcome import (
     in_output_units,
     mounting_radii,
     noise_lines,
+    own_correlations,
     prior_information,
     residual,
     residual_frame,
@@ -53,9 +54,10 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.identifiability import Assessment
-from counterspin.inference.joint.budget import budget, what_if
+from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.estimation import Estimate, estimate
 from counterspin.inference.joint.unknowns import ROTATION, Unknown
+from counterspin.inference.joint.what_if import what_if
 from counterspin.physics.terms import TERMS
 
 #: Rates whose ratio is smaller count as one rate.
@@ -202,6 +204,7 @@ def _accelerometer_result(
         two_stage=compare_two_stage(view) if view.problem.observed else None,
         traces=thin_residuals(view),
         output=in_output_units(view.campaign, name, coefficients),
+        prior_correlations=own_correlations(view.campaign, name),
         findings=[
             *contribution.findings,
             *residual_findings(contribution.residual_view),

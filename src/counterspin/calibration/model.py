@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Final
 
@@ -95,8 +96,16 @@ def make_unknowns(campaign: Campaign) -> Unknowns:
                 considered.append(Considered(owner, symbol, (0.0, u), limit, False, unstated))
             else:
                 nuisance.append(Unknown(owner, symbol, (0.0, u), limit, False, unstated))
+    unknowns = (*requested, *_inseparable_squares(campaign, nuisance), *nuisance)
+    correlations = campaign.model.correlations
     return Unknowns(
-        (*requested, *_inseparable_squares(campaign, nuisance), *nuisance), tuple(considered)
+        tuple(
+            replace(unknown, correlations=correlations[unknown.name])
+            if unknown.name in correlations
+            else unknown
+            for unknown in unknowns
+        ),
+        tuple(considered),
     )
 
 

@@ -410,6 +410,18 @@ def check_outlier_share(
     return [Finding(code="many-outliers", subject=subject, text=text, size=share)]
 
 
+def own_correlations(campaign: Campaign, name: str) -> dict[str, dict[str, float]]:
+    """Return the stated correlations of an accelerometer's priors, its terms by their symbols."""
+    prefix = f"{name}."
+    return {
+        term.removeprefix(prefix): {
+            partner.removeprefix(prefix): r for partner, r in correlations.items()
+        }
+        for term, correlations in campaign.model.correlations.items()
+        if term.startswith(prefix)
+    }
+
+
 def describe_instrument(accelerometer: Accelerometer, estimated: Collection[str]) -> dict[str, Any]:
     """Return the parts of an accelerometer's description that applying its result needs."""
     output = accelerometer.output

@@ -451,6 +451,9 @@ class AccelerometerResult(ResultPart):
     coefficients: dict[str, Coefficient]  #: Coefficients of the requested terms.
     #: Further terms with stated priors; the fit has subtracted their values.
     known: dict[str, Coefficient] = {}
+    #: Stated correlations between priors: term -> correlation with other terms; terms of
+    #: other accelerometers have their full names.
+    prior_correlations: dict[str, dict[str, float]] = {}
     #: Directions of the input, pendulous and output axes, as rows, in east-north-up while the
     #: platform is level.
     axes: list[tuple[float, float, float]] | None = None

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, Final
 
 from counterspin.arrays import Array
+from counterspin.campaign.correlations import CORRELATION, read_correlations
 from counterspin.campaign.distribution import InputDistribution, is_prior_table, parse_prior
 from counterspin.campaign.documents import KeyPath, flatten_keys
 from counterspin.campaign.field_types import exact
@@ -79,6 +80,8 @@ class ErrorModel:
     assume: tuple[str, ...] = ()
     #: Name of a term, with its accelerometer -> distribution of its prior, where it is not normal.
     distributions: Mapping[str, InputDistribution] = field(default_factory=dict)
+    #: Full name of a term -> stated correlation of its prior with those of other terms.
+    correlations: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     setting: Quantity | None = None  #: Error of setting a position at rest, where one is stated.
     named: bool = False  #: Whether the description names the terms, and not the usual ones count.
 
@@ -219,6 +222,13 @@ def resolve_model(
             message = f'"{same_for_all(symbol)}" is for all accelerometers; "{symbol}" is given too'
             problems.add(("model",), f"{message}; keep one")
             break
+    correlations = read_correlations(
+        settings.priors.get(CORRELATION, []),
+        accelerometer_priors,
+        distributions,
+        considered,
+        problems,
+    )
     limits = _resolve_sizes("limits", settings.limits, problems, gravity)
     typical = _resolve_sizes("typical", settings.typical, problems, gravity)
     assume = _resolve_assumed(settings.assume, problems)
@@ -227,7 +237,16 @@ def resolve_model(
             problems.add(("model", "assume", place), f'"{name}" is in model.{key} too; keep one')
     named = settings.terms is not None
     return ErrorModel(
-        terms, considered, shared, limits, typical, assume, distributions, setup.setting, named
+        terms,
+        considered,
+        shared,
+        limits,
+        typical,
+        assume,
+        distributions,
+        correlations,
+        setup.setting,
+        named,
     ), accelerometer_priors
 
 
@@ -339,7 +358,7 @@ def _resolve_priors(
     distributions: dict[str, InputDistribution] = {}
     merged = {name: dict(priors) for name, priors in stated_priors.items()}
     flat = flatten_keys(raw, is_value=is_prior_table)
-    for key in _widest_first(flat):
+    for key in _widest_first(key for key in flat if key != CORRELATION):
         path = ("model", "priors", key)
         owner, _, symbol_part = key.partition(".")
         owners: Sequence[str] = ()

@@ -143,6 +143,11 @@ def covariance_of(accelerometer: AccelerometerResult, terms: Mapping[str, Coeffi
     stated = accelerometer.correlation
     related = stated.terms if stated else []
     estimated = [s for s in symbols if terms[s].estimated]
+    for symbol, correlations in accelerometer.prior_correlations.items():
+        for partner, r in correlations.items():
+            if {symbol, partner} <= terms.keys() - {*estimated}:
+                i, j = symbols.index(symbol), symbols.index(partner)
+                covariance[i, j] += r * u[i] * u[j]
     for symbol in estimated:
         i = symbols.index(symbol)
         for other in estimated:

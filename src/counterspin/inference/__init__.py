@@ -4,6 +4,7 @@ What stands in this room:
 
 - `least_squares`: what a record says about the shared unknowns in a few rows; those rows, priors
   and considered terms, solved by QR
+- `priors`: correlation of priors, and independent rows and sources of correlated ones
 - `identifiability`: what the data cannot tell apart, by name
 - `distributions`: normal, chi-square and Student's, of single numbers; `mixture_distribution`:
   the distribution of a sum of an estimated and a known part

@@ -120,7 +120,9 @@ def assess(
     limits, prior_sd = solution.limits[:p], solution.prior_sd[:p]
     free = np.flatnonzero(prior_sd > 0)
     problem = _Information(
-        _project_onto_first(solution, p)[:, free], 1.0 / prior_sd[free], limits[free]
+        _project_onto_first(solution, p)[:, free],
+        solution.whiten_priors(np.eye(solution.estimate.size))[np.ix_(free, free)],
+        limits[free],
     )
     root = problem.root()
 
@@ -192,26 +194,27 @@ def _project_onto_first(solution: Solution, p: int) -> Array:
     if count == 0:
         return solution.information[:, :p]
     rows = np.column_stack([solution.information[:, uncertain], solution.information[:, :p]])
-    known = np.column_stack([np.diag(1.0 / solution.prior_sd[uncertain]), np.zeros((count, p))])
+    priors = solution.whiten_priors(np.eye(solution.estimate.size))[uncertain]
+    known = np.column_stack([priors[:, uncertain], priors[:, :p]])
     return triangle_of(np.vstack([rows, known]))[count:, count:]
 
 
 class _Information:
-    """The data's square-root information and the priors' weights of the free unknowns."""
+    """The data's square-root information and the priors' rows of the free unknowns."""
 
-    def __init__(self, data: Array, weights: Array, limits: Array) -> None:
+    def __init__(self, data: Array, priors: Array, limits: Array) -> None:
         self.data = triangle_of(data)
-        self.weights = weights
+        self.priors = priors
         self.limits = limits
-        column_norms = np.sqrt(np.sum(self.data**2, axis=0) + weights**2)
+        column_norms = np.sqrt(np.sum(self.data**2, axis=0) + np.sum(priors**2, axis=0))
         # Columns that the data do not see at all are bounded in units of their limits.
         self.floor = _FLOOR * np.maximum(column_norms, 1.0 / limits)
 
     def root(self, without_priors: Sequence[int] = ()) -> Array:
         """Return T with T @ T.T the covariance from data and priors, leaving some priors out."""
-        weights = self.weights.copy()
-        weights[list(without_priors)] = 0.0
-        rows = np.vstack([self.data, np.diag(weights), np.diag(self.floor)])
+        priors = self.priors.copy()
+        priors[list(without_priors)] = 0.0
+        rows = np.vstack([self.data, priors, np.diag(self.floor)])
         inverse = np.linalg.solve(triangle_of(rows), np.eye(self.floor.size))
         return np.asarray(inverse)
 
@@ -259,7 +262,7 @@ class _Information:
         )[:, None]
         information = 1.0 / (variances * uncorrelated)
         rounding = information * _ROUNDING / uncorrelated
-        own_priors = (self.weights**2 + self.floor**2)[index]
+        own_priors = (np.sum(self.priors**2, axis=0) + self.floor**2)[index]
         most = information - own_priors + rounding
         least = np.maximum(information - own_priors - rounding, 0.0)
         inner = covariance[i, j] / (variances.prod(axis=1) * uncorrelated[:, 0])
@@ -274,11 +277,11 @@ class _Information:
         All other unknowns are projected out, with their priors; the sets' own priors are left out.
         """
         size, count = self.floor.size, sets.shape[1]
-        rows = np.vstack([self.data, np.diag(self.weights), np.diag(self.floor)])
+        rows = np.vstack([self.data, self.priors, np.diag(self.floor)])
         batch = np.repeat(rows[None], len(sets), axis=0)
         start = self.data.shape[0]
         for column in sets.T:
-            batch[np.arange(len(sets)), start + column, column] = 0.0
+            batch[np.arange(len(sets)), start + column] = 0.0
             batch[np.arange(len(sets)), start + size + column, column] = 0.0
         last = np.zeros((len(sets), size), dtype=np.bool_)
         last[np.arange(len(sets))[:, None], sets] = True

@@ -25,6 +25,7 @@ import numpy.typing as npt
 from counterspin.arrays import QR_ROWS, Array, in_parts, triangle_of
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
+from counterspin.inference.priors import whiten_priors
 
 _CHUNK: Final = 32 * QR_ROWS  #: rows copied at a time, which bounds the memory
 _COLUMNS: Final = 256  #: columns projected at a time, which bounds the memory
@@ -130,6 +131,7 @@ def dependent_columns(triangle: Array) -> npt.NDArray[np.intp]:
 #: Value and standard uncertainty of what nothing is known of beforehand.
 NO_PRIOR: Final = (0.0, math.inf)
 
+
 #: The numerical regularisation of an unknown without a prior, in units of its credible limit.
 #: At least a factor of 1e4 above what anybody believes, it moves no determined estimate by more
 #: than 1e-8 of its uncertainty, and it keeps every estimate finite.
@@ -144,7 +146,9 @@ class Combination:
     noise: float  #: Standard uncertainty from the records' noise.
     #: Signed contribution of each row of the stacked blocks; `noise` is their norm.
     noise_rows: Array
-    prior: Array  #: Signed contribution of each unknown's prior (sensitivity x its sd), shape (p,).
+    #: Signed contribution of each unknown's prior (sensitivity x its sd), shape (p,); of correlated
+    #: priors, of each row of `whiten_priors`.
+    prior: Array
     considered: Array  #: Signed contribution of each considered term, shape (q,).
     #: What only the numerical regularisation holds; negligible for all that is determined.
     unresolved: float
@@ -201,6 +205,7 @@ class Solution:
     prior_sd: Array
     considered_sd: Array
     limits: Array | None
+    prior_correlation: Array | None  #: Shape (p, p); None: independent priors.
     _rows: _Rows
     #: From noise that the records do not show, shape (p, p); None without. `solve` knows none.
     covariance_undetected: Array | None = None
@@ -223,6 +228,21 @@ class Solution:
     def u(self) -> Array:
         """The combined standard uncertainties, shape (p,)."""
         return np.sqrt(np.diag(self.covariance))
+
+    def whiten_priors(self, columns: Array) -> Array:
+        """Return deviations from prior means in the rows of the priors, shape (p, c).
+
+        Rows of unknowns without a prior, or that are exactly known, are zero.
+
+        columns: Shape (p, c).
+        """
+        known = np.flatnonzero((self.prior_sd > 0.0) & np.isfinite(self.prior_sd))
+        correlation = self.prior_correlation
+        if correlation is not None:
+            correlation = correlation[np.ix_(known, known)]
+        rows = np.zeros_like(columns)
+        rows[known] = whiten_priors(columns[known], self.prior_sd[known], correlation)
+        return rows
 
     @property
     def leverages(self) -> Array:
@@ -268,8 +288,8 @@ class Solution:
         """Return the part of additional columns that no value of the unknowns explains.
 
         data: In the blocks' stacked rows, shape (n, c).
-        priors: In the rows of the priors, each over its sd, shape (p, c); only rows that have one
-        count, and none that is known exactly.
+        priors: In the rows of the priors as `whiten_priors` returns them, shape (p, c); only rows
+        that have one count, and none that is known exactly.
         Returns: shape (rows, c), first the blocks' rows; orthogonal to the columns of the problem.
         """
         stacked, rotation = self._stack_rows(data, priors), self._rows.rotation
@@ -333,6 +353,7 @@ def solve(
     *,
     prior_mean: npt.ArrayLike | None = None,
     prior_sd: npt.ArrayLike | None = None,
+    prior_correlation: Array | None = None,
     considered_mean: npt.ArrayLike | None = None,
     considered_sd: npt.ArrayLike | None = None,
     limits: npt.ArrayLike | None = None,
@@ -345,6 +366,7 @@ def solve(
 
     prior_mean: Shape (p,), zeros by default. Without a prior, the centre of the regularisation.
     prior_sd: Standard uncertainties, shape (p,). ``inf`` (the default): no prior; 0: exactly known.
+    prior_correlation: Of the priors, positive definite, shape (p, p); None: independent.
     considered_mean, considered_sd: Shape (q,); zeros by default.
     limits: The unknowns' largest credible sizes, shape (p,). Each unknown without a prior is held
         numerically at `REGULARISATION` times its limit, so that collinear columns do no harm. None:
@@ -372,15 +394,19 @@ def solve(
     free = np.flatnonzero(sd > 0)
     known = np.flatnonzero(np.isfinite(sd[free]))  # positions among the free ones
     unbounded = np.flatnonzero(np.isinf(sd[free])) if bound is not None else np.empty(0, np.intp)
-    weight_prior = 1.0 / sd[free][known]
+    priors = free[known]
+    correlation = None if prior_correlation is None else prior_correlation[np.ix_(priors, priors)]
+    weight_prior = whiten_priors(np.eye(known.size), sd[priors], correlation)
     weight_regularisation = (
         np.empty(0) if bound is None else 1.0 / (REGULARISATION * bound[free][unbounded])
     )
     eye = np.eye(free.size)
+    prior_rows = np.zeros((known.size, free.size))
+    prior_rows[:, known] = weight_prior
     stacked = np.vstack(
         [
             factor[:, free],
-            weight_prior[:, None] * eye[known],
+            prior_rows,
             weight_regularisation[:, None] * eye[unbounded],
         ]
     )
@@ -405,13 +431,16 @@ def solve(
     # An unknown that is exactly known acts like a considered term without uncertainty.
     sensitivity_prior = np.diag((sd == 0).astype(np.float64))
     sensitivity_prior[np.ix_(free, sd == 0)] = -gain[:, :data] @ factor[:, sd == 0]
-    sensitivity_prior[np.ix_(free, free[known])] = gain[:, data:after] * weight_prior
+    prior_gain = gain[:, data:after]
+    sensitivity_prior[np.ix_(free, priors)] = (
+        prior_gain * np.diag(weight_prior) if correlation is None else prior_gain @ weight_prior
+    )
     sensitivity_considered = np.zeros((p, q))
     sensitivity_considered[free] = -gain[:, :data] @ considered
 
     residual = misfit - factor[:, free] @ step
     chi2 = sum(block.rss for block in blocks) + residual @ residual
-    chi2 += np.sum((weight_prior * step[known]) ** 2)
+    chi2 += np.sum((prior_rows @ step) ** 2)
     dof = sum(block.rows - block.nuisance for block in blocks) + known.size - free.size
     spread = sensitivity_considered * c_sd
     return Solution(
@@ -429,7 +458,8 @@ def solve(
         prior_sd=sd,
         considered_sd=c_sd,
         limits=bound,
-        _rows=_Rows(free, rotation, triangle, data, free[known], considered),
+        prior_correlation=prior_correlation,
+        _rows=_Rows(free, rotation, triangle, data, priors, considered),
     )
 
 

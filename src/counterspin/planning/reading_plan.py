@@ -20,6 +20,7 @@ from counterspin.campaign.description import Campaign
 from counterspin.errors import CounterspinError, NotIdentifiableError
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Block
+from counterspin.inference.priors import prior_correlation, whiten_priors
 from counterspin.planning.candidate_set import CandidateSet, Optimum
 from counterspin.planning.design import Criterion
 from counterspin.planning.forecast import Forecast, expected_values, forecast
@@ -359,7 +360,8 @@ def _candidate_set(plan: ReadingPlan, model: Unknowns) -> CandidateSet:
         row = 0 if isinstance(group, TriadPoses) else accelerometers.index(group.accelerometer)
         design[indices, row], fixed[indices, row] = design_rows, considered_rows
     blocks = _existing_blocks(plan, model, expected)
-    priors = np.diag([1.0 / unknown.prior_sd for unknown in model.unknowns])
+    prior_sds = np.array([unknown.prior_sd for unknown in model.unknowns])
+    priors = whiten_priors(np.eye(p), prior_sds, prior_correlation(model.unknowns))
     sizes = np.array(model.considered_sds)
     return CandidateSet(
         design,

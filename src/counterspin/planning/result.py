@@ -22,8 +22,9 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
 from counterspin.campaign.reading import Reading
 from counterspin.inference.identifiability import ConfoundedTerms
-from counterspin.inference.joint.budget import budget, what_if
+from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.summary import BudgetLine, WhatIf
+from counterspin.inference.joint.what_if import what_if
 from counterspin.physics.station import FRAMES
 from counterspin.physics.terms import TERMS
 from counterspin.planning.design import Criterion

@@ -28,8 +28,8 @@ import numpy as np
 
 from counterspin.arrays import Array, triangle_of
 from counterspin.campaign.conditions import DEFAULT_WARMING
-from counterspin.inference.least_squares import REGULARISATION
 from counterspin.inference.noise.model import Noise
+from counterspin.inference.priors import prior_correlation, whiten_priors
 from counterspin.physics.terms import CONDITION_TERMS
 from counterspin.planning.design import Criterion, Design, RunType, measurement_order
 from counterspin.planning.information_table import (
@@ -331,10 +331,9 @@ class Predictor:
         setup = information.setup
         shared = [setup.model.unknowns[i] for i in setup.shared]
         self.names = tuple(unknown.name for unknown in shared)
-        sd = np.array([u.prior[1] for u in shared])
-        limits = np.array([u.limit for u in shared])
+        sd = np.array([unknown.prior_sd for unknown in shared])
         #: An unknown without a prior is constrained as weakly as in the solution.
-        self.prior = np.diag(1.0 / np.where(np.isfinite(sd), sd, REGULARISATION * limits))
+        self.prior = whiten_priors(np.eye(sd.size), sd, prior_correlation(shared))
         sizes = setup.considered_sizes
         self.common = sizes[list(setup.considered)]
         self.own = {name: sizes[list(setup.own(name)[1])] for name in setup.attitudes}

@@ -18,6 +18,7 @@ from counterspin.inference import least_squares
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.budget import budget
 from counterspin.inference.least_squares import Block
+from counterspin.inference.priors import prior_correlation
 from counterspin.physics.terms import symbol_of, term
 from counterspin.planning.candidate_set import Optimum, relax
 from counterspin.planning.design import (
@@ -333,6 +334,7 @@ def assess_blocks(predictor: Predictor, blocks: Array) -> Assessment:
             for block in blocks
         ],
         prior_sd=[unknown.prior[1] for unknown in shared],
+        prior_correlation=prior_correlation(shared),
         considered_sd=predictor.common,
         limits=[unknown.limit for unknown in shared],
     )

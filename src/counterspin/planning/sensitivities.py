@@ -11,8 +11,13 @@ from counterspin.arrays import Array, triangle_of
 from counterspin.frozen import frozen
 from counterspin.inference.joint.design_blocks import DesignBlock, build_design_blocks
 from counterspin.inference.joint.fit import JointFit, solve_blocks
-from counterspin.inference.joint.unknowns import Considered, Observation, Unknowns
+from counterspin.inference.joint.unknowns import (
+    Considered,
+    Observation,
+    Unknowns,
+)
 from counterspin.inference.least_squares import Block
+from counterspin.inference.priors import prior_correlation, whiten_priors
 from counterspin.readings.linear import LinearReadings
 
 #: What an observation shows of one unit of each of m effects, in its own unit, shape (n, m).
@@ -112,7 +117,9 @@ def _residual_products(
     """
     spread = np.array([*(u.prior_sd for u in model.unknowns), *model.considered_sds])
     p = spread.size
-    held = np.diag(1.0 / np.where(spread > 0.0, spread, 1e-30))
+    spread = np.where(spread > 0.0, spread, 1e-30)
+    correlation = prior_correlation((*model.unknowns, *model.considered))
+    held = whiten_priors(np.eye(p), spread, correlation)
     rows = [np.hstack([block.factor, block.considered]) for block in blocks]
     prior = np.hstack([held, np.zeros((p, rows[0].shape[1] - p))])
     triangle = triangle_of(np.vstack([*rows, prior]))

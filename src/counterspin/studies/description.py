@@ -313,7 +313,13 @@ def _prior_quantities(
         value, u = parameter.prior
         mean = stated[owner, parameter.symbol].value if parameter.symbol in INPUTS else value
         yield VariedQuantity(
-            owner, parameter.symbol, "normal", mean, u, term(parameter.symbol).per_run
+            owner,
+            parameter.symbol,
+            "normal",
+            mean,
+            u,
+            term(parameter.symbol).per_run,
+            parameter.correlations,
         )
 
 

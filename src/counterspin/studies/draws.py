@@ -7,8 +7,8 @@ depend on the worker, the order or the number of other trials.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import field, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ from counterspin.calibration.model import inputs_by_owner
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.static_noise import simulated_noise
 from counterspin.frozen import frozen
+from counterspin.inference.priors import correlation_matrix
 from counterspin.physics import simulation
 from counterspin.physics.observation import ORDERS
 from counterspin.physics.spindle import Ripple, Spindle
@@ -181,6 +182,13 @@ class VariedQuantity:
     first: float
     second: float
     per_run: bool = False  #: Whether every run of a trial has a value of its own.
+    #: Full names of other quantities -> correlation with them; of normal ones only.
+    correlations: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Owner and symbol in one word."""
+        return f"{self.owner}.{self.symbol}" if self.owner else self.symbol
 
     def draw(self, generator: np.random.Generator, runs: int, trials: int) -> Array:
         """Return values, shape (runs, trials); an axis whose values are equal has length 1."""
@@ -355,8 +363,9 @@ class StudyTruth:
         white = np.array([self.white])
         inputs = {key: np.array([value - self.stated[key]]) for key, value in self.inputs.items()}
         noise: dict[str, Array] = {}
-        for quantity in self.varying:
-            drawn_values = quantity.draw(generator, runs, trials)
+        drawn = [quantity.draw(generator, runs, trials) for quantity in self.varying]
+        _correlate(self.varying, drawn)
+        for quantity, drawn_values in zip(self.varying, drawn, strict=True):
             if quantity.symbol == DRIFT:
                 drift = drawn_values
             elif quantity.symbol == RIPPLE_RATIO:
@@ -461,6 +470,27 @@ class StudyTruth:
             RIPPLE_PHASE: phases[run],
         }[symbol]
         return value, value
+
+
+def _correlate(quantities: Sequence[VariedQuantity], drawn: Sequence[Array]) -> None:
+    """Correlate values of normal quantities that were drawn independently, in place."""
+    places = [
+        place
+        for place, quantity in enumerate(quantities)
+        if quantity.correlations and quantity.distribution == "normal"
+    ]
+    if not places:
+        return
+    names = [quantities[place].name for place in places]
+    correlations = {quantities[place].name: quantities[place].correlations for place in places}
+    mean, sd = (
+        np.array([getattr(quantities[place], part) for place in places])[:, None]
+        for part in ("first", "second")
+    )
+    standard = (np.vstack([drawn[place] for place in places]) - mean) / sd
+    root = np.linalg.cholesky(correlation_matrix(names, correlations))
+    for place, values in zip(places, mean + sd * (root @ standard), strict=True):
+        drawn[place][:] = values
 
 
 def run_values(values: Array, run: int) -> Array:

@@ -6,9 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from counterspin.inference.joint.budget import budget, what_if
+from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.fit import JointFit, solve_blocks
 from counterspin.inference.joint.unknowns import Considered, Observation, Unknown, Unknowns
+from counterspin.inference.joint.what_if import what_if
 from counterspin.inference.least_squares import Block
 
 #: Priors such that the data tell much of some and next to nothing of others.

@@ -278,7 +278,7 @@ def _stated_priors(campaign: Campaign, fit: JointFit) -> Iterator[_UntestedInput
     for alternative in prior_alternatives(fit):
         indices = tuple(index for index in alternative.prior_shifts if sd[index] > 0.0)
         priors = np.zeros(sd.size)
-        priors[list(indices)] = [-alternative.prior_shifts[index] / sd[index] for index in indices]
+        priors[list(indices)] = [-alternative.prior_shifts[index] for index in indices]
         symbol = fit.model.unknowns[next(iter(alternative.prior_shifts))].symbol
         typical = campaign.typical_of(symbol, alternative.owner)
         yield _UntestedInput(
@@ -287,7 +287,7 @@ def _stated_priors(campaign: Campaign, fit: JointFit) -> Iterator[_UntestedInput
             typical,
             indices,
             np.zeros(rows),
-            priors,
+            fit.solution.whiten_priors(priors[:, None])[:, 0],
         )
 
 

@@ -173,8 +173,23 @@ def prior_blocks(result: Result) -> Iterator[Block]:
             ),
             tuple(_prior_row(row, shares[row.name]) for row in rows),
         )
+    if sentence := _correlation_sentence(result):
+        yield Paragraph(sentence)
     if sentence := assumption_sentence(result):
         yield Paragraph(sentence)
+
+
+def _correlation_sentence(result: Result) -> str:
+    """Return a sentence on the stated correlations between priors; empty without any."""
+    pairs: dict[frozenset[str], float] = {}
+    for name, accelerometer in result.accelerometers.items():
+        all_correlations = accelerometer.prior_correlations
+        for term, correlations in all_correlations.items():
+            for partner, r in correlations.items():
+                full_name = f"{name}.{partner}" if partner in all_correlations else partner
+                pairs[frozenset({f"{name}.{term}", full_name})] = r
+    texts = [f"{' and '.join(sorted(pair))} {r:g}" for pair, r in pairs.items()]
+    return f"Stated correlations between priors: {', '.join(texts)}." if texts else ""
 
 
 def _largest_shares(result: Result) -> dict[str, float]:

@@ -24,8 +24,8 @@ def compare_k_ii(view: AccelerometerView) -> Comparison | None:
     that was asked for and is there would make them disagree.
     """
     index = view.k_ii
-    if index is None:
-        return None
+    if index is None or view.problem.campaign.model.correlations:
+        return None  # the second stage takes its considered terms as independent
     components = {} if walk_is_stated(view.problem.noise) else view.estimate.estimated_noise
     determined = _determined_values(view.fit)
     try:

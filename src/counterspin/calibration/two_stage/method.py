@@ -47,10 +47,11 @@ from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint.budget import budget, what_if
+from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.estimation import Estimate, correct_series, estimate
 from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns, unit_of
+from counterspin.inference.joint.what_if import what_if
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.search import NoiseEstimate
 from counterspin.inference.two_stage.first_stage import Parabola, strobe_angle

@@ -12,8 +12,8 @@
 - `time_stamps`: errors of time stamps, from what angle and output leave
 - `heteroscedasticity`: white noise that differs from run to run, or follows the slope of the
   signal
-- `budget`: where the uncertainty of a coefficient comes from, what it would be if that were known
-  better
+- `budget`: the sources of the uncertainty of a coefficient; `what_if`: the uncertainty if one of
+  them were known better
 - `summary`: numbers of a joint fit that a result states
 - `agreement`: whether each run, and slow residuals, agree with the other runs
 - `alternatives`, `mistakes`: what else would explain the records; mistakes that are likely, and

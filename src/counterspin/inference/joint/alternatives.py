@@ -238,10 +238,8 @@ def project_columns(fit: JointFit, alternatives: Sequence[Alternative]) -> Proje
     known = solution.prior_sd == 0.0
     factor = np.vstack([block.factor for block in blocks])
     target = target - factor[:, known] @ solution.prior_mean[known]
-    prior_targets = np.divide(
-        solution.prior_mean, solution.prior_sd, where=~known, out=np.zeros(known.size)
-    )
-    residual = solution.project_out(target[:, None], prior_targets[:, None])[:, 0]
+    prior_targets = solution.whiten_priors(solution.prior_mean[:, None])
+    residual = solution.project_out(target[:, None], prior_targets)[:, 0]
     columns = solution.project_out(data, priors)
     return ProjectedColumns(
         columns,
@@ -302,11 +300,10 @@ def _columns(
         if alternative.columns:
             data[:, k] = next(remaining)
         for place, shift in alternative.prior_shifts.items():
-            sd = float(solution.prior_sd[place])
-            if sd > 0.0:
-                # A prior that is too large by 1 has a row whose target is too large by 1/sd.
-                priors[place, k] = -shift / sd
+            if solution.prior_sd[place] > 0.0:
+                priors[place, k] = -shift
             else:
                 # What is known exactly is no unknown: the records show how it is otherwise.
                 data[:, k] += shift * factor[:, place]
-    return data, priors
+    # A prior that is too large by 1 has a row whose target is too large by 1/sd.
+    return data, solution.whiten_priors(priors)

@@ -1,14 +1,4 @@
-"""The uncertainty budget: where u of a coefficient comes from, and what would move it.
-
-What u would be if something were known better or worse is an update, not a refit. Let A be the
-covariance that the weights minimise, and D the changes of 1/u^2 of what is known beforehand of the
-sources J. The estimates then become M times what they were, with
-M = 1 - A_J D (1 + A_JJ D)^-1 e_J^T, and A becomes M A (the information form of a sequential update,
-Bierman 1977, chapter V). Contributions that do not enter the weights (considered terms, undetected
-noise) propagate through the same gain: E becomes M E M^T. If a considered term, which has no
-weight, were known better, only its contribution to E would decrease, by the square. The noise stays
-as it was estimated.
-"""
+"""The uncertainty budget: where u of a coefficient comes from."""
 
 from __future__ import annotations
 
@@ -30,7 +20,6 @@ from counterspin.inference.joint.summary import (
     STATED,
     BudgetLine,
     Kind,
-    WhatIf,
 )
 from counterspin.inference.joint.unknowns import (
     Considered,
@@ -38,6 +27,7 @@ from counterspin.inference.joint.unknowns import (
     unit_of,
 )
 from counterspin.inference.noise.model import WALK_UNIT
+from counterspin.inference.priors import conditional_priors, prior_root
 
 #: Lines below this share of u^2 say nothing.
 _NEGLIGIBLE: Final = 1e-12
@@ -76,10 +66,14 @@ def combination_budget(fit: JointFit, weights: Array, name: str = "") -> list[Bu
     slopes = np.concatenate([weights @ matrix for matrix in sensitivity])
     sizes = (*parts.prior, *parts.considered)
     rotation: dict[tuple[str, str], list[float]] = {}
+    conditional = conditional_priors(model.unknowns, name)
     for term, slope, size in zip(terms, map(float, slopes), map(float, sizes), strict=True):
         if term.symbol in encoder.SYMBOLS:
             place = term.owner, encoder.rotation_component(term.symbol)
             rotation.setdefault(place, []).append(size)
+        elif term.name in conditional:
+            source, u = conditional[term.name]
+            lines.append(BudgetLine(source, STATED, u, term.unit, size / u, abs(size), 0.0))
         elif math.isfinite(u := term.prior[1]):
             source = term.name.removeprefix(f"{name}.")
             lines.append(BudgetLine(source, kind_of(term), u, term.unit, slope, abs(size), 0.0))
@@ -180,82 +174,13 @@ def unknown_u_by_category(fit: JointFit, index: int) -> tuple[float, float, floa
         variances[NOISE] += float(solution.covariance_undetected[index, index])
     sensitivity = (solution.sensitivity_prior[index], solution.sensitivity_considered[index])
     for unknowns, slopes in zip((model.unknowns, model.considered), sensitivity, strict=True):
-        for unknown, slope in zip(unknowns, slopes.tolist(), strict=True):
-            if slope != 0.0 and math.isfinite(unknown.prior[1]):
-                encoded = unknown.symbol in encoder.SYMBOLS
-                kind = NOISE if encoded else DEFAULT_PRIOR if unknown.has_default_prior else STATED
-                variances[kind] += (slope * unknown.prior[1]) ** 2
+        known = [u.prior[1] if math.isfinite(u.prior[1]) else 0.0 for u in unknowns]
+        sizes = slopes * known
+        if (root := prior_root(unknowns)) is not None:
+            sizes = root.T @ sizes
+        for unknown, size in zip(unknowns, sizes.tolist(), strict=True):
+            encoded = unknown.symbol in encoder.SYMBOLS
+            kind = NOISE if encoded else DEFAULT_PRIOR if unknown.has_default_prior else STATED
+            variances[kind] += size**2
     u_noise, u_stated, u_default = (math.sqrt(max(s, 0.0)) for s in variances.values())
     return u_noise, u_stated, u_default
-
-
-# What if ---------------------------------------------------------------------------------------
-
-#: Sources below this share of any u^2 are not asked about, nor more of them than a page has room
-#: for.
-_MIN_SHARE: Final = 1e-3
-_MAX_SOURCES: Final = 12
-
-#: What is beside the weights, below this part of a variance, is rounding.
-_ROUNDING: Final = 1e-9
-
-
-def what_if(
-    fit: JointFit, places: Mapping[str, int], budget: Mapping[str, Sequence[BudgetLine]], owner: str
-) -> WhatIf | None:
-    """Return the inputs of a coefficient update; None where no relevant value could change.
-
-    places: Coefficient -> its place among the unknowns.
-    budget: Coefficient -> its budget.
-    owner: Accelerometer, whose own terms are named without it.
-    """
-    shares: dict[str, float] = {}
-    for line in (line for lines in budget.values() for line in lines):
-        shares[line.source] = max(shares.get(line.source, 0.0), line.share)
-    unknowns, considered = fit.model.unknowns, fit.model.considered
-    terms = {
-        term.name.removeprefix(f"{owner}."): (term, place)
-        for terms_of_kind in (considered, unknowns)
-        for place, term in enumerate(terms_of_kind)
-    }
-    sources = [
-        source
-        for source, share in sorted(shares.items(), key=lambda item: -item[1])
-        if share >= _MIN_SHARE
-        and source in terms
-        # What is exactly known would have to become uncertain first.
-        and 0.0 < terms[source][0].prior[1] < math.inf
-    ][:_MAX_SOURCES]
-    if not sources:
-        return None
-    names = list(dict.fromkeys([*(symbol for symbol in places if symbol in budget), *sources]))
-    # A held term has a row of zeros: no weights know of it.
-    rows = np.zeros((len(names), len(unknowns)))
-    considered_places = {}
-    for row, name in zip(rows, names, strict=True):
-        term, place = terms[name]
-        if isinstance(term, Considered):
-            considered_places[name] = place
-        else:
-            row[place] = 1.0
-    # From the factors: what the weights take the covariance for, whatever the noise turned out.
-    root = fit.solution.covariance_root(rows)
-    weighted = root @ root.T
-    unweighted = rows @ fit.solution.covariance @ rows.T - weighted
-    considered_sensitivities = rows @ fit.solution.sensitivity_considered
-    return WhatIf(
-        names=names,
-        units=[terms[name][0].unit for name in names],
-        known={source: terms[source][0].prior[1] for source in sources},
-        weighed=weighted.tolist(),
-        beside=unweighted.tolist() if _is_significant(unweighted, weighted) else [],
-        held={
-            name: (considered[k].prior[1] * considered_sensitivities[:, k]).tolist()
-            for name, k in considered_places.items()
-        },
-    )
-
-
-def _is_significant(unweighted: Array, weighted: Array) -> bool:
-    size = np.sqrt(np.diag(weighted))
-    return bool(np.any(np.abs(unweighted) > _ROUNDING * np.outer(size, size)))

@@ -32,6 +32,7 @@ from counterspin.inference.joint.series import (
 from counterspin.inference.joint.unknowns import ROTATION, Observation, Unknown, Unknowns
 from counterspin.inference.least_squares import Block, reduce_rows
 from counterspin.inference.noise.model import Noise
+from counterspin.inference.priors import prior_root
 from counterspin.physics.terms import INPUTS, SHARED_TERMS, TERMS
 
 
@@ -241,12 +242,14 @@ def compress_nuisance(
     if min(floors.values(), default=0.0) == 0.0:
         # Without noise no direction is negligible.
         return tuple(prepared), model
+    root = prior_root(nuisance)
     nuisance_places = [k for k, unknown in enumerate(model.unknowns) if not unknown.is_of_interest]
     weighted = []
     for part in prepared:
         rows = np.zeros((part.unit_noise_block.factor.shape[0], len(model.unknowns)))
         rows[:, list(part.unknowns)] = part.unit_noise_block.factor
-        weighted.append(rows[:, nuisance_places] * (prior_sds / floors[part.accelerometer]))
+        scaled = rows[:, nuisance_places] * (prior_sds / floors[part.accelerometer])
+        weighted.append(scaled if root is None else scaled @ root)
     _, sizes, directions = np.linalg.svd(triangle_of(np.vstack(weighted)))
     directions_kept = directions[: int(np.sum(sizes > _MIN_EFFECT))]
     compressed_unknowns = [
@@ -254,7 +257,8 @@ def compress_nuisance(
         for k in range(len(directions_kept))
     ]
     shapes = np.zeros((len(model.unknowns), len(directions_kept)))
-    shapes[nuisance_places] = directions_kept.T * prior_sds[:, None]
+    independent = directions_kept.T if root is None else root @ directions_kept.T
+    shapes[nuisance_places] = independent * prior_sds[:, None]
     means = np.zeros(len(model.unknowns))
     means[nuisance_places] = mean
     condensed = replace(model, unknowns=(*model.of_interest, *compressed_unknowns))

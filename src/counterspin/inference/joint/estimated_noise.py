@@ -18,6 +18,7 @@ from counterspin.inference.noise.likelihood import RecordData
 from counterspin.inference.noise.model import COMPONENTS, Noise, information_loss
 from counterspin.inference.noise.search import NoiseEstimate, effective_dof, estimate_noise
 from counterspin.inference.noise.undetected_walk import marginal_walk
+from counterspin.inference.priors import prior_correlation, whiten_priors
 
 #: Least u of a prior in the likelihood, in units of the unknown's credible limit.
 _MIN_PRIOR_U: Final = 1e-12
@@ -75,7 +76,11 @@ def _estimate_noise(
         [max(unknown.prior_sd, _MIN_PRIOR_U * unknown.limit) for unknown in chosen]
     )
     means = np.array([unknown.prior_mean for unknown in chosen])
-    return estimate_noise(records, request, np.diag(1.0 / prior_sds), means / prior_sds)
+    correlation = prior_correlation(chosen)
+    prior_rows = whiten_priors(np.eye(len(chosen)), prior_sds, correlation)
+    return estimate_noise(
+        records, request, prior_rows, whiten_priors(means, prior_sds, correlation)
+    )
 
 
 def information_losses(fit: JointFit, name: str) -> Array:

@@ -27,6 +27,7 @@ from counterspin.inference.joint.design_blocks import DesignBlock
 from counterspin.inference.joint.unknowns import Observation, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR, Block, Solution
 from counterspin.inference.noise.model import Noise
+from counterspin.inference.priors import prior_correlation
 
 
 @frozen
@@ -174,6 +175,7 @@ def solve_blocks(blocks: Sequence[Block], model: Unknowns) -> Solution:
         blocks,
         prior_mean=[unknown.prior_mean for unknown in model.unknowns],
         prior_sd=[unknown.prior[1] for unknown in model.unknowns],
+        prior_correlation=prior_correlation(model.unknowns),
         considered_mean=model.considered_means,
         considered_sd=model.considered_sds,
         limits=[unknown.limit for unknown in model.unknowns],
@@ -196,6 +198,7 @@ def solve_with_considered(blocks: Sequence[Block], model: Unknowns) -> Solution:
         [estimate_considered_in_block(block) for block in blocks],
         prior_mean=[unknown.prior_mean for unknown in unknowns],
         prior_sd=[unknown.prior[1] for unknown in unknowns],
+        prior_correlation=prior_correlation(unknowns),
         limits=[unknown.limit for unknown in unknowns],
     )
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from typing import Final, Self
 
 import numpy as np
@@ -63,6 +63,8 @@ class Unknown:
     #: Default standard uncertainty of a requested parameter without a prior, which it gets if the
     #: directions of a triad's poses do not determine it; infinite: none.
     default_sd: float = math.inf
+    #: Names of other unknowns -> stated correlation of the priors.
+    correlations: Mapping[str, float] = field(default_factory=dict, compare=False)
 
     @property
     def uses_fallback_prior(self) -> bool:

@@ -1,0 +1,147 @@
+"""Correlations between stated priors of accelerometer terms, ``correlation`` in [model.priors]."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from typing import Final
+
+import numpy as np
+
+from counterspin.campaign.distribution import InputDistribution
+from counterspin.campaign.documents import KeyPath
+from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.validation import Problems, suggest_name
+from counterspin.inference.priors import correlation_matrix
+from counterspin.physics.terms import ACCELEROMETER_TERMS
+
+#: The key in [model.priors].
+CORRELATION: Final = "correlation"
+
+_PATH: Final[KeyPath] = ("model", "priors", CORRELATION)
+
+#: Smallest eigenvalue of a correlation matrix that counts as positive.
+_MIN_EIGENVALUE: Final = 1e-9
+
+#: Full names of two terms, such as ``Qx.K_OO`` and ``Qx.K_PP``.
+Pair = tuple[str, str]
+
+
+def read_correlations(
+    entries: object,
+    priors: Mapping[str, Mapping[str, Quantity]],
+    distributions: Mapping[str, InputDistribution],
+    held: Collection[str],
+    problems: Problems,
+) -> dict[str, dict[str, float]]:
+    """Return full name of a term -> correlation of its prior with those of other terms.
+
+    Mistakes are noted.
+
+    entries: List of [term, term, r]. A term without an accelerometer counts for each of them.
+    priors: Accelerometer -> term symbol -> prior.
+    distributions: Full name of a term -> distribution that is not normal.
+    held: Symbols of the terms in [model] hold.
+    """
+    if not isinstance(entries, list):
+        problems.add(_PATH, 'must be a list such as [["K_OO", "K_PP", 0.4]]')
+        return {}
+    correlations: dict[str, dict[str, float]] = {}
+    for index, entry in enumerate(entries):
+        path = (*_PATH, index)
+        try:
+            pairs, r = _read_entry(entry, priors)
+            for pair in pairs:
+                for name in pair:
+                    _check_term(name, priors, distributions, held)
+                first, second = pair
+                if second in correlations.get(first, {}):
+                    raise ValueError(f"the correlation of {first} and {second} is given twice")
+                correlations.setdefault(first, {})[second] = r
+                correlations.setdefault(second, {})[first] = r
+        except ValueError as error:
+            problems.add(path, str(error))
+    for members in _find_indefinite(correlations):
+        names = ", ".join(
+            f"{first} and {second} {r:g}"
+            for place, first in enumerate(members)
+            for second, r in correlations[first].items()
+            if second not in members[:place]
+        )
+        problems.add(
+            _PATH,
+            f"no quantities can have these correlations together: {names}. Their matrix is not "
+            "positive definite; reduce a correlation, or check its sign",
+        )
+        return {}
+    return correlations
+
+
+def _read_entry(
+    entry: object, priors: Mapping[str, Mapping[str, Quantity]]
+) -> tuple[list[Pair], float]:
+    """Return the pairs of an entry and their correlation."""
+    match entry:
+        case [str(first), str(second), (int() | float()) as r] if not isinstance(r, bool):
+            pass
+        case _:
+            raise ValueError('must be two terms and their correlation, as in ["K_OO", "K_PP", 0.4]')
+    if not -1.0 < r < 1.0:
+        raise ValueError(f"a correlation is between -1 and 1; {r:g} is not")
+    owned = [_full_names(name, priors) for name in (first, second)]
+    pairs = [
+        (a, b)
+        for a in owned[0]
+        for b in owned[1]
+        # A term without an accelerometer is that of the same one.
+        if not {first, second} & {*ACCELEROMETER_TERMS} or a.split(".")[0] == b.split(".")[0]
+    ]
+    if not pairs or any(a == b for a, b in pairs):
+        raise ValueError(f"{first} and {second} are not two terms")
+    return pairs, float(r)
+
+
+def _full_names(name: str, priors: Mapping[str, Mapping[str, Quantity]]) -> list[str]:
+    """Return the full names of a term, of each accelerometer if it names none."""
+    owner, _, symbol = name.partition(".")
+    if owner in priors and symbol in ACCELEROMETER_TERMS:
+        return [name]
+    if name in ACCELEROMETER_TERMS:
+        return [f"{owner}.{name}" for owner in priors]
+    raise ValueError(
+        f'"{name}" is not a term of an accelerometer' + suggest_name(name, ACCELEROMETER_TERMS)
+    )
+
+
+def _check_term(
+    name: str,
+    priors: Mapping[str, Mapping[str, Quantity]],
+    distributions: Mapping[str, InputDistribution],
+    held: Collection[str],
+) -> None:
+    """Raise ValueError if the prior of a term cannot be correlated."""
+    owner, _, symbol = name.partition(".")
+    prior = priors[owner].get(symbol)
+    if prior is None or prior.u == 0.0:
+        state = "has no stated prior" if prior is None else "is stated without an uncertainty"
+        raise ValueError(f"{name} {state}; a correlation is between priors with a stated ±")
+    if symbol in held:
+        raise ValueError(f"{symbol} is in model.hold; remove it there, so that the fit adjusts it")
+    if name in distributions:
+        raise ValueError(
+            f"the prior of {name} has a {distributions[name].shape} distribution; correlated "
+            "priors are jointly normal (JCGM 101, 6.4.8). State it with value and u, or remove "
+            "its correlation"
+        )
+
+
+def _find_indefinite(correlations: Mapping[str, Mapping[str, float]]) -> Iterator[list[str]]:
+    """Yield each set of connected terms whose correlation matrix is not positive definite."""
+    remaining = dict.fromkeys(correlations)
+    while remaining:
+        members = [next(iter(remaining))]
+        for name in members:  # grows as further terms are found
+            members += [partner for partner in correlations[name] if partner not in members]
+        remaining = dict.fromkeys(name for name in remaining if name not in members)
+        matrix = correlation_matrix(members, correlations)
+        if np.linalg.eigvalsh(matrix)[0] < _MIN_EIGENVALUE:
+            yield members

@@ -1,0 +1,92 @@
+"""Correlated priors: their correlation matrix, independent rows, and independent sources."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from counterspin.arrays import Array
+
+
+class HasPrior(Protocol):
+    """An unknown with a prior, such as `counterspin.inference.joint.unknowns.Unknown`."""
+
+    @property
+    def name(self) -> str:
+        """Full name."""
+
+    @property
+    def prior(self) -> tuple[float, float]:
+        """Value and standard uncertainty."""
+
+    @property
+    def correlations(self) -> Mapping[str, float]:
+        """Names of other unknowns -> stated correlation of the priors."""
+
+
+def correlation_matrix(
+    names: Sequence[str], correlations: Mapping[str, Mapping[str, float]]
+) -> Array:
+    """Return the correlation matrix of named quantities, shape (n, n).
+
+    correlations: Name -> correlation with other quantities; other names are ignored.
+    """
+    places = {name: place for place, name in enumerate(names)}
+    matrix = np.eye(len(names))
+    for name, place in places.items():
+        for partner, r in correlations.get(name, {}).items():
+            if partner in places:
+                matrix[place, places[partner]] = r
+    return matrix
+
+
+def prior_correlation(unknowns: Sequence[HasPrior]) -> Array | None:
+    """Return the correlation matrix of priors, shape (p, p); None if all are independent."""
+    correlations = {
+        unknown.name: unknown.correlations for unknown in unknowns if unknown.correlations
+    }
+    if not correlations:
+        return None
+    return correlation_matrix([unknown.name for unknown in unknowns], correlations)
+
+
+def prior_root(unknowns: Sequence[HasPrior]) -> Array | None:
+    """Return the Cholesky factor of `prior_correlation`; None if all priors are independent."""
+    correlation = prior_correlation(unknowns)
+    return None if correlation is None else np.asarray(np.linalg.cholesky(correlation))
+
+
+def whiten_priors(columns: Array, sd: Array, correlation: Array | None) -> Array:
+    """Return deviations from prior means in rows in which the priors have covariance one.
+
+    A row depends on its own unknown and on those before it.
+
+    columns: Shape (p, ...).
+    sd: Standard uncertainties of the priors, above 0, shape (p,).
+    correlation: Of the priors, shape (p, p); None: they are independent.
+    """
+    rows: Array = columns / sd.reshape(-1, *[1] * (columns.ndim - 1))
+    return rows if correlation is None else np.linalg.solve(np.linalg.cholesky(correlation), rows)
+
+
+def conditional_priors(unknowns: Sequence[HasPrior], owner: str) -> dict[str, tuple[str, float]]:
+    """Return the name of each correlated unknown -> its source in a budget, and the u of that.
+
+    A correlated prior is conditional on the priors before it. These sources are independent, so
+    that the squares of their contributions add up.
+
+    owner: An accelerometer, whose own terms are named without it.
+    """
+    root = prior_root(unknowns)
+    if root is None:
+        return {}
+    names = [unknown.name.removeprefix(f"{owner}.") for unknown in unknowns]
+    conditional = {}
+    for place, unknown in enumerate(unknowns):
+        given = ", ".join(names[k] for k in np.flatnonzero(root[place, :place]).tolist())
+        source = f"{names[place]} given {given}" if given else names[place]
+        if unknown.correlations:
+            conditional[unknown.name] = source, float(root[place, place]) * unknown.prior[1]
+    return conditional
