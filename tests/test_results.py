@@ -4,6 +4,7 @@ import json
 import math
 import pickle
 from importlib import import_module
+from pathlib import Path
 from pkgutil import walk_packages
 from typing import ClassVar
 
@@ -198,6 +199,7 @@ def test_dir_lists_no_names_of_pydantic():
     assert {"rooms", "series", "to_json", "write", "read", "content"} <= set(names)
     assert [name for name in names if "model" in name or name == "copy"] == []
     assert "value" in dir(LOG.rooms["cellar"])
+    assert [name for name in names if name.isupper()] == []
 
 
 def test_an_unknown_name_suggests_the_closest_one():
@@ -211,10 +213,24 @@ def test_an_unknown_name_suggests_the_closest_one():
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
 
 
-@pytest.mark.parametrize("call", [counterspin.calibrate, counterspin.read_campaign, Log.read])
+@pytest.mark.parametrize(
+    "call",
+    [
+        *(counterspin.calibrate, counterspin.read_campaign, counterspin.study, counterspin.init),
+        *(counterspin.plan, Log.read, lambda value: counterspin.history([value])),
+    ],
+)
 def test_an_argument_of_a_wrong_type_gets_a_sentence(call):
-    with pytest.raises(TypeError, match=r"give the .*, as text or a path, not 123 \(int\)"):
+    with pytest.raises(TypeError, match=r"give .*, as text or a path, not 123 \(int\)"):
         call(123)
+    with pytest.raises(TypeError, match="as text or a path, not an object of type list"):
+        call([0.0] * 1000)
+
+
+@pytest.mark.parametrize("paths", [5, "results", Path("results")])
+def test_a_history_needs_a_list(paths):
+    with pytest.raises(TypeError, match="give a list of results, their files or folders, not"):
+        counterspin.history(paths)
 
 
 def test_only_a_result_has_a_report(tmp_path):

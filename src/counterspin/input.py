@@ -19,12 +19,22 @@ DOCUMENT_BYTES: Final = 200_000_000
 #: Most digits of an integer in JSON; the largest floating-point number has 309.
 _MOST_DIGITS: Final = 400
 
+#: Most characters of an argument that an error message repeats.
+_MOST_CHARACTERS: Final = 60
+
 
 def path_of(value: object, wanted: str) -> Path:
     """Return an argument as a path; TypeError with what is wanted for any other type."""
     if not isinstance(value, str | os.PathLike):
-        raise TypeError(f"give {wanted}, as text or a path, not {value!r} ({type(value).__name__})")
+        raise TypeError(f"give {wanted}, as text or a path, not {describe_argument(value)}")
     return Path(value)
+
+
+def describe_argument(value: object) -> str:
+    """Return an argument with its type; only the type where the argument is long."""
+    text, kind = repr(value), type(value).__name__
+    is_short = len(text) <= _MOST_CHARACTERS and "\n" not in text
+    return f"{text} ({kind})" if is_short else f"an object of type {kind}"
 
 
 #: What is no file -> what it is.

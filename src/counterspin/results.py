@@ -84,7 +84,8 @@ class ResultPart(BaseModel):  # noqa: PLW1641 -- pydantic adds the hash of what 
     def __dir__(self) -> list[str]:
         """Return the names of fields, methods and properties, without those of pydantic."""
         hidden = set(dir(BaseModel))
-        return [name for name in super().__dir__() if name not in hidden and name[0] != "_"]
+        names = [name for name in super().__dir__() if name not in hidden]
+        return [name for name in names if name[0] != "_" and not name.isupper()]
 
 
 class ResultFile(ResultPart):

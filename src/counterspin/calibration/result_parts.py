@@ -485,7 +485,7 @@ class AccelerometerResult(ResultPart):
     nominal: NominalOutput | None = None
     warnings: list[str] = []  #: Findings in words.
 
-    @field_validator("coefficients")
+    @field_validator("coefficients", "budget", "conformity")
     @classmethod
     def _suggest_names(cls, parts: dict[str, Any]) -> dict[str, Any]:
         return NamedParts(parts)

@@ -35,7 +35,6 @@ from counterspin.campaign.settings import (
 from counterspin.campaign.validation import Problems
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.input import path_of
 from counterspin.loading import load_name
 from counterspin.physics.grades import DEFAULT_GRADE, Size
 from counterspin.physics.motion import Site
@@ -321,7 +320,7 @@ def read_campaign(path: Path | str) -> Campaign:
         With every mistake found, each with the path of its key; or that the file is missing,
         is not UTF-8 or not TOML.
     """
-    file = description_file(path_of(path, "the folder or the description of a campaign"))
+    file = description_file(path)
     if file.suffix.lower() in RECORD_FORMATS:
         raise CampaignError(
             str(file), [f"a record, not a campaign; give the folder that holds {DESCRIPTION_NAME}"]

@@ -15,7 +15,7 @@ from typing import Any, Final, Literal, Protocol, TypeVar
 
 from counterspin.errors import CampaignError, CounterspinError, describe_read_error
 from counterspin.frozen import frozen
-from counterspin.input import looks_like, read_file
+from counterspin.input import looks_like, path_of, read_file
 from counterspin.toml_text import NestingError, parse_toml, write_document
 
 #: What to do where no campaign is.
@@ -72,7 +72,7 @@ def key_path(path: KeyPath) -> str:
 
 def description_file(where: Path | str) -> Path:
     """Return the description's file, of a campaign's folder or of the file itself."""
-    given = Path(where)
+    given = path_of(where, "the folder or the description of a campaign")
     return given / DESCRIPTION_NAME if os.path.isdir(given) else given  # noqa: PTH112 -- any name
 
 

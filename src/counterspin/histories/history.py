@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from datetime import datetime
 from itertools import combinations
@@ -47,6 +48,7 @@ from counterspin.histories.result import (
     Verdict,
 )
 from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.input import describe_argument, path_of
 from counterspin.physics.terms import SHARED_TERMS, TERMS
 from counterspin.results import unsealed_sentences
 from counterspin.threads import one_blas_thread
@@ -90,7 +92,14 @@ def history(
         raise CampaignError("`reliability`", [f"{reliability} does not lie between 0.5 and 1"])
     if term not in TERMS and term not in TRIAD_QUANTITIES:
         raise CampaignError("`term`", [_unknown_term_message(term)])
-    collected = collect_results([p if isinstance(p, Result) else Path(p) for p in paths], term)
+    if isinstance(paths, str | os.PathLike | Result) or not isinstance(paths, Iterable):
+        raise TypeError(
+            f"give a list of results, their files or folders, not {describe_argument(paths)}"
+        )
+    inputs = [
+        p if isinstance(p, Result) else path_of(p, "results, their files or folders") for p in paths
+    ]
+    collected = collect_results(inputs, term)
     _remove_duplicates(collected)
     if not collected.records:
         raise CounterspinError(_no_results_message(paths, collected))

@@ -9,6 +9,7 @@ from typing import Final, Literal
 
 from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.errors import CounterspinError
+from counterspin.input import path_of
 from counterspin.output import make_folder, write_text
 
 #: The kinds of test; of all but the last there is an example.
@@ -57,7 +58,7 @@ def init(folder: Path | str, test: Test = "double-turntable") -> Path:
         )
     if test not in _EXAMPLES:
         raise CounterspinError(f"`test` is one of {', '.join(_EXAMPLES)}, not {test!r}")
-    folder = Path(folder)
+    folder = path_of(folder, "the folder of the new campaign")
     description, table = _EXAMPLES[test]
     written = {DESCRIPTION_NAME: description} | ({_TABLE: table} if table else {})
     for name in written:

@@ -15,6 +15,7 @@ from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.campaign.quantity import attitude_words
 from counterspin.errors import CounterspinError, NotIdentifiableError
 from counterspin.frozen import frozen
+from counterspin.input import path_of
 from counterspin.output import make_folder, write_text
 from counterspin.planning.design import Design, Limits
 from counterspin.planning.faults import Requirement, fault_requirements
@@ -136,7 +137,7 @@ def plan(
     CounterspinError
         If no plan within the limits reaches the target.
     """
-    file = file if isinstance(where, Mapping) else Path(where)
+    file = file if isinstance(where, Mapping) else path_of(where, "a plan, or its file")
     if "stations" in load_plan(where):
         return _plan_readings(where, file)
     described = read_plan(where, file)
