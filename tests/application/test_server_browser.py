@@ -488,9 +488,34 @@ def test_mistakes_stand_at_their_fields_and_text_and_form_are_one(opened, folder
     radius.fill("2750 ± 0.5")
     unit.select_option("mm")
     wait_until(tab, lambda: "2750 ± 0.5 mm" in text.input_value())
+    # An edit is undone and redone, in the form as in the text.
+    undo, redo = (tab.get_by_role("button", name=name) for name in ("Undo", "Redo"))
+    assert redo.is_disabled()
+    unit.select_option("m")
+    wait_until(tab, lambda: '2750 ± 0.5 m"' in text.input_value())
+    for button, expected in ((undo, "mm"), (redo, "m"), (undo, "mm")):
+        button.click()
+        wait_until(tab, lambda expected=expected: unit.input_value() == expected)
+        assert f'radius = "2750 ± 0.5 {expected}"' in text.input_value()
+    # What is typed while the text is saved stays.
+    held = []
+
+    def hold(route):
+        held.append(route)
+
+    tab.route("**/api/text", hold)
     tab.get_by_role("button", name="Save").click()
+    wait_until(tab, lambda: held)
+    typed = f"{text.input_value()}# typed during the save\n"
+    text.fill(typed)
+    held[0].continue_()
     tab.get_by_text("Saved three/campaign.toml").wait_for()
+    wait_until(tab, lambda: tab.locator(".working").count() == 0)
+    assert text.input_value() == typed
     assert 'radius = "2750 ± 0.5 mm"' in (folder / "three" / "campaign.toml").read_text()
+    tab.unroute("**/api/text")
+    with tab.expect_response("**/api/text"):
+        tab.get_by_role("button", name="Save").click()
 
 
 def test_terms_are_ticked_beside_what_they_do_and_what_is_known_of_them(opened, folder):
@@ -705,10 +730,15 @@ def test_the_first_screen_has_the_answer_and_a_slider_changes_u(opened, folder):
     tab = opened("/campaign/three")
     tab.set_viewport_size({"width": 1400, "height": 900})
     tab.get_by_role("heading", name="Quality checks").wait_for()
-    for selector in (".head .state", ".instrument .value", ".instrument .parts", ".checks li"):
-        for shown in tab.locator(selector).all():
+    counts = {".head .state": 1, ".instrument .value": 2, ".instrument .parts": 2, ".checks li": 6}
+    for selector, count in counts.items():
+        found = tab.locator(selector).all()
+        assert len(found) == count, selector
+        for shown in found:
             box = shown.bounding_box()
             assert box["y"] + box["height"] <= 900.0, selector
+    for text in tab.locator(".instrument .value").all_inner_texts():
+        assert re.fullmatch("K_II = .?[0-9.]+ ± [0-9.]+.µg/g²", text)
     tab.get_by_role("tab", name="Uncertainty budget").click()
     slider = tab.locator("td.control input").first
     slider.fill("-1")

@@ -442,3 +442,17 @@ test("a job is stopped by its button", () => {
   const [{ method, path, body }] = server.requests;
   assert.deepEqual([method, path, JSON.parse(body)], ["DELETE", "/api/jobs", { number: 3 }]);
 });
+
+test("of two jobs in one place the second is followed", async () => {
+  const place = new Element("div");
+  const done = [];
+  mock.timers.enable({ apis: ["setTimeout"] });
+  server.answer = () => json([job({ state: "done" }), job({ number: 4, state: "done" })]);
+  follow(job(), place, () => done.push(3));
+  follow(job({ number: 4 }), place, () => done.push(4));
+  mock.timers.tick(250);
+  for (let turn = 0; turn < 20; turn += 1) await new Promise(setImmediate);
+  mock.timers.reset();
+  assert.deepEqual(done, [4]);
+  assert.equal(server.requests.length, 1);
+});

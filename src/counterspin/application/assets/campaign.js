@@ -7,7 +7,7 @@ import { attempt, command, commandLine, labelled, make, say, stateMark, warning,
 import { resultLines } from "./folder.js";
 import { carryOut, followRunning } from "./job.js";
 import { dashboard, pagePart } from "./result.js";
-import { campaignTabs } from "./tabs.js";
+import { campaignTabs, reachedBy } from "./tabs.js";
 import { tourOf } from "./tour.js";
 
 /**
@@ -125,10 +125,7 @@ export async function campaignView(name) {
   const { button, below } = calibration(campaign);
   const good = result && result.state !== "damaged";
   const state = stateMark(campaign.state, campaign.words);
-  const steps = campaignTabs(name, "campaign", {
-    step: good ? "review" : campaign.mistakes.length ? "confirm" : "calibrate",
-    result: good ? result.name : undefined,
-  });
+  const steps = campaignTabs(name, "campaign", reachedBy(campaign));
   /** @type {Node[]} */
   const troubles = [
     ...campaign.mistakes.map(warning),

@@ -137,6 +137,7 @@ export async function certificateView(result) {
         words ? make("span", { class: "help" }, words) : null])))))] : []);
   };
   let drawn = "";
+  let issued = false;
   const draw = oneAtATime(async () => {
     const { text } = form.now;
     if (text === drawn) return;
@@ -147,7 +148,7 @@ export async function certificateView(result) {
     preview.state.textContent = "Drawing the pages.";
     drawn = text;
     const { pages } = await send("POST", "certificate-preview", { file, text, result });
-    preview.show(pages, "Preview of the current entries. Every page is marked DRAFT until the certificate is issued.");
+    if (!issued) preview.show(pages, "Preview of the current entries. Every page is marked DRAFT until the certificate is issued.");
   }, preview.wrong);
 
   const signing = new Signing(told.signer, () => judge());
@@ -175,6 +176,7 @@ export async function certificateView(result) {
       const made = await send("POST", "certificate", {
         result, lab: file, output: output.value, both: both.checked, signing: await signing.said(), amends: amendment.request,
       });
+      issued = true;
       const amend = () => {
         amendedFile = made.files.find((/** @type {string} */ name) => name.endsWith(".xml")) ?? "";
         dispatchEvent(new HashChangeEvent("hashchange"));

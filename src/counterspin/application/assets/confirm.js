@@ -163,6 +163,7 @@ export class Confirmation {
       if (this.tests && !this.tests.includes(look.test)) {
         this.test = this.tests[0];
         look = await send("POST", "draft", this.request());
+        if (mine !== this.looks) return null;
       }
       this.tests = null;
       this.test = look.test ?? "";
@@ -373,10 +374,11 @@ export class Confirmation {
 
   /** Judge the files again after a change. */
   async changed() {
+    const mine = this.looks + 1;
     try {
       await this.update();
     } catch (error) {
-      this.state.replaceChildren(warning(/** @type {Error} */ (error).message));
+      if (mine === this.looks) this.state.replaceChildren(warning(/** @type {Error} */ (error).message));
     }
   }
 
@@ -395,7 +397,7 @@ export class Confirmation {
       say(`Wrote the campaign ${name}.`);
       // A calibration that cannot begin says why on the campaign's page.
       if (calibrate) await send("POST", "jobs", { name }).catch(() => {});
-      location.hash = campaignAddress(name);
+      if (this.form.isConnected) location.hash = campaignAddress(name);
     } catch (error) {
       buttons.forEach((button) => { button.disabled = false; });
       const lines = error instanceof Refused ? error.told.problems : null;

@@ -2,7 +2,7 @@
 // The description of a campaign: form, text and mistakes.
 
 import { get } from "./api.js";
-import { campaignTabs } from "./tabs.js";
+import { campaignTabs, reachedBy } from "./tabs.js";
 import { make } from "./dom.js";
 import { editorOf } from "./editor.js";
 
@@ -12,11 +12,11 @@ import { editorOf } from "./editor.js";
  * @param {string} begin the field or section that is looked at first
  */
 export async function descriptionView(name, begin) {
-  const told = await get("description", { name });
+  const [told, campaign] = await Promise.all([get("description", { name }), get("campaign", { name })]);
   const title = told.document.campaign?.title || name || "Campaign";
   return {
     title: `${title}, description`,
-    content: [make("h1", {}, title), campaignTabs(name, "description"), editorOf(told).element],
+    content: [make("h1", {}, title), campaignTabs(name, "description", reachedBy(campaign)), editorOf(told).element],
     begin,
   };
 }

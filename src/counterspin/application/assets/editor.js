@@ -123,11 +123,14 @@ export class Editor {
     this.button = make("button", { type: "button", class: "main", onclick: () => this.save() }, "Save");
     /** @type {string[]} texts before each change, the newest last */
     this.history = [];
-    this.undoButton = make("button", { type: "button", disabled: true, onclick: () => this.undo() }, "Undo");
+    /** @type {string[]} texts before each Undo, the newest last */
+    this.undone = [];
+    this.undoButton = make("button", { type: "button", disabled: true, onclick: () => this.step(this.history, this.undone) }, "Undo");
+    this.redoButton = make("button", { type: "button", disabled: true, onclick: () => this.step(this.undone, this.history) }, "Redo");
     this.element = make("div", { class: "editor" },
       make("div", {}, this.notes, this.fields),
       make("div", { class: "file" }, labelled(`${this.file}, as text`, this.area),
-        make("div", { class: "row" }, this.button, this.undoButton)));
+        make("div", { class: "row" }, this.button, this.undoButton, this.redoButton)));
     this.show();
   }
 
@@ -149,16 +152,29 @@ export class Editor {
   /** Keep the present text for Undo, before another one replaces it. */
   remember() {
     if (this.history.at(-1) !== this.now.text) this.history.push(this.now.text);
-    this.undoButton.disabled = false;
+    this.undone.length = 0;
+    this.showSteps();
   }
 
-  /** Take back the last change of a field, or of the text. */
-  undo() {
+  /**
+   * Return to the newest text of a list, and add the present text to another list.
+   * @param {string[]} from
+   * @param {string[]} to
+   */
+  step(from, to) {
     return this.next(async () => {
-      const text = this.history.pop();
-      this.undoButton.disabled = !this.history.length;
-      if (text !== undefined) this.take(await send("POST", "check", { ...this.said(), text }));
+      const text = from.pop();
+      if (text === undefined) return;
+      to.push(this.now.text);
+      this.showSteps();
+      this.take(await send("POST", "check", { ...this.said(), text }));
     });
+  }
+
+  /** Enable Undo and Redo where there is a text to return to. */
+  showSteps() {
+    this.undoButton.disabled = !this.history.length;
+    this.redoButton.disabled = !this.undone.length;
   }
 
   textTyped() {
@@ -186,7 +202,11 @@ export class Editor {
    */
   change(path, value, kind = "") {
     return this.next(async () => {
-      const changed = await send("POST", "change", { ...this.said(), path, value, kind });
+      let before, changed;
+      do {
+        before = this.said();
+        changed = await send("POST", "change", { ...before, path, value, kind });
+      } while (before.text !== this.now.text); // The text was edited meanwhile: change this one.
       if (changed.text !== this.now.text) this.remember();
       this.take(changed);
     });
@@ -199,23 +219,25 @@ export class Editor {
     this.show();
   }
 
-  async save() {
+  save() {
     const state = working(`Saving ${this.file}`);
     this.notes.prepend(state);
-    await this.last;
-    try {
-      const told = await send("PUT", "text", { ...this.said(), version: this.version });
-      this.version = told.version;
-      this.saved = told.text;
-      this.take(told);
-      say(`Saved ${this.file}.`);
-      this.more.saved?.();
-    } catch (error) {
-      if (error instanceof Refused && error.status === 409) this.conflict(error);
-      else this.notes.prepend(warning(/** @type {Error} */ (error).message));
-    } finally {
-      state.remove();
-    }
+    return this.next(async () => {
+      try {
+        const told = await send("PUT", "text", { ...this.said(), version: this.version });
+        this.version = told.version;
+        this.saved = told.text;
+        // The text may have been edited meanwhile.
+        if (told.text === this.now.text) this.take(told);
+        say(`Saved ${this.file}.`);
+        this.more.saved?.();
+      } catch (error) {
+        if (!(error instanceof Refused && error.status === 409)) throw error;
+        this.conflict(error);
+      } finally {
+        state.remove();
+      }
+    });
   }
 
   /** @param {Refused} refused */

@@ -171,8 +171,17 @@ export async function importView() {
     panel.classList.add("compact");
     steps.replaceChildren(stepList(1));
   };
-  const take = (/** @type {File[]} */ files, /** @type {string} */ typed) => attempt(place, async () => {
+  let last = /** @type {Promise<any>} */ (Promise.resolve());
+  /**
+   * Do one thing after the other, so that files that are chosen during an upload wait for its end.
+   * @param {() => Promise<void>} work
+   */
+  const queued = (work) => {
+    last = last.then(() => attempt(place, work));
+  };
+  const take = (/** @type {File[]} */ files, /** @type {string} */ typed) => queued(async () => {
     confirmation?.end();
+    discardButton.hidden = false;
     const before = unfinishedImport() ?? { folder: "", names: [], uploaded: [], test: "", answers: {} };
     let state = before;
     const { folder, names } = await upload(files, typed || before.folder, show, (target, name) => {
@@ -182,7 +191,7 @@ export async function importView() {
     });
     await open({ ...state, folder, names, test: "" }, files[0].type === PASTED ? TABLES : null);
   });
-  const discard = () => attempt(place, async () => {
+  const discard = () => queued(async () => {
     confirmation?.end();
     show("Moving the files to the trash");
     await discardImport();
@@ -190,17 +199,18 @@ export async function importView() {
   });
   const panel = importPanel(take);
   const state = unfinishedImport();
+  const discardButton = make("button", { type: "button", onclick: discard, hidden: !state }, "Discard");
   if (passed) {
     if (state) await discardImport();
     take(passed.files, passed.folder);
   } else if (state?.names.length) {
-    attempt(place, () => open(state, null));
+    queued(() => open(state, null));
   }
   passed = null;
   return {
     title: "New campaign",
     content: [
-      make("div", { class: "head" }, title, make("button", { type: "button", onclick: discard }, "Discard")),
+      make("div", { class: "head" }, title, discardButton),
       steps, panel, place,
     ],
   };

@@ -105,7 +105,7 @@ export async function waysPart(name, result) {
     place.replaceChildren(working("Preparing a copy of the campaign"));
     const made = await send("POST", "way", { name, result, accelerometer, way });
     say(then);
-    location.hash = made.key ? descriptionAddress(made.name, `f-${made.key}`) : campaignAddress(made.name);
+    if (place.isConnected) location.hash = made.key ? descriptionAddress(made.name, `f-${made.key}`) : campaignAddress(made.name);
   });
   const lines = told.ways.flatMap((/** @type {any} */ { accelerometer, stated, runs }) => {
     const of = told.ways.length > 1 ? ` of ${accelerometer}` : "";

@@ -71,6 +71,9 @@ export function duration(seconds) {
 export const remaining = (done, all, seconds) =>
   !done || seconds < 2 ? "" : `, about ${duration(seconds * (all - done) / done)} left`;
 
+/** Place -> the job that is followed there; an earlier one is followed no longer. */
+const followed = /** @type {WeakMap<HTMLElement, Job>} */ (new WeakMap());
+
 /**
  * Follow a job to its end.
  * @param {Job} job
@@ -105,11 +108,13 @@ export function follow(job, place, done) {
     numbers.textContent = `${counted ? `: ${read} of ${all}` : ""}, ${Math.round(now.seconds)} s${counted ? remaining(read, all, now.seconds) : ""}`;
   };
   const ask = () => attempt(place, async () => {
-    // The page was left, or was never shown.
+    // A later job is followed here, the page was left, or it was never shown.
+    if (followed.get(place) !== job) return;
     if (!place.isConnected && (wasShown || asked++ > MOST_EARLY_REQUESTS)) return;
     wasShown ||= place.isConnected;
     /** @type {Job[]} */
     const jobs = await get("jobs");
+    if (followed.get(place) !== job) return;
     const now = jobs.find(({ number }) => number === job.number);
     if (!place.isConnected || now && goesOn(now)) {
       if (now && goesOn(now)) show(now);
@@ -123,6 +128,7 @@ export function follow(job, place, done) {
   });
   let asked = 0;
   let wasShown = false;
+  followed.set(place, job);
   show(job);
   setTimeout(ask, PAUSE);
 }

@@ -4,7 +4,7 @@
 import { campaignAddress } from "./addresses.js";
 import { get, Refused } from "./api.js";
 import { commandLine, labelled, make, say, warning } from "./dom.js";
-import { campaignTabs } from "./tabs.js";
+import { campaignTabs, reachedBy } from "./tabs.js";
 
 const PAUSE = 1000;
 const HEIGHT = 220;
@@ -110,12 +110,14 @@ export async function liveView(name) {
   let shown = "";
   let wanted = "";
   let looking = false;
+  /** @returns {Promise<void>} */
   const look = async () => {
     looking = place.isConnected;
     if (!looking) return;
     const asked = wanted;
     try {
       const told = await get("watch", { name, goal: asked });
+      if (asked !== wanted) return look();
       if (told.error) {
         looking = false;
         place.replaceChildren(warning(told.error));
@@ -138,6 +140,7 @@ export async function liveView(name) {
         return;
       }
     } catch (error) {
+      if (asked !== wanted) return look();
       const words = warning(/** @type {Error} */ (error).message);
       if (!asked || !(error instanceof Refused) || error.status !== 422) {
         looking = false;
@@ -163,7 +166,7 @@ export async function liveView(name) {
   return {
     title: `${campaign.title}, live`,
     content: [
-      make("h1", {}, campaign.title), campaignTabs(name, "live"),
+      make("h1", {}, campaign.title), campaignTabs(name, "live", reachedBy(campaign)),
       make("p", { class: "quiet" }, "The page reads the records every second while your recorder writes them into the campaign's folder. "
         + "Ripple is given as a fraction of the rate; residuals should be about as large as the noise."),
       make("div", { class: "row" }, labelled("Goal: a coefficient and its standard uncertainty", goal)), wrong, chart.element, place, events, command,

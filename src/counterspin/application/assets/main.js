@@ -68,12 +68,12 @@ async function show() {
     content = [make("h1", {}, keyless ? "This window is not authorised" : "This page could not be loaded"),
       warning(/** @type {Error} */ (error).message)];
   }
-  if (mine !== turn) return;
+  if (mine !== turn) return null;
   main.replaceChildren(...content);
   main.removeAttribute("aria-busy");
   document.title = `${title} – counterspin`;
   globalThis.counterspin.draw(main);
-  return begin;
+  return { begin };
 }
 
 /** @param {string|undefined} id of a heading, a field or a section of what is shown */
@@ -95,10 +95,12 @@ addEventListener("hashchange", () => {
     return;
   }
   shownAt = location.hash;
-  show().then((begin) => {
+  show().then((shown) => {
+    // A page that was left before it was shown moves nothing.
+    if (!shown) return;
     main.focus();
     scrollTo(0, 0);
-    goTo(begin);
+    goTo(shown.begin);
   });
 });
-enter().finally(() => { shownAt = location.hash; return show().then(goTo); });
+enter().finally(() => { shownAt = location.hash; return show().then((shown) => goTo(shown?.begin)); });

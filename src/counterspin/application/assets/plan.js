@@ -2,7 +2,7 @@
 // Plans: limits as sliders, and the best plan within them on request.
 
 import { get, send } from "./api.js";
-import { attempt, commandLine, labelled, make, submitting } from "./dom.js";
+import { attempt, commandLine, labelled, make, submitting, working } from "./dom.js";
 import { campaignAddress } from "./addresses.js";
 import { editorOf } from "./editor.js";
 import { carryOut, follow } from "./job.js";
@@ -102,15 +102,20 @@ export async function planView(name) {
    * @param {Record<string, number>} limits
    * @returns {Promise<void>}
    */
-  const show = (limits) => attempt(planned, async () => {
-    const told = await send("POST", "plan-page", { name, moved: limits });
-    if (told.job) return follow(told.job, planned, () => show(limits));
-    const part = make("div", { class: "report" });
-    // Escaped by the report's own templates.
-    part.innerHTML = told.html;
-    part.querySelector("h1")?.remove();
-    planned.replaceChildren(part);
-  });
+  const show = (limits) => {
+    // In a box of its own, so that the late answer of an earlier search is shown nowhere.
+    const box = make("div", {}, working("Planning"));
+    planned.replaceChildren(box);
+    return attempt(box, async () => {
+      const told = await send("POST", "plan-page", { name, moved: limits });
+      if (told.job) return follow(told.job, box, () => show(limits));
+      const part = make("div", { class: "report" });
+      // Escaped by the report's own templates.
+      part.innerHTML = told.html;
+      part.querySelector("h1")?.remove();
+      box.replaceChildren(part);
+    });
+  };
   /**
    * Set a limit for the next search.
    * @param {string} key
@@ -168,7 +173,7 @@ export async function planView(name) {
     content: [
       make("h1", {}, plan.title), make("p", { class: "quiet" }, name),
       search, state, planned, file,
-      make("h2", {}, "Make it"), form, written, commandLine(plan.command),
+      make("h2", {}, "Campaign of this plan"), form, written, commandLine(plan.command),
     ],
   };
 }

@@ -2,9 +2,9 @@
 // The runs of a campaign, and their records through a window of time.
 
 import { get, send } from "./api.js";
-import { attempt, commandLine, labelled, make, warning } from "./dom.js";
+import { attempt, commandLine, labelled, make, warning, working } from "./dom.js";
 import { carryOut } from "./job.js";
-import { campaignTabs } from "./tabs.js";
+import { campaignTabs, reachedBy } from "./tabs.js";
 
 const HEIGHT = 190;
 
@@ -140,21 +140,24 @@ export async function runsView(name) {
     make("option", { value: run.name },
       `${run.name}, ${Number(run.rate.toPrecision(4))} rad/s`)));
   const judgement = make("div");
-  const check = () => attempt(judgement, async () => {
-    judgement.replaceChildren(make("p", { class: "quiet" }, "Checking."));
-    const told = await get("check", { name, run: select.value });
-    const part = make("div");
-    // Escaped by the report's own templates.
-    part.innerHTML = told.html;
-    part.querySelector("h1")?.remove();
-    judgement.replaceChildren(part, commandLine(told.command));
-    globalThis.counterspin.draw(part);
-  });
+  const check = () => {
+    // In a box of its own, so that the late check of another run is shown nowhere.
+    const box = make("div", {}, working("Checking"));
+    judgement.replaceChildren(box);
+    return attempt(box, async () => {
+      const told = await get("check", { name, run: select.value });
+      const part = make("div");
+      // Escaped by the report's own templates.
+      part.innerHTML = told.html;
+      part.querySelector("h1")?.remove();
+      box.replaceChildren(part, commandLine(told.command));
+      globalThis.counterspin.draw(part);
+    });
+  };
   const fitted = make("input", { type: "checkbox" });
   const show = () => {
     judgement.replaceChildren();
-    // In a box of its own, so that what comes late of another run is shown nowhere.
-    const box = make("div", {}, make("p", { class: "quiet" }, "Reading."));
+    const box = make("div", {}, working("Reading the record"));
     place.replaceChildren(box);
     return attempt(box, async () => {
       const about = await get("record-about", { name, run: select.value, fit: fitted.checked });
@@ -181,7 +184,7 @@ export async function runsView(name) {
   return {
     title: `${campaign.title}, records`,
     content: [
-      make("h1", {}, campaign.title), campaignTabs(name, "runs"),
+      make("h1", {}, campaign.title), campaignTabs(name, "runs", reachedBy(campaign)),
       ...missing,
       ...(runs.length
         ? [make("div", { class: "row" }, labelled("Run", select),

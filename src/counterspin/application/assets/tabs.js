@@ -25,12 +25,22 @@ export const stepList = (now, links = []) => make("ol", {}, ...STEPS.map((words,
 }));
 
 /**
+ * The step that a campaign has reached, and its result.
+ * @param {any} campaign
+ * @returns {{step: Step, result?: string}}
+ */
+export function reachedBy({ mistakes, results: [result] }) {
+  if (result && result.state !== "damaged") return { step: "review", result: result.name };
+  return { step: mistakes.length ? "confirm" : "calibrate" };
+}
+
+/**
  * The steps from files to a certificate, and links to the further places of a campaign.
  * @param {string} name
  * @param {string} here
- * @param {{step?: Step, result?: string}} [reached]
+ * @param {{step: Step, result?: string}} reached
  */
-export function campaignTabs(name, here, { step = "review", result } = {}) {
+export function campaignTabs(name, here, { step, result }) {
   const at = (/** @type {string} */ place) => `#/${place}/${encodeURIComponent(name)}`;
   const now = ["import", "confirm", "calibrate", "review", "certify"].indexOf(step);
   const links = [at("runs"), at("description"), at("campaign"), at("campaign"),

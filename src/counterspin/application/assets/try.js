@@ -6,7 +6,7 @@ import { commandLine, labelled, make } from "./dom.js";
 import { campaignAddress, descriptionAddress } from "./addresses.js";
 import { carryOut, duration, follow, followRunning } from "./job.js";
 import { fill } from "./result.js";
-import { campaignTabs } from "./tabs.js";
+import { campaignTabs, reachedBy } from "./tabs.js";
 
 /**
  * A form that begins a job, and the job that goes on already.
@@ -75,7 +75,7 @@ export async function tryView(name) {
   return {
     title: `${campaign.title}, tried out`,
     content: [
-      make("h1", {}, campaign.title), campaignTabs(name, "try"),
+      make("h1", {}, campaign.title), campaignTabs(name, "try", reachedBy(campaign)),
       make("section", {}, make("h2", {}, "Study"),
         make("p", { class: "quiet" }, "The campaign is simulated many times with the true values of its ",
           make("a", { href: descriptionAddress(name, "s-truth") }, "description"),
