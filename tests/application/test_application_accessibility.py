@@ -1,11 +1,14 @@
-"""What axe-core says of every place of the page, in light and dark, on a app and on a phone."""
+"""Complaints of axe-core about every page, in light and dark, on a desktop and on a phone."""
 
+import shutil
 import sys
 from pathlib import Path
 
 import pytest
 from chromium import needs_chromium
 from served import PLACES
+
+from counterspin.application import laboratory
 
 #: `make setup` installs it beside TypeScript, where there is node.
 AXE = Path(sys.prefix) / "typescript" / "node_modules" / "axe-core" / "axe.min.js"
@@ -15,23 +18,39 @@ pytestmark = [
     pytest.mark.skipif(not AXE.is_file(), reason="no axe-core: make setup installs it, with npm"),
 ]
 
-#: Complaints that keep somebody from using the page.
-SERIOUS = """async () => {
-  const rules = { type: "tag", values: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"] };
+#: Rules of axe-core; a second scheme changes only colours.
+RULES = {"type": "tag", "values": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"]}
+COLOURS = ["color-contrast"]
+
+#: Width of the screen -> schemes with their rules.
+SCHEMES = {1400: {"light": RULES, "dark": COLOURS}, 390: {"dark": RULES}}
+
+#: Serious complaints by some rules.
+SERIOUS = """async (rules) => {
   const { violations } = await axe.run(document, { runOnly: rules });
   return violations
     .filter((one) => ["serious", "critical"].includes(one.impact))
     .flatMap((one) => one.nodes.map((node) => `${one.id}: ${node.html}`));
 }"""
 
-#: What is folded is a page's too; of a form with many keys the first parts stand for all.
+#: Open what is folded; of a form with many keys the first parts stand for all.
 OPENED = """() => {
   for (const one of [...document.querySelectorAll("details")].slice(0, 40)) one.open = true;
 }"""
 
+TOUR = "sessionStorage.setItem('counterspin-tour', 'three')"
 
-def bring_a_record(tab, path):
-    """Bring a file, so that what is guessed of it is shown and mistakes stand at their fields."""
+
+def go(tab, place):
+    """Go to a page and wait until it is shown."""
+    tab.evaluate(f"location.hash = {place!r}")
+    tab.locator("main:not([aria-busy]) h1").wait_for()
+    tab.wait_for_function("document.querySelector('main').ariaBusy === null")
+
+
+def bring_record(tab, path):
+    """Import a file with a mistake in an answer, which stands at its field."""
+    go(tab, "/")
     tab.get_by_label("Folder of the new campaign").fill("mine")
     tab.get_by_label("The recorder's files").set_input_files(path)
     tab.get_by_label("Local gravity", exact=True).fill("9,81 apples")
@@ -39,26 +58,54 @@ def bring_a_record(tab, path):
     tab.locator("[aria-invalid]").first.wait_for()
 
 
-@pytest.mark.parametrize("width", [1400, 390], ids=["app", "phone"])
-def test_no_place_keeps_anybody_out(opened, app, width):
+def states(tab, app):
+    """Show one state of the application after another, and yield its name."""
+    shown_below = ("/campaign/three", "/certificate/three%2Fresult.json", "/compare")
+    for place in (*PLACES, "/manual/glossary", "/"):
+        if place not in shown_below:
+            go(tab, place)
+            yield place
+    shutil.copy(app.folder.root / "three" / "result.json", app.folder.root / "b.json")
+    go(tab, "/compare")
+    for name in ("three/result.json", "b.json"):
+        tab.get_by_role("checkbox", name=name).check()
+    tab.get_by_text("Differences are from").wait_for()
+    yield "a comparison"
+    go(tab, "/certificate/three%2Fresult.json")
+    tab.get_by_label("Type of certificate").select_option("Amendment of CS-1")
+    yield "an amendment"
+    tab.evaluate(TOUR)
+    go(tab, "/campaign/three")
+    tab.get_by_role("dialog", name="Tour of the campaign").get_by_text("Next").click()
+    yield "the tour"
+    bring_record(tab, next(app.folder.path("three").glob("*.csv")))
+    yield "the columns of a file"
+    go(tab, "/")
+    tab.get_by_text("Continue the import of mine").wait_for()
+    yield "an unfinished import"
+    go(tab, "/import")
+    tab.locator("[aria-invalid]").first.wait_for()
+    yield "a continued import"
+
+
+@pytest.mark.parametrize("width", SCHEMES, ids=["desktop", "phone"])
+def test_axe_has_no_serious_complaint(opened, app, width, monkeypatch):
     app.live.poll = lambda *_: {"html": "<p>Live</p>", "events": ["A run"], "complete": True}
+    issued = [{"file": "three/certificate.xml", "identifier": "CS-1"}]
+    monkeypatch.setattr(laboratory, "_issued_certificates", lambda *_: issued)
     tab = opened("/")
     tab.set_viewport_size({"width": width, "height": 900})
     tab.evaluate(AXE.read_text(encoding="utf-8"))
     complaints = {}
-    for place in (*PLACES, "/", "/ with files"):
-        if place == "/ with files":
-            bring_a_record(tab, next(app.folder.path("three").glob("*.csv")))
-        else:
-            tab.evaluate(f"location.hash = {place!r}")
-            tab.locator("main:not([aria-busy]) h1").wait_for()
-            tab.wait_for_function("document.querySelector('main').ariaBusy === null")
+    for state in states(tab, app):
         tab.evaluate(OPENED)
-        for scheme in ("light", "dark"):
+        for scheme, rules in SCHEMES[width].items():
             tab.emulate_media(color_scheme=scheme)
-            if found := tab.evaluate(SERIOUS):
-                complaints[place, scheme] = found
+            if found := tab.evaluate(SERIOUS, rules):
+                complaints[state, scheme] = found
     assert complaints == {}
-    # It would have said so.
+    # Complaints of both kinds are found.
     tab.evaluate("document.querySelector('main').append(document.createElement('button'))")
-    assert [one.split(":")[0] for one in tab.evaluate(SERIOUS)] == ["button-name"]
+    assert [one.split(":")[0] for one in tab.evaluate(SERIOUS, RULES)] == ["button-name"]
+    tab.evaluate("document.querySelector('h1').style.color = 'var(--rule)'")
+    assert [one.split(":")[0] for one in tab.evaluate(SERIOUS, COLOURS)] == ["color-contrast"]

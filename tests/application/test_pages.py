@@ -1,9 +1,13 @@
 """Pages of other rooms' blocks: words at once, pictures one by one."""
 
+import re
 import shutil
 
 import pytest
+from campaigns import changed
 from served import wait
+
+from counterspin.calibration.calibrate import calibrate
 
 PAGE = {"kind": "result", "names": "three/result.json"}
 
@@ -12,13 +16,25 @@ def test_a_result_is_shown_with_the_report_s_words_and_pictures(page):
     told = page.get("/api/page", params=PAGE).json()
     assert '<h2 id="at-card-qx">Qx</h2>' in told["html"]
     assert (told["state"], told["words"]) == ("reservations", "With reservations")
-    assert '<div class="still" data-place="0"></div>' in told["html"]
+    assert re.search('<div class="still"[^>]* data-place="0"></div>', told["html"])
     assert "<script>" not in told["html"]
     query = PAGE | {"place": 0}
     picture = page.get("/api/picture", params=query)
     assert picture.headers["content-type"] == "image/svg+xml"
     assert picture.text.startswith("<svg")
     assert page.get("/api/picture", params=query | {"place": 99}).status_code == 404
+
+
+def test_a_contradicted_result_says_why_it_cannot_be_certified(page, folder):
+    assert page.get("/api/page", params=PAGE).json()["refusal"] == ""
+    file, result = folder / "three" / "campaign.toml", folder / "three" / "result.json"
+    file.write_text(changed(file.read_text(), ('"0.01 m"', '"0.001 m"')))
+    calibrate(file).write(result, overwrite=True)
+    refused = page.get("/api/page", params=PAGE).json()
+    assert refused["state"] == "contradicted"
+    assert refused["refusal"].startswith("The records contradict this result.")
+    calibrate(file, accept_misfit="bench test").write(result, overwrite=True)
+    assert page.get("/api/page", params=PAGE).json()["refusal"] == ""
 
 
 def test_results_are_compared_and_followed(page, folder):

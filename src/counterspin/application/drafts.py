@@ -178,6 +178,8 @@ def detrended_curve(column: FileColumn, guess: FileGuess | None) -> Curve:
             else:
                 values, words = _detrend(_unwrap(values), 1), "minus a straight line"
             unit = guess.angle.unit or ""
+        elif guess.temperature is not None and guess.temperature[0] == column.name:
+            unit = guess.temperature[1]
         elif signal is not None:
             degree = {"displacement": 2, "velocity": 1}.get(signal.observable or "", 0)
             rows = _row_count(column, guess)

@@ -22,7 +22,7 @@ from counterspin.application.commands import (
 )
 from counterspin.application.jobs import Job, Progress, report_progress
 from counterspin.application.served_folder import NotFoundError
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Block, Paragraph, Picture
 from counterspin.reports.typography import typeset_block
@@ -30,6 +30,7 @@ from counterspin.reports.typography import typeset_block
 if TYPE_CHECKING:
     from markdown_it.token import Token
 
+    from counterspin.calibration.result import Result
     from counterspin.planning.result import PlanResult
 
 
@@ -282,7 +283,28 @@ def page_content(app: AppState, kind: Kind, names: Sequence[str], term: str) -> 
         content["accelerometers"] = list(result.accelerometers)
         content["state"] = result.state
         content["words"] = STATE_WORDS[result.state] if result.state else "Not judged"
+        content["refusal"] = _certificate_refusal(result)
     return content
+
+
+def _certificate_refusal(result: Result) -> str:
+    """Return why no accelerometer of a result can be certified; empty if one can."""
+    from counterspin.certificates.build import check_certifiable
+
+    reasons = []
+    for name in result.accelerometers:
+        try:
+            check_certifiable(result, [name])
+        except RecordError as error:
+            reasons.append(str(error))
+        else:
+            return ""
+    if result.state == "contradicted":
+        return (
+            "The records contradict this result. Find the cause and calibrate again, or state the "
+            "reason for accepting the misfit."
+        )
+    return reasons[0] if reasons else ""
 
 
 def page_picture(app: AppState, kind: Kind, names: Sequence[str], term: str, index: int) -> str:

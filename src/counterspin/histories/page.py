@@ -38,7 +38,7 @@ def history_blocks(history: History) -> Iterator[Block]:
     """Yield each instrument's verdict, table and control chart, then the unused files."""
     yield Heading(f"History of {_title(history)}", 1)
     for instrument in history.instruments:
-        yield Heading(_instrument_name(instrument))
+        yield Heading(f"Serial number {_instrument_name(instrument)}")
         good = instrument.verdict in {"single", "constant"}
         yield Paragraph(verdict_sentences(history, instrument), "answer" if good else "warning")
         yield _table(history, instrument)
@@ -301,7 +301,7 @@ def _title(history: History) -> str:
 
 def _instrument_name(instrument: InstrumentHistory) -> str:
     if instrument.stated_by == "campaign":
-        return f"{instrument.serial_number} (serial number of the campaign)"
+        return f"{instrument.serial_number} (of the campaign)"
     return instrument.serial_number
 
 
@@ -356,7 +356,7 @@ def _unused_blocks(history: History) -> Iterator[Block]:
         yield Paragraph(f"Left out ({len(history.left_out)}):")
     for unused in history.left_out:
         whose = f", {unused.accelerometer}" if unused.accelerometer else ""
-        yield Paragraph(f"{unused.file}{whose}: {unused.reason}.", "quiet")
+        yield Paragraph(f"{unused.file}{whose}: {unused.reason.removesuffix('.')}.", "quiet")
     if count := len(history.passed_over):
         files = (
             "JSON file is not a result and is"

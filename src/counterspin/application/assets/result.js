@@ -96,9 +96,14 @@ export const saving = (words, name, said) => make("button", {
   onclick: () => save(name, said).catch((error) => say(error.message)),
 }, words);
 
-/** @param {string} name of a result */
-export const certificateLink = (name) =>
-  make("a", { class: "button main", href: `#/certificate/${encodeURIComponent(name)}` }, "Certify");
+/**
+ * The link to the certificate of a result; a button that says why, if there can be none.
+ * @param {string} name
+ * @param {string} refusal why no certificate can be issued; empty if one can
+ */
+const certificateLink = (name, refusal) => (refusal
+  ? make("button", { type: "button", "aria-disabled": "true", title: refusal, onclick: () => say(refusal) }, "Certify")
+  : make("a", { class: "button main", href: `#/certificate/${encodeURIComponent(name)}` }, "Certify"));
 
 /**
  * The files that can be had of a result, as a menu.
@@ -140,7 +145,7 @@ export async function dashboard({ title, name, told, part, state, actions = [], 
     if (found) part.querySelector("#at-uncertainty-budget")?.parentElement?.append(found);
   }
   const buttons = part
-    ? [reportMenu(name), copyButton(part), certificateLink(name)] : [reportMenu(name)];
+    ? [reportMenu(name), copyButton(part), certificateLink(name, told.refusal)] : [reportMenu(name)];
   return make("div", { class: "dashboard" },
     make("div", { class: "head" },
       make("div", {}, make("h1", {}, title, " ", state), campaign ? make("p", { class: "quiet" }, `Folder ${campaign}`) : null),
