@@ -35,6 +35,7 @@ from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import AttitudeError, Slope, SpecificForceProduct
 from counterspin.physics.terms import (
     ACCELEROMETER_TERMS,
+    LEVER_ARM,
     LINEAR,
     SHARED_TERMS,
     Term,
@@ -241,8 +242,14 @@ def _is_active(campaign: Campaign, row: Term[SpecificForceProduct | Slope]) -> b
     """Return whether what a coefficient changes with has changed."""
     if isinstance(row.effect, SpecificForceProduct):
         arm_axes = (reading.axes for reading in campaign.readings if reading.motion == "arm")
+        table_axes = (
+            accelerometer.mounting.turned(run.attitude)
+            for run in campaign.runs
+            if run.turns_in_space
+            for accelerometer in campaign.accelerometers.values()
+        )
         return not row.effect.requires_rotation or any(
-            _has_mean_product(row.effect, axes) for axes in arm_axes
+            _has_mean_product(row.effect, axes) for axes in (*arm_axes, *table_axes)
         )
     if row.effect.condition == "force":
         return bool(campaign.runs) or any(reading.rate for reading in campaign.readings)
@@ -274,12 +281,16 @@ def _has_mean_product(product: SpecificForceProduct, axes: Mounting) -> bool:
 def _platform_terms(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Yield owner and symbol of the terms that records of these accelerometers show."""
     accelerometers = [campaign.accelerometers[name] for name in names]
-    attitudes = dict.fromkeys(run.attitude.tobytes() for run in campaign.runs)
+    attitudes = dict.fromkeys(key for run in campaign.runs for key in run.attitude_keys)
+    has_lever_arm = any(run.turns_in_space for run in campaign.runs)
     named = {*campaign.model.terms, *campaign.model.considered}
     for symbol, row in SHARED_TERMS.items():
         if campaign.angle is None and symbol.startswith("encoder."):
             continue
         if isinstance(row.effect, AttitudeError) and not _acts_on_records(campaign, row.effect):
+            continue
+        if symbol == LEVER_ARM:
+            yield from ((name, symbol) for name in names if has_lever_arm)
             continue
         acting = {
             key
@@ -290,7 +301,9 @@ def _platform_terms(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[
             )
         }
         affected = [
-            run for run in campaign.runs if symbol in named or run.attitude.tobytes() in acting
+            run
+            for run in campaign.runs
+            if symbol in named or not acting.isdisjoint(run.attitude_keys)
         ]
         for run in affected if row.per_run else affected[:1]:
             yield (run.name if row.per_run else ""), symbol

@@ -153,7 +153,8 @@ def read_run(campaign: Campaign, run: Run) -> Record:
         for name, accelerometer in campaign.accelerometers.items()
         if (harmonic := _expected_harmonic(campaign, run, accelerometer)) is not None
     }
-    columns, motion = record_columns(campaign, run), NominalMotion(run.rate, harmonics)
+    motion = NominalMotion(run.rate, harmonics, waves=-run.table_ratio or 1.0)
+    columns = record_columns(campaign, run)
     return read_record(campaign.record_at(run.record), columns, motion)
 
 
@@ -183,8 +184,11 @@ def _expected_harmonic(
     """Return the wave that the motion makes along an input axis; None where it is nearly upright.
 
     The position is R (cos th, sin th); each time derivative multiplies it with the rate and turns
-    it forward by a right angle.
+    it forward by a right angle. On a table of another ratio the force turns by -ratio times th; of
+    ratio 0 it stands still.
     """
+    if run.table_ratio == 0.0:
+        return None
     east, north, _ = accelerometer.mounting.turned(run.attitude).input_axis
     if math.hypot(east, north) < _MIN_HORIZONTAL:
         return None
@@ -235,6 +239,7 @@ def observe_run(
         )
     spindle = rotation.spindle if rotation else Spindle(run.rate)
     trajectory = Trajectory(spindle, campaign.radius.value, campaign.site, conditions=conditions)
+    trajectory = replace(trajectory, table_ratio=run.table_ratio)
     signals = {}
     for name, accelerometer in campaign.accelerometers.items():
         reference = observation.block_average(

@@ -24,7 +24,7 @@ from counterspin.campaign.settings import OBSERVABLES, CentrifugeSettings, Noise
 from counterspin.campaign.terms import symbols_shown
 from counterspin.campaign.validation import Problems
 from counterspin.physics.effects import AttitudeError, TrajectoryError
-from counterspin.physics.terms import CONDITION_TERMS, SHARED_TERMS, affects_readings
+from counterspin.physics.terms import CONDITION_TERMS, LEVER_ARM, SHARED_TERMS, affects_readings
 
 #: Where mistakes are, and what they are.
 Mistakes = Iterator[tuple[KeyPath, str]]
@@ -172,6 +172,49 @@ def _conflicting_clocks(runs: Mapping[int, Run]) -> Mistakes:
             if clock != run.recording.clock:
                 message = f'state two clocks of the recorder "{run.recording.recorder}"; state one'
                 yield ("runs",), f'"{first_name}" and "{run.name}" {message}'
+
+
+@check
+def _unusable_table_ratio(
+    runs: Mapping[int, Run],
+    centrifuge: CentrifugeSettings | None,
+    records: RecordsSettings | None,
+    observables: Mapping[str, str],
+) -> Mistakes:
+    """Yield ratios of the table for which the campaign lacks what they need."""
+    for place, run in runs.items():
+        if not run.turns_in_space:
+            continue
+        path = ("runs", place, "table_ratio")
+        turns = "turns the instrument in space"
+        if centrifuge is not None and not centrifuge.strapped:
+            yield path, f"{turns} with the table; write strapped = true in [centrifuge]"
+        others = sorted({name for name in observables.values() if name != "specific_force"})
+        if others:
+            yield (
+                path,
+                f"{turns}; record specific_force, because {' and '.join(others)} along a turning "
+                "axis are not evaluated",
+            )
+        recording = run.recording or records
+        if recording is not None and recording.angle is None:
+            yield path, f"{turns}; record the angle of the spindle ([records] angle)"
+
+
+@check
+def _misplaced_lever_arm(model: ErrorModel, runs: Mapping[int, Run]) -> Mistakes:
+    """Yield the lever arm where it is requested, or where no table turns in space."""
+    symbols_by_key = {"terms": model.terms, "hold": model.considered, "priors": tuple(model.priors)}
+    turns = any(run.turns_in_space for run in runs.values())
+    for key, symbols in symbols_by_key.items():
+        if LEVER_ARM not in symbols:
+            continue
+        if not turns:
+            reason = "acts only in runs with a table_ratio other than -1; leave it out"
+            yield ("model", key), f'"{LEVER_ARM}" {reason}'
+        elif key == "terms":
+            reason = "is estimated in addition to the requested terms; leave it out"
+            yield ("model", key), f'"{LEVER_ARM}" {reason}'
 
 
 @check

@@ -59,6 +59,9 @@ ESTIMATE: Final = "estimate"
 _UNCERTAIN_TEMPERATURE: Final = re.compile(r"\s*(.*?)\s*(degC|°C|K)\s*")
 _TEMPERATURE: Final = re.compile(r"\s*([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)\s*(degC|°C|K)\s*")
 
+#: Largest size of the ratio of a table's angle to that of the arm.
+_LARGEST_TABLE_RATIO: Final = 16
+
 #: Gravity of any laboratory on Earth, m/s^2, with room to spare.
 _GRAVITY_RANGE: Final = (9.0, 11.0)
 
@@ -238,6 +241,20 @@ def parse_ratio(value: object) -> float:
     if not math.isfinite(value):
         raise ValueError("must be a finite number")
     return float(value)
+
+
+def parse_table_ratio(value: object) -> float:
+    """Read the ratio of a table's angle to that of the arm: a number, or a fraction as text."""
+    try:
+        if isinstance(value, bool):
+            raise ValueError
+        numerator, slash, denominator = str(value).partition("/")
+        ratio = float(numerator) / (float(denominator) if slash else 1.0)
+    except (ValueError, ZeroDivisionError):
+        raise ValueError("must be a number, or a fraction such as 1/2") from None
+    if not abs(ratio) <= _LARGEST_TABLE_RATIO:
+        raise ValueError(f"must be between -{_LARGEST_TABLE_RATIO} and {_LARGEST_TABLE_RATIO}")
+    return ratio
 
 
 def small_rate_error(value: float) -> float:
@@ -466,6 +483,7 @@ Direction = Annotated[
 ]
 AttitudeField = Annotated[Attitude, PlainValidator(read_attitude, Text | dict[str, Any])]
 Ratio = Annotated[float, PlainValidator(parse_ratio, float | _written_form("1"))]
+TableRatio = Annotated[float, PlainValidator(parse_table_ratio, float | Text)]
 DateOrText = Annotated[str, PlainValidator(date_or_text, str | datetime.date)]
 Fraction = Annotated[Quantity, PlainValidator(parse_fraction, str)]
 ZeroDirection = Annotated[float, PlainValidator(direction_of_zero, Literal[tuple(COMPASS)] | str)]

@@ -13,7 +13,7 @@ import numpy as np
 
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
-from counterspin.physics.motion import HEIGHTS, gravity_range
+from counterspin.physics.gravity import HEIGHTS, gravity_range
 from counterspin.physics.own_velocity import NAVIGATED, AxisError, coriolis, unobserved_projection
 from counterspin.physics.terms import symbol_of
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr
 
 from counterspin.arrays import Array
@@ -21,6 +22,7 @@ from counterspin.campaign.field_types import (
     RecordFile,
     Seconds,
     SettingsSection,
+    TableRatio,
     Temperatures,
     Text,
     extra_of,
@@ -52,6 +54,10 @@ MOST_SIMULATED_ROWS: Final = 5_000_000
 
 #: Keys of [records] that a run has of its own.
 _OWN: Final = ("time", "angle", "temperature", "recorder", "clock", *Dialect.__dataclass_fields__)
+
+
+#: Matrix that turns vectors, in rows, by a right angle about up.
+_QUARTER_TURN: Final = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 def sample_count(duration: float, sampling_rate: float) -> int:
@@ -217,6 +223,15 @@ class Run(SettingsSection):
         None,
         absent="directly after the previous run",
     )
+    table_ratio: TableRatio = key_field(
+        "angle by which the table turns on the arm over the angle of the spindle, a number or a "
+        "fraction such as 1/2. Except for -1, the records must be of specific force with the angle "
+        "of the spindle, and `strapped = true` is needed",
+        -2,
+        -1.0,
+        absent="-1, the attitude in space is constant",
+        applies_to=RECORDS,
+    )
     continued_in: list[RecordFile] = key_field(
         "further files of the same format in which the record continues",
         ["run1-2.csv", "run1-3.csv"],
@@ -289,9 +304,20 @@ class Run(SettingsSection):
         return self.stated_rate.u or None
 
     @property
+    def turns_in_space(self) -> bool:
+        """Whether the table, and the instrument on it, turn in space."""
+        return self.table_ratio != -1.0
+
+    @property
     def attitude(self) -> Array:
         """Rows: where the platform's axes point, shape (3, 3)."""
         return self.stand.rows
+
+    @property
+    def attitude_keys(self) -> tuple[bytes, ...]:
+        """Bytes of the attitudes by which errors act: the attitude, and a quarter turn from it."""
+        quarter = [self.attitude @ _QUARTER_TURN] if self.turns_in_space else []
+        return tuple(attitude.tobytes() for attitude in (self.attitude, *quarter))
 
     @property
     def length(self) -> float | None:

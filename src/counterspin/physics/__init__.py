@@ -7,9 +7,11 @@ Modules, lowest first:
 - `effects`: the few kinds of what an error term does
 - `grades`: how large the terms of an accelerometer are, by its grade
 - `terms`: the table of all error terms and uncertain inputs
+- `gravity`: the gravity that is expected at a site
 - `accelerometer`: mountings, and the error model (Eq. 7)
+- `table`: motion of a table on the arm, and of the instrument on it, in space
 - `motion`: exact position, velocity and specific force of the platform, on a path with errors too;
-  harmful acceleration; what gravity is to be expected at a site
+  harmful acceleration
 - `station`: where one reading is taken, at rest, on an arm or on a double turntable, and what
   centrifuge, fixture and dividing head do to it
 - `quadrature`: single and double time integrals along a trajectory, to rounding

@@ -115,7 +115,12 @@ QY: Final = Mounting.from_axes("north", "down")  #: output axis west
 QZ: Final = Mounting.from_axes("up", "east")  #: output axis north
 
 
-def indicated(mounting: Mounting, coefficients: Mapping[str, float], force: Array) -> Array:
+def indicated(
+    mounting: Mounting,
+    coefficients: Mapping[str, float],
+    force: Array,
+    rotation: Array | None = None,
+) -> Array:
     """Return the indicated specific force, Eq. 7 extended to the terms of IEEE Std 1293.
 
     Parameters
@@ -126,6 +131,9 @@ def indicated(mounting: Mounting, coefficients: Mapping[str, float], force: Arra
         Coefficients by symbol, in g-units; those not named have their nominal value.
     force
         Specific force in east-north-up in g, shape (n, 3).
+    rotation
+        w_I, w_P (rad/s) and dw_O/dt (rad/s^2) of the instrument, shape (3, n); None if the
+        instrument does not rotate.
 
     Returns
     -------
@@ -154,5 +162,5 @@ def indicated(mounting: Mounting, coefficients: Mapping[str, float], force: Arra
     for row in TERMS.values():
         value = coefficients.get(row.symbol, row.nominal)
         if value != 0.0:
-            total += value * row.effect.evaluate(a_ipo)
+            total += value * row.effect.evaluate(a_ipo, rotation)
     return total

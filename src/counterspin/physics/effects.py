@@ -250,9 +250,12 @@ class TrajectoryError:
     b about north carries the platform R (a sin theta - b cos theta) above the level. The platform
     itself stays level: its own tilt is an `AttitudeError`. The errors are those of the machine, the
     same in every run.
+
+    The lever arm is the distance of an accelerometer's proof mass from the table's axis, along its
+    input axis. It acts only where the table turns in space.
     """
 
-    kind: str  #: ``stretch``, ``imbalance``, ``axis_tilt`` or ``encoder``.
+    kind: str  #: ``stretch``, ``imbalance``, ``axis_tilt``, ``encoder`` or ``lever_arm``.
     #: n, and ``cos`` or ``sin``; 0 and empty for the stretch and the tilts.
     harmonic: int = 0
     quadrature: str = ""

@@ -7,6 +7,9 @@ same circle and the lever arm inside the case cancels. Vectors are east-north-up
 Errors of the path: a spindle out of balance and an arm that stretches change the radius; a spindle
 whose axis is tilted lifts and lowers the platform once a revolution; an eccentric encoder records
 another angle than the spindle's. None of these is in the reference, so all show in every record.
+
+The specific force is in the frame of the table (`counterspin.physics.table`), which is
+east-north-up unless the table turns in space.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ from counterspin.frozen import frozen
 from counterspin.physics import quadrature
 from counterspin.physics.effects import AT_REFERENCE, RunConditions, TrajectoryError
 from counterspin.physics.spindle import Spindle
+from counterspin.physics.table import TableMotion
 from counterspin.physics.terms import MOTION_TERMS
 
 _TINY: Final = float(np.finfo(float).tiny)
@@ -92,6 +96,8 @@ class Trajectory:
         When the run began, and how warm it was.
     coarse
         Whether integrals along it are for shapes, `counterspin.physics.quadrature.panel_edges`.
+    table_ratio
+        Angle by which the table turns on the arm over the spindle's angle; -1: it stands in space.
     """
 
     spindle: Spindle
@@ -102,6 +108,7 @@ class Trajectory:
     axis_tilt: tuple[float, float] = (0.0, 0.0)
     conditions: RunConditions = AT_REFERENCE
     coarse: bool = False
+    table_ratio: float = -1.0
 
     @property
     def centripetal(self) -> float:
@@ -136,7 +143,7 @@ class Trajectory:
         return self.at(t).harmful_acceleration
 
     def specific_force(self, t: Array) -> Array:
-        """Return the specific force in m/s^2, shape (n, 3)."""
+        """Return the specific force in the table's frame in m/s^2, shape (n, 3)."""
         return self.at(t).specific_force
 
     def velocity_of_specific_force(self, t: Array) -> Array:
@@ -319,8 +326,15 @@ class Motion:
 
     @cached_property
     def specific_force(self) -> Array:
-        """m/s^2."""
-        return self.acceleration + self.harmful_acceleration
+        """m/s^2, in the table's frame; of a ratio of -1 that is east-north-up."""
+        return self.table.rotate(self.acceleration + self.harmful_acceleration)
+
+    @property
+    def table(self) -> TableMotion:
+        """Motion of the table, and of the instrument on it, in space."""
+        turns = 1.0 + self.trajectory.table_ratio
+        earth_rotation = self.trajectory.site.earth_rotation
+        return TableMotion(turns, self.angle, self.rate, self.angular_acceleration, earth_rotation)
 
     @cached_property
     def velocity_of_specific_force(self) -> Array:
@@ -467,61 +481,5 @@ def _encoder_sensitivity(error: TrajectoryError, circle: Motion, order: int) -> 
 
     if order > 0:
         return change(order)
-    return change(0) + 2.0 * np.cross(trajectory.site.earth_rotation, change(1))
-
-
-# Gravity of a site -----------------------------------------------------------------------------
-
-_EQUATOR: Final = 9.7803253359  #: m/s^2
-_SOMIGLIANA: Final = 0.00193185265241
-_ECCENTRICITY_SQUARED: Final = 0.00669437999013
-_SEMI_MAJOR_AXIS: Final = 6378137.0  #: m
-_FLATTENING: Final = 1.0 / 298.257223563
-_RATIO: Final = 0.00344978650684  #: of centrifugal force and gravity at the equator
-
-#: Heights between which a laboratory is expected, m: a mine, and a town in the mountains.
-HEIGHTS: Final = (-500.0, 3000.0)
-
-#: Latitudes that are tried between the equator and a pole: every tenth of a degree.
-_STEPS: Final = 900
-
-
-def normal_gravity(latitude: float, height: float = 0.0) -> float:
-    """Return normal gravity: Somigliana's formula, and free air above the ellipsoid.
-
-    NIMA TR 8350.2, Department of Defense World Geodetic System 1984, 3rd edition (2000),
-    Eq. 4-1 and 4-3, with the constants of its tables 3.3 and 3.4. Gravity as measured differs by
-    anomalies of the ground, mostly less than 1e-3 m/s^2.
-
-    latitude: Geodetic, rad.
-    height: Above the ellipsoid, m.
-    Returns: m/s^2.
-    """
-    square = math.sin(latitude) ** 2
-    on_ellipsoid = (
-        _EQUATOR * (1.0 + _SOMIGLIANA * square) / math.sqrt(1.0 - _ECCENTRICITY_SQUARED * square)
-    )
-    ratio = height / _SEMI_MAJOR_AXIS
-    slope = 2.0 * (1.0 + _FLATTENING + _RATIO - 2.0 * _FLATTENING * square)
-    return on_ellipsoid * (1.0 - slope * ratio + 3.0 * ratio**2)
-
-
-def gravity_range(latitude: float) -> tuple[float, float]:
-    """Return the smallest and the largest gravity of `HEIGHTS` at a latitude (rad), m/s^2."""
-    lowest, highest = HEIGHTS
-    return normal_gravity(latitude, highest), normal_gravity(latitude, lowest)
-
-
-def latitudes_with(gravity: float, anomaly: float) -> tuple[float, float]:
-    """Return the smallest and the largest latitude (rad), of either sign, with a gravity, m/s^2.
-
-    At one of `HEIGHTS`, and but for an anomaly of the ground (m/s^2). Not a number where there is
-    none.
-    """
-    latitudes = [
-        latitude
-        for step in range(_STEPS + 1)
-        for latitude in [0.5 * math.pi * step / _STEPS]
-        if gravity_range(latitude)[0] - anomaly <= gravity <= gravity_range(latitude)[1] + anomaly
-    ]
-    return min(latitudes, default=math.nan), max(latitudes, default=math.nan)
+    force_change = change(0) + 2.0 * np.cross(trajectory.site.earth_rotation, change(1))
+    return circle.table.force_change(circle.specific_force, force_change, -wave)

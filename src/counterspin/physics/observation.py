@@ -176,9 +176,7 @@ def columns(
     for i, vector in linear.items():
         result[i] = vector @ integrals.force
     for i in motion_errors:
-        result[i] = (
-            trajectory_sensitivity(symbols[i], integrals.motion, order) @ integrals.input_axis
-        )
+        result[i] = integrals.trajectory_error(symbols[i])
     product_columns = {symbol: result[i] for i, symbol in enumerate(symbols) if i not in slopes}
     missing = {slope.coefficient for slope in slopes.values()} - product_columns.keys()
     if missing:
@@ -290,13 +288,13 @@ _along_short, _along_long = (
 )
 
 
-def table_angle_error(effect: AttitudeError, angle: Array) -> Array:
-    """Return the angle error of the counter-rotating table per unit of its term, shape (n,).
+def table_angle_error(effect: AttitudeError, motion: Motion) -> Array:
+    """Return the angle error of the table per unit of its term, shape (n,).
 
-    angle: Of the spindle, rad, shape (n,).
+    The error is a wave of the table's angle on the arm, counted against the spindle's sense.
     """
     wave = np.sin if effect.quadrature == "sin" else np.cos
-    return np.asarray(wave(effect.harmonic * angle))
+    return np.asarray(wave(-motion.trajectory.table_ratio * effect.harmonic * motion.angle))
 
 
 def _integrands(
@@ -328,10 +326,13 @@ class _TimeIntegrals:
         """The motion at the times."""
         return motion_at(self._trajectory, self._times)
 
-    @property
-    def input_axis(self) -> Array:
-        """The input axis in the run's attitude, east-north-up, shape (3,)."""
-        return self._axes.input_axis
+    def trajectory_error(self, symbol: str) -> Array:
+        """Return the contribution of an error of the trajectory, (n,)."""
+        axis, motion = self._axes.input_axis, self.motion
+        if term(symbol).effect.kind == "lever_arm":
+            # Only a table that turns in space shows it, in records of specific force.
+            return np.asarray(motion.table.lever_arm_force(axis) @ axis)
+        return np.asarray(trajectory_sensitivity(symbol, motion, self._order) @ axis)
 
     def linear_vector(self, effect: Effect) -> Array | None:
         """Return the vector whose product with the specific force is the term, if there is one."""
@@ -339,7 +340,7 @@ class _TimeIntegrals:
             case SpecificForceProduct(is_linear=True, factors=(factor,), weight=weight):
                 axis: Array = weight * self._axes.matrix["IPO".index(factor)]
                 return axis
-            case AttitudeError(kind="tilt", axis=about):
+            case AttitudeError(kind="tilt", axis=about) if self._trajectory.table_ratio == -1.0:
                 # (-psi x f) . I = f . (psi x I)
                 return np.cross(np.eye(3)[about], self._axes.input_axis)
         return None
@@ -388,11 +389,15 @@ class _SensorInputs:
     def integrand(self, effect: Integrated) -> Array:
         """Return the integrand of a term, m/s^2 per unit coefficient and K_I, shape (m,)."""
         if isinstance(effect, SpecificForceProduct):
-            return self._gravity * effect.evaluate(self._a_ipo)
+            return self._gravity * effect.evaluate(self._a_ipo, self._rotation)
         if isinstance(effect, Slope):
             path = self._motion.trajectory
             factors = effect.design_factors_at(path.conditions, path.centripetal, self._motion.t)
             return factors * self.integrand(TERMS[effect.coefficient].effect)
+        if effect.kind == "tilt":
+            about = self._motion.table.rotate_axis(np.eye(3)[effect.axis])
+            lever_arms = np.cross(about, self._axes.input_axis)
+            return np.asarray(np.sum(lever_arms * self._motion.specific_force, axis=1))
         # The table turns about up, all else about the platform's axes.
         sensitivity = (
             self._azimuth_sensitivity
@@ -407,7 +412,7 @@ class _SensorInputs:
         if effect.kind == "drift":
             return self._motion.t
         if effect.kind == "table":
-            return table_angle_error(effect, self._motion.angle)
+            return table_angle_error(effect, self._motion)
         if effect.kind == "g2_sensitivity":
             return self._motion.square_of_specific_force / self._gravity**2
         assert effect.force_axis is not None
@@ -419,6 +424,11 @@ class _SensorInputs:
     def _a_ipo(self) -> Array:
         """Specific force along I, P, O in g, shape (3, m)."""
         return self._axes.matrix @ self._motion.specific_force.T / self._gravity
+
+    @cached_property
+    def _rotation(self) -> Array | None:
+        """Rotation of the instrument, as of `TableMotion.instrument_rotation`."""
+        return self._motion.table.instrument_rotation(self._axes)
 
     @cached_property
     def _tilt_sensitivity(self) -> Array:

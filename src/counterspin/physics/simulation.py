@@ -18,7 +18,7 @@ from counterspin.physics import observation, quadrature
 from counterspin.physics.accelerometer import SLOWEST_FLICKER, Mounting, indicated
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Trajectory, perturbed_trajectory
-from counterspin.physics.terms import CONDITION_TERMS, PLATFORM_TERMS, TERMS
+from counterspin.physics.terms import CONDITION_TERMS, LEVER_ARM, PLATFORM_TERMS, TERMS
 
 #: Times for which slow waves are summed at once: there may be a hundred of them.
 _WAVES_PER_BATCH: Final = 100_000
@@ -30,7 +30,7 @@ def attitude_error(
     times: Array,
     attitude: Array = observation.LEVEL,
 ) -> Array:
-    """Return the platform's attitude error psi(t) in east-north-up.
+    """Return the platform's attitude error psi(t) in the frame of the specific force.
 
     psi = tilt + drift t + D (integral of f)/g + E (integral of |f|^2)/g^2 + C f/g; an instrument
     that is strapped to the counter-rotating table turns about up by the table's error too.
@@ -45,10 +45,10 @@ def attitude_error(
     for symbol, value in platform.items():
         row = PLATFORM_TERMS[symbol].effect
         if row.kind == "tilt":
-            psi[:, row.axis] += value
+            psi += value * motion.table.rotate_axis(np.eye(3)[row.axis])
             continue
         if row.kind == "table":
-            psi[:, 2] += value * observation.table_angle_error(row, motion.angle)
+            psi[:, 2] += value * observation.table_angle_error(row, motion)
             continue
         if row.kind == "g_sensitivity":
             size = motion.velocity_of_specific_force @ attitude[row.force_axis] / g
@@ -95,13 +95,19 @@ def simulate_record(
     conditions, all_coefficients = trajectory.conditions, coefficients
     coefficients = coefficients_in_run(coefficients, conditions, trajectory.centripetal)
     scale_error = coefficients.get("K_I", 1.0) - 1.0
+    lever_arm = shared.get(LEVER_ARM, 0.0)
 
     def residual(t: Array) -> Array:
         """Return the indicated force's error less that of the scale factor, m/s^2."""
-        force = trajectory.specific_force(t)
+        motion = trajectory.at(t)
+        force = proof_mass_force = motion.specific_force
+        if lever_arm != 0.0:
+            lever_arm_force = lever_arm * motion.table.lever_arm_force(axes.input_axis)
+            proof_mass_force = force + lever_arm_force
         psi = attitude_error(trajectory, platform, t, attitude)
-        sensed_force = _rotate_force(force, psi) / g
-        sensed = indicated(axes, coefficients, sensed_force) + _change_since_start(
+        sensed_force = _rotate_force(proof_mass_force, psi) / g
+        rotation = motion.table.instrument_rotation(axes)
+        sensed = indicated(axes, coefficients, sensed_force, rotation) + _change_since_start(
             all_coefficients, conditions, axes, sensed_force, t
         )
         return g * (sensed + trend * t) - (1.0 + scale_error) * (force @ axes.input_axis)

@@ -32,6 +32,7 @@ from counterspin.physics.effects import (
     TrajectoryError,
 )
 from counterspin.physics.motion import Site
+from counterspin.physics.table import rotate_about_up
 from counterspin.physics.terms import TERMS, MotionKind, term
 
 _ON_THE_ARM: Final[Mapping[str, tuple[float, float, float]]] = {
@@ -228,7 +229,7 @@ class Stations:
         speed = radius * w * (about_east * cos + about_north * sin)
         lifted = site.gravity + 2.0 * radius * w * north * sin - w * w * rises
         forces = np.stack([along * cos + 2.0 * north * speed, along * sin, lifted], axis=-1)
-        return _rotate_about_up(forces, self.table_errors(angles)) if self.table else forces
+        return rotate_about_up(forces, self.table_errors(angles)) if self.table else forces
 
     def products(self, site: Site, forces: Array) -> Array:
         """Return the signed products of specific forces, shape (number of `TERMS`, n, angles).
@@ -300,13 +301,6 @@ class Stations:
             case _:
                 raise ValueError(f"{symbol} moves no station")
         return replace(self, **moved)
-
-
-def _rotate_about_up(forces: Array, turn: Array) -> Array:
-    """Return forces (..., 3) in a frame that is turned about up by (...), rad."""
-    cos, sin = np.cos(turn), np.sin(turn)
-    east, north, up = np.moveaxis(forces, -1, 0)
-    return np.stack([cos * east + sin * north, cos * north - sin * east, up], axis=-1)
 
 
 def _rotate_axes(axes: Array, turns: Array) -> Array:

@@ -32,6 +32,9 @@ ARCSEC: Final = math.pi / 648000.0  #: rad
 #: Motion of the instrument during a reading.
 MotionKind = Literal["counter-rotating", "arm", "static", "vibration"]
 
+#: Symbol of the distance of a proof mass from the axis of a table that turns in space.
+LEVER_ARM: Final = "table.lever_arm"
+
 #: What the symbols of those errors of a dividing head begin with that vary with its angle.
 HEAD_WAVES: Final = "head.harmonic."
 
@@ -273,6 +276,16 @@ def _trajectory_rows() -> Iterator[Term[TrajectoryError]]:
         (1, 2, 3, 4),
         ("rad", 1e-3, ARCSEC, "Lu et al.: 1 arcsec, the best angle encoders, properly mounted"),
         "encoder error, {} a revolution",
+    )
+    yield Term(
+        LEVER_ARM,
+        TrajectoryError("lever_arm"),
+        "distance of the proof mass from the table axis, along the input axis",
+        "m",
+        0.1,
+        1e-3,
+        "fixture drawing",
+        "accelerometer",
     )
 
 

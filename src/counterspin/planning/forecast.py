@@ -214,7 +214,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     assert run.duration is not None
     accelerometer = campaign.accelerometers[name]
     step = 1.0 / sampling_rate
-    block = block_size(step, run.rate)
+    block = block_size(step, run.rate * max(1.0, abs(run.table_ratio)))
     samples = sample_count(run.duration, sampling_rate)
     # As in the reduction of a record: the remainder at the end is a shorter block.
     first = np.arange(0, samples, block)
@@ -232,6 +232,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
             campaign.radius.value,
             campaign.site,
             conditions=run_conditions(campaign)[run.name],
+            table_ratio=run.table_ratio,
         ),
         mounting=accelerometer.mounting,
         observable=accelerometer.observable,

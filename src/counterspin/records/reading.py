@@ -256,7 +256,7 @@ class _RecordReader:
                     averager = BlockAverager(
                         self._block,
                         self._clock.step,
-                        self._clock.rate,
+                        self._motion.signal_rate(self._clock.rate),
                         reject_outliers=not self._motion.multi_pose,
                     )
                 signals = self._repeats.fill(self._rows + first, chunk.signals, self._block > 1)
@@ -300,7 +300,7 @@ class _RecordReader:
         steps = np.diff(time[np.isfinite(time)])
         steps = steps[steps > 0]
         if self._wants_blocks and len(steps):
-            self._block = block_size(median(steps), self._motion.rate)
+            self._block = block_size(median(steps), self._motion.signal_rate(self._motion.rate))
         return chunk_size(self._block)
 
     def _first_number(self, time: np.ndarray) -> float:
@@ -405,7 +405,7 @@ class _RecordReader:
         self._check_length(blocks)
         if blocks.angle is not None and self._columns.angle is not None:
             self._check_magnitude(self._columns.angle, blocks.angle)
-        phase = self._motion.rate * blocks.time if blocks.angle is None else blocks.angle
+        phase = self._motion.signal_phase(blocks.time, blocks.angle)
         signals: dict[str, np.ndarray] = {}
         moments_by_signal: dict[str, np.ndarray] = {}
         for index, (name, spec) in enumerate(self._columns.signals.items()):
@@ -550,7 +550,8 @@ class _RecordReader:
         unevenness = float(np.abs(np.diff(blocks.time) / step - 1).max(initial=0.0))
         # The mean over a shorter piece of a wave's crest is another: such blocks are not compared.
         tested = np.where(blocks.count >= 0.9 * self._block, signal, np.nan)
-        outliers = detect_outliers(blocks.time, tested, self._clock.rate, step, unevenness, weight)
+        rate = self._motion.signal_rate(self._clock.rate)
+        outliers = detect_outliers(blocks.time, tested, rate, step, unevenness, weight)
         if len(outliers):
             self._outliers[place] += int(blocks.count[outliers].sum())
             signal = signal.copy()

@@ -257,8 +257,18 @@ class NominalMotion:
     expected_harmonics: Mapping[str, FirstHarmonic] = field(default_factory=dict)
     #: Whether the signal is one level, as at rest or on an arm, beside which its waves are small.
     constant_input: bool = False
+    #: Waves of the signal in a revolution; negative if the force turns against the spindle.
+    waves: float = 1.0
     #: Whether it is moved between rests in an unknown way, so that no sample counts as an outlier.
     multi_pose: bool = False
+
+    def signal_rate(self, rate: float) -> float:
+        """Return the rate of the spindle or of the signal's waves, whichever is faster, rad/s."""
+        return rate * max(1.0, abs(self.waves))
+
+    def signal_phase(self, time: np.ndarray, angle: np.ndarray | None) -> np.ndarray:
+        """Return the phase of the signal's waves at times, by the nominal rate without an angle."""
+        return self.waves * (self.rate * time if angle is None else angle)
 
 
 @frozen

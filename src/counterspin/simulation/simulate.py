@@ -353,6 +353,7 @@ def simulate_run(
         true.radius.value,
         true.site,
         conditions=run_conditions(campaign)[run.name],
+        table_ratio=run.table_ratio,
     )
     times = np.arange(sample_count(run.duration, rate)) / rate
     noise = simulated_noise(campaign)

@@ -59,6 +59,7 @@ class SimulationSetup:
     #: Noise of the time stamps, s, and of the encoder, rad, that the analyses assume; 0: none.
     stated_timing_noise: tuple[float, float]
     conditions: tuple[RunConditions, ...]  #: Of each run.
+    table_ratios: tuple[float, ...]  #: Of each run.
     recorders: tuple[str, ...]  #: Whose clock the record of each run has, where there are several.
 
     def times(self, run: int) -> Array:
@@ -68,7 +69,13 @@ class SimulationSetup:
 
     def trajectory(self, run: int, spindle: Spindle) -> Trajectory:
         """Return the motion of a run that the analyses assume."""
-        return Trajectory(spindle, self.radius, self.site, conditions=self.conditions[run])
+        return Trajectory(
+            spindle,
+            self.radius,
+            self.site,
+            conditions=self.conditions[run],
+            table_ratio=self.table_ratios[run],
+        )
 
     def true_trajectory(self, run: int, spindle: Spindle, draws: Draws) -> Trajectory:
         """Return the true motion of a run in the first trial."""
@@ -81,7 +88,7 @@ class SimulationSetup:
             )
         )
         site = replace(self.site, gravity=gravity, latitude=latitude)
-        return Trajectory(spindle, radius, site, conditions=self.conditions[run])
+        return replace(self.trajectory(run, spindle), radius=radius, site=site)
 
     def series(
         self,
@@ -148,6 +155,7 @@ def make_setup(campaign: Campaign) -> SimulationSetup:
         runs=tuple(run.name for run in campaign.runs),
         spindles=tuple(run.spindle for run in campaign.simulation.truth.runs.values()),
         attitudes=tuple(run.attitude for run in campaign.runs),
+        table_ratios=tuple(run.table_ratio for run in campaign.runs),
         durations=tuple(run.duration for run in campaign.runs if run.duration),
         mountings={name: a.mounting for name, a in campaign.accelerometers.items()},
         observables={name: a.observable for name, a in campaign.accelerometers.items()},

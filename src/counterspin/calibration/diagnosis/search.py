@@ -66,7 +66,7 @@ from counterspin.inference.joint.series import TIMING
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.inference.noise.model import Noise
-from counterspin.physics.motion import gravity_range, latitudes_with
+from counterspin.physics.gravity import gravity_range, latitudes_with
 from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS
 
 #: Probability by chance below which the alternatives are tried.

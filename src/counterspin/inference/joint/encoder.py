@@ -100,7 +100,10 @@ def columns(
         # Only where the force itself is recorded, or squared, its Coriolis part is not lost.
         coriolis = 2.0 * np.cross(motion.site.earth_rotation, displacement_change(t, 1))
         total: Array = displacement_change(t, 0) + coriolis
-        return total
+        if motion.table_ratio == -1.0:
+            return total
+        at_times, angle_change = motion.at(t), motion.spindle.angle_functions(error, t)[0]
+        return at_times.table.force_change(at_times.specific_force, total, angle_change)
 
     def product_effect(t: Array) -> Array:
         slope = _product_derivatives(

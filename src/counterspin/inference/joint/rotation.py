@@ -95,7 +95,7 @@ def second_order_bound(series: ResidualSeries) -> float:
     An angle ahead by q, at times behind by q/w, changes the specific force, R w^2 e^(i theta), by
     terms of second order. Their sizes add up to at most R w^2 (b^2 + 13 a d). The sums a, b and d
     are of the sizes of q's waves, each times its harmonic to the powers 0, 1 and 3. Velocity and
-    displacement have fewer derivatives of q.
+    displacement have fewer derivatives of q. On a table the force turns by the ratio times q.
     """
     error, motion = series.angle_error, series.trajectory
     if error is None:
@@ -105,6 +105,7 @@ def second_order_bound(series: ResidualSeries) -> float:
     harmonic = np.array([1, 1, 1, *np.repeat(error.harmonics, 2)])
     a, b, d = (float(np.sum(size * harmonic**power)) for power in (0, 1, 3))
     scale = motion.radius * abs(motion.spindle.rate) ** (2 - series.order)
+    scale *= max(1.0, motion.table_ratio**2)
     return scale * (b**2 + 13.0 * a * d)
 
 

@@ -23,6 +23,7 @@ from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import (
     ACCELEROMETER_TERMS,
     INPUTS,
+    LEVER_ARM,
     SHARED_TERMS,
     TERMS,
     affects_readings,
@@ -98,7 +99,7 @@ class Unknown:
 
     def affects(self, series: ResidualSeries) -> bool:
         """Return whether the unknown can show in a series."""
-        if self.symbol in ACCELEROMETER_TERMS:
+        if self.symbol in ACCELEROMETER_TERMS or self.symbol == LEVER_ARM:
             return self.owner == series.accelerometer
         if self.symbol in INPUTS:
             return input_affects(series, self.symbol, self.owner)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from counterspin.physics.motion import HEIGHTS, gravity_range, latitudes_with, normal_gravity
+from counterspin.physics.gravity import HEIGHTS, gravity_range, latitudes_with, normal_gravity
 from counterspin.validation.cases import case
 from counterspin.validation.validate import check_case
 

@@ -1,0 +1,85 @@
+"""Motion in space of a table that turns on the arm, and of the instrument on it.
+
+The table turns on the arm by a ratio times the spindle's angle. At a ratio of -1 it keeps its
+orientation in space. At other ratios it turns about up, and the specific force is given in the
+frame of the table, which is east-north-up where the spindle's angle is zero.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+from counterspin.physics.accelerometer import Mounting
+
+
+def rotate_about_up(vectors: Array, turn: Array) -> Array:
+    """Return vectors (..., 3) in a frame that is turned about up by (...), rad."""
+    cos, sin = np.cos(turn), np.sin(turn)
+    east, north, up = np.moveaxis(vectors, -1, 0)
+    return np.stack([cos * east + sin * north, cos * north - sin * east, up], axis=-1)
+
+
+@frozen
+class TableMotion:
+    """Motion of the table at n times."""
+
+    turns: float  #: Turns in space per turn of the spindle: 1 plus the ratio.
+    #: Of the spindle, rad, rad/s and rad/s^2, shape (n,).
+    angle: Array
+    rate: Array
+    angular_acceleration: Array
+    earth_rotation: Array  #: In east-north-up, rad/s, shape (3,).
+
+    def rotate(self, vectors: Array) -> Array:
+        """Return east-north-up vectors, shape (n, ..., 3), in the frame of the table."""
+        if self.turns == 0.0:
+            return vectors
+        turn = (self.turns * self.angle).reshape(-1, *[1] * (vectors.ndim - 2))
+        return rotate_about_up(vectors, turn)
+
+    def rotate_axis(self, axis: Array) -> Array:
+        """Return an east-north-up vector, shape (3,), in the frame of the table, shape (n, 3)."""
+        return self.rotate(np.broadcast_to(axis, (self.angle.size, 3)))
+
+    def force_change(self, force: Array, change: Array, angle_change: Array) -> Array:
+        """Return the change of the specific force by a change of the spindle's angle.
+
+        force: In the frame of the table, shape (n, 3).
+        change: Of the force in east-north-up, shape (n, ..., 3).
+        angle_change: With which the table turns too, rad, shape (n, ...).
+        Returns: in the frame of the table, shape (n, ..., 3).
+        """
+        if self.turns == 0.0:
+            return change
+        turned = np.cross([0.0, 0.0, self.turns], force)
+        turned = turned.reshape(-1, *[1] * (change.ndim - 2), 3)
+        rotated: Array = self.rotate(change) - angle_change[..., None] * turned
+        return rotated
+
+    def lever_arm_force(self, direction: Array) -> Array:
+        """Return the specific force per metre of a proof mass's distance from the table's axis.
+
+        direction: Of the distance, a unit vector in the frame of the table, shape (3,).
+        Returns: in the frame of the table, 1/s^2, shape (n, 3).
+        """
+        forward = np.cross([0.0, 0.0, 1.0], direction)
+        inward = np.cross([0.0, 0.0, 1.0], forward)
+        rate = (self.turns * self.rate)[:, None]
+        acceleration = (self.turns * self.angular_acceleration)[:, None]
+        coriolis = 2.0 * rate * np.cross(self.rotate_axis(self.earth_rotation), forward)
+        force: Array = rate**2 * inward + acceleration * forward + coriolis
+        return force
+
+    def instrument_rotation(self, axes: Mounting) -> Array | None:
+        """Return w_I, w_P (rad/s) and dw_O/dt (rad/s^2) of an instrument, shape (3, n).
+
+        The Earth's rate is left out.
+
+        Returns: None if the table does not turn in space.
+        """
+        if self.turns == 0.0:
+            return None
+        up = self.turns * axes.matrix[:, 2]
+        return np.stack([up[0] * self.rate, up[1] * self.rate, up[2] * self.angular_acceleration])

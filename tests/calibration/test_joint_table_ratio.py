@@ -1,0 +1,145 @@
+"""Records of an instrument on a table that turns on the arm at another ratio than -1."""
+
+import math
+
+import numpy as np
+import pytest
+
+import counterspin as cs
+from counterspin.errors import CampaignError
+
+TRUTH = {"K_F": 1e-3, "K_I": 1.001, "K_II": 2e-5, "K_III": 1e-6}
+RATES = (3.0, 6.0, 9.0)
+
+
+def described(ratio, seed=1, *, mixed=False):
+    """Return a campaign whose machine has errors that are drawn from their default priors."""
+    draw = np.random.default_rng(seed).standard_normal
+    arcsec = math.pi / 648000.0
+    waves = draw((2, 2)) * arcsec
+    ratios = [-1 if mixed and k == 1 else ratio for k in range(len(RATES))]
+    return {
+        "site": {"gravity": "9.8066 m/s^2", "latitude": "45.75 deg"},
+        "centrifuge": {"radius": "2.5 ± 1e-5 m", "strapped": True},
+        "records": {
+            "time": {"column": "t", "unit": "s"},
+            "angle": {"column": "angle", "unit": "rad"},
+        },
+        "accelerometers": {
+            "A": {
+                "input_axis": "east",
+                "pendulous_axis": "down",
+                "specific_force": {"column": "f", "unit": "g"},
+            }
+        },
+        "noise": {"specific_force": "1e-4 g", "angle": "2e-6 rad"},
+        "model": {"terms": [*TRUTH]},
+        "simulation": {"sampling_rate": "100 Hz", "seed": seed},
+        "truth": {
+            "A": dict(
+                zip(
+                    TRUTH,
+                    ("1e-3 g", "1.001 g/g", "2e-5 g/g^2", "1e-6 g/g^3"),
+                    strict=True,
+                )
+            ),
+            "table": {
+                "lever_arm": f"{draw() * 1e-3} m",
+                "harmonic": {
+                    f"{n}": {"cos": f"{cos} rad", "sin": f"{sin} rad"}
+                    for n, (cos, sin) in enumerate(waves.tolist(), start=1)
+                },
+            },
+            "platform": {
+                "tilt": {
+                    name: f"{draw() * size * arcsec} rad"
+                    for name, size in (("east", 0.5), ("north", 0.5), ("up", 10.0))
+                }
+            },
+        },
+        "runs": [
+            {
+                "name": f"run{k}",
+                "rate": f"{rate} rad/s",
+                "table_ratio": run_ratio,
+                "record": f"run{k}.csv",
+                "revolutions": 10,
+            }
+            for k, (rate, run_ratio) in enumerate(zip(RATES, ratios, strict=True))
+        ],
+    }
+
+
+def calibrated(description):
+    result = cs.calibrate(cs.simulate(cs.make_campaign(description)))
+    return result.accelerometers["A"]
+
+
+@pytest.mark.parametrize("ratio", [-2, "1/2"])
+def test_coefficients_are_found_within_their_uncertainty(ratio):
+    """The sum of squares of z is below its 99.9 % limit for three campaigns."""
+    squares = []
+    for seed in range(3):
+        accelerometer = calibrated(described(ratio, seed))
+        assert accelerometer.state != "contradicted"
+        for symbol, value in TRUTH.items():
+            found = accelerometer.coefficients[symbol]
+            assert found.estimated
+            squares.append(((found.value - value) / found.u) ** 2)
+    assert max(squares) < 4.0**2
+    assert np.sum(squares) < 32.9  # chi-square, 12 degrees of freedom
+
+
+def test_runs_of_several_ratios_give_one_result():
+    accelerometer = calibrated(described(-2, mixed=True))
+    found = accelerometer.coefficients["K_II"]
+    assert accelerometer.state == "good"
+    assert abs(found.value - TRUTH["K_II"]) < 4.0 * found.u
+    assert {"table.lever_arm", "A.table.lever_arm"} & {
+        line.source for line in accelerometer.budget["K_F"]
+    }
+
+
+def without(description, *path):
+    *sections, key = path
+    table = description
+    for section in sections:
+        table = table[section]
+    del table[key]
+    return description
+
+
+def with_model(key, value):
+    description = described(-2)
+    description["model"][key] = value
+    return description
+
+
+def with_displacement():
+    description = described(-2)
+    accelerometer = description["accelerometers"]["A"]
+    del accelerometer["specific_force"]
+    accelerometer["displacement"] = {"column": "f", "unit": "m"}
+    del description["noise"]
+    return description
+
+
+@pytest.mark.parametrize(
+    ("description", "message"),
+    [
+        (without(described(-2), "centrifuge", "strapped"), "write strapped = true in [centrifuge]"),
+        (without(described(0), "records", "angle"), "record the angle of the spindle"),
+        (with_displacement(), "record specific_force, because displacement along a turning axis"),
+        (described("2/0"), "must be a number, or a fraction such as 1/2"),
+        (described(100), "must be between -16 and 16"),
+        (with_model("terms", ["K_II", "table.lever_arm"]), "in addition to the requested terms"),
+        (
+            {**described(-1), "model": {"priors": {"table.lever_arm": "0 ± 1 mm"}}},
+            "acts only in runs with a table_ratio other than -1",
+        ),
+    ],
+)
+def test_what_a_ratio_needs_is_said(description, message):
+    with pytest.raises(CampaignError) as refused:
+        cs.make_campaign(description)
+    assert message in str(refused.value)
