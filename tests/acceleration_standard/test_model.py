@@ -11,6 +11,7 @@ from counterspin.acceleration_standard.model import (
     draw_distributions,
     sensitivities,
 )
+from counterspin.campaign.quantity import InputDistribution
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Site
 from counterspin.physics.station import FRAMES, Station
@@ -52,7 +53,7 @@ def test_relative_uncertainties_of_an_arm_of_1_m(level):
     u = math.hypot(*(slopes[name] * U[name] for name in UNITS))
     assert u / acceleration == pytest.approx(RELATIVE[level], rel=5e-3)
     # The standard deviation of 4e5 draws has a relative sampling error of 1.1e-3.
-    (drawn,) = draw_distributions(NOMINAL, U, [rate], 400_000, 5)
+    (drawn,) = draw_distributions(NOMINAL, U, [rate], 400_000, 5, {})
     assert drawn.u / acceleration == pytest.approx(RELATIVE[level], rel=5e-3)
     assert drawn.distance < drawn.tolerance
 
@@ -90,10 +91,20 @@ def test_acceleration_is_the_mean_force_of_a_station(rate):
 def test_a_large_misalignment_does_not_validate_the_interval_of_the_gum():
     """The mean of cos(beta) is exp(-u^2/2); the first order has no contribution of beta."""
     u = U | {"azimuth": 0.02}
-    (drawn,) = draw_distributions(NOMINAL, u, [10.0], 200_000, 3)
+    (drawn,) = draw_distributions(NOMINAL, u, [10.0], 200_000, 3, {})
     acceleration = applied_acceleration(NOMINAL, 10.0)
     shift = acceleration * (math.exp(-0.5 * 0.02**2) - 1.0)
     # The variance of beta^2/2 is u^4/2.
     sampling = acceleration * 0.02**2 / math.sqrt(2.0) / math.sqrt(200_000)
     assert drawn.mean - acceleration == pytest.approx(shift, abs=4.0 * sampling)
     assert drawn.distance > drawn.tolerance
+
+
+def test_a_dominating_rectangular_radius_has_its_interval():
+    """95 % of a rectangular distribution of half-width a is 0.95 a; the GUM has 1.13 a."""
+    u = dict.fromkeys(UNITS, 0.0) | {"radius": 1e-5}
+    limits = {"radius": InputDistribution("rectangular")}
+    (drawn,) = draw_distributions(NOMINAL, u, [10.0], 200_000, 3, limits)
+    width = (drawn.high - drawn.low) / applied_acceleration(NOMINAL, 10.0)
+    assert width == pytest.approx(2.0 * 0.95 * math.sqrt(3.0) * 1e-5, rel=0.01)
+    assert not drawn.validated

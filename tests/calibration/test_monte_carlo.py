@@ -15,7 +15,8 @@ from counterspin.calibration.monte_carlo import (
     shortest_interval,
 )
 from counterspin.calibration.result_parts import Coefficient
-from counterspin.campaign.distribution import InputDistribution, parse_prior
+from counterspin.campaign.distribution import parse_prior
+from counterspin.campaign.quantity import InputDistribution
 from counterspin.errors import CampaignError
 from counterspin.inference.joint.summary import BudgetLine
 
@@ -118,9 +119,12 @@ def test_the_shortest_interval_of_a_skewed_sample_starts_at_its_edge():
     ],
 )
 def test_every_form_of_a_prior_has_its_u(table, u, shape):
-    prior, distribution = parse_prior(table, "g/g^2", gravity=None)
+    prior = parse_prior(table, "g/g^2", gravity=None)
     assert prior.u == pytest.approx(u, rel=1e-12)
-    assert distribution.shape == shape
+    assert prior.distribution.shape == shape
+    again = parse_prior(prior.document, "g/g^2", gravity=None)
+    assert again.u == pytest.approx(u, rel=1e-12)
+    assert again.distribution == prior.distribution
 
 
 CAMPAIGN = """schema = 1
@@ -193,3 +197,83 @@ def test_terms_of_a_run_and_of_all_are_drawn_by_their_symbol():
     stated = {"platform.tilt.east": limited, "Qx.K_PP": limited}
     assert list(_by_source(stated, lines, "Qx", {"run1"})) == ["run1.platform.tilt.east", "K_PP"]
     assert list(_by_source(stated, lines, "Qy", {"run1"})) == ["run1.platform.tilt.east"]
+
+
+ARM = """schema = 1
+site = {{ gravity = {gravity}, latitude = "45 deg" }}
+centrifuge = {{ radius = {radius} }}
+[accelerometers.A]
+input_axis = "{axis}"
+pendulous_axis = "up"
+[model]
+terms = ["K_F", "K_I"]
+assume = "all"
+"""
+
+
+def arm_runs():
+    """Return readings of a perfect accelerometer at 1 m, inward, in m/s^2."""
+    for number, rate in enumerate((3.0, 6.0, 9.0, 12.0)):
+        yield (
+            f'[[runs]]\nname = "r{number}"\nmotion = "arm"\nrate = "{rate} rad/s"\n'
+            f'axes = {{ input = "inward", pendulous = "up" }}\n'
+            f'reading = "{rate**2 / 9.8:.9f} ± 1e-9 g"\n'
+        )
+
+
+def limited(value, half_width, unit, shape="rectangular"):
+    return (
+        f'{{ value = "{value} {unit}", half_width = "{half_width} {unit}", '
+        f'distribution = "{shape}" }}'
+    )
+
+
+@pytest.mark.parametrize(
+    ("gravity", "radius", "relative", "width"),
+    [
+        ('"9.8 m/s^2"', limited(1.0, 1e-4, "m"), 1e-4, 0.95),
+        (limited(9.8, 9.8e-4, "m/s^2"), '"1 m"', 1e-4, 0.95),
+        # Sum of a rectangular and an equal one: triangular, of twice the half-width.
+        (limited(9.8, 9.8e-4, "m/s^2"), limited(1.0, 1e-4, "m"), 2e-4, 1.0 - math.sqrt(0.05)),
+        ('"9.8 m/s^2"', limited(1.0, 1e-4, "m", "arcsine"), 1e-4, math.sin(0.475 * math.pi)),
+    ],
+)
+def test_inputs_of_site_and_centrifuge_are_drawn(tmp_path, gravity, radius, relative, width):
+    """K_I is proportional to gravity over radius; everything else is known to 1e-9."""
+    text = ARM.format(gravity=gravity, radius=radius, axis="west") + "".join(arm_runs())
+    (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
+    result = cs.calibrate(tmp_path, monte_carlo=100_000)
+    drawn = result.accelerometers["A"].monte_carlo["K_I"]
+    assert drawn.high - drawn.low == pytest.approx(2.0 * relative * width, rel=0.02)
+    assert drawn.gum_validated is False or shape_is_near_normal(width)
+
+
+def shape_is_near_normal(width):
+    """A triangular distribution has the 95 % interval of a normal one within 3 %."""
+    return width == 1.0 - math.sqrt(0.05)
+
+
+@pytest.mark.parametrize(
+    ("radius", "rate", "message"),
+    [
+        ('{ value = "1 m", half_width = "1 mm" }', '"3 rad/s"', "give value with u"),
+        ('{ value = "1 ± 0.1 m", u = "1 mm" }', '"3 rad/s"', "value must not have a ±"),
+        ('"1 m"', limited(3.0, 1e-3, "rad/s"), "random errors of single readings"),
+    ],
+)
+def test_wrong_tables_of_inputs_are_named(tmp_path, radius, rate, message):
+    text = ARM.format(gravity='"9.8 m/s^2"', radius=radius, axis="west") + "".join(arm_runs())
+    text = text.replace('rate = "3.0 rad/s"', f"rate = {rate}")
+    (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(CampaignError, match=message):
+        cs.calibrate(tmp_path)
+
+
+def test_a_campaign_in_memory_keeps_a_distribution(tmp_path):
+    text = ARM.format(gravity='"9.8 m/s^2"', radius=limited(1.0, 1e-4, "m"), axis="west")
+    (tmp_path / "campaign.toml").write_text(text + "".join(arm_runs()), encoding="utf-8")
+    campaign = cs.read_campaign(tmp_path)
+    shorter = campaign.change({"centrifuge": {"radius": cs.Quantity(0.9, 1e-4, "m")}})
+    assert shorter.radius.distribution.shape == "normal"
+    again = shorter.change({"centrifuge": {"radius": campaign.radius}})
+    assert again.radius == campaign.radius

@@ -125,7 +125,12 @@ def applied(
         rates = [math.sqrt(level * gravity / radius) for level in nominal]
     values = {source.name: source.value for source in sources}
     u = {source.name: source.u for source in sources}
-    drawn = draw_distributions(values, u, rates, draws, seed)
+    distributions = {
+        name: quantity.distribution
+        for name, quantity in _stated_quantities(described, chosen).items()
+        if quantity is not None and quantity.distribution.shape != "normal"
+    }
+    drawn = draw_distributions(values, u, rates, draws, seed, distributions)
     return AppliedAcceleration(
         title=described.title,
         version=__version__,
@@ -232,8 +237,8 @@ def _symbol(source: str, mounting: str | None) -> str:
     return _SYMBOLS[source].replace("MOUNTING", mounting or "MOUNTING")
 
 
-def _resolve_sources(campaign: Campaign, mounting: str | None) -> list[AppliedSource]:
-    """Return all sources with values and uncertainties, as stated or by default."""
+def _stated_quantities(campaign: Campaign, mounting: str | None) -> dict[str, Quantity | None]:
+    """Return the sources as the campaign states them; None: not stated."""
     priors = campaign.model.priors
     known: dict[str, Quantity | None] = {
         "radius": campaign.radius,
@@ -242,10 +247,14 @@ def _resolve_sources(campaign: Campaign, mounting: str | None) -> list[AppliedSo
         "clock": campaign.rate_clock or campaign.clock,
         "rate": _stated_rate_error(campaign),
     }
-    sources = []
+    return {name: known.get(name, priors.get(_symbol(name, mounting))) for name in UNITS}
+
+
+def _resolve_sources(campaign: Campaign, mounting: str | None) -> list[AppliedSource]:
+    """Return all sources with values and uncertainties, as stated or by default."""
+    stated, sources = _stated_quantities(campaign, mounting), []
     for name, unit in UNITS.items():
-        symbol = _symbol(name, mounting)
-        quantity = known.get(name, priors.get(symbol))
+        symbol, quantity = _symbol(name, mounting), stated[name]
         (value, u), by_default = resolve_prior(campaign, "", symbol, quantity)
         origin: Origin = "default" if by_default else "stated" if u else "assumed"
         sources.append(

@@ -17,6 +17,8 @@ import numpy as np
 
 from counterspin.acceleration_standard.result import MonteCarloCheck
 from counterspin.arrays import Array
+from counterspin.campaign.distribution import standard_draws
+from counterspin.campaign.quantity import NORMAL, InputDistribution
 from counterspin.inference.distributions import COVERAGE, expanded_uncertainty, numerical_tolerance
 from counterspin.physics.motion import EARTH_RATE
 
@@ -94,15 +96,22 @@ def draw_distributions(
     rates: list[float],
     draws: int,
     seed: int,
+    distributions: Mapping[str, InputDistribution],
 ) -> list[MonteCarloCheck]:
-    """Draw all sources from normal distributions; return the distribution at each rate.
+    """Draw all sources from their distributions; return the distribution at each rate.
 
-    The linear model is evaluated with the same draws. Its exact quantiles are known, so the
-    difference of the quantiles of both models has a much smaller sampling error than either.
+    If all sources are normal, the linear model is evaluated with the same draws. Its exact
+    quantiles are known, so the difference of the quantiles of both models has a much smaller
+    sampling error than either.
+
+    distributions: Source -> distribution, where it is not normal.
     """
     rng = np.random.default_rng(seed)
     errors = {
-        name: u[name] * rng.standard_normal(draws) if u[name] else np.zeros(1) for name in UNITS
+        name: u[name] * standard_draws(distributions.get(name, NORMAL), draws, rng)
+        if u[name]
+        else np.zeros(1)
+        for name in UNITS
     }
     drawn = {name: values[name] + error for name, error in errors.items()}
     found = []
@@ -116,7 +125,10 @@ def draw_distributions(
         u_linear = math.sqrt(sum((slopes[name] * u[name]) ** 2 for name in UNITS))
         half_width = expanded_uncertainty(u_linear, None, COVERAGE)
         tail = 0.5 * (1.0 - COVERAGE)
-        shifts = np.quantile(exact, (tail, 1.0 - tail)) - np.quantile(linear, (tail, 1.0 - tail))
+        ends = np.array([-half_width, half_width])
+        if not distributions:
+            ends = np.quantile(linear, (tail, 1.0 - tail))
+        shifts = np.quantile(exact, (tail, 1.0 - tail)) - ends
         distance, tolerance = float(np.max(np.abs(shifts))), numerical_tolerance(u_linear)
         found.append(
             MonteCarloCheck(

@@ -104,7 +104,7 @@ def calibrate(
                 accept_misfit,
             )
         if monte_carlo:
-            result = load_name(f"{MONTE_CARLO}:add_intervals")(result, campaign.model, monte_carlo)
+            result = load_name(f"{MONTE_CARLO}:add_intervals")(result, campaign, monte_carlo)
         if not without and not monte_carlo:
             return result
         option_words = [*result.provenance.options, *further_arguments(without, monte_carlo)]

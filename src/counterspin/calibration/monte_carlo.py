@@ -14,15 +14,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.calibration.model import stated_inputs
 from counterspin.calibration.result_parts import Coefficient, MonteCarloInterval
-from counterspin.campaign.distribution import InputDistribution
+from counterspin.campaign.distribution import standard_draws
+from counterspin.campaign.quantity import InputDistribution
 from counterspin.errors import CampaignError
 from counterspin.inference.distributions import COVERAGE, numerical_tolerance
 from counterspin.inference.joint.summary import BudgetLine
 
 if TYPE_CHECKING:
     from counterspin.calibration.result import Result
-    from counterspin.campaign.model import ErrorModel
+    from counterspin.campaign.description import Campaign
 
 #: Fewest and most trials: JCGM 101, 7.2 wants 10^4 times 1 / (1 - p) as a rule of thumb.
 MIN_TRIALS: Final = 10_000
@@ -47,30 +49,43 @@ def check_trials(trials: int, method: str) -> None:
         )
 
 
-def add_intervals(result: Result, model: ErrorModel, trials: int) -> Result:
+def add_intervals(result: Result, campaign: Campaign, trials: int) -> Result:
     """Return a result with the intervals of its estimated coefficients by Monte Carlo.
 
     Parameters
     ----------
     result
         Of the joint method.
-    model
-        The distributions of its priors.
+    campaign
+        The distributions of its priors and inputs.
     trials
         Number of trials.
     """
     accelerometers, runs = {}, set(result.runs)
+    distributions = stated_distributions(campaign)
     for place, (name, accelerometer) in enumerate(result.accelerometers.items()):
         intervals = {}
         for number, (symbol, coefficient) in enumerate(accelerometer.coefficients.items()):
             lines = accelerometer.budget.get(symbol)
             if lines and coefficient.estimated and coefficient.u:
                 generator = np.random.default_rng((_SEED, place, number))
-                shapes = _by_source(model.distributions, lines, name, runs)
+                shapes = _by_source(distributions, lines, name, runs)
                 errors = draw_errors(lines, coefficient, shapes, trials, generator)
                 intervals[symbol] = interval_of(errors, coefficient)
         accelerometers[name] = accelerometer.model_copy(update={"monte_carlo": intervals})
     return result.model_copy(update={"accelerometers": accelerometers})
+
+
+def stated_distributions(campaign: Campaign) -> dict[str, InputDistribution]:
+    """Return name of a term or input -> its stated distribution, where that is not normal."""
+    stated = stated_inputs(campaign) | dict(campaign.model.priors)
+    for name, accelerometer in campaign.accelerometers.items():
+        stated |= {f"{name}.{symbol}": prior for symbol, prior in accelerometer.priors.items()}
+    return {
+        name: quantity.distribution
+        for name, quantity in stated.items()
+        if quantity.distribution.shape != "normal"
+    }
 
 
 def _by_source(
@@ -110,7 +125,7 @@ def draw_errors(
     for line in lines:
         distribution = distributions.get(line.source)
         if line.kind in ("stated", "held") and distribution is not None:
-            errors += line.contribution * _standard_draws(distribution, trials, generator)
+            errors += line.contribution * standard_draws(distribution, trials, generator)
         elif line.kind != "noise" or math.isinf(noise_dof):
             normal_variance += line.contribution**2
     if not math.isinf(noise_dof):
@@ -124,22 +139,6 @@ def _noise_dof(coefficient: Coefficient, noise_variance: float) -> float:
     if coefficient.dof is None or coefficient.u is None or noise_variance <= 0.0:
         return math.inf
     return coefficient.dof * (noise_variance / coefficient.u**2) ** 2
-
-
-def _standard_draws(
-    distribution: InputDistribution, trials: int, generator: np.random.Generator
-) -> Array:
-    """Return draws about zero whose standard uncertainty is one (t: whose scale is one)."""
-    if distribution.shape == "t":
-        return np.asarray(generator.standard_t(distribution.dof, trials))
-    if distribution.shape == "rectangular":
-        return generator.uniform(-math.sqrt(3.0), math.sqrt(3.0), trials)
-    if distribution.shape == "triangular":
-        half_width = math.sqrt(6.0)
-        return generator.triangular(-half_width, 0.0, half_width, trials)
-    if distribution.shape == "arcsine":
-        return math.sqrt(2.0) * np.sin(generator.uniform(-0.5 * math.pi, 0.5 * math.pi, trials))
-    return generator.standard_normal(trials)
 
 
 def interval_of(errors: Array, coefficient: Coefficient) -> MonteCarloInterval:

@@ -17,6 +17,7 @@ from counterspin.campaign.columns import (
     VelocityChannel,
     spec_of,
 )
+from counterspin.campaign.distribution import parse_prior
 from counterspin.campaign.field_types import (
     Contradiction,
     Direction,
@@ -26,7 +27,7 @@ from counterspin.campaign.field_types import (
     uncertain_quantity,
 )
 from counterspin.campaign.model import check_near_nominal
-from counterspin.campaign.quantity import Quantity, parse
+from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.runs import is_reading
 from counterspin.campaign.settings import (
     OBSERVABLES,
@@ -63,8 +64,9 @@ def _sensitivity_as_prior(value: object, info: ValidationInfo) -> Quantity:
         if "output" in info.data:
             raise ValueError("also needs output = { unit = ..., sensitivity = ... }")
         return Quantity(math.nan, 0.0, "g/g")  # since what is said of the output is a mistake
-    stated = parse(value, f"{output.unit}/g")
-    return Quantity(stated.value / output.sensitivity, stated.u / abs(output.sensitivity), "g/g")
+    stated = parse_prior(value, f"{output.unit}/g", gravity=None)
+    u = stated.u / abs(output.sensitivity)
+    return Quantity(stated.value / output.sensitivity, u, "g/g", stated.distribution)
 
 
 class Accelerometer(SettingsSection):

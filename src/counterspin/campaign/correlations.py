@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.campaign.distribution import InputDistribution
 from counterspin.campaign.documents import KeyPath
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.validation import Problems, suggest_name
@@ -29,7 +28,6 @@ Pair = tuple[str, str]
 def read_correlations(
     entries: object,
     priors: Mapping[str, Mapping[str, Quantity]],
-    distributions: Mapping[str, InputDistribution],
     held: Collection[str],
     problems: Problems,
 ) -> dict[str, dict[str, float]]:
@@ -39,7 +37,6 @@ def read_correlations(
 
     entries: List of [term, term, r]. A term without an accelerometer counts for each of them.
     priors: Accelerometer -> term symbol -> prior.
-    distributions: Full name of a term -> distribution that is not normal.
     held: Symbols of the terms in [model] hold.
     """
     if not isinstance(entries, list):
@@ -52,7 +49,7 @@ def read_correlations(
             pairs, r = _read_entry(entry, priors)
             for pair in pairs:
                 for name in pair:
-                    _check_term(name, priors, distributions, held)
+                    _check_term(name, priors, held)
                 first, second = pair
                 if second in correlations.get(first, {}):
                     raise ValueError(f"the correlation of {first} and {second} is given twice")
@@ -115,7 +112,6 @@ def _full_names(name: str, priors: Mapping[str, Mapping[str, Quantity]]) -> list
 def _check_term(
     name: str,
     priors: Mapping[str, Mapping[str, Quantity]],
-    distributions: Mapping[str, InputDistribution],
     held: Collection[str],
 ) -> None:
     """Raise ValueError if the prior of a term cannot be correlated."""
@@ -126,9 +122,9 @@ def _check_term(
         raise ValueError(f"{name} {state}; a correlation is between priors with a stated ±")
     if symbol in held:
         raise ValueError(f"{symbol} is in model.hold; remove it there, so that the fit adjusts it")
-    if name in distributions:
+    if (shape := prior.distribution.shape) != "normal":
         raise ValueError(
-            f"the prior of {name} has a {distributions[name].shape} distribution; correlated "
+            f"the prior of {name} has a {shape} distribution; correlated "
             "priors are jointly normal (JCGM 101, 6.4.8). State it with value and u, or remove "
             "its correlation"
         )

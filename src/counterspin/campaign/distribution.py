@@ -1,23 +1,15 @@
-"""Priors with a distribution (GUM 4.3, JCGM 101, 6.4), as tables in `[model.priors]`."""
+"""Quantities with a distribution (GUM 4.3, JCGM 101, 6.4), as tables; draws from them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Final, Literal
+from typing import Any, Final
 
-from counterspin.campaign.field_types import exact
-from counterspin.campaign.quantity import Quantity, parse
-from counterspin.frozen import frozen
+import numpy as np
 
-Shape = Literal["normal", "t", "rectangular", "triangular", "arcsine"]
-
-#: Half-width over the standard deviation of the distributions with limits.
-_LIMITED: Final[Mapping[Shape, float]] = {
-    "rectangular": math.sqrt(3.0),
-    "triangular": math.sqrt(6.0),
-    "arcsine": math.sqrt(2.0),
-}
+from counterspin.arrays import Array
+from counterspin.campaign.quantity import HALF_WIDTHS, InputDistribution, Quantity, parse
 
 #: The keys with which a value is given, and what they mean.
 _FORMS: Final = (
@@ -29,6 +21,18 @@ _FORMS: Final = (
 
 _KEYS: Final = set[object]().union(*_FORMS)
 
+#: The tables in JSON Schema.
+TABLE_SCHEMA: Final = {
+    "type": "object",
+    "properties": {
+        **{key: {"type": "string"} for key in ("value", "u", "U", "half_width")},
+        **{key: {"type": "number"} for key in ("dof", "k")},
+        "distribution": {"enum": list(HALF_WIDTHS)},
+    },
+    "required": ["value"],
+    "additionalProperties": False,
+}
+
 #: Fewest degrees of freedom of a stated uncertainty.
 _MIN_DOF: Final = 1.0
 
@@ -38,56 +42,67 @@ _ADVICE: Final = (
 )
 
 
-@frozen
-class InputDistribution:
-    """Shape of the distribution of an input about its value."""
-
-    shape: Shape = "normal"
-    dof: float = math.inf  #: Degrees of freedom of Student's t; infinite of all others.
-
-
 def is_prior_table(value: object) -> bool:
-    """Return whether a value is a prior in the form of a table; no term has a name of its keys."""
+    """Return whether a value is a quantity as a table; no term has a name of its keys."""
     return isinstance(value, Mapping) and not _KEYS.isdisjoint(value)
 
 
-def parse_prior(
-    written: object, unit: str, *, gravity: float | None
-) -> tuple[Quantity, InputDistribution]:
-    """Return a prior with its standard uncertainty, and the shape of its distribution.
+def parse_prior(written: object, unit: str, *, gravity: float | None) -> Quantity:
+    """Return a quantity with its standard uncertainty and distribution.
 
     written: A quantity with ±, which is normal, or a table.
-    unit: Of the term.
+    unit: Of the quantity.
 
     Raises ValueError if it is neither.
     """
     if not isinstance(written, Mapping):
-        return parse(written, unit, gravity=gravity), InputDistribution()
+        return parse(written, unit, gravity=gravity)
     if set(written) not in _FORMS:
         raise ValueError(f"has {', '.join(map(str, written))}; {_ADVICE}")
 
+    def exact(key: str) -> float:
+        quantity = parse(written[key], unit, gravity=gravity)
+        if quantity.u != 0.0:
+            raise ValueError(f"{key} must not have a ± of its own")
+        return quantity.value
+
     def size(key: str) -> float:
-        quantity = exact(written[key], unit, gravity=gravity)
-        if quantity <= 0.0:
+        if (quantity := exact(key)) <= 0.0:
             raise ValueError(f"{key} must be greater than zero")
         return quantity
 
-    value = exact(written["value"], unit, gravity=gravity)
+    value = exact("value")
     if "half_width" in written:
         named = written["distribution"]
-        shape = next((name for name in _LIMITED if name == named), None)
+        shape = next((name for name in HALF_WIDTHS if name == named), None)
         if shape is None:
-            raise ValueError(f"{named!r} is none of {', '.join(_LIMITED)}")
-        return Quantity(value, size("half_width") / _LIMITED[shape], unit), InputDistribution(shape)
+            raise ValueError(f"{named!r} is none of {', '.join(HALF_WIDTHS)}")
+        u = size("half_width") / HALF_WIDTHS[shape]
+        return Quantity(value, u, unit, InputDistribution(shape))
     if "U" in written:
-        u = size("U") / _positive_number(written, "k")
-        return Quantity(value, u, unit), InputDistribution()
+        return Quantity(value, size("U") / _positive_number(written, "k"), unit)
     if "dof" in written:
         dof = _positive_number(written, "dof")
         if not _MIN_DOF <= dof < math.inf:
             raise ValueError(f"dof is {dof:g}; give a number from {_MIN_DOF:g}, or leave it out")
-        return Quantity(value, size("u"), unit), InputDistribution("t", dof)
-    return Quantity(value, size("u"), unit), InputDistribution()
+        return Quantity(value, size("u"), unit, InputDistribution("t", dof))
+    return Quantity(value, size("u"), unit)
+
+
+def standard_draws(
+    distribution: InputDistribution, trials: int, generator: np.random.Generator
+) -> Array:
+    """Return draws about zero whose standard uncertainty is one (t: whose scale is one)."""
+    if distribution.shape == "t":
+        return np.asarray(generator.standard_t(distribution.dof, trials))
+    if distribution.shape == "rectangular":
+        return generator.uniform(-math.sqrt(3.0), math.sqrt(3.0), trials)
+    if distribution.shape == "triangular":
+        half_width = math.sqrt(6.0)
+        return generator.triangular(-half_width, 0.0, half_width, trials)
+    if distribution.shape == "arcsine":
+        return math.sqrt(2.0) * np.sin(generator.uniform(-0.5 * math.pi, 0.5 * math.pi, trials))
+    return generator.standard_normal(trials)
 
 
 def _positive_number(written: Mapping[str, Any], key: str) -> float:

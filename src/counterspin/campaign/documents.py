@@ -321,7 +321,7 @@ def to_toml_value(value: Any, path: KeyPath, note: Callable[[KeyPath, str], None
     if isinstance(value, list | tuple):
         return [to_toml_value(inner, (*path, place), note) for place, inner in enumerate(value)]
     if hasattr(value, "written"):  # a quantity, or a turn
-        return value.written
+        return getattr(value, "document", value.written)
     if hasattr(value, "tolist"):  # a number of NumPy, or an array
         return to_toml_value(value.tolist(), path, note)
     if isinstance(value, PurePath):

@@ -31,6 +31,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, PydanticUndefined, core_schema
 
+from counterspin.campaign.distribution import TABLE_SCHEMA, parse_prior
 from counterspin.campaign.documents import BACKSLASH_ADVICE
 from counterspin.campaign.quantity import (
     NUMBER,
@@ -81,6 +82,8 @@ def _gravity(info: ValidationInfo) -> float | None:
 def _parse_quantity(
     unit: str, text: object, info: ValidationInfo, usual: str | None = None
 ) -> Quantity:
+    if isinstance(text, Mapping):
+        return parse_prior(text, unit, gravity=_gravity(info))
     return parse(text, unit, gravity=_gravity(info), usual=usual)
 
 
@@ -132,7 +135,10 @@ class Quantities(PlainValidator):
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
         """Return the JSON Schema of what is written."""
-        return TypeAdapter(self.json_schema_input_type).json_schema()
+        text = TypeAdapter(self.json_schema_input_type).json_schema()
+        if not (isinstance(self.func, partial) and self.func.func is _parse_quantity):
+            return text
+        return {"anyOf": [text, TABLE_SCHEMA], "x-unit": text["x-unit"]}
 
 
 class _IsQuantity:
@@ -216,6 +222,16 @@ def check_zero_mean(value: Quantity) -> Quantity:
     """Refuse what is not about zero, or has no uncertainty."""
     if value.value != 0.0 or not value.u > 0.0:
         raise ValueError('needs the value zero and an uncertainty; write "0 ± 0.5 deg"')
+    return value
+
+
+def check_normal(value: Quantity) -> Quantity:
+    """Refuse a distribution of a quantity whose errors in single readings are taken as normal."""
+    if value.distribution.shape != "normal":
+        raise ValueError(
+            "the random errors of single readings are drawn from the normal distribution; "
+            'write "VALUE ± U UNIT"'
+        )
     return value
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from functools import cached_property
 from typing import Any, Final
 
 from counterspin.arrays import Array
 from counterspin.campaign.correlations import CORRELATION, read_correlations
-from counterspin.campaign.distribution import InputDistribution, is_prior_table, parse_prior
+from counterspin.campaign.distribution import is_prior_table, parse_prior
 from counterspin.campaign.documents import KeyPath, flatten_keys
 from counterspin.campaign.field_types import exact
 from counterspin.campaign.quantity import Quantity
@@ -78,8 +78,6 @@ class ErrorModel:
     typical: Mapping[str, float]
     #: What is taken as perfect where nothing is stated: names, ``platform.*``, ``all``.
     assume: tuple[str, ...] = ()
-    #: Name of a term, with its accelerometer -> distribution of its prior, where it is not normal.
-    distributions: Mapping[str, InputDistribution] = field(default_factory=dict)
     #: Full name of a term -> stated correlation of its prior with those of other terms.
     correlations: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     setting: Quantity | None = None  #: Error of setting a position at rest, where one is stated.
@@ -171,13 +169,14 @@ class MeasurementSetup:
             priors |= dict.fromkeys(axes, machine.axis_tilt)
         if machine.droop is not None and self.has_readings:
             priors["centrifuge.droop"] = machine.droop
-        if u_radius := machine.radius.u:
+        if machine.radius.u:
             radius_symbols = [
                 symbol
                 for symbol in self.observable_terms
                 if symbol.startswith("centrifuge.radius.") and symbol in set(requested)
             ]
-            priors |= dict.fromkeys(radius_symbols, Quantity(0.0, u_radius, "m"))
+            deviation = replace(machine.radius, value=0.0)
+            priors |= dict.fromkeys(radius_symbols, deviation)
         return priors
 
 
@@ -204,7 +203,7 @@ def resolve_model(
             problems.add(("model", key), f'"{symbol}" is in model.terms too; keep one')
     if not any(symbol in TERMS for symbol in terms):
         problems.add(("model", "terms"), "contains no accelerometer term to estimate")
-    shared, accelerometer_priors, distributions = _resolve_priors(
+    shared, accelerometer_priors = _resolve_priors(
         settings.priors, stated_priors, setup, problems, gravity
     )
     setup_priors = setup.setup_priors((*terms, *considered))
@@ -225,7 +224,6 @@ def resolve_model(
     correlations = read_correlations(
         settings.priors.get(CORRELATION, []),
         accelerometer_priors,
-        distributions,
         considered,
         problems,
     )
@@ -243,7 +241,6 @@ def resolve_model(
         limits,
         typical,
         assume,
-        distributions,
         correlations,
         setup.setting,
         named,
@@ -349,13 +346,9 @@ def _resolve_priors(
     setup: MeasurementSetup,
     problems: Problems,
     gravity: float | None,
-) -> tuple[dict[str, Quantity], dict[str, dict[str, Quantity]], dict[str, InputDistribution]]:
-    """Return priors that all share, and each accelerometer's; a narrower name overrides a wider.
-
-    And by the name of a term, with its accelerometer, the distributions that are not normal.
-    """
+) -> tuple[dict[str, Quantity], dict[str, dict[str, Quantity]]]:
+    """Return priors that all share, and each accelerometer's; a narrower name overrides a wider."""
     shared: dict[str, Quantity] = {}
-    distributions: dict[str, InputDistribution] = {}
     merged = {name: dict(priors) for name, priors in stated_priors.items()}
     flat = flatten_keys(raw, is_value=is_prior_table)
     for key in _widest_first(key for key in flat if key != CORRELATION):
@@ -380,13 +373,9 @@ def _resolve_priors(
         if not symbols:
             continue
         unit = term(symbols[0]).unit
-        stated = problems.collect(path, parse_prior, flat[key], unit, gravity=gravity)
-        if stated is None:
+        prior = problems.collect(path, parse_prior, flat[key], unit, gravity=gravity)
+        if prior is None:
             continue
-        prior, distribution = stated
-        if distribution.shape != "normal":
-            names = [f"{name}.{symbol_part}" for name in owners] or symbols
-            distributions |= dict.fromkeys(names, distribution)
         grades = (setup.grades.get(name, DEFAULT_GRADE) for name in owners)
         widest_grade = max(grades, key=GRADES.index, default=DEFAULT_GRADE)
         problems.collect(path, check_near_nominal, symbols[0], prior, widest_grade)
@@ -399,7 +388,7 @@ def _resolve_priors(
                     f"a prior of {symbol_part} is given in accelerometers.{name} too; keep one",
                 )
             merged[name][symbol_part] = prior
-    return shared, merged, distributions
+    return shared, merged
 
 
 def as_deviation(symbol: str, prior: Quantity, centrifuge: CentrifugeSettings | None) -> Quantity:
@@ -408,7 +397,7 @@ def as_deviation(symbol: str, prior: Quantity, centrifuge: CentrifugeSettings | 
         return prior
     radius = centrifuge.radius.value
     value = prior.value - radius if prior.value > _DEVIATION_PART * radius else prior.value
-    return Quantity(value, prior.u, prior.unit)
+    return replace(prior, value=value)
 
 
 def check_near_nominal(symbol: str, prior: Quantity, grade: str = DEFAULT_GRADE) -> Quantity:

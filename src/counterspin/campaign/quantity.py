@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -49,6 +49,27 @@ _LATITUDE: Final = re.compile(
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)\b", re.IGNORECASE)
 
 
+Shape = Literal["normal", "t", "rectangular", "triangular", "arcsine"]
+
+#: Half-width over the standard deviation of the distributions with limits.
+HALF_WIDTHS: Final[Mapping[Shape, float]] = {
+    "rectangular": math.sqrt(3.0),
+    "triangular": math.sqrt(6.0),
+    "arcsine": math.sqrt(2.0),
+}
+
+
+@frozen
+class InputDistribution:
+    """Shape of the distribution of an input about its value."""
+
+    shape: Shape = "normal"
+    dof: float = math.inf  #: Degrees of freedom of Student's t; infinite of all others.
+
+
+NORMAL: Final = InputDistribution()
+
+
 @frozen
 class Quantity:
     """A value with its standard uncertainty.
@@ -61,6 +82,8 @@ class Quantity:
         Its standard uncertainty (k = 1), in `unit`; 0 for a value that is taken as exact.
     unit
         SI or g-units, such as ``m``, ``rad/s`` or ``g/g^2``.
+    distribution
+        The distribution about the value; normal by default.
 
     Examples
     --------
@@ -72,6 +95,7 @@ class Quantity:
     value: float
     u: float
     unit: str
+    distribution: InputDistribution = NORMAL
 
     def __str__(self) -> str:
         """Write the quantity so that `parse` reads the same numbers."""
@@ -81,6 +105,20 @@ class Quantity:
     def written(self) -> str:
         """The quantity as a person writes it: without an uncertainty if it has none."""
         return str(self) if self.u else f"{self.value!r} {self.unit}"
+
+    @property
+    def document(self) -> str | dict[str, str | float]:
+        """The quantity as a value of a document: a table if its distribution is not normal."""
+        shape, unit = self.distribution.shape, self.unit
+        if shape == "normal":
+            return self.written
+        table: dict[str, str | float] = {"value": f"{self.value!r} {unit}"}
+        if shape == "t":
+            return table | {"u": f"{self.u!r} {unit}", "dof": self.distribution.dof}
+        return table | {
+            "half_width": f"{self.u * HALF_WIDTHS[shape]!r} {unit}",
+            "distribution": shape,
+        }
 
 
 @frozen
@@ -163,7 +201,7 @@ def _in_unit(quantity: Quantity, unit: str, text: str, gravity: float | None) ->
     largest = _LARGEST.get(unit, _SIZE_RANGE[1])
     if any(size and not _SIZE_RANGE[0] < size < largest for size in (abs(value), u)):
         raise ValueError(f"{text!r} is implausibly large or small; {kind} is needed ({accepted})")
-    return Quantity(value, u, unit)
+    return Quantity(value, u, unit, quantity.distribution)
 
 
 def _with_unit(number: str, unit: str, usual: str | None) -> str:

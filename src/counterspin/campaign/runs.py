@@ -25,6 +25,7 @@ from counterspin.campaign.field_types import (
     TableRatio,
     Temperatures,
     Text,
+    check_normal,
     extra_of,
     key_field,
     positive,
@@ -120,23 +121,28 @@ class Run(SettingsSection):
     motion: MotionKind = key_field(
         "motion of the instrument", "static", "counter-rotating", applies_to=READINGS
     )
-    stated_rate: Annotated[Quantity, uncertain_quantity("rad/s")] = key_field(
-        "nominal rate; negative in the other sense; not used at rest. `±` in a reading,"
-        " or in an arm run without a recorded angle, is its random standard uncertainty",
-        "0.25 rev/s",
-        Quantity(0.0, 0.0, "rad/s"),
-        absent="none",
-        alias="rate",
-    )
-    amplitude: Annotated[Quantity | None, uncertain_quantity("m/s^2"), AfterValidator(positive)] = (
+    stated_rate: Annotated[Quantity, uncertain_quantity("rad/s"), AfterValidator(check_normal)] = (
         key_field(
-            "peak acceleration of a vibration along the input axis; `±` is the random standard "
-            "uncertainty of this amplitude",
-            "5 ± 0.01 g",
-            None,
+            "nominal rate; negative in the other sense; not used at rest. `±` in a reading,"
+            " or in an arm run without a recorded angle, is its random standard uncertainty",
+            "0.25 rev/s",
+            Quantity(0.0, 0.0, "rad/s"),
             absent="none",
-            applies_to=READINGS,
+            alias="rate",
         )
+    )
+    amplitude: Annotated[
+        Quantity | None,
+        uncertain_quantity("m/s^2"),
+        AfterValidator(positive),
+        AfterValidator(check_normal),
+    ] = key_field(
+        "peak acceleration of a vibration along the input axis; `±` is the random standard "
+        "uncertainty of this amplitude",
+        "5 ± 0.01 g",
+        None,
+        absent="none",
+        applies_to=READINGS,
     )
     bias_acceleration: Annotated[float, read_exactly("m/s^2")] = key_field(
         "mean specific force along the input axis during a vibration, beside gravity",
