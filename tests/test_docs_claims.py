@@ -84,7 +84,7 @@ NUMBERS = [
         "has at most {} records, one for each run and accelerometer, and a campaign {} readings.",
         [MOST_RECORDS, MOST_READINGS],
     ),
-    ("study", "With fewer than {} trials it says that they are too few", [MIN_TRIALS]),
+    ("study", "With fewer than {} trials, the study states that they are too few", [MIN_TRIALS]),
     ("methods", "blocks of at most {} revolution.", [1 / reduction.BLOCKS_PER_REVOLUTION]),
     (
         "methods",
@@ -98,16 +98,28 @@ NUMBERS = [
         "| {} to {} | held |",
         [encoder._CONSIDERED_NORM_SQUARED, encoder._ESTIMATED_NORM_SQUARED],
     ),
-    ("methods", "| below {} | left out", [encoder._CONSIDERED_NORM_SQUARED]),
-    ("methods", "further than {} typical sizes from nothing", [limits._MAX_DEFAULT_SDS]),
+    ("methods", "| below {} | omitted", [encoder._CONSIDERED_NORM_SQUARED]),
+    (
+        "methods",
+        "from zero by more than {} default uncertainties is a finding",
+        [limits._MAX_DEFAULT_SDS],
+    ),
     ("result", "more than {} default standard uncertainties", [limits._MAX_DEFAULT_SDS]),
     ("methods", "above {} of the noise of one row", [design_blocks._MIN_EFFECT]),
     ("methods", "With the typical {} ug/g^2 of navigation grade", [1e6 * TERMS["K_OO"].typical]),
     ("methods", "enter u as stated, or with {} arcsec", [ENCODER / ARCSEC]),
     ("trust", "in u, at {} arcsec each", [ENCODER / ARCSEC]),
-    ("campaign", "Without `clock` its error is 0 ± {}, that", [INPUTS["records.clock"].typical]),
-    ("physics", "A free quartz is off by {} ppm", [1e6 * INPUTS["records.clock"].typical]),
-    ("physics", "are {} ppm of K_I in specific force", [2e6 * INPUTS["records.clock"].typical]),
+    (
+        "campaign",
+        "the relative rate error of the clock is 0 ± {}, as",
+        [INPUTS["records.clock"].typical],
+    ),
+    (
+        "physics",
+        "free-running quartz oscillator is typically {} ppm",
+        [1e6 * INPUTS["records.clock"].typical],
+    ),
+    ("physics", "change K_I by {} ppm", [2e6 * INPUTS["records.clock"].typical]),
     ("methods", "in log-likelihood reaches {}, which", [noise_search.KEEPING_GAIN]),
     (
         "methods",
@@ -123,25 +135,33 @@ NUMBERS = [
     ),
     ("methods", "flicker above {} half-waves", [bias_instability._BASIS_SIZE_RANGE[1]]),
     ("methods", "false alarm in one of {} good", [1 / diagnostics.SIGNIFICANCE]),
-    ("methods", "at least {} of its prior's variance", [1 - identifiability.MAX_VARIANCE_RATIO]),
-    ("methods", "off their neighbours by more than {} standard", [outliers.LIMIT_SDS]),
-    ("methods", "reaches in one of a {} whole records", [1 / outlier_rejection.FALSE_ALARMS]),
+    (
+        "methods",
+        "reduce the variance of its prior by at least {}.",
+        [1 - identifiability.MAX_VARIANCE_RATIO],
+    ),
+    ("methods", "deviate from their neighbours by more than {} standard", [outliers.LIMIT_SDS]),
+    ("methods", "in at most one of a {} complete records", [1 / outlier_rejection.FALSE_ALARMS]),
     ("methods", "residuals more than {} the stated noise", [findings.RESIDUAL_RATIO_LIMIT]),
     ("methods", "noise beyond {} ug/Hz^0.5, a run", [1e6 * findings.LARGEST_WALK]),
     ("methods", "the others by more than {} standard", [findings.CONTRADICTION_SIGMAS]),
-    ("methods", "shifts below {} of their u, of many", [diagnostics.AGREEMENT]),
-    ("methods", "within {} of the difference's u", [diagnostics.AGREEMENT]),
+    ("methods", "shifts below {} of their u; below", [diagnostics.AGREEMENT]),
+    ("methods", "within {} u of the difference", [diagnostics.AGREEMENT]),
     ("diagnosis", "| each record, at {} times, then", [ranking.STEPS]),
-    ("diagnosis", "all of its own or none, to {} %", [100 * (mistakes._WHOLE_VELOCITY[1] - 1)]),
     (
         "diagnosis",
-        "within {} of its chi-square, or within {} % of the gain",
+        "either its own or the platform's, within {} %",
+        [100 * (mistakes._WHOLE_VELOCITY[1] - 1)],
+    ),
+    (
+        "diagnosis",
+        "differs by less than {}, or by less than {} % of the gain",
         [ranking._DECISIVE_CHI2, 100 * ranking._DECISIVE_FRACTION],
     ),
-    ("diagnosis", "head of the finding, then up to {} others", [search._MAX_RIVALS]),
+    ("diagnosis", "one of them first, then up to {} others", [search._MAX_RIVALS]),
     ("diagnosis", "for up to {} causes", [search._MAX_CAUSES]),
     ("diagnosis", "effects below {} % of its size", [100 * search._MIN_RELATIVE_SIZE]),
-    ("diagnosis", "blamed in at most {} % of good campaigns", [CAUSES]),
+    ("diagnosis", "on priors occur in at most {} % of good campaigns", [CAUSES]),
     ("diagnosis", "left out (`run-disagrees`): {} % of campaigns", [ALARMS]),
     ("diagnosis", "(`noise-differs`): {} %, likewise", [ALARMS]),
     ("diagnosis", "two-stage method: {} % of accelerometers", [ALARMS]),
@@ -158,7 +178,7 @@ NUMBERS = [
     ("diagnosis", "causes: {} % for priors, {} % for all else", [CAUSES, CAUSES]),
     ("diagnosis", "effective ones, rounded: from {} on", [fitted.MIN_DOF]),
     ("diagnosis", "sine of 1 to {} times the head's angle", [patterns._HARMONICS]),
-    ("diagnosis", "constant of {} and of {} of the series", [*patterns._WARM_UPS]),
+    ("diagnosis", "constant of {} or {} of the duration of the series", [*patterns._WARM_UPS]),
     (
         "diagnosis",
         "Every explanation within {} of its chi-square is named with it",
@@ -221,7 +241,7 @@ NUMBERS = [
     ("physics", "at $K_I = {}$ a difference of {} %", [1.002, 100 * (1.002 - 1)]),
     (
         "arm",
-        "the Earth's rate adds {} of the force at pi rad/s",
+        "the Earth's rate adds {} of the force, with",
         [2 * EARTH_RATE * math.sin(math.pi / 4) / math.pi],
     ),
     (
@@ -269,7 +289,7 @@ def test_weighing_is_better_than_holding():
 
 
 def test_roughly():
-    (times,) = told("physics", "at π/2 rad/s {} times what an equal `zx` adds")
+    (times,) = told("physics", "at π/2 rad/s {} times the effect of an equal `zx`")
     k_yy = 0.5 * PLAN[0] * 0.5 * math.pi
     k_zx = abs(parabola("platform.g_sensitivity.zx", QX, 0.5 * math.pi, *PLAN))
     assert k_yy / k_zx == pytest.approx(value_of(times), rel=0.1)
@@ -366,7 +386,7 @@ def test_intervals_with_a_noise_that_is_found_are_rather_too_long():
     for row in rows:
         if row["words"] == "white, not stated":
             length = 1.0 / row["normal_rms"]["K_F"]
-            assert "about twice as long as they need be" in sentences("methods")
+            assert "about twice as long as necessary" in sentences("methods")
             assert length == pytest.approx(2.0, abs=0.35)
 
 
@@ -510,7 +530,7 @@ def test_the_page_on_validation_has_every_requirement():
 
 def test_rates_of_the_arm_s_example():
     *sizes, last = re.search(
-        r"filled in: ([\d, ]+) and (\d+) g, both ways", sentences("arm")
+        r"filled in: ([\d, ]+) and (\d+) g in both mountings", sentences("arm")
     ).groups()
     sizes = [*sizes[0].split(", "), last]
     text = (files("counterspin.ingest") / "starter_arm.csv").read_text("utf-8")
@@ -520,7 +540,7 @@ def test_rates_of_the_arm_s_example():
         *(f"{way} {size} g" for size in sizes for way in ("in", "out")),
         "rest down",
     ]
-    assert names == [*first, *(f"{name} again" for name in reversed(first))]
+    assert names == [*first, *(f"{name} (repeat)" for name in reversed(first))]
 
 
 def test_the_tumble_s_example_and_table():
@@ -560,8 +580,9 @@ def test_what_few_degrees_of_freedom_show():
     level = 0.5 * diagnostics.SIGNIFICANCE / 20
     seen, *larger = told(
         "diagnosis",
-        "one that is {} of its standard deviations is seen every other time with 5 degrees of "
-        "freedom; with 4 it must be {}, with 3 it must be {}, and with 2 it must be {}. Twelve",
+        "a pattern of {} standard deviations is detected in half of the cases with 5 degrees of "
+        "freedom. With 4 degrees of freedom it must be {} standard deviations, with 3 it must be "
+        "{}, and with 2 it must be {}. Twelve",
     )
     for freedom, text in zip((5, 4, 3, 2), (seen, *larger), strict=True):
         # Of the residuals' freedom the column itself takes one.
@@ -575,8 +596,9 @@ def test_what_a_bias_that_settles_early_leaves_to_be_seen():
     (g, radius) = (9.8066, 2.5)
     claimed = told(
         "diagnosis",
-        "leaves {} standard deviations of a displacement with 0.01 m of noise if it takes 10 s ({} "
-        "if it takes 5 s), {} of a velocity with 1 mm/s if it takes 3 s, {} of a specific force",
+        "a residual effect of {} standard deviations in a displacement with 0.01 m of noise if it "
+        "takes 10 s ({} if it takes 5 s), {} in a velocity with 1 mm/s if it takes 3 s, and {} in "
+        "a specific force",
     )
     waves = [wave(n * rate * time) for n in (1, 2) for wave in (np.cos, np.sin)]
     for text, (order, noise, takes) in zip(
@@ -590,7 +612,7 @@ def test_what_a_bias_that_settles_early_leaves_to_be_seen():
         others = np.stack([*((time / 100.0) ** k for k in range(power)), *waves], axis=1)
         left = shown - others @ np.linalg.lstsq(others, shown, rcond=None)[0]
         assert f"{np.linalg.norm(left) / noise:.2g}" == text
-    (moved,) = told("diagnosis", "it moves K_II by {} ug/g^2, of which u")
+    (moved,) = told("diagnosis", "it moves K_II by {} ug/g^2. u includes")
     assert f"{1e6 * 2.0 * rise * (g / (radius * rate**2)) ** 2:.2g}" == moved
 
 

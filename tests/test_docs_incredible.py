@@ -50,7 +50,7 @@ def test_what_is_likely_is_said():
     sign = "Check the sign of the output, the sense of the input axis and of the attitudes."
     assert sign in said["the sign of all that is read"]
     assert sign in said["mirrored attitudes, input axis east at 0"]
-    assert "Check a unit, m/s^2 against g." in said["m/s^2 for g"]
+    assert "Check a unit, m/s^2 instead of g." in said["m/s^2 for g"]
     assert "the attitudes: their zero" in said["the zero of the head, 1 deg"]
     assert "the sense in which the attitudes turn" in said["mirrored attitudes, delta_O stated"]
 

@@ -55,7 +55,7 @@ def default(function, name):
 ROWS = {
     "campaign": [
         ("/g$, {} for {} m/s²", 1e-4 / 9.80665, 1e-4),
-        ("no height from {} to {} m has", *motion.HEIGHTS),
+        ("at any height from {} to {} m", *motion.HEIGHTS),
         (
             "latitude of {} deg, 1 mg moves the displacement at right angles to it by {} m in {} s",
             45.0,
@@ -91,14 +91,20 @@ ROWS = {
         ("an arm that stretches ({} for each m/s²)", MOTION["centrifuge.stretch"].typical),
         ("by heating ({} µg/g²)", 1e6 * terms.CONDITION_TERMS["K_F.heating"].typical),
         ("gain of a limit relaxed by {} %", 100.0 * limits.RELAXATION),
-        ("u would grow by {}. If", math.hypot(1.0, faults._TOLERABLE_FRACTION_OF_U) - 1.0),
+        (
+            "would increase u by {} %",
+            100.0 * (math.hypot(1.0, faults._TOLERABLE_FRACTION_OF_U) - 1.0),
+        ),
     ],
     "study": [
         ("{} analyses compete", len(description._DEFAULT_ANALYSES)),
         ("share of trials whose {}, {} and {} % intervals", *(100.0 * p for p in result.LEVELS)),
-        ("contain the truth in {} to {} % of", *(100.0 * p for p in result._ACCEPTED_COVERAGE)),
+        (
+            "contain the true value in {} to {} % of",
+            *(100.0 * p for p in result._ACCEPTED_COVERAGE),
+        ),
         ("must not exceed {} of the stated u", result._MAX_BIAS_RATIO),
-        ("mean true values, and of {} drawn sets of them", engine_selection._COMPARED_TRIALS),
+        ("mean true values and for {} random sets", engine_selection._COMPARED_TRIALS),
         ("an estimate differs by more than {} u", engine_selection._MAX_ESTIMATE_DIFFERENCE),
         ("or u by more than {} %, the study", 100.0 * engine_selection._MAX_U_DIFFERENCE),
         ("by the same factor, down to {}.", math.sqrt(0.5)),
@@ -119,9 +125,9 @@ ROWS = {
         ("by more than {} mean ranges", 1.0 + 3.0 * consistency._D3 / consistency._D2),
         ("limits at z = ± {}", page._ACTION_Z),
         ("(`--reliability`, {})", default(cs.history, "reliability")),
-        ("none is more than {} years after the last result", consistency.MAX_YEARS),
+        ("no date is more than {} years after the last result", consistency.MAX_YEARS),
         ("A probability below {} % is a finding", 100.0 * diagnostics.SIGNIFICANCE),
-        ("correlations below {} are left out", consistency._NEGLIGIBLE_CORRELATION),
+        ("Correlations below {} are omitted", consistency._NEGLIGIBLE_CORRELATION),
     ],
     "certificate": [
         ("`CS-` and {} digits of the SHA-256", DIGITS),
@@ -135,9 +141,9 @@ ROWS = {
             signers._CURVE_BITS,
         ),
     ],
-    "compare": [("the same within {}, or", rerun.LIMIT)],
+    "compare": [("agreement within {} or", rerun.LIMIT)],
     "monitoring": [
-        ("its rate is off by more than {} %", 100.0 * assembly.MAX_RATE_DEVIATION),
+        ("its rate deviates by more than {} %", 100.0 * assembly.MAX_RATE_DEVIATION),
         ("shorter than {} of the stated length", assembly.COMPLETE_FRACTION),
         ("more than {} % of it are outliers", 100.0 * outcome.OUTLIER_SHARE),
         ("A run of fewer than {} revolutions is not assessed", observer.MIN_REVOLUTIONS),

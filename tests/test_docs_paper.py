@@ -47,10 +47,10 @@ def test_the_plan_is_some_fifty_times_better(reproduction):
 
 
 def test_what_is_missing_of_the_drift_and_how_small_the_product_is(reproduction):
-    (missing,) = told("paper", "(The {} % that are missing")
+    (missing,) = told("paper", "(The missing {} %")
     drift = reproduction["separation.drift_as_ripple"].ours
     assert agrees(missing, 100.0 * (1.0 - drift / (2.0 / 3.0 * plan.DRIFT_RATE)))
-    (most,) = told("paper", "Table 2's ripple it is {} millionths of the $K_{II}$ term or less")
+    (most,) = told("paper", "this parabola is at most {} millionths of the $K_{II}$ term")
     rate, table = max(plan.RATES), plan.TABLE_1
     product = 0.75 * table["K_III"] * plan.RADIUS**3 * rate**6 / plan.GRAVITY**2
     product *= plan.RIPPLE_RATIO * math.sin(plan.RIPPLE_PHASE)

@@ -21,7 +21,7 @@ def run() -> int:
     """Run the command line in a process of its own and return the exit status."""
     if (most := _most_bytes()) is not None and most < _LEAST_BYTES:
         print(
-            f"counterspin: this process may take {most / 1e9:.2g} GB of address space, and needs "
+            f"counterspin: this process may take {most / 1e9:.2g} GB of address space but needs "
             f"{_LEAST_BYTES / 1e9:g} GB to begin; raise the limit (ulimit -v)",
             file=sys.stderr,
         )

@@ -187,7 +187,7 @@ def _plain(value: Any, *, nulls: bool) -> Any:
     made.pop("x-kind", None)
     made.pop("x-of", None)
     if (absent := made.pop("x-absent", None)) is not None and "description" in made:
-        made["description"] += f" (if left out: {unlinked(absent)})"
+        made["description"] += f" (default: {unlinked(absent)})"
     if "x-unit" in json.dumps([made.get("anyOf"), *made]):
         made.pop("default", None)  # which is in SI, not as it is written
     return made

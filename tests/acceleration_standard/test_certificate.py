@@ -62,7 +62,7 @@ def test_uncertainty_covers_an_interval_that_is_not_validated(applied, tmp_path)
         assert expanded == pytest.approx(level.acceleration - level.monte_carlo.low, rel=1e-4)
         # The 97.5 % quantile of beta^2/2 is 5.0239 u^2/2.
         assert expanded == pytest.approx(level.acceleration * 5.0239 * 2e-4, rel=0.02)
-    assert b"U covers the interval by Monte Carlo" in made.xml
+    assert b"U covers the Monte Carlo interval" in made.xml
 
 
 @needs_schema

@@ -48,7 +48,7 @@ def test_a_file_that_does_not_arrive_leaves_nothing(page, folder, monkeypatch):
 
 def test_a_packed_file_is_refused_before_it_is_brought(app):
     with pytest.raises(
-        PathForbiddenError, match=r"new/run\.csv\.gz: the file is packed; unpack it"
+        PathForbiddenError, match=r"new/run\.csv\.gz: the file is compressed; unpack it"
     ):
         open_upload(app, "new/run.csv.gz")
     assert not app.folder.path("new").exists()

@@ -149,7 +149,7 @@ def test_campaign_whose_workers_die_is_reported_and_stops_no_other(folders, tmp_
     assert status == 1
     assert "1 of 3 campaigns could not be calibrated" in shown.err
     campaigns = json.loads(kept.read_text(encoding="utf-8"))["campaigns"]
-    assert "its process died" in campaigns[several[1]]["error"]
+    assert "its process crashed" in campaigns[several[1]]["error"]
     assert all("accelerometers" in campaigns[several[i]] for i in (0, 2))
 
 

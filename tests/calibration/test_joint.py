@@ -195,7 +195,7 @@ def test_noise_that_is_not_stated_is_estimated_and_said_so(tmp_path):
         assert k_ii(found, name).dof < 0.1 * one.residual.dof
         assert one.coefficients["K_III"].dof > 0.5 * one.residual.dof
         lines = {line.source: line for line in one.budget["K_II"]}
-        unseen = lines[f"noise of {name} that does not show"]
+        unseen = lines[f"undetected noise of {name}"]
         assert unseen.unit == "m/s^2/Hz^0.5"
         assert lines[f"noise of {name}"].contribution ** 2 + unseen.contribution**2 == (
             pytest.approx(k_ii(found, name).u_noise ** 2, rel=1e-9)

@@ -294,7 +294,7 @@ def test_of_displacement_only_a_parabola_decides(displaced, tmp_path, count):
         word = ("mean", "line")[count - 1]
         assert any(f"A {word} was removed" in text for text in result.warnings)
         return
-    with pytest.raises(RecordError, match="orthogonal to 1, t, t\\^2, as no original record is"):
+    with pytest.raises(RecordError, match="orthogonal to 1, t, t\\^2, to the last digit"):
         calibrate(campaign)
 
 

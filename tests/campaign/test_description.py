@@ -257,12 +257,12 @@ EXACT_PATHS = [
         '[model.priors]\nK_I = "-1 g/g"',
         "model.priors.K_I: -1 g/g is too far from 1",
     ),
-    ("bias =", 'K_F = "0 g"\nbias =', "accelerometers.Qx.bias: is the prior of K_F, given too"),
+    ("bias =", 'K_F = "0 g"\nbias =', "accelerometers.Qx.bias: duplicates the prior of K_F"),
     (QX_DISPLACEMENT, "", "accelerometers.Qx: has no observable; give one of displacement,"),
     (QX_DISPLACEMENT, f"{QX_DISPLACEMENT}\n{FORCE}", "accelerometers.Qx: has displacement and"),
     ("[accelerometers.Qx]", "[accelerometers.noise]", "accelerometers.noise: cannot be an"),
     ("0.01 m", "0.01 s", "noise.displacement: 's' is not a unit of length"),
-    ("0.01 m", "-0.01 m", "noise.displacement: a standard deviation is not negative"),
+    ("0.01 m", "-0.01 m", "noise.displacement: a standard deviation cannot be negative"),
     ("0.01 m", "1 ± 1 m", "noise.displacement: '1 ± 1 m': an uncertainty has no meaning here"),
     ("[noise]", '[noise]\nvelocity = "1 m/s"', "noise.velocity: no accelerometer records velo"),
     ('"K_III"]', '"K_IIII"]', 'model.terms[3]: unknown term "K_IIII"; did you mean "K_III"'),
@@ -397,7 +397,7 @@ def test_wrong_shapes_are_told(tmp_path, text, message):
 
 
 def test_a_missing_file_says_how_to_begin(tmp_path):
-    with pytest.raises(CampaignError, match="file not found; `counterspin init DIR` makes"):
+    with pytest.raises(CampaignError, match="file not found; `counterspin init DIR` creates"):
         read_campaign(tmp_path)
     with pytest.raises(CampaignError, match=r"other\.toml: file not found"):
         read_campaign(tmp_path / "other.toml")

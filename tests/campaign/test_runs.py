@@ -76,7 +76,7 @@ def test_one_file_may_have_several_runs_one_after_the_other(tmp_path):
     for second in ('start = "39 s"', "", 'start = "x"'):
         told = problems(tmp_path, *parts('stop = "40 s"', second))
         assert any("is already used by runs[0]" in line or "start" in line for line in told)
-    with pytest.raises(CampaignError, match="a simulated record is of one run"):
+    with pytest.raises(CampaignError, match="a simulated record belongs to one run"):
         simulate(read, tmp_path / "out")
 
 
@@ -128,7 +128,7 @@ def test_mistakes_are_told_by_their_keys(tmp_path, old, new, words):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        (ANGLE, f"{ANGLE}\ndecimal = ','", "records.decimal: simulated records are plain"),
+        (ANGLE, f"{ANGLE}\ndecimal = ','", "records.decimal: simulated records have no such key"),
         (TIME, "time = { sampling_rate = '9 Hz' }", "have a column of the time"),
         (
             TIME,

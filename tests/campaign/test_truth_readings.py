@@ -52,13 +52,13 @@ SLIPS = {
     "[truth.machine]\n'centrifuge.stretch' = '1e-9 s^2/m'\n"
     "[truth.centrifuge]\nstretch = '1e-9 s^2/m'": ("is in [truth.centrifuge] too; keep one"),
     "[truth]\nmachine = 3": "truth.machine: must be a table",
-    "[truth.A]\nbias = '1 uA'\nK_F = '1 ug'": "truth.A.bias: is K_F, given too; keep one",
+    "[truth.A]\nbias = '1 uA'\nK_F = '1 ug'": "truth.A.bias: duplicates K_F; keep one",
     "[truth.A]\nK_I = '1.2 ± 0.1 mA/g'": "truth.A.K_I",
     "[truth.platform]\ntilt = { nort = '1 arcsec' }": (
         'truth.platform.tilt.nort: unknown key; did you mean "north"?'
     ),
     "[truth.noise]\nreading = '1 uV'": "truth.noise.reading: 'uV' is not a unit",
-    "[truth.noise]\nreading = '-1 uA'": "a standard deviation is not negative",
+    "[truth.noise]\nreading = '-1 uA'": "a standard deviation cannot be negative",
     "[truth.noise]\nreading = { B = '1 uA' }": 'no accelerometer is named "B"',
 }
 
@@ -73,7 +73,7 @@ def test_each_slip_is_told_with_its_key(tmp_path, slip):
 @pytest.mark.parametrize(
     ("run", "said"),
     [
-        (RUN + "truth = { tilt = { north = '1 arcsec' } }\n", "has the tilt of a platform"),
+        (RUN + "truth = { tilt = { north = '1 arcsec' } }\n", "contains the tilt of a platform"),
         (RUN + "truth = { drift = '1 m' }\n", "runs[0].truth.drift: "),
         (at_rest("up", "level", "? ± 1 uA", "truth = { rate_error = 1e-3 }\n"), "does not turn"),
     ],

@@ -65,9 +65,9 @@ def test_entries_that_are_gone_moved_or_made_anew_are_found(tmp_path):
     entered(path, 4)
     first, second, third, fourth = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(first + third + fourth)
-    assert altered(path).startswith("entry 2 calls itself entry 3: entries are missing")
+    assert altered(path).startswith("entry 2 is numbered entry 3: entries are missing")
     path.write_bytes(first + third + second + fourth)
-    assert altered(path).startswith("entry 2 calls itself entry 3")
+    assert altered(path).startswith("entry 2 is numbered entry 3")
     # One written anew, with a hash that fits it: the next one tells.
     other = tmp_path / "other.jsonl"
     entered(other, 1)
@@ -75,7 +75,7 @@ def test_entries_that_are_gone_moved_or_made_anew_are_found(tmp_path):
     path.write_bytes(first + other.read_bytes().splitlines(keepends=True)[1] + third + fourth)
     assert altered(path).startswith("entry 2 was altered after it was written")
     path.write_bytes(second)
-    assert altered(path).startswith("entry 1 calls itself entry 2")
+    assert altered(path).startswith("entry 1 is numbered entry 2")
 
 
 @pytest.mark.parametrize("key", ["who", "file"])

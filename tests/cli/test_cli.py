@@ -114,7 +114,7 @@ def test_wrong_usage_is_told_in_two_lines(words, message, capsys):
 
 def test_campaign_that_is_not_there(tmp_path, capsys):
     assert cli.main(["calibrate", str(tmp_path / "nowhere")]) == 2
-    assert "file not found; `counterspin init DIR` makes" in capsys.readouterr().err
+    assert "file not found; `counterspin init DIR` creates" in capsys.readouterr().err
 
 
 def test_work_that_fails(tmp_path, capsys):

@@ -77,7 +77,7 @@ def test_what_is_not_stated_or_never_changed_is_not_told():
     same = [result(v, "2026-03-01", mounting="a", turn_on=str(v)) for v in VALUES[:4]]
     found = repeats(same)
     assert list(found.components) == ["turn_on"]
-    assert found.not_told["mounting"] == "all results have the same one"
+    assert found.not_told["mounting"] == "all results have the same label"
     assert repeats(one[:2]) is None
     assert repeats([result(v, "2026-03-01") for v in VALUES[:4]]) is None
 

@@ -283,7 +283,7 @@ def test_a_rate_in_any_form_gives_the_same_campaign(tmp_path, head, number, unit
 
 def test_what_cannot_be_described_is_told(tmp_path):
     path = write_table(tmp_path / "t.csv", table())
-    with pytest.raises(CampaignError, match="are one table: name one file"):
+    with pytest.raises(CampaignError, match="must be in one table: name one file"):
         make_draft(read_files([path, path]), {}, "arm")
     rows = [["in", 30.0 + n, 1.0 + n, reading(felt(30.0))] for n in range(2)]
     path = write_table(tmp_path / "r.csv", rows, "side,n_rpm,radius_m,out_mA")

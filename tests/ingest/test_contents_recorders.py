@@ -75,7 +75,7 @@ def lines(path, head, rows):
         (
             ["VarName;Time_s;VarValue"],
             "Angle;{t};{a}\nEast;{t};{e}",
-            "several quantities stand below each other: column 'VarName' has Angle, East in turn",
+            "several quantities share a column: column 'VarName' has Angle, East in turn",
         ),
     ],
 )
@@ -125,7 +125,8 @@ def test_rows_are_counted_where_a_clock_has_whole_seconds(tmp_path, frame):
     assert asked.guess == "20 Hz"
     statements = " ".join(draft(read_files([path])).statements)
     assert (
-        "20 rows a second, counted, because rows share the times in column 'time_s'" in statements
+        "20 rows a second, by counting rows, because rows share the times in column 'time_s'"
+        in statements
     )
 
 
@@ -133,13 +134,13 @@ def test_where_another_run_begins_is_told(tmp_path):
     rows = [f"{0.05 * k:.2f},{k},{k % 7}" for k in range(500)]
     head = ["Run 1", "Time [s],Angle [deg],East [m]"]
     path = lines(tmp_path / "all.csv", head, [*rows, "Run 2", head[1], *rows])
-    with pytest.raises(CounterspinError, match=r"line 503.*'Run 2'.*each run a file of its own"):
+    with pytest.raises(CounterspinError, match=r"line 503.*'Run 2'.*each run into a separate file"):
         read_files([path])
 
 
 @pytest.mark.parametrize(
     ("content", "told"),
-    [(b"\xd0\xcf\x11\xe0", "a workbook"), (b"<html><table>", "a page or XML")],
+    [(b"\xd0\xcf\x11\xe0", "a workbook"), (b"<html><table>", "a web page or XML")],
 )
 def test_workbooks_of_older_kinds_are_refused_with_what_to_do(tmp_path, content, told):
     (tmp_path / "run.xls").write_bytes(content + bytes(600))

@@ -41,7 +41,7 @@ def test_columns_are_shown_with_range_unit_and_looks():
     assert lines[0] == "log.csv: 400 rows, about 20 rows a second"
     assert lines[1] == "  t [s]: 0 to 19.95, the time"
     assert lines[2] == "  th [deg]: 0 to 351, advances evenly as an angle"
-    assert lines[3].endswith("swings at a steady rate")
+    assert lines[3].endswith("oscillates at a steady frequency")
     assert lines[4:] == ["  k: always 3", "  mode: words, a, b"]
 
 

@@ -433,7 +433,7 @@ def test_forces_without_gravity_are_told(tmp_path):
     looks = write_rows(tmp_path, truth.time, values, ",".join(["Time (s)", *axes]))
     assert likely_test(looks) is None
     reasons = no_test_reasons(looks)
-    assert any("read nearly nothing at rest: a filter took gravity away" in s for s in reasons)
+    assert any("are nearly zero at rest: a filter removed gravity" in s for s in reasons)
 
 
 def faces(count, tilt=0.005, seed=6):
@@ -493,7 +493,7 @@ def test_six_faces_need_a_stated_uncertainty(tmp_path, in_table):
         looks = write_rows(tmp_path, np.arange(1, 7), means, "pose,x,y,z")
     (asked,) = make_draft(looks, PLACE, "poses").open_questions
     assert asked.key == "u"
-    assert "6 poses do not tell their own noise" in asked.text
+    assert "6 poses are too few to estimate their noise" in asked.text
     found = make_draft(looks, PLACE | {"u": "0.003 m/s^2", "grade": "consumer"}, "poses")
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
     for name, bias in zip("XYZ", BIAS, strict=True):
@@ -514,7 +514,7 @@ def test_numbers_that_lost_their_sign_are_refused(tmp_path, values):
     counts = np.mod(np.round(values / 9.81 * 16384.0), 65536.0)
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), counts)
     with pytest.raises(
-        RecordError, match=r"16 bits with a sign .* subtract 65536 from each of 32768"
+        RecordError, match=r"signed numbers of 16 bits .* subtract 65536 from each of 32768"
     ):
         likely_test(looks)
 
@@ -525,7 +525,7 @@ def test_a_second_sensor_in_the_file_is_said(tmp_path, values):
     found = make_draft(looks, PLACE, "poses")
     assert found.triad == ("a1", "a2", "a3")
     assert (
-        "three more axes rest alike, as of a second sensor, and are not used; "
+        "three more axes rest at the same times, as those of a second sensor, and are not used; "
         "to calibrate that one, answer X=b1, Y=b2, Z=b3"
     ) in found.statements
     other = make_draft(looks, PLACE | {"X": "b1", "Y": "b2", "Z": "b3"}, "poses")
@@ -534,7 +534,7 @@ def test_a_second_sensor_in_the_file_is_said(tmp_path, values):
 
 def test_words_between_numbers_have_to_go(tmp_path):
     (tmp_path / "log.txt").write_text("AcX = -8272 | AcY = -14018 | AcZ = -2056\n" * 40)
-    with pytest.raises(RecordError, match="Where words stand between numbers in its rows, take"):
+    with pytest.raises(RecordError, match="Remove words between the numbers of its rows"):
         read_files([tmp_path / "log.txt"])
 
 

@@ -90,6 +90,8 @@ def test_a_sense_that_the_waves_contradict_is_refused_at_once(tmp_path):
     axes = {"a axis": "east", "b axis": "north"}
     found, _ = asked(path, **told, **axes, sense="clockwise")
     (problem,) = found.problems
-    assert problem.startswith("sense: by the waves along two axes the angle increases counterclock")
+    assert problem.startswith(
+        "sense: the waves along two axes show an angle that increases counterclock"
+    )
     found, _ = asked(path, **told, **axes, sense="counterclockwise")
     assert found.problems == ()

@@ -94,7 +94,7 @@ def test_tables_of_readings_that_are_there_stay(tmp_path):
     assert not (tmp_path / "campaign.toml").exists()
     with pytest.raises(CounterspinError, match="`test` is one of double-turntable, tumble, arm"):
         init(tmp_path, "centrifuge")
-    with pytest.raises(CounterspinError, match="from a sensor's own log"):
+    with pytest.raises(CounterspinError, match="create a campaign from a log"):
         init(tmp_path, "poses")
 
 

@@ -137,5 +137,5 @@ def test_a_table_without_readings_says_so(tmp_path):
 
 def test_one_table(tmp_path):
     path = write_table(tmp_path / "t.csv", table())
-    with pytest.raises(CampaignError, match="one table of readings: give one file"):
+    with pytest.raises(CampaignError, match="must be in one table: give one file"):
         make_draft(read_files([path, path]), {}, "tumble")

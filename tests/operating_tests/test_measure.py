@@ -129,7 +129,7 @@ def test_what_the_rows_do_not_show_is_not_determined(tmp_path):
         ({"input": "input_g", "time": "input_g"}, "name a column of inputs, or one of times"),
         ({"input": "input_g", "full_scale": 0.0}, "greater than zero"),
         ({"input": "force"}, "no column 'force'"),
-        ({"input": "output_mA"}, "named as two columns"),
+        ({"input": "output_mA"}, "named for both columns"),
         ({"time": "input_g"}, "increasing times"),
     ],
 )

@@ -204,7 +204,7 @@ def test_the_day_of_the_issue(plan_of):
     assert u / paper.u["Qx.K_II"] == pytest.approx(paper.ratio["Qx.K_II"])
     # In half of the time there are ten runs in place of fourteen, each with a tilt of its own.
     half = result.others[-1]
-    assert half.words.startswith("the best plan in half of the time")
+    assert half.words.startswith("the best plan in half the time")
     assert half.total_time <= 0.5 * result.total_time + 1e-9
     assert 0.7 < half.ratio["Qx.K_II"] < 0.95
     gains = {line.key: line.gain for line in result.limits}
@@ -235,7 +235,7 @@ def test_two_rates_are_planned_in_a_time_that_is_short_for_the_lowest(written):
     assert len({run.rate for run in found.runs}) == 2
     assert 11.25 < found.total_time <= 40.0
     half = found.others[-1]
-    assert half.words.startswith("the best plan in half of the time")
+    assert half.words.startswith("the best plan in half the time")
     assert half.ratio["Qx.K_II"] < 1.0
 
 
@@ -392,7 +392,7 @@ def test_report_says_what_the_issue_asks_for(plan_of, capsys):
     text = report_of(plan_of(SMALL).result, capsys)
     for words in (
         "u(K_II of Qx) =",
-        "Starts at, s",
+        "Start time, s",
         "Expected uncertainty budget of K_II of Qx",
         "platform.tilt.north,",
         "relaxed by 10 %",
@@ -523,7 +523,7 @@ MISTAKES = {
              "goal: has both minimise and target"),
     "runs": ([("\n[goal]\n", '\n[[runs]]\nname = "a"\n[goal]\n')], "runs: a plan chooses the runs"),
     "noise": ([('displacement = "0.01 m"', 'displacement = "estimate"')],
-              "noise.displacement: a plan needs its size"),
+              "noise.displacement: state a number"),
     "silence": ([('displacement = "0.01 m"', 'displacement = "0 m"')],
                 "noise: Qx would have no noise at all"),
     "attitude": ([(ATTITUDES, 'attitudes = ["upright"]')], "is not an attitude"),

@@ -146,7 +146,7 @@ def test_a_step_is_named_with_the_position_from_which_on_it_is(tmp_path, u, coun
     terms = (*LEVEL, "K_II")
     result = calibrated(tmp_path, even(count), values, u=u, terms=terms)
     assert result.state != "good"
-    assert f'step, from "at {count // 2}" on' in misfits(result)[0].text
+    assert f'have a step that starts at "at {count // 2}"' in misfits(result)[0].text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])

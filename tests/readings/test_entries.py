@@ -207,8 +207,8 @@ SLIPS = {
         + RUN.replace('reading = "1.082532 ± 2e-6 mA"', 'record = "a.csv"')
         + 'records = { delimiter = ";" }\n',
         "runs[0].records: belongs to a run with a record of a double turntable; leave it out. "
-        "[records] says how all records on the arm and at rest are read: write them with the same "
-        "columns and units",
+        "[records] applies to all records on the arm and at rest: write them with the same columns "
+        "and units",
     ),
     "an attitude of no words": (
         HEAD + RUN.replace("30 ± 0.001 deg about north", ""),
@@ -259,7 +259,9 @@ def test_records_of_the_arm_have_a_column_beside_those_of_the_turntable(tmp_path
     assert (a.observable, a.channel.name, a.force.name) == ("displacement", "m", "i")
     assert a.force.factor == pytest.approx(9.8 / 1.25)
     (line,) = problems(tmp_path, HEAD + displacement + ARM + TURNTABLE)
-    assert "has no specific_force: the column of its records on an arm or at rest" in line
+    assert (
+        "has no specific_force, which names the column of its records on an arm or at rest" in line
+    )
 
 
 def test_errors_of_the_path_count_beside_readings_at_rest(tmp_path):

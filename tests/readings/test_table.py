@@ -116,7 +116,7 @@ def test_slips_of_mountings_side_by_side(tmp_path):
     table = "n,plus,minus,u\n6,5,-5,2e-6\n"
     (said,) = problems(tmp_path, table, BESIDE.replace('"minus"', '"minos"'))
     assert said == 'readings.columns: r.csv has no column "minos"; did you mean "minus"?'
-    said = "readings.mountings: `reading` is a column of each mounting"
+    said = "readings.mountings: give `reading` for every mounting"
     for slip in (
         BESIDE.replace(', reading = "minus"', ""),
         BESIDE.replace('u = "u"', 'u = "u", reading = "plus"'),
@@ -362,7 +362,7 @@ SLIPS = {
     "an acceleration with a sign": (
         "n,side,mA\n-6,innen,1.25\n",
         f'rate_unit = "g"\n{ARM}',
-        'readings."r.csv line 2".rate: a centripetal acceleration is positive; the mounting has',
+        'readings."r.csv line 2".rate: a centripetal acceleration must be positive',
     ),
     "no such sense": (
         "n,side,mA\n6,innen,1.25\n",

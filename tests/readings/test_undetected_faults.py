@@ -71,8 +71,8 @@ def gaining(size, where):
     ("pattern", "fault"),
     [
         (r"a change of the meter's gain by ([\d.]+) ppm above ([\d.]+ g)", ranging),
-        (r'a bias step of ([\d.]+) ug from "(p\d+)" on', stepping),
-        (r"a head that gains ([\d.]+) arcsec a (turn)", gaining),
+        (r'a bias step of ([\d.]+) ug starting at "(p\d+)"', stepping),
+        (r"a head error that grows by ([\d.]+) arcsec a (turn)", gaining),
     ],
 )
 def test_a_fault_moves_a_coefficient_by_as_much_as_is_stated_and_is_not_seen(
@@ -102,7 +102,9 @@ def test_a_result_with_unseen_faults_is_good_with_a_qualification(tmp_path):
     result = tumble(tmp_path)
     a = result.accelerometers["A"]
     assert (result.state, result.findings) == ("good", [])
-    assert verdict_sentence("A", a).startswith("A is good as far as its readings can show")
+    assert verdict_sentence("A", a).startswith(
+        "A passed all checks, but its readings test only part"
+    )
     assert "gain" in a.unseen_faults[0]
     (remark,) = (text for text in result.warnings if "would not show these single faults" in text)
     assert all(clause in remark for clause in a.unseen_faults)
@@ -181,7 +183,7 @@ def test_a_step_of_one_accelerometer_during_poses(tmp_path):
     values = triads.indications(triads.directions(30, rng))
     values += 3e-4 * rng.standard_normal(values.shape)
     usual = calibrate(triads.table(tmp_path / "usual", values, u=3e-4)).accelerometers["X"]
-    clause = r'step of ([\d.]+) ug from "reading (\d+)" on moves K_F by ([\d.]+) ug'
+    clause = r'step of ([\d.]+) ug starting at "reading (\d+)" moves K_F by ([\d.]+) ug'
     size, first, shift = re.search(clause, usual.unseen_faults[0]).groups()
     values[int(first) - 1 :, 0] += PART * 1e-6 * float(size)
     other = calibrate(triads.table(tmp_path / "other", values, u=3e-4)).accelerometers["X"]

@@ -19,8 +19,8 @@ from counterspin.records.record import ColumnSpec
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("run.csv.gz", "the file is packed; unpack it, and give the file inside."),
-        ("runs.ZIP", "the file is packed; unpack it"),
+        ("run.csv.gz", "the file is compressed; unpack it, and give the file inside."),
+        ("runs.ZIP", "the file is compressed; unpack it"),
         (
             "run.doc",
             "this format is not read; "
@@ -28,12 +28,12 @@ from counterspin.records.record import ColumnSpec
         ),
         (
             "run.NPY",
-            "NumPy's own format is not read; write it as text: "
+            "NumPy's binary format is not supported; write it as text: "
             'savetxt("NAME.csv", load("NAME.npy"), delimiter',
         ),
-        ("run.npz", "NumPy's own format is not read; write an array as text: savetxt("),
+        ("run.npz", "NumPy's binary format is not supported; write an array as text: savetxt("),
         ("run.json", "not a data table; export the data as CSV, with a line for each sample."),
-        ("run.pkl", "how its bytes are arranged is not stated; export text,"),
+        ("run.pkl", "the arrangement of its bytes is unknown; export text,"),
         ("run.odd", "a record file ends in one of .csv, .txt,"),
     ],
 )

@@ -291,7 +291,7 @@ def test_fit_noise_and_checks_are_told():
     text = squeezed(text_of(full()))
     assert (
         "Residuals: rms 0.00998 m with 35000 degrees of freedom; chi-square/dof 0.99; "
-        "probability of a worse fit 0.41." in text
+        "p = 0.41." in text
     )
     # 2.94e-5 m/s^2 is 2.998 ug where g is 9.8066 m/s^2.
     assert (

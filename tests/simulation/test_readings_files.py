@@ -158,7 +158,11 @@ def test_noise_of_a_table_is_the_one_u_of_its_readings(tmp_path):
 
 def test_a_table_that_is_not_plain_is_not_simulated(tmp_path):
     text = TEXT.replace('file = "tables', 'delimiter = ","\nfile = "tables')
-    with pytest.raises(CampaignError, match=r"readings\.delimiter: a simulated table is plain"):
+    with pytest.raises(
+        CampaignError,
+        match=r"readings\.delimiter: a simulated table has no such "
+        "key",
+    ):
         simulate(campaign(tmp_path / "own", text), tmp_path / "made")
 
 

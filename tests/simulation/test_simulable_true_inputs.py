@@ -129,7 +129,10 @@ def test_an_input_that_cannot_be_is_refused_once(tmp_path):
     words = str(error.value)
     assert words.count("truth.centrifuge.radius: must be greater than zero") == 1
     assert words.count("truth.site.latitude") == 1
-    assert "truth.records.clock.B: no run names this recorder; in [records] or" in words
+    assert (
+        'truth.records.clock.B: no run names this recorder; write recorder = "B" in [records]'
+        in (words)
+    )
 
 
 def test_a_run_of_another_recorder_is_written_as_it_is_read(tmp_path):

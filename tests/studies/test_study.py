@@ -95,7 +95,7 @@ def test_paper_s_plan_exact_unbiased_and_as_printed_half_the_truth(paper):
     good = {name: one.trustworthy for name, one in result.analyses.items()}
     assert good == {"joint": True, "two-stage": True, "as-printed": False}
     assert result.verdict[0].startswith("joint: no fault found, and the smallest errors")
-    assert "0.5 times the truth" in result.verdict[-1]
+    assert "0.5 times the true value" in result.verdict[-1]
     assert "K_II of Qx is unbiased" in result.verdict[0]
     # The answer comes first, and all that varied last.
     headings = [block.text for block in study_blocks(result) if isinstance(block, Heading)]
@@ -607,7 +607,7 @@ def test_resuming_another_study_is_refused(varying, paper, tmp_path):
             raise KeyboardInterrupt
 
     study(varying, trials=120_000, output=out, progress=stop)
-    with pytest.raises(CounterspinError, match="begun there differs"):
+    with pytest.raises(CounterspinError, match="started there differs"):
         study(paper, trials=120_000, output=StudyFolder(out, resume=True))
     with pytest.raises(CounterspinError, match="contains no study"):
         study(varying, output=StudyFolder(tmp_path / "new", resume=True))

@@ -207,7 +207,7 @@ def _uncertainty_lines(result: AppliedAcceleration) -> list[str]:
         validation_sentence(result),
     ]
     if not all(level.monte_carlo.validated for level in result.levels):
-        lines.append("Where it is not validated, U covers the interval by Monte Carlo.")
+        lines.append("If Monte Carlo does not validate it, U covers the Monte Carlo interval.")
     if defaults:
         lines.append(
             f"No uncertainty is stated for {', '.join(defaults)}; the default uncertainty was used."
@@ -265,8 +265,8 @@ def _page_blocks(
     if issue.draft:
         yield Paragraph(certificate_text.DRAFT, "warning")
     yield Paragraph(
-        f"{issue.identifier}. The Digital Calibration Certificate (DCC, XML) of this identifier "
-        "holds the same numbers for machines.",
+        f"{issue.identifier}. The Digital Calibration Certificate (DCC, XML) with this identifier "
+        "contains the same values in machine-readable form.",
         "quiet",
     )
     yield two_columns_table(administrative_rows(lab, issue))

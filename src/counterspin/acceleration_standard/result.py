@@ -38,8 +38,8 @@ class MonteCarloCheck(ResultPart):
     u: float  #: Standard deviation of the draws, m/s^2.
     low: float  #: Lower end of the symmetric 95 % interval, m/s^2.
     high: float  #: Upper end of that interval, m/s^2.
-    distance: float  #: Largest distance of the ends from those of the GUM's interval, m/s^2.
-    tolerance: float  #: Largest distance that validates the GUM's interval, m/s^2.
+    distance: float  #: Largest difference between the ends and those of the GUM interval, m/s^2.
+    tolerance: float  #: Largest difference at which the GUM interval is validated, m/s^2.
     #: Whether the GUM's interval is validated to two digits of u (JCGM 101, clause 8).
     validated: bool
 
@@ -54,7 +54,7 @@ class AppliedLevel(ResultPart):
     u_relative: float  #: `u` divided by the acceleration.
     dominant: str | None  #: Source with the largest share; None if all sources are exact.
     budget: list[AppliedContribution]  #: Contributions, the largest first.
-    monte_carlo: MonteCarloCheck  #: The same by Monte Carlo.
+    monte_carlo: MonteCarloCheck  #: Result by Monte Carlo.
 
 
 _COLUMNS: Final = ("level", "rate", "acceleration", "u", "u_relative", "dominant")

@@ -194,7 +194,7 @@ class AccessControl:
         headers, path = Headers(scope=scope), scope["path"]
         hosts = [host.lower() for host in headers.getlist("host")]
         if len(hosts) != 1 or hosts[0] not in self._credentials.hosts:
-            yield 403, "This page can only be reached by its own address."
+            yield 403, "This page can only be reached at its own address."
         origins = headers.getlist("origin")
         same_site = headers.get("sec-fetch-site", "same-origin") in ("same-origin", "none")
         if any(origin.lower() != f"http://{hosts[0]}" for origin in origins):

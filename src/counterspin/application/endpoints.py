@@ -162,7 +162,7 @@ def handle_request(
 ) -> ApiResponse:
     """Answer one request, also if it fails."""
     if (method, name) not in ENDPOINTS:
-        return ApiResponse(404, {"error": "There is no such request."})
+        return ApiResponse(404, {"error": "This request does not exist."})
     handler = ENDPOINTS[method, name]
 
     def call_handler() -> Any:

@@ -185,7 +185,7 @@ def _form_field(key: str, field: FieldInfo, page: str) -> Field:
     meaning = (
         "" if key in ACCELEROMETER_TERMS else (field.description or "").removesuffix("; see below")
     )
-    help_text = "; ".join(filter(None, [meaning, f"if left out: {if_absent}" if if_absent else ""]))
+    help_text = "; ".join(filter(None, [meaning, f"default: {if_absent}" if if_absent else ""]))
     result = {
         "key": key,
         "label": extra.get("x-label") or _key_label(key),

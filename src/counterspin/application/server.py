@@ -237,14 +237,14 @@ def _static_file(name: str) -> Response:
     generated: dict[str, Callable[[], str]] = {"report.css": page_style, "report.js": page_script}
     media_type = _MEDIA_TYPES.get(Path(name).suffix)
     if media_type is None:
-        return JSONResponse({"error": "There is no such page."}, 404)
+        return JSONResponse({"error": "This page does not exist."}, 404)
     if name in generated:
         return Response(generated[name](), media_type=media_type)
     assets = resources.files("counterspin.application") / "assets"
     # Found among those that there are: what is asked for is never made a path.
     file = next((candidate for candidate in assets.iterdir() if candidate.name == name), None)
     if file is None:
-        return JSONResponse({"error": "There is no such page."}, 404)
+        return JSONResponse({"error": "This page does not exist."}, 404)
     return Response(file.read_text(encoding="utf-8"), media_type=media_type)
 
 

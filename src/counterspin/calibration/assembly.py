@@ -232,8 +232,8 @@ def _campaign_remarks(campaign: Campaign) -> list[str]:
     recordings = [campaign.recording_of(run) for run in campaign.runs]
     if any(recording.angle and recording.angle.kind == "pulses" for recording in recordings):
         remarks.append(
-            "The angle is known at pulses only: changes of the rate between them, "
-            "such as a ripple, are neither seen nor included in the uncertainty."
+            "The angle is known only at the pulses: changes of the rate between pulses, such as "
+            "ripple, are neither detected nor included in the uncertainty."
         )
     if campaign.angle is not None or not campaign.runs:
         return remarks

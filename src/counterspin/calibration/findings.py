@@ -297,7 +297,7 @@ def _check_fit(name: str, residual: Residual, accelerometer_count: int) -> Itera
         return
     ratio = _noise_ratio(residual)
     description = (
-        "do not look like independent noise"
+        "are not consistent with independent noise"
         if ratio is None
         else f"are {format_number(ratio)} times as large as the stated noise"
     )
@@ -425,10 +425,10 @@ def supporting_evidence(accelerometer: AccelerometerResult) -> Iterator[tuple[st
     p = residual.lack_of_fit_p
     if p is not None and _is_acceptable_fit(residual):
         noise = "the stated noise" if residual.chi2 is not None else "independent noise"
-        yield "fit", f"the residuals look like {noise} (p = {format_number(p, 2)})"
+        yield "fit", f"the residuals are consistent with {noise} (p = {format_number(p, 2)})"
     worst = _largest_shift(accelerometer.jackknife)
     if worst is not None and _significance(worst) <= AGREEMENT:
-        yield "each run left out", "no run drives the result"
+        yield "each run left out", "no single run dominates the result"
     if accelerometer.two_stage is not None and methods_agree(accelerometer.two_stage):
         yield "another method", "the two-stage method agrees"
 

@@ -284,8 +284,8 @@ def check_unrecorded_ripple(view: AccelerometerView) -> list[Finding]:
     force = campaign.radius.value * fastest**2 / campaign.gravity.value
     u = float(view.fit.solution.u[index])
     text = (
-        "Without a recorded angle no ripple of the rate is known, and in this observable a ripple "
-        f"of {0.5 * u * force:.1g} of the rate moves K_II by about half of its uncertainty, and "
-        "is not included in it. Record the angle, or calibrate with displacement."
+        "Without a recorded angle the ripple of the rate is unknown. In this observable, a ripple "
+        f"of {0.5 * u * force:.1g} of the rate moves K_II by about half of its uncertainty, which "
+        "does not include it. Record the angle, or calibrate with displacement."
     )
     return [Finding(code="unseen-ripple", subject=f"{view.name}.K_II", text=text)]

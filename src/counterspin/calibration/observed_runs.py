@@ -122,9 +122,9 @@ def _reject_detrended(campaign: Campaign, name: str, moments_by_run: Mapping[str
     end_condition = ", or zero at both ends in every run" if count == _STRAIGHT_LINE else ""
     raise RecordError(
         f"{', '.join(runs)}: a {REMOVED[count]} was removed from column '{column}' ({name}) before "
-        f"it was written: to the last digit its rows are orthogonal to {powers}{end_condition}, "
-        "as no "
-        "original record is. This also removed the effect of K_F and K_II on "
+        f"it was written: its rows are orthogonal to {powers}{end_condition} "
+        "to the last digit, which does not happen in an original record. This also removed the "
+        "effect of K_F and K_II on "
         f"{observable.replace('_', ' ')}. Switch this off in the recorder or in the export "
         "(detrend, remove offset, zero mean), and record or export again."
     )

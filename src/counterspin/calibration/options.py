@@ -90,5 +90,7 @@ def parse_options(words: Sequence[str]) -> tuple[Method, TwoStageOptions, tuple[
         elif key == "--without":
             without.append(value)
         else:
-            raise CampaignError("the result's options", [f"{word}: this version has no such"])
+            raise CampaignError(
+                "the result's options", [f"{word}: this version has no such option"]
+            )
     return method, TwoStageOptions(**keywords), tuple(without)

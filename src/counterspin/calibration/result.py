@@ -57,8 +57,8 @@ _CONVERSION: Final = "counterspin.calibration.result_conversion"
 
 #: Why a result has no frame of residuals: its file holds those that the pictures show.
 _NO_RESIDUALS = (
-    "the result has no residuals of records: a file does not contain them; calibrate a campaign "
-    "with records again with the joint method"
+    "the result has no residuals of records, because files do not contain them; calibrate a "
+    "campaign with records again with the joint method"
 )
 
 
@@ -275,8 +275,9 @@ class Result(ReportableResult):
         covariance = self.covariance
         if covariance is None:
             raise CounterspinError(
-                "the result has no correlations between accelerometers: the two-stage "
-                "method estimates each by itself, and versions before 0.2 did not write them"
+                "the result has no correlations between accelerometers: the two-stage method "
+                "estimates each accelerometer separately, and versions before 0.2 did not write "
+                "them"
             )
         return covariance
 

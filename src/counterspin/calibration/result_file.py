@@ -152,7 +152,7 @@ def matrix_faults(words: str, correlation: Correlation) -> Iterator[str]:
 def _trace_faults(words: str, trace: Trace) -> Iterator[str]:
     quantiles = trace.quantiles.normal if trace.quantiles else []
     if (trace.rows or 1) < 1 or any(abs(z) > _FARTHEST_QUANTILE for z in quantiles):
-        yield f"rows or quantiles in the trace of {words} are none"
+        yield f"rows or quantiles in the trace of {words} are not valid"
     if any(len(set(map(len, lists))) > 1 for lists in _paired_lists(trace)):
         yield f"lists in the trace of {words} are of unequal length"
 

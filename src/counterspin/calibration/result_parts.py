@@ -165,7 +165,8 @@ class Residual(ResultPart):
     dof: float  #: Degrees of freedom.
     #: Chi-square relative to the stated noise; null if the noise was estimated.
     chi2: float | None = None
-    lack_of_fit_p: float | None = None  #: Probability of a worse fit if the model is right.
+    #: p-value of the fit: probability of a larger misfit if the model is correct.
+    lack_of_fit_p: float | None = None
 
 
 class Knowledge(ResultPart):
@@ -279,7 +280,8 @@ class NominalOutput(ResultPart):
 
     unit: str  #: Unit of the output.
     sensitivity: float  #: Nominal output per g; K_I is the true sensitivity divided by it.
-    zero: float = 0.0  #: Nominal output at zero specific force; K_F is the true output minus it.
+    #: Nominal output at zero specific force; K_F is the true output minus this value.
+    zero: float = 0.0
 
     @property
     def words(self) -> str:

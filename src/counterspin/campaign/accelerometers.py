@@ -213,7 +213,7 @@ class Accelerometer(SettingsSection):
             if symbol == "K_I":
                 alternative = self.sensitivity_prior or alternative
             if None not in (getattr(self, key), alternative):
-                yield (key,), f"is the prior of {symbol}, given too; keep one"
+                yield (key,), f"duplicates the prior of {symbol}; keep one"
 
 
 AccelerometerKeys = create_model(
@@ -347,7 +347,7 @@ class AccelerometersReader:
         if table.specific_force is None:
             self.problems.add(
                 ("accelerometers", name),
-                "has no specific_force: the column of its records on an arm or at rest",
+                "has no specific_force, which names the column of its records on an arm or at rest",
             )
             return None
         return self._recorded(name, table, "specific_force")

@@ -261,9 +261,9 @@ def _invalid_noise_record(noise: NoiseSettings | None, listed: Listed) -> Mistak
     entries = [entry for _, entry in listed]
     if noise is not None and noise.rest is not None:
         if all(map(is_reading, entries)):
-            yield ("noise", "from"), "no run has a record; noise is of records"
+            yield ("noise", "from"), "applies to records, and no run has a record"
         if noise.rest in [entry.get("record") for entry in entries if isinstance(entry, dict)]:
-            yield ("noise", "from"), "is the record of a run; none is at rest"
+            yield ("noise", "from"), "is the record of a run, not a record at rest"
 
 
 @check

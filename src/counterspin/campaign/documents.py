@@ -19,7 +19,7 @@ from counterspin.input import looks_like, path_of, read_file
 from counterspin.toml_text import NestingError, parse_toml, write_document
 
 #: What to do where no campaign is.
-CAMPAIGN_ADVICE: Final = "`counterspin init DIR` makes a campaign to start from"
+CAMPAIGN_ADVICE: Final = "`counterspin init DIR` creates a campaign to start from"
 
 #: What a TOML file may be.
 Kind = Literal["campaign", "plan", "laboratory"]

@@ -96,7 +96,7 @@ def _parse_noise(unit: str, text: object, info: ValidationInfo) -> float | str:
         return ESTIMATE
     size = exact(text, unit, _gravity(info))
     if size < 0.0:
-        raise ValueError('a standard deviation is not negative; or write "estimate"')
+        raise ValueError('a standard deviation cannot be negative; give a value or "estimate"')
     return size
 
 

@@ -218,7 +218,8 @@ def resolve_model(
         )
     for symbol in (*terms, *considered, *shared):
         if accelerometer_of(symbol) and same_for_all(symbol) in {*terms, *considered, *shared}:
-            message = f'"{same_for_all(symbol)}" is for all accelerometers; "{symbol}" is given too'
+            general = same_for_all(symbol)
+            message = f'"{general}" applies to all accelerometers, but "{symbol}" is given too'
             problems.add(("model",), f"{message}; keep one")
             break
     correlations = read_correlations(

@@ -93,7 +93,7 @@ class PosesSettings(SettingsSection):
 
     rest: Seconds = key_field("shortest rest that is used as a pose", "1.5 s", 1.5, absent="1.5 s")
     threshold: Annotated[float, read_exactly("m/s^2"), AfterValidator(positive)] | None = key_field(
-        "scatter below which the sensor is taken to be at rest",
+        "scatter below which the sensor is assumed to be at rest",
         "0.05 m/s^2",
         None,
         absent="detected in the record",
@@ -145,7 +145,7 @@ class Run(SettingsSection):
         applies_to=READINGS,
     )
     bias_acceleration: Annotated[float, read_exactly("m/s^2")] = key_field(
-        "mean specific force along the input axis during a vibration, beside gravity",
+        "mean specific force along the input axis during a vibration, in addition to gravity",
         "10 g",
         0.0,
         absent="gravity alone",
@@ -355,8 +355,8 @@ class Run(SettingsSection):
                 message = f"belongs to a run with {other_kind}; leave it out"
                 if name == "records" and self.record is not None:
                     message += (
-                        ". [records] says how all records on the arm and at rest are read: write "
-                        "them with the same columns and units"
+                        ". [records] applies to all records on the arm and at rest: write them "
+                        "with the same columns and units"
                     )
                 yield (field.alias or name,), message, "motion", "reading"
         if self.duration is not None and self.revolutions is not None:

@@ -269,7 +269,7 @@ class StatedNoise(SettingsSection):
         "resolution of the recorded displacement", "1 mm", 0.0, kind="quantity, m"
     )
     angle: Annotated[float | str, noise_size("rad")] = key_field(
-        "encoder noise; estimated by the calibration unless time stamps scatter",
+        "encoder noise; estimated by the calibration unless the time stamps have jitter",
         "1e-6 rad",
         0.0,
         kind="quantity, rad",

@@ -254,7 +254,7 @@ class TruthReader:
         values = {symbol: getattr(table, symbol) for symbol in ACCELEROMETER_TERMS}
         for key, symbol in COMMON_NAMES.items():
             if None not in (getattr(table, key), values[symbol]):
-                self.problems.add((*path, key), f"is {symbol}, given too; keep one")
+                self.problems.add((*path, key), f"duplicates {symbol}; keep one")
             values[symbol] = getattr(table, key) if values[symbol] is None else values[symbol]
         return table, {s: value for s, value in values.items() if value is not None}
 
@@ -313,7 +313,7 @@ class TruthReader:
             gravity = self.gravity if output is None else None
             value = self.problems.collect(path, exact, text, unit, gravity)
             if value is not None and value < 0.0:
-                self.problems.add(path, "a standard deviation is not negative")
+                self.problems.add(path, "a standard deviation cannot be negative")
             elif value is not None:
                 sizes[name] = value / abs(size)
         return sizes
@@ -363,6 +363,7 @@ def _clock_by_recorder(
         path: KeyPath = ("truth", "records", "clock", name)
         problems.add(
             path,
-            f'no run names this recorder; in [records] or in a run\'s own: recorder = "{name}"',
+            f'no run names this recorder; write recorder = "{name}" in [records], '
+            "or in the records of a run",
         )
     return {(recorders[name], CLOCK): part for name, part in clocks.items() if name in recorders}

@@ -168,7 +168,7 @@ _FAMILIES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
         {"east": "5 arcsec"},
     ),
     "table.harmonic": (
-        "by which the counter-rotating table is turned about up, with the cosine or sine of 1 or 2"
+        "rotation of the counter-rotating table about up, with the cosine or sine of 1 or 2"
         " times the angle",
         {"1": {"sin": "1 arcsec"}},
     ),
@@ -284,7 +284,7 @@ class TruthSettings(SettingsSection):
         absent="that of `[noise]`",
     )
     machine: dict[str, Any] = key_field(
-        "terms of the machine that act on readings", {"centrifuge.radius.in": "1.00001 m"}, {}
+        "machine terms that affect readings", {"centrifuge.radius.in": "1.00001 m"}, {}
     )
     site: Annotated[dict[str, Any], Section(SiteTruthSettings)] = key_field(
         "true gravity and latitude of the site", {"latitude": "45.7502 deg"}, {}, absent=_STATED

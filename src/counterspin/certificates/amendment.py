@@ -99,9 +99,8 @@ def check_new_identifier(identifier: str, amended: AmendedCertificate) -> None:
         problem = f"is the identifier of a certificate that {amended.identifier} amends"
     else:
         return
-    raise CampaignError(
-        "certificate.identifier", [f'"{identifier}" {problem}; each certificate needs its own']
-    )
+    remedy = "each certificate needs a unique identifier"
+    raise CampaignError("certificate.identifier", [f'"{identifier}" {problem}; {remedy}'])
 
 
 def _is_same_identifier(first: str, second: str) -> bool:

@@ -229,7 +229,7 @@ def _read_triad(part: Element, gravity: float) -> CertifiedTriad:
     for name, c in parameters.coefficients.items():
         if name in from_outputs and abs((c.value or 0.0) - from_outputs[name]) > _ROUNDING:
             raise ValueError(
-                f"matrix and offsets make {name} {from_outputs[name]:.9g}, not {c.value}"
+                f"matrix and offsets give {name} {from_outputs[name]:.9g}, not {c.value}"
             )
     return CertifiedTriad(
         names,
@@ -280,7 +280,7 @@ def _read_coefficient(quantity: Element, real: Element, gravity: float) -> Coeff
         expanded = _parse_number(_single_text(real, f"{_EXPANDED}/si:valueExpandedMU"))
         k = _parse_number(_single_text(real, f"{_EXPANDED}/si:coverageFactor"))
         if expanded < 0.0 or k <= 0.0:
-            raise ValueError("an expanded uncertainty is negative, or its coverage factor is")
+            raise ValueError("an expanded uncertainty or its coverage factor is negative")
         u = from_si(expanded / k, unit, gravity)
     dof = _select(quantity, _DOF)
     return Coefficient(
@@ -306,11 +306,11 @@ def _read_covariance(
     ).T
     scale = np.array([from_si(1.0, _unit(symbol), gravity) for symbol in terms])
     if in_si.shape != (len(terms), len(terms)):
-        raise ValueError("the covariance matrix has another size than the list")
+        raise ValueError("the covariance matrix does not have the size of the list")
     with np.errstate(over="ignore", invalid="ignore"):
         covariance: npt.NDArray[np.float64] = in_si * np.outer(scale, scale)
     if not np.all(np.isfinite(covariance)):
-        raise ValueError("the covariance matrix contains excessive numbers")
+        raise ValueError("the covariance matrix contains implausibly large numbers")
     return covariance
 
 

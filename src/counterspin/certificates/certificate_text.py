@@ -128,7 +128,8 @@ def uncertainty_statement() -> str:
         "k is that of Student's t-distribution for the effective degrees of freedom "
         "(Welch-Satterthwaite), or of the normal distribution where these are infinite, for a "
         f"coverage probability of {format_share(COVERAGE)}. Quantities that the campaign does "
-        f"not state contribute to U and to probabilities of conformity with their typical size; "
+        f"not state contribute to U and to probabilities of conformity with their default "
+        f"uncertainty; "
         f"those assumed "
         f'perfect contribute to neither, and are named under "{ASSUMED}". In the XML, numbers '
         f"have all "
@@ -156,8 +157,8 @@ def scope_statement() -> str:
     """Return the items that the results concern, and a note on parts (ISO/IEC 17025 7.8.2.1)."""
     return (
         "The results relate only to the items calibrated, in the state and under the conditions "
-        "stated. Without the written approval of the laboratory this certificate may only be "
-        "reproduced in full."
+        "stated. This certificate must not be reproduced except in full without the written "
+        "approval of the laboratory."
     )
 
 
@@ -314,7 +315,7 @@ def output_lines(accelerometer: AccelerometerResult) -> dict[str, str]:
 
 def unit_remark(unit: SiUnit) -> str:
     """Return a remark on the unit of a quantity, for the end of its description."""
-    return "stated here " + ("as a pure number." if unit == SiUnit() else f"in {unit.words}.")
+    return "given here " + ("as a pure number." if unit == SiUnit() else f"in {unit.words}.")
 
 
 def coefficient_line(symbol: str, coefficient: Coefficient) -> str:

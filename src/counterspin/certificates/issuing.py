@@ -205,8 +205,8 @@ def check_output_path(output: Path) -> None:
         raise CampaignError("certificate", [f"{output}: end the name of the file in .xml or .pdf"])
     if output.is_file():
         raise CounterspinError(
-            f"{output} exists; a certificate never replaces a file, which may be an issued one: "
-            "choose another name"
+            f"{output} exists; a certificate never replaces a file, which may be an issued "
+            "certificate: choose another name"
         )
     reserve(output)
 

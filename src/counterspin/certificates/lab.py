@@ -126,7 +126,7 @@ class CertificateSettings(SettingsSection):
         "Length, time and gravity are traceable to national standards.",
     )
     ledger: Text | None = key_field(
-        "file beside LAB.toml in which each certificate is [entered](#keep-a-ledger)",
+        "file next to LAB.toml in which each certificate is [entered](#keep-a-ledger)",
         "ledger.jsonl",
         None,
     )
@@ -164,7 +164,7 @@ class CertificateSettings(SettingsSection):
             yield ("received",), "lies after certificate.begin", "begin"
         place = Path(self.ledger or ".")
         if place.is_absolute() or ".." in place.parts:
-            yield ("ledger",), "must be a file beside this one, or below"
+            yield ("ledger",), "must be a file in the folder of this one, or below it"
         if self.issued is not None and self.issued < self.end:
             yield ("issued",), "lies before certificate.end", "end"
 

@@ -228,9 +228,9 @@ def _verify_content(content_bytes: bytes, source: str) -> VerifiedLedger:
         if content is None or _format_line(content) != line + b"\n":
             problem = "is not as it was written"
         elif content["hash"] != _content_hash(content):
-            problem = "was altered: its hash does not fit it"
+            problem = "was altered: its hash does not match its content"
         elif content["number"] != number:
-            problem = f"calls itself entry {content['number']}: entries are missing or were moved"
+            problem = f"is numbered entry {content['number']}: entries are missing or were moved"
         elif content["previous"] != previous:
             # The hash chain shows it only in the following entry.
             problem, which = "was altered after it was written, or taken out", number - 1
@@ -238,7 +238,9 @@ def _verify_content(content_bytes: bytes, source: str) -> VerifiedLedger:
             if content is None and number == 1:
                 raise RecordError(f"{source}: {_NO_LEDGER}")
             what = f"entry {which}" if which else "the beginning"
-            raise RecordError(f"{source}: {what} {problem}; do not rely on anything from there on")
+            raise RecordError(
+                f"{source}: {what} {problem}; do not rely on the entries from there on"
+            )
         entries.append(_entry(content))
         previous = content["hash"]
     if unfinished and not entries and not _begins_entry(unfinished):

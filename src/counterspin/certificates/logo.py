@@ -50,7 +50,7 @@ def _check_svg(name: str, data: bytes) -> None:
     if root is None or root.tag != f"{_SVG}svg":
         raise ValueError(f"{name} is neither a PNG nor an SVG image")
     if root.getroottree().docinfo.doctype:
-        raise ValueError(f"{name} has a document type; save it as plain SVG")
+        raise ValueError(f"{name} has a document type declaration; save it as plain SVG")
     for element in root.iter():
         if problem := _problem(element):
             raise ValueError(f"{name} has {problem}; save it as plain SVG, with text as paths")

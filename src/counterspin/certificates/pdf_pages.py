@@ -61,8 +61,8 @@ def page_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> I
     if issue.draft:
         yield Paragraph(certificate_text.DRAFT, "warning")
     yield Paragraph(
-        f"{issue.identifier}. The Digital Calibration Certificate (DCC, XML) of this identifier "
-        "holds the same numbers for machines.",
+        f"{issue.identifier}. The Digital Calibration Certificate (DCC, XML) with this identifier "
+        "contains the same values in machine-readable form.",
         "quiet",
     )
     for line in amendment_lines(issue.amended):

@@ -81,7 +81,9 @@ def parse(document: bytes, source: str, *, comments: bool = False) -> Any:
         ) from error
     if root.getroottree().docinfo.doctype:
         # Entities could hide content, and no certificate needs them.
-        raise RecordError(f"{source}: has a document type declaration, as no certificate has")
+        raise RecordError(
+            f"{source}: has a document type declaration, which a certificate must not have"
+        )
     return root
 
 
@@ -114,9 +116,7 @@ def _main_file(schema: Path) -> Path:
     schemas = [path for path in _schema_files(schema) if _target_namespace(path) == DCC]
     if len(schemas) == 1:
         return schemas[0]
-    description = (
-        "several schemas of DCC, give one of them" if schemas else "no schema of DCC (dcc.xsd)"
-    )
+    description = "several DCC schemas; name one of them" if schemas else "no DCC schema (dcc.xsd)"
     raise CounterspinError(f"{schema}: holds {description}")
 
 

@@ -341,8 +341,8 @@ def relation_of(
         assumed.append("A result names no records: the two are assumed independent.")
     if not records[0] & records[1]:
         assumed.append(
-            "Radius, gravity and priors that both results state alike count "
-            "as one measurement; everything else is assumed independent."
+            "Radius, gravity and priors that both results state identically count as one "
+            "measurement; everything else is assumed independent."
         )
         return Relation("independent"), assumed
     overlap: Literal["same", "part"] = "same" if records[0] == records[1] else "part"
@@ -373,8 +373,8 @@ def relation_of(
         )
     elif not same_weights and _estimated_noise(name, first) != _estimated_noise(name, second):
         assumed.append(
-            "The stated noise differs: the variances are subtracted although "
-            "the weights differ too."
+            "The results state different noise: the variances are subtracted although the weights "
+            "differ too."
         )
     return Relation(overlap, efficient, same_weights, _noise_ratio(name, first, second)), assumed
 

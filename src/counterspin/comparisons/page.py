@@ -226,9 +226,7 @@ def _pictures(coefficients: list[ComparedCoefficient], names: tuple[str, ...]) -
 def _shared_source_blocks(compared: ResultComparison) -> Iterator[Block]:
     shared = dict.fromkeys(source for a in compared.agreements for source in a.shared)
     if shared:
-        yield Paragraph(
-            f"Accounted for, since both results share it: {', '.join(shared)}.", "quiet"
-        )
+        yield Paragraph(f"Shared by both results, and accounted for: {', '.join(shared)}.", "quiet")
     for text in dict.fromkeys(text for a in compared.agreements for text in a.assumed):
         yield Paragraph(f"Assumed: {text}", "quiet")
 
@@ -269,7 +267,7 @@ def repetition_sentence(repeated: RepeatedCalibration) -> str:
     whose = "; ".join(change.subject for change in repeated.changes)
     cause = f" Changed: {whose}." if whose else " Inputs, version and environment are the same."
     if repeated.largest is None:
-        how = "its coefficients, or those that it determines, differ"
+        how = "its coefficients, or the determined ones, differ"
     elif repeated.largest <= repeated.limit:
         how = f"it was {repeated.state_before}, and is {repeated.state_now}"
     elif repeated.largest_in_u is None:

@@ -339,8 +339,8 @@ def _unapplied_warnings(name: str, accelerometer: AccelerometerResult) -> list[s
     if not unapplied:
         return []
     return [
-        f"{name}: not applied: {', '.join(unapplied)}. The correction applies to the beginning of "
-        "the calibration, without heating by its specific forces."
+        f"{name}: not applied: {', '.join(unapplied)}. The correction applies to the start of the "
+        "calibration, before its specific forces heated the accelerometer."
     ]
 
 

@@ -328,7 +328,7 @@ def _repeat_groups(records: Sequence[DatedResult]) -> tuple[dict[str, list[str]]
             lacking = len(values) - len(named)
             not_told[name] = f"{lacking} of {len(values)} results do not state it"
         elif len(set(named)) < 2:
-            not_told[name] = "all results have the same one"
+            not_told[name] = "all results have the same label"
         else:
             groups[name] = named
     return groups, not_told

@@ -273,7 +273,7 @@ def _due_date(
         date = next_due_date(line, records[0].date, records[-1].date, ends, reliability)
         if date is not None:
             return Due(date=date.date().isoformat(), reliability=reliability)
-        reason = f"it is within specification for {MAX_YEARS:g} years by the line: set a limit"
+        reason = f"the line stays within specification for {MAX_YEARS:g} years: set a limit"
     return Due(date=None, reliability=reliability, reason=reason)
 
 

@@ -113,7 +113,7 @@ def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Ite
     if (chart := instrument.control) is not None:
         out = [
             *(f"{file} is beyond the action limits" for file in chart.beyond),
-            *(f"{file} jumps from the one before" for file in chart.leaps),
+            *(f"{file} differs by a jump from the previous result" for file in chart.leaps),
         ]
         yield (
             f"Individuals chart: centre {chart.centre * factor:.6g} {unit}, action limits "

@@ -71,8 +71,8 @@ class ControlLimits(ResultPart):
 class SpecificationLimits(ResultPart):
     """The specification of the latest result that has one, its limits in the term's unit."""
 
-    low: float | None  #: Lower limit; None if there is none.
-    high: float | None  #: Upper limit; None if there is none.
+    low: float | None  #: Lower limit; None without a lower limit.
+    high: float | None  #: Upper limit; None without an upper limit.
     words: str  #: Specification as written.
 
 
@@ -118,7 +118,8 @@ class Repeatability(ResultPart):
     #: Components for ``day``, ``mounting`` and ``turn_on``, as far as the results determine
     #: them.
     components: dict[str, RepeatComponent]
-    total: float  #: Total standard deviation between results, the root of the sum of squares.
+    #: Total standard deviation between results (root sum of squares of the components).
+    total: float
     #: Reference of the scatter: the mean, or the line if the results drift.
     about: Literal["mean", "line"]
     value: float  #: Mean weighted by these variances; for a line, its value at the mean date.

@@ -47,7 +47,7 @@ class DecisionRule:
 class Specification:
     """Tolerance limits of a coefficient."""
 
-    text: str  #: As it was written, such as ``abs <= 5e-5 g/g^2``.
+    text: str  #: Specification as written, such as ``abs <= 5e-5 g/g^2``.
     #: In `unit`, low < high; None where there is no such limit, never both.
     low: float | None
     high: float | None

@@ -94,7 +94,10 @@ class Diagnostics:
             if self.noise_given
             else "noise estimated from the residuals"
         )
-        return f"The residuals look like independent noise ({size}, p = {self.lack_of_fit_p:.2g})."
+        return (
+            f"The residuals are consistent with independent noise ({size}, p = "
+            f"{self.lack_of_fit_p:.2g})."
+        )
 
 
 def diagnose(
@@ -193,12 +196,12 @@ def _findings(
     if noise_given and p < chi2_limit:
         sentences.append(
             f"The residuals are {math.sqrt(chi2 / dof):.3g} times as large as the stated noise: "
-            "the noise is stated too small or the model lacks a term."
+            "the stated noise is too small, or the model lacks a term."
         )
     elif noise_given and p > 1 - chi2_limit:
         sentences.append(
             f"The residuals are only {math.sqrt(chi2 / dof):.3g} times as large as the stated "
-            "noise: the noise is stated too large."
+            "noise: the stated noise is too large."
         )
     # A wave that is most of what is wrong says more than what it does to the signs.
     waves = [name for name, run in runs.items() if run.peak_p < limit and _is_large(run)]

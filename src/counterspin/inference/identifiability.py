@@ -55,7 +55,7 @@ _INSEPARABLE_CORRELATION: Final = 0.999
 class ConfoundedTerms:
     """Terms that the data cannot tell apart, or hardly, and the combination they do determine."""
 
-    terms: list[str]  #: Their names, in the order of the unknowns.
+    terms: list[str]  #: Names of the terms, in the order of the unknowns.
     #: Of the two estimates from the data, before the terms' own priors; of more than two terms the
     #: largest in size among the pairs, the other terms of the set held fixed.
     correlation: float
@@ -63,7 +63,7 @@ class ConfoundedTerms:
     #: their largest credible size are left out, and weights have the digits that they need:
     #: evaluated as it stands, no term is off by more than a tenth of `u`.
     determined: str
-    #: The exact ones, in the order of `terms`; 1 for the first.
+    #: Exact weights, in the order of `terms`; 1 for the first.
     weights: list[float] = field(default_factory=list)
     value: float | None = None  #: The combination's estimate.
     u: float | None = None  #: Its combined standard uncertainty.

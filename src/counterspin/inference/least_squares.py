@@ -99,13 +99,13 @@ def reduce_rows(rows: Array, m: int, p: int) -> Block:
     for start in range(0, n, _CHUNK):
         triangle = triangle_of(np.vstack([triangle, in_parts(rows[start : start + _CHUNK])]))
     if not np.isfinite(triangle).all():
-        raise ValueError("the columns or the observations hold numbers that are not finite")
+        raise ValueError("the columns or the observations contain numbers that are not finite")
 
     nuisance_triangle = triangle[:m, :m]
     if dependent_columns(nuisance_triangle).size:
         raise NotIdentifiableError(
-            f"{n} samples cannot tell the {m} unknowns of the record itself (such as its start "
-            "offset and start velocity) apart; the record is too short"
+            f"{n} samples cannot separate the {m} unknowns of the record itself (such as its start "
+            "offset and start velocity); the record is too short"
         )
     kept = triangle[m : m + p + q]
     return Block(
@@ -480,7 +480,9 @@ def _vector(name: str, given: npt.ArrayLike | None, size: int, default: float) -
         return np.full(size, default)
     vector = np.asarray(given, dtype=np.float64)
     if vector.shape != (size,) or np.isnan(vector).any():
-        raise ValueError(f"{name} needs {size} numbers; it has shape {vector.shape} or holds NaN")
+        raise ValueError(
+            f"{name} needs {size} numbers; it has shape {vector.shape} or contains NaN"
+        )
     return vector
 
 

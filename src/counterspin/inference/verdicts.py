@@ -27,21 +27,21 @@ class Conformity:
     """Verdict on a coefficient's specification, by a stated decision rule (JCGM 106)."""
 
     _: KW_ONLY
-    specification: str  #: As it was written, such as ``abs <= 5e-5 g/g^2``.
+    specification: str  #: Specification as written, such as ``abs <= 5e-5 g/g^2``.
     low: float | None  #: Lower tolerance limit, in `unit`; None without one.
     high: float | None  #: Upper tolerance limit, in `unit`; None without one.
-    unit: str  #: Of the limits and the guard band: that of the coefficient.
+    unit: str  #: Unit of the limits, the guard band and the coefficient.
     rule: RuleName  #: Decision rule: ``simple``, ``guarded`` or ``probability``.
     #: Width in `unit` by which the acceptance limits lie inside the tolerance limits, 0 without
     #: guard bands; None without an estimate.
     guard_band: float | None
-    needed: float | None = None  #: Probability that the rule asks for; None where it asks for none.
-    verdict: Verdict  #: What the rule says: ``pass``, ``fail`` or ``undecided``.
-    #: That the coefficient conforms, given the estimate and its uncertainty.
+    needed: float | None = None  #: Probability that the rule requires; None if it requires none.
+    verdict: Verdict  #: Verdict by the rule: ``pass``, ``fail`` or ``undecided``.
+    #: Probability that the coefficient conforms, given the estimate and its uncertainty.
     probability: float | None
     #: Probability that the verdict is wrong: the specific consumer's risk of a pass, the specific
     #: producer's risk of a fail; None if it is undecided.
     risk: float | None
-    reason: str | None = None  #: Why it is undecided; None if it is not.
+    reason: str | None = None  #: Reason for an undecided verdict; otherwise None.
     #: Risks for items of the stated process; None if none is stated.
     global_risk: GlobalRisk | None = None

@@ -268,7 +268,7 @@ def _radius_and_model(table: ArmTable, values: Mapping[str, str]) -> tuple[str, 
         if len(sizes) > 1:
             text = (
                 f"readings of one mounting have {len(sizes)} radii{f' ({word})' if word else ''}; "
-                "give each a name of its own in the table, in a column of mountings"
+                "give each a separate name in a column of mountings of the table"
             )
             raise CampaignError("init", [text])
     stated = [values["radius"]] if "radius" in values else list(radii.values())
@@ -289,7 +289,7 @@ def arm_draft(
     answers: By the keys of questions; they take precedence over guesses.
     """
     if len(all_contents) != 1:
-        raise CampaignError("init", ["readings on an arm are one table: name one file"])
+        raise CampaignError("init", ["readings on an arm must be in one table: name one file"])
     (contents,) = all_contents
 
     def ask(taken: Mapping[str, str]) -> tuple[FileQuestion, ...]:
@@ -546,7 +546,7 @@ def _statements(table: ArmTable) -> Iterator[str]:
     if table.rate is not None:
         yield f"{rests or 'no'} reading{'' if rests == 1 else 's'} at rest, where the rate is 0"
         if converts(table.unit or "", "m/s^2"):
-            yield "accelerations are those at the radius; g is the gravity of the site"
+            yield "accelerations refer to the radius; g is the gravity of the site"
     for word in table.mountings:
         meant, seen, axis = (
             direction_of(word),

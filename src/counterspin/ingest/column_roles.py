@@ -157,7 +157,9 @@ class FileGuess:
         rate = f"time: no column; {self.sampling:.8g} rows a second"
         if self.shared is None or self.uncounted:
             return [rate]
-        return [f"{rate}, counted, because rows share the times in column '{self.shared.name}'"]
+        return [
+            f"{rate}, by counting rows, because rows share the times in column '{self.shared.name}'"
+        ]
 
     @property
     def temperature_words(self) -> list[str]:

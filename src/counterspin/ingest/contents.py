@@ -32,13 +32,13 @@ from counterspin.records.table_files import table_sheets
 ALL_SHEETS: Final = "all"
 #: What a table has to be like.
 _WANTED: Final = (
-    "Where words stand between numbers in its rows, take them out. Export one column for each "
+    "Remove words between the numbers of its rows. Export one column for each "
     "quantity, with the names in one line above the numbers, and nothing but numbers in the cells: "
     ".csv with semicolons or tabs, .xlsx, .tdms, .mat or .h5."
 )
 #: What to do where numbers end at words.
 _ANOTHER_RUN: Final = (
-    "If another run begins there, give each run a file of its own; if it is a remark, take it out."
+    "If another run begins there, put each run into a separate file; if it is a remark, remove it."
 )
 #: Rows that are looked at, at most, and columns.
 _MAX_ROWS: Final = 2_000_000

@@ -112,8 +112,8 @@ def _against_waves(sense: str | None, shown: str | None) -> Iterator[str]:
     """Yield errors of the answered sense, which the waves contradict."""
     if sense is not None and shown is not None and sense != shown:
         yield (
-            f"sense: by the waves along two axes the angle increases {shown}; if it does not, one "
-            "of the axes is wrong, such as east in place of west"
+            f"sense: the waves along two axes show an angle that increases {shown}; if it does "
+            "not, one of the axes is wrong, such as east in place of west"
         )
 
 
@@ -130,8 +130,9 @@ def _unfit(contents: FileContents) -> str:
         kinds = len(set(cells))
         if 1 < kinds < len(cells) / 2 and cells[kinds:] == cells[:-kinds]:
             return (
-                f"in {contents.path.name} several quantities stand below each other: column "
-                f"'{name}' has {', '.join(cells[:kinds][:4])} in turn. Export a column for each"
+                f"in {contents.path.name} several quantities share a column: column "
+                f"'{name}' has {', '.join(cells[:kinds][:4])} in turn. Export each quantity as a "
+                "separate column"
             )
     return ""
 
@@ -171,9 +172,9 @@ def write_description(draft: AnyDraft, folder: Path) -> Path:
     head += [f"- {statement}" for statement in draft.statements]
     comments = {
         "site": '± standard uncertainty (k = 1), as in "9.8066 ± 1e-5 m/s^2"',
-        "accelerometers": 'Known beforehand: bias = "0.005 ± 2e-6 g", scale_factor likewise',
-        "records": "Every key is explained in docs/campaign.md",
-        "readings": "Every key is explained in docs/readings.md",
+        "accelerometers": 'If known: bias = "0.005 ± 2e-6 g", scale_factor likewise',
+        "records": "docs/campaign.md explains every key",
+        "readings": "docs/readings.md explains every key",
     }
     text = "".join(f"# {line}\n" for line in head) + write_document(document, comments)
     write_text(target, text)
@@ -248,7 +249,7 @@ def _statements(common: FileGuess, sense: str | None) -> Iterator[str]:
     if angle is None:
         yield "angle: none found; the nominal rates are used"
     elif angle.pulses:
-        yield f"angle: column '{angle.column}' has the times of a pulse, one a revolution"
+        yield f"angle: column '{angle.column}' contains pulse times, one pulse per revolution"
     else:
         counts = f", {angle.per_revolution:.10g} a revolution" if angle.per_revolution else ""
         source = "by the file" if angle.known else "by its name or its numbers"
@@ -264,7 +265,7 @@ def _statements(common: FileGuess, sense: str | None) -> Iterator[str]:
         unit += " (by the radius)" if signal.by_radius else ""
         yield f"column '{signal.column}': {what}{unit}, {axis}"
     if common.signals:
-        yield "pendulous axes: assumed down, or north for an upright input axis"
+        yield "pendulous axes: assumed down (north if the input axis points up)"
     if common.unused:
         yield f"not used: {', '.join(common.unused[:20])}"
 

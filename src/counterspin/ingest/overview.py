@@ -86,7 +86,7 @@ def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
             held.setdefault(round(100.0 * (1.0 - 1.0 / holding.rows)), []).append(column.name)
     for part, names in held.items():
         yield (
-            f"repeated values: {part:g} % of {format_names(names)}, as where a log is faster than "
+            f"repeated values: {part:g} % of {format_names(names)}, as when the log is faster than "
             "the sensor; only new values are used"
         )
     if guess.shared is not None:
@@ -102,14 +102,14 @@ def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
     steps = np.diff(time)
     again = int(np.sum(steps == 0.0))
     if again and not any(held):
-        yield f"repeated times: {again} of {time.size} rows have the time of the row before"
+        yield f"repeated times: {again} of {time.size} rows repeat the time of the previous row"
     usual = median(steps[steps > 0.0]) if (steps > 0.0).any() else math.nan
     far = steps[steps > 1.5 * usual] / usual
     missing = int(np.round(far).sum() - far.size - again)
     multiples = steps[steps > 0.0] / usual
     even = np.mean(np.abs(multiples - np.round(multiples)) < _OFF_STEP) > _EVEN_PART
     if missing > 0 and even:
-        yield f"missing samples: about {missing}, where the time goes on by more than one step"
+        yield f"missing samples: about {missing}, where the time advances by more than one step"
 
 
 def _sampling(guess: FileGuess) -> str:
@@ -142,7 +142,10 @@ def _appearance(column: FileColumn, guess: FileGuess) -> str:
         (is_nominal(values), "only -1, 0 and 1: nominal orientations, not measurements"),
         (guess.angle is not None and guess.angle.column == name, "advances evenly as an angle"),
         (guess.temperature is not None and guess.temperature[0] == name, "a temperature"),
-        (any(s.column == name and s.amplitude for s in guess.signals), "swings at a steady rate"),
+        (
+            any(s.column == name and s.amplitude for s in guess.signals),
+            "oscillates at a steady frequency",
+        ),
     ]
     shown = next((f", {words}" for holds, words in evidence if holds), "")
     return f"{low:.6g} to {high:.6g}{shown}"
@@ -215,8 +218,8 @@ def no_test_reasons(all_contents: Sequence[FileContents]) -> Iterator[str]:
     for contents in all_contents:
         if axes := without_gravity(guess_file(contents)):
             yield (
-                f"columns {format_names(axes)} read nearly nothing at rest: a filter took gravity "
-                "away, which poses need; record what the sensor itself feels, with gravity in it"
+                f"columns {format_names(axes)} are nearly zero at rest: a filter removed gravity, "
+                "which poses need; record the raw output of the sensor, gravity included"
             )
 
 

@@ -75,7 +75,7 @@ class PosesDraft(AnsweredDraft):
         said, place = self.complete(), folder.resolve()
         columns = [said[axis] for axis in AXES]
         if len(set(columns)) < len(columns):
-            text = f"each axis has a column of its own, not {', '.join(columns)}"
+            text = f"each axis needs a separate column, not {', '.join(columns)}"
             raise CampaignError("init", [text])
         in_table = self.found is not None and self.found.in_table
         instruments = {}
@@ -215,7 +215,7 @@ def _questions(
     if found is not None and found.means is not None and len(found.means) <= _NO_NOISE:
         said = "m/s^2" if unit is None or not in_table else unit
         text = (
-            f"{len(found.means)} poses do not tell their own noise. What is the standard "
+            f"{len(found.means)} poses are too few to estimate their noise. What is the standard "
             "uncertainty of each axis in a pose?"
         )
         example = "0.01 m/s^2" if said == "m/s^2" else f"0.001 {said}"
@@ -263,8 +263,8 @@ def _statements(
     for axes in found.others:
         named = ", ".join(f"{axis}={name}" for axis, name in zip(AXES, axes, strict=True))
         yield (
-            "three more axes rest alike, as of a second sensor, and are not used; "
-            f"to calibrate that one, answer {named}"
+            "three more axes rest at the same times, as those of a second sensor, and are not "
+            f"used; to calibrate that one, answer {named}"
         )
     yield from _not_used(guesses[0], found)
 

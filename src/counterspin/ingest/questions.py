@@ -335,7 +335,7 @@ def judged_answers(
         if key not in known:
             needed = [question.key for question in questions if question.guess is None]
             problems.append(
-                f"{key}: is not a question here; questions: {', '.join(needed) or 'none'}"
+                f"{key}: is not one of the questions; questions: {', '.join(needed) or 'none'}"
             )
             continue
         try:

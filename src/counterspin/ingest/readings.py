@@ -230,7 +230,7 @@ def kind_of_columns(columns: Sequence[FileColumn]) -> str:
 def several_question(columns: Sequence[FileColumn]) -> Iterator[FileQuestion]:
     """Yield the question about the role of several columns of readings."""
     if len(columns) > 1:
-        text = "Are the columns of readings one accelerometer each, or repeats of one?"
+        text = "Are these columns different accelerometers, or repeated readings of one?"
         guess = kind_of_columns(columns)
         yield FileQuestion(SEVERAL, text, REPEATS, (ACCELEROMETERS, REPEATS), guess)
 
@@ -280,7 +280,7 @@ def output_questions(
         text += f" It is about {sensed.per_g:.4g} {unit}/g."
     yield FileQuestion(f"{name} sensitivity", text, f"1.25 {unit}/g", quantity=f"{unit}/g")
     if abs(sensed.zero) > _LARGE_BIAS * abs(sensed.per_g):
-        text = f"What is nominally read in column '{name}' where no force is felt?"
+        text = f"What is the nominal reading of column '{name}' at zero force?"
         size = f"{sensed.zero:.4g} {unit}"
         yield FileQuestion(f"{name} zero", text, size, guess=size, quantity=unit)
 

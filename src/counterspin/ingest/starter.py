@@ -53,8 +53,8 @@ def init(folder: Path | str, test: Test = "double-turntable") -> Path:
     """
     if test == "poses":
         raise CounterspinError(
-            "there is no example of poses; make a campaign from a sensor's own "
-            "log by naming that file"
+            "there is no example with poses; create a campaign from a log of your sensor by naming "
+            "that file"
         )
     if test not in _EXAMPLES:
         raise CounterspinError(f"`test` is one of {', '.join(_EXAMPLES)}, not {test!r}")

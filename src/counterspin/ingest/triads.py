@@ -310,8 +310,8 @@ def _refuse_unsigned(columns: Sequence[FileColumn], values: Array) -> None:
         if 0.9 * most < known.max() < most and (jumps >= _FEWEST_JUMPS).any():
             names = ", ".join(f"'{column.name}'" for column in columns)
             raise RecordError(
-                f"the columns {names} jump between 0 and {most - 1:.0f}: they are numbers of "
-                f"{bits} bits with a sign (two's complement) that were written without it. Export "
+                f"the columns {names} jump between 0 and {most - 1:.0f}: they are signed numbers "
+                f"of {bits} bits (two's complement) that were written as unsigned numbers. Export "
                 f"them with their sign, or subtract {most:.0f} from each of {most / 2:.0f} or more."
             )
 

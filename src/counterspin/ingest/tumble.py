@@ -91,7 +91,9 @@ def tumble_draft(
     answers: By the keys of questions; they take precedence over guesses.
     """
     if len(all_contents) != 1:
-        raise CampaignError("init", ["a tumble is one table of readings: give one file"])
+        raise CampaignError(
+            "init", ["the readings of a tumble must be in one table: give one file"]
+        )
     (contents,) = all_contents
 
     def asked(taken: Mapping[str, str]) -> tuple[FileQuestion, ...]:

@@ -266,7 +266,7 @@ def _row_times(
     if guess.shared is not None and not stated:
         return guess.shared.values
     if guess.sampling is None:
-        problem = f'{source}: no column is a time; give `sampling_rate`, such as "100 Hz".'
+        problem = f'{source}: no time column was found; give `sampling_rate`, such as "100 Hz".'
         unread = [f"Not read: {reason}" for reason in guess.contents.spoilt]
         raise RecordError(" ".join([problem, *unread]))
     return np.arange(max(len(column.values) for column in columns)) / guess.sampling
@@ -336,7 +336,7 @@ def _line_name(line: SpectralLine, sampling: float, turning: float | None) -> st
                 <= close + _MAINS_TOLERANCE * seen
             ):
                 name = f"{mains:g} Hz mains" + ("" if number == 1 else f", harmonic {number}")
-                return name if seen <= 0.5 * sampling else f"{name}, folded by the sampling"
+                return name if seen <= 0.5 * sampling else f"{name}, aliased by the sampling"
     return None
 
 
@@ -380,8 +380,8 @@ def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
         yield f"Left out as outliers: {many}."
     if stated.gaps:
         yield (
-            f"The record is cut at {stated.gaps} gap{'s' if stated.gaps > 1 else ''}; spectrum "
-            "and Allan deviation use its longest part, the components all parts."
+            f"The record is cut at {stated.gaps} gap{'s' if stated.gaps > 1 else ''}; spectrum and "
+            f"Allan deviation use its longest part, the components use all parts."
         )
     thin = round(record.analysis.step / record.segments.step)
     if thin > 1:
@@ -404,8 +404,8 @@ def _sampling_remarks(record: StaticRecord) -> Iterator[str]:
     stretches = record.segments
     if stretches.repeated:
         yield (
-            f"{stretches.repeated} of {stretches.rows} rows repeat the value before them, as where "
-            "a log is faster than the sensor. Only new values are used, at "
+            f"{stretches.repeated} of {stretches.rows} rows repeat the value before them, as when "
+            "the log is faster than the sensor. Only new values are used, at "
             f"{1.0 / stretches.sample_interval:.4g} Hz."
         )
     if stretches.restamped:

@@ -208,9 +208,9 @@ FILE_DESCRIPTION: Final = "plots of noise"
 
 #: Key of a component -> its name.
 NAMES: Final = {
-    "displacement": "white noise of the displacement, a sample",
-    "velocity": "white noise of the velocity, a sample",
-    "quantisation": "quantisation noise of the velocity, a sample",
+    "displacement": "white noise of the displacement, per sample",
+    "velocity": "white noise of the velocity, per sample",
+    "quantisation": "quantisation noise of the velocity, per sample",
     "acceleration": "white noise of the accelerometer, N",
     "flicker": "flicker (bias instability), B",
     "bias_walk": "random walk of the bias, K",

@@ -44,7 +44,7 @@ class Pace:
     def __post_init__(self) -> None:
         if not (0.0 < self.interval < 1e6 and 0.0 < self.share <= 1.0):
             raise CampaignError(
-                "watch", ["the interval is more than 0 s, the share of a core between 0 and 1"]
+                "watch", ["the interval must be above 0 s, and the share of a core between 0 and 1"]
             )
 
 

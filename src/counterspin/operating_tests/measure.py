@@ -72,7 +72,8 @@ def operating(
     if (input is None) == (time is None):
         raise CampaignError("operating", ["name a column of inputs, or one of times (warm-up)"])
     if output in (input, time):
-        raise CampaignError("operating", [f'"{output}" is named as two columns; name two'])
+        problem = f'"{output}" is named for both columns; name two different columns'
+        raise CampaignError("operating", [problem])
     if full_scale is not None and not 0.0 < full_scale < math.inf:
         raise CampaignError("operating", ["full_scale: give a number greater than zero"])
     first, outputs, digest = _read_columns(path, str(input or time), output)

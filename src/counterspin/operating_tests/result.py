@@ -14,9 +14,9 @@ class OperatingQuantity(ResultPart):
     value: float | None  #: Value in `unit`; null if the data do not determine it.
     u: float | None  #: Standard uncertainty in `unit`.
     unit: str  #: Unit of the value.
-    percent: float | None  #: Value in percent of full scale; null where it has no meaning.
+    percent: float | None  #: Value in percent of full scale; null if it has no meaning.
     u_percent: float | None  #: Standard uncertainty of `percent`.
-    at: float | None  #: Input at which it was found; null where there is none.
+    at: float | None  #: Input at which the value was found; null if there is none.
     note: str  #: Definition, or the reason why it is not determined.
 
 
@@ -37,10 +37,11 @@ class OperatingTests(ReportableResult):
     full_scale: float  #: Full scale of the input.
     noise: float  #: Standard deviation of a point, in the output's unit.
     noise_dof: float  #: Degrees of freedom of `noise`.
-    noise_from_repeats: bool  #: Whether repeats at the same input determine it, else residuals.
+    #: Whether the noise is from repeats at the same input; otherwise from residuals.
+    noise_from_repeats: bool
     quantities: list[OperatingQuantity]  #: The results of the tests.
     time: list[float]  #: Times of the rows, s; empty without a column of times.
-    inputs: list[float]  #: Inputs in the order of the file; empty of a warm-up.
+    inputs: list[float]  #: Inputs in the order of the file; empty for a warm-up.
     outputs: list[float]  #: Outputs.
 
     def quantity(self, name: str) -> OperatingQuantity:

@@ -39,10 +39,10 @@ class Size:
 
 
 _NONE: Final = "order of magnitude, no source"
-_FIFTH: Final = "order of magnitude: a fifth of K_II, as at navigation grade"
-_TENTH: Final = "order of magnitude: a tenth of K_II, as at navigation grade"
-_TWENTIETH: Final = "order of magnitude: a twentieth of K_F, as at navigation grade"
-_OF_PAPER: Final = "the paper's Table 1 for K_IP (6e-6 g/g²), a third of it; the others likewise"
+_FIFTH: Final = "order of magnitude: a fifth of K_II, as for navigation grade"
+_TENTH: Final = "order of magnitude: a tenth of K_II, as for navigation grade"
+_TWENTIETH: Final = "order of magnitude: a twentieth of K_F, as for navigation grade"
+_OF_PAPER: Final = "a third of K_IP in the paper's Table 1 (6e-6 g/g²); likewise for the others"
 
 _CROSS: Final = (
     (1e-4, 2e-6, _OF_PAPER),
@@ -59,8 +59,8 @@ _MISALIGNMENT: Final = (
 
 #: HASI's bias has 0.6 µg/K at 293 K and 2.3 µg/K at 100 K: 4e-9 g/K^2.
 _OF_POWER: Final = {
-    2: "order of magnitude, no source: a hundredth of the first power's, per K",
-    3: "order of magnitude, no source: a hundredth of the square's, per K",
+    2: "order of magnitude, no source: 1 % of the linear coefficient per K",
+    3: "order of magnitude, no source: 1 % of the quadratic coefficient per K",
 }
 
 _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
@@ -68,8 +68,8 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
         (
             0.1,
             1e-4,
-            "one nautical mile an hour, which defines navigation grade: a bias of 1e-4 g levels "
-            "the platform wrong by 1e-4 rad, 0.34 nautical miles; dual-use list, 7A001.a.1: "
+            "one nautical mile an hour, which defines navigation grade: a bias of 1e-4 g tilts the "
+            "platform by 1e-4 rad, 0.34 nautical miles; dual-use list, 7A001.a.1: "
             "better than 130 µg over one year",
         ),
         (0.3, 1.2e-3, "MS1010: long-term bias repeatability 1.2 mg"),
@@ -85,12 +85,12 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
         (0.5, 4e-2, "ADXL350: 512 LSB/g ± 7.5 %, taken as limits of a rectangular distribution"),
     ),
     "K_II": (
-        (1e-4, 1e-5, "the paper's Table 1 (2e-5 g/g²), half of it"),
+        (1e-4, 1e-5, "half of the value in the paper's Table 1 (2e-5 g/g²)"),
         (3e-3, 3e-4, "MS1010: nonlinearity 0.3 % of 10 g, attributed entirely to second order"),
         (1e-2, 1e-3, "ADXL313 and ADXL350: nonlinearity ±0.5 % of 4 g and of 8 g, likewise"),
     ),
     "K_III": (
-        (1e-4, 1e-6, "the paper's Table 1 (4e-6 g/g³), a quarter of it"),
+        (1e-4, 1e-6, "a quarter of the value in the paper's Table 1 (4e-6 g/g³)"),
         (1e-3, 3e-5, "MS1010: nonlinearity 0.3 % of 10 g, attributed entirely to third order"),
         (1e-2, 1e-4, "ADXL350: nonlinearity ±0.5 % of 8 g, likewise"),
     ),

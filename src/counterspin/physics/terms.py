@@ -144,7 +144,7 @@ def _product_rows() -> Iterator[Term[SpecificForceProduct]]:
         ("K_PO", "P O", "Kpo", "cross-coupling of pendulous and output axes"),
         ("K_PP", "P P", "Kpp", "second-order pendulous-axis coefficient"),
         ("K_OO", "O O", "Koo", "second-order output-axis coefficient"),
-        ("K_OQ", "I |I|", "Koq", "odd second-order coefficient"),
+        ("K_OQ", "I |I|", "Koq", "odd quadratic coefficient"),
         ("K_0_asym", "sign_I", "K0'", asymmetry.format("bias")),
         ("K_I_asym", "|I|", "K1'", asymmetry.format("scale factor")),
         ("K_spin", "w_I w_P", "Kspin", "spin coefficient of input and pendulous axes"),
@@ -198,7 +198,7 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
     rate = 10.0 * DEGREE_PER_HOUR, 0.01 * DEGREE_PER_HOUR
     of_square = "sensitivity of the gyro about {} to the square of the force"
     of_force = "g-sensitivity of the {} gyro to force along {}"
-    lean = "platform rotation about {} by force along {}"
+    lean = "platform rotation about {} due to force along {}"
     by_axis = (
         ("drift", "rad/s", "gyro drift about {}"),
         (*rate, "one nautical mile an hour, as for K_F: 0.01 deg/h is 0.6 nautical miles an hour"),
@@ -227,7 +227,9 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
                 called = words.format(*([name] if j is None else suffix))
                 turn = AttitudeError(kind, i, j)
                 yield Term(f"platform.{kind}.{suffix}", turn, called, unit, *sizes, "platform")
-    for n, quadrature, called in _wave_orders((1, 2), "counter-rotating table error, {} a turn"):
+    for n, quadrature, called in _wave_orders(
+        (1, 2), "counter-rotating table error, {} per revolution"
+    ):
         yield Term(
             f"table.harmonic.{n}.{quadrature}",
             AttitudeError("table", 2, harmonic=n, quadrature=quadrature),
@@ -257,7 +259,7 @@ def _trajectory_rows() -> Iterator[Term[TrajectoryError]]:
         "centrifuge.imbalance",
         (1, 2),
         ("m", 1e-3, 1e-6, f"{_NO_SOURCE}: run-out of a good spindle"),
-        "imbalance, radius varying {} a revolution",
+        "imbalance, radius varying {} per revolution",
     )
     for axis in ("east", "north"):
         yield Term(
@@ -275,7 +277,7 @@ def _trajectory_rows() -> Iterator[Term[TrajectoryError]]:
         "encoder.harmonic",
         (1, 2, 3, 4),
         ("rad", 1e-3, ARCSEC, "Lu et al.: 1 arcsec, the best angle encoders, properly mounted"),
-        "encoder error, {} a revolution",
+        "encoder error, {} per revolution",
     )
     yield Term(
         LEVER_ARM,
@@ -358,7 +360,9 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
         "harmonics"
     )
     graduated = (1e-3, 1e-5, arcseconds)
-    for n, quadrature, called in _wave_orders((1, 2, 3, 4), "dividing head error, {} a turn"):
+    for n, quadrature, called in _wave_orders(
+        (1, 2, 3, 4), "dividing head error, {} per revolution"
+    ):
         effect = SetupError("wave", "", n, quadrature)
         symbol = f"{HEAD_WAVES}{n}.{quadrature}"
         yield Term(symbol, effect, called, "rad", *graduated, "machine", motions=("static",))

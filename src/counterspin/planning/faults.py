@@ -116,7 +116,7 @@ def fault_requirements(
     lines = [
         ("radius", radius, "m"),
         ("drift of the rate that the recorded angle does not show", drift, "1/s"),
-        ("rate, relative, the same error in all runs", rate @ rates, "1"),
+        ("relative rate error, the same in all runs", rate @ rates, "1"),
         ("zero of the angle, new in each run", zero, "rad"),
         (
             "noise of the angle, per sample",

@@ -83,14 +83,14 @@ def _summary_blocks(result: PlanResult) -> Iterator[Block]:
 def _optimality(goal: GoalResult, timed: bool) -> str:
     if goal.efficiency is None:
         return (
-            "How much better another plan could be is unknown: no theorem gives a bound "
-            "if the time stamps have noise."
+            "The possible improvement by another plan is unknown: no theorem gives a bound if the "
+            "time stamps have noise."
         )
     less = 100.0 * (1.0 - goal.efficiency)
     if less > _EMPTY_BOUND:
         return (
-            "How much better another plan could be is unknown: the bound "
-            f"for all plans allows {format_number(less, 2)} % less."
+            "The possible improvement by another plan is unknown: the bound for all plans "
+            f"allows {format_number(less, 2)} % less."
         )
     if less < 0.05:
         return "No plan within these limits is better by more than 0.05 %."
@@ -114,7 +114,7 @@ def _run_blocks(result: PlanResult) -> Iterator[Block]:
         Column("Revolutions", "right"),
         Column("Record, s", "right"),
     ]
-    columns += [Column("Starts at, s", "right")] * planned
+    columns += [Column("Start time, s", "right")] * planned
     columns += [Column("Attitude", wraps=True)] * several
     rows = []
     for run in result.runs:
@@ -274,8 +274,9 @@ def _fault_blocks(
     detected = [effect for effect in accelerometer.faults if effect.noticed]
     if undetected:
         yield Paragraph(
-            "Each of these is assumed perfect. Alone and of typical size, it would shift K_II "
-            "by more than the standard uncertainty, and the residuals would still look like noise."
+            "Each of these is assumed perfect. Alone, with its default size, it would shift K_II "
+            "by more than the standard uncertainty, and the residuals would still be consistent "
+            "with noise."
         )
         yield Table(
             (
@@ -368,7 +369,7 @@ def _comparison_blocks(result: PlanResult) -> Iterator[Block]:
         tuple(rows),
     )
     same = " All take the same time unless stated otherwise." if result.runs else ""
-    words = f"Ratio: uncertainty of this plan over that of the other.{same}"
+    words = f"Ratio: uncertainty of this plan divided by that of the other plan.{same}"
     yield Paragraph(words, "quiet")
 
 

@@ -349,7 +349,7 @@ def _alternative_plans(
             search.three_rates(design, total),
         ),
         ("equally spaced rates, equal durations", search.even_rates(design, total)),
-        ("the best plan in half of the time", shorter),
+        ("the best plan in half the time", shorter),
     ):
         if alternative is None:
             continue

@@ -239,7 +239,7 @@ def _stated_sizes(noise: Mapping[str, Any], problems: Problems) -> dict[str, Any
     """Return [noise] without noise to be estimated, and report that: no record exists yet."""
     unknown = [key for key, size in noise.items() if size == ESTIMATE]
     for key in unknown:
-        problems.add(("noise", key), "a plan needs its size; nothing can be estimated yet")
+        problems.add(("noise", key), "state a number: a plan cannot estimate the noise")
     return {key: size for key, size in noise.items() if key not in unknown}
 
 
@@ -303,7 +303,8 @@ def _resolve_limits(
         problems.add(
             ("limits", "sampling_rate"),
             f"{fewest:g} revolutions at {high:.6g} rad/s have {samples:.3g} samples at "
-            f"{settings.sampling_rate:.6g} Hz; give a higher one, or a lower highest_rate",
+            f"{settings.sampling_rate:.6g} Hz; give a higher sampling rate, or a lower "
+            "highest_rate",
         )
     if longest * high > 2.0 * math.pi * _MAX_REVOLUTIONS:
         problems.add(
@@ -390,9 +391,7 @@ def _resolve_rates(
         sorted({w for w in settings.rates if (low or 0.0) <= w <= high * (1.0 + 1e-12)})
     )
     if not available:
-        problems.add(
-            ("limits", "rates"), f"no setting is within lowest_rate and the limit by {key}"
-        )
+        problems.add(("limits", "rates"), f"no rate is between lowest_rate and the limit of {key}")
         return None
     return (available[0], available[-1]), available
 

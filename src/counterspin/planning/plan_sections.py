@@ -101,17 +101,17 @@ class LimitsSettings(SettingsSection):
         absent="no time",
     )
     fewest_revolutions: Annotated[PositiveRatio, AfterValidator(_check_positive_count)] = key_field(
-        "fewest revolutions of a run, at least 1", 10, 5.0
+        "minimum number of revolutions of a run, at least 1", 10, 5.0
     )
     longest_run: Seconds | None = key_field(
         "longest duration of a record", "400 s", None, absent="the total time"
     )
     runs: Annotated[int, Field(le=MOST_RECORDS), AfterValidator(positive)] = key_field(
-        "largest number of runs, at most 60", 14, 8
+        "maximum number of runs, up to 60", 14, 8
     )
     fewest_rates: Annotated[int, AfterValidator(positive)] | None = key_field(
-        "smallest number of different rates, each at least 1.25 times the next; of "
-        "`rates`, any that differ",
+        "minimum number of different rates, each at least 1.25 times the next; for "
+        "`rates`, different rates suffice",
         3,
         None,
         absent="2, or 1 where the other limits leave no room for two",
@@ -151,7 +151,8 @@ class StationsSettings(SettingsSection):
         "[poses](poses.md#which-poses-next) of a triad, set by hand", "unknown", None
     )
     up: Annotated[list[Text], Field(min_length=1)] | None = key_field(
-        "axes that point up in each pose (with a minus: down); several axes point up equally",
+        "axes that point up in each pose (with a minus: down); several axes point up at equal "
+        "angles",
         ["X", "-X", "Y - Z"],
         None,
         absent="each axis, every two and every three of them: 26",

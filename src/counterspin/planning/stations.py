@@ -241,7 +241,9 @@ def read_reading_plan(
     if limits is not None and limits.total_time is not None and not all(r.time for r in candidates):
         problems.add(("limits", "total_time"), "needs the time of a reading at every station")
     if limits is not None and campaign is not None and campaign.runs and not limits.sampling_rate:
-        problems.add(("limits", "sampling_rate"), "is missing: that of the records in [[runs]]")
+        problems.add(
+            ("limits", "sampling_rate"), "is missing: the sampling rate of the records in [[runs]]"
+        )
     if problems.lines or campaign is None or sought is None or limits is None:
         raise campaign_error(file, problems.lines or ["stations: there are none"])
     return ReadingPlan(

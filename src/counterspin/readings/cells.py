@@ -111,7 +111,7 @@ class RateColumn:
         u: Standard uncertainty of the number, in its unit; None: that of the section, if any.
         """
         if u is not None and u < 0.0:
-            raise ValueError("a standard uncertainty is not negative")
+            raise ValueError("a standard uncertainty cannot be negative")
         rate, unit, power = self._exact(number)
         stated = self.settings.u_rate
         if u is None and stated is not None:
@@ -128,7 +128,9 @@ class RateColumn:
             unit_factor(unit, "rad/s")
             return number, unit, 1.0
         if number < 0.0:
-            raise ValueError("a centripetal acceleration is positive; the mounting has the sign")
+            raise ValueError(
+                "a centripetal acceleration must be positive; the mounting determines the sign"
+            )
         acceleration = number * unit_factor(unit, "m/s^2", gravity=gravity)
         radius = self._stated("centrifuge", "radius", "m")
         return math.sqrt(acceleration / radius), "rad/s", 0.5

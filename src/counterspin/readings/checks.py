@@ -301,7 +301,8 @@ def pattern_clause(alternative: Alternative) -> str:
     }.get(alternative.symbol.rpartition(" ")[2], "the time of reading")
     return {
         WAVE: f"follow {alternative.symbol}, phi being the angle of the head from input axis up",
-        HEAD: f"look like an error of the head {alternative.symbol.partition(' ')[2]} a turn",
+        HEAD: f"look like an error of the head {alternative.symbol.partition(' ')[2]} per "
+        f"revolution",
         TERM: f"follow {alternative.symbol}, more than the model allows",
         DRIFT: f"drift with {when}",
         WARM_UP: f"settle with {when}, as after a warm-up",
@@ -312,7 +313,7 @@ def pattern_clause(alternative: Alternative) -> str:
         ASYMMETRY: f"look like a {alternative.symbol} that differs for negative forces",
         RANGE: f"look like a gain that changes above {alternative.symbol}, as between ranges of a "
         "meter",
-        STEP: f'step, from "{alternative.symbol}" on',
+        STEP: f'have a step that starts at "{alternative.symbol}"',
         SENSE: "depend on the sense in which the machine turned",
         REVERSED: "look like a rotation in the other sense than stated",
         HYSTERESIS: f"depend on {_HYSTERESIS_CAUSES.get(alternative.symbol)} (hysteresis)",
@@ -327,8 +328,8 @@ def outlier_findings(name: str, group: FittedReadings) -> list[Finding]:
     worst = _outlier_finding(group, name, max(outliers, key=lambda outlier: abs(outlier.z)))
     text = (
         f"{_count_readings(outliers)} of {group.readings.size} {group.label} deviate from the "
-        "model: so many "
-        f"suggest a fault of the model rather than of single readings. {worst.text}"
+        "model: this many suggest an error of the model rather than of individual readings. "
+        "{worst.text}"
     )
     return [worst.model_copy(update={"text": text})]
 
@@ -435,5 +436,6 @@ def overstated_noise_remarks(views: Sequence[AccelerometerView]) -> Iterator[str
         yield (
             f"{name}: the {group.label} scatter by {scatter_text}, {format_number(ratio, 2)} times "
             f"the stated uncertainty of {stated_text}. u is too large. "
-            "State the noise of single readings, and errors that all of them share as priors."
+            "State the noise of individual readings, and state errors common to all readings as "
+            "priors."
         )

@@ -65,7 +65,7 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
         ),
         (
             vibrates and run.amplitude is None,
-            "is missing: a vibration has a peak acceleration",
+            "is missing: a vibration needs a peak acceleration",
             "amplitude motion",
         ),
         (
@@ -90,7 +90,7 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
         ),
         (
             "tilt" in (run.truth or {}),
-            "has the tilt of a platform, which readings do not show; leave that out",
+            "contains the tilt of a platform, which does not affect readings; remove the tilt",
             "truth motion reading",
         ),
         (
@@ -111,7 +111,7 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
         ),
         (
             run.head is not None and not (static and any(run.stand.head)),
-            'turns about an axis: write attitude = "30 deg about north", or alike',
+            'turns about an axis: write attitude = "30 deg about north", or similar',
             "head attitude motion",
         ),
         (

@@ -262,8 +262,8 @@ def _solve(
         name = _largest_residual(readings, records, model)
         raise ConvergenceError(
             f"the fit of the readings did not converge in {_ROUNDS} rounds; check "
-            f'"{name}", which is furthest off the others: its sign, digits and unit, and whether '
-            "it was exchanged with another. Otherwise state priors for the terms of the "
+            f'"{name}", which deviates most from the others: its sign, digits and unit, and '
+            "whether it was swapped with another. Otherwise state priors for the terms of the "
             "machine, or state the standard uncertainties of the readings"
         )
     dof = [

@@ -116,7 +116,7 @@ def insert_readings(document: dict[str, Any], frame: Any, problems: Problems) ->
         reason = "names a file; leave it out" if isinstance(raw, Mapping) else "is missing"
         problems.add(
             ("readings",),
-            f"{reason}: the table is given as a frame, and `columns` say which column is what",
+            f"{reason}: the table is given as a frame, and `columns` assigns its columns",
         )
         return
     settings = problems.check(ReadingsSettings, {**raw, "file": _IN_MEMORY}, ("readings",))
@@ -295,8 +295,8 @@ class ReadingsTable:
         columns = [entry.reading for entry in self.settings.mountings.values()]
         if len(self.accelerometers) != 1 or not all(columns) or "reading" in self.settings.columns:
             message = (
-                "`reading` is a column of each mounting, of one accelerometer, or of none; "
-                "readings.columns names no reading then"
+                "give `reading` for every mounting or for none; with it, a table has one "
+                "accelerometer, and readings.columns has no `reading`"
             )
             self.problems.add(("readings", "mountings"), message)
             return

@@ -38,7 +38,8 @@ _MIN_SHIFT: Final = 2.0
 #: of a voltmeter of 6.5 digits that are each within 40 ppm after a year.
 _RANGE: Final = 5e-5
 
-#: Typical error of a head that gains or loses angle, rad in a turn: order of magnitude, no source.
+#: Typical error of a head error that grows by
+#: or loses angle, rad in a turn: order of magnitude, no source.
 _HEAD: Final = 36.0 * ARCSEC
 
 #: Fewest readings that a fault can begin among.
@@ -115,7 +116,7 @@ def fault_remarks(faults: Mapping[str, Sequence[str]]) -> Iterator[str]:
         if clauses:
             yield (
                 f"{name}: the residuals would not show these single faults: {'; '.join(clauses)}. "
-                "Exclude them by other means, such as a second series in another order, or one "
+                "Rule them out by other means: repeat the series in another order, or use a single "
                 "range of the meter."
             )
 
@@ -181,9 +182,9 @@ def _describe_fault(fault: Alternative, size: float) -> str:
     if fault.kind == REVERSED:
         return "a rotation in the other sense than stated"
     if fault.kind == STEP:
-        return f'a bias step of {format_size("K_F", size, 3)} from "{fault.symbol}" on'
+        return f'a bias step of {format_size("K_F", size, 3)} starting at "{fault.symbol}"'
     if fault.kind == RANGE:
         return f"a change of the meter's gain by {1e6 * size:.2g} ppm above {fault.symbol}"
     if fault.kind == TURN:
-        return f"a head that gains {2.0 * math.pi * size / ARCSEC:.2g} arcsec a turn"
+        return f"a head error that grows by {2.0 * math.pi * size / ARCSEC:.2g} arcsec a turn"
     return f"a drift of the bias by {format_size('K_F', size, 3)} during the series"

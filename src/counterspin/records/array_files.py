@@ -563,8 +563,8 @@ class TdmsFile(ArrayFile):
             for rows, skipped_count in zip(late_rows, skipped_rows, strict=True)
         ):
             raise RecordError(
-                f"{self.path}: the channels began at different times, which are not whole steps "
-                "of the waveform apart. Export them with one start."
+                f"{self.path}: the start times of the channels do not differ by whole steps of the "
+                f"waveform. Export them with a common start."
             )
         if (
             max(row_counts) - common_rows > max(_MAX_CUT_ROWS, _MAX_CUT_FRACTION * common_rows)

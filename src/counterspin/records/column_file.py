@@ -296,8 +296,9 @@ class ColumnFile(ABC):
         if not mask.any():
             values = format_names(sorted(set(cells)), 8)
             raise RecordError(
-                f"{self.path}: select: column '{column}' never has the value '{value}'; it has "
-                f"{values}."
+                f"{self.path}: select: column '{column}' does not contain the value '{value}'; it "
+                f""
+                f"has {values}."
             )
         self.selection = mask
         note = f"rows with {value} in column '{column}'"

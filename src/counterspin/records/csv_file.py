@@ -56,7 +56,7 @@ _BODY_LINES = 20
 _TAIL_BYTES = 16_384
 #: A number with its unit, `1.25 mA`.
 _UNIT_CELL = re.compile(r"[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)? ?[^\s\d,;.:+-]\S{0,9}")
-_FORM = "A .csv file holds a line of column names and lines of numbers."
+_FORM = "A .csv file contains a header line with the column names, and lines of numbers."
 
 
 class CsvFile(ColumnFile):
@@ -476,7 +476,7 @@ def open_text_named_excel(path: Path, stream: BinaryIO, dialect: Dialect) -> Col
         raise RecordError(f"{path}: this is a workbook; save it as .xlsx, without a password.")
     if head.lstrip().startswith(b"<"):
         raise RecordError(
-            f"{path}: this is a page or XML for Excel; open it there, save it as .xlsx."
+            f"{path}: this is a web page or XML for Excel; open it in Excel and save it as .xlsx."
         )
     return CsvFile(path, stream, dialect)
 

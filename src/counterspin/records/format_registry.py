@@ -55,9 +55,9 @@ _COMPRESSED_SUFFIXES: Final = (".gz", ".zip", ".bz2", ".xz", ".zst", ".7z", ".ra
 
 #: Ending of a file that is no record, though it may hold one -> what to do with it.
 _ALTERNATIVES: Final[Mapping[str, str]] = {
-    ".npy": "NumPy's own format is not read; write it as text: "
+    ".npy": "NumPy's binary format is not supported; write it as text: "
     'savetxt("NAME.csv", load("NAME.npy"), delimiter=",").',
-    ".npz": "NumPy's own format is not read; write an array as text: "
+    ".npz": "NumPy's binary format is not supported; write an array as text: "
     'savetxt("NAME.csv", load("NAME.npz")["ARRAY"], delimiter=",").',
     **dict.fromkeys(
         (".json", ".jsonl", ".xml", ".yaml", ".yml", ".toml", ".db", ".sqlite"),
@@ -69,7 +69,7 @@ _ALTERNATIVES: Final[Mapping[str, str]] = {
     ),
     **dict.fromkeys(
         (".bin", ".raw", ".pkl", ".pickle"),
-        "how its bytes are arranged is not stated; export text, such as .csv, from the program "
+        "the arrangement of its bytes is unknown; export text, such as .csv, from the program "
         "that wrote it.",
     ),
 }
@@ -81,7 +81,7 @@ def suffix_problem(path: Path) -> str:
     if ending in RECORD_FORMATS:
         return ""
     if ending in _COMPRESSED_SUFFIXES:
-        return "the file is packed; unpack it, and give the file inside."
+        return "the file is compressed; unpack it, and give the file inside."
     if ending in _ALTERNATIVES and not path.is_dir():
         return _ALTERNATIVES[ending]
     kind = "this is a folder" if path.is_dir() else "this one does not"

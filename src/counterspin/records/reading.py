@@ -487,9 +487,9 @@ class _RecordReader:
             raise RecordError(
                 f"{self._file.path}: column '{self._columns.signals[accelerometer].name}' does not "
                 f"follow the rotation for {len(dropout) / len(signal):.2g} of the record, between "
-                f"{start:.6g} s and {end:.6g} s after its start, and does so again after that, as "
-                f"where a channel is dead; at most {MAX_EMPTY_FRACTION:.0%} may be. Cut the record "
-                "here."
+                f"{start:.6g} s and {end:.6g} s after its start, and follows it again afterwards, "
+                f"as when a channel fails for a while; at most {MAX_EMPTY_FRACTION:.0%} may be "
+                f"affected. Cut the record here."
             )
         if len(dropout):
             dropout = dropout[~np.isnan(signal[dropout])]  # what is empty or out already is counted

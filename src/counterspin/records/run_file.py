@@ -48,9 +48,9 @@ class RunFile:
         if len(files) > 1:
             notes.append(f"{len(files)} files, one after the other")
         if columns.time.kind == "rows":
-            notes.append(f"the time counted, {columns.time.factor:.9g} s a row")
+            notes.append(f"the time from counted rows, {columns.time.factor:.9g} s per row")
         if pulses is not None:
-            notes.append(f"the angle taken between {len(pulses)} pulses")
+            notes.append(f"the angle interpolated between {len(pulses)} pulses")
         self.format_description = ", ".join(notes)
 
     def use_strict_parser(self) -> bool:

@@ -97,7 +97,7 @@ class ValueHolding:
         if chance_repeats > _MAX_CHANCE_FRACTION:
             raise ValueError(
                 f"it repeats {100.0 * repeated:.2g} % of its values at irregular distances, as "
-                "where a log is faster than the sensor, and its resolution is too coarse to tell "
+                "when the log is faster than the sensor, and its resolution is too coarse to tell "
                 "a repeat from an equal sample; export the sensor's own samples"
             )
         return cls(rows, 0, 0)

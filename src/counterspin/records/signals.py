@@ -259,7 +259,7 @@ def check_first_harmonic(
     ):
         return None
     message = (
-        f"swings by {size * abs(expected):.4g} {unit} about the spindle axis, "
+        f"has an amplitude of {size * abs(expected):.4g} {unit} about the spindle axis, "
         f"but the radius and the input axis give {abs(expected):.4g} {unit}"
     )
     if 0.5 < size < 2:

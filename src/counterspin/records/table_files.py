@@ -298,8 +298,8 @@ def _require_size(path: Path, content: bytes) -> None:
             size = sum(entry.file_size for entry in parts.infolist())
     except zipfile.BadZipFile as error:
         raise DamagedFileError(
-            f"{path}: this is not a workbook, or it is damaged. If it has an older format or a "
-            "password, save it as .xlsx without a password, or as CSV."
+            f"{path}: this is not a workbook, or it is damaged. If it is in an older format or "
+            f"protected by a password, save it as .xlsx without a password, or as CSV."
         ) from error
     max_bytes = max(_UNPACKED_BYTES, _UNPACKED_PER_BYTE * len(content))
     if size > max_bytes:

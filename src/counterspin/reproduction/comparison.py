@@ -104,7 +104,7 @@ def second_stage_uncertainty() -> tuple[Row, ...]:
             "plan_printed",
             "stated plan, Eq. 26, unweighted",
             u(_printed_second_stage(plan)),
-            "the sigma(b2) of the stated plan; for a K_II that is half of the truth",
+            "the sigma(b2) of the stated plan; for a K_II that is half of the true value",
             ".3e",
         ),
         row(
@@ -125,7 +125,7 @@ def second_stage_uncertainty() -> tuple[Row, ...]:
             "exact_alone",
             "stated plan, exact: K_II alone",
             u(_exact_second_stage(plan, fit_bias=False)),
-            "with the bias perfectly known, as the paper takes it",
+            "with the bias perfectly known, as the paper assumes",
             ".3e",
         ),
         row(
@@ -166,7 +166,7 @@ def recovery() -> tuple[Row, ...]:
             "exact",
             "K_II by the exact model, K_F estimated too",
             _exact_second_stage(runs).estimate("K_II")[0],
-            "the truth",
+            "the true value",
         ),
     )
 
@@ -194,7 +194,7 @@ def second_stage_ripple() -> tuple[Row, ...]:
             truth,
             alone[0],
             "g/g^2",
-            "ripple does no harm to begin with",
+            "ripple has no effect in the first place",
         ),
         Row(
             "separation.with",
@@ -219,7 +219,7 @@ def second_stage_ripple() -> tuple[Row, ...]:
             RIPPLE_RATIO * math.sin(RIPPLE_PHASE),
             by_ratio.estimate(RIPPLE)[0],
             "",
-            "the second unknown does not see the ripple that is there",
+            "the second unknown does not detect the ripple that is present",
             ".1e",
         ),
         Row(
@@ -236,7 +236,7 @@ def second_stage_ripple() -> tuple[Row, ...]:
             truth,
             _exact_second_stage(drifting, fit_bias=False, nominal_angle=True).estimate("K_II")[0],
             "g/g^2",
-            "the truth",
+            "the true value",
         ),
         Row(
             "separation.drift_as_ripple",
@@ -244,7 +244,8 @@ def second_stage_ripple() -> tuple[Row, ...]:
             0.0,
             _printed_second_stage(drifting).estimate(RIPPLE)[0],
             "rad/s",
-            "2/3 C within a few per cent: this column, too, goes as w0 and takes the drift up",
+            "2/3 C within a few per cent: this column is proportional to w0, too, and absorbs the "
+            "drift",
             ".3e",
         ),
     )

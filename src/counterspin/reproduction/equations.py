@@ -53,8 +53,8 @@ def _mean_force() -> tuple[Row, ...]:
             float(np.mean(printed)) / RIPPLE_UNIT,
             float(np.mean(exact)) / RIPPLE_UNIT,
             "R w0 w_p sin(phi)",
-            "the tangential part has the wrong sign and -sin(w0 t) d(theta) is dropped; a motion "
-            "that returns has no mean acceleration",
+            "the tangential part has the wrong sign and -sin(w0 t) d(theta) is dropped; a periodic "
+            "motion has no mean acceleration",
             "z.3f",
         ),
     )
@@ -212,7 +212,7 @@ def _constants() -> tuple[Row, ...]:
         ),
         Row(
             "eq15.drift_constant",
-            "Eq. 15: constant of drift, nominal angle as reference",
+            "Eq. 15: drift constant, nominal angle as reference",
             _printed_constant(drift=drift_rate) / drift_unit,
             float(drift[0]) / drift_unit,
             "K_I R C/w0",

@@ -148,7 +148,8 @@ def refuse_unsupported(campaign: Campaign) -> None:
     for where, recording in ({"records": campaign_recording} | run_recordings).items():
         stated_keys = [key for key, value in vars(recording.dialect).items() if value is not None]
         problems += [
-            f"{where}.{key}: simulated records are plain; leave it out" for key in stated_keys
+            f"{where}.{key}: simulated records have no such key; leave it out"
+            for key in stated_keys
         ]
         for key, channel in (("time", recording.time), ("angle", recording.angle)):
             if channel is not None and channel.name and (channel.kind != "numbers"):
@@ -166,7 +167,7 @@ def refuse_unsupported(campaign: Campaign) -> None:
     records = [run.record for run in campaign.runs]
     for run in campaign.runs:
         if records.count(run.record) > 1:
-            problems.append(f'run "{run.name}": a simulated record is of one run')
+            problems.append(f'run "{run.name}": a simulated record belongs to one run')
         if len(run.files) > 1:
             problems.append(f'run "{run.name}": a simulated record is a single file')
     if problems:
@@ -194,7 +195,7 @@ def _clock_problems(campaign: Campaign) -> Iterator[str]:
         rate, stated_rate = campaign.simulation.sampling_rate, 1.0 / campaign.time.factor
         if not math.isclose(rate, stated_rate, rel_tol=1e-9):
             yield (
-                f"simulation.sampling_rate: is {rate:g} Hz, and records.time says "
+                f"simulation.sampling_rate: is {rate:g} Hz, and records.time states "
                 f"{stated_rate:g} Hz"
             )
 

@@ -110,7 +110,8 @@ class StudyFolder:
 
 def _foreign_file_error(path: Path) -> CounterspinError:
     return CounterspinError(
-        f"{path} exists and was not written by a study, so it is not replaced: name another folder"
+        f"{path} exists and was not written by a study, and is therefore not replaced: name "
+        f"another folder"
     )
 
 
@@ -197,7 +198,7 @@ class StudyProgress:
         arrays = _load_arrays(self._file)
         if arrays is not None and str(arrays.get("fingerprint")) != self._fingerprint:
             raise CounterspinError(
-                f"{self.folder}: the study begun there differs (in its description, "
+                f"{self.folder}: the study started there differs (in its description, "
                 "engine or `keep_trials`); use another folder"
             )
         try:

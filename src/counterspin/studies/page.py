@@ -40,7 +40,7 @@ _ERROR_COLUMNS = (
 
 _COVERAGE_COLUMNS = (
     Column("Coefficient"),
-    *(Column(f"In {100 * level:.0f} %", align="right") for level in LEVELS),
+    *(Column(f"Coverage, {100 * level:.0f} %", align="right") for level in LEVELS),
 )
 
 
@@ -67,8 +67,8 @@ def study_blocks(result: StudyResult) -> list[Block]:
             blocks.append(Paragraph(f"Not determined by the records: {listed}.", "quiet"))
     blocks.append(
         Paragraph(
-            "Bias is given with its standard error. The columns In 68, 95, 99 % give the share of "
-            "trials whose interval of that level contained the truth, with its binomial 95 % "
+            "Bias is given with its standard error. The coverage columns give the share of trials "
+            "whose 68 %, 95 % or 99 % interval contains the true value, with a binomial 95 % "
             "interval. Efficiency is the Cramér-Rao bound of all samples over the mean square "
             "error.",
             "quiet",
@@ -155,7 +155,8 @@ def coverage_plots(result: StudyResult) -> Iterator[Plot]:
         low, high = zip(*(c.intervals[index] for c in coefficients), strict=True)
         share = tuple(c.covered[index] for c in coefficients)
         yield Plot(
-            title=f"Trials whose {100 * level:.0f} % interval contained the truth; bars: 95 %",
+            title=f"Share of trials whose {100 * level:.0f} % interval contains the true value; "
+            f"bars: 95 % intervals",
             x_label="",
             y_label="share, %",
             series=(

@@ -280,14 +280,18 @@ def judge_coverage(name: str, summary: CoefficientResult) -> tuple[bool | None, 
         abs(summary.bias) > 3.0 * summary.se_bias
         and abs(summary.bias) > _MAX_BIAS_RATIO * summary.u
     )
-    coverage_text = f"its 95 % intervals contain the truth in {100.0 * share:.4g} % of the trials"
+    coverage_text = (
+        f"its 95 % intervals contain the true value in {100.0 * share:.4g} % of the trials"
+    )
     if summary.trials < MIN_TRIALS:
         return None, f"{name}: {coverage_text}"
     if low <= _ACCEPTED_COVERAGE[1] and high >= _ACCEPTED_COVERAGE[0] and not biased:
         return True, f"{name} is unbiased, and {coverage_text}"
     if biased:
         factor = summary.truth and 1.0 + summary.bias / summary.truth
-        ratio_text = f": it is {factor:.3g} times the truth" if abs(factor - 1.0) > 0.05 else ""
+        ratio_text = (
+            f": it is {factor:.3g} times the true value" if abs(factor - 1.0) > 0.05 else ""
+        )
         return False, (
             f"{name} is biased by {abs(summary.bias) / summary.u:.3g} standard "
             f"uncertainties{ratio_text}, and {coverage_text}"
@@ -319,7 +323,7 @@ def summarise_analyses(analyses: Mapping[str, AnalysisResult]) -> list[str]:
             + ". "
             + _findings(trustworthy[best].coefficients.values())
         )
-        lines += [f"{name}: also without a fault." for name in trustworthy if name != best]
+        lines += [f"{name}: no fault was found either." for name in trustworthy if name != best]
     for name, analysis in analyses.items():
         if not analysis.trustworthy:
             faulty = [c for c in analysis.coefficients.values() if not c.trustworthy]

@@ -88,7 +88,7 @@ def _pattern_finding(group: FittedReadings, pattern: Pattern) -> Finding:
             " Was the sensor knocked, or switched off?"
             if first.kind == STEP
             else (
-                " Let the sensor warm up before, or add K_F.trend to model.terms"
+                " Let the sensor warm up first, or add K_F.trend to model.terms"
                 f"{', with the time of each pose' if first.symbol == 'order' else ''}."
             )
         )

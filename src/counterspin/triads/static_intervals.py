@@ -86,7 +86,7 @@ class StaticIntervals:
         """Reasons to doubt the threshold, a sentence each; empty for a clear record."""
         messages = []
         if math.isinf(self.contrast):
-            messages.append("Nothing moves in the record: all of it counts as rest.")
+            messages.append("The record contains no motion: all of it counts as rest.")
         elif self.contrast < MIN_CONTRAST:
             messages.append(
                 f"Rest and motion are not clearly separated: motion has "

@@ -106,7 +106,7 @@ def check_schema(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Check a certificate, and altered ones, against the schema."""
     if "schema" not in given:
         raise NotAvailableError(
-            "the schema of DCC is not part of the package; name its folder (`schema`)"
+            "the DCC schema is not part of the package; name its folder (`schema`)"
         )
     certificate_xml = make_certificate(given["file"])
 

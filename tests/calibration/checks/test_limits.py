@@ -51,9 +51,9 @@ def only(result):
         (lambda g: 10.0 * g, "a unit off by a power of ten, 1e1."),
         (lambda g: 1e-3 * g, "a unit off by a power of ten, 1e-3."),
         (lambda g: -1e3 * g, f"{SIGN}, and a unit off by a power of ten, 1e3."),
-        (lambda g: 9.80665 * g, "a unit, m/s^2 against g."),
-        (lambda g: g / 9.80665, "a unit, m/s^2 against g."),
-        (lambda g: 0.03 * g, "whether column or accelerometer are mixed up."),
+        (lambda g: 9.80665 * g, "a unit, m/s^2 instead of g."),
+        (lambda g: g / 9.80665, "a unit, m/s^2 instead of g."),
+        (lambda g: 0.03 * g, "whether columns or accelerometers are swapped."),
         (lambda g: 1.3 * g, "the sensitivity and its unit, or the range of the readout."),
     ],
 )
@@ -70,7 +70,8 @@ def test_a_scale_factor_that_no_instrument_has(tmp_path, change, words):
 def test_where_a_grade_leaves_several_causes_all_are_named(tmp_path):
     result = tumbled(tmp_path, lambda g: 9.9 * g, accelerometer='grade = "consumer"')
     assert (
-        "Check a unit, m/s^2 against g, or a unit off by a power of ten, 1e1." in only(result).text
+        "Check a unit, m/s^2 instead of g, or a unit off by a power of ten, 1e1."
+        in only(result).text
     )
 
 

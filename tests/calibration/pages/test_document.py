@@ -80,10 +80,10 @@ def checked(blocks):
 
 def test_a_good_result_says_what_was_checked():
     sentence, rows = checked(document(result()))
-    assert sentence == Paragraph("Qx is good: no check found a fault.")
+    assert sentence == Paragraph("Qx passed all checks.")
     assert rows == (
-        ("Fit", "The residuals look like the stated noise (p = 0.5)."),
-        ("Each run left out", "No run drives the result."),
+        ("Fit", "The residuals are consistent with the stated noise (p = 0.5)."),
+        ("Each run left out", "No single run dominates the result."),
         ("Another method", "The two-stage method agrees."),
     )
 
@@ -316,9 +316,9 @@ def test_estimates_that_move_together_are_named_in_words(correlation, rows):
     told = [block for block in blocks if isinstance(block, Paragraph)][-1].text
     tables = [block for block in blocks if isinstance(block, Table)]
     assert told == (
-        "Estimates with a correlation beyond 0.9:"
+        "Correlations above 0.9 in magnitude:"
         if rows
-        else "No two estimates have a correlation beyond 0.9."
+        else "No correlation of two estimates exceeds 0.9 in magnitude."
     )
     found = [table.rows for table in tables if table.columns[0].title == "Estimate"]
     assert found == ([tuple(rows)] if rows else [])

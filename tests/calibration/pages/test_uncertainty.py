@@ -54,8 +54,8 @@ def test_the_largest_unstated_source_is_named_with_what_would_be_left():
     # Known to a tenth of its typical size, K_OO leaves hypot(0.2, 0.1) ug/g^2.
     assert told == (
         "K_OO (second-order output-axis coefficient) contributes 100 % of the variance of K_II. "
-        "Its uncertainty was not stated, so the default of 2 ug/g^2 was used. Knowing it to "
-        "0.2 ug/g^2 would leave u = 0.22 ug/g^2."
+        "Its uncertainty was not stated, so the default of 2 ug/g^2 was used. Knowing K_OO to "
+        "0.2 ug/g^2 would reduce u to 0.22 ug/g^2."
     )
 
 

@@ -13,8 +13,10 @@ def sentence(**changes):
 
 def test_a_good_result():
     assert sentence() == (
-        "Qx is good: the residuals look like the stated noise (p = 0.5); no run drives the "
-        "result; the two-stage method agrees."
+        "Qx passed all checks: the residuals are consistent with the stated noise (p = 0.5); no "
+        "single run "
+        "dominates "
+        "the result; the two-stage method agrees."
     )
 
 
@@ -26,7 +28,8 @@ def test_reservations_say_the_gravest_first_and_how_many_more():
     assert told == (
         "Qx can be used with reservations: Without slow K_II moves by 0.01 ug/g^2, 3.1 times "
         "as far as its uncertainty explains: this run disagrees with the others. There are 2 more "
-        "findings. Passed checks: the residuals look like the stated noise (p = 0.5); the "
+        "findings. Passed checks: the residuals are consistent with the stated noise (p = 0.5); "
+        "the "
         "two-stage method agrees."
     )
 

@@ -75,7 +75,7 @@ const MOST_LISTED = 4;
 /** Section -> what is asked of a table that is added. */
 const ADDED = /** @type {Record<string, string>} */ ({
   accelerometers: "Name of another accelerometer",
-  specification: "Limits for a single accelerometer: name",
+  specification: "Name of an accelerometer with separate limits",
   truth: "True values of an accelerometer, or of spindle, platform, centrifuge, encoder or noise",
 });
 

@@ -119,7 +119,8 @@ export async function waysPart(name, result) {
       ...symbols(`Measure or state the ${named({ name: stated.source, words: stated.words })}, to ${stated.known}: ` +
         `the uncertainty of ${stated.symbol}${of} becomes ${stated.left} instead of ${stated.now}. `),
       make("button", { type: "button",
-        onclick: prepare(accelerometer, "state", "A copy of the campaign states a value for it. Replace this value by yours.") }, "Prepare a copy with this value")),
+        onclick: prepare(accelerometer, "state", "The copy of the campaign states a value for it. " +
+          "Replace this value with yours.") }, "Prepare a copy with this value")),
     ...found];
   });
   const box = make("section", { class: "ways" }, make("h2", {}, "How to reduce the uncertainty"), make("ul", {}, ...lines));

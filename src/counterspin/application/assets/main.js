@@ -60,7 +60,7 @@ async function show() {
   /** @type {Node[]} */
   let content;
   try {
-    if (!found) throw new Error("There is no such page.");
+    if (!found) throw new Error("This page does not exist.");
     const words = /** @type {RegExpExecArray} */ (found.match).slice(1).map(decodeURIComponent);
     ({ title, content, begin } = await found.place.view(...words));
   } catch (error) {

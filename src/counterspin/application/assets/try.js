@@ -79,7 +79,7 @@ export async function tryView(name) {
       make("section", {}, make("h2", {}, "Study"),
         make("p", { class: "quiet" }, "The campaign is simulated many times with the true values of its ",
           make("a", { href: descriptionAddress(name, "s-truth") }, "description"),
-          " and calibrated each time, which shows whether the stated uncertainties hold."),
+          " and calibrated each time, which shows whether the stated uncertainties are valid."),
         durationPart(name, trials),
         ...jobForm(campaign, "study", labelled("Trials", trials), "Study",
           () => send("POST", "study", { name, trials: Number(trials.value) }),
@@ -93,8 +93,8 @@ export async function tryView(name) {
         simulated),
       studied,
       make("section", {}, make("h2", {}, "Forecast"),
-        make("p", { class: "quiet" }, "Expected uncertainties, computed from the description. What it does not state of the noise, rate and "
-          + "length of the runs is taken from their records, if there are any."), forecast),
+        make("p", { class: "quiet" }, "Expected uncertainties, computed from the description. Missing noise, rates or "
+          + "durations are taken from the records of the runs, if there are any."), forecast),
     ],
   };
 }

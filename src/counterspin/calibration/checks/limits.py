@@ -157,7 +157,7 @@ def _likely_cause(symbol: str) -> str:
 
 def _scale_factor_cause(value: float, limit: float) -> str:
     """Return the likely cause of an incredible scale factor: a sign, a unit, a column."""
-    factors = dict.fromkeys((_GRAVITY, 1.0 / _GRAVITY), "a unit, m/s^2 against g")
+    factors = dict.fromkeys((_GRAVITY, 1.0 / _GRAVITY), "a unit, m/s^2 instead of g")
     factors |= {10.0**power: f"a unit off by a power of ten, 1e{power}" for power in _POWERS}
     # The true one may be as far from 1 as instruments of its grade are.
     tolerance = max(_RATIO_TOLERANCE, 0.1 * limit)
@@ -168,5 +168,5 @@ def _scale_factor_cause(value: float, limit: float) -> str:
     if 1.0 not in matches and matches:
         causes.append(", or ".join(factors[factor] for factor in matches))
     elif not matches and abs(value) <= limit:
-        causes.append("whether column or accelerometer are mixed up")
+        causes.append("whether columns or accelerometers are swapped")
     return ", and ".join(causes) or "the sensitivity and its unit, or the range of the readout"

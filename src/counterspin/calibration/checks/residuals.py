@@ -85,13 +85,17 @@ def noise_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
             yield (
                 f"{view.name}: the noise of {noisiest} is {ratio:.2g} times that of {quietest}. "
                 "Each run "
-                "is weighted with its own. Find out why, and whether more than noise differs."
+                "is weighted with its own noise. Find the cause, and check whether anything else "
+                "differs."
             )
         if timing := estimated_timing_noise(view):
-            symptom, action = "the noise follows the slope of the signal", "Rows are weighted"
+            symptom, action = (
+                "the noise is proportional to the slope of the signal",
+                "Rows are weighted",
+            )
             if any(series.corrected_fraction > 0.0 for series in view.series):
                 symptom, action = (
-                    "angle and signal err together",
+                    "angle and signal have a common error",
                     "Times are corrected by the angle",
                 )
             yield (

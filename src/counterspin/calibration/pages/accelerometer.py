@@ -139,7 +139,7 @@ def coefficient_table(coefficients: dict[str, Coefficient]) -> Table:
             Column("Value", "right"),
             Column("u (k = 1)"),
             Column("Unit"),
-            Column("u comes from", wraps=True),
+            Column("Sources of u", wraps=True),
         ),
         rows=tuple(rows),
         quiet=frozenset(i for i, c in enumerate(coefficients.values()) if not c.estimated),
@@ -237,8 +237,8 @@ def _residual_sentence(accelerometer: AccelerometerResult) -> str:
         text += f"; chi-square/dof {format_number(residual.chi2 / residual.dof, 4)}"
     if residual.lack_of_fit_p is not None:
         # Noise that was estimated fits by its size; only the pattern of the residuals can tell.
-        event = "a worse fit" if residual.chi2 is not None else "a less random pattern"
-        text += f"; probability of {event} {format_number(residual.lack_of_fit_p, 2)}"
+        statistic = "p" if residual.chi2 is not None else "p (pattern)"
+        text += f"; {statistic} = {format_number(residual.lack_of_fit_p, 2)}"
     return text + "."
 
 
@@ -332,9 +332,9 @@ def _correlation_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
     ]
     pairs.sort(key=lambda pair: -abs(pair[2]))
     if not pairs:
-        yield Paragraph("No two estimates have a correlation beyond 0.9.")
+        yield Paragraph("No correlation of two estimates exceeds 0.9 in magnitude.")
         return
-    yield Paragraph("Estimates with a correlation beyond 0.9:")
+    yield Paragraph("Correlations above 0.9 in magnitude:")
     yield Table(
         (
             Column("Estimate", wraps=True),

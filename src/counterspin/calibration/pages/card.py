@@ -136,7 +136,9 @@ def _checks(accelerometer: AccelerometerResult) -> Iterator[Check]:
     yield _make_check(
         "Fit",
         evidence.get("fit"),
-        None if p is None else f"the residuals do not look like noise (p = {format_number(p, 2)})",
+        None
+        if p is None
+        else f"the residuals are not consistent with noise (p = {format_number(p, 2)})",
     )
     tested_runs = [line for line in accelerometer.jackknife if line.z is not None]
     largest = max(tested_runs, key=lambda line: abs(line.z or 0.0), default=None)

@@ -101,9 +101,7 @@ def _recorded_signal_blocks(result: Result) -> Iterator[Block]:
     )
     for observable in sorted(observables):
         yield Paragraph(_OBSERVED[observable], "equation")
-    yield Paragraph(
-        "θ(t) = θ₀ + ω (t + C t²/2) + ripple by harmonics of the revolution", "equation"
-    )
+    yield Paragraph("θ(t) = θ₀ + ω (t + C t²/2) + ripple (harmonics of the rotation)", "equation")
 
 
 def _method_sentence(result: Result) -> str:
@@ -170,8 +168,8 @@ def origin_blocks(result: Result) -> Iterator[Block]:
         )
         yield Paragraph(
             f"{version_text} Not from files: {inputs_text}. "
-            "Therefore no command line repeats the calibration; "
-            "`Campaign.write` writes a folder from which one does."
+            "No command line can therefore repeat the calibration. `Campaign.write` writes a "
+            "folder from which one can."
         )
         return
     yield Paragraph(
@@ -331,7 +329,7 @@ def method_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
             Column("Unit"),
             Column("All tests", "right"),
             *(
-                Column(f"{method.kind} alone ({method.count})", "right", wraps=True)
+                Column(f"only {method.kind} ({method.count})", "right", wraps=True)
                 for method in methods
             ),
         ),

@@ -122,7 +122,7 @@ def _parameter_table(triad: TriadResult) -> Table:
             Column("Value", "right"),
             Column("u (k = 1)"),
             Column("Unit"),
-            Column("u comes from", wraps=True),
+            Column("Sources of u", wraps=True),
         ),
         rows=tuple(rows),
         quiet=frozenset(k for k, c in enumerate(triad.parameters.values()) if not c.estimated),

@@ -100,8 +100,8 @@ def default_prior_sentence(accelerometer: HasAnswer, symbol: str = "K_II") -> st
     unit, factor = field_unit(coefficient.unit)
     remaining_u = format_uncertainty(update.u(symbol, {largest.source: improved_u}) * factor)
     return (
-        f"{text} Knowing it to {_format_source_u(largest, IMPROVEMENT_FACTOR)} would leave "
-        f"u = {remaining_u} {unit}."
+        f"{text} Knowing {largest.source} to {_format_source_u(largest, IMPROVEMENT_FACTOR)} would "
+        f"reduce u to {remaining_u} {unit}."
     )
 
 

@@ -20,7 +20,7 @@ from counterspin.reports.numbers import (
 )
 
 _OPENINGS: Final = {
-    "good": "is good",
+    "good": "passed all checks",
     "reservations": "can be used with reservations",
     "not-determined": "is not determined by its data",
     "contradicted": "is contradicted by its records and must not be used",
@@ -72,7 +72,7 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
 def _opening(accelerometer: AccelerometerResult) -> str:
     assert accelerometer.state is not None
     if accelerometer.state == "good" and accelerometer.unseen_faults:
-        return "is good as far as its readings can show"
+        return "passed all checks, but its readings test only part of the model"
     return _OPENINGS[accelerometer.state]
 
 
@@ -102,12 +102,9 @@ def verdict_tables(result: Result) -> Iterator[Block]:
     for name, accelerometer in result.accelerometers.items():
         assert accelerometer.state is not None
         findings, count = accelerometer.findings, len(accelerometer.findings)
-        summary = (
-            f"{count} findings, the most serious first" if findings else "no check found a fault"
-        )
-        summary = "1 finding" if count == 1 else summary
+        summary = "1 finding" if count == 1 else f"{count} findings, the most serious first"
         yield Paragraph(
-            f"{name} {_opening(accelerometer)}: {summary}.",
+            f"{name} {_opening(accelerometer)}" + (f": {summary}." if findings else "."),
             _STYLES[accelerometer.state],
         )
         rows = [(_check_title(name, finding), finding_text(finding)) for finding in findings]

@@ -57,7 +57,7 @@ def combination_budget(fit: JointFit, weights: Array, name: str = "") -> list[Bu
     ]
     lines += _rate_lines(fit, rate_variances)
     for source, (level, covariance) in fit.undetected_walks.items():
-        source_name = f"noise of {source} that does not show"
+        source_name = f"undetected noise of {source}"
         size = math.sqrt(float(weights @ covariance @ weights))
         slope = size / level if level else 0.0
         lines.append(BudgetLine(source_name, NOISE, level, WALK_UNIT, slope, size, 0.0))

@@ -24,7 +24,7 @@ CONSIDERED: Final = "held"
 class BudgetLine:
     """One source of uncertainty (GUM table 1)."""
 
-    #: Name of a term or input; ``noise of Qx``, ``noise of Qx that does not show``; a part of a
+    #: Name of a term or input; ``noise of Qx``, ``undetected noise of Qx``; a part of a
     #: run's rotation as its encoder leaves it open, such as ``run1.rate`` or ``run1.ripple1``.
     source: str
     kind: Kind  #: ``noise`` (an encoder's too), ``stated``, ``unstated`` or ``held``.
@@ -45,14 +45,14 @@ class WhatIf:
     """Inputs of the coefficients' uncertainties, as far as an update needs them."""
 
     names: list[str]  #: Coefficients and sources, named as in a budget.
-    units: list[str]  #: Of each: SI, or g-units.
-    #: By source: its prior standard uncertainty; a source without an entry has none to change.
+    units: list[str]  #: Unit of each name: SI, or g-units.
+    #: Prior standard uncertainty of each source; sources without an entry cannot be changed.
     known: dict[str, float]
     #: The covariance that the weights minimise, rows and columns as `names`.
     weighed: list[list[float]]
-    #: What held terms and noise that does not show add to it; empty: nothing.
+    #: Covariance added by held terms and undetected noise; empty if none.
     beside: list[list[float]] = field(default_factory=list)
-    #: By held source: what its standard uncertainty moves each of `names` by.
+    #: Shift of each of `names` by one standard uncertainty of each held source.
     held: dict[str, list[float]] = field(default_factory=dict)
 
     @property
@@ -112,11 +112,12 @@ class WhatIf:
 class Jackknife:
     """Change of one unknown without a run."""
 
-    run: str  #: The run left out.
-    #: The estimate without it; None where the other runs do not determine the unknown.
+    run: str  #: Run that is left out.
+    #: Estimate without this run; None if the other runs do not determine the unknown.
     value: float | None = None
-    shift: float | None = None  #: By how much that is more than the estimate of all runs.
-    #: The shift over its own standard uncertainty; None where the run says next to nothing of the
-    #: unknown, so that both are what rounding leaves of them.
+    shift: float | None = None  #: Estimate without this run minus the estimate of all runs.
+    #: Shift divided by its standard uncertainty; None if the run contains so little information on
+    #: the unknown that rounding dominates.
     z: float | None = None
-    dof: float | None = None  #: Effective degrees of freedom of that uncertainty; None is infinite.
+    #: Effective degrees of freedom of that uncertainty; None means infinite.
+    dof: float | None = None

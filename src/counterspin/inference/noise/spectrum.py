@@ -77,7 +77,7 @@ class SpectrumValue:
     low: float  #: Lower end of its 95 % interval, by chi-square.
     high: float  #: Upper end.
     dof: float  #: Degrees of freedom.
-    expected: float  #: What the components found make of it.
+    expected: float  #: Expected value by the detected components.
 
 
 @frozen
@@ -86,9 +86,9 @@ class SpectralLine:
 
     frequency: float  #: Hz.
     u_frequency: float  #: Its standard uncertainty.
-    amplitude: float  #: Of the specific force, m/s^2.
+    amplitude: float  #: Amplitude of the specific force, m/s^2.
     u: float  #: Standard uncertainty of the amplitude.
-    #: What it may be, such as ``50 Hz mains, harmonic 3``; None: nothing known.
+    #: Probable source, such as ``50 Hz mains, harmonic 3``; None if unknown.
     name: str | None = None
 
 
@@ -223,8 +223,8 @@ class AllanValue:
     deviation: float  #: m/s^2.
     low: float  #: Lower end of its 95 % interval, by chi-square.
     high: float  #: Upper end.
-    dof: float  #: Equivalent degrees of freedom, of the noise that was found.
-    expected: float  #: What the components found make of it, m/s^2.
+    dof: float  #: Equivalent degrees of freedom, for the detected noise.
+    expected: float  #: Expected value by the detected components, m/s^2.
 
 
 def allan_deviation(velocity: Array, step: float, count: int) -> float:
