@@ -27,7 +27,7 @@ from counterspin.histories import consistency, page
 from counterspin.inference import diagnostics, distributions
 from counterspin.inference.distributions import normal_cdf
 from counterspin.monitoring import observer
-from counterspin.physics import motion, terms
+from counterspin.physics import gravity, motion, terms
 from counterspin.planning import design, faults, limits, plan_file
 from counterspin.records import clock, reading, reduction, table_files
 from counterspin.reproduction import plan as paper
@@ -55,7 +55,7 @@ def default(function, name):
 ROWS = {
     "campaign": [
         ("/g$, {} for {} m/s²", 1e-4 / 9.80665, 1e-4),
-        ("at any height from {} to {} m", *motion.HEIGHTS),
+        ("at any height from {} to {} m", *gravity.HEIGHTS),
         (
             "latitude of {} deg, 1 mg moves the displacement at right angles to it by {} m in {} s",
             45.0,
