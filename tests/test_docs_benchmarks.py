@@ -62,10 +62,10 @@ def test_as_many_predictions_are_made_as_the_page_on_plans_says(rows):
 
 def test_what_a_watch_took_is_what_was_kept(rows):
     kept = {name: figure for name, (figure,) in rows["Watched campaign"].items()}
-    used, lasted = told("monitoring", "the watch took {} s of processor time in {} s, start")
-    (share,) = told("monitoring", "included: **{} % of a core**")
+    used, lasted = told("monitoring", "took {} s of CPU time in {} s, including")
+    (share,) = told("monitoring", "start of the program: **{} % of a core**")
     a_second, late = (
-        *told("monitoring", "a second process writes {} rows a second"),
+        *told("monitoring", "a second process writes {} rows per second"),
         *told("monitoring", "Its last state came {} s after the last row"),
     )
     assert [value_of(number) for number in (a_second, used, lasted, share, late)] == [

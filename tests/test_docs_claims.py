@@ -74,8 +74,8 @@ NUMBERS = [
         (page, words, [runs.MOST_ROWS])
         for page, words in (
             ("bulwark", "has room for {} rows at once"),
-            ("plan", "a checked campaign may have {} rows together"),
-            ("study", "in memory: at most {} rows of all runs"),
+            ("plan", "a checked campaign may have at most {} rows in total"),
+            ("study", "together may have at most {} rows"),
         )
     ),
     ("bulwark", "each of at most {} samples.", [runs.MOST_SIMULATED_ROWS]),
@@ -84,7 +84,7 @@ NUMBERS = [
         "has at most {} records, one for each run and accelerometer, and a campaign {} readings.",
         [MOST_RECORDS, MOST_READINGS],
     ),
-    ("study", "With fewer than {} trials, the study states that they are too few", [MIN_TRIALS]),
+    ("study", "Fewer than {} trials are too few for a verdict", [MIN_TRIALS]),
     ("methods", "blocks of at most {} revolution.", [1 / reduction.BLOCKS_PER_REVOLUTION]),
     (
         "methods",
