@@ -54,7 +54,7 @@ def test_the_readme_promises_what_was_measured(rows):
 
 def test_as_many_predictions_are_made_as_the_page_on_plans_says(rows):
     words = " ".join((ROOT / "docs" / "plan.md").read_text("utf-8").split())
-    assert "thousands are made in a second" in words
+    assert "thousands take one second" in words
     made = rows["Predictions of u"].values()
     assert made
     assert all(a_second > 2000.0 for a_second, _ in made)
