@@ -55,7 +55,7 @@ def default(function, name):
 ROWS = {
     "campaign": [
         ("/g$, {} for {} m/s²", 1e-4 / 9.80665, 1e-4),
-        ("no height from {} to {} m has", *gravity.HEIGHTS),
+        ("at any height from {} to {} m", *gravity.HEIGHTS),
         (
             "latitude of {} deg, 1 mg moves the displacement at right angles to it by {} m in {} s",
             45.0,
