@@ -48,7 +48,7 @@ myst_links_external_new_tab = False
 
 # Gallery: each page is run from an empty state; what fails there fails the build.
 nb_execution_mode = "auto"
-nb_execution_timeout = 60
+nb_execution_timeout = 600  # on a busy machine
 nb_execution_raise_on_error = True
 nb_merge_streams = True
 

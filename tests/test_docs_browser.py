@@ -9,7 +9,7 @@ from urllib.parse import unquote, urlsplit
 
 import lxml.html
 import pytest
-from chromium import chromium, needs_chromium
+from chromium import chromium, needs_chromium, open_context
 
 SITE = Path(os.environ.get("COUNTERSPIN_SITE", "no-site")).resolve()
 PAGES = sorted(path for path in SITE.rglob("*.html") if "_" not in path.relative_to(SITE).parts[0])
@@ -57,7 +57,7 @@ def test_every_picture_has_words(trees):
 def test_browsing_asks_nobody_and_fits_a_phone():
     asked, wrong, wide = [], [], []
     with chromium() as browser:
-        context = browser.new_context(viewport=PHONE, color_scheme="dark")
+        context = open_context(browser, viewport=PHONE, color_scheme="dark")
 
         def decide(route):
             inside = route.request.url.startswith((SITE.as_uri(), "data:"))

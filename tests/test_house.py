@@ -242,7 +242,16 @@ def test_tests_mirror_the_package():
 
 @pytest.fixture
 def quick(tmp_path):
-    """Run pytest, with these options, on tests that wait; what its last lines count."""
+    """Run pytest, with these options, on tests that wait; what its last lines count.
+
+    With the plugin `clock` no time passes but that in which they wait.
+    """
+    (tmp_path / "clock.py").write_text(
+        "import time, _pytest.timing\n"
+        "passed = [0.0]\n"
+        "time.sleep = passed.append\n"
+        "time.monotonic = _pytest.timing.perf_counter = lambda: sum(passed)\n"
+    )
     (tmp_path / "conftest.py").write_text((ROOT / "tests" / "conftest.py").read_text("utf-8"))
     (tmp_path / "test_it.py").write_text(
         "import time, pytest\n"
@@ -263,10 +272,10 @@ def quick(tmp_path):
 
 def test_quick_leaves_out_what_is_listed_as_slow(quick, tmp_path):
     """What two tests set up together is slow for both, and not for the first alone."""
-    assert quick("--write-slow") == [6]
+    assert quick("--write-slow", "-p", "clock") == [6]
     listed = (tmp_path / "slow.txt").read_text("utf-8").split()
     assert listed == ["test_it.py::test_first", "test_it.py::test_long", "test_it.py::test_second"]
-    assert quick("--quick", "60") == [4, 0, 2]
+    assert quick("--quick", "60", "-p", "clock") == [4, 0, 2]
 
 
 def test_quick_starts_no_test_after_its_time(quick, tmp_path):

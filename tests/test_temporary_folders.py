@@ -22,7 +22,7 @@ with temporary_folder(sys.argv[1], Path(sys.argv[2])) as folder:
     (folder / "part").mkdir()
     (folder / "part" / "record.csv").write_text("1")
     print(folder, flush=True)
-    time.sleep(60)
+    time.sleep(1000)
 """
 
 

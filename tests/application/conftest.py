@@ -4,7 +4,7 @@ import shutil
 import warnings
 
 import pytest
-from chromium import chromium
+from chromium import chromium, open_context
 from served import serving, token_of, write_folder
 
 from counterspin.application.access_control import Credentials
@@ -96,8 +96,7 @@ class Window:
 @pytest.fixture
 def opened(browser, door_of_server):
     """Return what opens windows; nothing may go wrong in any, and no request may leave."""
-    context, credentials = browser.new_context(), door_of_server
-    context.set_default_timeout(60_000)  # on a busy machine
+    context, credentials = open_context(browser), door_of_server
     windows = []
 
     def open_window(place=None):

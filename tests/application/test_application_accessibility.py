@@ -27,7 +27,7 @@ SCHEMES = {1400: {"light": RULES, "dark": COLOURS}, 390: {"dark": RULES}}
 
 #: Serious complaints by some rules.
 SERIOUS = """async (rules) => {
-  const { violations } = await axe.run(document, { runOnly: rules });
+  const { violations } = await axe.run(document, { runOnly: rules, resultTypes: ["violations"] });
   return violations
     .filter((one) => ["serious", "critical"].includes(one.impact))
     .flatMap((one) => one.nodes.map((node) => `${one.id}: ${node.html}`));

@@ -9,7 +9,7 @@ import numpy as np
 import pypdf
 import pytest
 from campaigns import changed
-from chromium import needs_chromium
+from chromium import LONGEST_WAIT, needs_chromium, wait_until
 from cryptography.hazmat.primitives.asymmetric import ec
 from planning_setups import PERFECT
 from posed_records import posed
@@ -458,18 +458,9 @@ def test_the_browser_is_led_to_the_page_by_a_file_that_others_cannot_read(
     assert token_of(door_of_server) not in address
     tab = browser.new_page()
     tab.goto(address)
-    tab.get_by_role("link", name="three").wait_for(timeout=60_000)
+    tab.get_by_role("link", name="three").wait_for(timeout=LONGEST_WAIT)
     assert "token" not in tab.url
     tab.close()
-
-
-def wait_until(tab, holds):
-    """Wait until something holds; the page's policy lets no text be evaluated while it waits."""
-    for _ in range(1200):
-        if holds():
-            return
-        tab.wait_for_timeout(50)
-    assert holds()
 
 
 def test_mistakes_stand_at_their_fields_and_text_and_form_are_one(opened, folder):

@@ -18,6 +18,10 @@ needs_chromium = pytest.mark.skipif(
 )
 
 
+#: The longest wait for the browser, ms: a wait that succeeds ends earlier.
+LONGEST_WAIT = 300_000
+
+
 @contextmanager
 def chromium():
     """Start Chromium; it ends with the context."""
@@ -27,7 +31,25 @@ def chromium():
     root = hasattr(os, "geteuid") and os.geteuid() == 0
     with sync_playwright() as playwright:
         started = playwright.chromium.launch(
-            executable_path=EXECUTABLE, args=["--no-sandbox"] if root else []
+            executable_path=EXECUTABLE,
+            args=["--no-sandbox"] if root else [],
+            timeout=LONGEST_WAIT,
         )
         yield started
         started.close()
+
+
+def open_context(browser, **settings):
+    """Return a context of the browser whose waits do not fail on a busy machine."""
+    context = browser.new_context(**settings)
+    context.set_default_timeout(LONGEST_WAIT)
+    return context
+
+
+def wait_until(tab, holds):
+    """Wait until something holds; the page's policy lets no text be evaluated while it waits."""
+    for _ in range(LONGEST_WAIT // 50):
+        if holds():
+            return
+        tab.wait_for_timeout(50)
+    assert holds()

@@ -5,10 +5,11 @@ Nothing is downloaded: where there is no browser, these tests are skipped.
 
 import re
 from contextlib import contextmanager
+from functools import partial
 from io import BytesIO
 
 import pytest
-from chromium import chromium, needs_chromium
+from chromium import chromium, needs_chromium, open_context, wait_until
 from pages import page
 from pypdf import PdfReader
 
@@ -36,7 +37,7 @@ def report(tmp_path_factory):
 @contextmanager
 def opened(browser, path, **settings):
     """Open a file; yield its tab, what it asked for besides itself, and what went wrong in it."""
-    context = browser.new_context(**{"viewport": DESK} | settings)
+    context = open_context(browser, **{"viewport": DESK} | settings)
     asked, wrong = [], []
 
     def decide(route):
@@ -245,25 +246,25 @@ def test_dragging_zooms_and_a_double_click_shows_the_whole(desk):
 def test_keys_and_fingers_can_zoom_and_move(desk):
     figure = first_plot(desk)
 
-    def press(name):
+    def press(name, expected=None):
         button = figure.get_by_role("button", name=name)
         button.focus()
         desk.keyboard.press("Enter")
-        desk.wait_for_timeout(30)
-        return seen(figure)[:2]
+        if expected is not None:
+            wait_until(desk, lambda: seen(figure)[:2] == pytest.approx(expected))
 
-    assert press("Zoom in") == pytest.approx([187.375, 562.125])
-    assert press("Zoom in") == pytest.approx([281.0625, 468.4375])
-    assert press("Move right") == pytest.approx([327.90625, 515.28125])
-    assert press("Move left") == pytest.approx([281.0625, 468.4375])
-    assert press("Zoom out") == pytest.approx([187.375, 562.125])
+    press("Zoom in", [187.375, 562.125])
+    press("Zoom in", [281.0625, 468.4375])
+    press("Move right", [327.90625, 515.28125])
+    press("Move left", [281.0625, 468.4375])
+    press("Zoom out", [187.375, 562.125])
     # The ends are as far as one gets.
     for _ in range(3):
         press("Move right")
-    assert press("Move right") == pytest.approx([374.75, 749.5])
-    assert press("Zoom out") == pytest.approx([0.0, 749.5])
+    press("Move right", [374.75, 749.5])
+    press("Zoom out", [0.0, 749.5])
     press("Zoom in")
-    assert press("Show the whole") == pytest.approx([0.0, 749.5])
+    press("Show the whole", [0.0, 749.5])
 
 
 def test_outliers_are_seen_at_any_zoom_and_flatten_nothing(desk):
@@ -318,6 +319,12 @@ def test_without_a_script_all_is_there(browser, report):
 # Phone
 
 
+def tells_width(boxes, expected):
+    """Tell whether these tables, and no others, say that they have more columns."""
+    marked = "all => all.map(b => getComputedStyle(b, '::after').content.includes('columns'))"
+    return boxes.evaluate_all(marked) == expected
+
+
 def test_a_table_wider_than_a_phone_says_so_and_keeps_the_names_of_its_rows(browser, tmp_path):
     path = tmp_path / "report.html"
     columns = (Column("Run"), *(Column(f"Quantity {n}", "right") for n in range(9)))
@@ -327,11 +334,7 @@ def test_a_table_wider_than_a_phone_says_so_and_keeps_the_names_of_its_rows(brow
     for viewport, more in ((PHONE, [True, False]), (DESK, [False, False])):
         with opened(browser, path, viewport=viewport) as (tab, _, wrong):
             boxes = tab.locator(".scroll")
-            tab.wait_for_timeout(100)
-            said = boxes.evaluate_all(
-                "all => all.map(b => getComputedStyle(b, '::after').content.includes('columns'))"
-            )
-            assert said == more
+            wait_until(tab, partial(tells_width, boxes, more))
             if more[0]:
                 boxes.first.evaluate("box => { box.scrollLeft = 1e4; }")
                 name = boxes.first.locator("tbody th").bounding_box()
