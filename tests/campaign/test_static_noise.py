@@ -5,6 +5,7 @@ import polars as pl
 import pytest
 from campaigns import SMALL, changed, runs_of, write
 from recorded_campaigns import WHITE, at_rest
+from static_noise_sizes import without_intervals
 
 import counterspin as cs
 from counterspin.calibration.joint_problem import make_noise
@@ -19,6 +20,13 @@ from counterspin.toml_text import write_document
 STATED = '[noise]\ndisplacement = "0.01 m"'
 TRUE_NOISE = '[truth.noise]\ndisplacement = "0.01 m"\nangle = "1e-6 rad"\n'
 FROM = '[noise]\nfrom = "rest.csv"\nangle = "1e-6 rad"'
+
+
+@pytest.fixture(scope="module", autouse=True)
+def sizes_alone():
+    """Find sizes without their intervals, which no test of this file looks at."""
+    with without_intervals():
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -117,10 +125,10 @@ from = "rest.csv"
 [model]
 assume = "all"
 [limits]
-total_time = "240 s"
+total_time = "120 s"
 highest_rate = "1 rev/s"
 sampling_rate = "50 Hz"
-runs = 4
+runs = 2
 [goal]
 minimise = ["K_II"]
 """

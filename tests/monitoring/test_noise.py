@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from static_noise_sizes import without_intervals
 
 import counterspin as cs
 from counterspin.campaign.documents import load_document
@@ -40,6 +41,13 @@ def written(folder, name="rest.csv", **more):
     file = folder / name
     pl.DataFrame({"time_s": time, "Qx_g": 1.0 + values / G, **more}).write_csv(file)
     return file
+
+
+@pytest.fixture
+def sizes_alone():
+    """Find sizes without their intervals."""
+    with without_intervals():
+        yield
 
 
 def size(signal, key):
@@ -127,6 +135,7 @@ def test_a_campaign_says_what_the_columns_are(folder, tmp_path):
     assert size(signal, "displacement").low < 1e-5 < size(signal, "displacement").high
 
 
+@pytest.mark.usefixtures("sizes_alone")
 def test_gaps_spikes_and_rounding_are_told():
     time, values = columns()
     rounded = 2e-3 * np.round(values / 2e-3)
@@ -142,6 +151,7 @@ def test_gaps_spikes_and_rounding_are_told():
         assert words in told
 
 
+@pytest.mark.usefixtures("sizes_alone")
 def test_a_sensor_that_is_moved_meanwhile_is_told():
     rng = np.random.default_rng(8)
     time = np.arange(20_000) / 100.0
@@ -159,6 +169,7 @@ def test_a_sensor_that_is_moved_meanwhile_is_told():
         assert not any("at rest throughout" in remark for remark in remarks)
 
 
+@pytest.mark.usefixtures("sizes_alone")
 def test_a_filter_is_told():
     time, values = columns()
     smooth = np.convolve(values, np.full(4, 0.25), mode="valid")
@@ -228,6 +239,7 @@ def parquet(file, time, force):
     pl.DataFrame({"time_s": time, "force_mg": force}).write_parquet(file)
 
 
+@pytest.mark.usefixtures("sizes_alone")
 @pytest.mark.parametrize(
     ("name", "write", "words"),
     [
@@ -242,14 +254,18 @@ def test_files_are_read_as_recorders_write_them(tmp_path, name, write, words):
     write(tmp_path / name, time, 1e3 * values / G)
     (signal,) = cs.noise(tmp_path / name, **words).signals
     for key in ("acceleration", "flicker"):
-        assert size(signal, key).high == pytest.approx(size(of_frame(2000), key).high, rel=1e-4)
+        assert size(signal, key).value == pytest.approx(size(of_frame(2000), key).value, rel=1e-4)
 
 
+@pytest.mark.usefixtures("sizes_alone")
 def test_rows_may_be_counted():
     _, values = columns()
     frame = {"Qx_g": values / G}
     (signal,) = cs.noise(frame, sampling_rate="100 Hz").signals
-    assert signal.components == of_frame().components
+    found, expected = (
+        {key: one.value for key, one in each.components.items()} for each in (signal, of_frame())
+    )
+    assert found == expected
 
 
 def test_the_command_writes_json_report_and_plot(tmp_path, capsys):
@@ -274,6 +290,7 @@ def test_a_file_that_is_not_there(tmp_path, capsys):
     assert "file not found" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("sizes_alone")
 def test_a_column_of_zeros_is_not_used_beside_a_measurement(tmp_path):
     frame = {"time_s": columns()[0], "a_g": columns()[1] / G, "residual_g": np.zeros(6_000)}
     found = cs.noise(frame)
@@ -286,6 +303,7 @@ def test_a_column_of_zeros_is_not_used_beside_a_measurement(tmp_path):
 START = datetime.datetime(2024, 3, 5, 23, 59, 30)
 
 
+@pytest.mark.usefixtures("sizes_alone")
 @pytest.mark.parametrize(
     ("name", "stamp"),
     [
