@@ -39,7 +39,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := help
 TSC := $(VENV)/typescript/node_modules/typescript/bin/tsc
 # `make lint` checks the types of all modules for Linux, and for the other platforms those of the
-# modules whose types can differ there. Each check has its own cache, because mypy discards a cache
+# modules that use a name which depends on the platform. Each check has its own cache, because mypy discards a cache
 # that was made with other options.
 PLATFORMS := linux darwin win32
 mypy = $(BIN)/python -m mypy --cache-dir .mypy_cache/$(1) --platform $(1)

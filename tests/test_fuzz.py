@@ -81,12 +81,12 @@ def test_a_few_new_cases_of_each_format(bench):
 def test_no_size_that_a_description_states_takes_all_memory(bench):
     form, path = bench("sizes")
     verdicts = []
-    for number in range(20):
+    for number in range(10):
         path.write_bytes(content("sizes", form, 2, number))
         verdict, words = judge(form, path)
         assert verdict != "found", f"seed 2, number {number}\n{words}"
         verdicts.append(verdict)
-    assert verdicts.count("refused") > 5
+    assert verdicts.count("refused") > 2
 
 
 @pytest.mark.parametrize("name", ASKED)

@@ -620,11 +620,12 @@ def test_modules_that_depend_on_the_platform_are_selected():
         check=True,
     )
     selected = {Path(line).relative_to(PACKAGE).as_posix() for line in shown.stdout.splitlines()}
-    asked = {
-        name for name, source in SOURCES.items() if re.search(r"\b(sys\.platform|os\.)", source)
-    }
-    assert len(asked) > 20
+    # Names of one platform, by the documentation of Python.
+    some = r"\b(sys\.platform|fcntl|msvcrt|resource\.|WinDLL|os\.(fork|getuid|killpg|sched_|setp))"
+    asked = {name for name, source in SOURCES.items() if re.search(some, source)}
+    assert len(asked) >= 10
     assert asked <= selected
+    assert len(selected) < 60
     assert not offences(lambda name, source: re.search(r"^(el)?if .*sys\.platform", source, re.M))
 
 

@@ -125,9 +125,10 @@ def run(tmp_path_factory, folders):
         encoding="utf-8",
     ) as process:
 
-        def run_without(modules=()):
+        def run_without(modules=(), campaigns=3):
             with without(modules):
-                print(json.dumps([str(folder) for folder in folders]), file=process.stdin)
+                chosen = [str(folder) for folder in folders[:campaigns]]
+                print(json.dumps(chosen), file=process.stdin)
                 process.stdin.flush()
                 lost, results = json.loads(process.stdout.readline())
             return lost, results
@@ -146,9 +147,11 @@ def whole(run):
 @pytest.mark.parametrize("extra", EXTRAS)
 def test_a_calibration_needs_no_extra(run, whole, extra):
     modules, dependents = EXTRAS[extra]
-    lost, results = run(modules)
+    # Only the diagnosis looks at both contradicted statements.
+    campaigns = 3 if extra == "diagnosis" else 2
+    lost, results = run(modules, campaigns)
     assert {name.split(".")[1] for name in lost} <= dependents
-    for result, expected in zip(results, whole, strict=True):
+    for result, expected in zip(results, whole[:campaigns], strict=True):
         assert result["state"] == expected["state"]
         assert result["runs"] == expected["runs"]
         for name, accelerometer in expected["accelerometers"].items():

@@ -225,7 +225,7 @@ def shell(script, folder, **environment):
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recorded")
-    simulate(write(folder, SMALL), folder)
+    simulate(write(folder, SMALL.replace("revolutions = 20", "revolutions = 6")), folder)
     result().write(folder / "r.json")
     return folder
 
@@ -262,7 +262,7 @@ for words in (
     ["report", f"{name}.json", "-o", f"{name}.md"],
     ["init", name],
     ["simulate", ".", "-o", f"{name}-made"],
-    ["study", ".", "--trials", "3", "-o", f"{name}-study"],
+    ["study", ".", "--trials", "2", "-o", f"{name}-study"],
 ):
     assert cli.main(words) == 0, words
 """

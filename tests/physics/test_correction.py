@@ -223,7 +223,7 @@ MOUNTINGS = st.sampled_from(
 )
 
 
-@SETTINGS
+@settings(max_examples=30)
 @given(
     mountings=MOUNTINGS,
     values=st.tuples(coefficients(), coefficients(), coefficients()),

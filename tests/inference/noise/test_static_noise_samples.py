@@ -10,7 +10,7 @@ from counterspin.inference.noise import static_noise
 from counterspin.inference.noise.static_noise import analyse, split_segments
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
-STEP, SIGMA, SAMPLES, TRIALS = 0.01, 1e-3, 1200, 250 if FULL else 10
+STEP, SIGMA, SAMPLES, TRIALS = 0.01, 1e-3, 800, 250 if FULL else 8
 
 
 def lost(part):
