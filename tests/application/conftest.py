@@ -5,7 +5,7 @@ import warnings
 
 import pytest
 from chromium import chromium, open_context
-from served import serving, token_of, write_folder
+from served import InlineJobs, serving, token_of, write_folder
 
 from counterspin.application.access_control import Credentials
 from counterspin.application.app_state import AppState
@@ -37,6 +37,12 @@ def app(folder):
     app = AppState(ServedFolder(folder))
     yield app
     app.close()
+
+
+@pytest.fixture
+def inline_jobs(app):
+    """Do jobs at once, in this process."""
+    app.jobs = InlineJobs()
 
 
 @pytest.fixture

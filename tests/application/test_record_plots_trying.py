@@ -1,7 +1,7 @@
 """Studies and simulated records, made while the page is used."""
 
 import pytest
-from served import InlineJobs, wait
+from served import wait
 
 from counterspin.studies.study import study
 
@@ -36,13 +36,7 @@ def test_what_cannot_be_studied_is_told_before_it_begins(page, folder):
     assert [one["key"] for one in wrong] == ["study.vary.colour"] * len(wrong) != []
 
 
-@pytest.fixture
-def at_once(app):
-    """Have jobs done at once, in this process."""
-    app.jobs = InlineJobs()
-
-
-@pytest.mark.usefixtures("at_once")
+@pytest.mark.usefixtures("inline_jobs")
 def test_the_duration_of_a_study_is_estimated_once_and_again_after_a_change(page, folder):
     job = page.post("/api/study-duration", json={"name": "three"}).json()["job"]
     assert (job["state"], job["kind"], job["output"]) == ("done", "estimate", "")
@@ -57,7 +51,7 @@ def test_the_duration_of_a_study_is_estimated_once_and_again_after_a_change(page
     assert page.post("/api/study-duration", json={"name": "three"}).json()["job"] is not None
 
 
-@pytest.mark.usefixtures("at_once")
+@pytest.mark.usefixtures("inline_jobs")
 def test_records_are_simulated_into_a_folder_of_their_own(page, folder):
     job = ended(page, "simulation", folder="again")
     assert (job["state"], job["output"]) == ("done", "again")
@@ -67,7 +61,7 @@ def test_records_are_simulated_into_a_folder_of_their_own(page, folder):
     ).read_bytes()
 
 
-@pytest.mark.usefixtures("at_once")
+@pytest.mark.usefixtures("inline_jobs")
 @pytest.mark.parametrize(
     ("where", "status"), [("", 422), ("three", 422), ("../x", 403), ("slow.csv/x", 200)]
 )
@@ -81,7 +75,7 @@ def test_no_file_is_replaced_or_left_elsewhere(page, folder, where, status):
     assert (folder / "slow.csv").read_text() == "mine"
 
 
-@pytest.mark.usefixtures("at_once")
+@pytest.mark.usefixtures("inline_jobs")
 def test_records_that_would_lie_outside_are_not_made(page, folder):
     (folder / "a").mkdir()
     text = (folder / "three" / "campaign.toml").read_text()

@@ -13,7 +13,7 @@ from chromium import LONGEST_WAIT, needs_chromium, wait_until
 from cryptography.hazmat.primitives.asymmetric import ec
 from planning_setups import PERFECT
 from posed_records import posed
-from served import PLACES, InlineJobs, answer_field, token_of
+from served import PLACES, answer_field, token_of
 from signing_keys import write_pair, write_pkcs12
 
 from certificates import write_own
@@ -243,6 +243,7 @@ def test_from_a_table_of_readings_to_a_result(opened, folder, tmp_path):
     assert (folder / "tumble" / "result.json").is_file()
 
 
+@pytest.mark.usefixtures("inline_jobs")
 def test_from_a_pasted_table_of_an_arm_to_a_result(opened, folder):
     rows = ["side\trpm\treading_mA", "oben\t0\t1.2532", "unten\t0\t-1.2468"]
     for rpm in (30, 45, 60, 90, 120):
@@ -266,6 +267,7 @@ def test_from_a_pasted_table_of_an_arm_to_a_result(opened, folder):
     assert (folder / "arm" / "result.json").is_file()
 
 
+@pytest.mark.usefixtures("inline_jobs")
 def test_from_a_log_of_poses_to_a_triad(opened, folder, tmp_path):
     np.savetxt(tmp_path / "imu.log", posed(3.0, 1.0, count=24).values, fmt="%.5f")
     tab = opened()
@@ -344,6 +346,7 @@ def test_a_record_is_drawn_and_a_closer_look_shows_more(opened):
     wait_until(tab, lambda: tab.evaluate(drawing) != whole)
 
 
+@pytest.mark.usefixtures("inline_jobs")
 def test_a_table_of_readings_is_pasted_and_becomes_a_campaign(opened, folder):
     tab = opened()
     tab.get_by_label("Folder of the new campaign").fill("pasted")
@@ -600,8 +603,8 @@ def test_every_place_fits_a_small_screen_and_names_its_controls(opened, app):
         assert tab.evaluate(UNNAMED) == [], place
 
 
-def test_a_try_is_shown_in_its_own_place(opened, app):
-    app.jobs = InlineJobs()
+@pytest.mark.usefixtures("inline_jobs")
+def test_a_try_is_shown_in_its_own_place(opened):
     tab = opened("/campaign/three")
     tab.get_by_text("Method, file and command").click()
     tab.get_by_label("Method").select_option("two-stage")
@@ -687,8 +690,8 @@ def test_a_history_without_serial_numbers_leads_to_where_they_are_stated(opened,
     assert section.bounding_box()["y"] < tab.viewport_size["height"]
 
 
-def test_limits_are_stated_and_a_study_is_made_by_keyboard(opened, app):
-    app.jobs = InlineJobs()
+@pytest.mark.usefixtures("inline_jobs")
+def test_limits_are_stated_and_a_study_is_made_by_keyboard(opened):
     tab = opened("/description/three")
     tab.locator("#s-specification > summary").press("Enter")
     tab.locator("[id='f-specification.K_II']").fill("abs <= 5e-5 g/g^2")
