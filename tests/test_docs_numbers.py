@@ -158,7 +158,7 @@ ROWS = {
     ],
     "application": [
         (
-            "{} MB for a form, {} GB for a record",
+            "{} MB for a form, {} GB for an uploaded record",
             access_control.FORM_MAX_BYTES / 1e6,
             access_control.FILE_MAX_BYTES / 1e9,
         ),
