@@ -6,6 +6,7 @@ description twice: with everything assumed to be perfect that it does not state,
 assumed. The same campaign without it is the measure. Nothing is linearised.
 """
 
+import math
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -83,6 +84,9 @@ UP_AND_DOWN: Final = {
 
 
 FULL: Final = Size(50.0, 100)
+
+#: Delay of a sensor of 592 Hz with a damping ratio of 1.5, s.
+DELAY: Final = 1.5 / (math.pi * 592.0)
 
 
 @dataclass(frozen=True)
@@ -284,6 +288,16 @@ def of_inputs() -> list[Violation]:
             "20 ppm",
             "records.clock",
             truth='[truth.records]\nclock = "20 ppm"\n',
+        ),
+        # The angle is as late as the force, so that the gain remains.
+        Violation(
+            "gain of the sensor, not stated",
+            "1e-5 lower at 1 Hz",
+            "Qx",
+            {
+                "[accelerometers.Qx]": f'timing_offset = "{-DELAY!r} s"\n\n[accelerometers.Qx]',
+                "[truth.Qx]\n": '[truth.Qx]\nnatural_frequency = "592 Hz"\ndamping = 1.5\n',
+            },
         ),
         Violation(
             "bias, stated as exact",

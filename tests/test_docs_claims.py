@@ -34,8 +34,9 @@ from counterspin.inference.noise import bias_instability, undetected_walk
 from counterspin.inference.noise import search as noise_search
 from counterspin.physics import angle_error
 from counterspin.physics.accelerometer import QX
+from counterspin.physics.closed_forms import parabola
 from counterspin.physics.motion import EARTH_RATE
-from counterspin.physics.observation import columns, parabola
+from counterspin.physics.observation import columns
 from counterspin.physics.terms import CONDITION_TERMS, DEGREE_PER_HOUR, INPUTS, SHARED_TERMS, TERMS
 from counterspin.readings import fitted, patterns
 from counterspin.readings.entries import MOST_READINGS, MOST_RECORDS

@@ -8,7 +8,7 @@ import pytest
 from prose import agrees, told, value_of
 
 from counterspin.physics.accelerometer import QX
-from counterspin.physics.observation import parabola
+from counterspin.physics.closed_forms import parabola
 from counterspin.reproduction import plan
 from counterspin.reproduction.comparison import reproduce
 

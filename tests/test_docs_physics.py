@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from counterspin.physics.accelerometer import QX, QY, QZ
+from counterspin.physics.closed_forms import parabola
 from counterspin.physics.grades import SIZES
 from counterspin.physics.motion import Site, Trajectory
-from counterspin.physics.observation import columns, parabola
+from counterspin.physics.observation import columns
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import (
     ACCELEROMETER_TERMS,

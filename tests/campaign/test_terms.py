@@ -9,8 +9,8 @@ from counterspin.campaign.settings import ModelSettings
 from counterspin.campaign.terms import BARE_NAMES, acts, rows_of
 from counterspin.campaign.validation import Problems
 from counterspin.physics.accelerometer import QX, QY, QZ, Mounting
+from counterspin.physics.closed_forms import parabola
 from counterspin.physics.motion import Site
-from counterspin.physics.observation import parabola
 from counterspin.physics.terms import SHARED_TERMS
 
 LEVEL = np.eye(3)

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from counterspin.physics.accelerometer import QX, QZ
+from counterspin.physics.closed_forms import parabola
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Site, Trajectory
-from counterspin.physics.observation import ORDERS, columns, parabola
+from counterspin.physics.observation import ORDERS, columns
 from counterspin.physics.simulation import coefficients_in_run, simulate_record
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import CONDITION_TERMS, TERMS, term

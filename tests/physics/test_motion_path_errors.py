@@ -8,8 +8,9 @@ import pytest
 import sympy as sp
 
 from counterspin.physics.accelerometer import QX, QY, Mounting
+from counterspin.physics.closed_forms import parabola
 from counterspin.physics.motion import Site, Trajectory, encoder_error, perturbed_trajectory
-from counterspin.physics.observation import ORDERS, columns, parabola, reference
+from counterspin.physics.observation import ORDERS, columns, reference
 from counterspin.physics.simulation import simulate_record
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import MOTION_TERMS

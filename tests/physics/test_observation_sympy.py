@@ -12,8 +12,9 @@ import pytest
 import sympy as sp
 
 from counterspin.physics.accelerometer import QX, QY, QZ, Mounting
+from counterspin.physics.closed_forms import parabola
 from counterspin.physics.motion import Site, Trajectory
-from counterspin.physics.observation import columns, parabola
+from counterspin.physics.observation import columns
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 

@@ -11,7 +11,7 @@ import pytest
 
 from counterspin.physics import as_printed
 from counterspin.physics.accelerometer import QX
-from counterspin.physics.observation import parabola
+from counterspin.physics.closed_forms import parabola
 from counterspin.validation.cases import case
 
 RADIUS, GRAVITY, SCALE_FACTOR = 2.5, 9.8, 1.001

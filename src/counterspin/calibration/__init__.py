@@ -3,7 +3,8 @@
 - `calibrate`: the whole way, from a folder to a `Result`; `batch`: many campaigns
 - `options`: how a calibration is made
 - `observed_runs`: records with the identified rotation and the recorded temperatures
-- `timing_offset`: the timing offset at which the fit takes derivatives
+- `input_location`: values of timing offset and frequency response at which the fit takes
+  derivatives
 - `assembly`: from observed runs to a `Result`, by either method
 - `model`: what is asked for, held, stated and unstated; what is assumed to be perfect
 - `joint_problem`: the joint fit's data and noise

@@ -9,6 +9,7 @@ from typing import Final
 from counterspin._version import __version__
 from counterspin.calibration.extensions import apply_specifications, apply_two_stage
 from counterspin.calibration.findings import judge_result
+from counterspin.calibration.input_location import locate_nonlinear_inputs
 from counterspin.calibration.joint import fit_jointly
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import fixed_symbols
@@ -17,7 +18,6 @@ from counterspin.calibration.options import Method, TwoStageOptions, command_arg
 from counterspin.calibration.outcome import check_outlier_share
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Finding, Inputs, Provenance
-from counterspin.calibration.timing_offset import locate_delay
 from counterspin.campaign.conditions import reference_point, temperatures_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
@@ -46,7 +46,7 @@ def assemble_result(
 
     accepted_misfit: The reason for which the result is to be used though the records contradict it.
     """
-    problem = locate_delay(JointProblem(campaign, observed))
+    problem = locate_nonlinear_inputs(JointProblem(campaign, observed))
     observed = problem.observed
     outcome = fit_jointly(problem) if method == "joint" else apply_two_stage(problem, options)
     findings = [

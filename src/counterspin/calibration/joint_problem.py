@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import field, replace
 from functools import cached_property
 from typing import Final
 
@@ -15,7 +15,7 @@ from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.settings import StatedNoise
 from counterspin.frozen import frozen
-from counterspin.inference.joint.series import TIMING, ResidualSeries, TimestampErrors
+from counterspin.inference.joint.series import ResidualSeries, TimestampErrors
 from counterspin.inference.joint.time_stamps import find_stamp_errors
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import ESTIMATE, Noise
@@ -32,18 +32,18 @@ class JointProblem:
 
     campaign: Campaign  #: The description.
     observed: Sequence[ObservedRun] = ()  #: Its runs.
-    #: By how much the timing offset in `observed` differs from the stated one, s.
-    delay: float = 0.0
+    #: (owner, input) -> deviation of its value in `observed` from the stated one, SI.
+    shifts: Mapping[tuple[str, str], float] = field(default_factory=dict)
 
     @cached_property
     def model(self) -> Unknowns:
         """The unknowns of the fit."""
         model = make_unknowns(self.campaign)
-        if self.delay == 0.0:
+        if not self.shifts:
             return model
         unknowns = (
-            replace(unknown, prior=(-self.delay, unknown.prior[1]))
-            if unknown.symbol == TIMING
+            replace(unknown, prior=(-self.shifts[key], unknown.prior[1]))
+            if (key := (unknown.owner, unknown.symbol)) in self.shifts
             else unknown
             for unknown in model.unknowns
         )

@@ -33,6 +33,7 @@ from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, 
 from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import AttitudeError, Slope, SpecificForceProduct
+from counterspin.physics.frequency_response import CUTOFF
 from counterspin.physics.terms import (
     ACCELEROMETER_TERMS,
     LEVER_ARM,
@@ -208,6 +209,9 @@ def inputs_by_owner(campaign: Campaign) -> dict[tuple[str, str], Quantity]:
         inputs[recording.recorder, CLOCK] = recording.clock or Quantity(0.0, 0.0, "1")
     if campaign.runs and campaign.angle is not None:
         inputs["", TIMING] = campaign.timing_offset or Quantity(0.0, 0.0, "s")
+    for name, accelerometer in campaign.accelerometers.items() if campaign.runs else ():
+        for symbol, known in accelerometer.response_inputs.items():
+            inputs["" if symbol == CUTOFF else name, symbol] = known
     return inputs
 
 

@@ -15,6 +15,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `model`: what is asked for, held and known of terms
 - `distribution`: priors with a distribution that is not normal
 - `correlations`: correlations between priors
+- `frequency_response`: stated frequency responses, with their tables
 - `truth`, `simulated_truth`: the tables of [truth], and the truth of a simulated campaign as read
   from them; a calibration reads neither
 - `specification`: tolerance limits of coefficients, and the decision rule

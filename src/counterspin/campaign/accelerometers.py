@@ -9,7 +9,14 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import ConfigDict, PlainValidator, PrivateAttr, ValidationInfo, create_model
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    PlainValidator,
+    PrivateAttr,
+    ValidationInfo,
+    create_model,
+)
 
 from counterspin.campaign.columns import (
     DisplacementChannel,
@@ -21,11 +28,15 @@ from counterspin.campaign.distribution import parse_prior
 from counterspin.campaign.field_types import (
     Contradiction,
     Direction,
+    Fraction,
     SettingsSection,
     Text,
+    file_name,
     key_field,
+    positive,
     uncertain_quantity,
 )
+from counterspin.campaign.frequency_response import ResponseReader, with_values
 from counterspin.campaign.model import check_near_nominal
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.runs import is_reading
@@ -36,6 +47,7 @@ from counterspin.campaign.settings import (
 )
 from counterspin.campaign.validation import Problems
 from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.frequency_response import RESPONSE_INPUTS, FrequencyResponse
 from counterspin.physics.terms import COMMON_NAMES, TERMS
 from counterspin.records.record import ColumnSpec
 from counterspin.units import unit_factor
@@ -89,6 +101,29 @@ class Accelerometer(SettingsSection):
         None,
         absent="input × pendulous",
         kind="direction",
+    )
+    natural_frequency: (
+        Annotated[Quantity, uncertain_quantity("Hz"), AfterValidator(positive)] | None
+    ) = key_field(
+        "undamped natural frequency of the accelerometer; see "
+        "[frequency response](#frequency-response)",
+        "400 ± 20 Hz",
+        None,
+        absent="no dynamics",
+    )
+    damping: Fraction | None = key_field(
+        "damping ratio, required with `natural_frequency`",
+        "0.7 ± 0.1",
+        None,
+        absent="no dynamics",
+        kind="number ±",
+    )
+    frequency_response: Annotated[Text, AfterValidator(file_name)] | None = key_field(
+        "file with a measured [frequency response](#frequency-response), instead of "
+        "`natural_frequency` and `damping`",
+        "response.csv",
+        None,
+        absent="no dynamics",
     )
     serial_number: Text | None = key_field("serial number of the accelerometer", "Q-104", None)
     grade: Literal["navigation", "tactical", "consumer"] = key_field(
@@ -150,11 +185,28 @@ class Accelerometer(SettingsSection):
     _channel: ColumnSpec = PrivateAttr()
     _force: ColumnSpec | None = PrivateAttr()
     _priors: Mapping[str, Quantity] = PrivateAttr()
+    _response: FrequencyResponse | None = PrivateAttr(default=None)
+    _response_inputs: Mapping[str, Quantity] = PrivateAttr(default_factory=dict)
 
-    @cached_property
+    @property
     def mounting(self) -> Mounting:
         """Its axes while the platform is level; `Mounting.turned` gives those of an attitude."""
+        level = self._level_axes
+        return level if self._response is None else replace(level, response=self._response)
+
+    @cached_property
+    def _level_axes(self) -> Mounting:
         return Mounting.from_axes(self.input_axis, self.pendulous_axis, self.output_axis)
+
+    @property
+    def response(self) -> FrequencyResponse | None:
+        """Frequency response of it and of its recorder; None: 1 at all frequencies."""
+        return self._response
+
+    @property
+    def response_inputs(self) -> Mapping[str, Quantity]:
+        """Inputs of the response -> what is stated of them."""
+        return self._response_inputs
 
     @property
     def name(self) -> str:
@@ -202,6 +254,15 @@ class Accelerometer(SettingsSection):
             assert self.mounting
         except ValueError as error:
             yield (), str(error), *_AXES
+        if (self.natural_frequency is None) != (self.damping is None):
+            key, missing = "natural_frequency", "damping"
+            if self.natural_frequency is None:
+                key, missing = missing, key
+            yield (key,), f"needs {missing} too", missing
+        elif self.damping is not None and not self.damping.value >= 0.0:
+            yield ("damping",), "must not be negative"
+        if self.frequency_response is not None and self.natural_frequency is not None:
+            yield ("frequency_response",), "is given with natural_frequency; keep one"
         for key, symbol in ({symbol: symbol for symbol in TERMS} | COMMON_NAMES).items():
             if (prior := getattr(self, key)) is not None:
                 try:
@@ -222,6 +283,25 @@ AccelerometerKeys = create_model(
     __doc__="[accelerometers.NAME]: axes, column and priors by term.",
     **term_keys(TERMS, uncertain_quantity),
 )
+
+
+def with_responses(
+    accelerometers: Mapping[str, Accelerometer], values: Mapping[tuple[str, str], float]
+) -> dict[str, Accelerometer]:
+    """Return accelerometers whose responses have other values of their inputs.
+
+    values: (accelerometer, input) -> value; the cutoff of the recorder has the owner "".
+    """
+    changed = {}
+    for name, accelerometer in accelerometers.items():
+        channel_values = {
+            symbol: value
+            for (owner, symbol), value in values.items()
+            if symbol in RESPONSE_INPUTS and owner in ("", name)
+        }
+        response = with_values(accelerometer.response, channel_values)
+        changed[name] = accelerometer.with_private(response=response)
+    return changed
 
 
 class AccelerometersReader:
@@ -276,7 +356,10 @@ class AccelerometersReader:
         }
 
     def accelerometers(
-        self, observables: Mapping[str, str], priors: Mapping[str, Mapping[str, Quantity]]
+        self,
+        observables: Mapping[str, str],
+        priors: Mapping[str, Mapping[str, Quantity]],
+        responses: ResponseReader,
     ) -> dict[str, Accelerometer]:
         """Return the accelerometers whose tables are in order; their columns are checked."""
         return {
@@ -286,6 +369,7 @@ class AccelerometersReader:
                 channel=self._recorded(name, table, observables[name]),
                 force=self._force(name, table),
                 priors=priors[name],
+                **responses.read(name, table),
             )
             for name, table in self.tables.items()
             if table is not None and name in self.mountings and name in observables

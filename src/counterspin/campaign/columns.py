@@ -265,6 +265,15 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
         None,
         kind="part ±",
     )
+    cutoff_frequency: (
+        Annotated[Quantity, uncertain_quantity("Hz"), AfterValidator(positive)] | None
+    ) = key_field(
+        "cutoff frequency (-3 dB) of the recorder's first-order low pass; see "
+        "[frequency response](#frequency-response)",
+        "100 ± 5 Hz",
+        None,
+        absent="no filter",
+    )
     recorder: Text | None = key_field(
         "name of the recorder, if runs have several; each recorder has its own clock",
         "B",

@@ -16,6 +16,7 @@ from counterspin.campaign.accelerometers import TRUTH_TABLES, Accelerometer
 from counterspin.campaign.columns import RecordsSettings
 from counterspin.campaign.documents import KeyPath, list_of, table_of
 from counterspin.campaign.field_types import exact
+from counterspin.campaign.frequency_response import response_problems
 from counterspin.campaign.model import ErrorModel
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.reading import Reading
@@ -222,6 +223,19 @@ def _truth_without_simulation(document: Mapping[str, Any], runs: Mapping[int, Ru
     for place, run in runs.items():
         if run.truth is not None and not {"simulation", "truth"} & document.keys():
             yield ("runs", place, "truth"), "needs [simulation] or [truth]"
+
+
+@check
+def _frequency_responses(
+    accelerometers: Mapping[str, Accelerometer], runs: Mapping[int, Run]
+) -> Mistakes:
+    """Yield stated frequencies that are too low for the rotation."""
+    fastest = max((abs(run.rate) for run in runs.values()), default=0.0)
+    for name, accelerometer in accelerometers.items():
+        if accelerometer.response is not None:
+            for section, key, message in response_problems(accelerometer.response, fastest):
+                path = (section, key) if section == "records" else (section, name, key)
+                yield path, message
 
 
 @check

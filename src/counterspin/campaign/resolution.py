@@ -20,6 +20,7 @@ from counterspin.campaign.documents import (
     table_of,
 )
 from counterspin.campaign.field_types import Schema, SettingsSection, key_field
+from counterspin.campaign.frequency_response import ResponseReader
 from counterspin.campaign.model import (
     MeasurementSetup,
     resolve_model,
@@ -208,7 +209,9 @@ class DescriptionReader:
             }
         simulation = self._simulation(placed, readings if read.whole else None, read.truths)
         specifications = self._specifications()
-        accelerometers = self.accelerometers.accelerometers(observables, priors)
+        cutoff = records.cutoff_frequency if records else None
+        responses = ResponseReader(folder, cutoff, problems)
+        accelerometers = self.accelerometers.accelerometers(observables, priors, responses)
         parts["accelerometers"] = accelerometers
         run_checks(parts, problems)
         if problems.lines:
@@ -244,8 +247,8 @@ class DescriptionReader:
             specifications=specifications,
             readings=readings,
             reference_temperature=centrifuge.reference_temperature if centrifuge else None,
-            tables=read.files,
-            table_checksums=read.checksums,
+            tables=(*read.files, *responses.checksums),
+            table_checksums={**read.checksums, **responses.checksums},
             triad=read.triad,
         )
 

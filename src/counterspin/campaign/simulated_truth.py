@@ -37,6 +37,7 @@ from counterspin.campaign.truth import (
 from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import CLOCK
+from counterspin.physics.frequency_response import CUTOFF
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import ACCELEROMETER_TERMS, COMMON_NAMES, SHARED_TERMS, term
 
@@ -237,7 +238,7 @@ class TruthReader:
             noise=self._of_records(noise),
             runs={name: of_run for name, of_run in turned.items() if of_run is not None},
             read={key: of_run for key, of_run in read.items() if of_run is not None},
-            inputs=true_inputs(self.tables, recorders, self.problems),
+            inputs=true_inputs(self.tables, recorders, self.problems) | _true_responses(tables),
             machine=self._of_machine(described.readings, centrifuge),
             reading_noise=self._of_readings(outputs),
         )
@@ -349,9 +350,20 @@ def true_inputs(
         ("", "centrifuge.radius"): centrifuge and centrifuge.radius,
         ("", "centrifuge.clock"): centrifuge and centrifuge.clock,
         ("", "records.timing_offset"): records and records.timing_offset,
+        ("", CUTOFF): records and records.cutoff_frequency,
     }
     clocks = _clock_by_recorder((records and records.clock) or {}, recorders, problems)
     return {key: value for key, value in stated.items() if value is not None} | clocks
+
+
+def _true_responses(tables: Mapping[str, Any]) -> dict[tuple[str, str], float]:
+    """Return by accelerometer and symbol the inputs of frequency responses, SI."""
+    return {
+        (name, f"sensor.{key}"): value
+        for name, table in tables.items()
+        for key in ("natural_frequency", "damping")
+        if (value := getattr(table, key)) is not None
+    }
 
 
 def _clock_by_recorder(

@@ -86,6 +86,9 @@ class RecordsTruthSettings(SettingsSection):
         None,
         absent=_STATED,
     )
+    cutoff_frequency: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = (
+        key_field("true cutoff frequency of the recorder's low pass", "98 Hz", None, absent=_STATED)
+    )
     clock: (
         Annotated[dict[str, float], PlainValidator(_clocks, float | str | dict[str, float | str])]
         | None
@@ -217,6 +220,12 @@ RunTruthSettings = create_model(
 
 
 class _AccelerometerTruthKeys(SettingsSection):
+    natural_frequency: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = (
+        key_field("true natural frequency of the accelerometer", "410 Hz", None, absent=_STATED)
+    )
+    damping: Ratio | None = key_field(
+        "true damping ratio of the accelerometer", 0.72, None, absent=_STATED, kind="number"
+    )
     start_offset: Annotated[float, read_exactly("m")] = key_field(
         "error of the displacement at the start of each run", "0.02 m", 0.0
     )

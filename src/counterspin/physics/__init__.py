@@ -8,6 +8,7 @@ Modules, lowest first:
 - `grades`: how large the terms of an accelerometer are, by its grade
 - `terms`: the table of all error terms and uncertain inputs
 - `gravity`: the gravity that is expected at a site
+- `frequency_response`: gain and phase of an accelerometer and its recorder, as sums of time shifts
 - `accelerometer`: mountings, and the error model (Eq. 7)
 - `table`: motion of a table on the arm, and of the instrument on it, in space
 - `motion`: exact position, velocity and specific force of the platform, on a path with errors too;
@@ -16,6 +17,7 @@ Modules, lowest first:
   centrifuge, fixture and dividing head do to it
 - `quadrature`: single and double time integrals along a trajectory, to rounding
 - `observation`: columns, the displacement per unit of each coefficient
+- `closed_forms`: t^2 coefficients of terms at constant rate
 - `own_velocity`: errors of a computer that takes its own velocity for the Coriolis acceleration
 - `correction`: from an indication to the specific force, the error model's inverse; accelerometers
   corrected together, and how uncertain that leaves them

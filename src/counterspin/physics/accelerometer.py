@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
+from counterspin.physics.frequency_response import FrequencyResponse
 from counterspin.physics.terms import TERMS
 
 #: Flicker of a bias has a longest period of a day, Hz; slower changes are bias.
@@ -41,16 +43,19 @@ def direction(value: str | Sequence[float]) -> Array:
 
 @frozen
 class Mounting:
-    """Directions of the axes of an accelerometer.
+    """Directions of the axes of an accelerometer, and its frequency response.
 
     Attributes
     ----------
     axes
         Unit vectors of the input, pendulous and output axes in east-north-up, as three rows;
         a right-handed set with I x P = O.
+    response
+        Frequency response of the accelerometer and its recorder; None: 1 at all frequencies.
     """
 
     axes: tuple[tuple[float, float, float], ...]
+    response: FrequencyResponse | None = None
 
     @classmethod
     def from_axes(
@@ -107,7 +112,7 @@ class Mounting:
             east-north-up, shape (3, 3).
         """
         rows = self.matrix @ attitude
-        return Mounting(tuple((float(v[0]), float(v[1]), float(v[2])) for v in rows))
+        return replace(self, axes=tuple((float(v[0]), float(v[1]), float(v[2])) for v in rows))
 
 
 QX: Final = Mounting.from_axes("east", "down")  #: Eq. 8: a_I, a_P, a_O = a_x, -a_z, a_y

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -18,6 +19,7 @@ from counterspin.physics import observation, quadrature
 from counterspin.physics.accelerometer import SLOWEST_FLICKER, Mounting, indicated
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Trajectory, perturbed_trajectory
+from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import CONDITION_TERMS, LEVER_ARM, PLATFORM_TERMS, TERMS
 
 #: Times for which slow waves are summed at once: there may be a hundred of them.
@@ -82,6 +84,10 @@ def simulate_record(
     observable: ``displacement`` (m), ``velocity`` (m/s) or ``specific_force`` (m/s^2).
     Returns: shape (n,).
     """
+    if mounting.response is not None:
+        return _filtered_record(
+            trajectory, mounting, coefficients, shared, times, observable, attitude
+        )
     order = observation.ORDERS[observable]
     axes = mounting.turned(attitude)
     trajectory = perturbed_trajectory(trajectory, shared)
@@ -129,6 +135,31 @@ def simulate_record(
         edges = quadrature.panel_edges(trajectory.spindle, duration, np.append(breaks, kinks))
     error = quadrature.integrate(lambda t: residual(t)[None], edges, times, order)[:, 0]
     return base + scale_error * exact_output + error
+
+
+def _filtered_record(
+    trajectory: Trajectory,
+    mounting: Mounting,
+    coefficients: Mapping[str, float],
+    shared: Mapping[str, float],
+    times: Array,
+    observable: str,
+    attitude: Array,
+) -> Array:
+    """Return the record of an accelerometer with a frequency response, shape (n,)."""
+    assert mounting.response is not None
+    ideal = replace(mounting, response=None)
+
+    def error(spindle: Spindle) -> Array:
+        motion = replace(trajectory, spindle=spindle)
+        record = simulate_record(
+            motion, ideal, coefficients, shared, times, observable, attitude=attitude
+        )
+        return record - observation.reference(motion, ideal, times, observable, attitude)
+
+    shifts = mounting.response.total_shifts(trajectory.spindle.rate)
+    filtered_error = shifts.apply(trajectory.spindle, error)
+    return filtered_error + observation.reference(trajectory, mounting, times, observable, attitude)
 
 
 def _change_since_start(

@@ -372,7 +372,9 @@ def _input_rows() -> Iterator[Term[Input]]:
     radius = "4e-6 of 2.5 m, the larger relative uncertainty of measured radii"
     # An absolute gravimeter does better by 1000.
     gravity = f"{_NO_SOURCE}: a gravity map, corrected for the height"
-    delay = "delay of the recorded angle"
+    delay, cutoff = "delay of the recorded angle", "cutoff frequency of the recorder's low pass"
+    natural, low_pass = f"{_NO_SOURCE}: 5 % of 400 Hz", f"{_NO_SOURCE}: 5 % of 100 Hz, RC parts"
+    measured, numbers = "the u that the table states", (-100.0, 100.0)
     # symbol, words, unit, what is possible, largest credible and typical error, source
     for symbol, words, unit, between, limit, typical, source in (
         ("centrifuge.radius", "radius of the centrifuge", "m", (0.01, 100.0), 0.1, 1e-5, radius),
@@ -406,6 +408,11 @@ def _input_rows() -> Iterator[Term[Input]]:
             2e-5,
             "a free-running quartz oscillator",
         ),
+        ("sensor.natural_frequency", "natural frequency", "Hz", (1e-2, 1e6), 1e4, 20.0, natural),
+        ("sensor.damping", "damping ratio", "1", (0.0, 100.0), 10.0, 0.1, f"{_NO_SOURCE}: 0.1"),
+        ("sensor.gain", "gain error in u of the table", "1", numbers, 100.0, 1.0, measured),
+        ("sensor.phase", "phase error in u of the table", "1", numbers, 100.0, 1.0, measured),
+        ("records.cutoff_frequency", cutoff, "Hz", (1e-2, 1e6), 1e4, 5.0, low_pass),
     ):
         effect = Input(symbol.partition(".")[2], between)
         yield Term(symbol, effect, words, unit, limit, typical, source, "input")

@@ -16,8 +16,8 @@ from counterspin.inference.two_stage.model import TwoStageRequest
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun, second_stage
 from counterspin.physics import as_printed
 from counterspin.physics.accelerometer import QX
+from counterspin.physics.closed_forms import parabola
 from counterspin.physics.motion import Site
-from counterspin.physics.observation import parabola
 from counterspin.reproduction import equations
 from counterspin.reproduction.plan import (
     DRIFT_RATE,

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final, Literal
 
+from counterspin.campaign.accelerometers import with_responses
 from counterspin.campaign.columns import Recording
 from counterspin.campaign.conditions import rate_clock_input
 from counterspin.campaign.description import Campaign
@@ -271,7 +272,7 @@ def check_size(
 
 
 def apply_true_inputs(campaign: Campaign) -> Campaign:
-    """Return the campaign with radius, gravity, latitude and delay of the angle as they truly are.
+    """Return the campaign with the true radius, gravity, latitude, angle delay and responses.
 
     Its columns and clocks stay as the description has them: with these its records are read.
     """
@@ -288,6 +289,7 @@ def apply_true_inputs(campaign: Campaign) -> Campaign:
     angle_delay = true.get(("", TIMING))
     return replace(
         campaign,
+        accelerometers=with_responses(campaign.accelerometers, true),
         site=replace(campaign.site, gravity=gravity.value, latitude=latitude.value),
         gravity=gravity,
         latitude=latitude,

@@ -433,7 +433,7 @@ def _resolve_names(
     if key in ACCELEROMETER_TERMS:
         return [(name, key) for name in campaign.accelerometers]
     observable_symbols = symbols_shown(campaign.readings)
-    if key in INPUTS or symbol_name == CLOCK:
+    if key in INPUTS or symbol_name in INPUTS:
         return _resolve_inputs(key, path, campaign, recorders, problems)
     if key in OTHER_QUANTITIES and not campaign.runs:
         problems.add(path, "needs records of a double turntable, and the campaign has none")
@@ -461,13 +461,14 @@ def _resolve_names(
 def _resolve_inputs(
     key: str, path: KeyPath, campaign: Campaign, recorders: Mapping[str, str], problems: Problems
 ) -> list[tuple[str, str]]:
-    """Return recorder and symbol of an input; of a clock without a recorder's name those of all."""
-    owner, _, symbol_name = key.partition(".")
-    symbol = symbol_name if symbol_name == CLOCK else key
+    """Return owner and symbol of an input; without an owner's name those of all owners."""
+    name, _, symbol_name = key.partition(".")
+    symbol = key if key in INPUTS else symbol_name
+    owner = recorders.get(name) if symbol == CLOCK else name
     matches = [
-        (recorder, input_symbol)
-        for recorder, input_symbol in inputs_by_owner(campaign)
-        if input_symbol == symbol and (symbol_name != CLOCK or recorder == recorders.get(owner))
+        (input_owner, input_symbol)
+        for input_owner, input_symbol in inputs_by_owner(campaign)
+        if input_symbol == symbol and (key in INPUTS or input_owner == owner)
     ]
     if not matches:
         problems.add(path, "does not apply to any record or reading here")

@@ -172,7 +172,7 @@ class TrialRecords:
         setup = self.setup
         signal = simulation.simulate_record(
             setup.true_trajectory(run, spindle, self.draws),
-            setup.mountings[name],
+            setup.true_mounting(name, self.draws),
             self._true_values(name, run),
             self._true_values("", run),
             times,

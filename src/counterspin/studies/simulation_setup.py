@@ -14,6 +14,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.joint_problem import stated_timing_noise
+from counterspin.calibration.model import inputs_by_owner
 from counterspin.campaign.conditions import run_conditions
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.reading import PoseRecord
@@ -26,6 +27,7 @@ from counterspin.inference.noise.model import Noise
 from counterspin.inference.two_stage.first_stage import strobe_angle
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import RunConditions
+from counterspin.physics.frequency_response import RESPONSE_INPUTS
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import TURN, Spindle
 from counterspin.simulation.pose_record import record_seconds
@@ -90,6 +92,17 @@ class SimulationSetup:
         site = replace(self.site, gravity=gravity, latitude=latitude)
         return replace(self.trajectory(run, spindle), radius=radius, site=site)
 
+    def true_mounting(self, name: str, draws: Draws) -> Mounting:
+        """Return the axes of an accelerometer, with its true response in the first trial."""
+        mounting = self.mountings[name]
+        response = mounting.response
+        if response is None:
+            return mounting
+        for (owner, symbol), error in draws.inputs.items():
+            if symbol in RESPONSE_INPUTS and owner in ("", name):
+                response = response.deviate(symbol, float(error[0]))
+        return replace(mounting, response=response)
+
     def series(
         self,
         run: int,
@@ -147,6 +160,13 @@ def make_setup(campaign: Campaign) -> SimulationSetup:
         "needs at least three, preferably many"
         for index, run in enumerate(campaign.runs)
         if run.duration is not None and sample_count(run.duration, rate) < _MIN_SAMPLES
+    ]
+    stated = inputs_by_owner(campaign)
+    errors += [
+        f"truth.{owner or symbol.partition('.')[0]}.{symbol.partition('.')[2]}: a study simulates "
+        "it only if the campaign states it too"
+        for owner, symbol in campaign.simulation.truth.inputs
+        if symbol in RESPONSE_INPUTS and (owner, symbol) not in stated
     ]
     if errors:
         raise CampaignError(str(campaign.path), errors)

@@ -228,10 +228,13 @@ def first_fit(
     return _EstimationState(requests, series, model, known, at, prepared, none, fit)
 
 
-def locate_input(
-    series: tuple[ResidualSeries, ...], model: Unknowns, requests: Mapping[str, Noise], symbol: str
-) -> float:
-    """Return the estimate of an input by a first fit with white noise, less nominal.
+def locate_inputs(
+    series: tuple[ResidualSeries, ...],
+    model: Unknowns,
+    requests: Mapping[str, Noise],
+    names: Sequence[str],
+) -> dict[str, float]:
+    """Return estimates of inputs, minus nominal, by a first fit with white noise.
 
     The noise is the stated white noise, or that which the records show from row to row.
     """
@@ -243,8 +246,8 @@ def locate_input(
         levels[part.accelerometer] = max(level, levels.get(part.accelerometer, 0.0))
     noise = {name: Noise(level) for name, level in levels.items()}
     fit = solve_joint(state.design_blocks, state.model, noise)
-    place = [unknown.symbol for unknown in model.unknowns].index(symbol)
-    return float(fit.solution.estimate[place])
+    estimates = zip(model.unknowns, fit.solution.estimate.tolist(), strict=True)
+    return {unknown.name: value for unknown, value in estimates if unknown.name in names}
 
 
 def reject_outliers(state: _EstimationState) -> _EstimationState:

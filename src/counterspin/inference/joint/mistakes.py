@@ -21,10 +21,11 @@ from counterspin.inference.joint.alternatives import Alternative
 from counterspin.inference.joint.design_blocks import DesignBlock
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.series import (
-    CLOCK,
     TIMING,
     expected_output,
+    input_affects,
     input_column,
+    input_owner,
     rotation_column,
 )
 from counterspin.inference.joint.unknowns import ROTATION, Considered
@@ -283,6 +284,8 @@ def input_mistakes(fit: JointFit, inputs: Mapping[str, float]) -> Iterator[Alter
     for name, typical in inputs.items():
         columns = {}
         for i, part in enumerate(fit.design_blocks):
+            if not input_affects(part.series, name, input_owner(part.series, name)):
+                continue
             # What the errors found so far are of depends on the inputs too.
             table = {
                 symbol: column
@@ -298,7 +301,7 @@ def input_mistakes(fit: JointFit, inputs: Mapping[str, float]) -> Iterator[Alter
             columns[i] = input_column(part.series, name, part.scale_factor, known, now)
         by_owner: dict[str, dict[int, Array]] = {}
         for i, column in columns.items():
-            owner = fit.design_blocks[i].series.recorder if name == CLOCK else ""
+            owner = input_owner(fit.design_blocks[i].series, name)
             by_owner.setdefault(owner, {})[i] = column
         for owner, known_values in by_owner.items():
             yield Alternative("input", owner, name, known_values, default_sd=typical)
@@ -394,7 +397,8 @@ def rotate_mounting(mounting: Mounting, quarters: int) -> Mounting:
     along, pendulous, output = mounting.matrix
     for _ in range(quarters % 4):
         pendulous, output = output, -pendulous
-    return Mounting.from_axes(along.tolist(), pendulous.tolist(), output.tolist())
+    rotated = Mounting.from_axes(along.tolist(), pendulous.tolist(), output.tolist())
+    return replace(rotated, response=mounting.response)
 
 
 def with_rotated_mounting(fit: JointFit, accelerometer: str, quarters: int) -> JointFit:

@@ -18,6 +18,7 @@ from counterspin.inference.noise.model import Differences, Noise, Whitener, buil
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.angle_error import AngleError
+from counterspin.physics.frequency_response import CUTOFF, RESPONSE_INPUTS
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.terms import TERMS
 
@@ -465,9 +466,18 @@ def rotation_column(series: ResidualSeries, symbol: str) -> Array:
     return (ahead - behind) / (2.0 * step)
 
 
-def input_affects(series: ResidualSeries, name: str, recorder: str) -> bool:
-    """Return whether an input shows in a series; of clocks it is that of its own recorder."""
-    return recorder == series.recorder if name == CLOCK else name != RATE_CLOCK
+def input_owner(series: ResidualSeries, name: str) -> str:
+    """Return the owner of an input that shows in a series: recorder, accelerometer or nobody."""
+    if name == CLOCK:
+        return series.recorder
+    return series.accelerometer if name in RESPONSE_INPUTS and name != CUTOFF else ""
+
+
+def input_affects(series: ResidualSeries, name: str, owner: str) -> bool:
+    """Return whether an input of an owner shows in a series."""
+    if name == RATE_CLOCK or (name in RESPONSE_INPUTS and series.mounting.response is None):
+        return False
+    return owner == input_owner(series, name)
 
 
 def expected_output(
@@ -518,6 +528,13 @@ def with_input(
     if name == CLOCK:
         rescaled = series.rescale_clock(_RELATIVE_STEP)
         return rescaled.reference(), rescaled.columns(symbols, scale_factor), _RELATIVE_STEP
+    if name in RESPONSE_INPUTS:
+        response = series.mounting.response
+        assert response is not None
+        step = response.step(name)
+        mounting = replace(series.mounting, response=response.deviate(name, step))
+        changed = replace(series, mounting=mounting)
+        return changed.reference(), changed.columns(symbols, scale_factor), step
     size = {
         "centrifuge.radius": series.trajectory.radius,
         "site.gravity": series.trajectory.site.gravity,

@@ -32,6 +32,9 @@ assume = ["all"]
 """
 
 
+SENSOR = 'natural_frequency = "400 ± 20 Hz"\ndamping = "0.7 ± 0.1"'
+
+
 def _angle(t, rate):
     return rate * t - RIPPLE * (np.cos(rate * t + PHASE) - math.cos(PHASE))
 
@@ -50,18 +53,33 @@ def _output(t, rate):
     return force + GRAVITY * wrong
 
 
-def _calibrated(folder, offset, stated, generator):
+def _filtered(rate, natural_frequency, damping):
+    """Return the output of a second-order sensor as a function of time, by its harmonics."""
+    grid = np.arange(256) * 2.0 * math.pi / (rate * 256)
+    harmonics = np.fft.rfft(_output(grid, rate))[:12] / 256
+    order = np.arange(12)
+    ratio = order * rate / (2.0 * math.pi * natural_frequency)
+    harmonics = harmonics / (1.0 - ratio**2 + 2j * damping * ratio)
+    harmonics[1:] *= 2.0
+    return lambda t: (np.exp(1j * rate * np.outer(t, order)) @ harmonics).real
+
+
+def _calibrated(folder, offset, stated, generator, sensor=None, response=SENSOR):
+    """Calibrate records with a delayed angle, of a sensor (frequency in Hz, damping) if given."""
     runs = ""
     t = np.arange(1500) * 0.02
     for k, rate in enumerate((math.pi, 2.0 * math.pi)):
         angle = _angle(t + offset, rate) + 1e-6 * generator.standard_normal(t.size)
-        force = _output(t, rate) + NOISE * generator.standard_normal(t.size)
+        output = _output(t, rate) if sensor is None else _filtered(rate, *sensor)(t)
+        force = output + NOISE * generator.standard_normal(t.size)
         rows = np.column_stack([t, angle, force])
         np.savetxt(
             folder / f"{k}.csv", rows, "%.12g", delimiter=",", header="t,angle,force", comments=""
         )
         runs += f'[[runs]]\nname = "r{k}"\nrate = "{rate!r} rad/s"\nrecord = "{k}.csv"\n'
     text = DESCRIPTION.replace("STATED", stated) + runs
+    if sensor is not None:
+        text = text.replace('pendulous_axis = "down"', f'pendulous_axis = "down"\n{response}')
     (folder / "campaign.toml").write_text(text, encoding="utf-8")
     return cs.calibrate(folder)
 
@@ -97,3 +115,28 @@ def test_an_offset_that_the_prior_excludes_is_named(tmp_path):
     }
     (text,) = (f.text for f in result.findings if f.subject == "records.timing_offset")
     assert "0.00500" in text
+
+
+def test_a_stated_response_that_is_off_moves_no_coefficient(tmp_path):
+    """True values are drawn from the stated ones; trials of z have a mean of 0 within 4/sqrt(n)."""
+    generator, z = np.random.default_rng(23), []
+    for _ in range(2):
+        sensor = 400.0 + 20.0 * generator.standard_normal(), 0.7 + 0.1 * generator.standard_normal()
+        result = _calibrated(tmp_path, 0.0, "0 ± 1e-9 s", generator, sensor)
+        assert result.state == "good"
+        known = {line.name: line for line in result.rests_on}
+        z.append([(c := result[f"Q.{s}"]).value / c.u - true / c.u for s, true in TRUTH.items()])
+        for name, true in zip(("natural_frequency", "damping"), sensor, strict=True):
+            line = known[f"Q.sensor.{name}"]
+            z[-1].append((line.found - true) / line.u_found)
+        assert known["Q.sensor.damping"].u_found < 0.03
+    assert np.abs(np.mean(z, axis=0)).max() < 4.0 / math.sqrt(2.0)
+
+
+def test_a_response_that_is_not_stated_is_named_before_a_stretch(tmp_path):
+    """A gain that falls by 1e-5 at 1 Hz, with an angle that is as late as the force."""
+    delay = 1.5 / (math.pi * 592.0)
+    result = _calibrated(
+        tmp_path, -delay, "0 ± 1e-9 s", np.random.default_rng(24), (592.0, 1.5), response=""
+    )
+    assert (result.findings[0].code, result.findings[0].subject) == ("frequency-response", "Q")

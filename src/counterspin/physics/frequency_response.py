@@ -1,0 +1,210 @@
+"""Frequency response of an accelerometer and its recorder.
+
+A linear system multiplies each harmonic of the error model's output by its complex gain H(f); the
+mean keeps its value, H(0) = 1. Integration does not change this: it holds for velocity and
+displacement as well, except for the start offset and start velocity, which every fit estimates.
+
+The recorder filters the whole record; the accelerometer filters the specific force that it senses,
+but not the Coriolis acceleration that the navigation computer subtracts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+from counterspin.physics.spindle import Spindle
+
+ComplexArray = npt.NDArray[np.complex128]
+
+#: Harmonics of the rotation for which the response is approximated.
+_HARMONICS: Final = 8
+
+#: Frequencies per harmonic at which it is approximated.
+_POINTS_PER_HARMONIC: Final = 4
+
+#: Number of time shifts on either side of the delay, and their spacing in parts of the period of
+#: the highest harmonic. With these, a response that is smooth over the harmonics is approximated to
+#: 1e-9 of its deviation from a delay for a natural frequency above 60 times the rate.
+_SHIFTS: Final = 5
+_SHIFT_SPACING: Final = 0.125
+
+
+#: Relative step of derivatives with respect to inputs.
+_STEP: Final = 1e-4
+
+
+@frozen
+class ResponseTable:
+    """Measured gain and phase, relative to the static gain."""
+
+    frequency: tuple[float, ...]  #: Hz, increasing, positive.
+    gain: tuple[float, ...]  #: Gain over the static gain.
+    phase: tuple[float, ...]  #: rad, negative for a delay.
+    #: Standard uncertainties, fully correlated between frequencies; empty: exact.
+    u_gain: tuple[float, ...] = ()
+    u_phase: tuple[float, ...] = ()
+
+    def evaluate(self, frequency: Array, gain_error: float, phase_error: float) -> ComplexArray:
+        """Return the complex gain at frequencies in Hz, shape (n,).
+
+        Between the rows, gain and phase are cubic; above the last row, the gain is constant and
+        the phase is that of a delay.
+
+        gain_error, phase_error: Deviations of gain and phase from the table, in standard
+            uncertainties.
+        """
+        from scipy.interpolate import PchipInterpolator
+
+        known = np.array(self.frequency)
+        gain, phase = np.array(self.gain), np.array(self.phase)
+        if self.u_gain:
+            gain = gain + gain_error * np.array(self.u_gain)
+        if self.u_phase:
+            phase = phase + phase_error * np.array(self.u_phase)
+        inside = np.minimum(frequency, known[-1])
+        points = np.append(0.0, known)
+        gains = PchipInterpolator(points, np.append(1.0, gain))(inside)
+        phases = PchipInterpolator(points, np.append(0.0, phase))(inside) * (
+            np.maximum(frequency, known[-1]) / known[-1]
+        )
+        return np.asarray(gains * np.exp(1j * phases), dtype=np.complex128)
+
+
+@frozen
+class TimeShifts:
+    """A response as a sum of shifts in time, valid for a rotation at one rate."""
+
+    shifts: tuple[float, ...]  #: s, positive for a later time.
+    weights: tuple[float, ...]  #: Sum 1.
+
+    def apply(self, spindle: Spindle, function: Callable[[Spindle], Array]) -> Array:
+        """Return a function of the rotation, filtered by the response.
+
+        The spindle is shifted, not the time: all integrals start at the run's start.
+
+        function: Maps a rotation to values of any shape.
+        """
+        return np.asarray(
+            sum(
+                weight * function(spindle.later(shift))
+                for shift, weight in zip(self.shifts, self.weights, strict=True)
+            )
+        )
+
+
+@frozen
+class FrequencyResponse:
+    """Frequency response of one accelerometer's channel.
+
+    The accelerometer has a second-order response,
+    H(f) = 1/(1 - (f/f0)^2 + 2 i zeta f/f0), or a measured one; the recorder has a first-order low
+    pass, 1/(1 + i f/fc).
+    """
+
+    natural_frequency: float = math.inf  #: f0, Hz; infinite: an accelerometer without dynamics.
+    damping: float = 0.0  #: Damping ratio zeta.
+    table: ResponseTable | None = None  #: Measured response, in place of f0 and zeta.
+    gain_error: float = 0.0  #: Deviation from the table, in its standard uncertainties.
+    phase_error: float = 0.0
+    cutoff_frequency: float = math.inf  #: fc of the recorder's low pass (-3 dB), Hz.
+
+    def accelerometer_gain(self, frequency: Array) -> ComplexArray:
+        """Return the complex gain of the accelerometer at frequencies in Hz, shape (n,)."""
+        if self.table is not None:
+            return self.table.evaluate(frequency, self.gain_error, self.phase_error)
+        ratio = frequency / self.natural_frequency
+        return np.asarray(1.0 / (1.0 - ratio**2 + 2.0j * self.damping * ratio), np.complex128)
+
+    def recorder_gain(self, frequency: Array) -> ComplexArray:
+        """Return the complex gain of the recorder at frequencies in Hz, shape (n,)."""
+        return np.asarray(1.0 / (1.0 + 1.0j * frequency / self.cutoff_frequency), np.complex128)
+
+    def gain(self, frequency: Array) -> ComplexArray:
+        """Return the complex gain of accelerometer and recorder at frequencies in Hz, (n,)."""
+        return self.accelerometer_gain(frequency) * self.recorder_gain(frequency)
+
+    def deviate(self, symbol: str, change: float) -> FrequencyResponse:
+        """Return the response with one of its inputs changed.
+
+        symbol: A key of `RESPONSE_INPUTS`.
+        change: In the unit of the input.
+        """
+        name = RESPONSE_INPUTS[symbol]
+        return replace(self, **{name: getattr(self, name) + change})
+
+    def step(self, symbol: str) -> float:
+        """Return the step of a derivative with respect to an input."""
+        value: float = getattr(self, RESPONSE_INPUTS[symbol])
+        return _STEP * max(abs(value), 1.0)
+
+    def filter_record(
+        self,
+        spindle: Spindle,
+        recorded: Callable[[Spindle], Array],
+        sensed: Callable[[Spindle], Array],
+    ) -> Array:
+        """Return the record of a perfect accelerometer with this response.
+
+        The recorder filters the record. The accelerometer filters the specific force only, and not
+        the Coriolis acceleration that the computer subtracts.
+
+        recorded: Maps a rotation to the record without dynamics.
+        sensed: Maps a rotation to the contribution of the specific force to this record.
+        """
+        recorder, total = self.recorder_shifts(spindle.rate), self.total_shifts(spindle.rate)
+        rest = recorder.apply(spindle, lambda shifted: recorded(shifted) - sensed(shifted))
+        return rest + total.apply(spindle, sensed)
+
+    def total_shifts(self, rate: float) -> TimeShifts:
+        """Return the response of accelerometer and recorder for a rate in rad/s."""
+        return _time_shifts(self, abs(rate), recorder=False)
+
+    def recorder_shifts(self, rate: float) -> TimeShifts:
+        """Return the response of the recorder for a rate in rad/s."""
+        return _time_shifts(self, abs(rate), recorder=True)
+
+
+CUTOFF: Final = "records.cutoff_frequency"  #: Hz, of the recorder's low pass
+
+#: Uncertain inputs of a response -> the attribute that each changes.
+RESPONSE_INPUTS: Final[Mapping[str, str]] = {
+    "sensor.natural_frequency": "natural_frequency",
+    "sensor.damping": "damping",
+    "sensor.gain": "gain_error",
+    "sensor.phase": "phase_error",
+    CUTOFF: "cutoff_frequency",
+}
+
+
+@lru_cache(maxsize=256)
+def _time_shifts(response: FrequencyResponse, rate: float, *, recorder: bool) -> TimeShifts:
+    """Approximate a response by shifts in time about its delay at the rotation's frequency."""
+    evaluate: Callable[[Array], ComplexArray] = (
+        response.recorder_gain if recorder else response.gain
+    )
+    if recorder and math.isinf(response.cutoff_frequency):
+        return TimeShifts((0.0,), (1.0,))
+    turn = 2.0 * math.pi
+    delay = -float(np.angle(evaluate(np.array([rate / turn])))[0]) / rate
+    spacing = turn * _SHIFT_SPACING / (_HARMONICS * rate)
+    orders = np.arange(1, _HARMONICS * _POINTS_PER_HARMONIC + 1) / _POINTS_PER_HARMONIC
+    frequencies = rate * orders  # rad/s
+    rest = evaluate(frequencies / turn) * np.exp(1j * frequencies * delay) - 1.0
+    steps = np.array([*range(-_SHIFTS, 0), *range(1, _SHIFTS + 1)])
+    waves = np.exp(1j * np.outer(frequencies, steps) * spacing) - 1.0
+    weights = np.linalg.lstsq(
+        np.vstack([waves.real, waves.imag]), np.concatenate([rest.real, rest.imag]), rcond=1e-13
+    )[0]
+    return TimeShifts(
+        (-delay, *(spacing * steps - delay).tolist()),
+        (1.0 - float(weights.sum()), *weights.tolist()),
+    )
