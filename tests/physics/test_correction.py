@@ -320,7 +320,7 @@ def test_uncertainty_of_a_known_force():
 
 
 def test_uncertainty_of_coupled_accelerometers_against_differences():
-    """Sensitivities by central differences of the whole correction, for all coefficients."""
+    """Sensitivities to each cause of errors by central differences of the whole correction."""
     rng = np.random.default_rng(2026)
     vector, count = np.array([[7.0, -4.0, 1.0]]), len(TERMS)
     # Few causes of many errors: they are related.
@@ -331,23 +331,22 @@ def test_uncertainty_of_coupled_accelerometers_against_differences():
         values = {s: row.nominal + 0.2 * size(s) * rng.normal() for s, row in TERMS.items()}
         instruments.append(CalibratedAccelerometer(name, mounting, values, joint[k, :, k]))
     y = np.stack([indicated(one.mounting, one.coefficients, vector) for one in instruments], 1)
-    gradients = np.empty((3, count, 3))
+    step, errors = 0.1, root.reshape(3, count, 3)
+    sensitivities = np.empty((3, 3, 3))  # of an accelerometer, to a cause, along an axis
     for k, one in enumerate(instruments):
-        for place, (symbol, value) in enumerate(one.coefficients.items()):
-            step = 1e-3 * size(symbol)
+        for cause in range(3):
             shifted = []
-            for sign in (1.0, -1.0):
-                moved = dict(one.coefficients) | {symbol: value + sign * step}
+            for sign in (step, -step):
+                changed = np.array([*one.coefficients.values()]) + sign * errors[k, :, cause]
+                moved = dict(zip(one.coefficients, changed, strict=True))
                 others = [*instruments]
                 others[k] = instrument(one.mounting, moved)
                 shifted.append(correct(others, y).force[0])
-            gradients[k, place] = (shifted[0] - shifted[1]) / (2.0 * step)
-    alone = sum(
-        np.einsum("ai,ab,bi->i", gradients[k], joint[k, :, k], gradients[k]) for k in range(3)
-    )
+            sensitivities[k, cause] = (shifted[0] - shifted[1]) / (2.0 * step)
+    alone = np.sum(sensitivities**2, axis=(0, 1))
     np.testing.assert_allclose(correct(instruments, y).u[0], np.sqrt(alone), rtol=1e-5)
     between = {(k, m): joint[k, :, m] for k in range(3) for m in range(k + 1, 3)}
-    related = np.einsum("kai,kamb,mbi->i", gradients, joint, gradients)
+    related = np.sum(np.sum(sensitivities, axis=0) ** 2, axis=0)
     assert np.abs(related / alone - 1.0).max() > 0.01
     claimed = correct(instruments, y, (), between).u[0]
     np.testing.assert_allclose(claimed, np.sqrt(related), rtol=1e-5)
