@@ -120,6 +120,8 @@ def test_names_may_be_fewer_than_columns():
         ["t  ax  ay"],
         ['"t" "ax" "ay"'],
         ["t ax ay", "(s) (m.s-2) (m.s-2)"],
+        ["t    ax   ay", "---- ---- ----"],
+        ["t ax ay", "s m/s^2 m/s^2", "=============="],
         ["t ax ay", "[s] [m/s^2] [m/s^2]"],
     ],
 )

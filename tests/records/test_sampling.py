@@ -115,6 +115,35 @@ def test_stamps_that_repeat_while_samples_are_lost_are_refused():
         SensorSamples.of(time[keep], white(20000)[keep])
 
 
+@pytest.mark.parametrize("ratio", [1.7, 2.0, 2.5, 4.0])
+def test_the_rate_of_repeated_samples_holds_where_rows_are_lost(ratio):
+    """Losses delay the first row of a sample, which does not change the sensor's rate."""
+    logged = held(white(3000), ratio)
+    keep = np.random.default_rng(4).random(len(logged)) > 0.2
+    found = SensorSamples.of((np.arange(len(logged)) * STEP)[keep], logged[keep])
+    assert np.median(np.diff(found.time)) == pytest.approx(ratio * STEP, rel=6e-3)
+
+
+@pytest.mark.parametrize("part", [0.0, 0.05, 0.2])
+def test_rows_that_are_lost_within_whole_seconds_are_refused(part):
+    row = np.arange(12000)
+    keep = np.random.default_rng(6).random(12000) >= part
+    time, values = np.floor(row * STEP + 1e-9)[keep], white(12000)[keep]
+    if part:
+        with pytest.raises(ValueError, match="samples are missing"):
+            SensorSamples.of(time, values)
+    else:
+        assert np.median(np.diff(SensorSamples.of(time, values).time)) == pytest.approx(STEP)
+
+
+def test_rows_that_come_late_are_not_lost():
+    """Rows that are stamped up to 0.3 s late by a clock of whole seconds."""
+    late = np.random.default_rng(7).uniform(0.0, 0.3, 12000)
+    time = np.floor(np.maximum.accumulate(np.arange(12000) * STEP + late))
+    found = SensorSamples.of(time, white(12000))
+    assert np.median(np.diff(found.time)) == pytest.approx(STEP, rel=0.3 / 120.0)
+
+
 def test_rows_that_were_written_twice_count_once():
     again = np.repeat(np.arange(500), 2)
     found = SensorSamples.of(again * STEP, white(500)[again])

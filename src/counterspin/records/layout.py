@@ -47,25 +47,8 @@ _NAME_KEYS: Final = ("tracename", "trace name", "channel name", "tag")
 _UNIT_KEYS: Final = ("vunit", "unit")
 #: What a row of units has above columns that have none.
 _NO_UNITS: Final = (
-    "",
-    "-",
-    "(-)",
-    "[-]",
-    "(na)",
-    "[na]",
-    "na",
-    "n/a",
-    "(n/a)",
-    "()",
-    "[]",
-    "no.",
-    "no",
-    "nr",
-    "nr.",
-    "number",
-    "time",
-    "date",
-    "date&time",
+    *("", "-", "(-)", "[-]", "(na)", "[na]", "na", "n/a", "(n/a)", "()", "[]"),
+    *("no.", "no", "nr", "nr.", "number", "time", "date", "date&time"),
 )
 #: Most lines between the units and the rows.
 _LINES_BELOW_UNITS: Final = 4
@@ -91,6 +74,8 @@ _BETWEEN_BLANKS: Final = re.compile(
 _WIDE_BLANKS: Final = re.compile(r"\s{2,}|\t")
 #: A mark of a comment at the beginning of a line, and the blanks behind it.
 _COMMENT: Final = re.compile(r"\s*(?:#+|%+|//+|!+|\*(?=[\sA-Za-z]))\s*")
+#: A line that is drawn between the names and the rows.
+_RULE: Final = re.compile(r"[\s|+]*(?:[-=_]{2,}[\s|+,;]*)+")
 #: Lines of comments above the rows in which names may stand.
 _COMMENT_LINES: Final = 4
 #: Words that label a row of results below a table.
@@ -153,6 +138,7 @@ Line = tuple[int, str]
 def detect_format(lines: Sequence[Line], dialect: Dialect) -> TableFormat | None:
     """Return the layout of a file whose rows stand out; None if nothing looks like rows."""
     best: tuple[int, TableFormat] | None = None
+    lines = [(number, line) for number, line in lines if not _RULE.fullmatch(line)]
     for delimiter in [dialect.delimiter] if dialect.delimiter else DELIMITERS:
         split_lines = [(number, _split_comment(line, delimiter)) for number, line in lines]
         if delimiter == BLANKS:

@@ -46,6 +46,10 @@ _MIN_CHANGES: Final = 32
 _MAX_BURST_FRACTION: Final = 0.5
 _MIN_BURSTS: Final = 4
 _MIN_PAUSE_FRACTION: Final = 0.01
+#: Fewest stamps that show whether rows are lost within them, and a correlation of adjacent stamps
+#: halfway between that of lost rows, 0, and that of late rows, -1/2.
+_MIN_STAMPS: Final = 10
+_LATE_CORRELATION: Final = -0.25
 
 Mask = npt.NDArray[np.bool_]
 
@@ -236,10 +240,11 @@ def count_times(time: Array, restamped: int) -> Array:
         lengths = (segment[end] - segment[0] for segment, end in zip(segments, ends, strict=True))
         step = float(sum(lengths)) / sum(ends)
     counted_times: list[Array] = []
+    lacks_rows = _varies_independently(_excess_rows(time, bounds, step, burst))
     for segment in segments:
         size = min(lag, segment.size - 1)
         deviation = segment[size:] - segment[: segment.size - size] - size * step
-        if size > 0 and np.abs(deviation).max() > (burst + 1.0) * step:
+        if lacks_rows or (size > 0 and np.abs(deviation).max() > (burst + 1.0) * step):
             raise ValueError(
                 f"{restamped} of {time.size} rows repeat the time of the row before with other "
                 "values, and samples are missing among them, so that rows cannot be counted; "
@@ -247,6 +252,36 @@ def count_times(time: Array, restamped: int) -> Array:
             )
         counted_times.append(segment[0] + step * np.arange(segment.size))
     return np.concatenate(counted_times)
+
+
+def _excess_rows(time: Array, bounds: npt.NDArray[np.int_], step: float, burst: float) -> Array:
+    """Return how many rows each stamp has beyond those that its duration holds.
+
+    bounds: First row of each stamp, and the number of rows.
+    step, burst: Time from row to row, s, and most rows of a stamp.
+    """
+    first = bounds[1:-1]  # the first and the last stamp may have fewer rows
+    if first.size < _MIN_STAMPS:
+        return np.zeros(0)
+    durations = np.diff(time[first]) / step
+    excess = np.diff(first) - durations
+    return np.asarray(excess[durations < burst + 1.5])
+
+
+def _varies_independently(excess: Array) -> bool:
+    """Return whether rows are lost within stamps, by the excess of rows of each stamp.
+
+    A row that comes late is missing in a stamp and in excess in the next. Lost rows have no such
+    successor, so that the excess of adjacent stamps is not correlated. The rate may change slowly.
+    """
+    if excess.size < _MIN_STAMPS:
+        return False
+    place = np.linspace(-1.0, 1.0, excess.size)
+    rest = excess - np.polyval(np.polyfit(place, excess, 2), place)
+    variance = float(np.mean(rest**2))
+    # The fit of three parameters changes the correlation of n independent values by -3 / n.
+    limit = _LATE_CORRELATION - 1.5 / excess.size
+    return variance > 1.0 and float(np.mean(rest[1:] * rest[:-1])) > limit * variance
 
 
 def _is_constant_stretch(lengths: npt.NDArray[np.int_], rows: float) -> bool:

@@ -30,6 +30,10 @@ def repeated(ratio):
     return log
 
 
+def repeated_and_lost(rng, time, values):
+    return lost(0.1)(rng, *repeated(2.5)(rng, time, values))
+
+
 def restamped(_, time, values):
     place = np.arange(time.size)
     return time[place - (place % 3 == 2)], values
@@ -44,8 +48,8 @@ def in_bursts(rng, time, values):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "log",
-    [lost(0.05), lost(0.2), repeated(2.0), repeated(2.5), repeated(4.0), restamped, in_bursts],
-    ids=["5 % lost", "20 % lost", "2 rows", "2.5 rows", "4 rows", "stamps repeat", "bursts"],
+    [lost(0.05), lost(0.2), repeated(2.0), repeated(2.5), repeated_and_lost, restamped, in_bursts],
+    ids=["5 % lost", "20 % lost", "2 rows", "2.5 rows", "lost rows", "stamps repeat", "bursts"],
 )
 def test_intervals_of_n_hold(monkeypatch, log):
     """At 95 %, of so many trials fewer hold with a probability of 1e-4 than the bound."""

@@ -15,6 +15,8 @@ from counterspin.records.sampling import ValueHolding, count_times, is_bursty, j
 _DIFFERING_PART: Final = 1e-3
 #: Part of the rows with the time of the row before that have its value too where rows are doubled.
 _TWICE_PART: Final = 0.9
+#: Samples on either side of a long step whose mean times show how many samples it lacks.
+_ADJACENT_SAMPLES: Final = 16
 
 
 @frozen(eq=False)
@@ -51,9 +53,12 @@ class SensorSamples:
         row = median(np.diff(time))
         new = holding.is_new(values) & np.isfinite(values)
         repeated = int(np.isfinite(values).sum() - new.sum())
+        # Rows that follow the row before without a loss show how often a new value comes.
+        follows = np.append(False, np.diff(time) < 1.5 * row)
+        rows = float(follows.sum() / np.sum(new & follows))
         time, values = time[new], values[new]
         if not holding.period:
-            time = _times_at_even_steps(time, holding.rows, row)
+            time = _times_at_even_steps(time, rows, row)
         return cls(time, values, repeated, restamped)
 
 
@@ -63,16 +68,18 @@ def _times_at_even_steps(time: Array, rows: float, row: float) -> Array:
     rows: Mean number of rows for a sample.
     row: Time from one row to the next, s.
     """
-    steps = np.diff(time)
-    long = steps > (math.ceil(rows) + 0.5) * row
-    usual = float(np.mean(steps[~long]))
+    step = rows * row
+    long = np.diff(time) > (math.ceil(rows) + 0.5) * row
     parts = np.split(time, np.flatnonzero(long) + 1)
-    index = [np.arange(parts[0].size, dtype=float)]
-    starts = [float(np.mean(part - usual * np.arange(part.size))) for part in parts]
-    for part, before, start in zip(parts[1:], starts, starts[1:], strict=False):
-        # Samples that equal the one before, and samples that are lost, leave places free.
-        begin = float(index[-1][0]) + max(index[-1].size, np.round((start - before) / usual))
-        index.append(begin + np.arange(part.size))
+    place = 0.0
+    index: list[Array] = []
+    for before, part in zip([parts[0], *parts], parts, strict=False):
+        if index:
+            # Samples that equal the one before, and samples that are lost, leave places free.
+            last, first = before[-_ADJACENT_SAMPLES:], part[:_ADJACENT_SAMPLES]
+            gap = first.mean() - last.mean() - 0.5 * step * (first.size + last.size - 2)
+            place += before.size - 1 + max(1.0, np.round(gap / step))
+        index.append(np.asarray(place + np.arange(part.size), np.float64))
     places = np.concatenate(index)
-    slope, first = np.polyfit(places, time, 1)
-    return np.asarray(first + slope * places)
+    slope, start = np.polyfit(places, time, 1)
+    return np.asarray(start + slope * places)
