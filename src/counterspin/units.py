@@ -63,6 +63,8 @@ UNITS: Final[Mapping[str, tuple[float, str]]] = {
     "uA": (1e-6, "A"),
     "nA": (1e-9, "A"),
     "pulse": (1.0, "count"),
+    "Gal": (1e-2, "m/s^2"),
+    "mGal": (1e-5, "m/s^2"),
     "mm": (1e-3, "m"),
     "um": (1e-6, "m"),
     "nm": (1e-9, "m"),

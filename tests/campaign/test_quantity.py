@@ -73,6 +73,8 @@ def test_reads_what_people_write(text, unit, value, u):
     [
         ("45.75N", 45.75),
         ("45.75° S", -45.75),
+        ("N 45.75", 45.75),
+        ("S45° 45' ", -45.75),
         ("45 deg 45 min N", 45.75),
         ("45°45'36\"S", -45.76),
         ("45.75 ± 0.1 deg", 45.75),
@@ -87,7 +89,9 @@ def test_a_latitude_has_fewer_than_60_minutes():
         latitude_text("45 deg 75 min N")
 
 
-@pytest.mark.parametrize("text", ["45.75 degs", "45.75 degN", "45 deg 45 min 30 s", "45.75 n"])
+@pytest.mark.parametrize(
+    "text", ["45.75 degs", "45.75 degN", "45 deg 45 min 30 s", "45.75 n", "45.75 deg", "N 45.75 S"]
+)
 def test_misspelt_units_of_latitudes_are_not_hemispheres(text):
     assert latitude_text(text) == text
 

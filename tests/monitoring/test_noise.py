@@ -181,7 +181,7 @@ def test_unreadable_time_cell_is_located(tmp_path):
     rows = [f"17,{n * 10_000_000},{n % 7}" for n in range(99)]
     rows[40] = "17,late,5"
     (tmp_path / "a.csv").write_text("\n".join(["sec,nanosec,a_m", *rows, ""]))
-    message = r"no time column was found.*a\.csv, line 42: column 'nanosec' holds the text 'late'"
+    message = r"There is no time column.*a\.csv, line 42: column 'nanosec' holds the text 'late'"
     with pytest.raises(RecordError, match=message):
         cs.noise(tmp_path / "a.csv")
 
@@ -189,7 +189,7 @@ def test_unreadable_time_cell_is_located(tmp_path):
 @pytest.mark.parametrize(
     ("frame", "words", "message"),
     [
-        ({"a": np.arange(100.0) % 7}, {}, "no time column was found"),
+        ({"a": np.arange(100.0) % 7}, {}, "There is no time column"),
         ({"time_s": np.arange(100.0), "a": np.arange(100.0) % 7}, {}, "no column has a unit"),
         ({"time_s": np.arange(100.0), "a_m": np.zeros(100)}, {}, "all its samples are equal"),
         ({"time_s": np.arange(9.0), "a_m": np.arange(9.0) % 4}, {}, "too few"),

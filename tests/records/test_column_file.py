@@ -6,6 +6,7 @@ import pytest
 from counterspin.errors import DamagedFileError
 from counterspin.records.column_file import nanoseconds, record_errors
 from counterspin.records.csv_file import CsvFile
+from counterspin.records.layout import STAMP
 
 
 def test_stamps_in_every_form_of_the_standard():
@@ -22,6 +23,33 @@ def test_stamps_in_every_form_of_the_standard():
     }
     frame = pl.DataFrame({"t": list(written)})
     assert frame.select(nanoseconds("t"))["t"].to_list() == list(written.values())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "05-Mar-2024 10:00:00.02",
+        "5 March 2024 10:00:00.02",
+        "Mar 05, 2024 10:00:00.02",
+        "March 5 2024 10:00:00.02",
+        "Tue Mar  5 10:00:00.02 2024",
+        "Tue, 05 Mar 2024 10:00:00.02",
+        "20240305T100000.02",
+        "20240305T100000.020Z",
+        "3/5/2024 10:00:00.02 am",
+    ],
+)
+def test_stamps_with_names_of_months_or_without_marks(text):
+    assert STAMP.fullmatch(text)
+    moment = pl.DataFrame({"t": [text]}).select(nanoseconds("t"))["t"].to_list()
+    assert moment == [1_709_632_800_020_000_000]
+
+
+@pytest.mark.parametrize("text", ["0.25 s", "0,25 sec", "250 ms", "2.5e5 us"])
+def test_durations_have_a_unit(text):
+    assert STAMP.fullmatch(text)
+    length = pl.DataFrame({"t": [text]}).select(nanoseconds("t"))["t"].to_list()
+    assert length == [250_000_000]
 
 
 def test_times_of_day_go_on_after_midnight(tmp_path):

@@ -1,7 +1,9 @@
 """What the head of a LabVIEW measurement file states."""
 
+import pytest
+
 from counterspin.records.formats import read_table
-from counterspin.records.header_metadata import parse_header
+from counterspin.records.header_metadata import parse_header, parse_interval
 
 HEAD = [
     ["LabVIEW Measurement", ""],
@@ -26,6 +28,23 @@ def test_what_is_not_stated_is_not_invented():
     uneven = [*HEAD[:3], ["Delta_X", "0,02", "0,04", "0,02"]]
     assert parse_header(uneven, NAMES, ",")[1] is None
     assert parse_header([*HEAD[:3], ["Delta_X", "x"]], NAMES, ",")[1] is None
+
+
+@pytest.mark.parametrize(
+    ("cells", "interval"),
+    [
+        (["# Sampling rate: 50 Hz"], 0.02),
+        (["Fs = 50"], 0.02),
+        (["fs", "=", "50"], 0.02),
+        (["Sample Interval", "20", "ms"], 0.02),
+        (["Sample rate [Hz]", "50"], 0.02),
+        (["ODR", "1.6 kHz"], 0.000625),
+        (["Sampling rate", "50 m"], None),
+        (["rate of the centrifuge", "1 Hz"], None),
+    ],
+)
+def test_the_rate_of_a_head_counts_with_its_unit(cells, interval):
+    assert parse_interval([cells], ".") == interval
 
 
 def test_names_that_look_like_a_number_with_a_unit_stay_names(tmp_path):

@@ -42,9 +42,9 @@ BARE: Final = re.compile(rf"{NUMBER}(?:{PLUS_MINUS}{NUMBER})?")
 _UNIT_TWICE = re.compile(rf"([^±]*?){PLUS_MINUS}({NUMBER})\s*([^±]*)")
 #: A latitude as maps write it: degrees, minutes and seconds of arc, and a hemisphere.
 _LATITUDE: Final = re.compile(
-    r"(\d+(?:\.\d+)?)\s*(?:deg\b|°)?"
+    r"([NS])?\s*(\d+(?:\.\d+)?)\s*(?:deg\b|°)?"
     r"(?:\s*(\d+(?:\.\d+)?)\s*(?:min\b|arcmin\b|['′])"
-    r"(?:\s*(\d+(?:\.\d+)?)\s*(?:sec\b|s\b|arcsec\b|[\"″]))?)?\s*([NS])"
+    r"(?:\s*(\d+(?:\.\d+)?)\s*(?:sec\b|s\b|arcsec\b|[\"″]))?)?\s*([NS])?"
 )
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)\b", re.IGNORECASE)
 
@@ -180,12 +180,12 @@ def parse(
 def latitude_text(text: object) -> object:
     """Return ``45.75N`` or ``45 deg 45 min N`` in degrees, and any other value unchanged."""
     match = _LATITUDE.fullmatch(text.strip()) if isinstance(text, str) else None
-    if match is None:
+    if match is None or (match[1] is None) == (match[5] is None):
         return text
-    degrees, minutes, seconds = (float(part or 0.0) for part in match.groups()[:3])
+    degrees, minutes, seconds = (float(part or 0.0) for part in match.groups()[1:4])
     if minutes >= 60.0 or seconds >= 60.0:
         raise ValueError(f"{text!r}: minutes and seconds of arc are less than 60")
-    sign = "-" if match[4] == "S" else ""
+    sign = "-" if "S" in (match[1], match[5]) else ""
     return f"{sign}{degrees + minutes / 60.0 + seconds / 3600.0:.12g} deg"
 
 

@@ -399,10 +399,10 @@ def _time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
     if stamps:
         return stamps[0]
     rising = [column for column in columns if is_even(column.values)]
-    named = [column for column in rising if _is_named_time(column)]
+    named = [column for column in rising if _is_named_time(column.name)]
     united = [column for column in rising if converts(column.unit, "s")]
     # A telephone writes a row whenever it has one; rows with the same time are one.
-    uneven = [column for column in columns if _is_named_time(column) and _rises(column.values)]
+    uneven = [column for column in columns if _is_named_time(column.name) and _rises(column.values)]
     # Without a word, the time stands first, and something else advances with it.
     rows = np.arange(max((len(column.values) for column in columns), default=0), dtype=float)
     advancing = [
@@ -425,14 +425,26 @@ def _shared_times(columns: Sequence[FileColumn]) -> FileColumn | None:
     """Return the times, s, that several rows share or that come in bursts; None without such."""
     for column in columns:
         unit = "s" if column.stamps else _unit_of(column, "s")
-        if unit and (column.stamps or _is_named_time(column)) and is_bursty(np.diff(column.values)):
+        if (
+            unit
+            and (column.stamps or _is_named_time(column.name))
+            and is_bursty(np.diff(column.values))
+        ):
             return replace(column, values=column.values * unit_factor(unit, "s"))
     return None
 
 
-def _is_named_time(column: FileColumn) -> bool:
+def _is_named_time(name: str) -> bool:
     """Return whether a column has a name of times; a path may precede it."""
-    return bool(_TIME.match(re.split(r"[/.]", column.name)[-1]))
+    return bool(_TIME.match(re.split(r"[/.]", name)[-1]))
+
+
+def why_no_time(contents: FileContents) -> str:
+    """Return why a file has no time: a form of time stamps that is not read, or no column."""
+    for name, cells in contents.first_words.items():
+        if _is_named_time(name) and (stamp := next(filter(None, cells), "")):
+            return f"Column '{name}' is not read as a time: '{stamp}'"
+    return "There is no time column"
 
 
 def _rises(values: Array) -> bool:

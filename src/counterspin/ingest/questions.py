@@ -28,6 +28,7 @@ from counterspin.ingest.column_roles import (
     FileGuess,
     SignalGuess,
     temperature_scale,
+    why_no_time,
 )
 from counterspin.ingest.contents import ALL_SHEETS, FileContents
 from counterspin.readings.cells import SENSE_WORDS
@@ -254,7 +255,7 @@ def time_questions(common: FileGuess, names: tuple[str, ...]) -> Iterator[FileQu
         text = f"In which unit is the time, column '{time.column}'?"
         yield FileQuestion("time unit", text, "s", USUAL_UNITS["s"], time.unit, unit="s")
     if time is None:
-        text = "There is no time column. What is the sampling rate?"
+        text = f"{why_no_time(common.contents)}. What is the sampling rate?"
         if common.shared is not None and common.uncounted:
             text += f" Column '{common.shared.name}' does not show it: {common.uncounted}."
         guess = f"{common.sampling:.12g} Hz" if common.sampling else None

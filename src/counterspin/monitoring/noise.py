@@ -25,7 +25,7 @@ from counterspin.inference.noise.static_noise import (
     StaticSignal,
     analyse_static_record,
 )
-from counterspin.ingest.column_roles import FileGuess, guess_file
+from counterspin.ingest.column_roles import FileGuess, guess_file, why_no_time
 from counterspin.ingest.contents import FileColumn, FileContents, read_contents
 from counterspin.monitoring.result import (
     NoiseResult,
@@ -266,7 +266,8 @@ def _row_times(
     if guess.shared is not None and not stated:
         return guess.shared.values
     if guess.sampling is None:
-        problem = f'{source}: no time column was found; give `sampling_rate`, such as "100 Hz".'
+        problem = f"{source}: {why_no_time(guess.contents)}. Give `sampling_rate`, such as"
+        problem += ' "100 Hz".'
         unread = [f"Not read: {reason}" for reason in guess.contents.spoilt]
         raise RecordError(" ".join([problem, *unread]))
     return np.arange(max(len(column.values) for column in columns)) / guess.sampling

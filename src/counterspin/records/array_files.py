@@ -25,6 +25,7 @@ from counterspin.frozen import frozen
 from counterspin.records.column_file import ColumnFile, Columns, concatenate_batches, format_names
 from counterspin.records.csv_file import CsvFile
 from counterspin.records.dialect import Dialect
+from counterspin.records.header_metadata import parse_interval
 from counterspin.records.unit_notation import parse_file_unit
 
 if TYPE_CHECKING:
@@ -209,6 +210,9 @@ class Hdf5File(ArrayFile):
                 if not is_matlab or n[0] != "#"
                 for path, shape in _iter_fields(n, d)
             }
+            pairs = (pair for item in (file, *found.values()) for pair in item.attrs.items())
+            intervals = {parse_interval([[key, str(value)]], ".") for key, value in pairs} - {None}
+            self.interval = intervals.pop() if len(intervals) == 1 else None
             mark = "." if is_matlab else "/"
             self._name_columns(shapes, dialect.group, separator=mark)
 

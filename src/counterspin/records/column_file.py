@@ -120,7 +120,7 @@ _UNPACKED_BYTES = 64_000_000
 
 #: Names of months begin with these, and durations as MATLAB writes them end in these units, s.
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
-_DURATIONS = {"s|secs?": 1.0, "min": 60.0, "hr": 3600.0}
+_DURATIONS = {"us|usecs?": 1e-6, "ms|msecs?": 1e-3, "s|secs?": 1.0, "min": 60.0, "hr": 3600.0}
 #: A day, ns.
 _DAY = 86_400_000_000_000
 #: What SCPI instruments write for more than they measure, and for no number (SCPI-99, 7.2.1.4).
@@ -474,7 +474,8 @@ def nanoseconds(name: str) -> pl.Expr:
     With a date, since 1970 (UTC, or the place's own time where no zone is stated); without one,
     since midnight. Fractions may have a comma or a colon; a blank may stand in the place of the T.
     Of 1/2/2026 the month is first, unless there is none of its number; of 1.2.2026 the day. Months
-    may have English names, `05-Mar-2024 10:00:00.02`, and durations their unit, `0.02 sec`.
+    may have English names, `05-Mar-2024 10:00:00.02`, `Tue Mar  5 10:00:00 2024`, and durations
+    their unit, `0.02 sec`.
     """
     import polars as pl
 
@@ -482,6 +483,12 @@ def nanoseconds(name: str) -> pl.Expr:
     text = text.str.replace(r"(:\d\d:\d\d):(\d+)$", "${1}.${2}")
     text = text.str.replace(r"^(\d{1,3}:\d\d\.\d+)$", "00:${1}")
     text = text.str.replace(r"^(\d{4})/(\d\d?)/", "${1}-${2}-")
+    text = text.str.replace(
+        r"^(\d{4})(\d\d)(\d\d)[T ](\d\d)(\d\d)(\d\d)", "${1}-${2}-${3} ${4}:${5}:${6}"
+    )
+    text = text.str.replace(r"(?i)^[a-z]{3}[,.]? ([a-z]{3}|\d\d?) ", "${1} ")
+    text = text.str.replace(r"(?i)^([a-z]{3})[a-z]* +(\d\d?)[,.]? +(\d{4})", "${2} ${1} ${3}")
+    text = text.str.replace(r"(?i)^([a-z]{3}) +(\d\d?) ([\d:.]+) (\d{4})$", "${2} ${1} ${4} ${3}")
     for number, month in enumerate(_MONTHS, 1):
         named = rf"(?i)^(\d\d?)[- ]{month}[a-z]*[- ](\d{{4}})"
         text = text.str.replace(named, f"${{2}}-{number:02}-${{1}}")

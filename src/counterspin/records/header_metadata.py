@@ -29,7 +29,11 @@ _RATE_KEY: Final = re.compile(
 _INTERVAL_KEY: Final = re.compile(
     r"sampl(e|ing) ?(interval|time|period)|abtast(zeit|ung|intervall)|hresolution|scan( interval)?"
 )
-_STATED: Final = re.compile(r"\s*([\d.,]+(?:[eE][-+]?\d+)?)\s*(\S*)")
+#: A key, perhaps with its unit in brackets, a number, and perhaps its unit.
+_STATED: Final = re.compile(
+    r"[#%;/\s]*([^\W\d][^\d:=\[(]*?)\s*(?:[\[(]([^\])]+)[\])])?\s*[:=]*\s*"
+    r"([\d.,]+(?:[eE][-+]?\d+)?)(?:\s*([^\d\s]\S*))?(?:\s.*)?"
+)
 
 
 def parse_header(
@@ -50,24 +54,24 @@ def parse_header(
         if name and (unit := parse_file_unit(text))
     }
     if set(filter(None, stated.get(_DIMENSION, ()))) != {"Time"}:
-        return units, _parse_interval(above, decimal)
+        return units, parse_interval(above, decimal)
     units |= {name: "s" for name in names if plain[name] == _TIME_ZERO}
     steps = {_parse_number(text, decimal) for text in stated.get(_STEP, ()) if text}
     step = steps.pop() if len(steps) == 1 else None
     return units, step if step is not None and step > 0.0 else None
 
 
-def _parse_interval(above: Iterable[Sequence[str]], decimal: str) -> float | None:
+def parse_interval(above: Iterable[Sequence[str]], decimal: str) -> float | None:
     """Return the time between rows that a line of the head states, s; None: none does."""
     for cells in above:
-        key, _, behind = cells[0].partition(":") if cells else ("", "", "")
-        value = _STATED.fullmatch(behind or next(iter(cells[1:]), ""))
-        number = _parse_number(value[1], decimal) if value else None
-        if not value or not number:
+        stated = _STATED.fullmatch(" ".join(cells))
+        number = _parse_number(stated[3], decimal) if stated else None
+        if not stated or not number:
             continue
-        unit = parse_file_unit(value[2]) if value[2] else ""
+        unit_text = stated[4] or stated[2]
+        unit = parse_file_unit(unit_text) if unit_text else ""
         try:
-            key = key.strip("#%;/ \t").lower()
+            key = stated[1].strip().lower()
             if _RATE_KEY.fullmatch(key):
                 return 1.0 / (number * (unit_factor(unit, "Hz") if unit else 1.0))
             if _INTERVAL_KEY.fullmatch(key):

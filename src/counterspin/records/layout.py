@@ -38,9 +38,11 @@ EMPTY_CELL_TEXTS: Final = (
 #: and recorders write it, with names of months too; minutes and seconds; or a duration of MATLAB.
 STAMP: Final = re.compile(
     r"(?:\d{4}[-/]\d\d?[-/]\d\d?[T ]|\d\d?[./]\d\d?[./]\d{4} "
-    r"|\d\d?[- ][A-Z][a-z]{2}[a-z]*[- ]\d{4} )?"
+    r"|(?:[A-Z][a-z]{2},? )?\d\d?[- ][A-Z][a-z]{2}[a-z]*[- ]\d{4} |[A-Z][a-z]{2,} \d\d?,? \d{4} )?"
     r"\d\d?:\d\d:\d\d(?:[.,:]\d+)?(?: ?[AaPp][Mm]|Z|[+-]\d\d:?\d\d)?"
-    r"|\d{1,3}:\d\d[.,]\d+|\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)? ?(?:s|secs?|min|hr)"
+    r"|\d{1,3}:\d\d[.,]\d+|\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)? ?(?:[mu]?s|[mu]?secs?|min|hr)"
+    r"|(?:[A-Z][a-z]{2} )?[A-Z][a-z]{2}  ?\d\d? \d\d:\d\d:\d\d(?:\.\d+)? \d{4}"
+    r"|\d{8}[T ]\d{6}(?:[.,]\d+)?Z?"
 )
 #: Lines of a head, by their first cell: the names of columns, and their units.
 _NAME_KEYS: Final = ("tracename", "trace name", "channel name", "tag")
@@ -80,8 +82,8 @@ _RULE: Final = re.compile(r"[\s|+]*(?:[-=_]{2,}[\s|+,;]*)+")
 _COMMENT_LINES: Final = 4
 #: Words that label a row of results below a table.
 _RESULT_LABEL: Final = re.compile(
-    r"(?i)(mean|average|avg|mittel(wert)?|std|sd|stdev|sigma|sum|summe|min|max|median|rms|total|"
-    r"result|checked|approved|signed|operator|end|eof|geprüft)\b.*"
+    r"(?i)(mean|average|avg|mittel(wert)?|std|sd|stdev|sigma|sum|summe|min(imum)?|max(imum)?|median|"
+    r"variance|range|rms|total|result|checked|approved|signed|operator|end|eof|geprüft)\b.*"
 )
 #: Part of the cells of a column of numbers that are numbers; lines below the rows have others.
 _NUMERIC_PART: Final = 0.6
