@@ -13,7 +13,7 @@ import os
 import re
 from collections.abc import Iterable
 from itertools import zip_longest
-from typing import Final
+from typing import ClassVar, Final
 
 from counterspin._version import __version__
 
@@ -97,6 +97,7 @@ class CampaignError(CounterspinError):
     """
 
     exit_status = 2
+    heading: ClassVar[str] = "mistakes"  #: Noun that follows the number of problems.
 
     def __init__(
         self, source: str, problems: Iterable[str], lines: Iterable[int | None] = ()
@@ -111,8 +112,14 @@ class CampaignError(CounterspinError):
         if len(told) == 1:
             text = f"{source}: {told[0]}"
         else:
-            text = f"{source}: {len(told)} mistakes\n" + "\n".join(f"  {one}" for one in told)
+            text = f"{source}: {len(told)} {self.heading}\n" + "\n".join(f"  {one}" for one in told)
         super().__init__(text)
+
+
+class MissingAnswersError(CampaignError):
+    """Questions about a file have no answer, or no valid one."""
+
+    heading = "answers are still needed"
 
 
 class RecordError(CounterspinError):

@@ -135,15 +135,6 @@ def test_a_unit_may_stand_at_the_end_of_a_name(name, unit):
     assert unit_in_name(name) == unit
 
 
-def test_amplitudes_at_two_rates_show_the_observable():
-    def file(power, rate):
-        return guess_file(seen(t=TIME, q=signal(rate, 2.5 * rate**power), angle_rad=rate * TIME))
-
-    for power, name in enumerate(("displacement", "velocity", "specific_force")):
-        assert common_guess([file(power, 1.5), file(power, 3.0)]).signals[0].observable == name
-    assert common_guess([file(1, 1.5)]).signals[0].observable is None
-
-
 def test_files_that_are_not_alike():
     one = guess_file(seen(t=TIME, angle=RATE * TIME, east_m=signal()))
     other = guess_file(seen("b.csv", t=TIME, angle=RATE * TIME, x=signal()))

@@ -70,6 +70,14 @@ def test_what_swings_without_an_axis_or_an_angle_is_no_turntable(unit):
         draft.complete()
 
 
+def test_missing_answers_are_counted_as_answers():
+    time = np.arange(400) * 0.05
+    columns = {"t": time, "th": 180.0 * time % 360.0, "E": 2.5 * np.cos(np.pi * time)}
+    found = make_draft([contents_of(columns, {"t": "s"})], {}, "double-turntable")
+    with pytest.raises(CampaignError, match=r"init: \d answers are still needed\n  gravity: "):
+        found.complete()
+
+
 def test_a_file_of_no_known_kind_is_never_asked_for_a_radius(tmp_path, capsys):
     rows = "".join(f"{k},{k % 7},{(k * k) % 11}\n" for k in range(200))
     (tmp_path / "log.csv").write_text("a,b,c\n" + rows)

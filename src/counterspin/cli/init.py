@@ -120,7 +120,7 @@ def _import_files(
         written = write_description(detected_test, directory)
     except CampaignError as error:
         questions = {f"{question.key}: ": question for question in detected_test.open_questions}
-        raise CampaignError("init", map(partial(_name_option, questions), error.problems)) from None
+        raise type(error)("init", map(partial(_name_option, questions), error.problems)) from None
     print_output(
         f"Wrote {written}. Check it, then:",
         f"  counterspin calibrate {shell_word(directory)}",

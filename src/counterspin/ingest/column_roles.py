@@ -354,10 +354,7 @@ def _is_signal(column: FileColumn, swing: float | None, answers: Mapping[str, st
 
 
 def common_guess(guesses: Sequence[FileGuess]) -> FileGuess:
-    """Return the guess common to several files, for which the first stands.
-
-    A signal's observable may show in how its amplitude grows with the rate.
-    """
+    """Return the guess common to several files, for which the first stands."""
     first = guesses[0]
     for guess in guesses[1:]:
         names = {column.name for column in guess.contents.columns}
@@ -368,25 +365,8 @@ def common_guess(guesses: Sequence[FileGuess]) -> FileGuess:
                 f"{guess.contents.path}: has no column '{missing[0]}', which "
                 f"{first.contents.path.name} has. Give files of the same layout only."
             )
-    signals = tuple(_grown(signal, guesses) for signal in first.signals)
     rate = first.rate if all(guess.rate for guess in guesses) else None
-    return replace(first, signals=signals, rate=rate)
-
-
-def _grown(signal: SignalGuess, guesses: Sequence[FileGuess]) -> SignalGuess:
-    """Return a signal with the observable that its amplitudes at several rates show."""
-    sizes = [
-        (guess.rate, signal_of_run.amplitude)
-        for guess in guesses
-        for signal_of_run in guess.signals
-        if signal_of_run.column == signal.column and guess.rate and signal_of_run.amplitude > 0.0
-    ]
-    rates = np.log([rate for rate, _ in sizes])
-    if signal.observable is not None or len(sizes) < 2 or np.ptp(rates) < 0.2:
-        return signal
-    power = round(float(np.polyfit(rates, np.log([size for _, size in sizes]), 1)[0]))
-    names = list(OBSERVABLES)
-    return replace(signal, observable=names[power]) if 0 <= power < len(names) else signal
+    return replace(first, rate=rate)
 
 
 # Columns

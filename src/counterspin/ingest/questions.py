@@ -19,7 +19,7 @@ from typing import Final
 from counterspin.campaign.field_types import COMPASS
 from counterspin.campaign.quantity import BARE, latitude_text, parse
 from counterspin.campaign.settings import OBSERVABLES
-from counterspin.errors import CampaignError
+from counterspin.errors import CampaignError, MissingAnswersError
 from counterspin.frozen import frozen
 from counterspin.ingest.column_roles import (
     NONE,
@@ -50,55 +50,28 @@ USUAL_UNITS: Final = {
 }
 USUAL_UNITS[ANY_SIGNAL] = USUAL_UNITS["m"][:2] + USUAL_UNITS["m/s"][:2] + USUAL_UNITS["m/s^2"][:3]
 #: Other words for answers that are chosen from a list, in lower case.
-_SYNONYMS: Final = {
-    **SENSE_WORDS,
-    "positive": "counterclockwise",
-    "negative": "clockwise",
-    "e": "east",
-    "o": "east",
-    "ost": "east",
-    "w": "west",
-    "n": "north",
-    "nord": "north",
-    "s": "south",
-    "süd": "south",
-    "sued": "south",
-    "u": "up",
-    "oben": "up",
-    "d": "down",
-    "unten": "down",
-    "in": "inward",
-    "inwards": "inward",
-    "inside": "inward",
-    "inboard": "inward",
-    "innen": "inward",
-    "einwärts": "inward",
-    "nach innen": "inward",
-    "out": "outward",
-    "outwards": "outward",
-    "outside": "outward",
-    "outboard": "outward",
-    "außen": "outward",
-    "aussen": "outward",
-    "auswärts": "outward",
-    "nach außen": "outward",
-    "nach aussen": "outward",
-    "tangential": "forward",
-    "forwards": "forward",
-    "vorwärts": "forward",
-    "vorn": "forward",
-    "backwards": "backward",
-    "rückwärts": "backward",
-    "hinten": "backward",
-    "position": "displacement",
-    "path": "displacement",
-    "weg": "displacement",
-    "speed": "velocity",
-    "geschwindigkeit": "velocity",
-    "specific force": "specific_force",
-    "force": "specific_force",
-    "ignore": UNUSED,
-    "nothing": UNUSED,
+_SYNONYMS: Final = SENSE_WORDS | {
+    word: answer
+    for answer, words in {
+        "counterclockwise": "positive",
+        "clockwise": "negative",
+        "east": "e, o, ost",
+        "west": "w",
+        "north": "n, nord",
+        "south": "s, süd, sued",
+        "up": "u, oben",
+        "down": "d, unten",
+        "inward": "in, inwards, inside, inboard, innen, einwärts, nach innen",
+        "outward": "out, outwards, outside, outboard, außen, aussen, auswärts, nach außen, "
+        "nach aussen",
+        "forward": "tangential, forwards, vorwärts, vorn",
+        "backward": "backwards, rückwärts, hinten",
+        "displacement": "position, path, weg",
+        "velocity": "speed, geschwindigkeit",
+        "specific_force": "specific force, force",
+        UNUSED: "ignore, nothing",
+    }.items()
+    for word in words.split(", ")
 }
 _DECIMAL_COMMA: Final = re.compile(r"(?<![\d.])(\d+),(\d+)(?![\d,])")
 
@@ -180,7 +153,7 @@ class AnsweredDraft:
             if not any(line.startswith(f"{q.key}: ") for line in self.problems)
         ]
         if missing or self.problems:
-            raise CampaignError("init", [*missing, *self.problems])
+            raise MissingAnswersError("init", [*missing, *self.problems])
         guessed = {q.key: q.guess for q in self.questions if q.guess is not None}
         return guessed | dict(self.answers)
 
