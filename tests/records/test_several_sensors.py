@@ -9,7 +9,11 @@ from counterspin.ingest.contents import read_contents, read_files
 from counterspin.ingest.overview import UndecidedDraft, sensor_question
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import read_numbers
-from counterspin.records.several_sensors import sensor_columns, stacked_sensors
+from counterspin.records.several_sensors import (
+    interleaved_sensors,
+    sensor_columns,
+    stacked_sensors,
+)
 
 VALUES = {"A": 1.0, "B": 2.0, "C": 3.0}
 
@@ -136,3 +140,19 @@ def test_selections_that_cannot_be_made(tmp_path):
             cs.noise(path, select=select)
     with pytest.raises(CampaignError, match="write COLUMN=VALUE"):
         cs.noise(path, select="A")
+
+
+@pytest.mark.parametrize("labels", [("wrist", "ankle"), ("1", "2"), ("L", "R", "M")])
+def test_times_tell_sensors_apart_whatever_the_column_is_called(labels):
+    """Rows of sensors with even times, at random places among each other."""
+    rng = np.random.default_rng(2)
+    time = np.add.outer(np.arange(400) * 0.01, 3e-4 * np.arange(len(labels))).ravel()
+    order = np.argsort(time + rng.uniform(0.0, 9e-3, time.size))
+    cells = np.tile(labels, 400)[order].tolist()
+    numbers = {"t": time[order], "a": rng.standard_normal(time.size)}
+    found = list(interleaved_sensors({"at": cells}, numbers))
+    assert found == [("at", sorted(labels))]
+    # A state does not part the rows of one sensor into records with even times.
+    state = rng.choice(labels, time.size).tolist()
+    assert not list(interleaved_sensors({"at": state}, numbers | {"t": np.sort(time)}))
+    assert not list(interleaved_sensors({"at": cells}, {"t": np.arange(time.size) * 0.01}))

@@ -420,10 +420,14 @@ def _is_named_time(name: str) -> bool:
 
 
 def why_no_time(contents: FileContents) -> str:
-    """Return why a file has no time: a form of time stamps that is not read, or no column."""
+    """Return why a file has no time: one that is not read, one that falls, or no column."""
     for name, cells in contents.first_words.items():
         if _is_named_time(name) and (stamp := next(filter(None, cells), "")):
             return f"Column '{name}' is not read as a time: '{stamp}'"
+    for column in contents.columns:
+        falls = int(np.sum(np.diff(column.values) < 0.0))
+        if falls and _is_named_time(column.name):
+            return f"Column '{column.name}' is not used as the time: it falls at {falls} rows"
     return "There is no time column"
 
 

@@ -21,8 +21,10 @@ from counterspin.records.isolation import run_isolated
 from counterspin.records.reading import MAX_MAGNITUDE
 from counterspin.records.sampling import find_split_time
 from counterspin.records.several_sensors import (
+    MAX_VALUES,
     SHOWING_ROWS,
     STACKED_NAME,
+    interleaved_sensors,
     sensor_columns,
     stacked_sensors,
 )
@@ -225,15 +227,22 @@ def _read_contents(
 def _stacked(
     file: ColumnFile, columns: Sequence[FileColumn], first: Mapping[str, Sequence[str]]
 ) -> tuple[str, list[str]]:
-    """Return the column that tells apart sensors whose records follow one another, and values.
+    """Return the column that tells apart sensors by the times of their rows, and its values.
 
     first: Column of words -> its first cells.
     """
     numbers = {column.name: column.values for column in columns}
-    named = [name for name in numbers if STACKED_NAME.fullmatch(name)]
-    few = (name for name, cells in first.items() if len(set(cells)) < len(cells) // 2)
-    cells = {name: [cell.strip() for cell in file.all_cells(name)] for name in (*named, *few)}
-    return next(stacked_sensors(cells, numbers), ("", []))
+    named = {name for name in numbers if STACKED_NAME.fullmatch(name)}
+    few = {name for name, values in numbers.items() if len(np.unique(values)) <= MAX_VALUES}
+    words = {name for name, cells in first.items() if len(set(cells)) < len(cells) // 2}
+    cells = {
+        name: [cell.strip() for cell in file.all_cells(name)]
+        for name in (*first, *numbers)
+        if name in named | few | words
+    }
+    stacked = {name: column for name, column in cells.items() if name in named | words}
+    found = (*stacked_sensors(stacked, numbers), *interleaved_sensors(cells, numbers))
+    return next(iter(found), ("", []))
 
 
 def _with_split_time(file: ColumnFile, columns: list[FileColumn]) -> list[FileColumn]:

@@ -50,7 +50,7 @@ USUAL_UNITS: Final = {
 }
 USUAL_UNITS[ANY_SIGNAL] = USUAL_UNITS["m"][:2] + USUAL_UNITS["m/s"][:2] + USUAL_UNITS["m/s^2"][:3]
 #: Other words for answers that are chosen from a list, in lower case.
-_SYNONYMS: Final = SENSE_WORDS | {
+_SYNONYMS: Final = dict[str, str](SENSE_WORDS) | {
     word: answer
     for answer, words in {
         "counterclockwise": "positive",

@@ -399,7 +399,8 @@ def _candidate_pairs(columns: Mapping[str, Array]) -> Iterator[SplitTime]:
             unit = bracketed_unit(name)
             if unit not in _LENGTHS:
                 unit = next(
-                    (u for u, pattern in _FINE.items() if pattern.fullmatch(unbracketed[name])), ""
+                    (u for u, pattern in _FINE.items() if pattern.fullmatch(unbracketed[name])),
+                    "",
                 )
             if not unit:
                 unit = "ms" if np.nanmax(columns[name], initial=0.0) >= _WEEK else "s"

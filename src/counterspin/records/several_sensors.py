@@ -27,10 +27,14 @@ STACKED_NAME: Final = re.compile(
 _MIN_STACKED_ROWS: Final = 20
 #: Rows that show whether values alternate, and most different values.
 SHOWING_ROWS: Final = 2000
-_MAX_VALUES: Final = 32
+MAX_VALUES: Final = 32
 #: Part of the rows that each value has at least, and part at which the value changes.
 _MIN_FRACTION: Final = 0.01
 _CHANGING_PART: Final = 0.05
+#: Deviation of a step from the median step, and part of the steps that deviate less in a record.
+_MAX_STEP_DEVIATION: Final = 0.5
+_MIN_EVEN_FRACTION: Final = 0.9
+_MIN_RISING_FRACTION: Final = 0.3  #: Part of the steps of a time that rise.
 
 
 def sensor_columns(cells: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, list[str]]]:
@@ -41,7 +45,7 @@ def sensor_columns(cells: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, li
     for name, column in cells.items():
         values = list(dict.fromkeys(cell for cell in column if cell))
         count = len(values)
-        if not 2 <= count <= min(_MAX_VALUES, len(column) // 4):
+        if not 2 <= count <= min(MAX_VALUES, len(column) // 4):
             continue
         alternating = column[count:] == column[:-count] and not all(map(_is_number, values))
         complete = all(
@@ -70,7 +74,7 @@ def stacked_sensors(
         values = list(dict.fromkeys(column))
         edges = [0, *starts, len(column)]
         shortest = min(end - start for start, end in pairwise(edges))
-        if not 1 < len(values) <= _MAX_VALUES or shortest < _MIN_STACKED_ROWS:
+        if not 1 < len(values) <= MAX_VALUES or shortest < _MIN_STACKED_ROWS:
             continue
         is_named = STACKED_NAME.fullmatch(name)
         is_contiguous = len(starts) == len(values) - 1
@@ -84,6 +88,45 @@ def stacked_sensors(
             is_named and not is_named["beside"] and is_contiguous and "" not in values
         ):
             yield name, sorted(values)
+
+
+def interleaved_sensors(
+    cells: Mapping[str, Sequence[str]], numbers: Mapping[str, np.ndarray]
+) -> Iterator[tuple[str, list[str]]]:
+    """Yield columns whose values part the rows into records with even times, and their values.
+
+    cells: Column -> all its cells.
+    numbers: Column of numbers -> its values; one of them is a time that is not even in all rows.
+    """
+    import numpy as np
+
+    for name, column in cells.items():
+        values = list(dict.fromkeys(column))
+        if not 1 < len(values) <= MAX_VALUES:
+            continue
+        labels = np.array(column)
+        rows = [np.flatnonzero(labels == value) for value in values]
+        recurs = np.sum(labels[1:] != labels[:-1]) >= 2 * len(values)
+        if not recurs or "" in values or min(map(len, rows)) < _MIN_STACKED_ROWS:
+            continue
+        for key, series in numbers.items():
+            # Any periodic column parts the rows of a coarse clock into even times.
+            is_long = key != name and len(series) == len(column)
+            is_fine = is_long and float(np.mean(np.diff(series) > 0.0)) > _MIN_RISING_FRACTION
+            if is_fine and not _is_even(series) and all(_is_even(series[part]) for part in rows):
+                yield name, sorted(values)
+                break
+
+
+def _is_even(series: np.ndarray) -> bool:
+    """Return whether numbers rise in even steps."""
+    import numpy as np
+
+    steps = np.diff(series)
+    usual = float(np.median(steps))
+    is_usual = np.abs(steps - usual) < _MAX_STEP_DEVIATION * usual
+    is_rising = usual > 0.0 and bool((steps >= 0.0).all())
+    return is_rising and float(np.mean(is_usual)) > _MIN_EVEN_FRACTION
 
 
 def refuse_several_sensors(file: ColumnFile, wanted: Sequence[str]) -> None:
