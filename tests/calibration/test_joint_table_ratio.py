@@ -45,6 +45,9 @@ def described(ratio, seed=1, *, mixed=False):
             ),
             "table": {
                 "lever_arm": f"{draw() * 1e-3} m",
+                "axis_tilt": {
+                    name: f"{draw() * 10.0 * arcsec} rad" for name in ("outward", "forward")
+                },
                 "harmonic": {
                     f"{n}": {"cos": f"{cos} rad", "sin": f"{sin} rad"}
                     for n, (cos, sin) in enumerate(waves.tolist(), start=1)

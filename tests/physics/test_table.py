@@ -97,6 +97,8 @@ TERMS_AND_STEPS = {
     "table.lever_arm": 1e-3,
     "table.harmonic.1.cos": 1e-5,
     "table.harmonic.2.sin": 1e-5,
+    "table.axis_tilt.outward": 1e-5,
+    "table.axis_tilt.forward": 1e-5,
     "platform.tilt.east": 1e-5,
     "platform.tilt.up": 1e-5,
     "platform.compliance.zy": 1e-6,
@@ -170,3 +172,43 @@ def test_a_table_of_ratio_zero_is_an_arm():
     force = trajectory.specific_force(TIMES)
     on_arm = Station("arm", TILTED, rate=4.0, radius=2.5).force(SITE, 4.0 * TIMES)
     np.testing.assert_allclose(force, on_arm, rtol=1e-12, atol=1e-13)
+
+
+def force_on_a_tilted_table(tilt, ratio, axis, time):
+    """Return the force along an axis of a table whose own axis leans on the arm; 40 digits."""
+    mp = mpmath.mp
+    rate, radius, gravity = mp.mpf(4), mp.mpf(2.5), mp.mpf(SITE.gravity)
+
+    def turn(about, angle):
+        x, y, z = about
+        cross = mp.matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        return mp.eye(3) + mp.sin(angle) * cross + (1 - mp.cos(angle)) * cross**2
+
+    def position(t, component):
+        return radius * (mp.cos(rate * t), mp.sin(rate * t), mp.mpf(0))[component]
+
+    t, up = mp.mpf(time), (0, 0, 1)
+    size = mp.norm(mp.matrix(tilt))
+    leaning = turn([x / size for x in tilt] + [0], size)
+    # The arm turns, its table axis leans, and the table turns about that axis.
+    attitude = turn(up, rate * t) * leaning * turn(up, mp.mpf(ratio) * rate * t)
+    acceleration = [mp.diff(lambda s, c=c: position(s, c), t, 2) for c in range(3)]
+    force = mp.matrix(acceleration) + mp.matrix([0, 0, gravity])
+    return ((attitude * axis).T * force)[0]
+
+
+@pytest.mark.parametrize("ratio", [-1.0, -2.0, 0.5])
+def test_a_tilted_table_axis_leans_the_instrument(ratio):
+    site = replace(SITE, earth_rate=0.0)
+    trajectory = Trajectory(Spindle(4.0), 2.5, site, table_ratio=ratio)
+    tilt = (2e-5, -3e-5)
+    symbols = ["table.axis_tilt.outward", "table.axis_tilt.forward"]
+    record = simulate_record(
+        trajectory, TILTED, {}, dict(zip(symbols, tilt, strict=True)), TIMES, "specific_force"
+    )
+    with mpmath.workdps(40):
+        axis = mpmath.matrix([mpmath.mpf(float(x)) for x in TILTED.input_axis])
+        exact_tilt = [mpmath.mpf(x) for x in tilt]
+        expected = [force_on_a_tilted_table(exact_tilt, ratio, axis, float(t)) for t in TIMES]
+        expected = [float(value) for value in expected]
+    np.testing.assert_allclose(record, expected, rtol=1e-12, atol=1e-11)

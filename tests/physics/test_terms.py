@@ -26,7 +26,7 @@ from counterspin.physics.terms import (
 
 def test_no_term_is_listed_twice():
     symbols = [*TERMS, *PLATFORM_TERMS]
-    assert len(symbols) == len(set(symbols)) == 18 + 31
+    assert len(symbols) == len(set(symbols)) == 18 + 33
     assert all(row.symbol == symbol for symbol, row in (TERMS | PLATFORM_TERMS).items())
     # No product under two names, in whatever order its factors are written.
     products = [tuple(sorted(row.effect.factors)) for row in TERMS.values()]
@@ -126,6 +126,8 @@ def test_platform_terms_are_those_of_three_axes_and_of_nine_pairs():
         expected[f"platform.compliance.{a}{b}"] = ("compliance", i, j, "rad/g", False)
     for n, wave in itertools.product((1, 2), ("cos", "sin")):
         expected[f"table.harmonic.{n}.{wave}"] = ("table", 2, None, "rad", False)
+    for i, name in enumerate(["outward", "forward"]):
+        expected[f"table.axis_tilt.{name}"] = ("table_axis", i, None, "rad", False)
     found = {
         s: (turn.kind, turn.axis, turn.force_axis, row.unit, row.per_run)
         for s, row in PLATFORM_TERMS.items()
@@ -143,7 +145,7 @@ def test_term_finds_rows_of_both_tables():
 
 @pytest.mark.parametrize("symbol", ["K2", "k_ii", "", "platform.tilt.west"])
 def test_term_lists_the_known_ones(symbol):
-    with pytest.raises(ValueError, match=r"known: K_F, .*, table\.harmonic\.2\.sin") as error:
+    with pytest.raises(ValueError, match=r"known: K_F, .*, table\.axis_tilt") as error:
         term(symbol)
     assert repr(symbol) in str(error.value)
 

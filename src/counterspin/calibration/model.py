@@ -27,7 +27,7 @@ from counterspin.campaign.conditions import (
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.model import ALL_TERMS
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.terms import acts, shows, symbols_shown
+from counterspin.campaign.terms import TABLE_ERRORS, acts, shows, symbols_shown
 from counterspin.inference.joint.series import CLOCK, RATE_CLOCK, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
@@ -315,7 +315,7 @@ def _platform_terms(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[
 
 def _acts_on_records(campaign: Campaign, turn: AttitudeError) -> bool:
     """Return whether a turn acts on records; a strapped instrument has a table but no gyros."""
-    if turn.kind == "table":
+    if turn.kind in TABLE_ERRORS:
         return campaign.strapped
     return not campaign.strapped or turn.kind in ("tilt", "compliance")
 

@@ -22,7 +22,7 @@ from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run, is_reading
 from counterspin.campaign.settings import OBSERVABLES, CentrifugeSettings, NoiseSettings
-from counterspin.campaign.terms import symbols_shown
+from counterspin.campaign.terms import TABLE_ERRORS, symbols_shown
 from counterspin.campaign.validation import Problems
 from counterspin.physics.effects import AttitudeError, TrajectoryError
 from counterspin.physics.terms import CONDITION_TERMS, LEVER_ARM, SHARED_TERMS, affects_readings
@@ -194,8 +194,8 @@ def _unusable_table_ratio(
         if others:
             yield (
                 path,
-                f"{turns}; record specific_force, because {' and '.join(others)} along a turning "
-                "axis are not evaluated",
+                f"{turns}; record specific_force, because {' or '.join(others)} along a turning "
+                "axis is not evaluated",
             )
         recording = run.recording or records
         if recording is not None and recording.angle is None:
@@ -322,12 +322,12 @@ def _reason_without_effect(effect: AttitudeError | TrajectoryError, strapped: bo
     """Return why a term acts on no record of the double turntable; empty if it may act."""
     if not isinstance(effect, AttitudeError):
         return ""
-    if effect.kind == "table" and not strapped:
+    if effect.kind in TABLE_ERRORS and not strapped:
         return (
             "is an error of the counter-rotating table; if the accelerometers are strapped to the "
             "table, add strapped = true to [centrifuge], otherwise leave the term out"
         )
-    if strapped and effect.kind not in ("table", "tilt", "compliance"):
+    if strapped and effect.kind not in (*TABLE_ERRORS, "tilt", "compliance"):
         return (
             "is an error of the platform's gyros; accelerometers that are strapped to the table "
             "(strapped = true in [centrifuge]) have no gyros; leave it out"

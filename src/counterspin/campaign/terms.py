@@ -48,6 +48,9 @@ _NORTH: Final = np.array([0.0, 1.0, 0.0])
 _UP: Final = np.array([0.0, 0.0, 1.0])
 _ROUNDING: Final = 1e-9  #: of a unit vector; above roundoff, below any angle of a mounting
 
+#: Kinds of attitude errors of the table, which strapped instruments show.
+TABLE_ERRORS: Final = ("table", "table_axis")
+
 #: What a name of the machine's terms begins with.
 _FAMILIES: Final = ("centrifuge.", "fixture.", "head.", "vibration.")
 
@@ -77,8 +80,8 @@ def acts(row: Term[AttitudeError | TrajectoryError], mounting: Mounting, attitud
         return float(np.linalg.norm(moved)) > _ROUNDING
     if effect.kind == "compliance":
         return float(np.linalg.norm(np.cross(attitude[effect.axis], input_axis))) > _ROUNDING
-    if effect.kind == "table":
-        return shows(row, mounting, attitude)
+    if effect.kind in TABLE_ERRORS:
+        return _leaves_a_mean(effect, input_axis, attitude, None)
     along = effect.force_axis
     steady = along is not None and abs(float(attitude[along] @ _UP)) > _ROUNDING
     if steady and _leans(effect, input_axis, attitude):
@@ -94,6 +97,8 @@ def shows(row: Term[AttitudeError | TrajectoryError], mounting: Mounting, attitu
     """
     if not isinstance(row.effect, AttitudeError):
         return acts(row, mounting, attitude)
+    if row.effect.kind == "table_axis":
+        return True  # its axis takes every level direction
     turned = np.cross(_axis_of(row.effect, attitude), mounting.turned(attitude).input_axis)
     return float(np.linalg.norm(turned)) > _ROUNDING
 
@@ -143,6 +148,9 @@ def _leaves_a_mean(
     input_axis: In the run's attitude, shape (3,).
     start: Direction in which the platform moves at t = 0, shape (3,); None: any level direction.
     """
+    if turn.kind == "table_axis":
+        # The centripetal force leaks into an upright axis; gravity leaks in as a wave.
+        return turn.axis == 1 and abs(float(input_axis @ _UP)) > _ROUNDING
     # Gravity leaks in by its vertical part.
     turned = np.cross(_axis_of(turn, attitude), input_axis)
     if turn.kind == "table":

@@ -175,6 +175,10 @@ _FAMILIES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
         " times the angle",
         {"1": {"sin": "1 arcsec"}},
     ),
+    "table.axis_tilt": (
+        "tilt of the table axis about `outward` along the arm or `forward`",
+        {"forward": "5 arcsec"},
+    ),
     "encoder.harmonic": (
         "error of the recorded angle, proportional to the cosine or sine of 1 to 4 times the angle",
         {"1": {"sin": "1 arcsec"}},

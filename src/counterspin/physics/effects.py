@@ -227,12 +227,16 @@ class AttitudeError:
     the level attitude.
 
     An instrument that is strapped to the counter-rotating table turns about up by the error of the
-    table's angle, a wave of the spindle's angle.
+    table's angle, a wave of the spindle's angle. If the table's axis is not parallel to the
+    spindle's axis, the instrument leans about an axis that is fixed on the arm.
     """
 
-    #: ``tilt``, ``drift``, ``g_sensitivity``, ``g2_sensitivity``, ``compliance`` or ``table``.
+    #: ``tilt``, ``drift``, ``g_sensitivity``, ``g2_sensitivity``, ``compliance``, ``table`` or
+    #: ``table_axis``.
     kind: str
-    axis: int  #: The axis about which the attitude turns: 0 east (x), 1 north (y), 2 up (z).
+    #: The axis about which the attitude turns: 0 east (x), 1 north (y), 2 up (z); of the table's
+    #: axis 0 outward along the arm, 1 forward.
+    axis: int
     #: For g-sensitivity and compliance the axis of the force, else None.
     force_axis: int | None = None
     #: For the table n times a revolution n, and ``cos`` or ``sin``.

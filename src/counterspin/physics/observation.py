@@ -417,9 +417,8 @@ class _SensorInputs:
             path = self._motion.trajectory
             factors = effect.design_factors_at(path.conditions, path.centripetal, self._motion.t)
             return factors * self.integrand(TERMS[effect.coefficient].effect)
-        if effect.kind == "tilt":
-            about = self._motion.table.rotate_axis(np.eye(3)[effect.axis])
-            lever_arms = np.cross(about, self._axes.input_axis)
+        if effect.kind in ("tilt", "table_axis"):
+            lever_arms = np.cross(self._motion.table.tilt_axis(effect), self._axes.input_axis)
             return np.asarray(np.sum(lever_arms * self._motion.specific_force, axis=1))
         # The table turns about up, all else about the platform's axes.
         sensitivity = (

@@ -46,8 +46,8 @@ def attitude_error(
     motion, g = trajectory.at(times), trajectory.site.gravity
     for symbol, value in platform.items():
         row = PLATFORM_TERMS[symbol].effect
-        if row.kind == "tilt":
-            psi += value * motion.table.rotate_axis(np.eye(3)[row.axis])
+        if row.kind in ("tilt", "table_axis"):
+            psi += value * motion.table.tilt_axis(row)
             continue
         if row.kind == "table":
             psi[:, 2] += value * observation.table_angle_error(row, motion)

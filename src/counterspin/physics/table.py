@@ -12,6 +12,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.effects import AttitudeError
 
 
 def rotate_about_up(vectors: Array, turn: Array) -> Array:
@@ -42,6 +43,17 @@ class TableMotion:
     def rotate_axis(self, axis: Array) -> Array:
         """Return an east-north-up vector, shape (3,), in the frame of the table, shape (n, 3)."""
         return self.rotate(np.broadcast_to(axis, (self.angle.size, 3)))
+
+    def tilt_axis(self, tilt: AttitudeError) -> Array:
+        """Return the axis about which a tilt turns, in the frame of the table, shape (n, 3).
+
+        The axis is fixed in space, or on the arm if the table's axis is tilted.
+        """
+        axis = np.eye(3)[tilt.axis]
+        if tilt.kind == "tilt":
+            return self.rotate_axis(axis)
+        turn = (self.turns - 1.0) * self.angle
+        return rotate_about_up(np.broadcast_to(axis, (turn.size, 3)), turn)
 
     def force_change(self, force: Array, change: Array, angle_change: Array) -> Array:
         """Return the change of the specific force by a change of the spindle's angle.
