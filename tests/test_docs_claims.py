@@ -109,7 +109,7 @@ NUMBERS = [
     ("methods", "above {} of the noise of one row", [design_blocks._MIN_EFFECT]),
     ("methods", "With the typical {} ug/g^2 of navigation grade", [1e6 * TERMS["K_OO"].typical]),
     ("methods", "enter u as stated, or with {} arcsec", [ENCODER / ARCSEC]),
-    ("trust", "in u, at {} arcsec each", [ENCODER / ARCSEC]),
+    ("trust", "with a default of {} arcsec each", [ENCODER / ARCSEC]),
     (
         "campaign",
         "the relative rate error of the clock is 0 ± {}, as",
@@ -480,8 +480,8 @@ def test_the_truth_of_the_quickstart_is_the_starter_s():
 
 def test_integrals_are_as_good_as_is_told():
     (number,) = told("README", "40-digit integrals to {},")
-    assert told("trust", "they agree to {};") == [number]
-    (of_jumps,) = told("trust", "which jumps at each change of sign, agrees to {}")
+    assert told("trust", "agreement to {}, and to") == [number]
+    (of_jumps,) = told("trust", "and to {} for the displacement of K_0_asym")
     for beginning, count, limit in (
         ("integrals, ", 8, number),
         ("integrals of a jump, ", 4, of_jumps),
