@@ -74,12 +74,12 @@ NUMBERS = [
     *(
         (page, words, [runs.MOST_ROWS])
         for page, words in (
-            ("bulwark", "has room for {} rows at once"),
+            ("bulwark", "are limited to {} rows at once"),
             ("plan", "a checked campaign may have at most {} rows in total"),
             ("study", "together may have at most {} rows"),
         )
     ),
-    ("bulwark", "each of at most {} samples.", [runs.MOST_SIMULATED_ROWS]),
+    ("bulwark", "with at most {} samples each.", [runs.MOST_SIMULATED_ROWS]),
     (
         "bulwark",
         "has at most {} records, one for each run and accelerometer, and a campaign {} readings.",
@@ -188,11 +188,11 @@ NUMBERS = [
     ("result", "accelerometer is above {} ug/Hz^0.5", [1e6 * findings.LARGEST_WALK]),
     (
         "result",
-        "accelerometers ({} % of good campaigns), {} standard uncertainties at least",
+        "accelerometers ({} % of good campaigns), and by at least {} standard uncertainties",
         [ALARMS, diagnostics.AGREEMENT],
     ),
     ("result", "two-stage K_II differs by more than {} standard", [diagnostics.AGREEMENT]),
-    ("result", "more than {} % of a run were outliers", [100 * outcome.OUTLIER_SHARE]),
+    ("result", "more than {} % of the samples of a run, or", [100 * outcome.OUTLIER_SHARE]),
     ("result", "shorter than {} % of the run's", [100 * assembly.COMPLETE_FRACTION]),
     ("result", "means infinite or more than {}", [distributions._INFINITE_DOF]),
     (

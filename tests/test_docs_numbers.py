@@ -63,8 +63,8 @@ ROWS = {
             400.0,
         ),
         ("blocks of at most {} revolution", 1.0 / reduction.BLOCKS_PER_REVOLUTION),
-        ("Up to {} rows alone at an end", reduction._MAX_ISOLATED_ROWS),
-        ("a gap of a revolution and of {} rows", reading._ISOLATION_STEPS),
+        ("Up to {} isolated rows at an end", reduction._MAX_ISOLATED_ROWS),
+        ("a gap of at least one revolution and {} rows", reading._ISOLATION_STEPS),
         ("more than {} % empty cells", 100.0 * reading.MAX_EMPTY_FRACTION),
         ("less than {} revolutions, a clock", reading.MIN_REVOLUTIONS),
         ("a gap of more than {} revolutions", clock._GAP_REVOLUTIONS),
@@ -173,7 +173,7 @@ ROWS = {
     ],
     "reports": [
         (
-            "Bands hold {} % of white noise",
+            "Bands contain {} % of white noise",
             round(100.0 * (2.0 * normal_cdf(pictures._COVERAGE_FACTOR) - 1.0)),
         ),
         ("`CS-` and {} digits of its SHA-256", DIGITS),

@@ -251,12 +251,12 @@ def test_a_loss_would_be_found(tmp_path, monkeypatch):
 
 
 def test_the_page_says_how_much_is_tried():
-    (seconds,) = told("bulwark", "more than {} s of processor time or")
-    (gigabytes,) = told("bulwark", "of processor time or {} GB of memory")
+    (seconds,) = told("bulwark", "more than {} s of CPU time or")
+    (gigabytes,) = told("bulwark", "of CPU time or {} GB of memory")
     new, asked = told(
-        "bulwark", "reads all of these and {} new ones, and sends {} cases to the application"
+        "bulwark", "reads all of these and {} new cases, and sends {} cases to the application"
     )
-    (commands,) = told("bulwark", "The kills are those of {} commands")
+    (commands,) = told("bulwark", "{} commands were killed")
     assert [value_of(number) for number in (seconds, gigabytes, new, asked, commands)] == [
         SECONDS,
         BYTES / 1e9,

@@ -61,7 +61,7 @@ class Coefficient(ResultPart):
     #: Part of u from uncertainties stated in the description: priors, inputs, fixed (held)
     #: terms.
     u_stated: float | None = None
-    #: Part of u from default standard uncertainties of terms and inputs without a statement.
+    #: Part of u from default standard uncertainties of terms and inputs without a stated value.
     u_unstated: float | None = None
     #: Effective degrees of freedom of `u`, for Student's t; None means infinite or more than
     #: 1e9.
@@ -434,7 +434,7 @@ class MethodAgreement(ResultPart):
     #: Shift of each coefficient when this method is left out, if the others determine it.
     without: dict[str, Shift] = {}
     chi2: float  #: Chi-square of the method's results minus the prediction of the others.
-    dof: int  #: Degrees of freedom: directions that both determine.
+    dof: int  #: Degrees of freedom: number of combinations that both determine.
     #: Probability of a larger chi-square if the methods agree; None if the others predict
     #: nothing.
     p: float | None

@@ -56,12 +56,12 @@ class ConfoundedTerms:
     """Terms that the data cannot tell apart, or hardly, and the combination they do determine."""
 
     terms: list[str]  #: Names of the terms, in the order of the unknowns.
-    #: Of the two estimates from the data, before the terms' own priors; of more than two terms the
-    #: largest in size among the pairs, the other terms of the set held fixed.
+    #: Correlation of the two estimates from the data, without the priors of the terms. For more
+    #: than two terms, the largest magnitude among the pairs, with the other terms fixed.
     correlation: float
-    #: The combination in words, such as ``K_I - K_IP``. Terms whose part is below a tenth of `u` at
-    #: their largest credible size are left out, and weights have the digits that they need:
-    #: evaluated as it stands, no term is off by more than a tenth of `u`.
+    #: The determined combination, such as ``K_I - K_IP``. Terms that contribute less than a tenth
+    #: of `u` at their largest credible size are omitted, and the rounding of the weights changes no
+    #: term by more than a tenth of `u`.
     determined: str
     #: Exact weights, in the order of `terms`; 1 for the first.
     weights: list[float] = field(default_factory=list)

@@ -24,20 +24,21 @@ CONSIDERED: Final = "held"
 class BudgetLine:
     """One source of uncertainty (GUM table 1)."""
 
-    #: Name of a term or input; ``noise of Qx``, ``undetected noise of Qx``; a part of a
-    #: run's rotation as its encoder leaves it open, such as ``run1.rate`` or ``run1.ripple1``.
+    #: Name of a term or input; ``noise of Qx``, ``undetected noise of Qx``; an uncertain part of a
+    #: run's rotation, such as ``run1.rate`` or ``run1.ripple1``.
     source: str
-    kind: Kind  #: ``noise`` (an encoder's too), ``stated``, ``unstated`` or ``held``.
-    #: Standard uncertainty of the source, in `unit`; None for noise. Of noise that does not show in
-    #: the records, its level; of a ripple that of its sine and of its cosine; of the random errors
-    #: of rates their root mean square.
+    kind: Kind  #: ``noise`` (including encoder noise), ``stated``, ``unstated`` or ``held``.
+    #: Standard uncertainty of the source, in `unit`; None for noise. For undetected noise, its
+    #: level; for a ripple, u of its sine and of its cosine; for random errors of rates, their root
+    #: mean square.
     u: float | None
     unit: str  #: Of u.
-    #: Change of the coefficient per unit of the source; None for noise, which has one for every
-    #: sample. Of a ripple, whose sine and cosine are one line, and of errors of rates, its size.
+    #: Change of the coefficient per unit of the source; None for noise, whose sensitivity differs
+    #: between samples. For a ripple (sine and cosine in one line) and for errors of rates, the
+    #: magnitude.
     sensitivity: float | None
-    contribution: float  #: Size of sensitivity × u, in the coefficient's unit.
-    share: float  #: Part of the coefficient's u^2, from 0 to 1.
+    contribution: float  #: Magnitude of sensitivity × u, in the coefficient's unit.
+    share: float  #: Share of the coefficient's u^2, from 0 to 1.
 
 
 @frozen
