@@ -13,12 +13,22 @@ from pathlib import Path
 
 import pytest
 
+from counterspin import workers as counterspin_workers
+
+
+@contextmanager
+def patient_clients():
+    """Let clients wait for the scheduler of a busy machine."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(counterspin_workers, "_SCHEDULER_TIMEOUT", 300.0)
+        yield
+
 
 @contextmanager
 def dask_cluster(workers=2):
     """Yield a cluster of single-threaded workers, each a process of its own."""
     distributed = pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")
-    with warnings.catch_warnings():
+    with patient_clients(), warnings.catch_warnings():
         # Any free port: another cluster may run on this machine.
         warnings.simplefilter("ignore")
         with distributed.LocalCluster(
@@ -56,7 +66,7 @@ def cluster_of_the_page(folder):
         address = json.loads(file.read_text())["address"]
         worker[worker.index("tcp://127.0.0.1:8786")] = address
         worker[worker.index("--nworkers") + 1] = "1"
-        with subprocess.Popen([*dask, *worker], **quiet) as second:
+        with patient_clients(), subprocess.Popen([*dask, *worker], **quiet) as second:
             yield address, first, second
             for process in (second, first):
                 process.terminate()

@@ -204,9 +204,14 @@ def scheduler(tmp_path):
 def test_lost_scheduler_is_told_and_loses_nothing_that_was_done(
     folders, scheduler, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(workers, "_SCHEDULER_TIMEOUT", 5.0)
     address, process = scheduler
-    Held(tmp_path / "held", folders[0], lambda: [process.pid], times=1)
+
+    def scheduler_of_impatient_clients():
+        for client in pytest.importorskip("distributed").Client._instances:
+            client._timeout = 0.5
+        return [process.pid]
+
+    Held(tmp_path / "held", folders[0], scheduler_of_impatient_clients, times=1)
     first, second = outcomes(
         calibrate_many([folders[0], tmp_path / "held"], workers=Workers(cluster=address))
     )

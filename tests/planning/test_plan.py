@@ -270,7 +270,7 @@ def test_a_target_with_noise_of_the_time_stamps_is_reached(starter, capsys):
     changes = PLANS["time stamps"]
     # An encoder without noise would correct all of the times.
     encoder = ('timing = "1 ms"', 'timing = "1 ms"\nangle = "5e-3 rad"')
-    changes = [*changes, encoder, ("runs = 14", "runs = 4")]
+    changes = [*changes, encoder, ("runs = 14", "runs = 3")]
     best = plan(starter(*changes)).result
     assert best.goal.efficiency is None
     assert "no theorem gives a bound" in report_of(best, capsys)
