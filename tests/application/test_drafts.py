@@ -158,10 +158,10 @@ def test_an_angle_that_is_wrapped_is_drawn_without_jumps():
     seconds = FileColumn("time_s", "s", time)
     contents = FileContents(Path("a.csv"), (seconds, angle, east), (), "")
     curve = detrended_curve(angle, guess_file(contents))
-    assert curve.size == pytest.approx(0.01, rel=0.2)
+    assert curve["size"] == pytest.approx(0.01, rel=0.2)
     warm = FileColumn("temp_degC", "", 20.0 + np.exp(-time))
     guess = guess_file(FileContents(Path("a.csv"), (seconds, angle, east, warm), (), ""))
-    assert detrended_curve(warm, guess).unit == "degC"
+    assert detrended_curve(warm, guess)["unit"] == "degC"
 
 
 def test_columns_of_words_are_shown_where_they_are_asked_for(page):

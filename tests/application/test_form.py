@@ -1,10 +1,11 @@
 """A form made of the models: every key of every section, and none besides."""
 
 import re
+from itertools import chain
 
 from prose import sentences
 
-from counterspin.application.form import SECTIONS, campaign_form, lab_form, run_kinds
+from counterspin.application.form import SECTIONS, campaign_form, lab_form, plan_form, run_kinds
 from counterspin.campaign.accelerometers import TRUTH_TABLES
 from counterspin.campaign.field_types import COMPASS
 from counterspin.campaign.resolution import CampaignDocument
@@ -92,9 +93,14 @@ def inside(fields):
 
 
 def test_every_field_has_a_label_and_help_in_words():
-    for form in (campaign_form(), lab_form()):
+    for form in (campaign_form(), lab_form(), plan_form(False), plan_form(True)):
         for one in form:
-            for asked in inside(one["fields"]):
+            tables = (
+                one.get("of_readings"),
+                one.get("of_names"),
+                *one.get("of_tables", {}).values(),
+            )
+            for asked in inside([*one["fields"], *chain(*filter(None, tables))]):
                 assert re.match(r"[A-Z][a-z]", asked["label"]), asked
                 assert asked["key"] in ACCELEROMETER_TERMS or "_" not in asked["label"], asked
                 assert asked["help"] or asked["key"] in ACCELEROMETER_TERMS, asked

@@ -35,7 +35,7 @@ def spiked(folder):
 
 
 def test_a_record_says_what_it_holds(page, spiked):
-    told = page.get("/api/record-about", params=RUN).json()
+    told = page.get("/api/record-about", params=RUN).json()["overview"]
     assert told["rows"] == len(spiked)
     assert (told["first"], told["last"]) == (spiked["time_s"][0], spiked["time_s"][-1])
     assert told["columns"] == [

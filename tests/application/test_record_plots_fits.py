@@ -11,10 +11,10 @@ RUN = {"name": "three", "run": "fast", "fit": True}
 
 
 def test_data_and_fit_differ_by_the_residuals(page, app, folder):
-    assert page.get("/api/record-about", params=RUN).json() == {"fitted": False}
+    assert page.get("/api/record-about", params=RUN).json() == {"overview": None}
     app.jobs = InlineJobs()
     assert page.post("/api/fit", json={"name": "three"}).json()["state"] == "done"
-    about = page.get("/api/record-about", params=RUN).json()
+    about = page.get("/api/record-about", params=RUN).json()["overview"]
     assert about["together"] == 2
     assert [column["name"] for column in about["columns"]] == [
         "Qx: data minus its parabola",
@@ -40,7 +40,7 @@ def test_a_changed_description_is_fitted_anew(page, app, folder):
     page.post("/api/fit", json={"name": "three"})
     file = folder / "three" / "campaign.toml"
     file.write_text(file.read_text(encoding="utf-8") + "\n# changed\n", encoding="utf-8")
-    assert page.get("/api/record-about", params=RUN).json() == {"fitted": False}
+    assert page.get("/api/record-about", params=RUN).json() == {"overview": None}
 
 
 def test_readings_have_no_such_picture(page):

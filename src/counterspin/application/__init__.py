@@ -19,7 +19,7 @@ also a command, which the page shows.
 - `plans`: plans with movable limits
 - `laboratory`: the laboratory's data for a certificate, their preview and profile
 - `certification`: certificates, reports, and downloads
-- `endpoints`: the requests of the page, by name
+- `endpoints`: the requests of the page, by name; `answers`: the types of their answers
 
 Throughout, `app` is the shared state, and `name` is a file or a campaign's folder within it.
 

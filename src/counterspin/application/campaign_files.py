@@ -8,9 +8,17 @@ import shutil
 from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 from urllib.parse import quote, unquote
 
+from counterspin.application.answers import (
+    AddedRuns,
+    Named,
+    RestoredFolder,
+    StoredFile,
+    TrashEntry,
+    TrashPlace,
+)
 from counterspin.application.app_state import AppState
 from counterspin.application.editing import parse_campaign_text, set_value
 from counterspin.application.served_folder import NotFoundError, PathForbiddenError, ServedFolder
@@ -63,7 +71,7 @@ def open_upload(app: AppState, name: str) -> Upload:
     return Upload(path, temporary_path, cleanup, folders)
 
 
-def complete_upload(app: AppState, upload: Upload) -> dict[str, Any]:
+def complete_upload(app: AppState, upload: Upload) -> StoredFile:
     """Rename a complete upload; CounterspinError if a file with other content has the name."""
     size = upload.temporary_path.stat().st_size
     if upload.path.is_file() and filecmp.cmp(upload.temporary_path, upload.path, shallow=False):
@@ -87,7 +95,7 @@ def remove_abandoned_folders_in(served: ServedFolder) -> None:
             remove_abandoned_folders(prefix, folder)
 
 
-def copy_campaign(app: AppState, name: str, to: str) -> dict[str, Any]:
+def copy_campaign(app: AppState, name: str, to: str) -> Named:
     """Copy a campaign's folder, with records and results; return the copy's name."""
     source, target = _campaign_folder(app, name), _new_folder(app, name, to)
     try:
@@ -101,14 +109,14 @@ def copy_campaign(app: AppState, name: str, to: str) -> dict[str, Any]:
     return {"name": app.folder.name(target)}
 
 
-def rename_campaign(app: AppState, name: str, to: str) -> dict[str, Any]:
+def rename_campaign(app: AppState, name: str, to: str) -> Named:
     """Give a campaign's folder another name; return it."""
     source, target = _idle_campaign_folder(app, name), _new_folder(app, name, to)
     _move(source, target)
     return {"name": app.folder.name(target)}
 
 
-def move_to_trash(app: AppState, name: str) -> dict[str, Any]:
+def move_to_trash(app: AppState, name: str) -> TrashPlace:
     """Move a campaign's folder to the trash; return its new path."""
     source = _idle_campaign_folder(app, name)
     target = _trash_path(app, source)
@@ -117,7 +125,7 @@ def move_to_trash(app: AppState, name: str) -> dict[str, Any]:
     return {"place": target.name}
 
 
-def discard_uploads(app: AppState, folder: str, names: list[str]) -> dict[str, Any]:
+def discard_uploads(app: AppState, folder: str, names: list[str]) -> TrashPlace:
     """Move the files of an unfinished import to the trash; return their place.
 
     names: Names of the files, relative to the served folder; missing files are skipped.
@@ -146,7 +154,7 @@ def _trash_path(app: AppState, source: Path) -> Path:
     return app.folder.root / TRASH / f"{timestamp}-{quote(app.folder.name(source), safe='')}"
 
 
-def trash_contents(app: AppState) -> list[dict[str, str]]:
+def trash_contents(app: AppState) -> list[TrashEntry]:
     """Return place and former name of each campaign in the trash, the latest first."""
     trash = app.folder.root / TRASH
     is_inside = trash.is_dir() and app.folder.contains(trash)  # no link to another folder
@@ -158,7 +166,7 @@ def trash_contents(app: AppState) -> list[dict[str, str]]:
     ]
 
 
-def restore_campaign(app: AppState, place: str) -> dict[str, Any]:
+def restore_campaign(app: AppState, place: str) -> RestoredFolder:
     """Move a folder from the trash back to its place, or beside a new folder of its name.
 
     place: Its name in the trash.
@@ -182,7 +190,7 @@ def free_name(app: AppState, name: str) -> str:
     return next(candidate for candidate in names if not app.folder.path(candidate).exists())
 
 
-def add_records(app: AppState, name: str, files: list[str]) -> dict[str, Any]:
+def add_records(app: AppState, name: str, files: list[str]) -> AddedRuns:
     """Make a run of each record that was added to a campaign; return sentences on the runs.
 
     files: Their names, relative to the served folder.

@@ -10,6 +10,17 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
+from counterspin.application.answers import (
+    CampaignEntry,
+    CampaignOverview,
+    FolderOverview,
+    JobEntry,
+    NamedText,
+    PlanEntry,
+    ResultEntry,
+    RunEntry,
+    WrittenCampaign,
+)
 from counterspin.application.app_state import AppState
 from counterspin.application.campaign_files import COPY_PREFIX, free_name, trash_contents
 from counterspin.application.checklist import checklist
@@ -44,10 +55,11 @@ _STATE_LABELS: Final[Mapping[str, str]] = {
 }
 
 
-def folder_overview(app: AppState) -> dict[str, Any]:
+def folder_overview(app: AppState) -> FolderOverview:
     """Return the folder's campaigns, and its results that belong to no campaign."""
-    campaigns, other_results = [], []
-    plans: list[dict[str, str]] = []
+    campaigns: list[CampaignEntry] = []
+    other_results: list[ResultEntry] = []
+    plans: list[PlanEntry] = []
     labs: list[str] = []
     for folder, files in app.folder.folders():
         name = app.folder.name(folder)
@@ -92,7 +104,7 @@ def _toml_kind(app: AppState, path: Path) -> tuple[str, str]:
     return app.cache.get(("kind", path), [path], read_kind)
 
 
-def _iter_results(app: AppState, folder: Path, files: list[str]) -> Iterator[dict[str, Any]]:
+def _iter_results(app: AppState, folder: Path, files: list[str]) -> Iterator[ResultEntry]:
     """Yield the results among the files of a folder."""
     for file in files:
         path = folder / file
@@ -103,7 +115,7 @@ def _iter_results(app: AppState, folder: Path, files: list[str]) -> Iterator[dic
             yield entry
 
 
-def _result_entry(app: AppState, path: Path) -> dict[str, Any] | None:
+def _result_entry(app: AppState, path: Path) -> ResultEntry | None:
     """Return a result's entry for a list; None if the file is damaged or not a result."""
     from counterspin.calibration.findings import judge_result
 
@@ -116,7 +128,7 @@ def _result_entry(app: AppState, path: Path) -> dict[str, Any] | None:
         return None
     except RecordError as error:
         return {"name": name, "state": "damaged", "words": app.folder.relative_paths(str(error))}
-    values = []
+    values: list[NamedText] = []
     for accelerometer, accelerometer_result in result.accelerometers.items():
         if (k_ii := accelerometer_result.coefficients.get("K_II")) is not None:
             value, u, unit = to_field_units(k_ii)
@@ -124,7 +136,7 @@ def _result_entry(app: AppState, path: Path) -> dict[str, Any] | None:
             values.append({"name": f"K_II of {accelerometer}", "text": typeset(text)})
     return {
         "name": name,
-        "state": result.state,
+        "state": result.state or "good",
         "words": _STATE_LABELS[result.state or "good"],
         "title": result.title,
         "method": result.method,
@@ -135,10 +147,10 @@ def _result_entry(app: AppState, path: Path) -> dict[str, Any] | None:
     }
 
 
-def _campaign_entry(app: AppState, name: str, results: list[dict[str, Any]]) -> dict[str, Any]:
+def _campaign_entry(app: AppState, name: str, results: list[ResultEntry]) -> CampaignEntry:
     """Return a campaign's entry for the list of campaigns."""
     path = app.description(name)
-    entry: dict[str, Any] = {
+    entry: CampaignEntry = {
         "name": name,
         "title": name or app.folder.root.name,
         "results": sorted(results, key=_result_sort_key),
@@ -146,6 +158,8 @@ def _campaign_entry(app: AppState, name: str, results: list[dict[str, Any]]) -> 
         "missing": [],
         "runs": 0,
         "instruments": [],
+        "state": "",
+        "words": "",
     }
     try:
         campaign = app.campaign(name)
@@ -166,7 +180,7 @@ def _campaign_entry(app: AppState, name: str, results: list[dict[str, Any]]) -> 
     return entry
 
 
-def _result_sort_key(result: dict[str, Any]) -> tuple[bool, bool, bool, float]:
+def _result_sort_key(result: ResultEntry) -> tuple[bool, bool, bool, float]:
     """Return the key that sorts a campaign's results, its representative result first.
 
     That is ``result.json``; without it, the newest by the joint method, then the newest. Another
@@ -180,7 +194,7 @@ def _result_sort_key(result: dict[str, Any]) -> tuple[bool, bool, bool, float]:
     )
 
 
-def _campaign_state(app: AppState, path: Path, entry: dict[str, Any]) -> str:
+def _campaign_state(app: AppState, path: Path, entry: CampaignEntry) -> str:
     """Return the state of a campaign."""
     if entry["mistakes"]:
         return "mistakes"
@@ -195,7 +209,7 @@ def _campaign_state(app: AppState, path: Path, entry: dict[str, Any]) -> str:
     return str(result["state"])
 
 
-def campaign_overview(app: AppState, name: str) -> dict[str, Any]:
+def campaign_overview(app: AppState, name: str) -> CampaignOverview:
     """Return the data for the page of one campaign."""
     path = app.description(name)
     files = sorted(file.name for file in path.parent.iterdir() if file.is_file())
@@ -203,7 +217,8 @@ def campaign_overview(app: AppState, name: str) -> dict[str, Any]:
     description_text = app.folder.read(app.folder.name(path))
     output = path.parent / _RESULT_NAME
     study = path.parent / STUDY_NAME
-    return entry | {
+    return {
+        **entry,
         "study": app.folder.name(study) if app.folder.contains(study) and study.is_file() else None,
         "text": description_text.text,
         "version": description_text.version,
@@ -214,7 +229,7 @@ def campaign_overview(app: AppState, name: str) -> dict[str, Any]:
     }
 
 
-def _run_entries(app: AppState, name: str, path: Path) -> list[dict[str, Any]]:
+def _run_entries(app: AppState, name: str, path: Path) -> list[RunEntry]:
     """Return the runs of a description, even if it has mistakes."""
     try:
         campaign = app.campaign(name)
@@ -226,7 +241,10 @@ def _run_entries(app: AppState, name: str, path: Path) -> list[dict[str, Any]]:
         valid_runs = (
             [run for run in runs if isinstance(run, dict)] if isinstance(runs, list) else []
         )
-        return [{"name": str(run.get("name", "")), "record": None} for run in valid_runs]
+        return [
+            {"name": str(run.get("name", "")), "rate": None, "record": None, "bytes": None}
+            for run in valid_runs
+        ]
     return [
         {
             "name": run.name,
@@ -244,7 +262,7 @@ def begin_calibration(
     output: str = _RESULT_NAME,
     method: Method = "joint",
     accept_misfit: str | None = None,
-) -> dict[str, Any]:
+) -> JobEntry:
     """Start a campaign's calibration; return the job.
 
     name: The campaign's folder.
@@ -263,7 +281,7 @@ def begin_calibration(
     return app.jobs.begin(make_job, run_calibration, path, target, method, accept_misfit).to_dict()
 
 
-def begin_campaign(app: AppState, name: str, test: Test = "double-turntable") -> dict[str, Any]:
+def begin_campaign(app: AppState, name: str, test: Test = "double-turntable") -> WrittenCampaign:
     """Write an example campaign into a folder; return its name and the command."""
     from counterspin.ingest.starter import init
 
@@ -274,7 +292,7 @@ def begin_campaign(app: AppState, name: str, test: Test = "double-turntable") ->
     return {"name": name, "command": init_command(folder, test)}
 
 
-def begin_sample(app: AppState) -> dict[str, Any]:
+def begin_sample(app: AppState) -> JobEntry:
     """Start to simulate and calibrate a sample campaign in a new folder; return the job."""
     name = free_name(app, "sample")
     target = app.target_path(name)

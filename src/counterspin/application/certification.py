@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 from pydantic import Base64Bytes, BaseModel, ConfigDict, SecretStr
 
+from counterspin.application.answers import CheckedFile, Receipt
 from counterspin.application.app_state import AppState
 from counterspin.application.commands import certificate_command
 from counterspin.application.served_folder import PathForbiddenError
@@ -96,7 +97,7 @@ def begin_certificate(
     both: bool = False,
     signing: Signing | None = None,
     amends: AmendmentRequest | None = None,
-) -> dict[str, Any]:
+) -> Receipt:
     """Issue the certificate of a result; return its identifier and the notes to check.
 
     both: The other of XML and PDF is written next to it too.
@@ -143,7 +144,7 @@ def begin_certificate(
     }
 
 
-def check_file(app: AppState, name: str, certificate: UploadedFile | None = None) -> dict[str, Any]:
+def check_file(app: AppState, name: str, certificate: UploadedFile | None = None) -> CheckedFile:
     """Read a certificate's file again; return its identifier, checksum and signature.
 
     certificate: That of the expected signer, PEM; None: the signature is not verified.

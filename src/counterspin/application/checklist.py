@@ -3,26 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
+from counterspin.application.answers import ChecklistEntry
 from counterspin.campaign.description import Campaign
-from counterspin.frozen import frozen
 from counterspin.physics.terms import COMMON_NAMES, TERMS
 
 
-@frozen
-class ChecklistEntry:
-    """An entry of the checklist, and the field of the description that states it."""
-
-    words: str  #: The name of the entry.
-    stated: bool  #: Whether the description states it.
-    effect: str  #: What the calibration does.
-    key: str  #: The key of the description.
-
-
-def checklist(campaign: Campaign) -> list[dict[str, Any]]:
+def checklist(campaign: Campaign) -> list[ChecklistEntry]:
     """Return the entries of a campaign's checklist; none of them blocks a calibration."""
-    return [vars(entry) for entry in _entries(campaign)]
+    return list(_entries(campaign))
 
 
 def _entries(campaign: Campaign) -> Iterator[ChecklistEntry]:
@@ -31,19 +20,19 @@ def _entries(campaign: Campaign) -> Iterator[ChecklistEntry]:
     if campaign.runs:
         stated = campaign.noise is not None
         effect = "stated (Type B)" if stated else "estimated from the residuals (Type A)"
-        yield ChecklistEntry("Noise", stated, effect, "noise")
+        yield {"words": "Noise", "stated": stated, "effect": effect, "key": "noise"}
     unnumbered = [n for n, a in campaign.accelerometers.items() if not a.serial_number]
     effect = f"not stated for {', '.join(unnumbered)}; history and certificate need it"
     first = next(iter([*unnumbered, *campaign.accelerometers]), "")
-    yield ChecklistEntry(
-        "Serial number",
-        not unnumbered,
-        effect if unnumbered else "stated",
-        f"accelerometers.{first}.serial_number",
-    )
+    yield {
+        "words": "Serial number",
+        "stated": not unnumbered,
+        "effect": effect if unnumbered else "stated",
+        "key": f"accelerometers.{first}.serial_number",
+    }
     dated = "date" in campaign.details
     effect = "stated" if dated else "not stated; the history needs it"
-    yield ChecklistEntry("Date", dated, effect, "campaign.date")
+    yield {"words": "Date", "stated": dated, "effect": effect, "key": "campaign.date"}
 
 
 def _prior_entry(campaign: Campaign, key: str, symbol: str) -> ChecklistEntry:
@@ -54,6 +43,9 @@ def _prior_entry(campaign: Campaign, key: str, symbol: str) -> ChecklistEntry:
     if unstated:
         effect = f"not stated for {', '.join(unstated)}; only the data determine it"
     words = TERMS[symbol].words
-    return ChecklistEntry(
-        f"{words[:1].upper()}{words[1:]}", not unstated, effect, f"accelerometers.{owner}.{key}"
-    )
+    return {
+        "words": f"{words[:1].upper()}{words[1:]}",
+        "stated": not unstated,
+        "effect": effect,
+        "key": f"accelerometers.{owner}.{key}",
+    }

@@ -8,13 +8,20 @@ from typing import Any, Final
 
 import numpy as np
 
+from counterspin.application.answers import (
+    ColumnEntry,
+    Curve,
+    DraftOverview,
+    QuestionEntry,
+    RememberedAnswer,
+    WrittenCampaign,
+)
 from counterspin.application.app_state import AppState, FileCache
 from counterspin.application.commands import import_command
 from counterspin.arrays import Array, median
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, table_of
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError, CounterspinError
-from counterspin.frozen import frozen
 from counterspin.ingest.column_roles import FileGuess, counts_rows
 from counterspin.ingest.contents import FileColumn, FileContents, read_files
 from counterspin.ingest.description import AnyDraft, Draft, write_description
@@ -84,12 +91,19 @@ def draft_overview(
     names: list[str],
     answers: dict[str, str] | None = None,
     test: Test | None = None,
-) -> dict[str, Any]:
+) -> DraftOverview:
     """Return the contents of files in sentences and columns, the questions and the mistakes."""
     draft, found_test, statements = _make_draft(app, names, answers, test)
     guess = draft.common if isinstance(draft, Draft) else None
-    questions = [
-        vars(question) | {"units": UNIT_CHOICES.get(question.quantity, ())}
+    questions: list[QuestionEntry] = [
+        {
+            "key": question.key,
+            "text": question.text,
+            "example": question.example,
+            "choices": question.choices,
+            "guess": question.guess,
+            "units": UNIT_CHOICES.get(question.quantity, ()),
+        }
         for question in draft.questions
     ]
     return {
@@ -108,7 +122,7 @@ def draft_overview(
     }
 
 
-def _text_column(contents: FileContents, name: str) -> dict[str, Any]:
+def _text_column(contents: FileContents, name: str) -> ColumnEntry:
     """Return the first cells of a column without numbers, and why it is unused."""
     cells = contents.words.get(name) or contents.first_words.get(name, ())
     words = list(dict.fromkeys(cell[:_MAX_CELL_LENGTH] for cell in cells if cell))
@@ -125,12 +139,12 @@ def _text_column(contents: FileContents, name: str) -> dict[str, Any]:
     }
 
 
-def _number_column(column: FileColumn, guess: FileGuess | None) -> dict[str, Any]:
+def _number_column(column: FileColumn, guess: FileGuess | None) -> ColumnEntry:
     """Return the first values of a column, its detrended curve, and why it may be unused."""
     return {
         "name": column.name,
         "first": ["" if np.isnan(v) else f"{v:.9g}" for v in column.values[:_PREVIEW_ROWS]],
-        "curve": vars(detrended_curve(column, guess)),
+        "curve": detrended_curve(column, guess),
         "reason": _unused_reason(column, guess),
     }
 
@@ -149,16 +163,6 @@ def _unused_reason(column: FileColumn, guess: FileGuess | None) -> str:
     if guess is not None:
         return "Does not vary with the rotation, and its name is not that of a signal."
     return "Neither its name nor its unit identifies the quantity."
-
-
-@frozen
-class Curve:
-    """A drawing of a column: the least and greatest value of each part."""
-
-    extent: list[tuple[float, float] | None]  #: None for a part without numbers.
-    words: str  #: What was subtracted, and which part is shown.
-    size: float  #: Half of the range.
-    unit: str  #: Of the range; empty where it is unknown.
 
 
 def detrended_curve(column: FileColumn, guess: FileGuess | None) -> Curve:
@@ -194,7 +198,7 @@ def detrended_curve(column: FileColumn, guess: FileGuess | None) -> Curve:
             )
             unit = signal.unit or ""
     extent, size = _min_and_max(values)
-    return Curve(extent, words, size, unit)
+    return {"extent": extent, "words": words, "size": size, "unit": unit}
 
 
 def _row_count(column: FileColumn, guess: FileGuess) -> int:
@@ -260,7 +264,7 @@ def _min_and_max(values: Array) -> tuple[list[tuple[float, float] | None], float
     return [(float(p.min()), float(p.max())) if p.size else None for p in finite_parts], half_range
 
 
-def newest_site(app: AppState) -> dict[str, dict[str, str]]:
+def newest_site(app: AppState) -> dict[str, RememberedAnswer]:
     """Return gravity, latitude and radius of the newest measured campaign that states them.
 
     A simulated campaign, which has true values, is skipped.
@@ -273,8 +277,8 @@ def newest_site(app: AppState) -> dict[str, dict[str, str]]:
     return app.cache.get(("site", *paths), paths, lambda: _read_newest_site(app, paths))
 
 
-def _read_newest_site(app: AppState, paths: Sequence[Path]) -> dict[str, dict[str, str]]:
-    remembered: dict[str, dict[str, str]] = {}
+def _read_newest_site(app: AppState, paths: Sequence[Path]) -> dict[str, RememberedAnswer]:
+    remembered: dict[str, RememberedAnswer] = {}
     for name, document in _newest_descriptions(app, paths):
         for key, (section, entry) in _SITE_ENTRIES.items():
             value = table_of(document, section).get(entry)
@@ -304,7 +308,7 @@ def write_draft(
     names: list[str],
     answers: dict[str, str] | None = None,
     test: Test | None = None,
-) -> dict[str, Any]:
+) -> WrittenCampaign:
     """Write the campaign from files and answers; return its name and the command."""
     target = app.target_path(folder)
     draft, found_test, _ = _make_draft(app, names, answers, test)

@@ -20,6 +20,7 @@ from tomlkit.container import Container
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import AoT, Comment, Table
 
+from counterspin.application.answers import EditedDocument, EditedFile, SavedDocument
 from counterspin.application.app_state import AppState
 from counterspin.application.form import campaign_form, plan_form, run_kinds
 from counterspin.application.served_folder import TEXT_MAX_BYTES, PathForbiddenError
@@ -59,7 +60,7 @@ class EditedText:
     questions: tuple[str, ...] = ()  #: What may well be a slip.
     missing: tuple[MissingEntry, ...] = ()  #: What a certificate lacks, by key.
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> EditedDocument:
         """Return the state for the page."""
         return {
             "text": self.text,
@@ -259,33 +260,35 @@ def _put_value(container: Any, key: str | int, value: Any) -> None:
         container[key] = value
 
 
-def campaign_text(app: AppState, name: str) -> dict[str, Any]:
+def campaign_text(app: AppState, name: str) -> EditedFile:
     """Return a campaign's description: text, version, form, values and mistakes."""
     path = app.description(name)
     edited = app.folder.read(app.folder.name(path))
     content = parse_campaign_text(app, path, edited.text).to_dict()
-    return content | {
+    return {
+        **content,
         "file": app.folder.name(path),
         "version": edited.version,
         "form": campaign_form(),
     }
 
 
-def plan_text(app: AppState, name: str) -> dict[str, Any]:
+def plan_text(app: AppState, name: str) -> EditedFile:
     """Return a plan's text, version, form, values and mistakes; name: its file."""
     path = app.file(name)
     document = load_document(path)
     if not is_plan(document):
         raise PathForbiddenError(f"{name}: not a plan: it has no [limits] and [goal]")
     edited = app.folder.read(name)
-    return parse_plan_text(app, path, edited.text).to_dict() | {
+    return {
+        **parse_plan_text(app, path, edited.text).to_dict(),
         "file": name,
         "version": edited.version,
         "form": plan_form("stations" in document),
     }
 
 
-def check_text(app: AppState, file: str, text: str, result: str | None = None) -> dict[str, Any]:
+def check_text(app: AppState, file: str, text: str, result: str | None = None) -> EditedDocument:
     """Return the values and mistakes of a text that would replace a file's."""
     return _parse_text_of(app, file, text, result).to_dict()
 
@@ -298,7 +301,7 @@ def change_text(
     value: Any,
     kind: Literal["", "date"] = "",
     result: str | None = None,
-) -> dict[str, Any]:
+) -> EditedDocument:
     """Return a text with another value at a key, as `check_text` does."""
     return _parse_text_of(app, file, set_value(text, path, value, kind), result).to_dict()
 
@@ -318,12 +321,13 @@ def _parse_text_of(app: AppState, file: str, text: str, result: str | None) -> E
 
 def save_text(
     app: AppState, file: str, text: str, version: str, result: str | None = None
-) -> dict[str, Any]:
+) -> SavedDocument:
     """Write a text, even with mistakes, if the file has not changed since its editor read it."""
     path, content = _text_path(app, file), _parse_text_of(app, file, text, result)
     if result is None and path.name != DESCRIPTION_NAME and not is_plan(content.document):
         raise CounterspinError(f"{file}: a plan has [limits] and [goal]; nothing was saved")
-    return content.to_dict() | {
+    return {
+        **content.to_dict(),
         "file": file,
         "version": app.folder.write(file, text, version).version,
     }

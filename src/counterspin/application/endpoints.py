@@ -25,6 +25,7 @@ from counterspin.application import (
     record_plots,
     what_if,
 )
+from counterspin.application.answers import JobEntry, ManualPage, PageContent, Ticket
 from counterspin.application.app_state import AppState
 from counterspin.application.served_folder import (
     EditConflictError,
@@ -53,7 +54,7 @@ class ApiResponse:
 # Where the page says something else than a function takes
 
 
-def _page(app: AppState, kind: pages.Kind, names: str, term: str = "K_II") -> Any:
+def _page(app: AppState, kind: pages.Kind, names: str, term: str = "K_II") -> PageContent:
     return pages.page_content(app, kind, names.split("\n"), term)
 
 
@@ -64,7 +65,7 @@ def _picture(
     return ApiResponse(200, svg, "image/svg+xml")
 
 
-def _manual(_: AppState, name: str) -> Any:
+def _manual(_: AppState, name: str) -> ManualPage:
     return pages.manual_page(name)
 
 
@@ -76,16 +77,16 @@ def _file(app: AppState, name: str) -> ApiResponse:
     return _download(*certification.download_file(app, name))
 
 
-def _ticket(app: AppState, name: Literal["report", "file"], said: dict[str, str]) -> Any:
+def _ticket(app: AppState, name: Literal["report", "file"], said: dict[str, str]) -> Ticket:
     """Return an address, valid once, of a file that the browser fetches by itself."""
     return {"ticket": app.tickets.issue((name, said))}
 
 
-def _jobs(app: AppState) -> Any:
+def _jobs(app: AppState) -> list[JobEntry]:
     return [job.to_dict() for job in app.jobs.all()]
 
 
-def _stop(app: AppState, number: int) -> Any:
+def _stop(app: AppState, number: int) -> JobEntry:
     return app.jobs.stop(number).to_dict()
 
 

@@ -8,11 +8,12 @@ import types
 import typing
 from collections.abc import Mapping, Sequence
 from functools import cache, partial
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, cast
 
 from pydantic import AfterValidator, BaseModel, PlainValidator
 from pydantic.fields import FieldInfo
 
+from counterspin.application.answers import FormField, FormSection, TermRow
 from counterspin.application.pages import page_address, page_explaining
 from counterspin.campaign.field_types import (
     OUTPUTS,
@@ -67,11 +68,9 @@ _INPUT_KINDS: Final[Mapping[Any, str]] = {
 
 _LINK: Final = re.compile(r"\[([^\]]+)\]\(([^)]*)\)")
 
-Field = dict[str, Any]
-
 
 @cache
-def campaign_form() -> tuple[Field, ...]:
+def campaign_form() -> tuple[FormSection, ...]:
     """Return the sections of ``campaign.toml``, each with its fields."""
     sections = []
     for key, model in SECTIONS.items():
@@ -92,7 +91,7 @@ def campaign_form() -> tuple[Field, ...]:
 
 
 @cache
-def lab_form() -> tuple[Field, ...]:
+def lab_form() -> tuple[FormSection, ...]:
     """Return the sections of ``LAB.toml``, each with its fields."""
     sections = []
     for name, field in Lab.model_fields.items():
@@ -107,7 +106,7 @@ def lab_form() -> tuple[Field, ...]:
             "explained": "certificate#assumed-terms",
             "repeat": None,
             "fields": [
-                _text_field(ALL, "a report") | {"help": "for every term"},
+                _text_field(ALL, "a report", "for every term"),
                 *(_text_field(symbol, "a report or a data sheet") for symbol in TERMS),
             ],
         }
@@ -116,7 +115,7 @@ def lab_form() -> tuple[Field, ...]:
 
 
 @cache
-def plan_form(of_readings: bool) -> tuple[Field, ...]:
+def plan_form(of_readings: bool) -> tuple[FormSection, ...]:
     """Return the sections of a plan: those of a campaign, and those of plans only."""
     campaign_sections = {section["key"]: section for section in campaign_form()}
     document = ReadingPlanDocument if of_readings else PlanDocument
@@ -136,17 +135,17 @@ def run_kinds(document: Mapping[str, Any]) -> list[str]:
     return ["reading" if is_reading(run) else "record" for run in entries]
 
 
-def _tolerance_fields() -> list[Field]:
+def _tolerance_fields() -> list[FormField]:
     """Return the fields of tolerance limits, one for each term of an accelerometer."""
     return [_text_field(symbol, f"abs <= … {row.unit}") for symbol, row in TERMS.items()]
 
 
-def _text_field(key: str, example: str) -> Field:
-    """Return an optional field of text without help."""
+def _text_field(key: str, example: str, help_text: str = "") -> FormField:
+    """Return an optional field of text."""
     return {
         "key": key,
         "label": _key_label(key),
-        "help": "",
+        "help": help_text,
         "links": [],
         "required": False,
         "kind": "text",
@@ -154,7 +153,7 @@ def _text_field(key: str, example: str) -> Field:
     }
 
 
-def _section(key: str, model: type[BaseModel], page: str) -> Field:
+def _section(key: str, model: type[BaseModel], page: str) -> FormSection:
     """Return a section; page: of the documentation, if the class has no table in it."""
     docstring = (model.__doc__ or "").partition("\n")[0]
     # "[site]: gravity and latitude of the centrifuge."
@@ -168,7 +167,7 @@ def _section(key: str, model: type[BaseModel], page: str) -> Field:
     }
 
 
-def _table_fields(model: type[BaseModel], page: str, excluded: str = "") -> list[Field]:
+def _table_fields(model: type[BaseModel], page: str, excluded: str = "") -> list[FormField]:
     """Return the fields of a table, without those of some tables only; page: as of `_section`."""
     page = (page_explaining(model) or page).partition("#")[0]
     return [
@@ -178,7 +177,7 @@ def _table_fields(model: type[BaseModel], page: str, excluded: str = "") -> list
     ]
 
 
-def _form_field(key: str, field: FieldInfo, page: str) -> Field:
+def _form_field(key: str, field: FieldInfo, page: str) -> FormField:
     base, metadata = _unwrap_annotation(field.annotation, field.metadata)
     extra = extra_of(field)
     if_absent = extra.get("x-absent")
@@ -186,21 +185,21 @@ def _form_field(key: str, field: FieldInfo, page: str) -> Field:
         "" if key in ACCELEROMETER_TERMS else (field.description or "").removesuffix("; see below")
     )
     help_text = "; ".join(filter(None, [meaning, f"default: {if_absent}" if if_absent else ""]))
-    result = {
+    result: FormField = {
         "key": key,
         "label": extra.get("x-label") or _key_label(key),
         "help": unlinked(help_text).replace("`", ""),
         "links": _links(help_text, page),
         "required": field.is_required(),
-        **_input_kind(base, metadata, page),
+        **cast("FormField", _input_kind(base, metadata, page)),
     }
     kind_text = extra.get("x-kind", "")
     if kind_text.startswith("date"):
         result["kind"] = "date"
     elif kind_text in ("country", "language"):
-        result |= {"kind": kind_text, "names": dict(codes_in_force(kind_text))}
+        result["kind"], result["names"] = kind_text, dict(codes_in_force(kind_text))
     elif kind_text.startswith("list of terms"):
-        result |= {"kind": "terms", "rows": _term_rows()}
+        result["kind"], result["rows"] = "terms", _term_rows()
     (example,) = field.examples or [None]
     if isinstance(example, str | int | float) and not isinstance(example, bool):
         result["example"] = str(example)
@@ -231,7 +230,7 @@ def _key_label(key: str) -> str:
 
 
 @cache
-def _term_rows() -> tuple[Field, ...]:
+def _term_rows() -> tuple[TermRow, ...]:
     """Return the names that a list of terms may have, with descriptions: terms and families."""
     rows = {symbol: row.words for symbol, row in ACCELEROMETER_TERMS.items()}
     for family, members in BARE_NAMES.items():
@@ -268,14 +267,14 @@ def _includes_table(alternatives: Sequence[Any]) -> bool:
     return any(typing.get_origin(alternative) is dict for alternative in alternatives)
 
 
-def _input_kind(base: Any, metadata: Sequence[Any], page: str) -> Field:
+def _input_kind(base: Any, metadata: Sequence[Any], page: str) -> dict[str, Any]:
     """Return the input of a value: its choices or suggestions, its unit and other properties."""
     if typing.get_origin(base) is Literal:
         return {"kind": "choice", "choices": list(typing.get_args(base))}
     readers = [item for item in metadata if isinstance(item, PlainValidator)]
     if readers:
         reader, input_type = readers[0].func, readers[0].json_schema_input_type
-        result: Field = {"kind": "number" if _is_number(input_type, base) else "text"}
+        result: dict[str, Any] = {"kind": "number" if _is_number(input_type, base) else "text"}
         if isinstance(reader, partial):
             units = advice(reader.args[0])[1].split(", ")
             result = {"kind": "quantity", "unit": reader.args[0], "units": units}

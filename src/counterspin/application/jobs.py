@@ -14,8 +14,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, cast
 
+from counterspin.application.answers import JobEntry, JobKind, JobState, LiveState, Reached
 from counterspin.calibration.options import Method
 from counterspin.errors import CounterspinError, CounterspinWarning
 from counterspin.reports.numbers import field_unit
@@ -99,8 +100,6 @@ _MAX_FINISHED_JOBS: Final = 50
 #: Takes what a job's process has made, and may fail of it.
 OnDone = Callable[[Any], None]
 
-JobState = Literal["waiting", "running", "done", "failed", "stopped"]
-
 
 @dataclass
 class Job:
@@ -111,10 +110,7 @@ class Job:
     #: The result's name there, or the folder's that is filled; empty: it is only shown.
     output: str
     command: str  #: Equivalent command.
-    #: What it is.
-    kind: Literal[
-        "calibration", "study", "estimate", "simulation", "forecast", "plan", "fit", "sample"
-    ] = "calibration"
+    kind: JobKind = "calibration"  #: What it is.
     state: JobState = "waiting"  #: Where it stands.
     progress: tuple[int, int] = (0, 0)  #: Runs or trials that are done, and all of them.
     error: str = ""  #: Why it failed.
@@ -126,9 +122,19 @@ class Job:
         """The object of the job; no two jobs with the same one run at once."""
         return (self.output,) if self.output else (self.kind, self.campaign)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JobEntry:
         """Return the state for the page."""
-        return {key: value for key, value in vars(self).items() if key != "stop"}
+        return JobEntry(
+            number=self.number,
+            campaign=self.campaign,
+            output=self.output,
+            command=self.command,
+            kind=self.kind,
+            state=self.state,
+            progress=self.progress,
+            error=self.error,
+            seconds=self.seconds,
+        )
 
 
 class Jobs:
@@ -283,7 +289,7 @@ class LiveViews:
         self._views: dict[tuple[Path, str], _View] = {}
         self._lock = threading.Lock()
 
-    def poll(self, campaign: Path, goal: str) -> dict[str, Any]:
+    def poll(self, campaign: Path, goal: str) -> LiveState:
         """Return the newest state of a campaign, which is followed from the first call on.
 
         goal: Such as ``K_II 1e-8 g/g^2``; empty: none.
@@ -303,7 +309,7 @@ class LiveViews:
                         has_ended = True
             if has_ended:
                 self._views.pop(key).worker.terminate()
-            return empty_state | view.state
+            return cast("LiveState", empty_state | view.state)
 
     def _view(self, key: tuple[Path, str]) -> _View:
         """Return the process that follows a campaign with a goal; start it if there is none."""
@@ -336,7 +342,7 @@ class LiveViews:
             self._views.clear()
 
 
-def current_uncertainties(state: WatchState) -> dict[str, Any]:
+def current_uncertainties(state: WatchState) -> Reached:
     """Return the recorded time in minutes, and the u of each coefficient by then."""
     units = {c.name: field_unit(c.unit) for c in state.coefficients}
     return {

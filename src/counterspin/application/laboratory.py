@@ -13,6 +13,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
+from counterspin.application.answers import (
+    CertificatePages,
+    IssuedCertificate,
+    LaboratoryData,
+    ProfileFile,
+)
 from counterspin.application.app_state import AppState
 from counterspin.application.editing import parse_lab_text, parse_text, set_value
 from counterspin.application.form import lab_form
@@ -33,11 +39,12 @@ _PROFILE_SECTIONS: Final = ("laboratory", "persons", "equipment", "cmc")
 _PROFILE_KEYS: Final = ("language", "place", "traceability", "procedure")
 
 
-def lab_data(app: AppState, file: str, result: str) -> dict[str, Any]:
+def lab_data(app: AppState, file: str, result: str) -> LaboratoryData:
     """Return the laboratory's data in a file; without a file, the template with the profile."""
     edited, calibration = app.folder.read(file), app.result(result)
     text = edited.text or _initial_text(app, calibration, app.folder.path(file).parent)
-    return parse_lab_text(text, calibration).to_dict() | {
+    return {
+        **parse_lab_text(text, calibration).to_dict(),
         "file": file,
         "version": edited.version,
         "form": lab_form(),
@@ -47,7 +54,7 @@ def lab_data(app: AppState, file: str, result: str) -> dict[str, Any]:
     }
 
 
-def _issued_certificates(app: AppState, folder: Path) -> Iterator[dict[str, str]]:
+def _issued_certificates(app: AppState, folder: Path) -> Iterator[IssuedCertificate]:
     """Yield file and identifier of each issued certificate of a folder, the newest first."""
     paths = [path for path in folder.glob("*.xml") if app.folder.contains(path) and path.is_file()]
     for path in sorted(paths, key=lambda path: -path.stat().st_mtime):
@@ -59,7 +66,7 @@ def _issued_certificates(app: AppState, folder: Path) -> Iterator[dict[str, str]
             yield {"file": app.folder.name(path), "identifier": identifier}
 
 
-def draft_preview(app: AppState, file: str, text: str, result: str) -> dict[str, Any]:
+def draft_preview(app: AppState, file: str, text: str, result: str) -> CertificatePages:
     """Return the pages of the certificate as SVG images, marked as a draft.
 
     file: That of the laboratory's data, from which the logo is found.
@@ -74,7 +81,7 @@ def draft_preview(app: AppState, file: str, text: str, result: str) -> dict[str,
         return {"pages": draft_pages(calibration, document, folder)}
 
 
-def save_profile(app: AppState, file: str, text: str) -> dict[str, Any]:
+def save_profile(app: AppState, file: str, text: str) -> ProfileFile:
     """Write the laboratory's profile from its data; return the file's name."""
     document, folder = parse_text(text), app.folder.path(file).parent
     app.require_inside(folder, document)

@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, cast
+from typing import TYPE_CHECKING, Final, Literal, cast
 
+from counterspin.application.answers import ManualPage, PageContent
 from counterspin.application.app_state import AppState
 from counterspin.application.commands import (
     compare_command,
@@ -120,7 +121,7 @@ def page_address(link: str, page: str) -> str | None:
     return f"{name}{separator}{heading}" if name in _page_texts() else None
 
 
-def manual_page(name: str) -> dict[str, Any]:
+def manual_page(name: str) -> ManualPage:
     """Return a page as HTML, and the names and titles of all; NotThereError if there is none."""
     texts = _page_texts()
     if name not in texts:
@@ -260,20 +261,32 @@ _PAGE_MAKERS: Final[
 }
 
 
-def page_content(app: AppState, kind: Kind, names: Sequence[str], term: str) -> dict[str, Any]:
+def page_content(app: AppState, kind: Kind, names: Sequence[str], term: str) -> PageContent:
     """Return a page's title, its blocks as HTML, and its command; or the job that makes it."""
     from counterspin.reports.html import html_fragment
 
     page = _page_or_job(app, kind, names, term)
+    content: PageContent = {
+        "job": None,
+        "title": "",
+        "html": "",
+        "command": "",
+        "empty": False,
+        "accelerometers": [],
+        "state": "",
+        "words": "",
+        "refusal": "",
+    }
     if isinstance(page, Job):
-        return {"job": page.to_dict()}
+        content["job"] = page.to_dict()
+        return content
     files = [app.file(name) for name in names]
     text = app.cache.get(
         ("html", kind, *files, term),
         files,
         lambda: app.folder.relative_paths(html_fragment(page.blocks, title=page.title)),
     )
-    content: dict[str, Any] = {"title": page.title, "html": text, "command": page.command}
+    content["title"], content["html"], content["command"] = page.title, text, page.command
     content["empty"] = page.empty
     if kind == "result":
         from counterspin.calibration.findings import judge_result
@@ -281,7 +294,7 @@ def page_content(app: AppState, kind: Kind, names: Sequence[str], term: str) -> 
 
         result = judge_result(app.result(names[0]))
         content["accelerometers"] = list(result.accelerometers)
-        content["state"] = result.state
+        content["state"] = result.state or ""
         content["words"] = STATE_WORDS[result.state] if result.state else "Not judged"
         content["refusal"] = _certificate_refusal(result)
     return content

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from pydantic import FiniteFloat
 
+from counterspin.application.answers import JobEntry, Limit, Named, PlanOverview, PlanPage
 from counterspin.application.app_state import AppState
 from counterspin.application.commands import plan_command
 from counterspin.application.editing import set_value
@@ -86,7 +87,7 @@ class Slider:
     unit: str
     factor: float
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Limit:
         """Return the state for the page."""
         return {
             "key": self.key,
@@ -107,7 +108,7 @@ class Slider:
         return f"{number:g} {self.unit}" if self.unit else number
 
 
-def plan_overview(app: AppState, name: str) -> dict[str, Any]:
+def plan_overview(app: AppState, name: str) -> PlanOverview:
     """Return a plan's title, goal and limits with their ranges.
 
     name: The plan's file.
@@ -122,7 +123,7 @@ def plan_overview(app: AppState, name: str) -> dict[str, Any]:
     }
 
 
-def begin_plan(app: AppState, name: str, example: Example = "records") -> dict[str, Any]:
+def begin_plan(app: AppState, name: str, example: Example = "records") -> Named:
     """Write an example of a plan; CounterspinError if the file exists already."""
     path = app.folder.path(name)
     if path.suffix.lower() != ".toml":
@@ -212,9 +213,7 @@ def _set_limits(app: AppState, name: str, text: str, moved: Mapping[str, float])
     return text
 
 
-def planned_page(
-    app: AppState, name: str, moved: dict[str, FiniteFloat] | None = None
-) -> dict[str, Any]:
+def planned_page(app: AppState, name: str, moved: dict[str, FiniteFloat] | None = None) -> PlanPage:
     """Return the best plan within changed limits as HTML, or the job that searches for it.
 
     name: The plan's file.
@@ -223,7 +222,7 @@ def planned_page(
     key = ("planned", file, *sorted((moved or {}).items()))
     cached, store = app.cache.lookup(key, [file])
     if cached is not None:
-        return {"html": cached}
+        return {"job": None, "html": cached}
     text = _set_limits(app, name, app.folder.read(name).text, moved or {})
     document = parse_document(text.encode("utf-8"), name)
 
@@ -234,12 +233,13 @@ def planned_page(
         blocks = list(map(typeset_block, plan_blocks(planned.result)))
         store(app.folder.relative_paths(html_fragment(blocks, title=planned.result.title)))
 
-    return {"job": app.jobs.begin(make_job, run_plan, document, file, on_done=store_page).to_dict()}
+    job = app.jobs.begin(make_job, run_plan, document, file, on_done=store_page)
+    return {"job": job.to_dict(), "html": ""}
 
 
 def begin_planned(
     app: AppState, name: str, folder: str, moved: dict[str, FiniteFloat] | None = None
-) -> dict[str, Any]:
+) -> JobEntry:
     """Start to plan within other limits; return the job.
 
     When it is done, the limits are in the plan's file, and the campaign in a new folder.

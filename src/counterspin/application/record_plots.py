@@ -15,6 +15,15 @@ from typing import Any, Final
 import numpy as np
 from pydantic import FiniteFloat
 
+from counterspin.application.answers import (
+    DurationAnswer,
+    JobEntry,
+    LiveAnswer,
+    RecordAnswer,
+    RecordOverview,
+    RecordWindow,
+    RunCheck,
+)
 from counterspin.application.app_state import AppState, FileCache
 from counterspin.application.commands import (
     calibrate_command,
@@ -59,19 +68,18 @@ _MAX_RECORDS: Final = 4
 _RECORDS: Final = FileCache(_MAX_RECORDS)
 
 
-def record_overview(app: AppState, name: str, run: str, fit: bool = False) -> dict[str, Any]:
+def record_overview(app: AppState, name: str, run: str, fit: bool = False) -> RecordAnswer:
     """Return a record's columns, rows, first and last time, and its used part.
 
     fit: Return data and fit of each accelerometer as the columns, as of `begin_fit`;
-        before that ``fitted`` is false, and nothing else is returned.
+        None before that.
     """
     campaign, described_run = _find_run(app, name, run)
     try:
         record = fitted_run(app, name, run) if fit else _cached_record(campaign, described_run)
     except NotFoundError:
-        return {"fitted": False}
-    return {
-        "fitted": fit,
+        return {"overview": None}
+    overview: RecordOverview = {
         "together": 2 if fit else 1,
         "columns": [
             {"name": column, "unit": unit}
@@ -83,6 +91,7 @@ def record_overview(app: AppState, name: str, run: str, fit: bool = False) -> di
         "used": [limit if math.isfinite(limit) else None for limit in described_run.part],
         "file": app.folder.name(described_run.record),
     }
+    return {"overview": overview}
 
 
 def record_window(
@@ -93,7 +102,7 @@ def record_window(
     high: FiniteFloat,
     parts: int = 1000,
     fit: bool = False,
-) -> dict[str, Any]:
+) -> RecordWindow:
     """Return the values of a record between two times, row by row or as extremes of parts.
 
     name, run: The campaign's folder, and the run.
@@ -127,7 +136,7 @@ def min_and_max(values: Array, edges: np.ndarray) -> Array:
     return np.stack([minimum, maximum], axis=1)
 
 
-def _window_content(time: Array, columns: list[Array], *, is_complete: bool) -> dict[str, Any]:
+def _window_content(time: Array, columns: list[Array], *, is_complete: bool) -> RecordWindow:
     return {
         "time": [float(f"{t:.10g}") for t in time],
         "columns": [[_round_for_screen(value) for value in column] for column in columns],
@@ -176,7 +185,7 @@ def _read_record(campaign: Campaign, run: Run) -> PlotColumns:
     return PlotColumns(time, tuple(names), tuple(units), tuple(values))
 
 
-def check_run(app: AppState, name: str, run: str) -> dict[str, Any]:
+def check_run(app: AppState, name: str, run: str) -> RunCheck:
     """Return the judgement of a run's record as HTML, whether it is good, and the command."""
     campaign = app.campaign(name)
     records = [candidate.record for candidate in campaign.runs if candidate.name == run]
@@ -191,7 +200,7 @@ def check_run(app: AppState, name: str, run: str) -> dict[str, Any]:
     }
 
 
-def watch_state(app: AppState, name: str, goal: str = "") -> dict[str, Any]:
+def watch_state(app: AppState, name: str, goal: str = "") -> LiveAnswer:
     """Return the newest state of a campaign whose records grow, and the command.
 
     name: The campaign's folder.
@@ -201,11 +210,11 @@ def watch_state(app: AppState, name: str, goal: str = "") -> dict[str, Any]:
     resolve_goals(campaign, [goal] if goal else [])  # a mistake is told before anything is begun
     newest = app.live.poll(campaign.path, goal)
     if "error" in newest:
-        newest = newest | {"error": app.folder.relative_paths(newest["error"])}
-    return newest | {"command": watch_command(campaign.folder, goal)}
+        newest = {**newest, "error": app.folder.relative_paths(newest["error"])}
+    return {**newest, "command": watch_command(campaign.folder, goal)}
 
 
-def begin_fit(app: AppState, name: str) -> dict[str, Any]:
+def begin_fit(app: AppState, name: str) -> JobEntry:
     """Start to fit a campaign's records for their pictures; return the job.
 
     name: The campaign's folder.
@@ -296,7 +305,7 @@ def _merge_columns(run_data: list[tuple[str, str, Array, Array, Array]]) -> Plot
 STUDY_NAME: Final = "study.json"
 
 
-def begin_study(app: AppState, name: str, trials: int) -> dict[str, Any]:
+def begin_study(app: AppState, name: str, trials: int) -> JobEntry:
     """Start to study a campaign; return the job.
 
     name: The campaign's folder; the result replaces its ``study.json``.
@@ -315,7 +324,7 @@ def begin_study(app: AppState, name: str, trials: int) -> dict[str, Any]:
     return app.jobs.begin(make_job, run_study, path, target, trials).to_dict()
 
 
-def study_duration(app: AppState, name: str) -> dict[str, Any]:
+def study_duration(app: AppState, name: str) -> DurationAnswer:
     """Return the expected duration of a study on one processor core, or the job that estimates it.
 
     name: The campaign's folder.
@@ -326,7 +335,14 @@ def study_duration(app: AppState, name: str) -> dict[str, Any]:
     files = [path, *(run.record for run in app.campaign(name).runs)]
     duration, store = app.cache.lookup(("duration", path), files)
     if duration is not None:
-        return {"job": None, "duration": vars(duration)}
+        return {
+            "job": None,
+            "duration": {
+                "preparation": duration.preparation,
+                "per_trial": duration.per_trial,
+                "slow_analyses": duration.slow_analyses,
+            },
+        }
     read_study(path)
     command = study_command(path.parent, 1000, path.parent / STUDY_NAME)
 
@@ -362,7 +378,7 @@ def run_study(connection: Connection, campaign: Path, output: Path, trials: int)
     report_progress(connection, work)
 
 
-def begin_simulation(app: AppState, name: str, folder: str) -> dict[str, Any]:
+def begin_simulation(app: AppState, name: str, folder: str) -> JobEntry:
     """Start to make the records of a campaign, in another folder; return the job.
 
     name: The campaign's folder.

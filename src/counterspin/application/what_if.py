@@ -6,10 +6,19 @@ import math
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 from pydantic import FiniteFloat
 
+from counterspin.application.answers import (
+    Improvement,
+    Improvements,
+    JobEntry,
+    PreparedCopy,
+    PriorImprovement,
+    RunImprovement,
+    WhatIfAnswer,
+)
 from counterspin.application.app_state import AppState
 from counterspin.application.campaign_files import copy_campaign, free_name
 from counterspin.application.commands import forecast_command
@@ -43,7 +52,7 @@ _MAX_REMAINING_FRACTION: Final = 0.95
 
 def what_if(
     app: AppState, name: str, accelerometer: str, known: dict[str, FiniteFloat] | None = None
-) -> dict[str, Any]:
+) -> WhatIfAnswer:
     """Return u of the first requested coefficient, and its budget.
 
     name: The result's file.
@@ -78,14 +87,14 @@ def what_if(
     }
 
 
-def improvements(app: AppState, name: str, result: str) -> dict[str, Any]:
+def improvements(app: AppState, name: str, result: str) -> Improvements:
     """Return for each accelerometer the cheapest known ways to a smaller uncertainty.
 
     name: The campaign's folder.
     result: The result's file.
     """
     suggestions = _search_results(app, name)
-    entries = []
+    entries: list[Improvement] = []
     for owner, result_part in app.result(result).accelerometers.items():
         best_prior = next(_prior_improvements(app.result(result), owner), None)
         if best_prior is None:
@@ -114,7 +123,7 @@ def _has_records(app: AppState, name: str) -> bool:
         return False
 
 
-def _prior_improvements(result: Result, owner: str) -> Iterator[dict[str, Any]]:
+def _prior_improvements(result: Result, owner: str) -> Iterator[PriorImprovement]:
     """Yield the priors that may be stated, the one with the smallest remaining u first."""
     result_part = _accelerometer_result(result, owner)
     if result_part.what_if is None or not _requested_symbol(result_part):
@@ -151,7 +160,7 @@ def _is_prior(source: str) -> bool:
 
 def _run_improvement(
     suggestion: SuggestedRuns | None, result_part: AccelerometerResult
-) -> dict[str, Any] | None:
+) -> RunImprovement | None:
     if suggestion is None:
         return None
     unit = result_part.coefficients[_requested_update(result_part)[0]].unit
@@ -164,7 +173,7 @@ def _run_improvement(
     }
 
 
-def begin_search(app: AppState, name: str) -> dict[str, Any]:
+def begin_search(app: AppState, name: str) -> JobEntry:
     """Start a search for helpful runs in another attitude; return the job."""
     path = app.description(name)
     campaign = app.campaign(name)
@@ -215,7 +224,7 @@ def _search_results(app: AppState, name: str) -> dict[str, SuggestedRuns | None]
 
 def apply_improvement(
     app: AppState, name: str, result: str, accelerometer: str, way: Literal["state", "runs"]
-) -> dict[str, Any]:
+) -> PreparedCopy:
     """Copy a campaign and write a way to a smaller uncertainty into the copy; return its name.
 
     The answer's ``key`` is that of the value to be replaced, or None.

@@ -82,7 +82,9 @@ async function exchange(path, request) {
   throw new Refused(response.status, told);
 }
 
-/** @type {(name: string, said?: Record<string, any>) => Promise<any>} */
+/** @typedef {import("./answers.js").Answers} Answers */
+
+/** @type {<N extends keyof Answers["GET"]>(name: N, said?: Record<string, any>) => Promise<Answers["GET"][N]>} */
 export const get = async (name, said) => (await ask("GET", name, said)).json();
 
 /** @type {(name: string, said?: Record<string, any>) => Promise<string>} */
@@ -102,14 +104,14 @@ export function getTextNow(name, said) {
   return request.status === 200 ? request.responseText : "";
 }
 
-/** @type {(method: string, name: string, said: Record<string, any>) => Promise<any>} */
+/** @type {<M extends keyof Answers, N extends string & keyof Answers[M]>(method: M, name: N, said: Record<string, any>) => Promise<Answers[M][N]>} */
 export const send = async (method, name, said) => (await ask(method, name, said)).json();
 
 /**
  * Bring a file.
  * @param {string} name
  * @param {File} file
- * @returns {Promise<any>}
+ * @returns {Promise<import("./answers.js").StoredFile>}
  */
 export const bring = async (name, file) =>
   (await exchange(`files?${new URLSearchParams({ name })}`, {

@@ -23,7 +23,7 @@ async function showResult(campaign, output) {
 
 /**
  * The button that calibrates the campaign, and below it how: by which method, into which file.
- * @param {any} campaign
+ * @param {import("./answers.js").CampaignOverview} campaign
  */
 function calibration(campaign) {
   const place = make("div");
@@ -56,11 +56,11 @@ function calibration(campaign) {
 
 /**
  * The optional entries of the description that matter to the result, with links to their fields.
- * @param {any} campaign
+ * @param {import("./answers.js").CampaignOverview} campaign
  */
 const checklistPart = (campaign) => make("section", { class: "panel" }, make("h2", {}, "Checklist"),
   make("p", { class: "quiet" }, "All entries are optional."),
-  make("ul", { class: "checklist" }, ...campaign.checklist.map((/** @type {any} */ { words, stated, effect, key }) =>
+  make("ul", { class: "checklist" }, ...campaign.checklist.map(({ words, stated, effect, key }) =>
     make("li", { class: stated ? "done" : "optional" },
       make("a", { href: descriptionAddress(campaign.name, `${key.includes(".") ? "f" : "s"}-${key}`) }, words), make("span", { class: "quiet" }, effect)))));
 
@@ -148,7 +148,7 @@ export async function campaignView(name) {
   }
   if (campaign.results.length > 1) {
     content.push(make("section", {}, make("h2", {}, "Results"),
-      make("ul", { class: "cards" }, ...campaign.results.map(/** @param {any} r */ (r) =>
+      make("ul", { class: "cards" }, ...campaign.results.map((r) =>
         make("li", { class: "card" }, ...resultLines(r))))));
   }
   const tour = good ? tourOf(name) : null;

@@ -76,12 +76,12 @@ class Preview {
 
 /**
  * The folder of a result, if it is that of a campaign.
- * @param {any} folder
+ * @param {import("./answers.js").FolderOverview} folder
  * @param {string} result
  */
 const campaignOf = (folder, result) => {
   const name = result.includes("/") ? result.replace(/\/[^/]*$/, "") : "";
-  return folder.campaigns.some((/** @type {any} */ campaign) => campaign.name === name) ? name : undefined;
+  return folder.campaigns.some((campaign) => campaign.name === name) ? name : undefined;
 };
 
 /**

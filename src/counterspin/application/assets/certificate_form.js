@@ -38,7 +38,7 @@ const plain = (key) => key.replaceAll('"', "");
 
 export class CertificateForm extends Editor {
   /**
-   * @param {any} told what the server says of the file
+   * @param {import("./answers.js").LaboratoryData} told the laboratory's data
    * @param {{result: string, shown: () => void}} more
    */
   constructor(told, more) {

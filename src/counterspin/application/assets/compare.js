@@ -10,7 +10,7 @@ import { fill } from "./result.js";
 /** All results of the folder that can be read. */
 async function allResults() {
   const folder = await get("folder");
-  const all = [...folder.campaigns.flatMap(/** @param {any} c */ (c) => c.results), ...folder.results];
+  const all = [...folder.campaigns.flatMap((c) => c.results), ...folder.results];
   return { folder, results: all.filter((result) => result.state !== "damaged") };
 }
 
@@ -38,7 +38,7 @@ export async function compareView() {
       make("h1", {}, "Compare results"),
       make("fieldset", { class: "choices" }, make("legend", {}, "Results"),
         ...results.map((result, i) => make("label", { class: "choice" }, make("span", {}, boxes[i], result.name),
-          make("span", {}, ...symbols((result.answers ?? []).map(/** @param {any} a */ (a) => `${a.name} = ${a.text}`).join("; "))),
+          make("span", {}, ...symbols((result.answers ?? []).map((a) => `${a.name} = ${a.text}`).join("; "))),
           stateMark(result.state, result.words)))),
       against,
       place,
@@ -55,7 +55,7 @@ export async function historyView() {
   const show = async () => {
     const told = await fill(place, "history", results.map(({ name }) => name), term.value);
     if (!told?.empty) return;
-    const links = folder.campaigns.filter((/** @type {any} */ { results: own }) => own.length).map((/** @type {any} */ { name, title }) =>
+    const links = folder.campaigns.filter(({ results: own }) => own.length).map(({ name, title }) =>
       make("li", {}, make("a", { href: descriptionAddress(name, "s-accelerometers") }, title || name)));
     place.append(make("p", {}, "Add a serial number and a date to the description of a campaign, then calibrate it again:"),
       make("ul", {}, ...links));

@@ -89,7 +89,7 @@ export class Confirmation {
     this.looks = 0;
     /** @type {Set<string>} keys whose answer was remembered from another campaign */
     this.remembered = new Set();
-    /** @type {any} the server's last answer about the files */
+    /** @type {import("./answers.js").DraftOverview | null} the server's last answer about the files */
     this.found = null;
     /** @type {Promise<void>} the last look after a change */
     this.last = Promise.resolve();
@@ -160,7 +160,7 @@ export class Confirmation {
     const found = await lookUntilSettled(async () => {
       let look = await send("POST", "draft", this.request());
       if (mine !== this.looks) return null;
-      if (this.tests && !this.tests.includes(look.test)) {
+      if (this.tests && !this.tests.includes(look.test ?? "")) {
         this.test = this.tests[0];
         look = await send("POST", "draft", this.request());
         if (mine !== this.looks) return null;
@@ -189,7 +189,7 @@ export class Confirmation {
   }
 
   /**
-   * @param {any} found
+   * @param {import("./answers.js").DraftOverview} found
    * @param {string[]} problems a line each, which begins with the key of a question
    */
   show(found, problems) {
@@ -228,7 +228,7 @@ export class Confirmation {
     return this.questions.filter(({ key, guess }) => guess === null && !(key in this.sent));
   }
 
-  /** @param {any} found */
+  /** @param {import("./answers.js").DraftOverview} found */
   showChecklist(found) {
     const open = new Set(this.open().map(({ key }) => key));
     const item = (/** @type {string} */ state, /** @type {string} */ words, /** @type {string} */ more, /** @type {string} */ key = "") =>
@@ -250,7 +250,7 @@ export class Confirmation {
 
   /**
    * The role of a column; empty where none is known.
-   * @param {any} column
+   * @param {import("./answers.js").ColumnEntry} column
    * @returns {string}
    */
   roleOf({ name }) {
@@ -258,10 +258,10 @@ export class Confirmation {
     return this.roles().parts.find((part) => byKey(part) === name) ?? byKey(`${name} is`) ?? "";
   }
 
-  /** @param {any} found */
+  /** @param {import("./answers.js").DraftOverview} found */
   unused(found) {
     const asked = new Set(this.questions.map(({ key }) => key));
-    return found.columns.filter((/** @type {any} */ column) => {
+    return found.columns.filter((column) => {
       const role = this.roleOf(column);
       // A column of text may have a role only where it is asked for.
       const without = this.roles().blank === "unused" || (column.curve === null && !asked.has(`${column.name} is`));
@@ -271,7 +271,7 @@ export class Confirmation {
 
   /**
    * The columns in use as cards, and the others in a table with their reasons.
-   * @param {any} found
+   * @param {import("./answers.js").DraftOverview} found
    * @param {Map<string, Question>} questions
    * @param {Map<string, string>} wrong
    */
@@ -280,7 +280,7 @@ export class Confirmation {
     /** @type {string[]} */
     const keys = [...parts];
     const unused = this.unused(found);
-    const cards = found.columns.filter((/** @type {any} */ column) => !unused.includes(column)).map((/** @type {any} */ column) => {
+    const cards = found.columns.filter((column) => !unused.includes(column)).map((column) => {
       const { name, curve, first } = column, role = this.roleOf(column);
       const part = parts.includes(role);
       const [unit, axis] = [part ? `${role} unit` : `${name} unit`, part ? "" : `${name} axis`].map((key) => {
@@ -301,7 +301,7 @@ export class Confirmation {
       unused.length ? make("details", { class: "unused", open: true }, make("summary", {}, `Columns not used (${unused.length})`),
         make("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Columns not used" }, make("table", {},
           make("thead", {}, make("tr", {}, ...["Column", "Reason", "First values", "Use as"].map((words) => make("th", { scope: "col" }, words)))),
-          make("tbody", {}, ...unused.map((/** @type {any} */ column) => make("tr", {},
+          make("tbody", {}, ...unused.map((column) => make("tr", {},
             make("th", { scope: "row" }, make("code", {}, column.name)), make("td", {}, column.reason),
             make("td", {}, column.first.filter(Boolean).slice(0, 3).join(", ") || "empty"),
             make("td", {}, column.curve || questions.has(`${column.name} is`)
@@ -312,7 +312,7 @@ export class Confirmation {
 
   /**
    * The role of a column, as a choice.
-   * @param {any} column
+   * @param {import("./answers.js").ColumnEntry} column
    * @param {string} role
    * @param {Map<string, Question>} questions
    * @param {Map<string, string>} wrong

@@ -8,13 +8,9 @@ import { linked, manualLink } from "./manual.js";
 
 /**
  * @typedef {string | number} Part
- * @typedef {{key: string, label: string, help: string, links: [string, string][], kind: string, required: boolean, visible?: boolean, unit?: string,
- *   units?: string[], example?: string, choices?: any[], suggestions?: string[], names?: Record<string, string>,
- *   rows?: {key: string, words: string}[], fields?: Field[]}} Field
- * @typedef {{key: string, words: string, explained: string, repeat: string | null, fields: Field[],
- *   of_readings?: Field[], of_names?: Field[], of_tables?: Record<string, Field[]>}} Section
- * @typedef {{text: string, document: any, problems: {key: string, words: string}[],
- *   questions: string[], run_kinds: string[], missing: {key: string, words: string}[]}} Edited
+ * @typedef {import("./answers.js").FormField & {visible?: boolean}} Field
+ * @typedef {import("./answers.js").FormSection} Section
+ * @typedef {import("./answers.js").EditedDocument} Edited
  */
 
 /**
@@ -82,7 +78,7 @@ const ADDED = /** @type {Record<string, string>} */ ({
 /**
  * The drawing that shows what the fields of a section mean.
  * @param {string} key
- * @param {any} document
+ * @param {Record<string, any>} document
  * @returns {string}
  */
 function machineOf(key, document) {
@@ -104,7 +100,7 @@ const choiceWords = (choice) => ({ "\t": "tab", " ": "blank" })[String(choice)] 
 
 export class Editor {
   /**
-   * @param {any} told what the server says of the file
+   * @param {import("./answers.js").EditedFile} told the file with its form
    * @param {{result?: string, saved?: () => void, shown?: (now: Edited) => void}} [more]
    */
   constructor(told, more = {}) {
@@ -656,7 +652,7 @@ addEventListener("beforeunload", (event) => {
 
 /**
  * Make an editor that is asked about before the page is left.
- * @param {any} told
+ * @param {import("./answers.js").EditedFile} told
  * @param {{result?: string, saved?: () => void, shown?: (now: Edited) => void}} [more]
  */
 export const editorOf = (told, more) => guardUnsaved(new Editor(told, more));

@@ -8,12 +8,11 @@ import { attempt, labelled, make, say, stateMark, submitting, symbols, working }
 import { pagePart } from "./result.js";
 import { keepImport } from "./unfinished.js";
 
-/** @typedef {{name: string, state: string, words: string, title?: string,
- *   answers?: {name: string, text: string}[]}} ResultLine */
+/** @typedef {import("./answers.js").CampaignEntry} CampaignEntry */
 
 /**
  * A result in a few lines.
- * @param {ResultLine} result
+ * @param {import("./answers.js").ResultEntry} result
  */
 export const resultLines = (result) => [
   ...(result.answers ?? []).map(({ name, text }) =>
@@ -22,7 +21,7 @@ export const resultLines = (result) => [
     make("a", { href: resultAddress(result.name) }, result.name)),
 ];
 
-/** @param {any} campaign */
+/** @param {CampaignEntry} campaign */
 function campaignCard(campaign) {
   const result = campaign.results[0];
   const what = [
@@ -33,7 +32,7 @@ function campaignCard(campaign) {
   return make("li", { class: "card line" },
     make("div", {}, make("h2", {}, make("a", { href: campaignAddress(campaign.name) }, campaign.title)),
       make("p", { class: "quiet" }, what)),
-    make("div", {}, ...(result?.answers ?? []).map(/** @param {any} a */ (a) =>
+    make("div", {}, ...(result?.answers ?? []).map((a) =>
       make("p", { class: "answer-line" }, ...symbols(`${a.name} = ${a.text}`))),
     make("p", {}, stateMark(campaign.state, campaign.words),
       campaign.missing.length ? ` ${campaign.missing.length} missing` : "",
@@ -42,15 +41,15 @@ function campaignCard(campaign) {
 
 /** What campaigns are sorted by -> what a campaign has of it, the first one least. */
 const ORDERS = {
-  "name": (/** @type {any} */ one) => one.name,
-  "title": (/** @type {any} */ one) => one.title,
-  "newest result": (/** @type {any} */ one) => -(one.results[0]?.written ?? 0),
-  "state": (/** @type {any} */ one) => one.words,
+  "name": (/** @type {CampaignEntry} */ one) => one.name,
+  "title": (/** @type {CampaignEntry} */ one) => one.title,
+  "newest result": (/** @type {CampaignEntry} */ one) => -(one.results[0]?.written ?? 0),
+  "state": (/** @type {CampaignEntry} */ one) => one.words,
 };
 
 /**
  * The campaigns, of which those are shown that a search finds.
- * @param {any[]} campaigns
+ * @param {CampaignEntry[]} campaigns
  */
 function campaignList(campaigns) {
   const cards = campaigns.map((campaign) => ({ campaign, card: campaignCard(campaign) }));
@@ -141,7 +140,7 @@ function begin() {
 /** The list of campaigns. */
 export async function folderView() {
   const folder = await get("folder");
-  const results = folder.results.filter(/** @param {any} r */ (r) => r.state !== "damaged");
+  const results = folder.results.filter((r) => r.state !== "damaged");
   const content = [
     make("div", { class: "head" }, make("h1", {}, folder.folder),
       folder.campaigns.length > 2 ? make("button", { type: "button", class: "main", onclick: begin }, "New campaign") : null),
@@ -149,13 +148,13 @@ export async function folderView() {
       ? campaignList(folder.campaigns)
       : [make("p", {}, "counterspin calibrates accelerometers from records of a centrifuge or tumble test: it estimates their " +
         "error coefficients, above all K_II, with uncertainties. This folder has no campaign yet.")],
-    instruments([...folder.campaigns.flatMap(/** @param {any} c */ (c) => c.results), ...folder.results]
-      .filter(/** @param {any} r */ (r) => r.state !== "damaged").map(/** @param {any} r */ (r) => r.name)),
+    instruments([...folder.campaigns.flatMap((c) => c.results), ...folder.results]
+      .filter((r) => r.state !== "damaged").map((r) => r.name)),
     make("section", {}, ...newCampaign()),
   ];
   if (results.length) {
     content.push(make("section", {}, make("h2", {}, "Other results"),
-      make("ul", { class: "cards" }, ...results.map(/** @param {any} r */ (r) =>
+      make("ul", { class: "cards" }, ...results.map((r) =>
         make("li", { class: "card" }, make("h3", {}, r.title || r.name), ...resultLines(r))))));
   }
   if (folder.trash.length) content.push(trashPart(folder.trash));

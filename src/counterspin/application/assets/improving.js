@@ -6,7 +6,7 @@ import { get, send } from "./api.js";
 import { attempt, make, oneAtATime, say, symbols, working } from "./dom.js";
 import { carryOut } from "./job.js";
 
-/** @typedef {{name: string, words: string, u: number, factor: number, unit: string, share: number}} Source */
+/** @typedef {import("./answers.js").WhatIfSource} Source */
 
 /** Sources that are shown, and get a slider: those that count, no more than a glance takes in. */
 const MOST = 4;
@@ -107,7 +107,7 @@ export async function waysPart(name, result) {
     say(then);
     if (place.isConnected) location.hash = made.key ? descriptionAddress(made.name, `f-${made.key}`) : campaignAddress(made.name);
   });
-  const lines = told.ways.flatMap((/** @type {any} */ { accelerometer, stated, runs }) => {
+  const lines = told.ways.flatMap(({ accelerometer, stated, runs }) => {
     const of = told.ways.length > 1 ? ` of ${accelerometer}` : "";
     const found = runs ? [make("li", {},
       ...symbols(`Add ${runs.count} run${runs.count === 1 ? "" : "s"} turned ${runs.attitude} (${runs.minutes} min of records): ` +

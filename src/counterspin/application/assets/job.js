@@ -4,8 +4,7 @@
 import { get, send } from "./api.js";
 import { attempt, make, say, submitting, warning, working } from "./dom.js";
 
-/** @typedef {{number: number, campaign: string, output: string, command: string, kind: string,
- *   state: string, progress: [number, number], error: string, seconds: number}} Job */
+/** @typedef {import("./answers.js").JobEntry} Job */
 
 /** Kind of job -> what it does, and when all of that is done. */
 const WORDS = /** @type {Record<string, [string, string]>} */ ({
@@ -112,7 +111,6 @@ export function follow(job, place, done) {
     if (followed.get(place) !== job) return;
     if (!place.isConnected && (wasShown || asked++ > MOST_EARLY_REQUESTS)) return;
     wasShown ||= place.isConnected;
-    /** @type {Job[]} */
     const jobs = await get("jobs");
     if (followed.get(place) !== job) return;
     const now = jobs.find(({ number }) => number === job.number);

@@ -9,7 +9,7 @@ import { campaignTabs, reachedBy } from "./tabs.js";
 const PAUSE = 1000;
 const HEIGHT = 220;
 
-/** @typedef {{minutes: number, u: {name: string, u: number|null}[]}} Reached */
+/** @typedef {import("./answers.js").Reached} Reached */
 
 /** The u of each coefficient over the minutes that are recorded, as far as this page has seen. */
 class UncertaintyChart {

@@ -65,7 +65,7 @@ export function inUnit(seconds) {
 /**
  * The time of a plan: a number to type, since a slider ends too early for a day.
  * @param {string} id
- * @param {any} limit
+ * @param {import("./answers.js").Limit} limit
  * @param {(seconds: number) => void} moved
  */
 function timeField(id, limit, moved) {
@@ -125,7 +125,7 @@ export async function planView(name) {
     moved[key] = value;
     if (planned.childElementCount) state.textContent = "The limits have changed since this plan. Plan again.";
   };
-  const sliders = plan.limits.map(/** @param {any} limit */ (limit) => {
+  const sliders = plan.limits.map((limit) => {
     const id = `limit-${limit.key}`;
     // The slider itself says its value.
     const shown = (/** @type {number} */ value) => `${short(value)} ${limit.unit}`.trimEnd();

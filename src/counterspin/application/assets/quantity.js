@@ -5,8 +5,7 @@ import { make } from "./dom.js";
 
 /**
  * A question, and its possible answers.
- * @typedef {{key: string, text: string, example: string, choices: string[], guess: string|null,
- *   units?: string[]}} Question
+ * @typedef {import("./answers.js").QuestionEntry} Question
  */
 
 /**

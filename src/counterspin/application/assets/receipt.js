@@ -8,7 +8,7 @@ import { saving } from "./result.js";
 
 /**
  * The receipt.
- * @param {any} made what the server says of the certificate
+ * @param {import("./answers.js").Receipt} made
  * @param {{result: string, signed: boolean, form: import("./certificate_form.js").CertificateForm, amend: () => void}} about
  */
 export function receiptOf(made, { result, signed, form, amend }) {

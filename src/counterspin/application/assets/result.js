@@ -74,13 +74,13 @@ export async function fill(place, kind, names, term) {
     });
     if (!answer || !isCurrent()) return undefined;
     const { told, part } = answer;
-    if (!part) {
+    if (told.job) {
       follow(told.job, place, () => fill(place, kind, names, term));
       return told;
     }
-    part.querySelector("h1")?.remove();
-    place.replaceChildren(part, commandLine(told.command));
-    globalThis.counterspin.draw(part);
+    part?.querySelector("h1")?.remove();
+    place.replaceChildren(part ?? "", commandLine(told.command));
+    if (part) globalThis.counterspin.draw(part);
     return told;
   });
 }
@@ -132,7 +132,7 @@ const copyButton = (part) => make("button", {
 
 /**
  * The screen of a result: title, state and actions above, then cards and tabs.
- * @param {{title: string, name: string, told: any, part: HTMLElement | null, state: Node,
+ * @param {{title: string, name: string, told: import("./answers.js").PageContent, part: HTMLElement | null, state: Node,
  *   actions?: (Node | null)[], steps?: Node, campaign?: string}} shown
  */
 export async function dashboard({ title, name, told, part, state, actions = [], steps, campaign }) {

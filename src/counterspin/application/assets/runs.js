@@ -17,7 +17,7 @@ class RecordPlots {
   /**
    * @param {string} name
    * @param {string} run
-   * @param {any} about
+   * @param {import("./answers.js").RecordOverview} about
    */
   constructor(name, run, about) {
     this.name = name;
@@ -31,7 +31,7 @@ class RecordPlots {
     this.charts = /** @type {any[]} */ ([]);
     this.asked = 0;
     this.words = make("p", { class: "quiet", "aria-live": "polite" });
-    this.boxes = this.first.map(/** @param {any} c */ (c) =>
+    this.boxes = this.first.map((c) =>
       make("div", { class: "canvas", role: "img", "aria-label": `${c.name}, ${c.unit}, over time` }));
     this.element = make("div", {}, this.tools(), ...this.boxes, this.words);
     new ResizeObserver(() => {
@@ -100,7 +100,7 @@ class RecordPlots {
       const { name, unit } = this.first[i];
       const stroke = () => colour(`--series-${(i % 6) + 1}`);
       const series = this.about.columns.slice(i * this.together, (i + 1) * this.together).map(
-        (/** @type {any} */ column, /** @type {number} */ place) => ({
+        (column, /** @type {number} */ place) => ({
           label: column.name, points: { show: false }, width: place + 1,
           stroke: place ? () => colour("--ink") : stroke,
         }));
@@ -134,11 +134,11 @@ class RecordPlots {
  */
 export async function runsView(name) {
   const campaign = await get("campaign", { name });
-  const runs = campaign.run_list.filter(/** @param {any} run */ (run) => run.bytes);
+  const runs = campaign.run_list.filter((run) => run.bytes);
   const place = make("div");
-  const select = make("select", {}, ...runs.map(/** @param {any} run */ (run) =>
+  const select = make("select", {}, ...runs.map((run) =>
     make("option", { value: run.name },
-      `${run.name}, ${Number(run.rate.toPrecision(4))} rad/s`)));
+      `${run.name}, ${Number((run.rate ?? 0).toPrecision(4))} rad/s`)));
   const judgement = make("div");
   const check = () => {
     // In a box of its own, so that the late check of another run is shown nowhere.
@@ -160,16 +160,16 @@ export async function runsView(name) {
     const box = make("div", {}, working("Reading the record"));
     place.replaceChildren(box);
     return attempt(box, async () => {
-      const about = await get("record-about", { name, run: select.value, fit: fitted.checked });
+      const { overview: about } = await get("record-about", { name, run: select.value, fit: fitted.checked });
       if (!box.isConnected) return;
-      if (fitted.checked && !about.fitted) {
+      if (!about) {
         // Once fitted, all runs are.
         await carryOut(box, () => send("POST", "fit", { name }), show)();
         return;
       }
       const plots = new RecordPlots(name, select.value, about);
       const [start, stop] = about.used;
-      const file = runs.find(/** @param {any} run */ (run) => run.name === select.value).record;
+      const file = runs.find((run) => run.name === select.value)?.record;
       const used = start !== null || stop !== null
         ? `; used from ${start ?? about.first} s to ${stop ?? about.last} s` : "";
       box.replaceChildren(

@@ -26,7 +26,7 @@ export const stepList = (now, links = []) => make("ol", {}, ...STEPS.map((words,
 
 /**
  * The step that a campaign has reached, and its result.
- * @param {any} campaign
+ * @param {import("./answers.js").CampaignOverview} campaign
  * @returns {{step: Step, result?: string}}
  */
 export function reachedBy({ mistakes, results: [result] }) {

@@ -10,16 +10,16 @@ import { campaignTabs, reachedBy } from "./tabs.js";
 
 /**
  * A form that begins a job, and the job that goes on already.
- * @param {any} campaign
+ * @param {import("./answers.js").CampaignOverview} campaign
  * @param {string} kind
  * @param {HTMLElement} label
  * @param {string} words of the button
- * @param {() => Promise<any>} begin
- * @param {(job: any) => void} done
+ * @param {() => Promise<import("./job.js").Job>} begin
+ * @param {(job: import("./job.js").Job) => void} done
  */
 function jobForm(campaign, kind, label, words, begin, done) {
   const place = make("div");
-  const end = (/** @type {any} */ job) => {
+  const end = (/** @type {import("./job.js").Job} */ job) => {
     place.replaceChildren(commandLine(job.command));
     done(job);
   };
@@ -42,6 +42,7 @@ function durationPart(name, trials) {
     try {
       const { job, duration: expected } = await send("POST", "study-duration", { name });
       if (job) return follow(job, place, estimate);
+      if (!expected) return;
       const show = () => {
         const seconds = expected.preparation + Number(trials.value) * expected.per_trial;
         place.textContent = `${Number(trials.value).toLocaleString("en")} trials take about ${duration(seconds)}.` +
