@@ -141,6 +141,11 @@ def test_site_values_are_remembered_from_measured_campaigns(page, folder, brough
     assert told["remembered"] == {
         key: {"answer": answer, "campaign": "new"} for key, answer in ANSWERS.items()
     }
+    # A mistake is not remembered.
+    file = folder / "new" / "campaign.toml"
+    file.write_text(file.read_text().replace('"2.5 m"', '"2.5 kg"'))
+    told, _ = columns_of(page, brought)
+    assert set(told["remembered"]) == {"gravity", "latitude"}
 
 
 def test_the_unit_menu_of_a_question_converts_to_its_unit(page, brought):

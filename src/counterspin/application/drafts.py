@@ -20,6 +20,7 @@ from counterspin.application.app_state import AppState, FileCache
 from counterspin.application.commands import import_command
 from counterspin.arrays import Array, median
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, table_of
+from counterspin.campaign.quantity import latitude_text, parse
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.ingest.column_roles import FileGuess, counts_rows
@@ -56,11 +57,11 @@ UNIT_CHOICES: Final[Mapping[str, tuple[str, ...]]] = {
     "rad/s": ("rev/s", "rpm", "deg/s", "rad/s"),
     "Hz": ("Hz", "kHz"),
 }
-#: Question -> section and key of the description that holds its answer.
+#: Question -> section and key of the description that holds its answer, and the unit in SI.
 _SITE_ENTRIES: Final = {
-    "gravity": ("site", "gravity"),
-    "latitude": ("site", "latitude"),
-    "radius": ("centrifuge", "radius"),
+    "gravity": ("site", "gravity", "m/s^2"),
+    "latitude": ("site", "latitude", "rad"),
+    "radius": ("centrifuge", "radius", "m"),
 }
 
 
@@ -280,13 +281,22 @@ def newest_site(app: AppState) -> dict[str, RememberedAnswer]:
 def _read_newest_site(app: AppState, paths: Sequence[Path]) -> dict[str, RememberedAnswer]:
     remembered: dict[str, RememberedAnswer] = {}
     for name, document in _newest_descriptions(app, paths):
-        for key, (section, entry) in _SITE_ENTRIES.items():
+        for key, (section, entry, unit) in _SITE_ENTRIES.items():
             value = table_of(document, section).get(entry)
-            if key not in remembered and isinstance(value, str):
+            if key not in remembered and isinstance(value, str) and _is_quantity(value, unit):
                 remembered[key] = {"answer": value, "campaign": name}
         if len(remembered) == len(_SITE_ENTRIES):
             break
     return remembered
+
+
+def _is_quantity(text: str, unit: str) -> bool:
+    """Return whether a text is a quantity of a unit's dimension."""
+    try:
+        parse(latitude_text(text) if unit == "rad" else text, unit)
+    except ValueError:
+        return False
+    return True
 
 
 def _newest_descriptions(
