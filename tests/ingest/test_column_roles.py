@@ -84,6 +84,12 @@ def test_without_a_time_rows_are_counted():
     assert guess.rate == pytest.approx(RATE * 0.02)
 
 
+def test_a_unit_behind_a_stroke_is_that_of_a_time():
+    """As DIN 1313 heads a column, `t/s`."""
+    guess = guess_file(seen(**{"t/s": TIME, "east_m": signal(), "angle_rad": RATE * TIME}))
+    assert (guess.time.column, guess.time.unit) == ("t/s", "s")
+
+
 def test_without_names_the_first_of_two_that_advance_is_the_time():
     guess = guess_file(seen(a=TIME, b=np.degrees(RATE * TIME) % 360, c=signal()))
     assert (guess.time.column, guess.time.unit, guess.angle.column) == ("a", "s", "b")

@@ -51,6 +51,22 @@ def test_a_file_without_numbers(tmp_path):
     assert "no column could be read as numbers. Its first lines:\n  line 1: 2 cells, none" in told
 
 
+def test_a_line_with_too_many_cells_is_named(tmp_path):
+    rows = [f"{0.02 * n:.2f},{n % 7}.5" for n in range(60)]
+    rows[40] += ",3"
+    (tmp_path / "a.csv").write_text("\n".join(["time_s,a_m", *rows, ""]))
+    with pytest.raises(RecordError, match=r"a\.csv, line 42: the line has 3 cells"):
+        read_contents(tmp_path / "a.csv")
+
+
+def test_numbers_that_a_library_could_not_write_are_empty_cells(tmp_path):
+    rows = [f"{0.02 * n:.2f},{n % 7}.5" for n in range(60)]
+    rows[40:43] = ["0.80,1.#QNAN", "0.82,-1.#IND", "0.84,#DIV/0!"]
+    (tmp_path / "a.csv").write_text("\n".join(["time_s,a_m", *rows, ""]))
+    values = read_contents(tmp_path / "a.csv").columns[1].values
+    assert np.flatnonzero(np.isnan(values)).tolist() == [40, 41, 42]
+
+
 def test_a_sheet_is_chosen_or_each_is_a_run(tmp_path):
     rows = [["t [s]", "x"], *[[i / 50, i % 7] for i in range(9)]]
     path = write_workbook(tmp_path / "a.xlsx", {"slow": rows, "fast": rows, "empty": []})

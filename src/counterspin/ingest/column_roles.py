@@ -380,7 +380,7 @@ def _time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
         return stamps[0]
     rising = [column for column in columns if is_even(column.values)]
     named = [column for column in rising if _is_named_time(column.name)]
-    united = [column for column in rising if converts(column.unit, "s")]
+    united = [column for column in rising if _unit_of(column, "s")]
     # A telephone writes a row whenever it has one; rows with the same time are one.
     uneven = [column for column in columns if _is_named_time(column.name) and _rises(column.values)]
     # Without a word, the time stands first, and something else advances with it.

@@ -186,7 +186,7 @@ class CsvFile(ColumnFile):
         if not names:
             return {}
         with record_errors(self.path):
-            frame = self._as_strings(names).head(count).collect()
+            frame = self._collect(self._as_strings(names).head(count))
             cells = {name: [str(cell or "") for cell in frame[name]] for name in names}
         replaced = any("\ufffd" in cell for column in cells.values() for cell in column)
         if replaced and self._use_utf8():
@@ -195,7 +195,7 @@ class CsvFile(ColumnFile):
 
     def _cells(self, column: str) -> list[str]:
         self._use_utf8()
-        frame = self._as_strings([column]).collect()
+        frame = self._collect(self._as_strings([column]))
         return [str(cell or "") for cell in frame[column]]
 
     def preview(self) -> str:
@@ -293,13 +293,17 @@ class CsvFile(ColumnFile):
 
     def _table(self) -> pl.DataFrame:
         """Return every column of the file as text; comments are left out."""
-        import polars as pl
-
         names = [name for name in self.names if name]
         self._require(names)
         self._use_utf8()
+        return self._collect(self._as_strings(names))
+
+    def _collect(self, cells: pl.LazyFrame) -> pl.DataFrame:
+        """Return cells as text; RecordError with the line where it has too many."""
+        import polars as pl
+
         try:
-            return self._as_strings(names).collect()
+            return cells.collect()
         except pl.exceptions.PolarsError:
             self._check_lines()
             raise

@@ -32,7 +32,8 @@ _PLAIN_ROWS, _MIN_ROWS = 20, 3
 #: that the instrument could not measure.
 EMPTY_CELL_TEXTS: Final = (
     *("", "nan", "n/a", "#n/a", "na", "null", "-", "--", "---"),
-    *("ovld", "ovl", "overload", "overflow", "over"),
+    *("ovld", "ovl", "overload", "overflow", "over", "#value!", "#div/0!", "#num!"),
+    *(sign + text for sign in ("", "-") for text in ("1.#qnan", "1.#ind", "1.#inf", "nan(ind)")),
 )
 #: Time of day, perhaps with a date before it and a zone behind: in ISO 8601, or as spreadsheets
 #: and recorders write it, with names of months too; minutes and seconds; or a duration of MATLAB.

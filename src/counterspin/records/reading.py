@@ -388,7 +388,7 @@ class _RecordReader:
         if differing_count > MAX_EMPTY_FRACTION * self._rows:
             raise RecordError(
                 f"{self._file.path}: {differing_count} of {self._rows} rows repeat the time of "
-                "the row before with other values; the time column may be too coarse."
+                "the row before with other values. If no row is lost, state `sampling_rate`."
             )
 
     def _empty_counts(self) -> dict[str, int]:
