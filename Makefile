@@ -39,14 +39,14 @@ unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := help
 TSC := $(VENV)/typescript/node_modules/typescript/bin/tsc
 # `make lint` checks the types of all modules for Linux, and for the other platforms those of the
-# modules that use a name which depends on the platform. Each check has its own cache, because mypy discards a cache
-# that was made with other options.
+# modules that use a name which depends on the platform. Each check has its own cache, because mypy
+# discards a cache that was made with other options.
 PLATFORMS := linux darwin win32
 mypy = $(BIN)/python -m mypy --cache-dir .mypy_cache/$(1) --platform $(1)
 
 CHECKS := check-style $(PLATFORMS:%=types-%) types-benchmarks check-imports check-scripts
 
-.PHONY: check-style check-imports check-scripts ci doctests tests-with-site help setup demo test quick slow lint format bench fuzz docs docs-tests pictures violations \
+.PHONY: check-style check-imports check-scripts ci tests-with-site help setup demo test quick slow lint format bench fuzz docs docs-tests pictures violations \
   coverage alarms coverage-of-tests mutants wheelhouse lock clean
 
 help: ## Show this list
@@ -70,7 +70,7 @@ slow: $(READY) ## Time all tests, one by one, and list in tests/slow.txt what qu
 # All tests are collected once, after the site is built. The checks of types run beside them, because
 # tests wait a tenth of their time.
 ci: $(READY) $(TYPESCRIPT) $(DOCS) ## All of test and docs-tests, in less time
-	$(MAKE) --no-print-directory -j 2 doctests $(COMPILED) $(filter-out types-%,$(CHECKS))
+	$(MAKE) --no-print-directory -j 2 docs $(COMPILED) $(filter-out types-%,$(CHECKS))
 	$(MAKE) --no-print-directory -j 2 tests-with-site $(filter types-%,$(CHECKS))
 
 tests-with-site:
@@ -111,10 +111,7 @@ docs: $(READY) $(DOCS) ## Build the documentation's site in build/site
 	@$(BIN)/sphinx-build $(SPHINX) -q -b html -j 8 docs build/site
 	@echo "Open build/site/index.html."
 
-doctests: docs
-	$(BIN)/sphinx-build $(SPHINX) -b doctest -q docs build/doctest
-
-docs-tests: doctests ## Build the site; test the documentation, and all pages in a browser
+docs-tests: docs ## Build the site; test the documentation, and all pages in a browser
 	COUNTERSPIN_SITE=build/site $(BIN)/python -m pytest $(PARALLEL) $(PAGE_TESTS)
 
 violations: $(READY) ## Make the tables of what violations of the model do again

@@ -1,6 +1,7 @@
 """The Python interface: light to import, complete, and every name where it says it is."""
 
 import ast
+import doctest
 import inspect
 import re
 import subprocess
@@ -80,6 +81,31 @@ def test_unknown_names_are_refused_as_usual():
 )
 def test_everything_offered_has_a_docstring_of_its_own(name):
     assert inspect.getdoc(getattr(cs, name))
+
+
+def examples():
+    """Return the examples of all docstrings, one for each docstring."""
+    found = {}
+    for file in PACKAGE.rglob("*.py"):
+        if "\n    >>> " in file.read_text(encoding="utf-8"):
+            name = ".".join(file.relative_to(PACKAGE.parent).with_suffix("").parts)
+            for example in doctest.DocTestFinder().find(import_module(name), globs={}):
+                found |= {example.name: example} if example.examples else {}
+    return found
+
+
+@pytest.mark.parametrize("example", examples().values(), ids=examples())
+def test_an_example_of_a_docstring_prints_what_it_shows(example):
+    printed = []
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
+    runner.run(example, out=printed.append)
+    assert runner.tries > 0
+    assert printed == []
+
+
+def test_an_example_that_prints_something_else_would_be_found():
+    wrong = doctest.DocTestParser().get_doctest(">>> 1 + 1\n3\n", {}, "wrong", None, 0)
+    assert doctest.DocTestRunner(verbose=False).run(wrong, out=lambda _: None).failed == 1
 
 
 def test_commands_are_a_few_lines_and_files_may_be_named_by_text(tmp_path, capsys):
