@@ -19,6 +19,7 @@ from counterspin.campaign.distribution import parse_prior
 from counterspin.campaign.quantity import InputDistribution
 from counterspin.errors import CampaignError
 from counterspin.inference.joint.summary import BudgetLine
+from counterspin.inference.mixture_distribution import estimated_part_dof, mixture_dof
 
 TRIALS = 200_000
 #: Standard deviation of a 2.5 % quantile of so many draws of a normal distribution, over its own.
@@ -36,7 +37,7 @@ def coefficient(u, dof=None):
 def drawn(lines, shapes=None, dof=None, trials=TRIALS):
     u = math.sqrt(sum(item.contribution**2 for item in lines))
     of = coefficient(u, dof)
-    errors = draw_errors(lines, of, shapes or {}, trials, np.random.default_rng(1))
+    errors = draw_errors(lines, of, shapes or {}, trials, np.random.default_rng(1), {})
     return errors, interval_of(errors, of)
 
 
@@ -84,6 +85,19 @@ def test_an_estimated_noise_is_drawn_from_student_s_t():
     errors, interval = drawn([line("noise of A", 1.0, "noise")], dof=5.0)
     assert stats.kstest(errors, stats.t(5.0).cdf).pvalue > 1e-3
     assert interval.gum_validated is not False  # the GUM's interval is that of Student's t
+
+
+@pytest.mark.parametrize(("share", "noise_dof"), [(0.1, 3.0), (0.4, 3.0), (0.9, 5.0)])
+def test_noise_of_few_degrees_of_freedom_beside_a_known_part(share, noise_dof):
+    """The degrees of freedom of u are those of the whole; draws take those of the noise alone."""
+    dof = mixture_dof(share, noise_dof)
+    assert estimated_part_dof(share, dof) == pytest.approx(noise_dof, rel=1e-3)
+    lines = [line("K_PP", math.sqrt(1.0 - share)), line("noise of A", math.sqrt(share), "noise")]
+    errors, interval = drawn(lines, dof=dof)
+    # The variance of Student's t of 3 degrees of freedom is 3.
+    variance = 1.0 - share + share * noise_dof / (noise_dof - 2.0)
+    assert errors.std() == pytest.approx(math.sqrt(variance), rel=0.05)
+    assert interval.gum_validated is not False
 
 
 def test_a_stated_t_has_its_tails():
@@ -195,8 +209,9 @@ def test_terms_of_a_run_and_of_all_are_drawn_by_their_symbol():
     lines = [line(source, 0.1) for source in ("run1.platform.tilt.east", "K_PP", "Qy.K_PP")]
     limited = InputDistribution("rectangular")
     stated = {"platform.tilt.east": limited, "Qx.K_PP": limited}
-    assert list(_by_source(stated, lines, "Qx", {"run1"})) == ["run1.platform.tilt.east", "K_PP"]
-    assert list(_by_source(stated, lines, "Qy", {"run1"})) == ["run1.platform.tilt.east"]
+    sources = [item.source for item in lines]
+    assert list(_by_source(stated, sources, "Qx", {"run1"})) == ["run1.platform.tilt.east", "K_PP"]
+    assert list(_by_source(stated, sources, "Qy", {"run1"})) == ["run1.platform.tilt.east"]
 
 
 ARM = """schema = 1

@@ -15,7 +15,8 @@
 - `findings`: what speaks against a result, and its state
 - `checks`: checks of every result
 - `extensions`: the functions that a calibration calls by name; `diagnosis`: the causes of a misfit
-- `conformity`: whether coefficients meet their specifications; `monte_carlo`: intervals by JCGM 101
+- `conformity`: whether coefficients meet their specifications
+- `monte_carlo`: intervals by JCGM 101; `linearity`: whether sensitivities are constant within ±2 u
 - `result`, `result_parts`: what a calibration found, its JSON; what it is made of
 - `result_file`: results of earlier schemas, and numbers that no result has
 - `result_conversion`: coefficients as frames, for uncertainties and GTC

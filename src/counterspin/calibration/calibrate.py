@@ -103,8 +103,9 @@ def calibrate(
                 lambda: _collect_inputs(campaign, observed, file_identities, checksums),
                 accept_misfit,
             )
-        if monte_carlo:
-            result = load_name(f"{MONTE_CARLO}:add_intervals")(result, campaign, monte_carlo)
+            if monte_carlo:
+                add_intervals = load_name(f"{MONTE_CARLO}:add_intervals")
+                result = add_intervals(result, campaign, observed, monte_carlo)
         if not without and not monte_carlo:
             return result
         option_words = [*result.provenance.options, *further_arguments(without, monte_carlo)]

@@ -1,28 +1,32 @@
 """Coverage intervals by Monte Carlo (JCGM 101), beside those of the GUM.
 
-The fit is linear in its inputs at the estimate. Each trial adds to a coefficient the errors of all
-lines of its budget, each drawn from its distribution: noise whose size is estimated from Student's
-t, priors from the distributions that the description states, all others from the normal one.
+Each trial adds to a coefficient the errors of all lines of its budget, each drawn from its
+distribution: noise whose size is estimated from Student's t, priors and inputs from the
+distributions that the description states, all others from the normal one. The sensitivities are
+those at the estimate, except where a test finds that the fit is not linear (`linearity`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.calibration.linearity import Response, assess_linearity
 from counterspin.calibration.model import stated_inputs
 from counterspin.calibration.result_parts import Coefficient, MonteCarloInterval
 from counterspin.campaign.distribution import standard_draws
-from counterspin.campaign.quantity import InputDistribution
+from counterspin.campaign.quantity import NORMAL, InputDistribution
 from counterspin.errors import CampaignError
 from counterspin.inference.distributions import COVERAGE, numerical_tolerance
 from counterspin.inference.joint.summary import BudgetLine
+from counterspin.inference.mixture_distribution import estimated_part_dof
 
 if TYPE_CHECKING:
+    from counterspin.calibration.observed_runs import ObservedRun
     from counterspin.calibration.result import Result
     from counterspin.campaign.description import Campaign
 
@@ -31,6 +35,9 @@ MIN_TRIALS: Final = 10_000
 MAX_TRIALS: Final = 10_000_000
 
 _SEED: Final = 101
+
+#: A smaller share of noise in u^2 is drawn as normal: its tails do not show in the interval.
+_MIN_NOISE_SHARE: Final = 1e-3
 
 #: Parts of the trials that are compared with each other (JCGM 101, 7.9).
 _BATCHES: Final = 10
@@ -49,7 +56,9 @@ def check_trials(trials: int, method: str) -> None:
         )
 
 
-def add_intervals(result: Result, campaign: Campaign, trials: int) -> Result:
+def add_intervals(
+    result: Result, campaign: Campaign, observed: Sequence[ObservedRun], trials: int
+) -> Result:
     """Return a result with the intervals of its estimated coefficients by Monte Carlo.
 
     Parameters
@@ -58,20 +67,27 @@ def add_intervals(result: Result, campaign: Campaign, trials: int) -> Result:
         Of the joint method.
     campaign
         The distributions of its priors and inputs.
+    observed
+        The runs of the campaign.
     trials
         Number of trials.
     """
     accelerometers, runs = {}, set(result.runs)
     distributions = stated_distributions(campaign)
+    linearity = assess_linearity(result, campaign, observed)
     for place, (name, accelerometer) in enumerate(result.accelerometers.items()):
         intervals = {}
         for number, (symbol, coefficient) in enumerate(accelerometer.coefficients.items()):
             lines = accelerometer.budget.get(symbol)
             if lines and coefficient.estimated and coefficient.u:
                 generator = np.random.default_rng((_SEED, place, number))
-                shapes = _by_source(distributions, lines, name, runs)
-                errors = draw_errors(lines, coefficient, shapes, trials, generator)
-                intervals[symbol] = interval_of(errors, coefficient)
+                responses = linearity.second_order(name, symbol, coefficient.u)
+                sources = [*(line.source for line in lines), *responses]
+                shapes = _by_source(distributions, sources, name, runs)
+                errors = draw_errors(lines, coefficient, shapes, trials, generator, responses)
+                fields = linearity.describe(name, symbol, coefficient.u)
+                interval = interval_of(errors, coefficient)
+                intervals[symbol] = interval.model_copy(update=fields)
         accelerometers[name] = accelerometer.model_copy(update={"monte_carlo": intervals})
     return result.model_copy(update={"accelerometers": accelerometers})
 
@@ -90,7 +106,7 @@ def stated_distributions(campaign: Campaign) -> dict[str, InputDistribution]:
 
 def _by_source(
     distributions: Mapping[str, InputDistribution],
-    lines: list[BudgetLine],
+    sources: Sequence[str],
     owner: str,
     runs: Collection[str],
 ) -> dict[str, InputDistribution]:
@@ -99,7 +115,7 @@ def _by_source(
     A budget names the terms of its owner without it, and those of a run with the run.
     """
     shapes: dict[str, InputDistribution] = {}
-    for source in (line.source for line in lines):
+    for source in sources:
         run, _, symbol = source.partition(".")
         for name in (f"{owner}.{source}", source, symbol if run in runs else source):
             if name in distributions:
@@ -113,17 +129,26 @@ def draw_errors(
     distributions: Mapping[str, InputDistribution],
     trials: int,
     generator: np.random.Generator,
+    responses: Mapping[str, Response],
 ) -> Array:
     """Return the error of a coefficient in each trial, in its unit, shape (trials,).
 
     Lines with a normal distribution are drawn together.
+
+    responses: Source -> response beyond the linear one, where that matters.
     """
     errors = np.zeros(trials)
     normal_variance = 0.0
     noise_variance = sum(line.contribution**2 for line in lines if line.kind == "noise")
     noise_dof = _noise_dof(coefficient, noise_variance)
+    slopes = {line.source: (line.sensitivity or 0.0) * (line.u or 0.0) for line in lines}
+    for source, response in responses.items():
+        drawn = standard_draws(distributions.get(source, NORMAL), trials, generator)
+        errors += slopes.get(source, 0.0) * drawn + response.excess(drawn)
     for line in lines:
         distribution = distributions.get(line.source)
+        if line.source in responses:
+            continue
         if line.kind in ("stated", "held") and distribution is not None:
             errors += line.contribution * standard_draws(distribution, trials, generator)
         elif line.kind != "noise" or math.isinf(noise_dof):
@@ -138,7 +163,8 @@ def _noise_dof(coefficient: Coefficient, noise_variance: float) -> float:
     """Return the degrees of freedom of the noise, of which those of u come (GUM G.4)."""
     if coefficient.dof is None or coefficient.u is None or noise_variance <= 0.0:
         return math.inf
-    return coefficient.dof * (noise_variance / coefficient.u**2) ** 2
+    share = min(noise_variance / coefficient.u**2, 1.0)
+    return estimated_part_dof(share, coefficient.dof) if share > _MIN_NOISE_SHARE else math.inf
 
 
 def interval_of(errors: Array, coefficient: Coefficient) -> MonteCarloInterval:

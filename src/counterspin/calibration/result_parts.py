@@ -45,6 +45,12 @@ class MonteCarloInterval(ResultPart):
     #: Whether both ends agree with those of `Coefficient.interval` within `tolerance` (JCGM 101,
     #: 8.2); null if the trials are too few to tell.
     gum_validated: bool | None = None
+    #: Largest difference of full fits at ±2 u of a source from the linear prediction, if tested.
+    linear_difference: float | None = None
+    #: Sources whose difference exceeds `tolerance`; they are drawn with a second-order response.
+    second_order: list[str] = []
+    #: Largest difference with all sources moved together; None with fewer than two sources.
+    joint_difference: float | None = None
 
 
 class Coefficient(ResultPart):

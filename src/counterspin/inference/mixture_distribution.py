@@ -85,6 +85,25 @@ def mixture_dof(share: float, dof: float) -> float:
     return min(matched, satterthwaite)
 
 
+def estimated_part_dof(share: float, dof: float) -> float:
+    """Return the degrees of freedom of the estimated part of a sum; the inverse of `mixture_dof`.
+
+    share: Part that what is estimated has in the variance, from 0 to 1.
+    dof: Of the sum.
+    """
+    satterthwaite = dof * share**2
+    if satterthwaite > _MANY_DOF or not _LEAST_SHARE < share < 1.0:
+        return satterthwaite
+    q = -student_quantile(dof, _TAIL)
+    return math.exp(
+        _find_root(
+            lambda log_dof: mixture_tail(share, math.exp(log_dof), q) - _TAIL,
+            math.log(MIN_DOF),
+            math.log(_MANY_DOF),
+        )
+    )
+
+
 def _find_root(excess: Callable[[float], float], low: float, high: float) -> float:
     """Return where a falling function is zero, or the end that is nearest to it.
 

@@ -11,7 +11,7 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.inference.joint.summary import BudgetLine
 from counterspin.physics.terms import description_of
-from counterspin.reports.blocks import Block, Column, Heading, Table
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     field_unit,
     format_interval,
@@ -24,6 +24,10 @@ from counterspin.reports.numbers import (
 #: Kind of a source -> type of its evaluation (GUM 3.3.4). Noise is of type A if it is estimated
 #: from the records, else of type B.
 _EVALUATIONS: Final = {"stated": "B", "unstated": "B, default", "held": "B, considered"}
+
+
+#: Differences below this part of the tolerance are not stated as a number.
+_NEGLIGIBLE_RATIO: Final = 0.01
 
 
 def budget_blocks(name: str, result: Result) -> Iterator[Block]:
@@ -63,6 +67,45 @@ def interval_blocks(name: str, result: Result) -> Iterator[Block]:
             ),
             rows=tuple(rows),
         )
+        if sentence := _linearity_sentence(accelerometer):
+            yield Paragraph(sentence, "quiet")
+
+
+def _linearity_sentence(accelerometer: AccelerometerResult) -> str:
+    """Return a sentence on the test of the linear sensitivities; empty without a test."""
+    ratios = {
+        symbol: (interval.linear_difference or 0.0) / interval.tolerance
+        for symbol, interval in accelerometer.monte_carlo.items()
+        if interval.linear_difference is not None
+    }
+    if not ratios:
+        return ""
+    worst = max(ratios, key=lambda symbol: ratios[symbol])
+    amount = f"at most {format_number(ratios[worst], 2)} times the tolerance ({worst})"
+    if ratios[worst] < _NEGLIGIBLE_RATIO:
+        amount = f"less than {_NEGLIGIBLE_RATIO:g} times the tolerance"
+    text = (
+        f"Full fits with each source moved by ±2 u differ from the linear prediction by {amount}."
+    )
+    second_order = [
+        f"{symbol} ({', '.join(interval.second_order)})"
+        for symbol, interval in accelerometer.monte_carlo.items()
+        if interval.second_order
+    ]
+    used = f"A second-order response is used for {', '.join(second_order)}."
+    text += f" {used}" if second_order else " Linear sensitivities are used."
+    failed = [
+        symbol
+        for symbol, interval in accelerometer.monte_carlo.items()
+        if (interval.joint_difference or 0.0) > interval.tolerance
+    ]
+    if failed:
+        text += (
+            " With all sources moved together, full fits still differ by more than the tolerance "
+            f"for {', '.join(failed)}: the interval is approximate there. State smaller "
+            "uncertainties."
+        )
+    return text
 
 
 def budget_table(
