@@ -8,14 +8,14 @@ import pytest
 from campaigns import PLACE, SMALL, changed, runs, write
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.joint_problem import JointProblem, make_series
+from counterspin.calibration.joint_problem import JointProblem, make_noise, make_series
 from counterspin.calibration.model import fixed_terms, make_unknowns
 from counterspin.calibration.observed_runs import ObservedRun, Signal
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.two_stage.method import make_request
 from counterspin.campaign.description import read_campaign
 from counterspin.inference.joint.series import ResidualSeries
-from counterspin.inference.noise.model import Noise
+from counterspin.inference.noise.model import ESTIMATE, Noise
 from counterspin.physics.accelerometer import QX, Mounting
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import LEVEL
@@ -255,3 +255,36 @@ def test_a_clock_of_one_recorder_that_is_taken_as_exact_is_named(tmp_path):
     assert "B.records.clock" in {
         name for found in result.findings for name in (found.subject, *found.as_well)
     }
+
+
+CAMPAIGN = """schema = 1
+site = {{ gravity = "9.8 m/s^2", latitude = "45 deg" }}
+centrifuge = {{ radius = "2.5 m" }}
+records = {{ time = {{ column = "t", unit = "s" }} }}
+noise = {{ {noise} }}
+[accelerometers.Qx]
+input_axis = "east"
+pendulous_axis = "down"
+displacement = {{ column = "x", unit = "m" }}
+[[runs]]
+name = "slow"
+rate = "0.25 rev/s"
+record = "run1.csv"
+"""
+
+
+@pytest.mark.parametrize(
+    ("noise", "white", "walk"),
+    [
+        ('acceleration = "0 g/Hz^0.5"', ESTIMATE, 0.0),
+        ('acceleration = "0 g/Hz^0.5", flicker = "0 ug"', ESTIMATE, 0.0),
+        ('displacement = "0 m"', ESTIMATE, ESTIMATE),
+        ('angle = "1e-6 rad"', ESTIMATE, ESTIMATE),
+        ('displacement = "1 cm"', 0.01, 0.0),
+    ],
+)
+def test_a_walk_that_is_stated_as_zero_is_not_estimated(tmp_path, noise, white, walk):
+    """Without any size the noise is estimated, except the walk that the description excludes."""
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN.format(noise=noise), encoding="utf-8")
+    (of_qx,) = make_noise(read_campaign(tmp_path)).values()
+    assert (of_qx.white, of_qx.random_walk) == (white, walk)

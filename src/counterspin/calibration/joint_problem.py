@@ -161,9 +161,11 @@ def _noise_model(noise: StatedNoise | None, accelerometer: Accelerometer) -> Noi
     quantisation = _size_or_wanted(noise.quantisation) if displacement else 0.0
     slow_components = (_size_or_wanted(noise.flicker), _size_or_wanted(noise.bias_walk))
     stated = Noise(white, walk, 0.0 if quantisation is ESTIMATE else quantisation, *slow_components)
-    # A record without any noise cannot be weighted: then the residuals have to say.
+    # A record without any noise cannot be weighted: the noise is then estimated, except a walk that
+    # is stated as zero.
     if not any((white, walk, stated.quantisation)):
-        return replace(unknown_noise, flicker=stated.flicker, bias_walk=stated.bias_walk)
+        estimated = Noise(ESTIMATE) if "acceleration" in noise.model_fields_set else unknown_noise
+        return replace(estimated, flicker=stated.flicker, bias_walk=stated.bias_walk)
     if noise.wanders and white == 0.0 and stated.to_estimate:
         return replace(stated, white=ESTIMATE)  # beside what wanders there is white noise
     return stated
