@@ -288,8 +288,8 @@ HEAD: Final = dict.fromkeys(["method", "record", "noise"], "---") | dict.fromkey
         "of K_I",
         "of K_II",
         "of K_III",
-        "z rms as it is",
-        "of K_F as it is",
+        "z rms, unadjusted",
+        "of K_F, unadjusted",
     ],
     "---:",
 )

@@ -206,7 +206,7 @@ MISTAKES = (
         state="reservations",
     ),
     Mistake(
-        "a record that drifts from its middle on, 10 cm by its end",
+        "a record with a drift in its second half, 10 cm at the end",
         "jump slow.Qx",
         records=added("slow", EAST, lambda t: 0.2 * np.maximum(t / t[-1] - 0.5, 0.0)),
     ),
