@@ -327,7 +327,7 @@ def test_what_no_record_of_displacement_gives_away(violations):
         row = violations[name, "displacement"]
         assert moved(row) > 100
         assert (row["state"], row["codes"]) == ("good", [])
-    (held,) = told("violations", "a K_OO of its typical size moves K_II by {} u")
+    (held,) = told("violations", "a K_OO of its typical size shifts K_II by {} u")
     assert agrees(held, abs(violations["K_OO", "displacement"]["weighed"]["K_II"]))
     assert violations["delta_O", "displacement"]["codes"] == ["prior-conflict"]
     for name in ("platform.drift.north", "platform.g2_sensitivity.north"):
@@ -337,7 +337,9 @@ def test_what_no_record_of_displacement_gives_away(violations):
 def test_where_encoder_and_imbalance_matter(violations):
     rows = {k: row for k, row in violations.items() if k[0].startswith(("encoder", "centrifuge.i"))}
     assert len(rows) == 3 * (8 + 4)
-    (most,) = told("violations", "move nothing by more than {} u in displacement and velocity")
+    (most,) = told(
+        "violations", "shift no coefficient by more than {} u in displacement and velocity"
+    )
     for (_, observable), row in rows.items():
         if observable == "specific_force":
             assert row["codes"] or moved(row) < 0.1
@@ -356,14 +358,17 @@ def test_where_encoder_and_imbalance_matter(violations):
 
 def test_the_campaign_of_the_violations_is_the_one_that_is_described():
     study = runpy.run_path(str(ROOT / "docs" / "violations.py"))
-    limits = told("violations", "None beyond {} u goes"), told("violations", "by {} of its u")
+    limits = (
+        told("violations", "every shift of more than {} u"),
+        told("violations", "by {} of its u"),
+    )
     (most,), (least,) = limits
     assert agrees(most, study["SILENT_UP_TO"])
     assert agrees(least, study["SHOWN_FROM"])
     campaign = tomllib.loads(study["description"]("velocity", study["FULL"]))
-    words = "three rates ({}, {} and {} rev/s) of {} revolutions at {} Hz and {} m; "
-    words += "noise of a sample {} m, {} mm/s or {} m/s^2; "
-    words += "bias known to {} µg and scale factor to {} ppm"
+    words = "three rates ({}, {} and {} rev/s) of {} revolutions each, at {} Hz and {} m; "
+    words += "noise per sample of {} m, {} mm/s or {} m/s^2; "
+    words += "standard uncertainties of {} µg for the bias and {} ppm for the scale factor"
     *rates, turns, sampling, radius, place, speed, force, bias, scale = map(
         value_of, told("violations", words)
     )
@@ -502,7 +507,7 @@ def test_reference_values_have_as_many_digits_as_is_told():
         )
         for name in ("make_double_integrals.py", "make_arm_forces.py")
     ]
-    assert list(map(value_of, told("validation", "of {} and {}-digit arithmetic"))) == digits
+    assert list(map(value_of, told("validation", "in {}-digit and {}-digit arithmetic"))) == digits
     told_of_trust = [
         *told("trust", "integrals in {}-digit"),
         *told("trust", "twice with {} digits"),
@@ -523,7 +528,7 @@ def test_the_cases_are_as_many_as_the_page_says(words, begins):
 
 def test_the_page_on_validation_has_every_requirement():
     page = (ROOT / "docs" / "validation.md").read_text("utf-8")
-    table = page.partition("## The cases")[2].partition("They are data")[0]
+    table = page.partition("## The cases")[2].partition("The cases are stored")[0]
     rows = re.findall(r"^\| ([a-z][\w ]+) \|", table, re.M)[1:]
     assert rows == list(dict.fromkeys(rows))
     assert set(rows) == {case.requirement for case in cases()}
