@@ -48,7 +48,7 @@ def test_wherever_something_is_found_the_head_is_named(kept, way):
             continue
         assuming = next(STUDY["calibrated"](STUDY["world_of"](violation, usual)))
         times = "once" if ".1." in violation.symbol else "twice"
-        two = f"look like an error of the head {times} a turn"
+        two = f"look like an error of the head {times} per revolution"
         one = "An error of the head that varies with its angle"
         assert (two if "mountings" in way else one) in assuming.findings[0].text
 
