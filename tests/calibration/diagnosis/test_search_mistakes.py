@@ -249,7 +249,7 @@ MISTAKES = (
         estimated=True,
     ),
     Mistake(
-        "a slow error of 20 cm in one record that goes with t^3",
+        "a slow error of 20 cm in one record, proportional to t^3",
         "bias-drifts fast.Qx",
         records=added("fast", EAST, lambda t: 0.2 * (t / t[-1]) ** 3),
         estimated=True,
