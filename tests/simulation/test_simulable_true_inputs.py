@@ -44,6 +44,21 @@ def test_a_delayed_angle_is_that_of_a_later_time(tmp_path):
     np.testing.assert_allclose(columns["angle_rad"], expected, rtol=0.0, atol=1e-12)
 
 
+def test_true_responses_of_sensor_and_recorder_delay_the_record(tmp_path):
+    """Well below their frequencies, by zeta/(pi f0) and 1/(2 pi fc)."""
+    stated = changed(STEADY, ("[accelerometers.Qx]\n", "[accelerometers.Qx]\nDAMPED"))
+    stated = stated.replace("DAMPED", 'natural_frequency = "600 Hz"\ndamping = "0.5"\n')
+    table = '[truth.records]\ncutoff_frequency = "200 Hz"'
+    true = changed(stated, ("[truth.Qx]\n", '[truth.Qx]\nnatural_frequency = "500 Hz"\n'))
+    columns = columns_of(tmp_path, with_truth(table, true), run=2)
+    t = columns["time_s"]
+    waves = np.column_stack([np.cos(2.0 * math.pi * t), np.sin(2.0 * math.pi * t)])
+    both = np.column_stack([waves, np.vander(t, 3), waves**2, waves**3])
+    cosine, sine = np.linalg.lstsq(both, columns["east_m"], rcond=None)[0][:2]
+    expected = 2.0 * math.pi * (0.5 / (math.pi * 500.0) + 1.0 / (2.0 * math.pi * 200.0))
+    assert math.atan2(sine, cosine) == pytest.approx(expected, rel=1e-3)
+
+
 def test_each_recorder_stamps_by_its_own_clock(tmp_path):
     table = '[truth.records]\nclock = { A = "20 ppm", B = "-5 ppm" }'
     for run, fast in ((0, -5e-6), (1, 2e-5)):

@@ -164,6 +164,20 @@ def test_each_recorder_may_have_its_own_clock(tmp_path):
     assert truth.draw(random_stream(3, 0, 0), 2).inputs["", "records.clock"].any()
 
 
+def test_the_inputs_of_a_response_vary_by_accelerometer_where_they_are_stated(tmp_path):
+    stated = '[accelerometers.Qx]\nnatural_frequency = "400 ± 20 Hz"\ndamping = "0.7 ± 0.1"\n'
+    text = changed(UNCERTAIN, ("[accelerometers.Qx]\n", stated)) + JOINT
+    vary = '[study.vary]\n"Qx.sensor.damping" = { fixed = "0.6 1" }\n'
+    read = read_study(write(tmp_path / "named", f"{text}\n{vary}"))
+    truth = StudyTruth.from_campaign(read.campaign, read.varying)
+    response = make_setup(read.campaign).true_mounting("Qx", truth.mean_draw()).response
+    assert (response.natural_frequency, response.damping) == (400.0, pytest.approx(0.6))
+    unstated = re.sub(r"(\[truth\.Qx\].*\n)", r"\1damping = 0.6\n", UNCERTAIN) + JOINT
+    campaign = read_study(write(tmp_path / "unstated", unstated)).campaign
+    with pytest.raises(CampaignError, match=r"truth.Qx.damping: a study simulates it only if"):
+        make_setup(campaign)
+
+
 def test_an_input_far_from_what_is_stated_needs_full_records(tmp_path):
     """K_II goes as the square of the radius: 4 % of it are 30 of its u."""
     text = changed(UNCERTAIN, ("± 2.5e-4 m", "± 0.1 m")) + JOINT

@@ -31,10 +31,12 @@ _HARMONICS: Final = 8
 #: Frequencies per harmonic at which it is approximated.
 _POINTS_PER_HARMONIC: Final = 4
 
-#: Number of time shifts on either side of the delay, and their spacing in parts of the period of
-#: the highest harmonic. With these, a response that is smooth over the harmonics is approximated to
-#: 1e-9 of its deviation from a delay for a natural frequency above 60 times the rate.
-_SHIFTS: Final = 5
+#: Largest error of the approximated gain at these frequencies.
+_TOLERANCE: Final = 3e-10
+
+#: Largest number of time shifts on either side of the delay, and their spacing in parts of the
+#: period of the highest harmonic.
+_MAX_SHIFTS: Final = 6
 _SHIFT_SPACING: Final = 0.125
 
 
@@ -199,11 +201,14 @@ def _time_shifts(response: FrequencyResponse, rate: float, *, recorder: bool) ->
     orders = np.arange(1, _HARMONICS * _POINTS_PER_HARMONIC + 1) / _POINTS_PER_HARMONIC
     frequencies = rate * orders  # rad/s
     rest = evaluate(frequencies / turn) * np.exp(1j * frequencies * delay) - 1.0
-    steps = np.array([*range(-_SHIFTS, 0), *range(1, _SHIFTS + 1)])
-    waves = np.exp(1j * np.outer(frequencies, steps) * spacing) - 1.0
-    weights = np.linalg.lstsq(
-        np.vstack([waves.real, waves.imag]), np.concatenate([rest.real, rest.imag]), rcond=1e-13
-    )[0]
+    targets = np.concatenate([rest.real, rest.imag])
+    for count in range(1, _MAX_SHIFTS + 1):
+        steps = np.array([*range(-count, 0), *range(1, count + 1)])
+        waves = np.exp(1j * np.outer(frequencies, steps) * spacing) - 1.0
+        design = np.vstack([waves.real, waves.imag])
+        weights = np.linalg.lstsq(design, targets, rcond=1e-13)[0]
+        if np.abs(design @ weights - targets).max() < _TOLERANCE:
+            break
     return TimeShifts(
         (-delay, *(spacing * steps - delay).tolist()),
         (1.0 - float(weights.sum()), *weights.tolist()),
