@@ -427,7 +427,7 @@ def why_no_time(contents: FileContents) -> str:
     for column in contents.columns:
         falls = int(np.sum(np.diff(column.values) < 0.0))
         if falls and _is_named_time(column.name):
-            return f"Column '{column.name}' is not used as the time: it falls at {falls} rows"
+            return f"Column '{column.name}' is not used as the time: it falls {falls} times"
     return "There is no time column"
 
 
