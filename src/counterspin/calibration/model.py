@@ -185,6 +185,9 @@ def _stated_prior(campaign: Campaign, owner: str, symbol: str) -> Quantity | Non
     """Return the stated prior of a term of an owner."""
     if owner in campaign.accelerometers and symbol in campaign.accelerometers[owner].priors:
         return campaign.accelerometers[owner].priors[symbol]
+    if symbol == "platform.tilt.up":
+        run_priors = {run.name: run.table_angle_prior for run in campaign.runs}
+        return run_priors.get(owner) or campaign.model.priors.get(symbol)
     return campaign.model.priors.get(symbol)
 
 

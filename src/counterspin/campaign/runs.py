@@ -171,8 +171,8 @@ class Run(SettingsSection):
     )
     stand: AttitudeField = key_field(
         "attitude of the platform in this run. In a reading, `±` states the uncertainty"
-        " of the dividing head; `unknown` marks a pose of a triad. At rest this or "
-        "`axes` is required",
+        " of the dividing head, and in a record with a `table_ratio` that of the table's angle; "
+        "`unknown` marks a pose of a triad. At rest this or `axes` is required",
         "90 deg about east",
         absent="level",
         kind="attitude",
@@ -320,6 +320,11 @@ class Run(SettingsSection):
         return self.stand.rows
 
     @property
+    def table_angle_prior(self) -> Quantity | None:
+        """Prior of the turn about up by the stated uncertainty of the table's angle, if any."""
+        return Quantity(0.0, self.stand.u, "rad") if self.stand.u else None
+
+    @property
     def attitude_keys(self) -> tuple[bytes, ...]:
         """Bytes of the attitudes by which errors act: the attitude, and a quarter turn from it."""
         quarter = [self.attitude @ _QUARTER_TURN] if self.turns_in_space else []
@@ -370,8 +375,10 @@ class Run(SettingsSection):
             stated = "stated_rate" in self.model_fields_set
             message = "the centrifuge must turn; the rate is zero" if stated else "is missing"
             yield ("rate",), message, "motion", "reading"
+        # The angle of a table, about up, may be uncertain.
+        has_table_angle = self.turns_in_space and abs(self.stand.head[2]) == 1.0
         try:
-            platform_attitude(self.stand)
+            platform_attitude(replace(self.stand, u=0.0) if has_table_angle else self.stand)
         except ValueError as error:
             yield ("attitude",), str(error), "motion", "reading"
         for place, file in enumerate(self.continued_in if self.file else ()):
