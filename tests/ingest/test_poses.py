@@ -109,7 +109,7 @@ def test_what_is_guessed_can_be_overruled(tmp_path, values):
     assert document["accelerometers"]["X"]["specific_force"]["column"] == "column 3"
     assert document["accelerometers"]["X"]["grade"] == "tactical"
     assert document["runs"][0]["poses"] == {"rest": "3 s"}
-    with pytest.raises(CampaignError, match="each axis has a column of its own"):
+    with pytest.raises(CampaignError, match="each axis needs a separate column"):
         poses_draft(looks, ANSWERS | {"X": "column 2"}).document(tmp_path)
     # The kind itself, too.
     asked = [one.key for one in make_draft(looks, {}, "double-turntable").questions]
