@@ -133,7 +133,7 @@ def test_in_memory_it_is_the_same_as_in_files(tmp_path):
     ("text", "words"),
     [
         (described(noise=""), "truth.noise.specific_force: missing"),
-        (described().replace('e = "100 Hz"\ns', 'e = "50 Hz"\ns'), "records.time says 100 Hz"),
+        (described().replace('e = "100 Hz"\ns', 'e = "50 Hz"\ns'), "records.time states 100 Hz"),
         (described("poses = 0\n"), "simulation.poses"),
         (described().replace("all.csv", "all.log"), "write .csv or .parquet"),
     ],
