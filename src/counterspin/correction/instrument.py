@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from graphlib import TopologicalSorter
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from counterspin.arrays import Array, semidefinite_root
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.errors import CampaignError
+from counterspin.inference.priors import correlation_matrix
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.correction import (
     CalibratedAccelerometer,
@@ -161,7 +163,33 @@ def covariance_of(accelerometer: AccelerometerResult, terms: Mapping[str, Coeffi
             if source in terms and source not in estimated and line.sensitivity is not None:
                 j = symbols.index(source)
                 covariance[i, j] = covariance[j, i] = line.sensitivity * u[j] ** 2
+        for source, size in _correlated_shifts(accelerometer, symbol).items():
+            if source in terms and source not in estimated:
+                j = symbols.index(source)
+                covariance[i, j] = covariance[j, i] = size * u[j]
     return covariance
+
+
+def _correlated_shifts(accelerometer: AccelerometerResult, symbol: str) -> dict[str, float]:
+    """Return the covariance of an estimate with each correlated prior, over the u of the prior.
+
+    A budget has them as independent sources, each given some of those before it.
+    """
+    given: dict[str, list[str]] = {}
+    shifts: dict[str, float] = {}
+    for line in accelerometer.budget.get(symbol, []):
+        source, _, conditions = line.source.partition(" given ")
+        if source in accelerometer.prior_correlations and line.u and line.sensitivity is not None:
+            given[source] = conditions.split(", ") if conditions else []
+            shifts[source] = line.sensitivity * line.u
+    members = list(TopologicalSorter(given).static_order())
+    if not accelerometer.prior_correlations.keys() >= {*members}:
+        return {}  # of terms of other accelerometers their correlations are not known here
+    if not members:
+        return {}
+    root = np.linalg.cholesky(correlation_matrix(members, accelerometer.prior_correlations))
+    covariances = root @ [shifts.get(member, 0.0) for member in members]
+    return dict(zip(members, map(float, covariances), strict=True))
 
 
 def is_possible(covariance: Array) -> bool:
