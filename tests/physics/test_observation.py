@@ -213,6 +213,10 @@ def simulated_errors(mounting, sets, attitude, times):
         waves = np.array([f(n * angle) for n in (1, 2) for f in (np.cos, np.sin)])
         up = np.outer(values["table"] @ waves, attitude[:, 2])
         force = times_each(rodrigues(-up), force)
+        # The axis of the table leans with the arm, and the instrument with it.
+        east, north = np.cos(angle), np.sin(angle)
+        outward_and_forward = np.array([[east, north, 0.0], [-north, east, 0.0]]) @ attitude.T
+        force = times_each(rodrigues(-values["table_axis"] @ outward_and_forward), force)
         i, p, o = (force / g @ axes).T
         sensed = g * sum(c * EQUATION_7[s](i, p, o) for s, c in coefficients.items())
         # Navigation acceleration less the true one: gravity and Coriolis cancel in it.
@@ -383,8 +387,9 @@ def test_the_mirrored_sense_changes_the_sign_of_what_is_odd(spindle):
     for symbol in PLATFORM_TERMS:
         kind, *_, which = symbol.split(".")[1:]
         if symbol in WAVES:
-            # The table turns about up; of a sine the sense changes the sign too.
-            odd |= {symbol} if which == "cos" else set()
+            # The table turns about up, and its axis leans outward or forward; of a sine and of
+            # the forward direction the sense changes the sign too.
+            odd |= {symbol} if which in ("cos", "outward") else set()
         elif kind in MATRICES:
             if (which[0] in "xz") != (which[1] == "y"):
                 odd.add(symbol)
