@@ -170,6 +170,12 @@ def with_attitude(ratio, attitude):
     return description
 
 
+def with_response():
+    description = described(3)
+    description["accelerometers"]["A"] |= {"natural_frequency": "200 Hz", "damping": "0.7"}
+    return description
+
+
 def with_displacement():
     description = described(-2)
     accelerometer = description["accelerometers"]["A"]
@@ -194,6 +200,7 @@ def with_displacement():
             "takes no uncertainty here; give platform.tilt a prior",
         ),
         (described("2/0"), "must be a number, or a fraction such as 1/2"),
+        (with_response(), "is larger than 2; the force then has harmonics"),
         (described(100), "must be between -16 and 16"),
         (with_model("terms", ["K_II", "table.lever_arm"]), "in addition to the requested terms"),
         (

@@ -35,6 +35,9 @@ Listed = Sequence[tuple[int, Any]]
 
 _CHECKS: Final[dict[Callable[..., Mistakes], tuple[str, ...]]] = {}
 
+#: Largest size of a table ratio for which a frequency response covers the harmonics of the force.
+_LARGEST_RATIO_WITH_RESPONSE: Final = 2
+
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
 
@@ -181,6 +184,7 @@ def _unusable_table_ratio(
     centrifuge: CentrifugeSettings | None,
     records: RecordsSettings | None,
     observables: Mapping[str, str],
+    accelerometers: Mapping[str, Accelerometer],
 ) -> Mistakes:
     """Yield ratios of the table for which the campaign lacks what they need."""
     for place, run in runs.items():
@@ -196,6 +200,13 @@ def _unusable_table_ratio(
                 path,
                 f"{turns}; record specific_force, because {' or '.join(others)} along a turning "
                 "axis is not evaluated",
+            )
+        responds = any(a.response is not None for a in accelerometers.values())
+        if responds and abs(run.table_ratio) > _LARGEST_RATIO_WITH_RESPONSE:
+            yield (
+                path,
+                f"is larger than {_LARGEST_RATIO_WITH_RESPONSE}; the force then has harmonics for "
+                "which no frequency response is calculated",
             )
         recording = run.recording or records
         if recording is not None and recording.angle is None:
