@@ -52,7 +52,7 @@ def test_what_is_likely_is_said():
     assert sign in said["mirrored attitudes, input axis east at 0"]
     assert "Check a unit, m/s^2 instead of g." in said["m/s^2 for g"]
     assert "the attitudes: their zero" in said["the zero of the head, 1 deg"]
-    assert "the sense in which the attitudes turn" in said["mirrored attitudes, delta_O stated"]
+    assert "the sense of rotation of the attitudes" in said["mirrored attitudes, delta_O stated"]
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -48,8 +48,8 @@ def test_wherever_something_is_found_the_head_is_named(kept, way):
             continue
         assuming = next(STUDY["calibrated"](STUDY["world_of"](violation, usual)))
         times = "once" if ".1." in violation.symbol else "twice"
-        two = f"look like an error of the head {times} per revolution"
-        one = "An error of the head that varies with its angle"
+        two = f"have the pattern of a head error {times} per revolution"
+        one = "A head error that varies with the angle"
         assert (two if "mountings" in way else one) in assuming.findings[0].text
 
 

@@ -52,7 +52,7 @@ def test_an_identity_is_of_the_content(tmp_path):
         ("[1, NaN]", "NaN is not a valid number in JSON"),
         ("[-Infinity]", "-Infinity is not a valid number in JSON"),
         ("1" * 5000, "a number has 5000 digits; at most 400 are read"),
-        ("[" * 100_000, "it is nested too deeply"),
+        ("[" * 100_000, "the document is nested too deeply"),
     ],
 )
 def test_json_that_programs_read_differently_is_refused(text, words):

@@ -48,7 +48,7 @@ def test_a_pipe_is_written_to_and_not_replaced(tmp_path):
 def test_a_full_disk_is_told(tmp_path):
     full = tmp_path / "full.json"
     full.symlink_to("/dev/full")
-    with pytest.raises(CounterspinError, match=r"full\.json: cannot be written"):
+    with pytest.raises(CounterspinError, match=r"full\.json cannot be written"):
         write_text(full, "x")
 
 
@@ -57,13 +57,13 @@ def test_a_folder_in_the_way_and_one_that_is_missing(tmp_path):
         with pytest.raises(CounterspinError, match="cannot be written"):
             write_text(target, "x")
     assert not list(tmp_path.iterdir())
-    with pytest.raises(CounterspinError, match=r"^\.: cannot be written because it is a folder; "):
+    with pytest.raises(CounterspinError, match=r"^\. cannot be written because it is a folder; "):
         write_text(Path(), "x")
 
 
 def test_a_file_in_the_place_of_a_folder(tmp_path):
     (tmp_path / "dossier").write_text("mine")
-    with pytest.raises(CounterspinError, match=r"dossier is a file, not a folder; name a folder"):
+    with pytest.raises(CounterspinError, match=r"dossier is a file, not a folder; give a folder"):
         make_folder(tmp_path / "dossier")
     with pytest.raises(CounterspinError, match=r"cannot be created .* choose another place"):
         make_folder(tmp_path / "dossier" / "deeper")
@@ -88,7 +88,7 @@ def test_a_file_that_comes_while_another_is_written_is_not_lost(tmp_path, links)
         target.write_text("somebody else's")
         part.write_text("ours")
 
-    with pytest.raises(CounterspinError, match=r"c\.xml exists; name another file$"):
+    with pytest.raises(CounterspinError, match=r"c\.xml exists; choose another file$"):
         write_whole(target, write)
     with pytest.raises(CounterspinError, match=r"c\.xml exists and is not a comparison written"):
         write_whole(target, write, partial(marked, "a comparison"), overwrite=True)
@@ -140,7 +140,7 @@ def test_a_link_to_itself_is_told(tmp_path):
     (tmp_path / "b").symlink_to("a")
     for name in ("c.xml", "a", "a/deeper.json"):
         with pytest.raises(
-            CounterspinError, match="because a link in it leads to itself; name anoth"
+            CounterspinError, match="because the path contains a circular link; choose anoth"
         ):
             write_text(tmp_path / name, "x", overwrite=True)
 
@@ -174,10 +174,10 @@ def windows(monkeypatch):
         ("COM1.toml", "COM1.toml is the name of a device"),
         ("LPT¹ .x", "is the name of a device"),
         ("aux/result.json", "aux is the name of a device"),
-        ("10:30.csv", "no ':'"),
-        ("what?.csv", "no '\\?'"),
-        ("result.", "no dot or blank at its end"),
-        ("run 1 /result.json", "no dot or blank at its end"),
+        ("10:30.csv", "must not contain ':'"),
+        ("what?.csv", "must not contain '\\?'"),
+        ("result.", "must not end with a dot or a space"),
+        ("run 1 /result.json", "must not end with a dot or a space"),
     ],
 )
 def test_names_that_windows_takes_for_others_are_refused(windows, tmp_path, name, reason):
@@ -248,7 +248,9 @@ def test_a_file_that_another_program_has_open_is_told_on_windows(windows, tmp_pa
         raise PermissionError(13, "The process cannot access the file")
 
     monkeypatch.setattr(Path, "replace", locked)
-    with pytest.raises(CounterspinError, match=r"another program has it open.*close it in that"):
+    with pytest.raises(
+        CounterspinError, match=r"the file is open in another program.*close it in that"
+    ):
         write_text(target, "new", overwrite=True)
     assert target.read_text() == "old"
     assert list(tmp_path.iterdir()) == [target]

@@ -66,12 +66,16 @@ def test_json_schema_says_what_is_written():
     ("text", "words"),
     [
         ("[]", "not a log file: Input should be"),
-        ("{", "not a log file, or a damaged one (Expecting"),
+        ("{", "not a log file, or damaged (Expecting"),
         ('{"rooms": {"attic": {"value": NaN}}}', "NaN is not a valid number in JSON"),
         ('{"rooms": {"attic": {"valve": 1}}}', "not a log file: rooms: attic: value: Field req"),
         ('{"rooms": {"attic": {"value": 1, "u": 2}}}', "attic: u: Extra inputs are not permitted"),
         ('{"rooms": {}, "series": []}', "a damaged log: it has no rooms"),
-        ('{"schema": 2}', "written by a newer counterspin (schema 2; this one reads up to 1)"),
+        (
+            '{"schema": 2}',
+            "was written by a newer version of counterspin (schema 2; this version reads schemas "
+            "up to 1)",
+        ),
     ],
 )
 def test_what_cannot_be_used_is_told(tmp_path, text, words):
@@ -79,7 +83,7 @@ def test_what_cannot_be_used_is_told(tmp_path, text, words):
     path.write_text(text, encoding="utf-8")
     with pytest.raises(RecordError) as caught:
         Log.read(path)
-    assert str(caught.value).startswith(f"{path}: ")
+    assert str(caught.value).startswith(f"{path}")
     assert words in str(caught.value)
 
 
@@ -88,13 +92,15 @@ def test_a_result_replaces_an_earlier_one_only_if_asked_to_and_no_other_file(tmp
     LOG.write(path)
     before = path.read_bytes()
     other = LOG.model_copy(update={"schema_version": 1, "rooms": {}})
-    with pytest.raises(CounterspinError, match="exists; name another file, or give `overwrite"):
+    with pytest.raises(CounterspinError, match="exists; choose another file, or give `overwrite"):
         other.write(path)
     assert path.read_bytes() == before
     other.write(path, overwrite=True)
     assert path.read_bytes() != before
     campaign.write_text("schema = 1", encoding="utf-8")
-    with pytest.raises(CounterspinError, match="is not the file of a log; it is not replaced"):
+    with pytest.raises(
+        CounterspinError, match="is not the file of a log, so it was not overwritten"
+    ):
         LOG.write(campaign, overwrite=True)
     assert campaign.read_text(encoding="utf-8") == "schema = 1"
 
@@ -149,7 +155,7 @@ def test_a_file_that_was_edited_is_refused_and_one_that_was_set_anew_is_not(tmp_
     assert (read == Log.read(path), read.sealed, read.seal) == (True, True, None)
     for key, value in (("series", [1.0, None, 3.5]), ("rooms", {"attic": {"value": 281.5}})):
         path.write_text(json.dumps(document | {key: value}), encoding="utf-8")
-        with pytest.raises(RecordError, match=r"was changed after it was written: its seal does"):
+        with pytest.raises(RecordError, match=r"was changed after it was written: the seal does"):
             Log.read(path)
 
 
@@ -244,5 +250,5 @@ def test_only_a_result_has_a_report(tmp_path):
 
 
 def test_data_of_a_laboratory_of_a_wrong_type_get_a_sentence():
-    with pytest.raises(TypeError, match=r"give a mapping of the laboratory's data, .* not 5"):
+    with pytest.raises(TypeError, match=r"give a mapping with the laboratory's data, .* not 5"):
         read_lab(5, None)

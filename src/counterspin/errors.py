@@ -49,9 +49,9 @@ def installing(extra: str) -> str:
     wheel = f"counterspin-{__version__}-py3-none-any.whl[{extra}]"
     return (
         f"`pip install '.[{extra}]'` in the folder of counterspin's clone, or `pip install "
-        f"'./{wheel}'` in that of its wheel; without a network, `pip wheel -w DIR` with the same "
-        f"words on a computer that has one, then `pip install --no-index --find-links DIR "
-        f"'DIR/{wheel}'` here"
+        f"'./{wheel}'` in the folder of the wheel; without a network, `pip wheel -w DIR` with the "
+        "same arguments on a computer with a network, then `pip install --no-index --find-links "
+        f"DIR 'DIR/{wheel}'` on this computer"
     )
 
 

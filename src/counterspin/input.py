@@ -52,7 +52,7 @@ _BEGINNINGS: Final = (
     (b"\x89PNG", "a picture (PNG)"),
     (b"\xff\xd8\xff", "a picture (JPEG)"),
     (b"%PDF", "a PDF"),
-    (b"PK\x03\x04", "a workbook of Excel, or an archive (ZIP)"),
+    (b"PK\x03\x04", "an Excel workbook, or a ZIP archive"),
     (b"PAR1", "a Parquet file"),
     (b"\x89HDF", "an HDF5 file"),
     (b"TDSm", "a TDMS file"),
@@ -103,7 +103,7 @@ def read_file(path: Path, most: int = DOCUMENT_BYTES) -> bytes:
             parts.append(part)
             left -= len(part)
             if left < 0:
-                raise OSError(errno.EFBIG, f"it has more than {most} bytes", str(path))
+                raise OSError(errno.EFBIG, f"the file has more than {most} bytes", str(path))
     return b"".join(parts)
 
 
@@ -121,12 +121,12 @@ def parse_json(text: str | bytes) -> Any:
             object_pairs_hook=_unique_keys,
         )
     except RecursionError as error:
-        raise ValueError("it is nested too deeply") from error
+        raise ValueError("the document is nested too deeply") from error
 
 
 def _integer(digits: str) -> int:
     if len(digits) > _MOST_DIGITS:
-        raise ValueError(f"a number has {len(digits)} digits; at most {_MOST_DIGITS} are read")
+        raise ValueError(f"a number has {len(digits)} digits; at most {_MOST_DIGITS} are allowed")
     return int(digits)
 
 
@@ -156,9 +156,9 @@ def require_file(path: Path, mode: int) -> None:
     """Raise the OSError of `open_file` if something of this mode (`st_mode`) is no file."""
     if stat.S_ISREG(mode):
         return
-    kind = next((words for is_kind, words in _KINDS if is_kind(mode)), "no ordinary file")
+    kind = next((words for is_kind, words in _KINDS if is_kind(mode)), "not an ordinary file")
     code = errno.EISDIR if stat.S_ISDIR(mode) else errno.EINVAL
-    raise OSError(code, f"it is {kind}, not a file", str(path))
+    raise OSError(code, f"this is {kind}, not a file", str(path))
 
 
 def _without_waiting(path: str, flags: int) -> int:

@@ -58,7 +58,7 @@ def reserve(
         if not place.exists():
             if not place.parent.is_dir():
                 raise CounterspinError(
-                    f"{path}: cannot be written: the folder {path.parent} does not exist"
+                    f"{path} cannot be written: the folder {path.parent} does not exist"
                 )
             return
     except OSError as error:
@@ -75,12 +75,12 @@ def reserve(
             same = False
         if not same:
             raise CounterspinError(
-                f"{path} exists and is not {expected.words}; it is not replaced: choose another "
-                f"file"
+                f"{path} exists and is not {expected.words}, so it was not overwritten; choose "
+                "another file"
             )
     if not overwrite:
         advice = "" if kind is None else ", or give `overwrite=True`"
-        raise CounterspinError(f"{path} exists; name another file{advice}")
+        raise CounterspinError(f"{path} exists; choose another file{advice}")
 
 
 def mark(words: str) -> str:
@@ -123,12 +123,12 @@ def require_valid_name(path: Path) -> None:
         if _DEVICE.fullmatch(part):
             reason = f"{part} is the name of a device on Windows"
         elif found := _FORBIDDEN.search(part):
-            reason = f"a name has no {found[0]!r} on Windows"
+            reason = f"names must not contain {found[0]!r} on Windows"
         elif part[-1] in ". " and part not in (".", ".."):
-            reason = "a name has no dot or blank at its end on Windows"
+            reason = "names must not end with a dot or a space on Windows"
         else:
             continue
-        raise CounterspinError(f"{path}: cannot be written: {reason}; choose another name")
+        raise CounterspinError(f"{path} cannot be written: {reason}; choose another name")
 
 
 def make_folder(folder: Path) -> None:
@@ -138,9 +138,9 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         if isinstance(error, FileExistsError):
-            raise CounterspinError(f"{folder} is a file, not a folder; name a folder") from error
+            raise CounterspinError(f"{folder} is a file, not a folder; give a folder") from error
         raise CounterspinError(
-            f"{folder}: cannot be created ({error.strerror}); choose another place"
+            f"{folder} cannot be created ({error.strerror}); choose another place"
         ) from error
 
 
@@ -284,18 +284,19 @@ def _place(path: Path) -> Path:
         raise CounterspinError(_refusal(path, error)) from error
     if around:
         raise CounterspinError(
-            f"{path}: cannot be written because a link in it leads to itself; name another file"
+            f"{path} cannot be written because the path contains a circular link; choose another "
+            "file"
         )
     return place
 
 
 def _refusal(path: Path, error: OSError) -> str:
     if isinstance(error, IsADirectoryError) or path.is_dir():
-        return f"{path}: cannot be written because it is a folder; give the name of a file"
+        return f"{path} cannot be written because it is a folder; give the name of a file"
     reason = error.strerror or str(error)
     if sys.platform == "win32" and isinstance(error, PermissionError) and path.is_file():
         return (
-            f"{path}: cannot be replaced ({reason}): another program has it open, or it is "
-            "write-protected; close it in that program, or name another file"
+            f"{path} cannot be overwritten ({reason}): the file is open in another program, or "
+            "write-protected; close it in that program, or choose another file"
         )
-    return f"{path}: cannot be written ({reason}); choose another place or make it writable"
+    return f"{path} cannot be written ({reason}); choose another place or make it writable"

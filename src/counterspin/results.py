@@ -193,22 +193,22 @@ class ResultFile(ResultPart):
             text = content.decode("utf-8")
             document = parse_json(text)
             if _HALF.search(text) and document != _escape_surrogates(document):
-                raise ValueError("a text in it contains half of a character")
+                raise ValueError("a string contains an incomplete character")
         except OSError as error:
             raise RecordError(f"{path}: {describe_read_error(error)}; {wanted}") from error
         except ValueError as error:
             reason = str(error)
             if content.lstrip()[:1] not in (b"{", b"["):
-                reason = f"it is {looks_like(content) or 'no JSON'}"
+                reason = f"this is {looks_like(content) or 'not JSON'}"
             raise RecordError(
-                f"{path}: not a {cls.KIND} file, or a damaged one ({reason}); {wanted}, or write "
-                "it again"
+                f"{path}: not a {cls.KIND} file, or damaged ({reason}); {wanted}, or write the "
+                "file again"
             ) from error
         schema = document.get("schema") if isinstance(document, dict) else None
         if isinstance(schema, int) and schema > cls.newest_schema():
             raise RecordError(
-                f"{path}: written by a newer counterspin (schema {schema}; this one reads up to "
-                f"{cls.newest_schema()}); update counterspin"
+                f"{path} was written by a newer version of counterspin (schema {schema}; this "
+                f"version reads schemas up to {cls.newest_schema()}); update counterspin"
             )
         try:
             result = cls.model_validate(document)
@@ -221,8 +221,8 @@ class ResultFile(ResultPart):
         seal = document.get("seal")
         if seal is not None and seal != _seal_of(text):
             raise RecordError(
-                f"{path}: was changed after it was written: its seal does not match "
-                "its content; give the original file, or compute it again"
+                f"{path} was changed after it was written: the seal does not match the content; "
+                "give the original file, or compute the result again"
             )
         for fault in (
             *result.validation_errors(),

@@ -83,13 +83,13 @@ def test_the_command_writes_result_report_and_figure(folder, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"levels": "1,-2g"}, r'`levels`: "-2g": must be an acceleration between 0 and'),
+        ({"levels": "1,-2g"}, r'`levels`: "-2g" must be an acceleration between 0 and'),
         ({"levels": "1 s"}, r'`levels`: "1 s"'),
         ({"levels": ""}, "`levels`"),
         ({"levels": []}, "give one or more"),
         ({"draws": 10}, "`draws`: must be from 200000"),
         ({"seed": -1}, "`seed`"),
-        ({"mounting": "out"}, '"out" is unknown; known: in'),
+        ({"mounting": "out"}, 'unknown mounting "out"; known: in'),
     ],
 )
 def test_mistakes_are_named(folder, options, message):
@@ -112,5 +112,5 @@ def test_a_campaign_without_a_centrifuge_is_refused(folder):
         '[[runs]]\nname = "up"\nmotion = "static"\nattitude = "0 deg about north"\n'
         'reading = "1.0 ± 1e-6 g"\n'
     )
-    with pytest.raises(CampaignError, match=r"centrifuge\.radius: is missing"):
+    with pytest.raises(CampaignError, match=r"centrifuge\.radius: missing"):
         cs.applied(folder(at_rest), [1.0])

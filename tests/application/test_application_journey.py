@@ -58,18 +58,18 @@ LABORATORY = {
 
 #: What a person knows that no file says: how a question begins -> the answer.
 KNOWN = {
-    "Which sheet is the table": "all",
+    "Which sheet contains the table": "all",
     "Local gravity": "9.8066 m/s^2",
     "Latitude": "45.75 deg",
     "Radius": "2.5 ± 1e-5 m",
     "Sense of rotation": "counterclockwise",
     "How many samples a second": "20 Hz",
-    "Which column is the time": "column 1",
-    "Which column is the angle": "column 2",
-    "In which unit is the time": "s",
-    "In which unit is the angle": "rad",
-    "What is column": "displacement",
-    "In which unit is column": "m",
+    "Which column contains the time": "column 1",
+    "Which column contains the spindle angle": "column 2",
+    "What is the unit of the time column": "s",
+    "What is the unit of the angle column": "rad",
+    "What does column": "displacement",
+    "What is the unit of column": "m",
     "Along which axis": "east",
 }
 

@@ -197,7 +197,7 @@ def test_a_record_becomes_a_run_at_the_rate_that_it_shows(app, folder):
 def test_a_record_without_a_wave_is_no_run(app, folder):
     still = dict.fromkeys(("angle_rad", "east_m", "north_m"), np.zeros(800))
     before = (folder / "three" / "campaign.toml").read_bytes()
-    with pytest.raises(CounterspinError, match=r"a.csv: the file does not show at which rate"):
+    with pytest.raises(CounterspinError, match=r"a.csv: the rate of the centrifuge"):
         add_records(app, "three", [further(folder, "a.csv", 1.0, **still)])
     assert (folder / "three" / "campaign.toml").read_bytes() == before
 

@@ -70,7 +70,7 @@ def test_of_two_uploads_of_one_name_the_first_stays(app, folder):
     first.temporary_path.write_text("first")
     second.temporary_path.write_text("second")
     assert complete_upload(app, first) == {"name": "new/a.csv", "bytes": 5}
-    with pytest.raises(CounterspinError, match=r"a\.csv exists; name another file"):
+    with pytest.raises(CounterspinError, match=r"a\.csv exists; choose another file"):
         complete_upload(app, second)
     first.discard()
     second.discard()

@@ -184,8 +184,8 @@ def test_columns_of_words_are_shown_where_they_are_asked_for(page):
     ("name", "write", "note"),
     [
         ("a.h5", compound, "a sensor with three axes: columns 'ax', 'ay', 'az'"),
-        ("a.tdms", partial(waveforms, ends=(0, 1, 2)), "channels cut to the shortest"),
-        ("b.tdms", partial(waveforms, late=(0, 0, 200)), "channels aligned by their start"),
+        ("a.tdms", partial(waveforms, ends=(0, 1, 2)), "channels truncated to the shortest"),
+        ("b.tdms", partial(waveforms, late=(0, 0, 200)), "channels aligned by start"),
     ],
 )
 def test_the_page_imports_tables_within_files(page, tmp_path, name, write, note):

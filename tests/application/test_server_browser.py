@@ -71,7 +71,7 @@ def test_from_exports_to_the_certificate(opened, app, folder):
     # What is guessed of a column may be changed, and changed back, before anything is written.
     what = tab.get_by_label("What is column north_m?")
     what.select_option("velocity")
-    tab.get_by_label("In which unit is column 'north_m'?").wait_for()
+    tab.get_by_label("What is the unit of column 'north_m'?").wait_for()
     tab.get_by_role("button", name="Calibrate").click()
     tab.get_by_text("Required, for example m/s.").wait_for()
     assert not (folder / "mine" / "campaign.toml").exists()
@@ -221,7 +221,7 @@ def test_from_a_table_of_readings_to_a_result(opened, folder, tmp_path):
     tab.route("**/api/draft", lambda route: held.append(route) if holding else route.continue_())
     for question, said in (*PLACE[:2], ("What is the nominal sensitivity", "1.25 mA/g")):
         answer_field(tab, question).fill(said)
-    assert tab.get_by_label("How does the input axis point").input_value() == "up"
+    assert tab.get_by_label("Where does the input axis point").input_value() == "up"
     # What is guessed of one file is none of another.
     kind = tab.get_by_label("Kind of test")
     assert kind.input_value() == "tumble"
@@ -280,7 +280,7 @@ def test_from_a_log_of_poses_to_a_triad(opened, folder, tmp_path):
     kind = tab.get_by_label("Kind of test")
     assert kind.input_value() == "poses"
     assert tab.get_by_label("What is column column 2?").input_value() == "Y"
-    assert tab.get_by_label("In which unit are the three axes?").input_value() == "m/s^2"
+    assert tab.get_by_label("What is the unit of the three axes?").input_value() == "m/s^2"
     tab.get_by_role("button", name="Calibrate").click()
     tab.get_by_role("heading", name="Quality checks").wait_for()
     result = Result.read(folder / "triad" / "result.json")

@@ -109,7 +109,7 @@ def test_of_several_campaigns_each_is_named(sound, wrong, tmp_path, capsys):
     status, out, err = calibrate(capsys, *words)
     assert status == 1
     assert "the records contradict the result of 1. " in err
-    assert "the records contradict the result; it must not be used." in out
+    assert "the records contradict the result, which must not be used." in out
     assert out.count("contradicted") == 2
     assert BatchResult.read(tmp_path / "all.json").contradicted == [str(wrong)]
     assert calibrate(capsys, sound, wrong, "--accept-misfit", REASON)[0] == 0

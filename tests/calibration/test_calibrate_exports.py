@@ -53,8 +53,11 @@ def test_a_run_is_left_out_by_command_as_by_the_description(tmp_path, plain, cap
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["solw"], '--without: no run is named "solw"; its runs are "slow", "fast"'),
-        (["slow", "fast"], '--without: no run would be left; its runs are "slow", "fast"'),
+        (["solw"], '--without: no run is named "solw"; the runs are "slow", "fast"'),
+        (
+            ["slow", "fast"],
+            '--without: no run would remain; the runs are "slow", "fast"',
+        ),
     ],
 )
 def test_a_run_that_cannot_be_left_out_is_named_with_the_option(plain, capsys, words, said):

@@ -34,9 +34,9 @@ def test_calibrate_writes_the_result_and_exits_with_1(folder, tmp_path, capsys):
     assert status == 1
     assert err == (
         "counterspin: Qx.K_II is not determined: The records do not determine K_II, and no prior "
-        "is stated for it. The data have one rate only; add a run at another rate."
+        "is stated for it. The data contain only one rate; add a run at another rate."
     )
-    assert "Qx is not determined by its data: " in out
+    assert "Qx is not fully determined by its data: " in out
     assert "Passed checks" not in out
     document = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))
     assert document["state"] == document["accelerometers"]["Qy"]["state"] == "not-determined"
@@ -50,7 +50,7 @@ def test_several_campaigns_exit_with_1_too(folder, tmp_path, capsys):
         (copy / file.name).write_bytes(file.read_bytes())
     assert cli.main(["calibrate", str(folder), str(copy)]) == 1
     printed = " ".join(capsys.readouterr().err.split())
-    assert "the data of 2 of 2 campaigns do not determine all that is requested" in printed
+    assert "the data of 2 of 2 campaigns do not determine all requested terms" in printed
 
 
 def test_a_usual_term_that_is_missing_is_information_and_a_named_one_is_not(folder, tmp_path):

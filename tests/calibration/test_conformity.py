@@ -154,7 +154,7 @@ def test_report_shows_verdicts_before_the_rest(found):
 @pytest.mark.parametrize(
     ("rule", "words"),
     [
-        ({"decision_rule": "simple"}, "simple acceptance, by the estimate alone"),
+        ({"decision_rule": "simple"}, "simple acceptance, based on the estimate only"),
         (
             {"decision_rule": "probability", "conformance_probability": 0.99999},
             "with a probability of at least 99.999 %",

@@ -169,7 +169,7 @@ def test_the_whole_is_as_bad_as_the_worst_of_its_parts():
     assert found.state == "contradicted"
     assert refusal_reason(found, ["Qx"]) is None
     assert refusal_reason(found, ["Qx", "Qy"]).startswith(
-        "Qy is contradicted by its records: Without"
+        "the records contradict the result for Qy: "
     )
 
 
@@ -231,7 +231,7 @@ def test_no_command_takes_a_result_that_was_edited(whitewashed, tmp_path, capsys
     before = sorted(tmp_path.iterdir())
     assert cli.main(words) == 1
     told = capsys.readouterr()
-    assert "was changed after it was written: its seal does not match" in " ".join(
+    assert "was changed after it was written: the seal does not match" in " ".join(
         f"{told.out} {told.err}".split()
     )
     assert sorted(tmp_path.iterdir()) == before
@@ -244,7 +244,7 @@ def test_without_its_seal_it_is_judged_again_from_its_numbers(whitewashed, tmp_p
     assert (again.state, codes(again)) == ("contradicted", ["lack-of-fit"])
     assert judge_result(again) == again
     assert cli.main(["certificate", "r.json", "LAB.toml", "-o", "c.xml"]) == 1
-    assert "Qx is contradicted by its records" in capsys.readouterr().err
+    assert "the records contradict the result for Qx" in capsys.readouterr().err
     assert cli.main(["apply", "r.json", "forces.csv", "--accelerometer", "Qx", "-o", "c.csv"]) == 1
 
 

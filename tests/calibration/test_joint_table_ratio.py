@@ -193,11 +193,11 @@ def with_displacement():
         (with_displacement(), "record specific_force, because displacement along a turning axis"),
         (
             with_attitude(-1, "30 ± 0.01 deg about up"),
-            "takes no uncertainty here; give platform.tilt a prior",
+            "must not have an uncertainty here; state a prior for platform.tilt",
         ),
         (
             with_attitude(0, "90 ± 0.01 deg about east"),
-            "takes no uncertainty here; give platform.tilt a prior",
+            "must not have an uncertainty here; state a prior for platform.tilt",
         ),
         (described("2/0"), "must be a number, or a fraction such as 1/2"),
         (with_response(), "is larger than 2; the force then has harmonics"),

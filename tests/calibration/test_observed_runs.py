@@ -72,8 +72,8 @@ def test_ripple_is_not_lost_in_means_over_blocks(tmp_path):
     [
         (pl.col("east") * -1.0, "180 degrees"),
         (pl.col("north").alias("east"), "check the input axis"),
-        (pl.col("east") * 1000.0, "check the column's unit"),
-        (pl.col("east") * 9.80665, "that between g and m/s^2"),
+        (pl.col("east") * 1000.0, "check the unit of the column"),
+        (pl.col("east") * 9.80665, "ratio of g and m/s^2"),
         (pl.col("angle_rad") + math.pi / 2, "90 degrees"),
         (pl.col("angle_rad") * -1.0, "opposite sense"),
     ],
@@ -294,7 +294,7 @@ def test_of_displacement_only_a_parabola_decides(displaced, tmp_path, count):
         word = ("mean", "line")[count - 1]
         assert any(f"A {word} was removed" in text for text in result.warnings)
         return
-    with pytest.raises(RecordError, match="orthogonal to 1, t, t\\^2, to the last digit"):
+    with pytest.raises(RecordError, match="orthogonal to 1, t, t\\^2 to the last digit"):
         calibrate(campaign)
 
 

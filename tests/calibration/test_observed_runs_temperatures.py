@@ -168,7 +168,9 @@ def test_a_run_that_states_another_temperature_is_refused():
     assert with_recorded_conditions(campaign).runs[1].temperature[0] == pytest.approx(296.15)
     document["runs"][1]["temperature"] = "12 degC"
     campaign = make_campaign(document, records=records)
-    with pytest.raises(RecordError, match=r'from 23 to .* degC; the run "r1" states .* 11 K off'):
+    with pytest.raises(
+        RecordError, match=r'from 23 to .* degC; the temperature stated for "r1" deviates by 11 K'
+    ):
         with_recorded_conditions(campaign)
 
 
@@ -194,7 +196,9 @@ def test_what_is_simulated_needs_a_true_course():
     }
     with pytest.raises(CampaignError) as caught:
         simulate(make_campaign(document))
-    assert 'run "r0": temperature is missing; its record has a column of it' in str(caught.value)
+    assert 'run "r0": temperature is missing; the record has a temperature column' in str(
+        caught.value
+    )
     document["runs"][0]["temperature"] = []
     with pytest.raises(CampaignError, match="at least one temperature"):
         make_campaign(document)

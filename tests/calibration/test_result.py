@@ -54,7 +54,7 @@ def test_a_whole_result(tmp_path):
         ('"g/g^2"', '"ug/g^2"', "damaged result: K_II of Qx is in ug/g^2, not in g/g^2"),
         ('"u": 1e-09', '"u": -1.0', "damaged result: K_II of Qx is 2e-05 ± -1.0"),
         ('"value": 2e-05', '"value": 1e999', "damaged result: K_II of Qx is inf ± 1e-09"),
-        ('"value": 2e-05', '"value": NaN', "a damaged one (NaN is not a valid number in JSON)"),
+        ('"value": 2e-05', '"value": NaN', "or damaged (NaN is not a valid number in JSON)"),
         ('"u": 1e-09', '"u": 1e-09, "dof": 0.0', "K_II of Qx has 0.0 degrees of freedom"),
         ('"gravity": 9.8', '"gravity": 0.0', "damaged result: the gravity is 0.0 m/s^2"),
         ('"rate": 3.25', '"rate": 0.0', "damaged result: the rate of run1 is 0.0 rad/s"),
@@ -105,7 +105,7 @@ def test_an_update_whose_matrix_is_of_other_names_is_damage(wrong, tmp_path):
     }
     assert Result.read(stored(tmp_path, document)).accelerometers["Qx"].what_if.held
     document["accelerometers"]["Qx"]["what_if"] |= wrong
-    with pytest.raises(RecordError, match="the matrices of what_if of Qx are not those of"):
+    with pytest.raises(RecordError, match="the matrices of what_if of Qx do not match"):
         Result.read(stored(tmp_path, document))
 
 
@@ -150,7 +150,7 @@ def test_a_lost_number_would_be_noticed():
 
 def test_a_newer_schema_is_named(tmp_path):
     path = stored(tmp_path, RESULT | {"schema": Result.newest_schema() + 1})
-    with pytest.raises(RecordError, match=r"written by a newer counterspin \(schema"):
+    with pytest.raises(RecordError, match=r"written by a newer version of counterspin \(schema"):
         Result.read(path)
 
 

@@ -273,7 +273,7 @@ def test_plots_are_drawn_on_the_axes_given(result, plot, pictures):
     assert plot(result, "Qy", axes=own) == list(np.atleast_1d(own))
     assert mpl.rcParams["axes.spines.top"]  # the reports' style ends with the drawing
     _, too_many = plt.subplots(len(drawn) + 1, 1)
-    with pytest.raises(ValueError, match="to draw on"):
+    with pytest.raises(ValueError, match="axes were given for"):
         plot(result, "Qy", axes=too_many)
     plt.close("all")
 

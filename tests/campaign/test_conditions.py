@@ -94,7 +94,7 @@ def test_slopes_need_the_conditions_of_every_run(tmp_path):
 def test_times_of_some_runs_only(tmp_path):
     (found,) = problems(tmp_path, with_conditions(SMALL, keys=("time",), runs=("slow", "fast")))
     assert found.startswith(
-        "runs[1].time: is missing: other runs state theirs; write for example time = "
+        "runs[1].time: is missing: other runs state this value; write for example time = "
     )
 
 

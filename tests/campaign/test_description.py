@@ -100,12 +100,14 @@ def test_sizes_go_by_the_grade_of_each_accelerometer(tmp_path):
 def test_a_prior_of_the_scale_factor_is_credible_for_the_grade(tmp_path):
     far = ('scale_factor = "1.002 ± 5e-6 g/g"', 'scale_factor = "1.3 ± 0.1 g/g"')
     (line,) = problems_of(tmp_path, edited(far))
-    assert "too far from 1" in line
+    assert "too far from the nominal K_I, 1" in line
     consumer = ('bias = "0.005 ± 2e-6 g"', 'bias = "0.005 ± 2e-6 g"\ngrade = "consumer"')
     assert read_campaign(write(tmp_path, edited(far, consumer))).accelerometers["Qx"].priors["K_I"]
     shared = ("[model.priors]", '[model.priors]\nK_I = "1.3 ± 0.1 g/g"')
     alone = (far[0], "")
-    assert "too far from 1" in "".join(problems_of(tmp_path, edited(shared, alone)))
+    assert "too far from the nominal K_I, 1" in "".join(
+        problems_of(tmp_path, edited(shared, alone))
+    )
     read_campaign(write(tmp_path, edited(shared, alone, consumer)))
 
 
@@ -212,14 +214,14 @@ EXACT_PATHS = [
     ('title = "Test"', 'titel = "x"', 'campaign.titel: unknown key; did you mean "title"?'),
     ("latitude =", "lattitude =", 'site.lattitude: unknown key; did you mean "latitude"?'),
     ('latitude = "45 deg"', "", "site.latitude: is missing"),
-    ('"45 deg"', '"91 deg"', "site.latitude: a latitude lies between -90 deg and 90 deg"),
-    ('"45 deg"', "48.1", 'site.latitude: a number without its unit; write "48.1 deg" (an angle:'),
-    ('"9.8 ± 1e-5 m/s^2"', "9.8", 'site.gravity: a number without its unit; write "9.8 m/s^2"'),
+    ('"45 deg"', '"91 deg"', "site.latitude: a latitude must be between -90 deg and 90 deg"),
+    ('"45 deg"', "48.1", 'site.latitude: a number without a unit; write "48.1 deg" (an angle:'),
+    ('"9.8 ± 1e-5 m/s^2"', "9.8", 'site.gravity: a number without a unit; write "9.8 m/s^2"'),
     ('"9.8 ± 1e-5 m/s^2"', '"-9.8 m/s^2"', "site.gravity: must be greater than zero"),
     ('"9.8 ± 1e-5 m/s^2"', '"980 m/s^2"', "site.gravity: 980 m/s^2 cannot be gravity on Earth"),
     ('"2.5 ± 1e-5 m"', '"0 m"', "centrifuge.radius: must be greater than zero"),
     ('"2.5 ± 1e-5 m"', '"-2.5 m"', "centrifuge.radius: must be greater than zero"),
-    ('"2.5 ± 1e-5 m"', '"2.5"', "centrifuge.radius: '2.5' has no unit; a length is needed"),
+    ('"2.5 ± 1e-5 m"', '"2.5"', "centrifuge.radius: '2.5' has no unit; a length is required"),
     ('"2.5 ± 1e-5 m"', '"2.5 s"', "centrifuge.radius: 's' is not a unit of length; use m,"),
     ('"2.5 ± 1e-5 m"', '"nan m"', "centrifuge.radius: 'nan m' is not a finite number"),
     ('"2.5 ± 1e-5 m"', "inf", "centrifuge.radius: inf is not a finite number"),
@@ -247,33 +249,37 @@ EXACT_PATHS = [
     (
         '"1.002 ± 5e-6 g/g"',
         '"1000 ppm"',
-        "accelerometers.Qx.scale_factor: 0.001 g/g is too far from 1, the nominal K_I; an "
+        "accelerometers.Qx.scale_factor: 0.001 g/g is too far from the nominal K_I, 1; an "
         "error of 1000 ppm is written 1.001 g/g",
     ),
-    ("K_III =", 'K_I = "0 ± 1e-3 g/g"\nK_III =', "accelerometers.Qy.K_I: 0 g/g is too far from 1"),
+    (
+        "K_III =",
+        'K_I = "0 ± 1e-3 g/g"\nK_III =',
+        "accelerometers.Qy.K_I: 0 g/g is too far from the nominal K_I, 1",
+    ),
     ("[model.priors]", '[model.priors]\n"Qx.K_I" = "1.2 g/g"', 'model.priors."Qx.K_I": 1.2 g/g is'),
     (
         "[model.priors]",
         '[model.priors]\nK_I = "-1 g/g"',
-        "model.priors.K_I: -1 g/g is too far from 1",
+        "model.priors.K_I: -1 g/g is too far from the nominal K_I, 1",
     ),
     ("bias =", 'K_F = "0 g"\nbias =', "accelerometers.Qx.bias: duplicates the prior of K_F"),
-    (QX_DISPLACEMENT, "", "accelerometers.Qx: has no observable; give one of displacement,"),
+    (QX_DISPLACEMENT, "", "accelerometers.Qx: has no recorded signal; give one of displacement,"),
     (QX_DISPLACEMENT, f"{QX_DISPLACEMENT}\n{FORCE}", "accelerometers.Qx: has displacement and"),
-    ("[accelerometers.Qx]", "[accelerometers.noise]", "accelerometers.noise: cannot be an"),
+    ("[accelerometers.Qx]", "[accelerometers.noise]", "accelerometers.noise: cannot be the name"),
     ("0.01 m", "0.01 s", "noise.displacement: 's' is not a unit of length"),
     ("0.01 m", "-0.01 m", "noise.displacement: a standard deviation cannot be negative"),
     ("0.01 m", "1 ± 1 m", "noise.displacement: '1 ± 1 m': an uncertainty has no meaning here"),
-    ("[noise]", '[noise]\nvelocity = "1 m/s"', "noise.velocity: no accelerometer records velo"),
+    ("[noise]", '[noise]\nvelocity = "1 m/s"', "noise.velocity: no accelerometer has velo"),
     ('"K_III"]', '"K_IIII"]', 'model.terms[3]: unknown term "K_IIII"; did you mean "K_III"'),
     ('"K_III"]', '"zzz"]', 'model.terms[3]: unknown term "zzz"; known: K_F, K_I,'),
     ('"K_III"]', '"K_F"]', 'model.terms[3]: "K_F" is listed twice'),
     ('"K_III"]', "3]", "model.terms[3]: must be text"),
-    ("hold = []", 'hold = ["K_II"]', 'model.hold: "K_II" is in model.terms too'),
+    ("hold = []", 'hold = ["K_II"]', 'model.hold: "K_II" is also in model.terms'),
     ("hold = []", 'hold = ["K_OO"]', 'model.hold: "K_OO" is held, but'),
     ("hold = []", 'hold = ["platform.tilt"]', 'model.hold: "platform.tilt.eas'),
     ("[model.priors]", '[model.priors]\nK_II = "1 g"', "model.priors.K_II: 'g' is not a unit of"),
-    ("[model.priors]", "[model.priors]\nK_II = 1", "model.priors.K_II: a number without its"),
+    ("[model.priors]", "[model.priors]\nK_II = 1", "model.priors.K_II: a number without a"),
     ("[model.priors]", '[model.priors]\nK_Q = "1 g"', 'model.priors.K_Q: unknown term "K_Q"'),
     ("[model.priors]", '[model.priors]\nK_OO = "0 g"', "model.priors.K_OO: 'g' is not a unit of"),
     (
@@ -286,12 +292,12 @@ EXACT_PATHS = [
     (
         "[model.priors]",
         '[model.priors]\nK_F = "0 ± 1 g"',
-        "model.priors.K_F: a prior of K_F is given",
+        "model.priors.K_F: a prior for K_F is also given",
     ),
     (
         "[model.priors]",
         '[model.priors]\n"Qx.K_I" = "1 ± 1 g/g"',
-        'model.priors."Qx.K_I": a prior of K_I is given in accelerometers.Qx too; keep one',
+        'model.priors."Qx.K_I": a prior for K_I is also given in accelerometers.Qx; keep only one',
     ),
     (
         "[model.priors]",
@@ -302,13 +308,13 @@ EXACT_PATHS = [
     (
         "K_III =",
         'grade = "strategic"\nK_III =',
-        "accelerometers.Qy.grade: 'strategic' is none of 'navigation', 'tactical' or 'consumer'",
+        "accelerometers.Qy.grade: 'strategic' is not one of 'navigation', 'tactical' or 'consumer'",
     ),
     ("0.25 rev/s", "0.25 Hz", "runs[0].rate: 'Hz' is ambiguous for an angular rate: write rev/s"),
-    ("0.25 rev/s", "0 rev/s", "runs[0].rate: the centrifuge must turn; the rate is zero"),
+    ("0.25 rev/s", "0 rev/s", "runs[0].rate: the rate is zero, but the centrifuge must rotate"),
     ("0.25 rev/s", "0.25 m", "runs[0].rate: 'm' is not a unit of angular rate"),
-    ('"0.25 rev/s"', "0.25", 'runs[0].rate: a number without its unit; write "0.25 rad/s"'),
-    ("0.25 rev/s", "0 ± 1 rpm", "runs[0].rate: the centrifuge must turn; the rate is zero"),
+    ('"0.25 rev/s"', "0.25", 'runs[0].rate: a number without a unit; write "0.25 rad/s"'),
+    ("0.25 rev/s", "0 ± 1 rpm", "runs[0].rate: the rate is zero, but the centrifuge must rotate"),
     ('"run2"', '"run1"', 'runs[1].name: "run1" is already used by runs[0]'),
     ("run2.parquet", "run1.csv", 'runs[1].record: "run1.csv" is already used by runs[0]'),
     ("run2.parquet", "run2.doc", 'runs[1].record: cannot read "run2.doc"; records end in .csv,'),
@@ -414,7 +420,7 @@ def test_toml_mistakes_come_with_their_line(tmp_path):
 def test_a_windows_path_in_double_quotation_marks_is_explained(tmp_path, name):
     (problem,) = problems_of(tmp_path, edited(("run1.csv", name)))
     assert problem.startswith("line ")
-    assert r"write paths with / , or in single quotation marks, 'C:\data\run1.csv'" in problem
+    assert r"write paths with /, or in single quotation marks, 'C:\data\run1.csv'" in problem
 
 
 def test_text_in_another_encoding_is_told(tmp_path):
@@ -448,7 +454,7 @@ def test_attitudes(tmp_path):
         ('{ x = "east", y = "north", z = "down" }', "the axes are left-handed"),
         ('{ x = "east", y = "north", z = "east" }', "the axis z must be at right angles"),
         ('{ x = "east" }', "is not an attitude"),
-        ('"1 ± 1 deg about up"', "an attitude takes no uncertainty here"),
+        ('"1 ± 1 deg about up"', "an attitude must not have an uncertainty here"),
         ('"1 deg about noon"', 'unknown direction "noon"'),
     ],
 )
@@ -567,10 +573,12 @@ def test_a_simulation_needs_the_size_of_an_estimated_noise_and_a_calibration_doe
     campaign = read_campaign(write(tmp_path, text))
     assert campaign.noise.timing == "estimate"
     (problem,) = simulation_problems(campaign)
-    assert problem == "noise.timing: a simulation needs its true size; write it in [truth.noise]"
+    assert (
+        problem == "noise.timing: a simulation requires the true value; write it in [truth.noise]"
+    )
     text = BASE + SIMULATED.replace('displacement = "1 mm"', 'timing = "estimate"')
     (problem,) = simulation_problems(read_campaign(write(tmp_path, text)))
-    assert problem == "truth.noise.timing: a simulation needs its true size"
+    assert problem == "truth.noise.timing: a simulation requires the true value"
     assert simulation_problems(read_campaign(write(tmp_path, BASE + SIMULATED))) == []
 
 
@@ -648,7 +656,7 @@ def test_a_stretch_of_the_centrifuge_is_known_asked_for_or_not(tmp_path):
     assert model.terms[-1] == "centrifuge.stretch"
     twice = ("[model.priors]", '[model.priors]\n"centrifuge.stretch" = "0 ± 1e-9 s^2/m"')
     (problem,) = problems_of(tmp_path, edited(stretched, asked, twice))
-    assert problem.startswith('model.priors."centrifuge.stretch": is given in [centrifuge] too')
+    assert problem.startswith('model.priors."centrifuge.stretch": is also given in [centrifuge]')
 
 
 @pytest.mark.parametrize(
@@ -657,7 +665,7 @@ def test_a_stretch_of_the_centrifuge_is_known_asked_for_or_not(tmp_path):
         ("terms", "table.harmonic.1", False, "is an error of the counter-rotating table; if"),
         ("hold", "table.harmonic.2", False, "is an error of the counter-rotating table; if"),
         ("priors", "table.harmonic.1.cos", False, "is an error of the counter-rotating table; if"),
-        ("terms", "platform.drift.north", True, "is an error of the platform's gyros; acc"),
+        ("terms", "platform.drift.north", True, "is an error of the platform gyros; acc"),
         ("terms", "table.harmonic.1", True, ""),
         ("terms", "platform.tilt.north", True, ""),
     ],
@@ -683,7 +691,7 @@ def test_errors_of_an_encoder_need_a_recorded_angle(tmp_path):
     asked = ('"K_III"]', '"K_III", "encoder.harmonic.1"]')
     unrecorded = ('angle = { column = "angle", unit = "deg" }', "")
     (problem,) = problems_of(tmp_path, edited(asked, unrecorded))
-    assert problem == "model.terms: contains errors of the encoder, but no angle is recorded"
+    assert problem == "model.terms: contains encoder errors, but no angle is recorded"
     assert read_campaign(write(tmp_path, edited(asked))).model.terms[-2:] == (
         "encoder.harmonic.1.cos",
         "encoder.harmonic.1.sin",

@@ -111,7 +111,7 @@ def test_a_frame_that_is_none_is_told_by_its_run():
 
 
 def test_what_toml_could_not_hold_is_refused():
-    with pytest.raises(CampaignError, match=r"campaign\.title: contains the character NUL"):
+    with pytest.raises(CampaignError, match=r"campaign\.title: contains a NUL character"):
         make_campaign(frames.small() | {"campaign": {"title": "a\0"}})
     with pytest.raises(CampaignError, match="runs: a set is not allowed here"):
         make_campaign(frames.small() | {"runs": {1}})

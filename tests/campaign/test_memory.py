@@ -93,7 +93,7 @@ def test_records_from_elsewhere_come_along_under_names_of_their_own(recorded, tm
 
 def test_nothing_is_overwritten_and_nothing_left_behind(recorded, tmp_path):
     campaign = read_campaign(recorded)
-    with pytest.raises(CounterspinError, match=r"campaign\.toml exists; write into another folder"):
+    with pytest.raises(CounterspinError, match=r"campaign\.toml exists; choose another folder"):
         campaign.write(recorded)
     (recorded / "fast.csv").unlink()
     with pytest.raises(CounterspinError, match=r"fast\.csv: file not found"):

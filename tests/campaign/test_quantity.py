@@ -118,25 +118,25 @@ def test_without_gravity_g_and_si_stay_apart():
 @pytest.mark.parametrize(
     ("text", "unit", "message"),
     [
-        (2.5, "m", r'a number without its unit; write "2.5 m" \(a length: m, mm, um, km\)'),
+        (2.5, "m", r'a number without a unit; write "2.5 m" \(a length: m, mm, um, km\)'),
         (0.5, "rad", r'write "0.5 deg", "0.5 arcsec" or "0.5 rad", whichever applies \(an angle:'),
         (float("nan"), "m", "nan is not a finite number"),
         (True, "m", "must be a length, written as text"),
         ([1], "m", "must be a length, written as text"),
-        ("2.5", "m", "'2.5' has no unit; a length is needed"),
-        ("2.5 ± 1", "m", r'has no unit; a length is needed \(.*\); write "2.5 ± 1 m"$'),
+        ("2.5", "m", "'2.5' has no unit; a length is required"),
+        ("2.5 ± 1", "m", r'has no unit; a length is required \(.*\); write "2.5 ± 1 m"$'),
         ("0.5", "rad", r'; write "0.5 deg", "0.5 arcsec" or "0.5 rad", whichever applies$'),
         ("m", "m", "is not a quantity"),
         ("", "m", "is not a quantity"),
-        ("1 ± m", "m", "is not a unit; a length is needed"),
-        ("2,5 m", "m", "contains a comma; write decimals with a point"),
+        ("1 ± m", "m", "is not a unit; a length is required"),
+        ("2,5 m", "m", "contains a comma; use a decimal point"),
         ("1 ± 2 ± 3 m", "m", "is not a unit"),
         ("nan m", "m", "not a finite number"),
         ("1 ± inf m", "m", "not a finite number"),
         ("-Infinity m", "m", "not a finite number"),
         ("1e999 m", "m", "not a finite number"),
         ("1 ± -2 m", "m", "negative uncertainty"),
-        ("1 furlong", "m", r"unknown unit 'furlong'; a length is needed \(m, mm, um, km\)"),
+        ("1 furlong", "m", r"unknown unit 'furlong'; a length is required \(m, mm, um, km\)"),
         ("1 M", "m", "unknown unit 'M'"),
         ("1 s", "m", "'s' is not a unit of length; use m, mm, um, km"),
         ("1 1/s", "rad/s", "'1/s' is not a unit of angular rate; use rad/s, deg/s"),
@@ -217,7 +217,7 @@ def test_no_text_gets_past_as_anything_but_a_quantity_or_a_value_error(text):
 
 @pytest.mark.parametrize("text", ["1e300 m", "-1e61 m", "2.5 ± 1e-300 m", "1e-64 km"])
 def test_sizes_beyond_all_measure(text):
-    with pytest.raises(ValueError, match="is implausibly large or small; a length is needed"):
+    with pytest.raises(ValueError, match="is implausibly large or small; a length is required"):
         parse(text, "m")
 
 

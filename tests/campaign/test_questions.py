@@ -46,7 +46,7 @@ def test_gravity_fits_the_latitude(tmp_path, gravity, latitude, fits):
 def test_the_range_is_said(tmp_path):
     text = changed(SURE, ('"45.75 deg"', '"0.8 deg"'))
     (question,) = questions(campaign_of(tmp_path, text))
-    assert "from -500 to 3000 m of height it is 9.7711 to 9.7819 m/s^2" in question.text
+    assert "from -500 to 3000 m of height, gravity is 9.7711 to 9.7819 m/s^2" in question.text
 
 
 def test_the_removed_gravity_is_held_to_the_latitude_too(tmp_path):
@@ -96,7 +96,10 @@ def test_what_nobody_recorded_of_the_computers_own_velocity(tmp_path):
     # An error upwards acts to the west, as the Earth's rotation points north and up.
     assert [(q.code, q.subject) for q in found] == [("unrecorded-axis", "Qx.K_F")]
     # 2 Omega cos L x 1 mg x 100 s / 2
-    assert "an error of 1 mg there moves K_F by 5e-06 g in a run of 100 s" in found[0].text
+    assert (
+        "an error of 1 mg in such a direction shifts K_F by 5e-06 g in a run of 100 s"
+        in found[0].text
+    )
     whole = changed(SURE, OWN_VELOCITY, ("[noise]\n", UPRIGHT))
     assert asked(tmp_path, whole) == []
 
@@ -126,10 +129,13 @@ def test_values_without_an_uncertainty(tmp_path):
     ]
     bias, scale_factor, *_ = questions(campaign_of(tmp_path / "again", text))
     assert bias.text == (
-        "Qx.K_F is stated as 0.005 g without an uncertainty, and so taken with its "
-        'typical uncertainty. How well is it known? Write "0.005 ± U g".'
+        "Qx.K_F is stated as 0.005 g without an uncertainty, and is therefore used with the "
+        'default uncertainty. How well is it known? Write "0.005 ± U g".'
     )
-    assert "and so taken as exact, because model.assume names it. How well" in scale_factor.text
+    assert (
+        "and is therefore used as exact, because model.assume names it. How well"
+        in scale_factor.text
+    )
 
 
 def test_simulate_and_plan_warn_and_calibrate_finds(tmp_path, capsys):

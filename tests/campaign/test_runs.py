@@ -61,7 +61,7 @@ def test_a_run_may_be_left_out(tmp_path):
     everything = [
         (f'name = "{n}"', f'name = "{n}"\nskip = true') for n in ("slow", "middle", "fast")
     ]
-    assert problems(tmp_path, *everything) == ("runs: are all left out by skip = true",)
+    assert problems(tmp_path, *everything) == ("runs: are all excluded by skip = true",)
 
 
 def test_one_file_may_have_several_runs_one_after_the_other(tmp_path):
@@ -100,19 +100,27 @@ def test_one_file_may_have_a_run_in_each_of_its_tables(tmp_path, key):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        (TIME, "time = { unit = 's' }", "records.time: give a column, or a sampling_rate"),
-        (TIME, "time = { sampling_rate = '9 Hz', unit = 's' }", "records.time: a unit belongs to"),
+        (TIME, "time = { unit = 's' }", "records.time: give a column or a sampling_rate"),
+        (
+            TIME,
+            "time = { sampling_rate = '9 Hz', unit = 's' }",
+            "records.time: a unit applies only to",
+        ),
         (ANGLE, "angle = { column = 'a', unit = 'count' }", "records.angle: counts need per_rev"),
         (ANGLE, "angle = { column = 'a', unit = 's' }", "records.angle.unit: 's' is not a unit of"),
         (ANGLE, "angle = { column = 'a', zero = 'up' }", "records.angle.zero: 'up' is not a q"),
-        (ANGLE, "angle = { column = 'a', sense = 'left' }", "records.angle.sense: 'left' is none"),
+        (
+            ANGLE,
+            "angle = { column = 'a', sense = 'left' }",
+            "records.angle.sense: 'left' is not one",
+        ),
         (ANGLE, f"{ANGLE}\nencoding = 'utf8000'", 'records.encoding: unknown encoding "utf8'),
-        (ANGLE, f"{ANGLE}\ndelimiter = '|'", "records.delimiter: '|' is none of ',', ';' or"),
+        (ANGLE, f"{ANGLE}\ndelimiter = '|'", "records.delimiter: '|' is not one of ',', ';' or"),
         ('name = "slow"', 'name = "slow"\nstart = "9 s"\nstop = "8 s"', "runs[0].stop: must come"),
         (
             'name = "slow"',
             'name = "slow"\nmounting = "in"',
-            "runs[0].mounting: belongs to a run with a reading; leave it out",
+            "runs[0].mounting: applies to a run with a reading; omit it",
         ),
         (
             'name = "slow"',
@@ -129,13 +137,13 @@ def test_mistakes_are_told_by_their_keys(tmp_path, old, new, words):
     ("old", "new", "words"),
     [
         (ANGLE, f"{ANGLE}\ndecimal = ','", "records.decimal: simulated records have no such key"),
-        (TIME, "time = { sampling_rate = '9 Hz' }", "have a column of the time"),
+        (TIME, "time = { sampling_rate = '9 Hz' }", "contain a time column"),
         (
             TIME,
             "time = { column = 't', unit = 'iso' }",
-            "records.time: simulated records have n",
+            "records.time: simulated records contain n",
         ),
-        (ANGLE, "angle = { column = 'a' }", "records.angle.unit: is missing"),
+        (ANGLE, "angle = { column = 'a' }", "records.angle.unit: missing"),
         ('name = "slow"', 'name = "slow"\nrecords = { decimal = "." }', r'"slow", records.decimal'),
     ],
 )
@@ -158,12 +166,13 @@ def test_each_recorder_has_one_clock(tmp_path):
     assert clocks["B"] is clocks[""] is None
     assert (clocks["C"].value, clocks["C"].u) == pytest.approx((1e-6, 1e-7))
     assert problems(tmp_path, *two(clock.format("0"), clock.format("1e-6"))) == (
-        'runs: "slow" and "middle" state two clocks of the recorder "B"; state one',
+        'runs: "slow" and "middle" state different clocks for the recorder "B"; state only one of '
+        "them",
     )
     (nameless,) = problems(tmp_path, ('name = "slow"', 'name = "slow"\nrecords = { clock = "0" }'))
-    assert "name the recorder to which it belongs" in nameless
+    assert "give the recorder of this clock" in nameless
     (slow,) = problems(tmp_path, (ANGLE, f'{ANGLE}\nclock = "0.02 ± 1e-7"'))
-    assert "a clock error above 1 % is not plausible" in slow
+    assert "a clock error above 1 % is implausible" in slow
 
 
 def test_a_run_is_compared_with_the_runs_of_its_record_alone(monkeypatch):

@@ -64,7 +64,7 @@ def test_range_and_tolerance_say_the_same(middle, half):
         ("abs <= 0 g/g^2", "the limit of a magnitude must be greater than zero"),
         ("abs >= 5e-5 g/g^2", "only have an upper limit"),
         ("<= nan g/g^2", "not a finite number"),
-        ("<= 1 ± 0.1 ug/g^2", "leave out the ±"),
+        ("<= 1 ± 0.1 ug/g^2", "remove the ±"),
         ("2 to 1 ug/g^2", "the first limit must be below the second"),
         ("1 to 1 ug/g^2", "the first limit must be below the second"),
         ("1 ug/g^2 to 2 ug/g^2", "is not a specification"),
@@ -136,11 +136,11 @@ def test_all_mistakes_at_once_by_key():
     starts = [
         "specification.decision_rule: must be 'simple', 'guarded' or 'probability'",
         "specification.guard_factor: must not be negative",
-        "specification.conformance_probability: must lie between 0.5 and 1",
+        "specification.conformance_probability: must be between 0.5 and 1",
         "specification.K_II: '5e-5 g/g^2' is not a specification",
         'specification.K_IV: unknown term "K_IV"; did you mean "K_I',
         'specification.decisionrule: unknown term "decisionrule"; did you mean "deci',
-        'specification."platform.tilt": belongs to the machine',
+        'specification."platform.tilt": is a term of the machine',
         'specification.Qz: no accelerometer is named "Qz"',
         "specification.Qx.K_F: ",
         'specification.Qx.bias: unknown term "bias"',
@@ -157,16 +157,16 @@ def test_all_mistakes_at_once_by_key():
         ({"decision_rule": "simple", "Qx": {}}, "specification: contains no term"),
         (
             {"decision_rule": "simple", "guard_factor": 1, "K_F": "<= 1 g"},
-            "specification.guard_factor: is for the decision rule 'guarded', not for 'simple'",
+            "specification.guard_factor: applies to the decision rule 'guarded', not to 'simple'",
         ),
         (
             {"conformance_probability": 0.9, "K_F": "<= 1 g"},
-            "specification.conformance_probability: is for the decision rule 'probability'",
+            "specification.conformance_probability: applies to the decision rule 'probability'",
         ),
         ({"guard_factor": "1", "K_F": "<= 1 g"}, "specification.guard_factor: must be a number"),
         ({"guard_factor": {"a": 1}, "K_F": "<= 1 g"}, "specification.guard_factor: must be a num"),
-        ({"platform.drift.up": "<= 1 deg/h"}, 'specification."platform.drift.up": belongs to'),
-        ({"platform": {"tilt": "<= 1 arcsec"}}, "specification.platform: belongs to the machine"),
+        ({"platform.drift.up": "<= 1 deg/h"}, 'specification."platform.drift.up": is a term of'),
+        ({"platform": {"tilt": "<= 1 arcsec"}}, "specification.platform: is a term of the machine"),
     ],
 )
 def test_single_mistakes(table, line):

@@ -66,7 +66,7 @@ def test_true_noise_of_its_own_is_simulated_instead(folder, tmp_path):
     own = read_campaign(write(tmp_path, changed(SMALL, (STATED, FROM))))
     assert simulated_noise(own).displacement == 0.01
     wanted = read_campaign(folder).change({"noise": {"acceleration": "estimate"}})
-    with pytest.raises(CampaignError, match=r"noise\.acceleration: a simulation needs its true"):
+    with pytest.raises(CampaignError, match=r"noise\.acceleration: a simulation requires the true"):
         cs.simulate(wanted)
 
 

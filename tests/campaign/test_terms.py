@@ -52,8 +52,8 @@ def test_bare_names_mean_the_components_that_act(mountings, tilt, azimuth):
 
 def test_nothing_acts_on_a_vertical_input_axis():
     assert expanded("platform.tilt", {"Qz": QZ}) == (
-        'model.terms[1]: no component of "platform.tilt" acts on these accelerometers to first '
-        "order; leave it out, or name one, such as platform.tilt.east"
+        'model.terms[1]: no component of "platform.tilt" affects these accelerometers to first '
+        "order; omit it, or give one component, such as platform.tilt.east"
     )
 
 
@@ -210,7 +210,7 @@ def test_what_is_held_is_not_assumed(key, name):
     known = {"K_OO": "0 ± 1e-6 g/g^2", "platform.tilt": "0 ± 1 arcsec"}
     held = {"terms": ["K_II"], key: [name], "priors": known}
     _, _, (told,) = resolve({"Qx": QX}, assume=["K_PP", name], **held)
-    assert told == f'model.assume[1]: "{name}" is in model.{key} too; keep one'
+    assert told == f'model.assume[1]: "{name}" is also in model.{key}; keep only one of them'
     # Of a family only what is not stated is assumed.
     assert resolve({"Qx": QX}, assume="all", **held)[2] == []
 
@@ -226,7 +226,7 @@ def test_considered_is_the_old_name_of_hold():
     _, _, (told,) = resolve(
         {"Qx": QX}, terms=["K_II"], priors=known, hold=["K_OO"], considered=["K_PP"]
     )
-    assert told == "model.considered: is the old name of hold; keep hold alone"
+    assert told == "model.considered: is the old name of hold; keep only hold"
 
 
 def test_what_is_neither_asked_for_nor_held_may_have_a_prior():

@@ -50,7 +50,7 @@ SLIPS = {
     "[truth.machine]\n'K_F.trend' = '1e-9 g/s'": "write it in [truth.NAME]",
     "[truth.machine]\n'centrifuge.stretch' = '1e-9 m'": "centrifuge.stretch",
     "[truth.machine]\n'centrifuge.stretch' = '1e-9 s^2/m'\n"
-    "[truth.centrifuge]\nstretch = '1e-9 s^2/m'": ("is in [truth.centrifuge] too; keep one"),
+    "[truth.centrifuge]\nstretch = '1e-9 s^2/m'": "is also in [truth.centrifuge]; keep only",
     "[truth]\nmachine = 3": "truth.machine: must be a table",
     "[truth.A]\nbias = '1 uA'\nK_F = '1 ug'": "truth.A.bias: duplicates K_F; keep one",
     "[truth.A]\nK_I = '1.2 ± 0.1 mA/g'": "truth.A.K_I",
@@ -75,7 +75,7 @@ def test_each_slip_is_told_with_its_key(tmp_path, slip):
     [
         (RUN + "truth = { tilt = { north = '1 arcsec' } }\n", "contains the tilt of a platform"),
         (RUN + "truth = { drift = '1 m' }\n", "runs[0].truth.drift: "),
-        (at_rest("up", "level", "? ± 1 uA", "truth = { rate_error = 1e-3 }\n"), "does not turn"),
+        (at_rest("up", "level", "? ± 1 uA", "truth = { rate_error = 1e-3 }\n"), "does not rotate"),
     ],
 )
 def test_each_slip_in_the_truth_of_a_run_is_told(tmp_path, run, said):
@@ -96,14 +96,14 @@ def test_what_cannot_be_simulated_is_told(tmp_path):
 
     assert said("[truth.A]\n") == []
     (line,) = said("[truth.A]\n", BASE.replace(" ± 2e-6", ""))
-    assert line.startswith('truth.noise.reading: missing; "in" states no uncertainty')
+    assert line.startswith('truth.noise.reading: missing; "in" has no stated uncertainty')
     (line,) = said('[truth.machine]\n"centrifuge.droop" = "0.1 rad s^2"\n')
     assert "5 times the largest credible size, 0.001 rad s^2" in line
     at_rest = 'name = "rest"\nmotion = "static"\nattitude = "level"\nrecord = "r.csv"\n'
     column = 'specific_force = { column = "mA", unit = "mA" }\n[[runs]]\n'
     text = BASE.replace("[[runs]]\n", f"{column}{at_rest}[[runs]]\n")
     (line,) = said('[truth.A]\n[records]\ntime = { column = "t", unit = "s" }\n', text)
-    assert line == 'run "rest": a record at rest that is simulated needs a duration'
+    assert line == 'run "rest": simulating a record at rest requires a duration'
 
 
 def test_no_accelerometer_has_the_name_of_another_table():

@@ -40,12 +40,15 @@ class Section(SettingsSection):
         ({"named": ["a", 1]}, "named[1]: must be text"),
         ({"named": {"Qx": 1}}, "named.Qx: must be text or a list"),
         ({"named": {"Qx": ["a", []]}}, "named.Qx[1]: must be text"),
-        ({"kind": "c"}, "kind: 'c' is none of 'a' or 'b'"),
+        ({"kind": "c"}, "kind: 'c' is not one of 'a' or 'b'"),
         ({"inner": {"on": 1}}, "inner.on: must be true or false"),
         ({"inner": {"ratoi": 1.0}}, 'inner.ratoi: unknown key; did you mean "ratio"?'),
-        ({"reading": 1.5}, 'reading: a number without its unit; write it as text, such as "1.5 g"'),
+        (
+            {"reading": 1.5},
+            'reading: a number without a unit; write the quantity as text, such as "1.5 g"',
+        ),
         ({"reading": {"Qx": ["1 g", 2]}},
-         'reading: a number without its unit; write it as text, such as "2 g"'),
+         'reading: a number without a unit; write the quantity as text, such as "2 g"'),
         ({"reading": []}, "reading: must have at least one entry"),
     ],
 )  # fmt: skip

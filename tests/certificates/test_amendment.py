@@ -44,7 +44,10 @@ def test_from_a_result_to_an_amended_certificate_and_back(desk, capsys):
     # Read back, and held to the one that it replaces.
     capsys.readouterr()
     assert cli.main(["certificate", "--verify", "new.xml", "--amends", "old.xml"]) == 0
-    assert f"It amends and replaces certificate {name} and its checksum" in capsys.readouterr().out
+    assert (
+        f"The document amends and replaces certificate {name}, whose checksum"
+        in capsys.readouterr().out
+    )
     (desk / "old.xml").write_bytes(old.replace(b"0815", b"0814"))
     assert cli.main(["certificate", "--verify", "new.xml", "--amends", "old.xml"]) == 1
     assert "does not amend old.xml, or old.xml has been changed" in capsys.readouterr().err
@@ -64,8 +67,8 @@ def test_changed_numbers_are_told_and_nothing_else(desk):
     made = [certificate(given, "LAB.toml").xml for given in (result(), other)]
     told = describe_changes(*made)
     assert told[:2] == [
-        "K_F of Qx: it was 5000.0 ± 2.0 ug, and is not certified.",
-        "K_II of Qx: it was 27.0000 ± 0.0020 ug/g^2, and is 27.1000 ± 0.0020 ug/g^2.",
+        "K_F of Qx: was 5000.0 ± 2.0 ug, is now not certified.",
+        "K_II of Qx: was 27.0000 ± 0.0020 ug/g^2, is now 27.1000 ± 0.0020 ug/g^2.",
     ]
     assert told[2:] == ['the statement "Not determined, accelerometer Qx" is new.']
     assert describe_changes(made[0], made[0]) == ["Only the identifier and the date of issue."]
@@ -75,20 +78,20 @@ def test_statements_that_come_and_go_are_told(desk):
     old = certificate(result(), "LAB.toml").xml
     write_lab(desk, LAB.replace('remarks = ["Bemerkung."]', 'customer_data = ["K_I"]'))
     assert describe_changes(old, certificate(result(), "LAB.toml").xml) == [
-        'the statement "Prior information" reads otherwise.',
-        'the statement "Remarks" is gone.',
+        'the statement "Prior information" has changed.',
+        'the statement "Remarks" has been removed.',
         'the statement "Data supplied by the customer" is new.',
     ]
 
 
 def test_what_cannot_be_amended_is_refused(desk, capsys):
-    with pytest.raises(CampaignError, match="state why"):
+    with pytest.raises(CampaignError, match="give the reason"):
         certificate("r.json", "LAB.toml", amends=Amendment(desk / "old.xml", " "))
     write_lab(desk, LAB.replace('language = "de"', 'identifier = "7"'))
     certificate("r.json", "LAB.toml").write("seven.xml")
     with pytest.raises(CampaignError, match='"7" is the identifier of the amended certificate'):
         certificate("r.json", "LAB.toml", amends=Amendment(desk / "seven.xml", "why"))
-    with pytest.raises(RecordError, match="amends no certificate"):
+    with pytest.raises(RecordError, match="does not amend a certificate"):
         check_certificate(desk / "seven.xml", amends=desk / "old.xml")
     assert cli.main(["certificate", "--init", "mine.toml"]) == 0
     certificate("r.json", "mine.toml").write("draft.xml")
@@ -96,7 +99,7 @@ def test_what_cannot_be_amended_is_refused(desk, capsys):
         certificate("r.json", "LAB.toml", amends=Amendment(desk / "draft.xml", "why"))
     words = ["certificate", "r.json", "LAB.toml", "-o", "x.xml", "--amends", "old.xml"]
     assert cli.main(words) == 2
-    assert "give --amends OLD.xml and --reason WHY together" in capsys.readouterr().err
+    assert "give both --amends OLD.xml and --reason WHY" in capsys.readouterr().err
 
 
 def test_a_chain_that_returns_to_itself_is_refused_without_a_ledger(desk):
@@ -113,7 +116,7 @@ def test_a_chain_that_returns_to_itself_is_refused_without_a_ledger(desk):
     # One that was made by another program is found by its reader.
     whole = (desk / "2.xml").read_bytes()
     (desk / "2.xml").write_bytes(whole.replace(b">CS 002<", b">CS 000<"))
-    with pytest.raises(RecordError, match="the amendments form a circle"):
+    with pytest.raises(RecordError, match="the amendments are circular"):
         check_certificate(desk / "2.xml", amends=desk / "1.xml")
 
 

@@ -249,11 +249,11 @@ def test_what_the_result_rests_on_is_stated(tmp_path):
     (content,) = statement.xpath(path, namespaces=NAMESPACES)
     apart, unknown = content.text.splitlines()
     # ± precedes U alone.
-    assert apart.endswith("determined: K_II + K_OO = 27.0000, u = 0.0010 ug/g^2.")
+    assert apart.endswith("the records determine K_II + K_OO = 27.0000, u = 0.0010 ug/g^2.")
     assert unknown == (
         "Default prior: K_OO (second-order output-axis coefficient), standard uncertainty "
         "2.0 ug/g^2 (a third of K_IP in the paper's Table 1 (6e-6 g/g²); likewise for the "
-        "others), 36 % of the variance at most."
+        "others); contributes at most 36 % of the variance."
     )
 
 
@@ -261,7 +261,7 @@ def test_a_result_that_nobody_may_certify_is_refused():
     with pytest.raises(RecordError, match="half the true K_II"):
         check_certifiable(result().model_copy(update={"model": "as-printed"}), ["Qx"])
     unknown = {"value": None, "u": None, "unit": "g/g^2", "estimated": False}
-    with pytest.raises(RecordError, match="determine no coefficient of Qx"):
+    with pytest.raises(RecordError, match="do not determine any coefficient of Qx"):
         check_certifiable(result(coefficients={"K_II": unknown}), ["Qx"])
     check_certifiable(result(), ["Qx"])
 
@@ -450,7 +450,7 @@ def test_accelerometers_that_share_g_and_radius_are_correlated(tmp_path):
 
 
 def test_what_is_no_certificate_is_refused():
-    with pytest.raises(RecordError, match=r"x\.xml: is not XML"):
+    with pytest.raises(RecordError, match=r"x\.xml is not XML"):
         read_certificate(b"no", "x.xml")
     with pytest.raises(RecordError, match="not a calibration certificate"):
         read_certificate(b"<a/>", "x.xml")

@@ -113,13 +113,15 @@ def test_a_signed_certificate_is_verified_and_says_that_it_is_signed(desk, capsy
     assert "d.xml: the signature is not valid: the document was changed" in err
     status, out, _ = command(capsys, "--verify", "c.xml")
     assert status == 0
-    assert out.endswith("It is signed, but the signature was not checked: give --cert CERT.pem.\n")
+    assert out.endswith(
+        "The document is signed, but the signature was not checked: give --cert CERT.pem.\n"
+    )
 
 
 def test_the_xml_of_a_pdf_is_verified(desk, capsys):
     key, cert = map(str, write_pair(desk / "k", ec.generate_private_key(ec.SECP256R1())))
     assert command(capsys, "r.json", "LAB.toml", "-o", "plain.xml")[0] == 0
-    assert command(capsys, "--verify", "plain.xml")[1].endswith("It is not signed.\n")
+    assert command(capsys, "--verify", "plain.xml")[1].endswith("The document is not signed.\n")
     signing = ("--key", key, "--cert", cert)
     assert command(capsys, "r.json", "LAB.toml", "-o", "c.pdf", *signing)[0] == 0
     status, out, _ = command(capsys, "--verify", "c.pdf", "--cert", cert)
@@ -155,7 +157,7 @@ def test_the_xml_of_a_pdf_is_verified(desk, capsys):
     writer.write("none.pdf")
     assert "no XML file is attached" in command(capsys, "--verify", "none.pdf")[2]
     (desk / "no.pdf").write_bytes(b"%PDF-1.7 no")
-    assert "no.pdf: is not a PDF, or is damaged" in command(capsys, "--verify", "no.pdf")[2]
+    assert "no.pdf is not a PDF, or is damaged" in command(capsys, "--verify", "no.pdf")[2]
 
 
 def test_xml_and_pdf_are_of_one_signature(desk, capsys):
@@ -215,7 +217,7 @@ def test_only_those_chosen_are_certified(desk, capsys):
     write_lab(desk, LAB.replace('language = "de"', 'accelerometers = ["Qy"]'))
     status, out, _ = command(capsys, "r.json", "LAB.toml", "-o", "c.xml")
     assert status == 0
-    assert out.endswith("Not certified, according to certificate.accelerometers: Qx.\n")
+    assert out.endswith("Not certified (see certificate.accelerometers): Qx.\n")
     assert list(read_certificate((desk / "c.xml").read_bytes(), "").accelerometers) == ["Qy"]
 
 
@@ -261,9 +263,9 @@ def test_a_contradicted_result_is_certified_for_a_reason_only(desk, capsys):
         found.write(desk / "r.json", overwrite=True)
         got, _, err = command(capsys, "r.json", "LAB.toml", "-o", "c.pdf")
         assert got == status
-        assert ("r.json: Qx is contradicted by its records: The residuals are 8" in err) == bool(
-            status
-        )
+        assert (
+            "r.json: the records contradict the result for Qx: The residuals are 8" in err
+        ) == bool(status)
         assert (desk / "c.pdf").exists() == (status == 0)
     assert command(capsys, "r.json", "LAB.toml", "-o", "c.xml")[0] == 0
     comment = find((desk / "c.xml").read_bytes(), "/*/dcc:comment")[0]
@@ -283,7 +285,7 @@ def test_a_reason_may_be_given_with_the_certificate(desk, capsys):
     (said,) = find(
         made, f"//dcc:statement[dcc:name/dcc:content='{name}']/dcc:declaration/dcc:content"
     )
-    assert said.text.startswith("The result failed its own tests. Qx: The residuals are 8")
+    assert said.text.startswith("The result failed its checks. Qx: The residuals are 8")
     assert said.text.endswith("The misfit was accepted: known play of the arm")
     judge_result(result()).write(desk / "r.json", overwrite=True)
     status, _, err = command(capsys, "r.json", "LAB.toml", "-o", "d.xml", *why)
@@ -301,7 +303,11 @@ def test_a_reason_may_be_given_with_the_certificate(desk, capsys):
         (("r.json", "LAB.toml"), 2, "-o FILE.xml"),
         ((), 2, "--init LAB.toml"),
         (("r.json", "LAB.toml", "-o", "c.xml", "--cert", "k.pem"), 2, "give --key or --signer"),
-        (("r.json", "LAB.toml", "-o", "c.xml", "--signer", "x"), 2, "--signer and --cert together"),
+        (
+            ("r.json", "LAB.toml", "-o", "c.xml", "--signer", "x"),
+            2,
+            "give both --signer and --cert",
+        ),
         (
             ("r.json", "LAB.toml", "-o", "c.xml", "--signer", "x", "--key", "k.pem"),
             2,
@@ -336,7 +342,7 @@ def test_objects_give_the_certificate_of_their_files(desk, capsys):
     assert made.pdf() == (desk / "a.pdf").read_bytes()
     assert (made.identifier, made.accelerometers) == (known_by(), ["Qx"])
     assert made.write("b.xml").read_bytes() == made.xml
-    with pytest.raises(CounterspinError, match="exists; a certificate never replaces a file"):
+    with pytest.raises(CounterspinError, match="exists; a certificate never overwrites a file"):
         made.write(desk / "b.xml")
     with pytest.raises(CampaignError, match=r"name of the file in \.xml or \.pdf"):
         made.write("b.txt")
@@ -387,4 +393,4 @@ def test_a_result_without_a_seal_is_certified_for_a_stated_reason_only(desk, cap
     result().write(desk / "r.json", overwrite=True)
     status, _, complaint = command(capsys, "r.json", "LAB.toml", "-o", "b.xml", *reason)
     assert status == 1
-    assert "the file has a valid seal; leave --accept-unsealed out" in " ".join(complaint.split())
+    assert "the file has a valid seal; omit --accept-unsealed" in " ".join(complaint.split())

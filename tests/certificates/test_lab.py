@@ -42,7 +42,7 @@ def test_every_gap_is_told_at_once_by_its_key(tmp_path):
         ("2026-01-14", "2026-01-11", "certificate.end: lies before certificate.begin"),
         ('language = "de"', 'language = "German"', 'certificate.language: "German" is not'),
         ('country = "DE"', 'country = "Germany"', 'laboratory.country: "Germany" is not'),
-        ('language = "de"', 'place = "lab"', "certificate.place: 'lab' is none of"),
+        ('language = "de"', 'place = "lab"', "certificate.place: 'lab' is not one of"),
         ('language = "de"', "issued = 2026-01-13", "certificate.issued: lies before"),
         ('language = "de"', "received = 2026-01-13", "certificate.received: lies after"),
         (
@@ -57,7 +57,7 @@ def test_every_gap_is_told_at_once_by_its_key(tmp_path):
         (
             "[conditions]",
             '[accelerometers.Qx]\nserial_number = "1"\n[conditions]',
-            'accelerometers.Qx.serial_number: is "1", but the result is that of "Q-104"',
+            'accelerometers.Qx.serial_number: is "1", but the result is for "Q-104"',
         ),
         (
             "[conditions]",
@@ -73,7 +73,7 @@ def test_a_mistake_is_told_by_its_key(tmp_path, old, new, told):
 
 
 def test_a_missing_file_is_told_where_to_get_one(tmp_path):
-    with pytest.raises(CampaignError, match=r"`certificates\.lab\.write_example` makes"):
+    with pytest.raises(CampaignError, match=r"`certificates\.lab\.write_example` writes"):
         read_lab(tmp_path / "LAB.toml", result())
 
 

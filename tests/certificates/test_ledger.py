@@ -85,7 +85,7 @@ def test_an_entry_with_a_key_that_occurs_twice_is_found(tmp_path, key):
     first, second = path.read_bytes().splitlines(keepends=True)
     name = f'"{key}":'.encode()
     path.write_bytes(first + second.replace(name, name + b'"B",' + name))
-    assert altered(path).startswith("entry 2 is not as it was written")
+    assert altered(path).startswith("entry 2 was changed after it was written")
 
 
 def test_only_the_last_hash_tells_that_the_last_entries_are_gone(tmp_path):

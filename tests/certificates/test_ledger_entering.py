@@ -88,7 +88,7 @@ def test_wrong_words_and_an_unfinished_line_are_told(desk, capsys):
         file.write(b'{"number"')
     capsys.readouterr()
     assert cli.main(["ledger", "verify", "ledger.jsonl"]) == 1
-    assert "after entry 1 comes an incomplete line of 9 bytes" in capsys.readouterr().err
+    assert "entry 1 is followed by an incomplete line of 9 bytes" in capsys.readouterr().err
 
 
 class KilledError(BaseException):
@@ -128,7 +128,7 @@ def test_one_entered_on_another_day_is_found_and_told(desk, killed, monkeypatch,
     killed("finish", *words)
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800086400")  # the day after
     assert run(*words) == 0
-    assert "An interrupted command had already entered certificate" in capsys.readouterr().out
+    assert "An interrupted command already entered certificate" in capsys.readouterr().out
     found = verify_ledger(desk / "ledger.jsonl").entries
     assert [entry.of["file_sha256"] for entry in found[1:]] == [digest(desk / "a.xml")]
     assert b"2027-01-15" in (desk / "a.xml").read_bytes()
@@ -199,7 +199,7 @@ def test_the_pdf_of_another_xml_is_not_completed(desk, capsys):
     assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
     words = ("r.json", "LAB.toml", "-o", "a.xml", "--both")
     assert run(*words) == 1
-    assert "a.xml exists and its PDF was not begun by this command" in capsys.readouterr().err
+    assert "a.xml exists, but its PDF was not begun by this command" in capsys.readouterr().err
     assert not (desk / "a.pdf").exists()
 
 
@@ -216,7 +216,7 @@ def test_an_identifier_stands_for_one_content(desk, monkeypatch, capsys):
     result(serial_number="Q-105").write("r.json", overwrite=True)
     assert run("r.json", "LAB.toml", "-o", "c.xml") == 1
     told = " ".join(capsys.readouterr().err.split())
-    assert "has certificate K 7 already (entry 4), with different content" in told
+    assert "already contains certificate K 7 (entry 4), with different content" in told
     assert not (desk / "c.xml").exists()
     assert verify_ledger(desk / "ledger.jsonl").entries == found
 

@@ -88,7 +88,7 @@ def test_one_changed_digit_is_noticed(tmp_path, pairs):
 
 
 def test_somebody_else_s_signature_is_noticed(tmp_path, pairs):
-    other = r"that of another signer \(CN=Example laboratory\), not of the holder of"
+    other = r"the signer is CN=Example laboratory, not the holder of"
     made = signed(tmp_path, pairs["rsa"])
     with pytest.raises(RecordError, match=other):
         verify(made, pairs["ec"][1], "x.xml")
@@ -110,7 +110,9 @@ def test_a_changed_signature_is_told_from_a_changed_document(tmp_path, pairs):
     root = etree.fromstring(signed(tmp_path, pairs["rsa"]))
     stated = root.find(".//{http://www.w3.org/2000/09/xmldsig#}KeyInfo")
     stated.getparent().remove(stated)
-    with pytest.raises(RecordError, match=r"it was changed, or not .* names no signer"):
+    with pytest.raises(
+        RecordError, match=r"the document was changed, or not .* does not name a signer"
+    ):
         verify(etree.tostring(root), pairs["ec"][1], "x.xml")
 
 
@@ -131,7 +133,7 @@ def test_a_certificate_that_expired_after_the_day_of_issue_counts(tmp_path):
     assert made_and_verified(since - 10, -1).expired == today - timedelta(days=1)
     with pytest.raises(RecordError, match=r"cert\.pem was valid from .*, and the document states"):
         made_and_verified(since + 1, -1)
-    with pytest.raises(RecordError, match=r"is valid from .* only; check the clock"):
+    with pytest.raises(RecordError, match=r"is valid only from .*; check the clock"):
         made_and_verified(2, 10)
 
 
@@ -178,5 +180,5 @@ def test_a_number_with_something_in_it_reads_alike_with_and_without_the_signer(
             found = read_certificate(read(), "x.xml").accelerometers["Qx"].coefficients["K_II"]
             assert found.value == pytest.approx(2.7e-5, rel=1e-15)
         else:
-            with pytest.raises(RecordError, match="there is something other than text in value"):
+            with pytest.raises(RecordError, match="value contains something other than text"):
                 read_certificate(read(), "x.xml")

@@ -81,9 +81,9 @@ def test_nothing_shows_a_key(tmp_path, keys):
     [
         (lambda: rsa.generate_private_key(65537, 1024), {}, "1024 bits; at least 2048"),
         (lambda: ec.generate_private_key(ec.SECP192R1()), {}, "192 bits; at least 256"),
-        (None, {"days": (-10, -1)}, "only, and not today"),
-        (None, {"days": (1, 10)}, "only, and not today"),
-        (None, {"usage": "key_agreement"}, "not meant for signatures"),
+        (None, {"days": (-10, -1)}, "only, so it is not valid today"),
+        (None, {"days": (1, 10)}, "only, so it is not valid today"),
+        (None, {"usage": "key_agreement"}, "not intended for signatures"),
         (None, {"usage": "content_commitment"}, None),
         (None, {"usage": "digital_signature"}, None),
     ],
@@ -109,7 +109,9 @@ def test_a_key_that_cannot_sign_is_told(tmp_path, keys):
         read_signer(key, key)
     with pytest.raises(CounterspinError, match=r"is not an X\.509 certificate in PEM form"):
         read_signer(key)
-    with pytest.raises(CounterspinError, match=r"not a private key in PEM form, nor a PKCS #12"):
+    with pytest.raises(
+        CounterspinError, match=r"neither a private key in PEM format nor a PKCS #12"
+    ):
         read_signer(KeyMaterial("x", b"words"))
     with pytest.raises(CounterspinError, match=r"cannot be read with this password, or is not a"):
         read_signer(KeyMaterial("x", b"\x30\x82words"), None, "x")
@@ -165,8 +167,11 @@ def test_a_command_of_windows_keeps_its_backslashes(tmp_path, keys, monkeypatch)
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("import sys; sys.exit('no card in the reader')", "ended with 1: no card in the reader"),
-        ("import sys; sys.exit(3)", "ended with 3: no reason given"),
+        (
+            "import sys; sys.exit('no card in the reader')",
+            "failed with exit status 1: no card in the reader",
+        ),
+        ("import sys; sys.exit(3)", "failed with exit status 3: no reason given"),
         (
             "print('words')",
             "wrote 6 bytes that are not a signature with the key of its certificate",
@@ -182,7 +187,7 @@ def test_a_command_that_does_not_sign_is_told(tmp_path, keys, text, words):
 
 @pytest.mark.parametrize(
     ("command", "words"),
-    [("", "give the command"), ("'x", "is not a command"), ("/nowhere/x", "cannot be run")],
+    [("", "give the signing command"), ("'x", "is not a command"), ("/nowhere/x", "cannot be run")],
 )
 def test_what_is_no_command_is_told(tmp_path, keys, command, words):
     _, cert = write_pair(tmp_path / "k", keys["ec"])

@@ -62,7 +62,11 @@ def test_the_result_is_entered_as_it_was_written(desk, capsys):
         (("--ledger", "l.jsonl", *WHO), 2, "give --json FILE, --who NAME and --why REASON"),
         (("--json", "r.json", "--ledger", "l.jsonl"), 2, "--who NAME and --why REASON"),
         (("--json", "r.json", "--who", "B"), 2, "--who and --why need --ledger FILE"),
-        ((".", "--json", "r.json", "--ledger", "l.jsonl", *WHO), 2, "the result of one campaign"),
+        (
+            (".", "--json", "r.json", "--ledger", "l.jsonl", *WHO),
+            2,
+            "the result of only one campaign",
+        ),
         (("--json", "r.json", "--ledger", "./r.json", *WHO), 2, "name the same file"),
         (("--json", "r.json", "--ledger", "no/l.jsonl", *WHO), 1, "the folder no does not exist"),
         (("--json", "r.json", "--ledger", "altered.jsonl", *WHO), 1, "entry 1 was altered"),

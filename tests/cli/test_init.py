@@ -48,7 +48,7 @@ def test_from_exports_to_a_result(tmp_path, plain, reference, name, capsys):
     folder = tmp_path / "campaign"
     assert main(["init", str(folder), "--from", *map(str, files), *words]) == 0
     said = capsys.readouterr().out
-    assert "Seen in the files:" in said
+    assert "Found in the files:" in said
     assert "Detected for the test double-turntable (please check):" in said
     assert f"counterspin calibrate {folder}" in said
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
@@ -67,9 +67,9 @@ def test_from_a_table_of_an_arm_to_a_result(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", Terminal("\n1.0 ± 1e-3 m\nleft\ncw\n1\n1e-4\n"))
     assert main(["init", *words]) == 0
     told = capsys.readouterr().out
-    assert "4 readings at rest, where the rate is 0" in told
+    assert "4 readings at rest (rate 0)" in told
     assert "'left' is none of counterclockwise, clockwise. Try again:" in told
-    assert "It is about 1 V/g. (such as 1.25 V/g)" in told
+    assert "The data show about 1 V/g. (such as 1.25 V/g)" in told
     assert main(["calibrate", str(tmp_path / "a"), "--json", str(tmp_path / "r.json")]) == 0
     found = Result.read(tmp_path / "r.json").accelerometers["A"].coefficients
     assert found["K_F"].value == pytest.approx(0.003, abs=1e-4)

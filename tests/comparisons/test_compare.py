@@ -171,7 +171,7 @@ def test_a_changed_input_differs_by_no_chance(one):
     assert (k_ii(other).u_difference, k_ii(other).z) == (0.0, None)
     assert other.agreements[0].p is None
     assert {c.subject for c in other.changes} == {"radius", "campaign.toml"}
-    assert "the changes cause the difference" in comparison_text(other)
+    assert "the difference is caused by the changes" in comparison_text(other)
     again = cs.compare(cs.calibrate(exact), cs.calibrate(exact))
     assert again.agreements[0].p is None
     assert "are equal (the same records)" in comparison_text(again)

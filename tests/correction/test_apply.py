@@ -220,7 +220,7 @@ def test_a_german_table_is_corrected_and_stays_one(folder, capsys):
         assert run(*words, "-o", "out.csv") == 0
         assert run(*words, "-o", "out.parquet") == 0
         report = " ".join(capsys.readouterr().out.split())
-        assert "read with names in line 2, a row of units, semicolon-separated" in report
+        assert "File format: names in line 2, a units row, semicolon-separated" in report
         lines = Path("out.csv").read_text(encoding="utf-8").splitlines()
         assert lines[0] == "Qx;t;Qx_corrected;Qx_corrected_u"
         assert [line.split(";")[0] for line in lines[1:]] == ["1,250", "-2,500", "3,000"]
@@ -231,7 +231,10 @@ def test_a_german_table_is_corrected_and_stays_one(folder, capsys):
         for line, value in zip(lines[1:], expected, strict=True):
             assert float(line.split(";")[2].replace(",", ".")) == pytest.approx(value, abs=1e-15)
     assert run(*words, "--unit=mg", "-o", "out.csv") == 1
-    assert "is in 'g' by the file's row of units, but in 'mg' by --unit" in capsys.readouterr().err
+    assert (
+        "is in 'g' according to the units row of the file, but in 'mg' according to --unit"
+        in capsys.readouterr().err
+    )
 
 
 def test_lines_to_skip_are_not_negative(folder, capsys):
@@ -256,10 +259,10 @@ def test_a_missing_number_leaves_its_row_empty(folder, capsys):
     written("t,Qx\n0,1.0\n1,\n2,nan\n3,2.0\n")
     assert run("result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv") == 0
     assert pl.read_csv("out.csv")["Qx_corrected"].is_null().to_list() == [False, True, True, False]
-    assert "2 of them lack a number" in capsys.readouterr().out
+    assert "2 of these rows lack a number" in capsys.readouterr().out
     written("Qx,\nnan,\n", "none.csv")
     assert run("result.json", "none.csv", "--accelerometer", "Qx", "-o", "no.csv") == 1
-    assert "no row has all the necessary numbers" in capsys.readouterr().err
+    assert "no row has all required numbers" in capsys.readouterr().err
     assert not Path("no.csv").exists()
 
 
@@ -324,7 +327,7 @@ def test_other_axes_from_columns_constants_and_other_accelerometers(folder, caps
         (
             ["--accelerometer", "Qx", "-o", "o.csv", "--input", "other", "--others", "Qx=Qx"],
             2,
-            "to be corrected",
+            "to be corrected; omit it here",
         ),
         (["--accelerometer", "Qx"], 2, "--output"),
     ],
@@ -344,7 +347,7 @@ def test_which_column_is_asked_only_where_it_is_open(folder, capsys):
     written("east,north\n1.0,2.0\n")
     words = ["result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv"]
     assert run(*words) == 2
-    assert "Name it with --input; the file has east, north" in capsys.readouterr().err
+    assert "Select it with --input; the file has east, north" in capsys.readouterr().err
     assert run(*words, "--output-axis", "north") == 0
     assert pl.read_csv("out.csv").columns[-1] == "east_corrected_u"
     assert run("result.json", "out.csv", *words[2:4], "--input", "east", "-o", "o.csv") == 2
@@ -357,8 +360,10 @@ def test_a_row_beyond_the_model_is_named_by_its_line(folder, capsys):
     written("# x\nQx\n1.0\n39.0\n")
     assert run("result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv") == 1
     said = capsys.readouterr().err
-    assert "data.csv, line 4: the indication of Qx cannot be corrected: it indicates 39 g" in said
-    assert "has its turning point at 57.735 g, where it indicates 38.49 g" in said
+    assert (
+        "data.csv, line 4: the indication of Qx cannot be corrected: the indication is 39 g" in said
+    )
+    assert "has a turning point at 57.735 g, with an indication of 38.49 g" in said
     assert not Path("out.csv").exists()
 
 
@@ -367,7 +372,7 @@ def test_as_printed_is_refused_unless_forced(folder, capsys):
     written("Qx\n1.0\n")
     words = ["result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv"]
     assert run(*words) == 2
-    assert "give half the true K_II" in capsys.readouterr().err
+    assert "return half the true K_II" in capsys.readouterr().err
     assert run(*words, "--force") == 0
 
 
@@ -379,7 +384,7 @@ def test_a_contradicted_result_is_applied_for_a_reason_only(folder, capsys):
     judge_result(found).write(folder / "result.json", overwrite=True)
     assert run(*words, "--force") == 1
     said = " ".join(capsys.readouterr().err.split())
-    assert "Qx is contradicted by its records: Without run1 K_II moves" in said
+    assert "the records contradict the result for Qx: Omitting run1 shifts K_II" in said
     assert not Path("out.csv").exists()
     judge_result(found, "run1 was on the old motor").write(folder / "result.json", overwrite=True)
     assert run(*words) == 0
@@ -413,8 +418,8 @@ def test_what_is_not_determined_is_not_applied_and_said():
     assert done.corrected[0] == pytest.approx(1.0, abs=1e-15)
     assert done.u[0] == 0.0
     assert done.notes == ("Qx: applied as estimated: K_F.",)
-    assert "does not determine them: K_III, K_I" in done.warnings[0]
-    assert "no value of K_I (scale factor); 1 g/g is used" in done.warnings[1]
+    assert "not determined by the result: K_III, K_I" in done.warnings[0]
+    assert "no value for K_I (scale factor); 1 g/g is used" in done.warnings[1]
     # Where the campaign never asked for K_I the same is true.
     (warning,) = apply(result({"Qx": found}), "Qx", [1.005]).warnings
     assert "1 g/g is used" in warning
@@ -527,7 +532,7 @@ def test_a_level_that_the_calibration_never_saw_is_said():
     found = result(rate=2 * math.pi)  # 2.5 m x (2 pi)^2 / g = 10.06 g
     assert apply(found, "Qx", [10.0, -10.1]).warnings == ()
     (warning,) = apply(found, "Qx", [40.0, math.nan]).warnings
-    assert "reaches 40 g, but the calibration only 10.1 g" in warning
+    assert "reaches 40 g, but the calibration reached only 10.1 g" in warning
 
 
 def test_results_of_earlier_versions_have_no_axes():
@@ -595,7 +600,7 @@ def test_the_output_that_was_calibrated_is_corrected_as_it_is(tmp_path):
     # The unit of another output, or of an output that the result does not state, is refused.
     for one, unit, said in (
         (counting, "V", "'V' is not a unit of quantity in count"),
-        (ready, "count", "the result states no other output of Qx"),
+        (ready, "count", "the result does not state another output of Qx"),
     ):
         with pytest.raises(CampaignError, match=said):
             apply(one, "Qx", force, ApplyOptions(unit=unit))

@@ -151,7 +151,7 @@ def test_triads_have_the_forms_of_psins_ros_and_kalibr(tmp_path):
         (result(), "a.txt", {}, "must end in one of .csv, .xlsx, .mat"),
         (triad_result(), "a.csv", {"form": "psins"}, "must end in one of .mat"),
         (triad_result(), "a.yaml", {"form": "ros", "normalisation": "ieee"}, "does not apply"),
-        (triad_result(), "a.yaml", {"form": "kalibr"}, "give `noise` with the form kalibr"),
+        (triad_result(), "a.yaml", {"form": "kalibr"}, "give `noise` only with the format kalibr"),
         (result(), "a.yaml", {"form": "ros"}, "the result has none"),
         (result(model="as-printed"), "a.csv", {}, "half the true K_II"),
     ],
@@ -164,7 +164,7 @@ def test_requests_that_do_not_fit_are_refused(given, name, options, message, tmp
 
 def test_results_that_must_not_be_used_are_refused(tmp_path):
     contradicted = result(state="contradicted", accelerometer={"state": "contradicted"})
-    with pytest.raises(RecordError, match="Qx is contradicted by its records"):
+    with pytest.raises(RecordError, match="the records contradict the result for Qx"):
         cs.export(contradicted, tmp_path / "a.csv")
     open_ = triad_result(matrix=None, bias=None, why_no_matrix="The poses do not determine angle.")
     with pytest.raises(RecordError, match="do not determine angle"):
@@ -209,7 +209,7 @@ def test_the_command_takes_the_largest_noise_and_upper_limits(tmp_path, monkeypa
     triad_result().write("triad.json")
     words = ["export", "triad.json", "-o", "imu.yaml", "--form", "kalibr"]
     assert main(words) == 2
-    assert "give --noise with the form kalibr" in capsys.readouterr().err
+    assert "give --noise only with the format kalibr" in capsys.readouterr().err
     assert main([*words, "--noise", "noise.json"]) == 0
     assert capsys.readouterr().out == "Wrote imu.yaml.\n"
     kalibr = yaml.safe_load((tmp_path / "imu.yaml").read_text())

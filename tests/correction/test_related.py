@@ -75,7 +75,11 @@ def test_what_nothing_states_counts_with_all_three(tmp_path, result):
     y = triads.indications(np.vstack([FORCES, 3.0 * FORCES]))
     found = corrected(unstated, y)
     # Values are those at the temperature of the poses.
-    texts = [text for text in found[0].warnings if "uncertainty is not included in u" in text]
+    texts = [
+        text
+        for text in found[0].warnings
+        if "uncertainty of these terms is not included in u" in text
+    ]
     assert all("temperature" in text for text in texts), texts
     u = np.column_stack([one.u for one in found])
     # K_II of a MEMS sensor is 1e-3 g/g^2 if nothing is stated: 9e-3 g at 3 g.
@@ -111,7 +115,11 @@ def test_a_file_has_all_three_corrected(tmp_path, result):
 def test_which_accelerometer_is_asked_where_there_is_no_triad(tmp_path, result):
     pl.DataFrame({"X": [1.0]}).write_csv(tmp_path / "in.csv")
     plain = result.model_copy(update={"triad": None})
-    with pytest.raises(CampaignError, match="name the one to be corrected with `accelerometer`"):
+    with pytest.raises(
+        CampaignError, match="select the accelerometer to be corrected with `accelerometer`"
+    ):
         apply_file(plain, None, tmp_path / "in.csv", tmp_path / "out.csv")
-    with pytest.raises(CampaignError, match="name the one to be corrected with `accelerometer`"):
+    with pytest.raises(
+        CampaignError, match="select the accelerometer to be corrected with `accelerometer`"
+    ):
         apply_file(result, None, tmp_path / "in.csv", tmp_path / "out.csv", column="X")

@@ -168,7 +168,7 @@ def test_known_slopes_need_a_temperature():
         apply(result(MODEL | {"K_F.temperature": 3e-5}), "A", [1.0])
     (said,) = refused.value.problems
     assert said.startswith("K_F.temperature of A changes with the temperature of the record; give")
-    with pytest.raises(CampaignError, match="does not state the temperature of its calibration"):
+    with pytest.raises(CampaignError, match="does not state the calibration temperature"):
         apply(
             result(MODEL | SLOPES, reference=None), "A", [1.0], ApplyOptions(temperature="20 degC")
         )
@@ -210,12 +210,14 @@ def test_what_lies_beyond_the_calibration_is_said():
     inside = apply(found, "A", [1.0], ApplyOptions(temperature=30.9))
     assert not inside.warnings
     (said,) = apply(found, "A", [1.0, 1.0], ApplyOptions(temperature=[25.0, 40.0])).warnings
-    assert said.startswith("The temperature is 25 to 40 degC, and that of the calibration was 10 ")
+    assert said.startswith(
+        "The temperature is 25 to 40 degC, and the calibration temperature was 10 "
+    )
     other = result(MODEL | {"K_F.trend": 1e-9, "K_F.heating": 1e-7})
     (said,) = apply(other, "A", [1.0]).warnings
     assert "not applied: K_F.trend, K_F.heating" in said
     (note,) = apply(result(MODEL), "A", [1.0], ApplyOptions(temperature=25.0)).notes[1:]
-    assert note == "The result has no slope with temperature: the temperature has no effect."
+    assert note == "The result has no temperature slope: the temperature has no effect."
 
 
 # --- files ----------------------------------------------------------------------------------
@@ -244,7 +246,10 @@ def test_a_column_of_temperatures_in_a_file(folder, capsys):
     np.testing.assert_allclose(pl.read_csv("out.csv")["y_corrected"], FORCE, atol=1e-12)
     Path("in.csv").write_text("y,T\ng,V\n" + rows, encoding="utf-8")
     assert run(*words, "T") == 1
-    assert "is in 'V' by the file's row of units; a temperature is" in capsys.readouterr().err
+    assert (
+        "is in 'V' according to the units row of the file; a temperature must be"
+        in capsys.readouterr().err
+    )
     Path("in.csv").write_text("y,T\n1.0,20\n1.0,\n", encoding="utf-8")
     assert run(*words, "T") == 0
     assert pl.read_csv("out.csv")["y_corrected"].is_null().to_list() == [False, True]

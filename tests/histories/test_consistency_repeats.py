@@ -71,8 +71,8 @@ def test_what_is_not_stated_or_never_changed_is_not_told():
     found = repeats(one)
     assert list(found.components) == ["day"]
     assert found.not_told == {
-        "mounting": "6 of 6 results do not state it",
-        "turn_on": "6 of 6 results do not state it",
+        "mounting": "6 of 6 results do not contain this value",
+        "turn_on": "6 of 6 results do not contain this value",
     }
     same = [result(v, "2026-03-01", mounting="a", turn_on=str(v)) for v in VALUES[:4]]
     found = repeats(same)
@@ -124,16 +124,16 @@ def test_the_page_states_each_with_its_interval_and_says_that_few_tell_little(tm
     (table,) = (
         block
         for block in blocks
-        if isinstance(block, Table) and block.columns[0].title == "Repeatability with"
+        if isinstance(block, Table) and block.columns[0].title == "Changed condition"
     )
     rows = {row[0]: row[1:] for row in table.rows}
-    assert list(rows) == ["another day", "another mounting", "another turn-on", "all of them"]
+    assert list(rows) == ["another day", "another mounting", "another turn-on", "all results"]
     own = found.instruments[0].repeatability.components["turn_on"]
     assert rows["another turn-on"][2:] == ("12 turn-ons", "6")
     assert float(rows["another turn-on"][0]) == pytest.approx(own.value * 1e6, rel=0.05)
     assert rows["another day"][1].startswith("0 to ")
     told = " ".join(getattr(block, "text", "") for block in blocks)
-    assert "With few days and mountings the estimates are poor: use the intervals." in told
+    assert "With few days and mountings the estimates are unreliable: use the intervals." in told
     path = tmp_path / "history.json"
     found.write(path)
     assert History.read(path) == found
@@ -144,7 +144,7 @@ def test_the_page_states_each_with_its_interval_and_says_that_few_tell_little(tm
     (table, *_) = (
         block
         for block in history_blocks(history(both))
-        if isinstance(block, Table) and block.columns[0].title == "Repeatability with"
+        if isinstance(block, Table) and block.columns[0].title == "Changed condition"
     )
     assert table.rows[0][0] == "another day or mounting"
 

@@ -194,9 +194,9 @@ def test_a_misfit_that_was_accepted_has_its_place(tmp_path):
 @pytest.mark.parametrize(
     ("document", "reason"),
     [
-        (contradicted(), "its records contradict it: The residuals are 8 times"),
+        (contradicted(), "is contradicted by its records: The residuals are 8 times"),
         (dated(date=None), "has no date"),
-        (dated(date="last spring"), 'its date "last spring" cannot be read'),
+        (dated(date="last spring"), 'has the unreadable date "last spring"'),
         (dated(serial=None), "has no serial number"),
         (dated(model="as-printed"), "which return half the true K_II"),
         (without_estimate(), "does not determine K_II"),
@@ -263,12 +263,12 @@ def test_other_json_files_are_passed_over(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (json.dumps(dated())[:300], "not a result file, or a damaged one"),
-        ("", "not a result file, or a damaged one"),
+        (json.dumps(dated())[:300], "not a result file, or damaged"),
+        ("", "not a result file, or damaged"),
         ("[" * 100_000, "damaged"),
         (
             json.dumps(dated() | {"schema": Result.newest_schema() + 1}),
-            "written by a newer counterspin",
+            "written by a newer version of counterspin",
         ),
         (json.dumps(dated(u=-1.0)), "damaged result"),
         ("\udc80", "damaged"),
@@ -309,7 +309,7 @@ def test_wrong_usage(tmp_path, capsys):
     stored(tmp_path, a=dated())
     for term, words in (
         ("K_IV", "unknown term"),
-        ("platform.tilt.up", "to the machine"),
+        ("platform.tilt.up", "of the machine"),
         ("offset.X", '"offset" tracks all its accelerometers'),
     ):
         assert main(["history", str(tmp_path), "--term", term]) == 2
@@ -394,11 +394,12 @@ def test_a_drift_to_the_limit_sets_the_due_date(tmp_path):
     assert longer < instrument.due.date
     told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
     assert (
-        f"Due on {instrument.due.date}: until then it is within specification with 95.0 %" in told
+        f"Due on {instrument.due.date}: until then, the straight line through the results stays "
+        "within specification with 95.0 %" in told
     )
     lines = [one.label for one in control_plot(found, instrument).series]
     assert lines.count("specification") == 1
-    with pytest.raises(CampaignError, match="does not lie between"):
+    with pytest.raises(CampaignError, match="is not between"):
         history([tmp_path], reliability=0.4)
 
 
@@ -409,7 +410,7 @@ def test_without_a_specification_or_with_a_jump_there_is_no_due_date(tmp_path):
         for i, (shift, date) in enumerate(zip([0, 0, 0, 0, 8], DATES, strict=True))
     }
     found = history([stored(tmp_path / "b", **jump)])
-    assert "do not agree with a straight line" in only(found).due.reason
+    assert "are not consistent with a straight line" in only(found).due.reason
 
 
 def test_laboratories_are_compared(tmp_path):
@@ -435,7 +436,7 @@ def test_what_is_beyond_the_limits_is_named(tmp_path):
     (beyond,) = only(found).control.beyond
     assert beyond.endswith("r16.json")
     told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
-    assert f"Out of control: {beyond} is beyond the action limits;" in told
+    assert f"Out of control: {beyond} is outside the action limits;" in told
 
 
 def test_figure_has_a_chart_for_each_instrument_and_repeats_itself(tmp_path):
@@ -529,7 +530,5 @@ def test_results_count_as_their_files(tmp_path):
     assert [p.file for p in other.points] == [f"result {n} ({title})" for n in (1, 2, 3)]
     mixed = history([folder, results[0].model_copy(update={"title": "again"})])
     assert [unused.file for unused in mixed.left_out] == ["result 2 (again)"]
-    with pytest.raises(
-        CounterspinError, match=r"no result can be used in a history\. Qx of result 1"
-    ):
+    with pytest.raises(CounterspinError, match=r"no usable results: Qx of result 1"):
         history([results[0].model_copy(update={"details": {}})])

@@ -77,7 +77,7 @@ def test_a_wave_that_is_much_of_the_residuals_comes_first():
     tone = white(2) + np.sin(0.3 * np.arange(2000.0))
     said = diagnose({"a": slow, "b": tone}, 3990, noise_given=False).findings
     assert said[0].startswith("b: a peak")
-    assert said[0].endswith("they contain a periodic effect, such as a vibration.")
+    assert said[0].endswith("the residuals contain a periodic effect, such as a vibration.")
     assert any(one.startswith("a: ") for one in said[1:])
 
 

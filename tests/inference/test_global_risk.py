@@ -111,5 +111,5 @@ def test_decision_has_the_risk_of_its_rule(rule):
 
 @pytest.mark.parametrize("sigma", [0.0, -1.0, math.inf])
 def test_a_process_varies(sigma):
-    with pytest.raises(ValueError, match="is not the distribution"):
+    with pytest.raises(ValueError, match="is not a valid process distribution"):
         Process(0.0, sigma)

@@ -66,7 +66,7 @@ def test_a_german_table(tmp_path):
     assert likely_test(looks) == "arm"
     found = make_draft(looks, SAID | {"Signal sensitivity": "1,25"}, "arm")
     assert found.open_questions == []
-    assert "4 readings at rest, where the rate is 0" in found.statements
+    assert "4 readings at rest (rate 0)" in found.statements
     document = found.document(tmp_path / "camp")
     assert list(document)[2:] == ["site", "centrifuge", "accelerometers", "readings", "model"]
     horizontal, vertical = {"pendulous": "up"}, {"pendulous": "outward"}
@@ -129,7 +129,7 @@ def test_what_the_readings_show_where_nothing_is_named(tmp_path):
     assert guesses["axis"] == "inward"
     assert guesses["axis at rest"] == "up"
     # K_I, and what K_II adds to the readings of one side.
-    assert "It is about 1.251 mA/g." in next(
+    assert "The data show about 1.251 mA/g." in next(
         question.text for question in found.questions if "sensitivity" in question.key
     )
     readings = found.document(tmp_path)["readings"]
@@ -148,7 +148,7 @@ def test_a_name_for_across_is_a_way_of_mounting_where_the_acceleration_is_read(t
     found = read(path)
     guesses = {question.key: question.guess for question in found.questions}
     assert (guesses["forward axis"], guesses["backward axis"]) == ("inward", "outward")
-    assert "mounting 'forward': input axis inward, by its readings" in found.statements
+    assert "mounting 'forward': input axis inward, according to the readings" in found.statements
 
 
 def test_readings_at_rest_show_what_a_name_does_not(tmp_path):
@@ -176,7 +176,7 @@ def test_the_sense_may_stand_in_a_column(tmp_path):
 def test_few_digits_of_a_rate_are_told(tmp_path):
     rows = [["in", 30.0, 1.0], ["out", 67.0, -1.0]]
     told = " ".join(read(write_table(tmp_path / "t.csv", rows)).statements)
-    assert "column 'n_rpm' has so few digits that the last one changes the force by 7 %" in told
+    assert "column 'n_rpm' has so few digits that the last digit changes the force by 7 %" in told
     rows[0][1] = 30.00012
     assert "few digits" not in " ".join(read(write_table(tmp_path / "f.csv", rows)).statements)
 
@@ -195,7 +195,9 @@ def test_an_output_with_a_zero(tmp_path):
     guesses = {question.key: question.guess for question in found.questions}
     assert guesses["axis at rest"] == "up"
     assert guesses["out_V zero"] == "2.5 V"
-    assert "It is about 0.1251 V/g." in " ".join(question.text for question in found.questions)
+    assert "The data show about 0.1251 V/g." in " ".join(
+        question.text for question in found.questions
+    )
 
 
 def test_a_name_that_the_readings_contradict_is_said(tmp_path):
@@ -255,7 +257,9 @@ def test_u_is_asked_where_readings_are_too_few_to_show_it(
         write_description(found, tmp_path / "camp")
         calibrate(tmp_path / "camp")  # which refuses readings that are too few
         return
-    assert found.open_questions[0].text.endswith("They are too few to show their noise.")
+    assert found.open_questions[0].text.endswith(
+        "There are too few readings to estimate their noise."
+    )
     found = read(tmp_path / "t.csv", u="2e-6")
     campaign = read_campaign(write_description(found, tmp_path / "camp"))
     assert [one.u for one in campaign.readings] == pytest.approx([2e-6 / 1.25] * len(rows))
@@ -275,7 +279,7 @@ def test_a_rate_in_any_form_gives_the_same_campaign(tmp_path, head, number, unit
     assert likely_test(looks) == "arm"
     found = arm_draft(looks, SAID | {"out_mA sensitivity": "1.25"})
     assert found.document(tmp_path)["readings"]["rate_unit"] == unit
-    assert "It is about 1.25 mA/g." in " ".join(q.text for q in found.questions)
+    assert "The data show about 1.25 mA/g." in " ".join(q.text for q in found.questions)
     campaign = read_campaign(write_description(found, tmp_path / "camp"))
     rates = [one.rate for one in campaign.readings if one.rate]
     assert rates == pytest.approx([-rpm * math.pi / 30.0 for _, rpm, _ in table() if rpm])
@@ -292,7 +296,7 @@ def test_what_cannot_be_described_is_told(tmp_path):
         arm_draft(read_files([path]), answers).document(tmp_path)
     rows = [*table()[:5], ["in", "", reading(felt(42.0))]]
     found = read(write_table(tmp_path / "e.csv", rows), u="2e-6")
-    with pytest.raises(CampaignError, match=r"line 7.*write 0 where the arm rests"):
+    with pytest.raises(CampaignError, match=r"line 7.*write 0 for readings at rest"):
         write_description(found, tmp_path / "camp")
 
 

@@ -48,7 +48,9 @@ def test_a_file_without_numbers(tmp_path):
     with pytest.raises(RecordError) as caught:
         read_contents(tmp_path / "a.csv")
     told = str(caught.value)
-    assert "no column could be read as numbers. Its first lines:\n  line 1: 2 cells, none" in told
+    assert (
+        "no column contains only numbers. First lines of the file:\n  line 1: 2 cells, none" in told
+    )
 
 
 def test_a_line_with_too_many_cells_is_named(tmp_path):

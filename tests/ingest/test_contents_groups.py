@@ -123,8 +123,8 @@ def test_groups_of_sensors_are_no_runs(tmp_path):
 @pytest.mark.parametrize(
     ("ends", "late", "note"),
     [
-        ((0, 1, 2), (0, 0, 0), "channels cut to the shortest"),
-        ((0, 0, 0), (0, 0, 200), "channels aligned by their start, up to 200 samples left out"),
+        ((0, 1, 2), (0, 0, 0), "channels truncated to the shortest"),
+        ((0, 0, 0), (0, 0, 200), "channels aligned by start time, up to 200 samples omitted"),
     ],
 )
 def test_channels_are_cut_or_aligned_and_the_overview_says_so(tmp_path, ends, late, note):

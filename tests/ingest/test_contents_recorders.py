@@ -88,7 +88,7 @@ def test_what_is_no_table_is_refused_with_what_to_do(tmp_path, frame, head, row,
 
 def test_a_row_for_each_quantity_is_refused(tmp_path, frame):
     rows = [f"{name};{';'.join(map(str, frame[name]))}" for name in frame.columns]
-    with pytest.raises(CounterspinError, match=r"has \d rows of .* a row for each sample"):
+    with pytest.raises(CounterspinError, match=r"has \d rows of .* one row per sample"):
         draft(read_files([lines(tmp_path / "run.csv", [], rows)])).document(tmp_path)
 
 
@@ -125,7 +125,7 @@ def test_rows_are_counted_where_a_clock_has_whole_seconds(tmp_path, frame):
     assert asked.guess == "20 Hz"
     statements = " ".join(draft(read_files([path])).statements)
     assert (
-        "20 rows a second, by counting rows, because rows share the times in column 'time_s'"
+        "20 rows per second, by counting rows, because rows share the times in column 'time_s'"
         in statements
     )
 

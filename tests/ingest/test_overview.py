@@ -38,9 +38,9 @@ def test_columns_are_shown_with_range_unit_and_looks():
     lines = overview(
         [contents_of(columns, {"t": "s", "th": "deg", "E": "m"}, {"mode": ["a", "b"]})]
     )
-    assert lines[0] == "log.csv: 400 rows, about 20 rows a second"
+    assert lines[0] == "log.csv: 400 rows, about 20 rows per second"
     assert lines[1] == "  t [s]: 0 to 19.95, the time"
-    assert lines[2] == "  th [deg]: 0 to 351, advances evenly as an angle"
+    assert lines[2] == "  th [deg]: 0 to 351, advances evenly, like an angle"
     assert lines[3].endswith("oscillates at a steady frequency")
     assert lines[4:] == ["  k: always 3", "  mode: words, a, b"]
 
@@ -66,7 +66,7 @@ def test_what_swings_without_an_axis_or_an_angle_is_no_turntable(unit):
     assert likely_test([contents]) is None
     draft = UndecidedDraft.of([contents])
     assert [question.key for question in draft.open_questions] == ["test"]
-    with pytest.raises(CampaignError, match="Which kind of test is it"):
+    with pytest.raises(CampaignError, match="Which type of test is it"):
         draft.complete()
 
 
@@ -83,13 +83,13 @@ def test_a_file_of_no_known_kind_is_never_asked_for_a_radius(tmp_path, capsys):
     (tmp_path / "log.csv").write_text("a,b,c\n" + rows)
     assert main(["init", str(tmp_path / "c"), "--yes", "--from", str(tmp_path / "log.csv")]) == 2
     told = capsys.readouterr()
-    assert "Seen in the files:" in told.out
-    assert "Which kind of test is it?" in told.err
+    assert "Found in the files:" in told.out
+    assert "Which type of test is it?" in told.err
     assert "radius" not in told.out + told.err.replace("radius of a centrifuge", "")
 
 
 def test_the_rate_of_alternating_sensors_is_that_of_all_rows(tmp_path):
-    """Rows of a sensor every 20 ms, and of another 3 ms after each: 100 rows a second."""
+    """Rows of a sensor every 20 ms, and of another 3 ms after each: 100 rows per second."""
     rows = [
         f"{9 * 10**13 + 20_000_000 * n + d};{s};{n % 7}"
         for n in range(400)
@@ -97,7 +97,7 @@ def test_the_rate_of_alternating_sensors_is_that_of_all_rows(tmp_path):
     ]
     (tmp_path / "log.csv").write_text("\n".join(["timestamp;sensor;x", *rows]) + "\n")
     contents = read_files([tmp_path / "log.csv"])
-    assert "about 100.1 rows a second, of all sensors together" in overview(contents)[0]
+    assert "about 100.1 rows per second for all sensors together" in overview(contents)[0]
     assert "swings" not in " ".join(overview(contents))
 
 
@@ -134,6 +134,6 @@ def test_lost_samples_and_bursts_are_reported(tmp_path):
     burst = contents_of({"time_s": stamps, "a": rng.normal(size=2000)})
     lines = overview([burst])
     assert "times in bursts" in lines[1]
-    assert "rows are counted instead" in lines[-1]
+    assert "time is calculated from the row count" in lines[-1]
     assert guess_file(burst).unused[0] == "time_s"
     assert guess_file(burst).sampling == pytest.approx(100.0, rel=2e-3)

@@ -239,7 +239,7 @@ def test_a_table_with_a_pose_in_each_row(tmp_path, unit, size):
     assert likely_test(looks) == "poses"
     found = make_draft(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
     assert [question.key for question in found.open_questions] == []
-    assert "24 poses, one in each row; their attitudes are unknown" in found.statements
+    assert "24 poses, one per row; the attitudes are unknown" in found.statements
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
     assert len(result.triad.poses) == 24
     for name, own, bias in zip("XYZ", (1.01, 0.99, 1.0), BIAS, strict=True):

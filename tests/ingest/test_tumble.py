@@ -121,7 +121,7 @@ def test_what_a_table_does_not_say_is_asked(tmp_path):
     found = make_draft(read_files([path]), answers, "tumble")
     (last,) = found.open_questions
     assert last.key == "b sensitivity"
-    assert "It is about 1.25 mA/g." in last.text
+    assert "The data show about 1.25 mA/g." in last.text
     with pytest.raises(CampaignError, match="b sensitivity: What is the nominal sensitivity"):
         found.document(tmp_path)
 
@@ -130,7 +130,7 @@ def test_a_table_without_readings_says_so(tmp_path):
     path = write_table(tmp_path / "t.csv", table())
     answers = ANSWERS | {"Signal is": "unused", "axis at 0": "up"}
     with pytest.raises(
-        CampaignError, match=r"no column of readings was found \(columns: Winkel, Signal, u"
+        CampaignError, match=r"no readings column was found \(columns: Winkel, Signal, u"
     ):
         tumble_draft(read_files([path]), answers).document(tmp_path)
 

@@ -71,7 +71,7 @@ def spikes(part):
         (clock(1.0008), None),
         (clock(1.0012), "not at the nominal"),
         (first(0.91), None),
-        (first(0.89), "the campaign states"),
+        (first(0.89), "instead of the stated"),
         (spikes(0.04), None),
         (spikes(0.0625), "samples are outliers"),
     ],
@@ -79,7 +79,7 @@ def spikes(part):
 def test_what_the_page_says_makes_a_run_unfit(folder, change, wrong):
     change(pl.read_csv(folder / "slow.csv")).write_csv(folder / "slow.csv")
     told = " ".join(cs.check(folder / "slow.csv", folder).remarks)
-    for words in ("not at the nominal", "the campaign states", "samples are outliers"):
+    for words in ("not at the nominal", "instead of the stated", "samples are outliers"):
         assert (words in told) == (words == wrong), told
 
 
@@ -99,7 +99,7 @@ def test_frames_and_other_files_are_judged_too(folder, tmp_path):
     frame.write_csv(tmp_path / "slow.csv")
     assert cs.check(tmp_path / "slow.csv", folder).run.rate == by_file.run.rate
     frame.write_csv(tmp_path / "other.csv")
-    with pytest.raises(CampaignError, match="name the run, one of: slow, middle, fast"):
+    with pytest.raises(CampaignError, match="give the name of a run: slow, middle, fast"):
         cs.check(tmp_path / "other.csv", folder)
     with pytest.raises(CampaignError, match='no run is named "sloww"'):
         cs.check(tmp_path / "other.csv", folder, run="sloww")
@@ -124,7 +124,7 @@ def test_the_command_says_all_of_it(folder, tmp_path, capsys):
     words = ["check", str(folder / "slow.csv"), "--campaign", str(folder)]
     assert main([*words, "--json", str(tmp_path / "c.json")]) == 0
     told = capsys.readouterr().out
-    for word in ("The run may be kept", "Clock", "Ripple", "Residuals of Qx", "Qx.K_II"):
+    for word in ("The run is usable", "Clock", "Ripple", "Residuals of Qx", "Qx.K_II"):
         assert word in told
     assert cs.CheckedRun.read(tmp_path / "c.json") == cs.check(folder / "slow.csv", folder)
     (folder / "slow.csv").write_text("")

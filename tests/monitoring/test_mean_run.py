@@ -91,8 +91,8 @@ def test_other_files_frames_and_faults(folder, tmp_path, capsys):
     frame.with_columns(angle=-pl.col("angle")).write_csv(tmp_path / "in 9.csv")
     words = ["check", str(tmp_path / "in 9.csv"), "--campaign", str(folder)]
     assert main(words) == 1
-    assert "The angle runs in the opposite sense" in capsys.readouterr().out
+    assert "The angle changes in the opposite sense" in capsys.readouterr().out
     assert main(["check", str(folder / "in 9.csv"), "--campaign", str(folder)]) == 0
     told = capsys.readouterr().out
-    for said in ("The run may be kept", "Rate", "Ripple", "Mean of A", "over 29 revolutions"):
+    for said in ("The run is usable", "Rate", "Ripple", "Mean of A", "over 29 revolutions"):
         assert said in told

@@ -65,7 +65,7 @@ def test_components_are_found_in_a_file_and_in_a_frame(tmp_path):
         assert size(signal, key).low < true < size(signal, key).high
     assert size(signal, "bias_walk").value is None
     assert size(signal, "bias_walk").low == 0.0
-    assert any("random walk of the bias" in remark for remark in signal.remarks)
+    assert any("bias random walk" in remark for remark in signal.remarks)
     assert size(of_frame(), "flicker").value == pytest.approx(
         size(signal, "flicker").value, rel=1e-6
     )
@@ -161,7 +161,7 @@ def test_a_sensor_that_is_moved_meanwhile_is_told():
     (remark,) = [
         r for r in cs.noise({"t_s": time, "Q_g": moved}).signals[0].remarks if "quiet" in r
     ]
-    assert remark.startswith("From 118.8 s to 125 s the record scatters ")
+    assert remark.startswith("From 118.8 s to 125 s the scatter is ")
     assert "not at rest throughout" in remark
     # Nor white noise nor the widest walk of a bias is a motion.
     for own in (values, 1.0 + 1e-3 * rng.standard_normal(time.size).cumsum()):
@@ -181,7 +181,7 @@ def test_unreadable_time_cell_is_located(tmp_path):
     rows = [f"17,{n * 10_000_000},{n % 7}" for n in range(99)]
     rows[40] = "17,late,5"
     (tmp_path / "a.csv").write_text("\n".join(["sec,nanosec,a_m", *rows, ""]))
-    message = r"There is no time column.*a\.csv, line 42: column 'nanosec' holds the text 'late'"
+    message = r"There is no time column.*a\.csv, line 42: column 'nanosec' contains the text 'late'"
     with pytest.raises(RecordError, match=message):
         cs.noise(tmp_path / "a.csv")
 
@@ -192,7 +192,7 @@ def test_unreadable_time_cell_is_located(tmp_path):
         ({"a": np.arange(100.0) % 7}, {}, "There is no time column"),
         ({"time_s": [0.0, 2.0, 1.0] * 33, "a_m": np.arange(99.0) % 7}, {}, "it falls 65 times"),
         ({"time_s": np.arange(100.0), "a": np.arange(100.0) % 7}, {}, "no column has a unit"),
-        ({"time_s": np.arange(100.0), "a_m": np.zeros(100)}, {}, "all its samples are equal"),
+        ({"time_s": np.arange(100.0), "a_m": np.zeros(100)}, {}, "all samples are equal"),
         ({"time_s": np.arange(9.0), "a_m": np.arange(9.0) % 4}, {}, "too few"),
     ],
 )
@@ -297,7 +297,7 @@ def test_a_column_of_zeros_is_not_used_beside_a_measurement(tmp_path):
     found = cs.noise(frame)
     assert [signal.column for signal in found.signals] == ["a_g"]
     assert found.unused == ["residual_g"]
-    with pytest.raises(RecordError, match="all its samples are equal"):
+    with pytest.raises(RecordError, match="all samples are equal"):
         cs.noise(frame, columns=["residual_g"])
 
 

@@ -122,7 +122,7 @@ def test_rows_that_are_none_are_refused_and_nothing_before_is_lost(file):
     followed.follow()
     append(file, b"0.1,word,ok\n")
     with pytest.raises(
-        RecordError, match=r"run\.csv, line 603: column 't'|'x' holds the text 'word'"
+        RecordError, match=r"run\.csv, line 603: column 't'|'x' contains the text 'word'"
     ):
         followed.follow()
     assert followed.rows == 600

@@ -98,7 +98,7 @@ def test_too_few_poses_say_what_is_missing_and_are_kept_with_others(tmp_path):
     posed_records.campaign(tmp_path, {"few": FEW, "many": None})
     checked = cs.check(tmp_path / "few.log", tmp_path)
     assert not checked.good
-    assert "do not determine their noise" in checked.remarks[0]
+    assert "do not determine the noise" in checked.remarks[0]
     assert (checked.run.state, checked.run.poses.count) == ("read", 5)
     assert checked.run.poses.rms is None
     assert len(checked.run.poses.missing) >= 4  # of nine unknowns five are known at best
@@ -119,14 +119,14 @@ def test_a_record_shorter_than_a_rest_should_not_be_kept(tmp_path, capsys):
     assert main(["check", str(tmp_path / "all.log"), "--campaign", str(tmp_path)]) == 1
     assert "has faults and should be repeated" in capsys.readouterr().err
     (state,) = cs.watch(tmp_path, once=True)
-    assert (state.runs[0].state, state.runs[0].why) == ("waiting", "1.0 s of 1.5 s of rest")
+    assert (state.runs[0].state, state.runs[0].why) == ("waiting", "1.0 s at rest of 1.5 s")
 
 
 def test_the_page_says_all_of_it(tmp_path, capsys):
     posed_records.campaign(tmp_path, {"all": MANY})
     assert main(["check", str(tmp_path / "all.log"), "--campaign", str(tmp_path)]) == 0
     told = capsys.readouterr().out
-    for word in ("may be kept", "Clock", "Poses", "Missing directions", "Y.delta_P", "m/s^2"):
+    for word in ("is usable", "Clock", "Poses", "Missing directions", "Y.delta_P", "m/s^2"):
         assert word in told
     assert "uncertainty of the whole campaign" not in told
 
@@ -155,7 +155,7 @@ def test_poses_are_followed_while_they_are_recorded(tmp_path, suffix):
         counts.append(run.poses.count if run.poses else run.why)
         assert state.goals[0].met == (part > 5000)
     states.close()
-    assert counts[0] == "0.6 s of 1.5 s of rest"
+    assert counts[0] == "0.6 s at rest of 1.5 s"
     assert counts[1:] == [sum(MANY.start + 1.5 < n / 100.0) for n in (900, 6000, len(lines))]
     result = cs.calibrate(tmp_path)
     assert [(c.value, c.u) for c in state.coefficients] == [

@@ -72,7 +72,9 @@ def test_what_happens_to_files_is_told(folder):
     content = (folder / "middle.csv").read_bytes()
     (folder / "middle.csv").write_bytes(content[: len(content) // 2])
     state = next(states)
-    assert state.events == ["middle.csv has become shorter, and is now read again from its start."]
+    assert state.events == [
+        "middle.csv has become shorter; counterspin now reads it again from the start."
+    ]
     (folder / "middle.csv").unlink()
     state = next(states)
     assert state.events == ["middle.csv has disappeared."]

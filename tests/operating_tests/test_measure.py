@@ -125,8 +125,8 @@ def test_what_the_rows_do_not_show_is_not_determined(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({}, "name a column of inputs, or one of times"),
-        ({"input": "input_g", "time": "input_g"}, "name a column of inputs, or one of times"),
+        ({}, "give an input column, or a time column"),
+        ({"input": "input_g", "time": "input_g"}, "give an input column, or a time column"),
         ({"input": "input_g", "full_scale": 0.0}, "greater than zero"),
         ({"input": "force"}, "no column 'force'"),
         ({"input": "output_mA"}, "named for both columns"),

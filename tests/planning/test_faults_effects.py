@@ -218,7 +218,7 @@ def test_report_and_result_name_what_is_not_noticed(starter, capsys):
     printed = " ".join(capsys.readouterr().out.split())
     assert "Effects on Qx that the plan cannot detect" in printed
     assert "second-order output-axis coefficient (K_OO) 2 ug/g^2" in printed
-    assert "Less than 0.1 % of the information on K_II comes from its second harmonic" in printed
+    assert "Less than 0.1 % of the information on K_II comes from the second harmonic" in printed
 
 
 def test_a_force_campaign_rests_on_the_harmonic_and_sees_less_of_an_eccentric_encoder(starter):

@@ -10,7 +10,7 @@ WALK = ('displacement = "0.01 m"', 'displacement = "0.01 m"\nacceleration = "3e-
 
 def test_runs_that_are_too_long_to_be_tabulated(starter):
     """Without the bound the rows of 1e9 revolutions would be made."""
-    with pytest.raises(CounterspinError, match="state a shorter longest_run or total_time"):
+    with pytest.raises(CounterspinError, match="give a shorter longest_run or total_time"):
         plan(starter(WALK, ('total_time = "700 s"', 'total_time = "1e9 s"')))
 
 

@@ -385,7 +385,10 @@ def test_report_names_what_needs_a_second_attitude(plan_of, capsys):
     changes = [SMALL, ('"K_III", ', '"K_III", "K_OO", ')]
     text = report_of(plan_of(*changes).result, capsys)
     assert "K_II and K_OO" in text
-    assert "A second attitude or a stated value of one of them would separate them" in text
+    assert (
+        "A second attitude, or a stated value for one of these terms, would separate the terms"
+        in text
+    )
 
 
 def test_report_says_what_the_issue_asks_for(plan_of, capsys):
@@ -400,7 +403,7 @@ def test_report_says_what_the_issue_asks_for(plan_of, capsys):
         "the paper's plan",
         "equally spaced rates",
         "Requirements for the centrifuge",
-        "noise of the angle",
+        "angle noise",
     ):
         assert words in text, words
 
@@ -483,7 +486,7 @@ def test_init_writes_an_example_once(tmp_path, capsys):
 @pytest.mark.parametrize("arguments", [[], ["a.toml", "--check", "b"]])
 def test_one_thing_at_a_time(arguments, capsys):
     assert cli.main(["plan", *arguments]) == 2
-    assert "give a plan's file, or --check DIR, or --init FILE" in capsys.readouterr().err
+    assert "give a plan file, --check DIR, or --init FILE" in capsys.readouterr().err
 
 
 # Bad input
@@ -498,7 +501,7 @@ MISTAKES = {
     "settings": ([('# rates = ["0.25 rev/s", "0.5 rev/s", "1 rev/s"]', 'rates = ["0.05 rev/s"]')],
                  "lowest_rate: .* that rates allows"),
     "rates and runs": ([("runs = 14 ", "runs = 3 "), ("fewest_rates = 1", "fewest_rates = 4")],
-                       "limits.fewest_rates: 4 rates need as many runs, and limits.runs is 3"),
+                       "limits.fewest_rates: 4 rates need at least 4 runs, but limits.runs is 3"),
     "rates too near": ([("fewest_rates = 1", "fewest_rates = 3"),
                         ('lowest_rate = "0.1 rev/s"', 'lowest_rate = "0.7 rev/s"')],
                        "limits.fewest_rates: .* there are only 2 rates"),
@@ -508,15 +511,15 @@ MISTAKES = {
     "no time for all rates": ([("fewest_rates = 1", "fewest_rates = 4"), SHORT],
                               "limits.total_time: 4 runs at different rates do not fit"),
     "time": ([('total_time = "700 s"', 'total_time = "12 s"')],
-             "limits.total_time: no run fits: the shortest takes 15 s"),
+             "limits.total_time: no run fits: the shortest run takes 15 s"),
     "length": ([('# longest_run = "200 s"', 'longest_run = "2 s"')],
                "limits.longest_run: 5 revolutions take 5 s even at the highest rate"),
     "no unit": ([('total_time = "700 s"', "total_time = 700")],
-                "limits.total_time: a number without its unit"),
+                "limits.total_time: a number without a unit"),
     "unknown limit": ([("runs = 14", "run = 14")], 'limits.run: unknown key; did you mean "runs"'),
     "unknown coefficient": ([(GOAL, 'minimise = ["K_OO"]')], '"K_OO" is not estimated'),
-    "no coefficient": ([(GOAL, "minimise = []")], "goal.minimise: names no coefficient"),
-    "units": ([(GOAL, 'minimise = ["K_II", "K_III"]')], "these have different units"),
+    "no coefficient": ([(GOAL, "minimise = []")], "goal.minimise: does not name a coefficient"),
+    "units": ([(GOAL, 'minimise = ["K_II", "K_III"]')], "the coefficients have different units"),
     "size": ([(GOAL, 'minimise = { K_II = "1e-8 g" }')], "goal.minimise.K_II: 'g' is not a unit"),
     "negative": ([(GOAL, 'target = { K_II = "-1e-8 g/g^2" }')], "single number greater than zero"),
     "both": ([(GOAL, 'minimise = ["K_II"]\ntarget = { K_II = "1e-8 g/g^2" }')],
@@ -525,14 +528,14 @@ MISTAKES = {
     "noise": ([('displacement = "0.01 m"', 'displacement = "estimate"')],
               "noise.displacement: state a number"),
     "silence": ([('displacement = "0.01 m"', 'displacement = "0 m"')],
-                "noise: Qx would have no noise at all"),
+                "noise: Qx has no noise; give"),
     "attitude": ([(ATTITUDES, 'attitudes = ["upright"]')], "is not an attitude"),
     "attitude twice": ([(ATTITUDES, 'attitudes = ["level", "level"]')], '"level" is listed twice'),
     "no rate": ([('highest_rate = "1 rev/s"', "")], "give highest_rate, specific_force or rates"),
     "flicker": ([('displacement = "0.01 m"', 'displacement = "0.01 m"\nflicker = "1 ug"')],
-                "noise.flicker: the search for runs cannot treat a wandering bias"),
+                "noise.flicker: the search for runs cannot model a drifting bias"),
     "trend": ([('# hold = ["K_PP"]', 'hold = ["K_F.trend"]')],
-              '"K_F.trend" depends on the time of each run, which a plan does not know'),
+              '"K_F.trend" depends on the time of each run, which is unknown in a plan'),
     "prior": ([('"platform.tilt" = "0 ± 0.5 arcsec"', '"platform.tilt" = "0 ± 0.5 m"')],
               "platform.tilt"),
 }  # fmt: skip

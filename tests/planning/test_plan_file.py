@@ -9,7 +9,7 @@ from counterspin.planning.plan_file import read_plan
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("fewest_revolutions = 5", "fewest_revolutions = 1e-12", "must be one revolution at least"),
+        ("fewest_revolutions = 5", "fewest_revolutions = 1e-12", "must be at least one revolution"),
         ('highest_rate = "1 rev/s"', 'highest_rate = "1e30 rev/s"', "samples at 50 Hz; give a"),
         ('sampling_rate = "50 Hz"', 'sampling_rate = "1e-9 Hz"', "5e-09 samples at 1e-09 Hz"),
         (

@@ -296,8 +296,8 @@ def test_report_and_json_of_readings(written, tmp_path, capsys, monkeypatch):
     assert "24 readings" in printed
     assert "in mirrored order" in printed
     assert "Effects on A that the plan cannot detect" in printed
-    assert "every reading equally often" in printed or "spread evenly" in printed
-    assert "Replace each ? by the reading" in printed
+    assert "every reading equally often" in printed or "distributed evenly" in printed
+    assert "Replace each ? with the reading" in printed
     told = json.loads((tmp_path / "p.json").read_text(encoding="utf-8"))
     assert told["runs"] == []
     assert told["sampling_rate"] is None
@@ -319,7 +319,7 @@ MISTAKES = {
     "no u": ([('u = "1e-6 g"', "")], TUMBLE, r"stations\[0\].u: is missing"),
     "unit": ([('u = "1e-6 g"', 'u = "1e-6 V"')], TUMBLE, "'V' is not a unit"),
     "no limit": ([("readings = 24", "")], TUMBLE, "give readings or total_time"),
-    "no time": ([("readings = 24", 'total_time = "1 h"')], TUMBLE, "needs the time of a reading"),
+    "no time": ([("readings = 24", 'total_time = "1 h"')], TUMBLE, "requires the time of a"),
     "unknown": ([('minimise = ["K_II"]', 'minimise = ["K_OO"]')], ARM, '"K_OO" is not estimated'),
     "no machine": ([('[centrifuge]\nradius = "1.0 m"\n', "")], ARM, "centrifuge: is missing"),
     "section": ([("[limits]", "[truth]\n[limits]")], TUMBLE, "truth: unknown key"),
@@ -481,7 +481,7 @@ def test_ten_poses_are_searched_from_many_beginnings(tmp_path):
     [
         ('up = ["X + W"]', 'up[0]: "W" is not an accelerometer of the triad'),
         ('up = ["X - X"]', '"X" is listed twice'),
-        ('up = ["-"]', "names no accelerometer"),
+        ('up = ["-"]', "does not name an accelerometer"),
         ("positions = 4", "is for poses at rest"),
     ],
 )

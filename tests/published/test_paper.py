@@ -103,7 +103,7 @@ def test_exact_model_on_the_stated_plan(stated_plan_sigma, symbols, drift, expec
 
 
 def test_printed_columns_on_the_stated_plan(stated_plan_sigma):
-    """Smaller figures than the exact model's, for a K_II that is half of the truth."""
+    """Smaller figures than the exact model's, for a K_II that is half the true value."""
     unweighted = unweighted_sigma(printed_columns(), stated_plan_sigma)
     weighted = weighted_sigma(printed_columns(), stated_plan_sigma)
     assert unweighted == pytest.approx(3.223e-9, abs=0.5e-12)

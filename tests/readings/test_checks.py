@@ -62,7 +62,7 @@ def test_a_term_that_is_left_out_is_named_with_those_like_it(tmp_path, u):
     values = simulated(tumble(24), np.random.default_rng(1), SIGMA, truth=truth)
     (found,) = misfits(calibrated(tmp_path, even(24), values, u=u))
     assert found.contradicts
-    assert "follow cos 2 phi, phi being the angle of the head" in found.text
+    assert "follow cos 2 phi, where phi is the head" in found.text
     assert "K_II or K_PP in the accelerometer" in found.text
     fitting = calibrated(tmp_path, even(24), values, u=u, terms=(*LEVEL, "K_II"))
     assert not misfits(fitting)
@@ -83,7 +83,7 @@ def test_a_drift_of_ten_times_the_noise_is_named(tmp_path, u):
     values = simulated(tumble(24), np.random.default_rng(3), SIGMA, truth=LEVEL)
     values += 10.0 * SIGMA * np.linspace(0.0, 1.0, 24)
     (found,) = misfits(calibrated(tmp_path, even(24), values, u=u))
-    assert "drift with the order in which they were taken" in found.text
+    assert "drift with the order of the readings" in found.text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
@@ -93,7 +93,7 @@ def test_hysteresis_of_five_times_the_noise_is_named(tmp_path, u):
     # The last position of the way there is read again without a move.
     values[:13] += 5.0 * SIGMA
     (found,) = misfits(calibrated(tmp_path, angles.tolist(), values, u=u))
-    assert "at rest depend on the side from which a position was approached" in found.text
+    assert "at rest depend on the direction from which a position was approached" in found.text
     assert found.size > 5.0
 
 
@@ -104,7 +104,7 @@ def test_a_drift_that_turns_back_is_named_though_a_mirrored_order_hides_it(tmp_p
     values = simulated(test, np.random.default_rng(12), SIGMA, truth=LEVEL)
     values += 12.0 * SIGMA * np.linspace(-1.0, 1.0, 24) ** 2
     (found,) = misfits(calibrated(tmp_path, angles.tolist(), values, u=u))
-    assert "drift and reverse with the order in which they were taken" in found.text
+    assert "drift with the order of the readings and reverse" in found.text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
@@ -122,7 +122,7 @@ def test_what_depends_on_the_sense_of_rotation_is_named(tmp_path, u):
     (tmp_path / "campaign.toml").write_text("".join([HEAD, model, *runs]), encoding="utf-8")
     result = calibrate(tmp_path)
     assert result.state == "contradicted"
-    assert "depend on the sense in which the machine turned" in misfits(result)[0].text
+    assert "depend on the sense of rotation of the machine" in misfits(result)[0].text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
@@ -134,7 +134,10 @@ def test_hysteresis_shows_in_one_turn_too(tmp_path, u, count):
     terms = (*LEVEL, "K_II")
     result = calibrated(tmp_path, even(count), values, u=u, terms=terms)
     assert result.state != "good"
-    assert "whether the force along the input axis had risen or fallen" in misfits(result)[0].text
+    assert (
+        "whether the force along the input axis had increased or decreased"
+        in misfits(result)[0].text
+    )
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
@@ -169,7 +172,7 @@ def test_a_drift_of_the_scale_is_named_or_in_the_uncertainty(tmp_path, u, assume
     result = calibrate(tmp_path)
     if assume:
         assert result.state != "good"
-        assert "have a scale that drifts with the order" in misfits(result)[0].text
+        assert "have a scale factor that drifts with the order" in misfits(result)[0].text
     else:
         k_ii = result["A.K_II"]
         assert (result.state, result.findings) == ("good", [])
@@ -184,7 +187,7 @@ def test_a_swing_of_the_room_s_temperature_is_named(tmp_path, u):
     values = simulated(test, np.random.default_rng(18), SIGMA, truth=LEVEL)
     values += 12.0 * SIGMA * np.sin(2.0 * math.pi * 2.4 * np.linspace(0.0, 1.0, 24) + 0.5)
     (found,) = misfits(calibrated(tmp_path, angles.tolist(), values, u=u))
-    assert "swing 2.5 times with the order in which they were taken" in found.text
+    assert "swing 2.5 times with the order of the readings" in found.text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
@@ -194,7 +197,7 @@ def test_positions_that_turn_away_are_named(tmp_path, u):
     values = simulated(test, np.random.default_rng(19), SIGMA, truth=LEVEL)
     values -= 4e-5 * np.linspace(0.0, 1.0, 24) * np.sin(np.radians(angles))
     (found,) = misfits(calibrated(tmp_path, angles.tolist(), values, u=u))
-    assert "look like positions that rotate steadily with the order" in found.text
+    assert "have the pattern of positions that rotate steadily with the order" in found.text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
@@ -204,7 +207,7 @@ def test_a_bias_that_is_another_for_negative_forces_is_named(tmp_path, u):
     values = simulated(tumble(24), np.random.default_rng(20), SIGMA, truth=LEVEL)
     values += 2e-5 * np.sign(np.round(np.cos(np.radians(angles)), 9))
     (found,) = misfits(calibrated(tmp_path, angles, values, u=u, terms=(*LEVEL, "K_II")))
-    assert "look like a bias that differs for negative forces" in found.text
+    assert "have the pattern of a bias that differs for negative forces" in found.text
 
 
 def test_as_many_readings_as_coefficients_judge_nothing(tmp_path):
@@ -221,7 +224,7 @@ def test_a_warm_up_is_named(tmp_path):
     values = simulated(tumble(24), np.random.default_rng(5), SIGMA, truth=LEVEL)
     values += 20.0 * SIGMA * np.exp(-np.arange(24) / 2.3)
     (found,) = misfits(calibrated(tmp_path, even(24), values))
-    assert "settle with the order in which they were taken, as after a warm-up" in found.text
+    assert "settle with the order of the readings, as during warm-up" in found.text
 
 
 def test_one_reading_that_is_off_is_no_pattern(tmp_path):
@@ -303,7 +306,7 @@ def test_less_than_five_degrees_of_freedom_are_not_judged(tmp_path, count, codes
     if codes:
         # Chi-square with 4 degrees of freedom exceeds 16.42 by chance in 0.25 %.
         assert "leave 4 degrees of freedom" in stated.findings[0].text
-        assert "noticed only above 2 times the stated uncertainty" in stated.findings[0].text
+        assert "detected only above 2 times the stated uncertainty" in stated.findings[0].text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
@@ -521,7 +524,7 @@ def test_good_tumbles_of_which_little_is_stated_have_seldom_a_reading_that_is_of
     assert blamed <= most
 
 
-ROUNDED = "follow the model to their last digit"
+ROUNDED = "fit the model to the last digit"
 
 
 @pytest.mark.parametrize("assume", ["all", []], ids=["all assumed", "nothing assumed"])

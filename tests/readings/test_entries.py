@@ -128,7 +128,7 @@ def test_a_reading_without_its_uncertainty_has_none(tmp_path):
 SLIPS = {
     "a static run with a rate": (
         HEAD + RUN + 'rate = "1 rad/s"\n',
-        "runs[0].rate: a static run does not turn",
+        "runs[0].rate: a static run does not rotate",
     ),
     "an arm without a rate": (
         HEAD + ARM + ON_ARM.replace('rate = "9.9 rad/s"\n', ""),
@@ -144,7 +144,7 @@ SLIPS = {
     ),
     "a position that is missing": (
         HEAD + RUN.replace("attitude", "# attitude"),
-        "runs[0].attitude: is missing: a reading at rest needs its position",
+        "runs[0].attitude: is missing: a reading at rest needs a position",
     ),
     "a sensitivity of another unit": (
         HEAD.replace("1.25 mA/g", "1.25 V/g") + RUN,
@@ -156,7 +156,8 @@ SLIPS = {
     ),
     "an output without a sensitivity": (
         HEAD.replace(', sensitivity = "1.25 mA/g"', "") + RUN,
-        'accelerometers.A.output.sensitivity: is missing: the nominal output, such as "1.25 mA/g"',
+        'accelerometers.A.output.sensitivity: is missing; give the nominal output, such as "1.25 '
+        'mA/g"',
     ),
     "no centrifuge": (HEAD + ON_ARM, "centrifuge: is missing"),
     "no reading": (
@@ -192,21 +193,22 @@ SLIPS = {
     ),
     "a head of no angle": (
         HEAD + RUN.replace("30 ± 0.001 deg about north", "level") + 'head = "30 deg"\n',
-        'runs[0].head: turns about an axis: write attitude = "30 deg about north"',
+        'runs[0].head: turns about an axis: write attitude = "30 deg about north", or similar',
     ),
     "a number alone, of an output": (
         HEAD + RUN.replace('"1.082532 ± 2e-6 mA"', "1.082532"),
-        'runs[0].reading: a number without its unit; write it as text, such as "1.082532 mA"',
+        'runs[0].reading: a number without a unit; write the quantity as text, such as "1.082532 '
+        'mA"',
     ),
     "a key of records": (
         HEAD + RUN + 'start = "2 s"\n',
-        "runs[0].start: belongs to a run with a record of a double turntable; leave it out",
+        "runs[0].start: applies to a run with a record of a double turntable; omit it",
     ),
     "records of a record whose mean is a reading": (
         HEAD
         + RUN.replace('reading = "1.082532 ± 2e-6 mA"', 'record = "a.csv"')
         + 'records = { delimiter = ";" }\n',
-        "runs[0].records: belongs to a run with a record of a double turntable; leave it out. "
+        "runs[0].records: applies to a run with a record of a double turntable; omit it. "
         "[records] applies to all records on the arm and at rest: write them with the same columns "
         "and units",
     ),

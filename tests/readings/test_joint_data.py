@@ -74,7 +74,7 @@ def test_a_tumble(tmp_path):
     result = calibrated(tmp_path, model(*LEVEL_TERMS), tumble_runs(values))
     a = result.accelerometers["A"]
     assert result.state == "good"
-    assert all("would not show these single faults" in text for text in result.warnings)
+    assert all("would not show any single one of these faults" in text for text in result.warnings)
     for symbol, truth in LEVEL_TERMS.items():
         c = a.coefficients[symbol]
         assert abs(c.value - truth) < 4.0 * c.u
@@ -532,10 +532,10 @@ def test_what_was_repaired_in_the_record_of_a_reading_is_counted_and_shown(tmp_p
     assert (second.counts["outliers"], third.samples, third.counts) == (63, None, {})
     (many,) = [f for f in result.findings if f.code == "many-outliers"]
     assert many.subject == "A.tumble 1"
-    assert "63 samples of 1000 were left out as outliers" in many.text
+    assert "63 of 1000 samples were rejected as outliers" in many.text
     print_result(result, details=True)
     page = " ".join(capsys.readouterr().out.split())
-    assert "tumble 0: 1 outliers in column 'mA' were left out." in page
+    assert "tumble 0: 1 outliers in column 'mA' were rejected." in page
     assert "tumble 0: rows 1001, repeated 1, empty 1, outliers 1, gaps 1, block 1." in page
     result.write(tmp_path / "result.json")
     assert Result.read(tmp_path / "result.json").accelerometers == result.accelerometers
@@ -547,7 +547,7 @@ def test_a_mounting_with_a_dot_is_refused(tmp_path):
     assert 'mounting = "inward"' in runs
     text = HEAD + model(*TRUTH) + runs.replace('mounting = "inward"', 'mounting = "in.ward"')
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
-    with pytest.raises(CampaignError, match=r'mounting: "in\.ward" has a dot'):
+    with pytest.raises(CampaignError, match=r'mounting: "in\.ward" contains a dot'):
         calibrate(tmp_path)
 
 

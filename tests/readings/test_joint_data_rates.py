@@ -132,7 +132,7 @@ def test_a_stated_clock_is_in_u_and_its_value_in_the_rates(tmp_path, key):
     k_i = result.accelerometers["A"].coefficients["K_I"]
     assert abs(k_i.value - TRUTH["K_I"]) < 3.0 * k_i.u
     assert k_i.u_stated == pytest.approx(math.hypot(6e-6, 1e-6), rel=0.05)
-    says_which = any("[records] clock is used" in remark for remark in result.warnings)
+    says_which = any("[records] clock also applies" in remark for remark in result.warnings)
     assert says_which == (key == "[records]")
 
 

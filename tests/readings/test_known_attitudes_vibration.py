@@ -178,9 +178,9 @@ def test_a_table_and_runs_say_the_same(tmp_path):
         ('amplitude = "5.0 g"\n', "", "amplitude: is missing"),
         ('amplitude = "5.0 g"', 'amplitude = "-5.0 g"', "must be greater than zero"),
         ('amplitude = "5.0 g"', 'amplitude = "5.0 mm"', "amplitude"),
-        ('amplitude = "5.0 g"', 'amplitude = "5.0 g"\nrate = "1 rad/s"', "does not turn"),
+        ('amplitude = "5.0 g"', 'amplitude = "5.0 g"\nrate = "1 rad/s"', "does not rotate"),
         ('motion = "vibration"', 'motion = "static"', 'write motion = "vibration"'),
-        ('attitude = "level"\nreading', "reading", "needs its position"),
+        ('attitude = "level"\nreading', "reading", "needs a position"),
     ],
 )
 def test_a_wrong_run_is_named_with_its_key(tmp_path, changed, to, message):

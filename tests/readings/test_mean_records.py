@@ -113,7 +113,7 @@ def read(result):
 
 def test_the_opposite_sense_is_refused():
     one = at_rate(campaign(3, 0.0), "-9.39 rad/s")
-    with pytest.raises(RecordError, match="The angle runs in the opposite sense"):
+    with pytest.raises(RecordError, match="The angle changes in the opposite sense"):
         cs.calibrate(one)
 
 

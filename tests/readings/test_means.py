@@ -65,7 +65,7 @@ def test_a_row_in_a_thousand_that_is_far_off_does_not_move_the_mean(rate, size):
     assert found.u == pytest.approx(clean.u, rel=0.1)
     left_out = found.report.outliers["f"]
     assert left_out - clean.report.outliers["f"] == 20
-    assert f"{left_out} outliers in column 'f' were left out." in found.report.notes()
+    assert f"{left_out} outliers in column 'f' were rejected." in found.report.notes()
 
 
 def test_a_cell_of_900_among_a_thousand_is_left_out(tmp_path):
@@ -139,7 +139,7 @@ def test_records_of_the_same_samples_have_one_digest(tmp_path):
             np.arange(50) * 0.01,
             np.ones(50),
             1.0,
-            "0.078 revolutions at the run's rate; at least 1 is needed",
+            "0.078 revolutions at the stated rate; at least 1 is needed",
         ),
         (np.arange(5) * 1.0, np.ones(5), 0.0, "5 samples are too few"),
         (

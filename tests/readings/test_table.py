@@ -124,7 +124,9 @@ def test_slips_of_mountings_side_by_side(tmp_path):
         assert problems(tmp_path, table, slip)[0].startswith(said)
     rows = "n,plus,minus,u\nrad/s,mA,V,mA\n6,5,-5,2e-6\n7,6,-6,2e-6\n8,6,-6,2e-6\n"
     (said,) = problems(tmp_path, rows, BESIDE)
-    assert said.endswith('column "minus" is in V by the row of units, but in mA by the description')
+    assert said.endswith(
+        'column "minus" is in V according to the units row, but in mA according to the description'
+    )
 
 
 def test_the_sense_of_a_row_stands_above_that_of_the_table(tmp_path):
@@ -132,7 +134,9 @@ def test_the_sense_of_a_row_stands_above_that_of_the_table(tmp_path):
     table = "n,side,s,mA\n6,innen,CCW,5\n6,innen,cw,5\n6,innen,,5\n0,innen,,0\n"
     assert [one.rate for one in of_csv(tmp_path, table, keys)] == [6.0, -6.0, -6.0, 0.0]
     (said,) = problems(tmp_path, table.replace("CCW", "left"), keys)
-    assert said.startswith("readings.\"r.csv line 2\".sense: 'left' is none of counterclockwise,")
+    assert said.startswith(
+        "readings.\"r.csv line 2\".sense: 'left' is not one of counterclockwise,"
+    )
 
 
 def test_remarks_below_a_table_are_no_readings(tmp_path):
@@ -279,7 +283,9 @@ def test_an_implausible_temperature_is_refused_with_its_row(tmp_path, row, tempe
 
 def test_a_row_of_units_is_compared_with_what_is_said(tmp_path):
     (tmp_path / "r.csv").write_bytes(GERMAN.encode("latin-1"))
-    with pytest.raises(CampaignError, match='column "Strom" is in uA by the row of units, but in '):
+    with pytest.raises(
+        CampaignError, match='column "Strom" is in uA according to the units row, but in '
+    ):
         read(tmp_path, f'[readings]\nfile = "r.csv"\n{GERMAN_KEYS}')
 
 
@@ -301,11 +307,11 @@ SLIPS = {
         SIMPLE,
         """line 2".mA: '1,25' has a decimal comma; write decimal = "," in [readings]""",
     ),
-    "no rows": ("angle,mA\n", SIMPLE, "readings.file: r.csv has no rows below the names"),
+    "no rows": ("angle,mA\n", SIMPLE, "readings.file: r.csv has no rows below the header row"),
     "a motion that is none": (
         "angle,how,mA\n0,static,1\n90,arms,2\n",
         'columns = { attitude = "angle", motion = "how", reading = "mA" }',
-        ".motion: 'arms' is none of 'counter-rotating', 'arm', 'static' or 'vibration'",
+        ".motion: 'arms' is not one of 'counter-rotating', 'arm', 'static' or 'vibration'",
     ),
     "no such column": (
         "angle,mA\n0,1.25\n",
@@ -320,34 +326,35 @@ SLIPS = {
     "no position": (
         "angle,mA\n0,1.25\n,0.5\n",
         SIMPLE,
-        'readings."r.csv line 3".attitude: is missing: a reading at rest needs its position',
+        'readings."r.csv line 3".attitude: is missing: a reading at rest needs a position',
     ),
     "no column of positions": (
         "angle,mA\n0,1.25\n30,1.1\n60,0.6\n",
         'columns = { reading = "mA" }',
-        "readings.columns: attitude is missing: the column with the position of each reading",
+        "readings.columns: attitude is missing; give the column with the position of each reading",
     ),
     "no column of rates": (
         "w,mA\n6,1.25\n7,1.1\n",
         'columns = { reading = "mA" }\nmotion = "arm"\n'
         'axes = { input = "inward", pendulous = "up" }',
-        "readings.columns: rate is missing: the column with the rate of each reading",
+        "readings.columns: rate is missing; give the column with the rate of each reading",
     ),
     "no rate": (
         "w,mA\n6,1.25\n,1.1\n",
         'columns = { rate = "w", reading = "mA" }\nmotion = "arm"\n'
         'axes = { input = "inward", pendulous = "up" }',
-        'readings."r.csv line 3".rate: is missing: a run with motion arm turns',
+        'readings."r.csv line 3".rate: is missing: an arm rotates',
     ),
     "no such mounting": (
         "n,side,mA\n6,inen,1.25\n",
         ARM,
-        'readings."r.csv line 2": readings.mountings has no "inen"; did you mean "innen"?',
+        'readings."r.csv line 2": readings.mountings does not contain "inen"; did you mean '
+        '"innen"?',
     ),
     "mountings without their column": (
         "n,mA\n6,1.25\n",
         ARM.replace('mounting = "side", ', ""),
-        "readings.columns: mounting is missing: the column with the mounting of each reading",
+        "readings.columns: mounting is missing; give the column with the mounting of each reading",
     ),
     "axes of a mounting": (
         "n,side,mA\n6,innen,1.25\n",
@@ -367,7 +374,7 @@ SLIPS = {
     "no such sense": (
         "n,side,mA\n6,innen,1.25\n",
         f'sense = "left"\n{ARM}',
-        "readings.sense: 'left' is none of 'counterclockwise' or 'clockwise'",
+        "readings.sense: 'left' is not one of 'counterclockwise' or 'clockwise'",
     ),
     "u in another unit": (
         "angle,mA\n0,1.25\n",
@@ -377,7 +384,7 @@ SLIPS = {
     "a rate at rest": (
         "angle,w,mA\n0,0,1.25\n30,6.28,1.1\n",
         'columns = { attitude = "angle", rate = "w", reading = "mA" }',
-        'readings."r.csv line 3".rate: a static run does not turn; leave the rate out',
+        'readings."r.csv line 3".rate: a static run does not rotate; omit the rate',
     ),
     "text for a rate": (
         "w,mA\nfast,1.25\n",

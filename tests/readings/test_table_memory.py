@@ -51,7 +51,7 @@ def test_mistakes_are_told_with_their_row(table, description):
     with pytest.raises(CampaignError, match="has no column"):
         cs.make_campaign(description, readings=table.select(table.columns[0]))
     named = description | {"readings": description["readings"] | {"file": "readings.csv"}}
-    with pytest.raises(CampaignError, match="readings: names a file; leave it out"):
+    with pytest.raises(CampaignError, match="readings: gives a file; omit this key"):
         cs.make_campaign(named, readings=table)
     without = {key: value for key, value in description.items() if key != "readings"}
     with pytest.raises(CampaignError, match="readings: is missing"):

@@ -70,7 +70,7 @@ def gaining(size, where):
 @pytest.mark.parametrize(
     ("pattern", "fault"),
     [
-        (r"a change of the meter's gain by ([\d.]+) ppm above ([\d.]+ g)", ranging),
+        (r"a meter gain change of ([\d.]+) ppm above ([\d.]+ g)", ranging),
         (r'a bias step of ([\d.]+) ug starting at "(p\d+)"', stepping),
         (r"a head error that grows by ([\d.]+) arcsec a (turn)", gaining),
     ],
@@ -83,7 +83,7 @@ def test_a_fault_moves_a_coefficient_by_as_much_as_is_stated_and_is_not_seen(
     (said,) = (
         found
         for clause in stated
-        if (found := re.search(rf"{pattern} moves (\w+) by ([\d.e-]+) (\S+) \(([\d.]+) ", clause))
+        if (found := re.search(rf"{pattern} shifts (\w+) by ([\d.e-]+) (\S+) \(([\d.]+) ", clause))
     )
     size, where, symbol, shift, unit, times = said.groups()
     # At the size that is stated noise decides whether it is seen.
@@ -106,7 +106,9 @@ def test_a_result_with_unseen_faults_is_good_with_a_qualification(tmp_path):
         "A passed all checks, but its readings test only part"
     )
     assert "gain" in a.unseen_faults[0]
-    (remark,) = (text for text in result.warnings if "would not show these single faults" in text)
+    (remark,) = (
+        text for text in result.warnings if "would not show any single one of these faults" in text
+    )
     assert all(clause in remark for clause in a.unseen_faults)
 
 
@@ -145,8 +147,8 @@ def test_the_sense_of_rotation_is_an_unseen_fault_where_readings_do_not_show_it(
     wrong = on_an_arm(tmp_path / "wrong", 0.0, head=CUBIC, sigma=30.0 * SIGMA, sense=-1.0)
     a, b = (one.accelerometers["A"] for one in (right, wrong))
     for own, other in ((a, b), (b, a)):
-        (clause,) = (text for text in own.unseen_faults if "in the other sense than stated" in text)
-        found = re.search(r"moves K_I by ([\d.e-]+) g/g \(([\d.]+) ", clause)
+        (clause,) = (text for text in own.unseen_faults if "opposite to the stated sense" in text)
+        found = re.search(r"shifts K_I by ([\d.e-]+) g/g \(([\d.]+) ", clause)
         shift, times = map(float, found.groups())
         moved = abs(own.coefficients["K_I"].value - other.coefficients["K_I"].value)
         assert moved == pytest.approx(shift, rel=0.05)
@@ -175,7 +177,7 @@ def test_a_wrong_sense_of_rotation_that_readings_show_is_named(tmp_path):
     assert not any("sense" in text for text in right.accelerometers["A"].unseen_faults)
     wrong = on_an_arm(tmp_path / "wrong", 0.0, sigma=0.1 * SIGMA, head=CUBIC, sense=-1.0)
     assert wrong.state == "contradicted"
-    assert "look like a rotation in the other sense than stated" in wrong.findings[0].text
+    assert "have the pattern of a rotation opposite to the stated sense" in wrong.findings[0].text
 
 
 def test_a_step_of_one_accelerometer_during_poses(tmp_path):
@@ -183,7 +185,7 @@ def test_a_step_of_one_accelerometer_during_poses(tmp_path):
     values = triads.indications(triads.directions(30, rng))
     values += 3e-4 * rng.standard_normal(values.shape)
     usual = calibrate(triads.table(tmp_path / "usual", values, u=3e-4)).accelerometers["X"]
-    clause = r'step of ([\d.]+) ug starting at "reading (\d+)" moves K_F by ([\d.]+) ug'
+    clause = r'step of ([\d.]+) ug starting at "reading (\d+)" shifts K_F by ([\d.]+) ug'
     size, first, shift = re.search(clause, usual.unseen_faults[0]).groups()
     values[int(first) - 1 :, 0] += PART * 1e-6 * float(size)
     other = calibrate(triads.table(tmp_path / "other", values, u=3e-4)).accelerometers["X"]

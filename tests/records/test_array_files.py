@@ -44,7 +44,7 @@ def bomb(path):
 @pytest.mark.parametrize("name", ["run.mat", "run.h5"])
 def test_columns_that_no_file_of_this_size_holds(tmp_path, name):
     message = refusal(bomb(tmp_path / name))
-    assert re.search(r"its \d+ bytes claim to contain \d+ bytes of numbers", message)
+    assert re.search(r"it has \d+ bytes, but its header announces \d+ bytes of numbers", message)
 
 
 def hdf5(path, signal=None):
@@ -120,10 +120,10 @@ def test_columns_of_other_kinds_are_named(tmp_path):
         space = h5py.h5s.create_simple(values.shape)
         h5py.h5d.create(file.id, SIGNAL.encode(), h5py.h5t.UNIX_D32LE, space)
 
-    assert f"'{SIGNAL}' does not hold numbers" in refusal(hdf5(tmp_path / "run.h5", dates))
+    assert f"'{SIGNAL}' does not contain numbers" in refusal(hdf5(tmp_path / "run.h5", dates))
     columns = table()
     savemat(tmp_path / "run.mat", {**columns, SIGNAL: scipy.sparse.csc_matrix(columns[SIGNAL])})
-    assert f"'{SIGNAL}' does not hold numbers" in refusal(tmp_path / "run.mat")
+    assert f"'{SIGNAL}' does not contain numbers" in refusal(tmp_path / "run.mat")
 
 
 def test_columns_of_a_group_or_a_structure_by_path(tmp_path):

@@ -92,7 +92,7 @@ def test_words_of_a_library_are_not_repeated(tmp_path, error):
     with pytest.raises(DamagedFileError) as caught, record_errors(path, lambda: " after row 7"):
         raise error
     assert str(caught.value) == (
-        f"{path}: the file is damaged after row 7, or it contains something that counterspin does "
-        "not read. Export it again, or export it as CSV."
+        f"{path}: the file is damaged after row 7, or it contains data that counterspin cannot "
+        "read. Export the file again, or export it as CSV."
     )
     assert caught.value.__cause__ is error

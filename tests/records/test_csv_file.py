@@ -39,7 +39,7 @@ def test_blank_lines_after_the_header_and_at_the_end(tmp_path):
     np.testing.assert_array_equal(record.time, table()[TIME])
     text[500] = "10.0,x,1.0"
     message = refusal(write(tmp_path / "run.csv", text))
-    assert "line 501: column 'angle_rad' holds the text 'x'" in message
+    assert "line 501: column 'angle_rad' contains the text 'x'" in message
 
 
 def test_blanks_part_cells_and_lines_stay_lines(tmp_path):
@@ -48,7 +48,7 @@ def test_blanks_part_cells_and_lines_stay_lines(tmp_path):
     record = read(write(tmp_path / "run.dat", text))
     np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])
     text[40] = text[40].rpartition(" ")[0] + " x"
-    assert "line 41: column 'east_m' holds the text 'x'" in refusal(
+    assert "line 41: column 'east_m' contains the text 'x'" in refusal(
         write(tmp_path / "run.asc", text)
     )
 
@@ -57,7 +57,7 @@ def test_a_file_without_names_says_so(tmp_path):
     path = write(tmp_path / "run.log", lines(table())[1:])
     message = refusal(path)
     assert "there is no column" in message
-    assert "No line above the first numbers, line 1, names the columns" in message
+    assert "No line above the first numbers, line 1, contains column names" in message
     numbered = {"angle": ColumnSpec("column 2"), "signals": {"Qx": ColumnSpec("column 3")}}
     record = read(path, time=ColumnSpec("column 1"), **numbered)
     np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])
@@ -84,9 +84,7 @@ def test_decimal_comma_and_too_many_cells(tmp_path):
     path = write(tmp_path / "run.csv", text)
     record = read(path)
     np.testing.assert_allclose(record.signals["Qx"], table()[SIGNAL], rtol=1e-15)
-    assert record.report.notes() == [
-        "The file was read as follows: semicolon-separated, decimal commas."
-    ]
+    assert record.report.notes() == ["Detected file format: semicolon-separated, decimal commas."]
     text = lines(table())
     text[5] += ",7"
     assert "line 6: the line has 4 cells" in refusal(write(tmp_path / "run.csv", text))
@@ -96,7 +94,7 @@ def test_decimal_comma_and_too_many_cells(tmp_path):
 def test_a_file_that_is_not_text_is_refused(tmp_path, content):
     path = tmp_path / "run.csv"
     path.write_bytes(content)
-    assert "line 1: this is not text in UTF-8" in refusal(path)
+    assert "line 1: the file is not text in UTF-8" in refusal(path)
 
 
 def test_comments_in_a_long_record_cost_no_row(tmp_path):
@@ -214,7 +212,7 @@ def test_lines_that_end_in_a_carriage_return_alone(tmp_path, encoding):
     assert read_table(path).frame.height == 1000
     text[500] += "x"
     path.write_bytes("\r".join(text).encode(encoding))
-    assert f"line 501: column '{SIGNAL}' holds the text" in refusal(path)
+    assert f"line 501: column '{SIGNAL}' contains the text" in refusal(path)
 
 
 def test_a_carriage_return_within_a_line_is_refused_in_our_words(tmp_path):

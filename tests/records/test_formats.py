@@ -23,8 +23,8 @@ from counterspin.records.record import ColumnSpec
         ("runs.ZIP", "the file is compressed; unpack it"),
         (
             "run.doc",
-            "this format is not read; "
-            "save its table as .xlsx or .csv in the program that wrote it.",
+            "this format is not supported; "
+            "save the table as .xlsx or .csv in the program that wrote the file.",
         ),
         (
             "run.NPY",
@@ -32,7 +32,7 @@ from counterspin.records.record import ColumnSpec
             'savetxt("NAME.csv", load("NAME.npy"), delimiter',
         ),
         ("run.npz", "NumPy's binary format is not supported; write an array as text: savetxt("),
-        ("run.json", "not a data table; export the data as CSV, with a line for each sample."),
+        ("run.json", "not a data table; export the data as CSV with one line per sample."),
         ("run.pkl", "the arrangement of its bytes is unknown; export text,"),
         ("run.odd", "a record file ends in one of .csv, .txt,"),
     ],
@@ -152,7 +152,7 @@ def test_a_file_that_changes_while_it_is_read(tmp_path, suffix, how):
         other.replace(path)
     else:
         path.write_bytes(other.read_bytes())
-    with pytest.raises(RecordError, match="changed while it was read"), file:
+    with pytest.raises(RecordError, match="changed while counterspin was reading it"), file:
         pass
 
 

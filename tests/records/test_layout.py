@@ -89,7 +89,7 @@ def test_rows_need_no_names():
     layout = found(ROWS)
     assert (layout.header, layout.before_rows) == (0, 0)
     assert layout.names == ("column 1", "column 2", "column 3")
-    assert layout.describe("utf-8") == "columns without names, semicolon-separated, decimal commas"
+    assert layout.describe("utf-8") == "unnamed columns, semicolon-separated, decimal commas"
     titled = found(["Run 7", "0.5,1.25,3", "1.0,2.5,4", "1.5,2.75,4", "2.0,1.5,1"])
     assert (titled.names, titled.before_rows) == (("column 1", "column 2", "column 3"), 1)
 

@@ -92,7 +92,7 @@ def test_the_checksum_is_of_names_and_values():
 def test_columns_of_text_are_no_numbers_even_if_they_look_like_it():
     table = memory_table("run", {"t": TIMES, "a": ["1", "2", "3"]})
     assert table.others == ("a",)
-    with pytest.raises(RecordError, match="run: column 'a' holds no numbers"):
+    with pytest.raises(RecordError, match="run: column 'a' contains no numbers"):
         read_numbers(table, ["t", "a"])
 
 

@@ -70,7 +70,7 @@ def test_an_infinite_value_is_refused_wherever_it_stands(tmp_path):
         columns[ANGLE][480:] += RATE * late
         columns[SIGNAL][row] = -np.inf
         words = refusal(write(tmp_path / "run.parquet", columns))
-        assert f"row {row + 1}: column '{SIGNAL}' holds an infinite value." in words
+        assert f"row {row + 1}: column '{SIGNAL}' contains an infinite value." in words
 
 
 @pytest.mark.parametrize("word", ["", "nan", "NaN"])
@@ -96,7 +96,7 @@ def test_values_that_a_faster_log_repeats_are_used_once(tmp_path, rows, step):
     columns[SIGNAL] = columns[SIGNAL][first]
     record = read(write(tmp_path / "run.csv", columns))
     part = 1.0 - len(np.unique(first)) / len(first)
-    told = f"column '{SIGNAL}' repeats {100.0 * part:.3g} % of its values, not used"
+    told = f"column '{SIGNAL}' repeats {100.0 * part:.3g} % of its values; the repeats are not used"
     assert told in record.report.format_description
     assert record.report.empty[SIGNAL] == 0
     good = np.isfinite(record.signals["Qx"])
@@ -134,7 +134,7 @@ def test_rows_that_stand_alone_are_left_out(tmp_path, end, dense):
     rest = {name: np.delete(values, lone) for name, values in columns.items()}
     without = read(write(tmp_path / "rest.parquet", rest))
     assert record.report.isolated == len(lone)
-    assert "alone beyond a gap" in " ".join(record.report.notes())
+    assert "from the others by a gap" in " ".join(record.report.notes())
     assert record.report.rows == n
     np.testing.assert_array_equal(record.time, without.time)
     np.testing.assert_array_equal(record.signals["Qx"], without.signals["Qx"])
@@ -185,4 +185,4 @@ def test_values_that_no_instrument_measures(tmp_path, size):
     columns = table()
     columns[SIGNAL] *= size
     message = refusal(write(tmp_path / "run.csv", columns), swings={})
-    assert f"column '{SIGNAL}' holds values up to" in message
+    assert f"column '{SIGNAL}' contains values up to" in message

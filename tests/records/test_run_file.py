@@ -23,7 +23,7 @@ def test_a_record_goes_on_in_further_files(tmp_path):
     np.testing.assert_array_equal(record.time, whole.time)
     np.testing.assert_array_equal(record.signals["Qx"], whole.signals["Qx"])
     assert record.other_files[second].size == second.stat().st_size
-    assert "2 files, one after the other" in record.report.notes()[0]
+    assert "2 files, concatenated" in record.report.notes()[0]
 
 
 def test_a_mistake_in_a_further_file_is_told_by_its_name(tmp_path):
@@ -52,7 +52,7 @@ def test_only_a_part_of_a_record_is_used(tmp_path):
     assert record.start_time == 3.0
     assert record.time[-1] == pytest.approx(12.0)
     assert record.report.outside == 1000 - 601
-    assert "399 rows outside the part to be used were left out." in record.report.notes()
+    assert "399 rows outside the part to be used were omitted." in record.report.notes()
     assert "in the part to be used" in refusal(path, time_range=(30.0, 50.0))
 
 
@@ -67,7 +67,9 @@ def test_units_are_taken_from_the_file_or_compared_with_it(tmp_path):
     }
     np.testing.assert_array_equal(read(path, -RATE, **taken).angle, -table()[ANGLE])
     stated = ColumnSpec(TIME, 1e-3, unit="ms", target_unit="s")
-    assert "is in 's' by the file's row of units, but in 'ms'" in refusal(path, time=stated)
+    assert "is in 's' according to the units row of the file, but in 'ms'" in refusal(
+        path, time=stated
+    )
     plain = write(tmp_path / "plain.csv", table())
     assert f"column '{TIME}' has no unit in the file" in refusal(plain, **taken)
 

@@ -15,7 +15,7 @@ def test_a_unit_that_changes_on_the_way(tmp_path, factor, place, start):
     part = slice(None, place) if start else slice(place, None)
     columns[SIGNAL][part] *= factor
     message = refusal(write(tmp_path / "run.csv", columns))
-    assert "changes its unit" in message
+    assert "changes unit" in message
     found = int(message.split("line ")[1].split(":")[0])
     # Where the wave crosses zero, one unit is as good as the other.
     assert abs(found - 2 - place) <= 2
@@ -48,8 +48,8 @@ def test_an_empty_cell_of_a_dead_channel_is_counted_once(tmp_path):
 def test_a_channel_that_is_dead_for_too_long_is_refused(tmp_path):
     for dead, words in (
         (slice(1500, 1750), "between 30.24 s and 34.88 s after its start"),
-        (slice(2500, None), "its wave of one period a revolution stops"),
-        (slice(None, 250), "its wave of one period a revolution only begins"),
+        (slice(2500, None), "the once-per-revolution wave stops"),
+        (slice(None, 250), "the once-per-revolution wave only starts"),
     ):
         columns = table(n=4000)
         columns[SIGNAL][dead] = 0.0
@@ -60,8 +60,11 @@ def test_a_channel_that_is_dead_for_too_long_is_refused(tmp_path):
     ("change", "words"),
     [
         (lambda s: 1e3 * s, "m and mm"),
-        (lambda s: 0.0 * s, "swings by 0 m"),
-        (lambda s: 0.2 * s, "give 2.5 m: check the column's unit, the radius and the input axis"),
+        (lambda s: 0.0 * s, "has an amplitude of 0 m"),
+        (
+            lambda s: 0.2 * s,
+            "give 2.5 m: check the unit of the column, the radius and the input axis",
+        ),
         (lambda s: -s, "180 degrees"),
         (lambda s: np.roll(s, 25), "check the input axis"),
     ],
@@ -109,7 +112,7 @@ def test_a_wave_along_the_spindles_axis_does_not_jump(tmp_path, factor):
     columns = growing()
     columns[SIGNAL][1500:] *= factor
     message = refusal(write(tmp_path / "run.csv", columns), swings={})
-    assert "changes its unit" in message
+    assert "changes unit" in message
     assert abs(int(message.split("line ")[1].split(":")[0]) - 1502) <= 2
 
 

@@ -45,7 +45,9 @@ def test_a_sheet_has_names_numbers_and_text(tmp_path):
 
 def test_which_sheet_must_be_clear(tmp_path):
     path = write_workbook(tmp_path / "r.xlsx", {"before": ROWS, "after": ROWS})
-    with pytest.raises(RecordError, match="the sheets 'before', 'after' hold rows; name one"):
+    with pytest.raises(
+        RecordError, match="the sheets 'before', 'after' contain rows; give the name of one"
+    ):
         read_small_table(path)
     with pytest.raises(RecordError, match="no sheet is named 'aftr'; it has 'before', 'after'"):
         read_small_table(path, Dialect(sheet="aftr"))
@@ -72,7 +74,7 @@ def test_what_unpacks_to_more_than_a_table_is_refused_before_it_is_unpacked(tmp_
 @pytest.mark.skipif(sys.platform != "linux", reason="limits are Linux's")
 def test_a_cell_far_out_takes_no_memory_but_its_readers(tmp_path):
     path = write_workbook(tmp_path / "r.xlsx", {"Tumble": ROWS}, {"B5": "XFD1048576"})
-    with pytest.raises(DamagedFileError, match="needs more memory than is allowed"):
+    with pytest.raises(DamagedFileError, match="needs more memory than allowed"):
         read_small_table(path)
 
 
@@ -105,7 +107,7 @@ def test_a_sheet_is_read_as_a_record(tmp_path):
     np.testing.assert_allclose(record.time, columns[TIME], atol=1e-6)
     expected = np.where(np.arange(400) == 7, np.nan, columns[SIGNAL])
     np.testing.assert_array_equal(record.signals["Qx"], expected)
-    assert record.report.format_description == "sheet 'Run', names in row 3, a row of units"
+    assert record.report.format_description == "sheet 'Run', names in row 3, a units row"
     rows[200][1] = "oops"
     write_workbook(path, {"Run": [*head, *rows]})
     assert f"row 205: column '{ANGLE}' holds the text 'oops'" in refusal(path, time=time)

@@ -383,7 +383,10 @@ def test_file_has_titles_and_one_axis_for_those_that_share_it(tmp_path):
 
 
 def test_other_endings_are_refused(tmp_path):
-    with pytest.raises(CounterspinError, match=r"figure\.gif: a figure is written as \.svg, \.png"):
+    with pytest.raises(
+        CounterspinError,
+        match=r"figure\.gif: unsupported file type for a figure; end the name in \.svg, \.png",
+    ):
         save_figure(PICTURES, tmp_path / "figure.gif")
     assert list(tmp_path.iterdir()) == []
 

@@ -364,7 +364,7 @@ CARD = Card(
     remarks=(),
     shares=(Share("noise 90 %", 0.9), Share("others 10 %", 0.1)),
     note="",
-    checks=(Check("Fit", "passed", "the residuals look like noise"),),
+    checks=(Check("Fit", "passed", "the residuals are consistent with noise"),),
     paragraphs=(Paragraph("K_II of Qx = 27.0 ± 0.5 µg/g²", "answer"),),
 )
 

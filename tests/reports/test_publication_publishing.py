@@ -23,7 +23,7 @@ def test_every_format_is_written_and_depends_on_nothing_but_result_and_date(suff
     assert first.read_bytes() == second.read_bytes()
     assert len(first.read_bytes()) > 1000
     other = result(warnings=["Qx: odd"])
-    with pytest.raises(CounterspinError, match="exists; name another file, or give `overwrite"):
+    with pytest.raises(CounterspinError, match="exists; choose another file, or give `overwrite"):
         write_report(other, second, issued=FIXED)
     assert first.read_bytes() == second.read_bytes()
     write_report(other, second, issued=FIXED, overwrite=True)
@@ -140,7 +140,7 @@ def test_a_description_is_calibrated_first(tmp_path, capsys):
     ("arguments", "status", "words"),
     [
         (["-o", "{}/report.doc"], 2, "report.doc: name the file .html, .pdf or .md"),
-        (["-o", "{}/none/report.md"], 1, "report.md: cannot be written"),
+        (["-o", "{}/none/report.md"], 1, "report.md cannot be written"),
         (["--date", "yesterday"], 2, "--date: 'yesterday' is not a date"),
         (["--date", "9999-12-31T23:59:00-05:00"], 2, "is not a date"),
     ],
@@ -156,8 +156,8 @@ def test_a_damaged_or_newer_result_leaves_no_report(stored, tmp_path, capsys):
     target = tmp_path / "report.html"
     text = stored.read_text(encoding="utf-8")
     for spoilt, words in (
-        (text[: len(text) // 2], "not a result file, or a damaged one"),
-        (text.replace('"schema": 2', '"schema": 99'), "written by a newer counterspin"),
+        (text[: len(text) // 2], "not a result file, or damaged"),
+        (text.replace('"schema": 2', '"schema": 99'), "written by a newer version of counterspin"),
     ):
         stored.write_text(spoilt, encoding="utf-8")
         assert main(["report", str(stored), "-o", str(target)]) == 1
@@ -180,7 +180,7 @@ def demonstration(tmp_path_factory):
         (["history", str(EXAMPLE)], "History of K_II", "a history"),
         (["compare", "result.json", str(EXAMPLE)], "Comparison of results", "a comparison"),
         (["plan", "--check", "demo"], "", "a plan's result"),
-        (["rerun", "result.json"], "A result calibrated again", "a repeat of a result"),
+        (["rerun", "result.json"], "Repeated calibration", "a repeat of a result"),
         (["check", "--campaign", "demo", "demo/run1.csv"], "run1: ", "a check"),
         (["reproduce"], "", "a reproduction"),
         (["study", "demo", "--trials", "3"], "", "a study's result"),

@@ -94,7 +94,8 @@ def test_command_writes_what_it_says_and_may_be_repeated(tmp_path, monkeypatch, 
     assert re.search(rf"^K_II +20 +{value} +{value} +(9\.9|10\.0)\d+ ± ", first, re.M)
     assert cli.main(["demo"]) == 1
     assert (
-        "displacement.svg exists; name another file, or give --overwrite" in capsys.readouterr().err
+        "displacement.svg exists; choose another file, or give --overwrite"
+        in capsys.readouterr().err
     )
     assert cli.main(["demo", "--overwrite"]) == 0
     assert capsys.readouterr().out == first
@@ -107,7 +108,9 @@ def test_figure_as_png(tmp_path):
 
 def test_another_campaign_is_left_alone(tmp_path):
     (tmp_path / "campaign.toml").write_text("schema = 1\n")
-    with pytest.raises(CounterspinError, match=r"is another campaign, .* choose another folder"):
+    with pytest.raises(
+        CounterspinError, match=r"belongs to another campaign, .* choose another folder"
+    ):
         demo(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["campaign.toml"]
 

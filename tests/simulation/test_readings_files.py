@@ -283,5 +283,5 @@ def test_in_memory_they_are_those_of_a_folder(tmp_path):
 
 
 def test_a_table_in_memory_is_refused(tmp_path):
-    with pytest.raises(CampaignError, match="a table of readings is simulated into a folder only"):
+    with pytest.raises(CampaignError, match="a readings table can only be simulated into a folder"):
         simulate(campaign(tmp_path / "own"))

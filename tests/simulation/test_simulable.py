@@ -142,5 +142,7 @@ def test_runs_that_nobody_forecasts(tmp_path):
         f'\n[[runs]]\nname = "r{i}"\nrate = "1 rev/s"\nrecord = "r{i}.csv"\n' for i in range(31)
     )
     campaign = write(tmp_path, f"{head}{many}{simulation}{tail}")
-    with pytest.raises(CampaignError, match="they have 62 records, and a forecast has room for 60"):
+    with pytest.raises(
+        CampaignError, match="62 records are too many; a forecast can have at most 60"
+    ):
         forecast(campaign)

@@ -271,7 +271,7 @@ def test_formats_that_cannot_be_written_are_named_at_once(tmp_path):
 def test_folder_that_cannot_be_made_is_an_error(tmp_path):
     path = write(tmp_path, SMALL)
     (tmp_path / "file").write_text("x", encoding="utf-8")
-    with pytest.raises(CounterspinError, match=r"file.made: cannot be created \(Not a directory\)"):
+    with pytest.raises(CounterspinError, match=r"file.made cannot be created \(Not a directory\)"):
         simulate(path, tmp_path / "file" / "made")
 
 
@@ -281,7 +281,7 @@ def test_nothing_half_written_is_left(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(module, "WRITERS", {".csv": full})
-    with pytest.raises(CounterspinError, match=r"slow\.csv: cannot be written \(No space left"):
+    with pytest.raises(CounterspinError, match=r"slow\.csv cannot be written \(No space left"):
         simulate(write(tmp_path, SMALL), tmp_path / "made")
     assert contents(tmp_path / "made") == {"campaign.toml": SMALL.encode()}
     monkeypatch.undo()
@@ -310,7 +310,7 @@ def test_what_cannot_be_true_is_not_simulated(tmp_path):
     with pytest.raises(CampaignError) as caught:
         simulate(campaign, tmp_path / "records")
     noise, coefficient = caught.value.problems
-    assert noise.startswith("noise.quantisation: a simulation needs its true size; write it in")
+    assert noise.startswith("noise.quantisation: a simulation requires the true value; write it in")
     assert coefficient.startswith("truth.Qx.K_II: 27 g/g^2 is more than 5 times")
     assert not (tmp_path / "records").exists()
 

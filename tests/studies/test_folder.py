@@ -214,7 +214,7 @@ def test_earlier_result_is_replaced_only_if_that_is_asked_for(campaign, tmp_path
     out = tmp_path / "out"
     study(campaign, trials=100, output=out)
     before = (out / "study.json").read_bytes()
-    with pytest.raises(CounterspinError, match="exists; name another file"):
+    with pytest.raises(CounterspinError, match="exists; choose another file"):
         study(campaign, trials=200, output=out)
     assert (out / "study.json").read_bytes() == before
     study(campaign, trials=200, output=StudyFolder(out, overwrite=True))
@@ -256,7 +256,7 @@ def test_a_study_is_not_gone_on_with_over_somebody_elses_figure(campaign, begun,
 def test_options_of_the_folder_need_one(campaign, capsys):
     for option in ("--keep-trials", "--resume"):
         assert main(["study", str(campaign), option]) == 1
-        assert f"{option} needs the study's folder: --output" in capsys.readouterr().err
+        assert f"{option} needs the folder of the study (--output)" in capsys.readouterr().err
 
 
 # Patience

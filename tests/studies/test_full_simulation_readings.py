@@ -253,7 +253,7 @@ def test_a_trial_is_the_same_whoever_makes_it(tmp_path):
 SLIPS = {
     "two-stage": (
         '[study.analyses.old]\nmethod = "two-stage"\n',
-        "study.analyses.old.method: the two-stage method takes records",
+        "study.analyses.old.method: the two-stage method requires records",
     ),
     "a spindle": (
         '[study.vary]\n"spindle.drift" = { fixed = "1e-6 1/s" }\n',

@@ -94,7 +94,7 @@ def test_paper_s_plan_exact_unbiased_and_as_printed_half_the_truth(paper):
     assert joint.covered[1] == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / n) + 1e-4)
     good = {name: one.trustworthy for name, one in result.analyses.items()}
     assert good == {"joint": True, "two-stage": True, "as-printed": False}
-    assert result.verdict[0].startswith("joint: no fault found, and the smallest errors")
+    assert result.verdict[0].startswith("joint: no fault found, and smallest errors")
     assert "0.5 times the true value" in result.verdict[-1]
     assert "K_II of Qx is unbiased" in result.verdict[0]
     # The answer comes first, and all that varied last.
@@ -184,7 +184,9 @@ def test_records_of_specific_force_are_studied(tmp_path, unit, noise):
 def test_the_two_stage_method_needs_records_of_displacement(tmp_path):
     text = with_observable(SHORT, "velocity", "m/s", "0.01 m/s")
     text += '[study.analyses.old]\nmethod = "two-stage"\n'
-    with pytest.raises(CampaignError, match="takes records of displacement of a double turntable"):
+    with pytest.raises(
+        CampaignError, match="requires records of displacement on a double turntable"
+    ):
         read_study(write(tmp_path / "a", text))
 
 
@@ -393,9 +395,9 @@ TILTED = '[model.priors]\n"platform.tilt.north" = "0 ± 1 deg"\n[[runs]]'
         # Ripple makes K_II and K_III distinct, and u three times as large or small.
         (("[[runs]]", VARYING[: VARYING.index("[study.analyses")] + "[[runs]]"), "rotation varies"),
         # The fit attributes part of the angle's residuals to the time stamps.
-        (("[noise]", '[noise]\ntiming = "1e-3 s"'), "u of whole records differs"),
+        (("[noise]", '[noise]\ntiming = "1e-3 s"'), "u from full records differs"),
         # The cosine of such a tilt is not linear, and moves K_I and K_F by many times their noise.
-        (("[[runs]]", TILTED), "whole records differ by"),
+        (("[[runs]]", TILTED), "the estimates from full records differ by"),
     ],
 )
 def test_joint_fit_that_is_not_linear_needs_whole_records(tmp_path, change, reason):
@@ -652,7 +654,7 @@ terms = ["K_XX"]
         'study.vary.K_II: a normal distribution is written "MEAN ± SD UNIT"',
         "study.vary.K_III: the least value must be below the greatest",
         "study.vary.\"centrifuge.radius\": 's' is not a unit of",
-        'study.vary."noise.displacement": needs one of normal, uniform and fixed',
+        'study.vary."noise.displacement": give one of normal, uniform and fixed',
         "study.analyses.one.weighted: applies to the two-stage method only",
         'study.analyses.two: model.terms[0]: unknown term "K_XX"',
     ):

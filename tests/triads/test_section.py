@@ -62,7 +62,7 @@ def test_rows_of_a_table_may_be_poses(tmp_path):
     ("change", "said"),
     [
         (("[triad]", "[fixture]"), "unknown key"),
-        (('["X", "Y", "Z"]', '["X", "Y", "W"]'), 'no accelerometer is "W"'),
+        (('["X", "Y", "Z"]', '["X", "Y", "W"]'), 'no accelerometer is named "W"'),
         (('["X", "Y", "Z"]', '["X", "Y", "Y"]'), '"Y" is listed twice'),
         (
             ('["X", "Y", "Z"]', '["X", "Y"]'),
@@ -73,9 +73,9 @@ def test_rows_of_a_table_may_be_poses(tmp_path):
             "triad.accelerometers: must have at most 3 entries",
         ),
         (('motion = "static"\n', 'motion = "arm"\nrate = "1 rad/s"\n'), "unknown only at rest"),
-        ((', Z = "0.97 g"', ""), "all of X, Y, Z must be read"),
+        ((', Z = "0.97 g"', ""), "exactly X, Y, Z must have readings"),
         (('attitude = "unknown"', 'attitude = "unknown"\nmounting = "in"'), "has no meaning"),
-        (('attitude = "unknown"', 'attitude = "unknown"\nposes = {}'), "are found in a record"),
+        (('attitude = "unknown"', 'attitude = "unknown"\nposes = {}'), "are detected in a record"),
         (('attitude = "unknown"', 'attitude = "level"\nposes = {}'), 'attitude = "unknown"'),
         (('name = "one"', 'name = "one"\nrecord = "a.csv"'), "give one of reading and record"),
         (
@@ -167,7 +167,7 @@ def test_uncertainties_of_some_axes_are_told(tmp_path):
     file.write_text(
         file.read_text().replace('u = { X = "u", Y = "u", Z = "u" }', 'u = { X = "u" }')
     )
-    with pytest.raises(CampaignError, match="state the uncertainty of all three readings of a"):
+    with pytest.raises(CampaignError, match="state the uncertainty for all three readings of a"):
         cs.read_campaign(folder)
 
 

@@ -162,7 +162,7 @@ def test_a_term_without_integrals_fails_its_own_cases_and_says_so(monkeypatch):
     asked = [one for one in cases() if one.kernel.endswith(":columns")][:1]
     found = validate(chosen=[*asked, case("normal quantile")])
     assert [one.state for one in found.cases] == ["failed", "passed"]
-    assert "double_integrals.json has no integral of K_NEW" in found.cases[0].note
+    assert "double_integrals.json does not contain the integral of K_NEW" in found.cases[0].note
 
 
 def test_the_command_fails_with_the_name_of_the_case(tmp_path, monkeypatch, capsys):

@@ -58,7 +58,7 @@ _WORDS: Final = {
     "stretch": "stretch of the radius",
     "elevation": "elevation, static",
     "azimuth": "azimuth, static",
-    "droop": "elevation, growth",
+    "droop": "elevation, increase",
     "rate": "rate, random",
     "clock": "rate, clock",
     "gravity": "gravity",
@@ -114,7 +114,7 @@ def applied(
     if not described.radius.value > 0.0:
         raise CampaignError(
             str(described.path),
-            ["centrifuge.radius: is missing; the applied acceleration needs [centrifuge]"],
+            ["centrifuge.radius: missing; the applied acceleration requires [centrifuge]"],
         )
     chosen = _choose_mounting(described, mounting)
     sources = _resolve_sources(described, chosen)
@@ -189,11 +189,13 @@ def _parse_levels(levels: str | Sequence[float], gravity: float) -> list[float]:
             continue
         if quantity.u or not 0.0 < quantity.value <= _MAX_LEVEL:
             problems.append(
-                f'`levels`: "{text}": must be an acceleration between 0 and {_MAX_LEVEL:g} g'
+                f'`levels`: "{text}" must be an acceleration between 0 and {_MAX_LEVEL:g} g'
             )
         numbers.append(quantity.value)
     if problems or not numbers:
-        raise CampaignError("applied", problems or ["`levels`: give one or more, such as 1,10g"])
+        raise CampaignError(
+            "applied", problems or ["`levels`: give one or more accelerations, such as 1,10g"]
+        )
     return numbers
 
 
@@ -216,7 +218,7 @@ def _choose_mounting(campaign: Campaign, mounting: str | None) -> str | None:
         if mounting not in known:
             listed = ", ".join(filter(None, known)) or "none"
             raise CampaignError(
-                str(campaign.path), [f'`mounting`: "{mounting}" is unknown; known: {listed}']
+                str(campaign.path), [f'`mounting`: unknown mounting "{mounting}"; known: {listed}']
             )
         return mounting
     alignments = {

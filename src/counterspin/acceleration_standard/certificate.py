@@ -62,10 +62,10 @@ from counterspin.reports.numbers import (
 from counterspin.reports.typography import typeset, typeset_block
 
 _METHOD: Final = (
-    "The acceleration follows from radius, rotation rate, alignment and gravity: "
-    "a = R (1 + s c) w^2 cos(beta) cos(lambda) + g sin(lambda) + 2 w Omega R sin(L), with "
-    "c = R w^2 and lambda = lambda_0 + d w^2 (IEEE Std 836, Annex B). It is the mean over a "
-    "revolution along an input axis that points inward."
+    "The acceleration follows from radius, rotation rate, alignment and gravity: a = R (1 + s c) "
+    "w^2 cos(beta) cos(lambda) + g sin(lambda) + 2 w Omega R sin(L), with c = R w^2 and lambda = "
+    "lambda_0 + d w^2 (IEEE Std 836, Annex B). The stated value is the mean over a revolution "
+    "along an input axis that points inward."
 )
 
 #: Statements of a certificate: name, sentences, standards.
@@ -176,10 +176,10 @@ def _sections(
     """Return the statements of XML and pages, in the order of reading."""
     settings, quality = lab.certificate, ("ISO/IEC 17025:2017",)
     raised = [
-        f"{level_words(level)}: the evaluated uncertainty is "
-        f"U = {format_uncertainty(coverage_factor(None) * _evaluated_u(level))} m/s^2; the "
-        "certificate states the laboratory's calibration and measurement capability, the smallest "
-        "uncertainty that it may state."
+        f"{level_words(level)}: the evaluated uncertainty is U = "
+        f"{format_uncertainty(coverage_factor(None) * _evaluated_u(level))} m/s^2; the "
+        "certificate states the calibration and measurement capability, which is the smallest "
+        "uncertainty that the laboratory may state."
         for level, u in stated
         if u > _evaluated_u(level)
     ]
@@ -210,7 +210,8 @@ def _uncertainty_lines(result: AppliedAcceleration) -> list[str]:
         lines.append("If Monte Carlo does not validate it, U covers the Monte Carlo interval.")
     if defaults:
         lines.append(
-            f"No uncertainty is stated for {', '.join(defaults)}; the default uncertainty was used."
+            f"No uncertainty was stated for {', '.join(defaults)}; the default uncertainty was "
+            "used."
         )
     return lines
 

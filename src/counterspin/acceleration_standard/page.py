@@ -37,7 +37,7 @@ def applied_blocks(result: AppliedAcceleration) -> Iterator[Block]:
         if not level.monte_carlo.validated:
             low, high = level.monte_carlo.low, level.monte_carlo.high
             yield Paragraph(
-                f"{level_words(level)}: use the 95 % interval by Monte Carlo, "
+                f"{level_words(level)}: use the 95 % Monte Carlo interval, "
                 f"{format_number(low, 9)} to {format_number(high, 9)} m/s^2.",
                 "warning",
             )
@@ -48,7 +48,7 @@ def applied_blocks(result: AppliedAcceleration) -> Iterator[Block]:
     if defaults:
         named = ", ".join(source.symbol for source in defaults)
         yield Paragraph(
-            f"No uncertainty is stated for {named}; the default uncertainty of the term was used.",
+            f"No uncertainty was stated for {named}; the default uncertainty of the term was used.",
             "warning",
         )
     yield Paragraph(
@@ -108,12 +108,12 @@ def validation_sentence(result: AppliedAcceleration) -> str:
     failed = [level_words(level) for level in result.levels if not level.monte_carlo.validated]
     if not failed:
         return (
-            f"Monte Carlo (JCGM 101, {draws}) validates the 95 % interval of the GUM at all levels "
-            "to two digits of u."
+            f"Monte Carlo (JCGM 101, {draws}) validates the 95 % GUM interval at all levels to "
+            "two digits of u."
         )
     return (
-        f"Monte Carlo (JCGM 101, {draws}) does not validate the 95 % interval of the GUM to two "
-        f"digits of u at {', '.join(failed)}."
+        f"Monte Carlo (JCGM 101, {draws}) does not validate the 95 % GUM interval to two digits "
+        f"of u at {', '.join(failed)}."
     )
 
 

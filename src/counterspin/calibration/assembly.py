@@ -145,9 +145,8 @@ def _rate_findings(rates: Mapping[str, tuple[float, float]]) -> list[Finding]:
         return findings
     text = (
         f"The spindle turned {abs(largest):.3%} {'faster' if largest > 0.0 else 'slower'} than "
-        "stated, "
-        f"equally in every run: the clock of the records or the stated rates are off "
-        "by that much. Times and rates are used as recorded."
+        "stated, by the same ratio in every run: the recording clock or the stated rates are "
+        "wrong by this amount. Times and rates are used as recorded."
     )
     size = abs(largest)
     return [Finding(code="time-base", subject="records.time", text=text, size=size)]
@@ -171,10 +170,10 @@ def _record_end_findings(observed: Sequence[ObservedRun]) -> list[Finding]:
                 Finding(code="short-record", subject=name, text=text, size=nominal / duration)
             )
         if isolated := run.record.report.isolated:
-            rows = "1 row stands" if isolated == 1 else f"{isolated} rows stand"
+            rows = "1 row" if isolated == 1 else f"{isolated} rows"
             text = (
-                f"{name}: {rows} alone at an end of the record, beyond a gap; left out. Look at "
-                "the record."
+                f"{name}: {rows} omitted at an end of the record, separated from the other rows "
+                "by a gap. Inspect the record."
             )
             findings.append(Finding(code="lone-rows", subject=name, text=text, size=isolated))
     return findings
@@ -197,8 +196,8 @@ def _detrending_remarks(campaign: Campaign, observed: Sequence[ObservedRun]) -> 
         if count:
             remarks.append(
                 f"A {REMOVED[count]} was removed from column '{accelerometer.channel.name}' "
-                f"({name}) before it was written ({', '.join(runs)}). This is harmless: the "
-                "start offset and start velocity of each record are unknowns."
+                f"({name}) before the file was written ({', '.join(runs)}). This is harmless, "
+                "because the start offset and start velocity of each record are estimated."
             )
     return remarks
 
@@ -211,8 +210,8 @@ def _campaign_remarks(campaign: Campaign) -> list[str]:
         remarks.append(f"Left out on request: {names}.")
     if campaign.model.setting is not None and not any(r.position for r in campaign.readings):
         remarks.append(
-            "[fixture] position is not used: it is the error of "
-            "setting known attitudes, and all attitudes here are estimated."
+            "[fixture] position is not used: it describes the setting error of known attitudes, "
+            "and all attitudes of this campaign are estimated."
         )
     rated = [run.name for run in campaign.runs if run.u_rate]
     rated += [reading.name for reading in campaign.readings if reading.by_clock and reading.u_rate]
@@ -226,8 +225,9 @@ def _campaign_remarks(campaign: Campaign) -> list[str]:
         count = sum(1 for reading in campaign.readings if reading.rate and not reading.by_clock)
         if count:
             remarks.append(
-                f"[records] clock is used for the stated rates of {count} readings too, because "
-                "[centrifuge] clock is not stated. State that key if another clock measured them."
+                f"[records] clock also applies to the stated rates of {count} readings, because "
+                "[centrifuge] clock is not given. Give [centrifuge] clock if a different clock "
+                "measured these rates."
             )
     recordings = [campaign.recording_of(run) for run in campaign.runs]
     if any(recording.angle and recording.angle.kind == "pulses" for recording in recordings):
@@ -239,6 +239,6 @@ def _campaign_remarks(campaign: Campaign) -> list[str]:
         return remarks
     return [
         *remarks,
-        "The records have no angle: the rotation follows from the nominal rates, and "
-        "the drift of the rate is an unknown.",
+        "The records contain no angle: the rotation is calculated from the nominal rates, and the "
+        "rate drift is estimated.",
     ]

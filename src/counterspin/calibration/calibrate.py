@@ -144,14 +144,14 @@ def _check_excluded(campaign: Campaign, without: Sequence[str]) -> None:
         if name in table_rows:
             file = document["readings"]["file"]
             problems.append(
-                f'`without`: "{name}" is a row of the table of readings and no entry of [[runs]]; '
-                f"take the row out of a copy of {file}"
+                f'`without`: "{name}" is a row of the readings table, not an entry of [[runs]]; '
+                f"remove the row from a copy of {file}"
             )
         elif name not in runs:
-            hint = f"its runs are {_quote_names(runs)}" if runs else "it has no [[runs]]"
+            hint = f"the runs are {_quote_names(runs)}" if runs else "there are no [[runs]]"
             problems.append(f'`without`: no run is named "{name}"; {hint}')
     if not problems and not table_rows and set(runs) <= {*without, *campaign.skipped}:
-        problems.append(f"`without`: no run would be left; its runs are {_quote_names(runs)}")
+        problems.append(f"`without`: no run would remain; the runs are {_quote_names(runs)}")
     if problems:
         raise CampaignError(str(campaign.path), problems)
 
@@ -222,8 +222,8 @@ def _collect_inputs(
     changed += [file for file, identity in read_files if checksums.identity(file) != identity]
     if changed:
         raise RecordError(
-            f"{changed[0]}: the file was changed while the campaign was calibrated; the result "
-            "would state a wrong checksum. Wait until the file is complete."
+            f"{changed[0]}: the file was changed during the calibration, so the result would "
+            "contain a wrong checksum. Wait until the file is complete."
         )
     description, checksum, origin = _describe_source(campaign)
     inputs = {description: checksum}

@@ -215,9 +215,8 @@ def refusal_reason(result: Result, names: Iterable[str]) -> str | None:
         if accelerometer.state == "contradicted":
             why = "".join(f"{finding.text} " for finding in accelerometer.findings[:1])
             return (
-                f"{name} is contradicted by its records: "
-                f"{why}Find the cause and calibrate again, or state why the misfit is accepted "
-                "(accept_misfit of calibrate)"
+                f"the records contradict the result for {name}: {why}Find the cause and "
+                "calibrate again, or state why the misfit is accepted (accept_misfit of calibrate)"
             )
     return None
 
@@ -285,8 +284,8 @@ def check_statistics(
         yield Finding(
             code="methods-disagree",
             subject=f"{name}.K_II",
-            text="The two-stage method disagrees: its K_II differs "
-            f"by {format_number(z)} standard uncertainties of the difference.",
+            text="The two-stage method disagrees: the two values of K_II differ by "
+            f"{format_number(z)} standard uncertainties of the difference.",
             size=z,
         )
 
@@ -319,7 +318,9 @@ def not_determined_finding(
 def lack_of_fit_finding(name: str, sentences: Sequence[str], residual: Residual) -> Finding:
     """Return the finding that the residuals of an accelerometer are not its noise."""
     more = len(sentences) - 1
-    text = sentences[0] + (f" ({more} more such findings for other runs.)" if more > 1 else "")
+    text = sentences[0] + (
+        f" ({more} more findings of this kind for other runs.)" if more > 1 else ""
+    )
     p, ratio = residual.lack_of_fit_p, _noise_ratio(residual)
     # A few residuals, such as two readings, are as large by chance now and then.
     significant = p is not None and equivalent_deviations(p) > CONTRADICTION_SIGMAS
@@ -367,8 +368,9 @@ def _check_noise(
             code="noise-implausible",
             subject=name,
             text=f"The accelerometer's noise was estimated as {1e6 * size * LARGEST_WALK:.0f} "
-            f"ug/Hz^0.5; more than {1e6 * LARGEST_WALK:.0f} ug/Hz^0.5 is not credible. It conceals "
-            "a misfit, such as a mistake in the description or a few outlying rows.",
+            f"ug/Hz^0.5; more than {1e6 * LARGEST_WALK:.0f} ug/Hz^0.5 is not credible. Such "
+            "an estimate conceals a misfit, for example from a mistake in the description or "
+            "a few outlying rows.",
             size=size,
             contradicts=True,
         )
@@ -389,9 +391,9 @@ def _check_jackknife(
     yield Finding(
         code="run-disagrees",
         subject=f"{name}.K_II",
-        text=f"Without {worst.run} K_II moves by {format_number(worst.shift * factor, 2)} {unit}, "
-        f"{z:.1f} times "
-        "as far as its uncertainty explains: this run disagrees with the others.",
+        text=f"Omitting {worst.run} shifts K_II by {format_number(worst.shift * factor, 2)} "
+        f"{unit}, {z:.1f} times as far as the uncertainty explains: this run disagrees with "
+        "the others.",
         size=size,
         contradicts=size > CONTRADICTION_SIGMAS,
     )

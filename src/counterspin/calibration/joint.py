@@ -238,7 +238,7 @@ def _suggest_data(view: AccelerometerView, symbol: str) -> str:
     rates = [abs(run.rate) for run in campaign.runs]
     rates += [abs(reading.rate) for reading in campaign.readings if reading.rate]
     if symbol in TERMS and rates and max(rates) < _SAME_RATE * min(rates):
-        return " The data have one rate only; add a run at another rate."
+        return " The data contain only one rate; add a run at another rate."
     return _PRIOR
 
 

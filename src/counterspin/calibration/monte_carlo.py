@@ -49,7 +49,7 @@ _SAME_LENGTH: Final = 1.01
 def check_trials(trials: int, method: str) -> None:
     """Refuse a number of trials that is too small for an interval, or too large for the memory."""
     if method != "joint":
-        raise CampaignError("calibrate", ["monte_carlo: belongs to the joint method"])
+        raise CampaignError("calibrate", ["monte_carlo: requires the joint method"])
     if not MIN_TRIALS <= trials <= MAX_TRIALS:
         raise CampaignError(
             "calibrate", [f"monte_carlo: give {MIN_TRIALS} to {MAX_TRIALS} trials, not {trials}"]

@@ -121,12 +121,11 @@ def _reject_detrended(campaign: Campaign, name: str, moments_by_run: Mapping[str
     powers = ", ".join(("1", "t", "t^2")[:count])
     end_condition = ", or zero at both ends in every run" if count == _STRAIGHT_LINE else ""
     raise RecordError(
-        f"{', '.join(runs)}: a {REMOVED[count]} was removed from column '{column}' ({name}) before "
-        f"it was written: its rows are orthogonal to {powers}{end_condition} "
-        "to the last digit, which does not happen in an original record. This also removed the "
-        "effect of K_F and K_II on "
-        f"{observable.replace('_', ' ')}. Switch this off in the recorder or in the export "
-        "(detrend, remove offset, zero mean), and record or export again."
+        f"{', '.join(runs)}: a {REMOVED[count]} was removed from column '{column}' ({name}) "
+        f"before the file was written: the rows are orthogonal to {powers}{end_condition} to the "
+        "last digit, which does not happen in an original record. This also removed the effect of "
+        f"K_F and K_II on {observable.replace('_', ' ')}. Switch this off in the recorder or in "
+        "the export (detrend, remove offset, zero mean), and record or export again."
     )
 
 
@@ -164,8 +163,8 @@ def duplicate_record_error(
     """Return the error that a run's record has the same samples as that of an earlier one."""
     first, second = (item.record and campaign.record_at(item.record) for item in (earlier, run))
     return RecordError(
-        f"{second}: holds the same samples as {first} (runs {earlier.name} and {run.name}). A "
-        "record is used once only: remove one of the runs, or give it its own record."
+        f"{second}: holds the same samples as {first} (runs {earlier.name} and {run.name}). Each "
+        "record may be used only once: remove one of the runs, or give it a different record."
     )
 
 
@@ -355,10 +354,9 @@ def recorded_temperatures(
         low, high = (f"{value - ZERO_CELSIUS:.4g}" for value in (min(profile), max(profile)))
         (column,) = columns.signals.values()
         raise RecordError(
-            f"{source}: column '{column.name}' has temperatures from {low} to {high} degC; the run "
-            f'"{item.name}" states one that is {deviation:.3g} K off. Correct the unit of the '
-            "column or "
-            "the temperature of the run, or leave that out."
+            f"{source}: column '{column.name}' contains temperatures from {low} to {high} degC; "
+            f'the temperature stated for "{item.name}" deviates by {deviation:.3g} K. Correct the '
+            "unit of the column or the stated temperature, or remove that temperature."
         )
     return profile
 

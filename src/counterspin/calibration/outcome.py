@@ -404,8 +404,8 @@ def check_outlier_share(
     if share <= OUTLIER_SHARE:
         return []
     text = (
-        f"{subject}: {counts['outliers']} samples of {samples} were left out as "
-        "outliers. Find out why: the remaining samples may be affected too."
+        f"{subject}: {counts['outliers']} of {samples} samples were rejected as outliers. Find "
+        "the cause, because the remaining samples may be affected too."
     )
     return [Finding(code="many-outliers", subject=subject, text=text, size=share)]
 

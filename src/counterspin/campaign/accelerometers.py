@@ -88,7 +88,7 @@ class Accelerometer(SettingsSection):
     model_config = ConfigDict(json_schema_extra=lambda made: made.pop("required", None))
 
     input_axis: Direction = key_field(
-        "sensitive axis on the level platform; a [triad](triads.md) may state no axes",
+        "sensitive axis on the level platform; may be omitted for a [triad](triads.md)",
         "east",
         kind="direction",
     )
@@ -96,7 +96,7 @@ class Accelerometer(SettingsSection):
         "pendulous axis, perpendicular to the input axis", [0, 0, -1], kind="direction"
     )
     output_axis: Direction | None = key_field(
-        "output axis; only checked against the other two",
+        "output axis; only checked against the other two axes",
         "north",
         None,
         absent="input × pendulous",
@@ -127,9 +127,8 @@ class Accelerometer(SettingsSection):
     )
     serial_number: Text | None = key_field("serial number of the accelerometer", "Q-104", None)
     grade: Literal["navigation", "tactical", "consumer"] = key_field(
-        "grade of the accelerometer: sets the limits and the default standard "
-        "uncertainties of its terms ([sizes by "
-        "grade](physics.md#where-the-typical-sizes-come-from))",
+        "grade of the accelerometer, which sets the limits and the default standard uncertainties "
+        "of its terms ([sizes by grade](physics.md#where-the-typical-sizes-come-from))",
         "tactical",
         "navigation",
         kind='`"navigation"`, `"tactical"` or `"consumer"`',
@@ -162,21 +161,21 @@ class Accelerometer(SettingsSection):
         "recorded displacement along the input axis",
         {"column": "east_m", "unit": "m"},
         None,
-        absent="one of three",
+        absent="one of the three is required",
         kind="column, m",
     )
     velocity: VelocityChannel | None = key_field(
         "recorded velocity along the input axis",
         {"column": "v", "unit": "m/s"},
         None,
-        absent="one of three",
+        absent="one of the three is required",
         kind="column, m/s",
     )
     specific_force: ForceChannel | None = key_field(
         "recorded specific force along the input axis",
         {"column": "f", "unit": "g"},
         None,
-        absent="one of three",
+        absent="one of the three is required",
         kind="column, m/s^2, g or `output`",
     )
 
@@ -394,7 +393,7 @@ class AccelerometersReader:
             elif len(stated) == 1:
                 observables[name] = stated[0]
             else:
-                description = f"has {' and '.join(stated)}" if stated else "has no observable"
+                description = f"has {' and '.join(stated)}" if stated else "has no recorded signal"
                 self.problems.add(
                     ("accelerometers", name), f"{description}; give one of {', '.join(OBSERVABLES)}"
                 )
@@ -412,7 +411,7 @@ class AccelerometersReader:
         except ValueError as error:
             path = ("accelerometers", name, observable, "unit")
             if output is None:
-                self.problems.add(path, f"{error}; or say output = {{ unit, sensitivity }}")
+                self.problems.add(path, f"{error}; or give output =  {{ unit, sensitivity }}")
                 return ColumnSpec("")
             factor = self.problems.collect(path, unit_factor, column.unit, output.unit) or 1.0
             factor *= self.gravity / output.sensitivity

@@ -67,10 +67,10 @@ class TimeChannel(SettingsSection):
         "name of the column in the file", "time_s", None, absent="counted from zero"
     )
     unit: Annotated[str, AfterValidator(time_unit)] | None = key_field(
-        "unit of the column's numbers; `iso`: time stamps, converted to seconds from the first",
+        "unit of the column; `iso`: time stamps, converted to seconds after the first time stamp",
         "ms",
         None,
-        absent="that of the file",
+        absent="the unit in the file",
         kind="unit of time, `iso`",
     )
     sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = (
@@ -80,10 +80,11 @@ class TimeChannel(SettingsSection):
     @model_validator(mode="after")
     def _one_of_two(self) -> Self:
         if (self.column is None) == (self.sampling_rate is None):
-            raise ValueError("give a column, or a sampling_rate")
+            raise ValueError("give a column or a sampling_rate")
         if self.unit is not None and self.column is None:
             raise ValueError(
-                "a unit belongs to a column; remove it, or replace sampling_rate by a column"
+                "a unit applies only to a column; remove the unit, or replace sampling_rate with "
+                "a column"
             )
         return self
 
@@ -111,14 +112,16 @@ class AngleChannel(_Channel):
         False,
     )
     unit: Annotated[str, AfterValidator(angle_unit)] | None = key_field(
-        "unit of the column's numbers",
+        "unit of the column",
         "count",
         None,
-        absent="that of the file",
+        absent="the unit in the file",
         kind="unit of angle, `count`",
     )
     sense: Sense = key_field(
-        "sense in which the encoder counts up, seen from above", "clockwise", "counterclockwise"
+        "sense of rotation in which the encoder angle increases, seen from above",
+        "clockwise",
+        "counterclockwise",
     )
     zero: ZeroDirection = key_field(
         "direction of the arm when the encoder reads zero",
@@ -159,7 +162,7 @@ class TemperatureChannel(_Channel):
     """The column that holds the temperature of the accelerometers."""
 
     unit: Annotated[str, AfterValidator(temperature_scale)] | None = key_field(
-        "unit of the column's numbers", "degC", None, absent="that of the file", kind="`degC`, `K`"
+        "unit of the column", "degC", None, absent="the unit in the file", kind="`degC`, `K`"
     )
 
     @property
@@ -189,7 +192,7 @@ class TableDialect(SettingsSection):
         kind="`,` `;` or tab",
     )
     decimal: Literal[".", ","] | None = key_field(
-        "decimal mark; a table of readings with decimal commas must state it",
+        "decimal separator; must be stated for a readings table with decimal commas",
         ",",
         None,
         absent="detected",
@@ -199,7 +202,7 @@ class TableDialect(SettingsSection):
         "encoding of a text file", "latin-1", None, absent="detected"
     )
     units_row: bool | None = key_field(
-        "whether a row of units follows the column names", True, None, absent="detected"
+        "whether a units row follows the column names", True, None, absent="detected"
     )
     skip_footer: Annotated[int, Field(ge=0)] | None = key_field(
         "number of lines of a text, or rows of a sheet, at the end that are not data, such as a"
@@ -239,7 +242,7 @@ class _TimeAndAngle(SettingsSection):
         "of a record's rows may lack it",
         {"column": "T", "unit": "degC"},
         None,
-        absent="that of each run",
+        absent="the temperature of each run",
     )
 
 
@@ -254,7 +257,8 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
         absent="the only one",
     )
     timing_offset: Annotated[Quantity, uncertain_quantity("s")] | None = key_field(
-        "delay of the angle: its sampling time minus that of the displacement in the same row",
+        "delay of the angle: sampling time of the angle minus sampling time of the displacement "
+        "in the same row",
         "0 ± 1e-5 s",
         None,
     )
@@ -303,7 +307,7 @@ class DisplacementChannel(_Channel):
     """``displacement``: the column that holds that along the input axis."""
 
     unit: Annotated[str, unit_of("m")] | None = key_field(
-        "unit of the column's numbers", "mm", None, absent="that of the file", kind="unit"
+        "unit of the column", "mm", None, absent="the unit in the file", kind="unit"
     )
 
 
@@ -311,7 +315,7 @@ class VelocityChannel(_Channel):
     """``velocity``: the column that holds that along the input axis."""
 
     unit: Annotated[str, unit_of("m/s")] | None = key_field(
-        "unit of the column's numbers", "mm/s", None, absent="that of the file", kind="unit"
+        "unit of the column", "mm/s", None, absent="the unit in the file", kind="unit"
     )
 
 
@@ -319,5 +323,5 @@ class ForceChannel(_Channel):
     """``specific_force``: the column that holds it, or an output such as a current."""
 
     unit: Annotated[str, AfterValidator(force_or_output)] = key_field(
-        "unit of the column's numbers", "mg", kind="unit"
+        "unit of the column", "mg", kind="unit"
     )

@@ -79,7 +79,7 @@ def _missing_sections(
 def _missing_runs(document: Mapping[str, Any], listed: Listed) -> Mistakes:
     if not listed and "readings" not in document:
         message = "must have at least one entry" if "runs" in document else "is missing"
-        yield ("runs",), "are all left out by skip = true" if list_of(document, "runs") else message
+        yield ("runs",), "are all excluded by skip = true" if list_of(document, "runs") else message
 
 
 @check
@@ -174,7 +174,10 @@ def _conflicting_clocks(runs: Mapping[int, Run]) -> Mistakes:
             name_and_clock = run.name, run.recording.clock
             first_name, clock = clocks.setdefault(run.recording.recorder, name_and_clock)
             if clock != run.recording.clock:
-                message = f'state two clocks of the recorder "{run.recording.recorder}"; state one'
+                message = (
+                    f'state different clocks for the recorder "{run.recording.recorder}"; state '
+                    "only one of them"
+                )
                 yield ("runs",), f'"{first_name}" and "{run.name}" {message}'
 
 
@@ -254,7 +257,9 @@ def _names_of_accelerometers(tables: Mapping[str, Any]) -> Mistakes:
     """Yield names that [truth] could not tell from its other tables, or TOML would quote."""
     for name in tables:
         if name in TRUTH_TABLES or not _NAME.fullmatch(name):
-            message = "cannot be an accelerometer's name; use letters, digits, - and _, and none of"
+            message = (
+                "cannot be the name of an accelerometer; use letters, digits, - and _, but none of"
+            )
             yield ("accelerometers", name), f"{message} {', '.join(TRUTH_TABLES)}"
 
 
@@ -295,7 +300,7 @@ def _invalid_noise_record(noise: NoiseSettings | None, listed: Listed) -> Mistak
 def _unused_noise(noise: NoiseSettings | None, observables: Mapping[str, str]) -> Mistakes:
     for key in OBSERVABLES if noise and observables else ():
         if key not in observables.values() and getattr(noise, key) != 0.0:
-            yield ("noise", key), f"no accelerometer records {key}"
+            yield ("noise", key), f"no accelerometer has {key} records"
 
 
 @check
@@ -303,7 +308,7 @@ def _encoder_without_angle(model: ErrorModel, records: RecordsSettings | None) -
     """Yield terms of an encoder that records nothing."""
     for key, symbols in (("terms", model.terms), ("hold", model.considered)):
         if records and not records.angle and any(s.startswith("encoder.") for s in symbols):
-            yield ("model", key), "contains errors of the encoder, but no angle is recorded"
+            yield ("model", key), "contains encoder errors, but no angle is recorded"
 
 
 @check
@@ -325,7 +330,9 @@ def _terms_that_cannot_act(
             if reason := _reason_without_effect(row.effect, strapped):
                 yield ("model", key), f'"{symbol}" {reason}'
             elif not (recorded or key == "priors" or affects_readings(symbol)):
-                reason = "acts on records of the double turntable, and no run has one; leave it out"
+                reason = (
+                    "affects only records of a double turntable, but no run has one; omit this term"
+                )
                 yield ("model", key), f'"{symbol}" {reason}'
 
 
@@ -336,12 +343,12 @@ def _reason_without_effect(effect: AttitudeError | TrajectoryError, strapped: bo
     if effect.kind in TABLE_ERRORS and not strapped:
         return (
             "is an error of the counter-rotating table; if the accelerometers are strapped to the "
-            "table, add strapped = true to [centrifuge], otherwise leave the term out"
+            "table, add strapped = true to [centrifuge], otherwise omit this term"
         )
     if strapped and effect.kind not in (*TABLE_ERRORS, "tilt", "compliance"):
         return (
-            "is an error of the platform's gyros; accelerometers that are strapped to the table "
-            "(strapped = true in [centrifuge]) have no gyros; leave it out"
+            "is an error of the platform gyros; accelerometers strapped to the table (strapped = "
+            "true in [centrifuge]) have no gyros; omit this term"
         )
     return ""
 
@@ -369,7 +376,7 @@ def _missing_conditions(
         ]
         if term_symbol is None and (key == "temperature" or not any(stated)):
             continue
-        reason = f"{term_symbol} is in the model" if term_symbol else "other runs state theirs"
+        reason = f"{term_symbol} is in the model" if term_symbol else "other runs state this value"
         for index, is_stated in zip(runs, stated, strict=True):
             if not is_stated:
                 example = '"23.4 degC"' if key == "temperature" else '"12 min"'
@@ -384,6 +391,6 @@ def _missing_conditions(
             if len(temperatures) == 1:
                 yield (
                     ("centrifuge", "reference_temperature"),
-                    f"is missing: {term_symbol} is in the model, and all runs are at one "
+                    f"is missing: {term_symbol} is in the model, but all runs are at the same "
                     "temperature",
                 )

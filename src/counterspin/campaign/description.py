@@ -300,7 +300,10 @@ class Campaign:
         if self.readings or self.posed:
             raise CampaignError(
                 str(self.path),
-                [f"runs: {what} takes records of a double turntable; this campaign has readings"],
+                [
+                    f"runs: {what} requires records of a double turntable; this campaign has "
+                    "readings"
+                ],
             )
 
 
@@ -323,7 +326,8 @@ def read_campaign(path: Path | str) -> Campaign:
     file = description_file(path)
     if file.suffix.lower() in RECORD_FORMATS:
         raise CampaignError(
-            str(file), [f"a record, not a campaign; give the folder that holds {DESCRIPTION_NAME}"]
+            str(file),
+            [f"a record, not a campaign; give the folder that contains {DESCRIPTION_NAME}"],
         )
     raw, checksum = load_with_checksum(file, CAMPAIGN_ADVICE, "campaign")
     problems = Problems(raw)

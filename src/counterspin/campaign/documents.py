@@ -40,7 +40,7 @@ _MAX_PATH_CHARACTERS: Final = 1_000
 IN_MEMORY: Final = "campaign in memory"
 
 #: How the path of a file on Windows is written.
-BACKSLASH_ADVICE: Final = "write paths with / , or in single quotation marks, 'C:\\data\\run1.csv'"
+BACKSLASH_ADVICE: Final = "write paths with /, or in single quotation marks, 'C:\\data\\run1.csv'"
 
 _PART: Final = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')"""
 _KEY: Final = re.compile(rf"\s*({_PART}(?:\s*\.\s*{_PART})*)\s*=")
@@ -124,7 +124,7 @@ def load_with_checksum(
     """
     full_advice = advice
     if kind == "campaign":
-        full_advice = f"give the folder that holds {DESCRIPTION_NAME}; {advice}"
+        full_advice = f"give the folder that contains {DESCRIPTION_NAME}; {advice}"
     try:
         content = read_file(file, _TEXT_BYTES)
         if kind is not None and (file_type := _describe_other_file(file, content)):
@@ -195,7 +195,7 @@ def parse_document(content: bytes, source: str) -> dict[str, Any]:
         advice = "write text, such as a quantity, in quotation marks"
         if "\\" in message or "hex value" in message:
             advice = (
-                "in double quotation marks a backslash begins an escape such as \\n; "
+                "in double quotation marks, a backslash starts an escape sequence such as \\n;  "
                 + BACKSLASH_ADVICE
             )
         problem = f"{location}: {message}; {advice}"
@@ -218,7 +218,7 @@ def find_invalid_values(value: Any, path: str) -> Iterator[str]:
     elif isinstance(value, int) and not -(2**63) <= value < 2**63:
         yield f"{path}: an integer has at most 64 bits"
     if isinstance(value, str) and "\0" in value:
-        yield f"{path}: contains the character NUL"
+        yield f"{path}: contains a NUL character"
     if isinstance(value, str) and len(value) > _MAX_CHARACTERS:
         yield f"{path}: a text has at most {_MAX_CHARACTERS} characters"
 
@@ -419,8 +419,8 @@ def require_source(campaign: HasSource) -> Source:
     """Return the source of a campaign; CounterspinError if it is unknown."""
     if campaign.source is None:
         raise CounterspinError(
-            f"{campaign.path}: the campaign was modified without `change`, so that "
-            "its description is unknown; make all changes with `change`"
+            f"{campaign.path}: the campaign was modified without `change`, so its description is "
+            "unknown; make all changes with `change`"
         )
     return campaign.source
 

@@ -71,7 +71,7 @@ def exact(text: object, unit: str, gravity: float | None = None, usual: str | No
     """Read a quantity that must have no uncertainty."""
     quantity = parse(text, unit, gravity=gravity, usual=usual)
     if quantity.u != 0.0:
-        raise ValueError(f"{text!r}: an uncertainty has no meaning here; leave out the ±")
+        raise ValueError(f"{text!r}: an uncertainty has no meaning here; remove the ±")
     return quantity.value
 
 
@@ -177,7 +177,7 @@ def parse_fraction(text: object, info: ValidationInfo) -> Quantity:
 def check_clock_error(value: Quantity) -> Quantity:
     """Return the relative error of a clock's rate, if it is one."""
     if abs(value.value) > 0.01:
-        raise ValueError("a clock error above 1 % is not plausible; check the unit of the time")
+        raise ValueError("a clock error above 1 % is implausible; check the unit of the time")
     return value
 
 
@@ -214,14 +214,14 @@ def check_latitude(value: Any) -> Any:
     """Return an angle, or a quantity that is one, that is a latitude."""
     size = value.value if isinstance(value, Quantity) else value
     if abs(size) > math.pi / 2.0 * (1.0 + 1e-12):
-        raise ValueError("a latitude lies between -90 deg and 90 deg")
+        raise ValueError("a latitude must be between -90 deg and 90 deg")
     return value
 
 
 def check_zero_mean(value: Quantity) -> Quantity:
     """Refuse what is not about zero, or has no uncertainty."""
     if value.value != 0.0 or not value.u > 0.0:
-        raise ValueError('needs the value zero and an uncertainty; write "0 ± 0.5 deg"')
+        raise ValueError('must have the value zero and an uncertainty; write "0 ± 0.5 deg"')
     return value
 
 
@@ -238,7 +238,7 @@ def check_normal(value: Quantity) -> Quantity:
 def check_nonzero(value: float) -> float:
     """Return a rate that is not zero."""
     if value == 0.0:
-        raise ValueError("the centrifuge must turn; the rate is zero")
+        raise ValueError("the rate is zero, but the centrifuge must rotate")
     return value
 
 
@@ -276,7 +276,7 @@ def parse_table_ratio(value: object) -> float:
 def small_rate_error(value: float) -> float:
     """Return an error of the rate that leaves it a rate."""
     if abs(value) >= 0.5:
-        raise ValueError("is relative to the nominal rate and must be below 0.5 in size")
+        raise ValueError("is relative to the nominal rate, and its magnitude must be below 0.5")
     return value
 
 
@@ -308,8 +308,8 @@ def file_name(name: str) -> str:
     """Return a file's name; refuse one whose backslashes TOML has read as escapes."""
     if any(ord(character) < 32 for character in name):
         raise ValueError(
-            f"{name!r} contains a line break, tab or similar: in double quotation "
-            f"marks TOML reads a backslash as an escape; {BACKSLASH_ADVICE}"
+            f"{name!r} contains a line break, tab or similar: in double quotation marks, TOML "
+            f"interprets a backslash as an escape character; {BACKSLASH_ADVICE}"
         )
     return name
 
@@ -368,7 +368,7 @@ def parse_temperatures(value: object) -> tuple[float, ...]:
 def temperature_scale(unit: str) -> str:
     """Return the scale of a column of temperatures."""
     if unit not in TEMPERATURE_SCALES:
-        raise ValueError(f"'{unit}' is not a scale of temperature; use degC or K")
+        raise ValueError(f"'{unit}' is not a temperature unit; use degC or K")
     return "K" if unit == "K" else "degC"
 
 
@@ -454,7 +454,7 @@ def direction_of_zero(value: object) -> float:
     try:
         return exact(value, "rad", usual="deg")
     except ValueError as error:
-        raise ValueError(f"{error}; or one of {', '.join(COMPASS)}") from None
+        raise ValueError(f"{error}; or give one of {', '.join(COMPASS)}") from None
 
 
 def check_encoding(name: str) -> str:
@@ -481,7 +481,9 @@ def require_units(value: Any, info: ValidationInfo) -> Any:
             if isinstance(item, int | float) and not isinstance(item, bool):
                 unit = units.get(name, default_unit)
                 example = f'"{item!r} {unit}"'
-                raise ValueError(f"a number without its unit; write it as text, such as {example}")
+                raise ValueError(
+                    f"a number without a unit; write the quantity as text, such as {example}"
+                )
     return value
 
 

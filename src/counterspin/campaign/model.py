@@ -196,11 +196,13 @@ def resolve_model(
     terms = _resolve_names(names_of_terms, "terms", setup, problems)
     key, names = settings.held
     if settings.hold and settings.considered:
-        problems.add(("model", "considered"), "is the old name of hold; keep hold alone")
+        problems.add(("model", "considered"), "is the old name of hold; keep only hold")
     considered = _resolve_names(names, key, setup, problems)
     for symbol in considered:
         if symbol in terms:
-            problems.add(("model", key), f'"{symbol}" is in model.terms too; keep one')
+            problems.add(
+                ("model", key), f'"{symbol}" is also in model.terms; keep only one of them'
+            )
     if not any(symbol in TERMS for symbol in terms):
         problems.add(("model", "terms"), "contains no accelerometer term to estimate")
     shared, accelerometer_priors = _resolve_priors(
@@ -208,7 +210,9 @@ def resolve_model(
     )
     setup_priors = setup.setup_priors((*terms, *considered))
     for symbol in shared.keys() & setup_priors.keys() if not setup.has_readings else ():
-        problems.add(("model", "priors", symbol), "is given in [centrifuge] too; keep one")
+        problems.add(
+            ("model", "priors", symbol), "is also given in [centrifuge]; keep only one of them"
+        )
     shared = setup_priors | shared
     for symbol, missing in _missing_priors(considered, shared, accelerometer_priors):
         problems.add(
@@ -233,7 +237,10 @@ def resolve_model(
     assume = _resolve_assumed(settings.assume, problems)
     for place, name in enumerate(assume):
         if name in (*names, *considered):
-            problems.add(("model", "assume", place), f'"{name}" is in model.{key} too; keep one')
+            problems.add(
+                ("model", "assume", place),
+                f'"{name}" is also in model.{key}; keep only one of them',
+            )
     named = settings.terms is not None
     return ErrorModel(
         terms,
@@ -300,8 +307,8 @@ def _resolve_symbols(
     if not symbols and setup.mountings and setup.attitudes:
         problems.add(
             path,
-            f'no component of "{name}" acts on these accelerometers to first order; '
-            f"leave it out, or name one, such as {BARE_NAMES[name][0].symbol}",
+            f'no component of "{name}" affects these accelerometers to first order; omit it, or '
+            f"give one component, such as {BARE_NAMES[name][0].symbol}",
         )
     return symbols
 
@@ -386,7 +393,8 @@ def _resolve_priors(
             if symbol_part in stated_priors[name]:
                 problems.add(
                     path,
-                    f"a prior of {symbol_part} is given in accelerometers.{name} too; keep one",
+                    f"a prior for {symbol_part} is also given in accelerometers.{name}; keep only "
+                    "one of them",
                 )
             merged[name][symbol_part] = prior
     return shared, merged
@@ -406,7 +414,7 @@ def check_near_nominal(symbol: str, prior: Quantity, grade: str = DEFAULT_GRADE)
     row = term(symbol)
     if row.nominal and abs(prior.value - row.nominal) > row.sizes(grade).limit:
         raise ValueError(
-            f"{prior.value:.6g} {row.unit} is too far from {row.nominal:g}, the nominal {symbol}; "
+            f"{prior.value:.6g} {row.unit} is too far from the nominal {symbol}, {row.nominal:g}; "
             f"an error of 1000 ppm is written {1.001 * row.nominal:g} {row.unit}"
         )
     return prior

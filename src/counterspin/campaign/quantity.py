@@ -149,21 +149,21 @@ def parse(
         if isinstance(text, bool) or not isinstance(text, int | float):
             raise ValueError(f"must be {kind}, written as text with its unit ({accepted})")
         if not math.isfinite(text):
-            raise ValueError(f"{text!r} is not a finite number; {kind} is needed ({accepted})")
+            raise ValueError(f"{text!r} is not a finite number; {kind} is required ({accepted})")
         example = _with_unit(repr(text), unit, usual)
-        raise ValueError(f"a number without its unit; write {example} ({kind}: {accepted})")
+        raise ValueError(f"a number without a unit; write {example} ({kind}: {accepted})")
     if len(text) > _MAX_CHARACTERS:
         raise ValueError(
             f"a quantity has at most {_MAX_CHARACTERS} characters; this has {len(text)}"
         )
     clean = text.strip().replace("−", "-")
     if _NOT_FINITE.search(clean):
-        raise ValueError(f"{text!r} is not a finite number; {kind} is needed ({accepted})")
+        raise ValueError(f"{text!r} is not a finite number; {kind} is required ({accepted})")
     if BARE.fullmatch(clean):
         example = _with_unit(clean, unit, usual)
-        raise ValueError(f"{text!r} has no unit; {kind} is needed ({accepted}); write {example}")
+        raise ValueError(f"{text!r} has no unit; {kind} is required ({accepted}); write {example}")
     if re.match(r"[+-]?\d+,\d", clean):
-        raise ValueError(f"{text!r} contains a comma; write decimals with a point")
+        raise ValueError(f"{text!r} contains a comma; use a decimal point")
     match = _QUANTITY.fullmatch(clean)
     if match is None:
         raise ValueError(
@@ -195,7 +195,7 @@ def _in_unit(quantity: Quantity, unit: str, text: str, gravity: float | None) ->
     factor = unit_factor(quantity.unit, unit, gravity=gravity)
     value, u = quantity.value * factor, quantity.u * factor
     if not (math.isfinite(value) and math.isfinite(u)):
-        raise ValueError(f"{text!r} is not a finite number; {kind} is needed ({accepted})")
+        raise ValueError(f"{text!r} is not a finite number; {kind} is required ({accepted})")
     if u < 0.0:
         raise ValueError(f"{text!r} has a negative uncertainty")
     largest = _LARGEST.get(unit, _SIZE_RANGE[1])
@@ -228,7 +228,7 @@ def _suggest_single_unit(value: str, twice: re.Match[str], gravity: float | None
         example = f'"{value} ± {same:.12g} {unit}"'
     except (ValueError, KeyError):  # a unit that nobody knows, on either side
         example = '"VALUE ± U UNIT"'
-    return f"has a unit before its ±; write the unit once, at the end: {example}"
+    return f"has a unit before the ±; write the unit once, at the end: {example}"
 
 
 #: Written for an attitude that nobody knows.
@@ -305,7 +305,7 @@ def platform_attitude(attitude: Attitude) -> Attitude:
         raise ValueError(NO_ATTITUDE)
     if attitude.u != 0.0:
         raise ValueError(
-            "an attitude takes no uncertainty here; give platform.tilt a prior instead"
+            "an attitude must not have an uncertainty here; state a prior for platform.tilt instead"
         )
     return attitude
 

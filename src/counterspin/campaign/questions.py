@@ -52,7 +52,14 @@ def _gravity(campaign: Campaign) -> Iterator[Question]:
     margin = 3.0 * math.hypot(campaign.gravity.u, _slope(campaign) * campaign.latitude.u)
     degrees = math.degrees(campaign.site.latitude)
     removed = campaign.site.removed_gravity
-    stated = [("site", "Gravity", campaign.site.gravity, "Do both belong to the same place?")]
+    stated = [
+        (
+            "site",
+            "Gravity",
+            campaign.site.gravity,
+            "Do gravity and latitude belong to the same site?",
+        )
+    ]
     if removed is not None and removed not in _STANDARD_GRAVITIES:
         words = "Does the computer really subtract this value?"
         stated.append(("site.removed_gravity", "The removed gravity", removed, words))
@@ -63,8 +70,8 @@ def _gravity(campaign: Campaign) -> Iterator[Question]:
             code="gravity-latitude",
             subject=subject,
             text=f"{what} {gravity:.6g} m/s^2 does not agree with latitude {degrees:.4g} deg: from "
-            f"{HEIGHTS[0]:.0f} to {HEIGHTS[1]:.0f} m of height it is {low:.4f} to {high:.4f} "
-            f"m/s^2 there. {question}",
+            f"{HEIGHTS[0]:.0f} to {HEIGHTS[1]:.0f} m of height, gravity is {low:.4f} to "
+            f"{high:.4f} m/s^2 at this latitude. {question}",
         )
 
 
@@ -86,8 +93,9 @@ def _removed_gravity(campaign: Campaign) -> Iterator[Question]:
             subject=f"{name}.K_I",
             text=f"{name} is upright in {runs}, so its {accelerometer.observable} contains the "
             "gravity that the navigation computer does not remove. Gravity is known to "
-            f"{campaign.gravity.u:.2g} m/s^2 only. It is assumed that the computer removes it "
-            "exactly; if it removes a fixed value, state that as removed_gravity in [site].",
+            f"{campaign.gravity.u:.2g} m/s^2 only. counterspin assumes that the computer "
+            "removes gravity exactly; if the computer removes a fixed value, state this value "
+            "as removed_gravity in [site].",
         )
 
 
@@ -112,8 +120,8 @@ def _own_velocity(campaign: Campaign) -> Iterator[Question]:
         yield Question(
             code="unrecorded-axis",
             subject="records.reference",
-            text='reference = "own velocity" has no effect here: no Coriolis acceleration '
-            "is removed from a specific force. Leave it out, or record displacement or velocity.",
+            text='reference = "own velocity" has no effect here: no Coriolis acceleration is '
+            "removed from a specific force. Omit this key, or record displacement or velocity.",
         )
     for name, coupled in lacking.items():
         if coupled > _CORIOLIS_PART:
@@ -122,10 +130,10 @@ def _own_velocity(campaign: Campaign) -> Iterator[Question]:
             yield Question(
                 code="unrecorded-axis",
                 subject=f"{name}.K_F",
-                text=f"The computer's own velocity along unrecorded directions "
-                f"affects {name}, and is assumed to be free of errors: an error of 1 mg there "
-                f"moves K_F by "
-                f"{moved:.1g} g in a run of 100 s. Record all three axes in the same run.",
+                text=f"The computer's velocity along unrecorded directions affects {name} and is "
+                "assumed to be free of errors: an error of 1 mg in such a direction shifts "
+                f"K_F by {moved:.1g} g in a run of 100 s. Record all three axes in the same "
+                "run.",
             )
 
 
@@ -150,11 +158,12 @@ def _exact_priors(campaign: Campaign) -> Iterator[Question]:
             taken = (
                 "as exact, because model.assume names it"
                 if assumed
-                else "with its typical uncertainty"
+                else "with the default uncertainty"
             )
             yield Question(
                 code="exact-prior",
                 subject=subject,
-                text=f"{subject} is stated as {value} {prior.unit} without an uncertainty, and so "
-                f'taken {taken}. How well is it known? Write "{value} ± U {prior.unit}".',
+                text=f"{subject} is stated as {value} {prior.unit} without an uncertainty, and is "
+                f'therefore used {taken}. How well is it known? Write "{value} ± U '
+                f'{prior.unit}".',
             )

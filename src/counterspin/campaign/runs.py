@@ -148,22 +148,21 @@ class Run(SettingsSection):
         "mean specific force along the input axis during a vibration, in addition to gravity",
         "10 g",
         0.0,
-        absent="gravity alone",
+        absent="gravity only",
         applies_to=READINGS,
     )
     file: RecordFile | None = key_field(
-        f"file, relative to the campaign's folder ({', '.join(RECORD_FORMATS)}). For a run at rest "
-        "or on an arm, its mean over whole revolutions is the reading and its noise gives the "
-        "uncertainty",
+        f"file, relative to the campaign's folder ({', '.join(RECORD_FORMATS)}). For a run at "
+        "rest or on an arm, the mean over whole revolutions is the reading, and the noise gives "
+        "the uncertainty",
         "run1.csv",
         None,
         absent="`reading`",
         alias="record",
     )
     reading: OfEach | None = key_field(
-        "value with its unit, in place of a `record`; `±` gives its standard "
-        "uncertainty. A list holds repeats at one setting: their mean is used, and "
-        "their scatter shows the noise",
+        "value with unit, in place of a `record`; `±` gives the standard uncertainty. A list "
+        "contains repeats at one setting: the mean is used, and the scatter shows the noise",
         "1.082532 ± 2e-6 mA",
         None,
         absent="`record`",
@@ -195,7 +194,8 @@ class Run(SettingsSection):
         applies_to=READINGS,
     )
     poses: PosesSettings | None = key_field(
-        "search for [poses](triads.md) in a `record` whose attitude is `unknown`",
+        "settings for the detection of [poses](triads.md) in a `record` whose attitude is "
+        "`unknown`",
         {"rest": "1.5 s"},
         None,
         absent="rests of 1.5 s",
@@ -213,18 +213,18 @@ class Run(SettingsSection):
         "number of revolutions, for `simulate`, in place of a duration",
         100,
         None,
-        absent="those of `[simulation]`",
+        absent="as in `[simulation]`",
     )
     temperature: Temperatures | None = key_field(
-        "temperature in this run, for temperature slopes, also in K; a list is spread "
-        "evenly from the start to the end of a record",
+        "temperature in this run, for temperature slopes, also in K; the values of a list are "
+        "spaced evenly from the start to the end of a record",
         "23.4 degC",
         None,
-        absent="that of its record",
+        absent="the temperature in the record",
         kind="text, list of text",
     )
     time: Annotated[float, read_exactly("s")] | None = key_field(
-        "time when the run began, or of the reading, by any clock; used for `K_F.trend`",
+        "start time of the run, or time of the reading, on any clock; used for `K_F.trend`",
         "12 min",
         None,
         absent="directly after the previous run",
@@ -258,28 +258,28 @@ class Run(SettingsSection):
         "of the file format",
         {"decimal": "."},
         None,
-        absent="as `[records]`",
+        absent="as in `[records]`",
         applies_to=RECORDS,
     )
     start: Annotated[float, read_exactly("s")] | None = key_field(
-        "start of the part of the record to use, in its own time",
+        "start of the part of the record to use, in the time of the record",
         "12 s",
         None,
-        absent="its first row",
+        absent="first row",
         applies_to=RECORDS,
     )
     stop: Annotated[float, read_exactly("s")] | None = key_field(
         "end of the part of the record to use",
         "390 s",
         None,
-        absent="its last row",
+        absent="last row",
         applies_to=RECORDS,
     )
     truth: Annotated[dict[str, Any] | None, Section(_TRUTH)] = key_field(
         "[true values that differ in this run](campaign.md#truth), for `simulate`",
         {"drift": "2e-6 1/s"},
         None,
-        absent="that of `[truth]`",
+        absent="as in `[truth]`",
     )
 
     _recording: Recording | None = PrivateAttr(None)
@@ -357,7 +357,7 @@ class Run(SettingsSection):
                 continue  # A record of poses states the format of its file.
             if name in self.model_fields_set and extra_of(field).get("x-of") == invalid:
                 other_kind = "a record of a double turntable" if read else "a reading"
-                message = f"belongs to a run with {other_kind}; leave it out"
+                message = f"applies to a run with {other_kind}; omit it"
                 if name == "records" and self.record is not None:
                     message += (
                         ". [records] applies to all records on the arm and at rest: write them "
@@ -365,7 +365,7 @@ class Run(SettingsSection):
                     )
                 yield (field.alias or name,), message, "motion", "reading"
         if self.duration is not None and self.revolutions is not None:
-            yield ("duration",), "revolutions is given too; keep one"
+            yield ("duration",), "revolutions is also given; keep only one of them"
         yield from load_name(_OF_READING)(self) if read else self._of_record()
 
     def _of_record(self) -> Iterator[Contradiction]:
@@ -373,7 +373,7 @@ class Run(SettingsSection):
             yield ("record",), "is missing", "motion", "reading"
         if self.rate == 0.0:
             stated = "stated_rate" in self.model_fields_set
-            message = "the centrifuge must turn; the rate is zero" if stated else "is missing"
+            message = "the rate is zero, but the centrifuge must rotate" if stated else "is missing"
             yield ("rate",), message, "motion", "reading"
         # The angle of a table, about up, may be uncertain.
         has_table_angle = self.turns_in_space and abs(self.stand.head[2]) == 1.0
@@ -383,7 +383,7 @@ class Run(SettingsSection):
             yield ("attitude",), str(error), "motion", "reading"
         for place, file in enumerate(self.continued_in if self.file else ()):
             if file.suffix.lower() != self.record.suffix.lower():
-                words = f"must end in {self.record.suffix.lower()}, as the record does"
+                words = f"must end in {self.record.suffix.lower()}, like the record"
                 yield ("continued_in", place), words
         start, stop = self.part
         if not start < stop:
@@ -470,7 +470,7 @@ def _own_recording(
     if recording.recorder == (section.get("recorder") or ""):
         if "clock" in run_section:
             problems.add(
-                (*path, "clock"), 'name the recorder to which it belongs, as in recorder = "B"'
+                (*path, "clock"), 'give the recorder of this clock, such as recorder = "B"'
             )
         return replace(recording, recorder="")
     return recording

@@ -51,7 +51,7 @@ class CampaignSettings(SettingsSection):
     """[campaign]: heading and identification for reports; optional free text."""
 
     title: Text | None = key_field(
-        "heading of the report", "Spring campaign", None, absent="the folder's name"
+        "heading of the report", "Spring campaign", None, absent="name of the folder"
     )
     serial_number: Text | None = key_field("serial number of the platform", "A-17", None)
     date: DateOrText | None = key_field(
@@ -90,10 +90,10 @@ class SiteSettings(SettingsSection):
     removed_gravity: (
         Annotated[float, read_exactly("m/s^2"), AfterValidator(check_gravity)] | None
     ) = key_field(
-        "gravity that the navigation computer subtracts, a fixed number; see below",
+        "fixed value of gravity that the navigation computer subtracts; see below",
         "9.80665 m/s^2",
         None,
-        absent="that of the site",
+        absent="gravity of the site",
     )
 
 
@@ -101,11 +101,11 @@ class CentrifugeSettings(SettingsSection):
     """[centrifuge]: dimensions and errors of the centrifuge."""
 
     radius: Annotated[Quantity, uncertain_quantity("m"), AfterValidator(positive)] = key_field(
-        "radius from the spindle axis to the platform's centre", "2.5 ± 1e-5 m"
+        "radius from the spindle axis to the centre of the platform", "2.5 ± 1e-5 m"
     )
     stretch: Annotated[Quantity, uncertain_quantity("s^2/m")] | None = key_field(
-        "relative growth of the radius per m/s^2 of centripetal acceleration; if "
-        "absent, a default uncertainty is used",
+        "relative increase of the radius per m/s^2 of centripetal acceleration; if absent, a "
+        "default uncertainty is used",
         "0 ± 5e-9 s^2/m",
         None,
     )
@@ -130,8 +130,8 @@ class CentrifugeSettings(SettingsSection):
         kind="part ±",
     )
     strapped: bool = key_field(
-        "whether the accelerometers of records are strapped to the counter-rotating "
-        "table, whose errors then turn them; otherwise a platform keeps their attitude",
+        "whether the recorded accelerometers are strapped to the counter-rotating table, whose "
+        "errors then rotate the accelerometers; otherwise a platform maintains the attitude",
         True,
         False,
     )
@@ -149,9 +149,8 @@ class FixtureSettings(SettingsSection):
     position: (
         Annotated[Quantity, uncertain_quantity("rad"), AfterValidator(check_zero_mean)] | None
     ) = key_field(
-        "error of setting a [position at "
-        "rest](readings.md#positions-that-are-set-by-hand), about east and about north;"
-        " the same for all its readings",
+        "setting error of a [position at rest](readings.md#positions-that-are-set-by-hand), about "
+        "east and about north; the same for all its readings",
         "0 ± 0.5 deg",
         None,
     )
@@ -166,7 +165,9 @@ def _per_g(value: object, info: ValidationInfo) -> float:
         try:
             return unit_factor("g", unit)
         except ValueError:
-            raise ValueError(f'is missing: the nominal output, such as "1.25 {unit}/g"') from None
+            raise ValueError(
+                f'is missing; give the nominal output, such as "1.25 {unit}/g"'
+            ) from None
     sensitivity = exact(value, f"{unit}/g")
     if sensitivity == 0.0:
         raise ValueError("must not be zero")
@@ -189,7 +190,7 @@ class Output(SettingsSection):
         "unless the output is in g-units",
         "1.25 mA/g",
         None,
-        absent="of an output in g, `mg`, ...: exact",
+        absent="for an output in g, `mg`, ...: exact",
         kind="text",
         validate_default=True,
     )
@@ -254,13 +255,13 @@ class StatedNoise(SettingsSection):
         kind="quantity, m/s^2/Hz^0.5 or g/Hz^0.5",
     )
     flicker: Annotated[float | str, noise_size("m/s^2")] = key_field(
-        "bias instability B: the floor of the Allan deviation is 0.664 B",
+        "bias instability B: the minimum of the Allan deviation is 0.664 B",
         "2 ug",
         0.0,
         kind="quantity, m/s^2 or g",
     )
     bias_walk: Annotated[float | str, noise_size("m/s^2/s^0.5")] = key_field(
-        "random walk K of the bias: its variance grows by K^2 per second",
+        "bias random walk K: the variance of the bias grows by K^2 per second",
         "0.5 ug/h^0.5",
         0.0,
         kind="quantity, m/s^2/s^0.5 or g/s^0.5",
@@ -306,15 +307,16 @@ class ModelSettings(SettingsSection):
         kind="list of terms",
     )
     assume: TextList = key_field(
-        "terms and inputs that are assumed perfect unless a value is stated; they add nothing to u",
+        "terms and inputs that are assumed perfect unless a value is stated; they do not "
+        "contribute to u",
         ["K_OO", "platform.*"],
         [],
         absent="none",
         kind='list of terms and inputs, or `"all"`',
     )
     hold: list[Text] = key_field(
-        "terms and inputs that are fixed at the stated value; their uncertainty counts "
-        "in u, but the records do not adjust them (considered, Schmidt)",
+        "terms and inputs that are fixed at the stated value; their uncertainty contributes to u, "
+        "but the records do not adjust the values (considered, Schmidt)",
         ["K_PP"],
         [],
         absent="none",

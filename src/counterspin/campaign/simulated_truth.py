@@ -155,7 +155,7 @@ class TruthReader:
         if (text := self._machine().get(_STRETCH)) is None or centrifuge is None:
             return
         if centrifuge.stretch is not None:
-            self.problems.add(path, "is in [truth.centrifuge] too; keep one")
+            self.problems.add(path, "is also in [truth.centrifuge]; keep only one of them")
             return
         stretch = self.problems.collect(path, exact, text, term(_STRETCH).unit)
         self.tables["centrifuge"] = centrifuge.model_copy(update={"stretch": stretch})
@@ -271,7 +271,7 @@ class TruthReader:
             path = ("truth", _MACHINE, key)
             symbols = expand(key, known)
             if key in ACCELEROMETER_TERMS:
-                message = "belongs to an accelerometer; write it in [truth.NAME]"
+                message = "is a term of an accelerometer; write it in [truth.NAME]"
                 self.problems.add(path, message)
             elif not symbols:
                 self.problems.add(path, f'no reading depends on "{key}"' + suggest_name(key, known))

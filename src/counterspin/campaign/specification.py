@@ -25,7 +25,7 @@ from counterspin.physics.terms import TERMS
 _FORMS: Final = '"abs <= A UNIT", "<= A UNIT", ">= A UNIT", "A to B UNIT" or "V ± T UNIT"'
 
 _PLATFORM_TERM_REFUSAL: Final = (
-    "belongs to the machine; only an accelerometer's terms are specified"
+    "is a term of the machine; only terms of an accelerometer can have a specification"
 )
 
 _RANGE = re.compile(rf"({NUMBER})\s+to\s+({NUMBER})\s*(\S.*)")
@@ -54,7 +54,7 @@ def _factor(value: float) -> float:
 
 def _probability(value: float) -> float:
     if not 0.5 < value < 1.0:
-        raise ValueError("must lie between 0.5 and 1")
+        raise ValueError("must be between 0.5 and 1")
     return value
 
 
@@ -84,7 +84,7 @@ class Specifications(SettingsSection):
     )
 
     process: dict[str, str] = key_field(
-        "distribution of a term between items of its type, by term: mean ± standard deviation; "
+        "distribution of a term over items of the same type, by term: mean ± standard deviation; "
         "for the [global risks](conformity.md#global-risk)",
         {"K_II": "0 ± 2.5e-5 g/g^2"},
         {},
@@ -107,7 +107,7 @@ class Specifications(SettingsSection):
         """Yield keys that belong to another rule."""
         for key, rule in _RULE_OF_KEY.items():
             if key in self.model_fields_set and self.decision_rule != rule:
-                message = f"is for the decision rule {rule!r}, not for {self.decision_rule!r}"
+                message = f"applies to the decision rule {rule!r}, not to {self.decision_rule!r}"
                 yield (key,), message, "decision_rule"
 
 

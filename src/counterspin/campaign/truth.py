@@ -38,7 +38,7 @@ def _clocks(value: object) -> dict[str, float]:
     named = value if isinstance(value, Mapping) else {ALL_RECORDERS: value}
     clocks = {str(name): parse_ratio(part) for name, part in named.items()}
     if any(abs(part) > _MOST_OF_A_CLOCK for part in clocks.values()):
-        raise ValueError("a clock error above 1 % is not plausible")
+        raise ValueError("a clock error above 1 % is implausible")
     return clocks
 
 
@@ -62,7 +62,7 @@ class TrueRadius(SettingsSection):
     """[truth.centrifuge]: true dimensions of the centrifuge."""
 
     radius: Annotated[float, read_exactly("m"), AfterValidator(positive)] | None = key_field(
-        "true radius from the spindle axis to the platform's centre",
+        "true radius from the spindle axis to the centre of the platform",
         "2.50001 m",
         None,
         absent=_STATED,
@@ -81,7 +81,8 @@ class RecordsTruthSettings(SettingsSection):
     """[truth.records]: true timing of the rows."""
 
     timing_offset: Annotated[float, read_exactly("s")] | None = key_field(
-        "true delay of the angle: its sampling time minus that of the displacement in the same row",
+        "true delay of the angle: sampling time of the angle minus sampling time of the "
+        "displacement in the same row",
         "2e-5 s",
         None,
         absent=_STATED,
@@ -109,7 +110,7 @@ class RippleSettings(SettingsSection):
         "frequency, in cycles per revolution", 2, 1
     )
     ratio: Ratio | None = key_field(
-        "amplitude of the fluctuation over the rate, w_n/w0",
+        "amplitude of the fluctuation divided by the rate, w_n/w0",
         "0.5 ppm",
         None,
         kind="number, or in ppm",
@@ -151,19 +152,19 @@ _FAMILIES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
     "platform.tilt": ("tilt about `east`, `north` and `up`", {"north": "0.2 arcsec"}),
     "platform.drift": ("drift of the gyros about `east`, `north`, `up`", {"north": "0.001 deg/h"}),
     "platform.g_sensitivity": (
-        "sensitivity of gyro z to force along x (`zx`), and so on",
+        "g-sensitivity of gyro z to specific force along x (`zx`), and so on",
         {"zx": "0.01 deg/h/g"},
     ),
     "platform.g2_sensitivity": (
-        "sensitivity of the gyros about `east`, `north` and `up` to the square of the force",
+        "g²-sensitivity of the gyros about `east`, `north` and `up`",
         {"north": "1e-4 deg/h/g^2"},
     ),
     "platform.compliance": (
-        "rotation about z caused by force along y (`zy`), and so on",
+        "rotation about z due to force along y (`zy`), and so on",
         {"zy": "0.1 arcsec/g"},
     ),
     "centrifuge.imbalance": (
-        "change of the radius with the cosine or sine of 1 or 2 times the angle",
+        "change of the radius, proportional to the cosine or sine of 1 or 2 times the angle",
         {"1": {"cos": "1 um"}},
     ),
     "centrifuge.axis_tilt": (
@@ -200,7 +201,7 @@ def _truth_table(
         words, example = _FAMILIES.get(f"{family}.{inner}", ("of this number", {}))
         table = _truth_table(f"{name}_{inner}", f"{family}.{inner}")
         fields[inner] = (table | None, key_field(words, example, None))
-    words = f"[truth.{family}]: true values of its terms."
+    words = f"[truth.{family}]: true values of the terms."
     return create_model(name, __base__=base, __doc__=words, **fields)
 
 
@@ -236,9 +237,9 @@ class _AccelerometerTruthKeys(SettingsSection):
     start_velocity: Annotated[float, read_exactly("m/s")] = key_field(
         "error of the velocity at the start of each run", "-1e-4 m/s", 0.0
     )
-    bias: Annotated[float, coefficient("g")] | None = key_field("another name of K_F", "5 mg", None)
+    bias: Annotated[float, coefficient("g")] | None = key_field("alias of K_F", "5 mg", None)
     scale_factor: Annotated[float, coefficient("g/g")] | None = key_field(
-        "another name of K_I", "1.002 g/g", None
+        "alias of K_I", "1.002 g/g", None
     )
 
 
@@ -280,13 +281,13 @@ class TruthSettings(SettingsSection):
         "errors of the platform", {"tilt": {"north": "0.2 arcsec"}}, {}
     )
     centrifuge: Annotated[dict[str, Any], Section(CentrifugeTruthSettings)] = key_field(
-        "true radius of the centrifuge, and errors of the path", {"radius": "2.50001 m"}, {}
+        "true radius of the centrifuge, and path errors", {"radius": "2.50001 m"}, {}
     )
     encoder: Annotated[dict[str, Any], Section(EncoderTruthSettings)] = key_field(
         "errors of the recorded angle", {"harmonic": {"1": {"sin": "1 arcsec"}}}, {}
     )
     table: Annotated[dict[str, Any], Section(TableTruthSettings)] = key_field(
-        "errors of the counter-rotating table to which instruments are strapped",
+        "errors of the counter-rotating table to which the instruments are strapped",
         {"harmonic": {"1": {"sin": "1 arcsec"}}},
         {},
     )
@@ -294,7 +295,7 @@ class TruthSettings(SettingsSection):
         "noise of records and of readings",
         {"displacement": "0.01 m"},
         {},
-        absent="that of `[noise]`",
+        absent="as in `[noise]`",
     )
     machine: dict[str, Any] = key_field(
         "machine terms that affect readings", {"centrifuge.radius.in": "1.00001 m"}, {}

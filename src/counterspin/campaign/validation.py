@@ -167,7 +167,7 @@ def _error_text(mistake: Any, loc: KeyPath, model: type[BaseModel]) -> str:
     if kind == "extra_forbidden":
         return "unknown key" + suggest_name(str(loc[-1]), _known_keys(model, loc[:-1]))
     if kind == "literal_error" and loc[-1] != "schema":
-        return f"{str(mistake['input'])!r} is none of {sizes['expected']}"
+        return f"{str(mistake['input'])!r} is not one of {sizes['expected']}"
     if kind == "value_error":
         return str(sizes["error"])
     if kind == "too_short" and sizes["min_length"] > 1:

@@ -75,12 +75,14 @@ class AmendedCertificate:
 def read_amended(amendment: Amendment) -> tuple[AmendedCertificate, bytes]:
     """Return the data of the replaced certificate, and its XML."""
     if not amendment.reason.strip():
-        raise CampaignError("certificate", ["`reason`: state why the certificate is replaced"])
+        raise CampaignError(
+            "certificate", ["`reason`: give the reason for replacing the certificate"]
+        )
     data = read_document(amendment.path)
     numbers = read_certificate(data, str(amendment.path))
     if numbers.identifier.startswith("DRAFT-"):
         raise RecordError(
-            f"{amendment.path}: is a draft, which was never issued and cannot be amended"
+            f"{amendment.path} is a draft, which was never issued and cannot be amended"
         )
     checksum = hashlib.sha256(data).hexdigest()
     reason = " ".join(amendment.reason.split())
@@ -147,17 +149,17 @@ def verify_amended(new: bytes, old: Path, source: str) -> str:
     )
     data = read_document(old)
     if not previous:
-        raise RecordError(f"{source}: amends no certificate")
+        raise RecordError(f"{source} does not amend a certificate")
     if previous[0].text != hashlib.sha256(data).hexdigest():
-        raise RecordError(f"{source}: does not amend {old}, or {old} has been changed since")
+        raise RecordError(f"{source} does not amend {old}, or {old} has been changed since then")
     before, after = read_certificate(data, str(old)), read_certificate(new, source)
     if any(
         _is_same_identifier(after.identifier, earlier)
         for earlier in (before.identifier, *before.replaced)
     ):
         raise RecordError(
-            f"{source}: has the identifier of {old} or of a certificate that {old} amends: the "
-            "amendments form a circle; do not rely on any of them"
+            f"{source} has the identifier of {old} or of a certificate that {old} amends: the "
+            "amendments are circular; do not rely on any of these certificates"
         )
     return before.identifier
 
@@ -172,7 +174,7 @@ def _number_changes(before: CertificateNumbers, after: CertificateNumbers) -> It
         for symbol in dict.fromkeys([*versions[0], *versions[1]]):
             old_text, new_text = (_format_coefficient(values.get(symbol)) for values in versions)
             if versions[0].get(symbol) != versions[1].get(symbol):
-                yield f"{symbol} of {name}: it was {old_text}, and is {new_text}."
+                yield f"{symbol} of {name}: was {old_text}, is now {new_text}."
 
 
 def _certified_values(certified: CertificateNumbers) -> dict[str, CertifiedAccelerometer]:
@@ -200,9 +202,9 @@ def _text_changes(before: Element, after: Element) -> Iterator[str]:
             change = (
                 "is new"
                 if name not in old_statements
-                else "is gone"
+                else "has been removed"
                 if name not in new_statements
-                else "reads otherwise"
+                else "has changed"
             )
             yield f'the statement "{name}" {change}.'
 

@@ -72,8 +72,8 @@ def check_certifiable(result: Result, names: Sequence[str]) -> None:
         certificate_text.is_determined(c) for coefficients in by_accelerometer for c in coefficients
     ):
         raise RecordError(
-            "the records determine no coefficient of "
-            f"{', '.join(names)}: there is nothing to certify"
+            f"the records do not determine any coefficient of {', '.join(names)}: there is "
+            "nothing to certify"
         )
 
 

@@ -76,8 +76,12 @@ def _attached_xml(path: Path) -> bytes:
     except Exception as error:  # any error of pypdf and zlib on a damaged file
         raise _damage_error(path, error) from error
     if len(attachments) != 1:
-        own_data = "no XML file is" if not attachments else f"{len(attachments)} XML files are"
-        raise RecordError(f"{path}: {own_data} attached to it; the PDF of a certificate has one")
+        own_data = (
+            "there is no XML file" if not attachments else f"there are {len(attachments)} XML files"
+        )
+        raise RecordError(
+            f"{path}: {own_data} attached to the PDF; the PDF of a certificate has exactly one"
+        )
     return attachments[0]
 
 
@@ -93,7 +97,7 @@ def _pdf_signature_status(path: Path, public: bytes) -> PdfSignatureStatus:
 
 def _damage_error(path: Path, error: Exception) -> RecordError:
     reason = str(error)[:REASON_LENGTH] or type(error).__name__
-    return RecordError(f"{path}: is not a PDF, or is damaged ({reason})")
+    return RecordError(f"{path} is not a PDF, or is damaged ({reason})")
 
 
 def _xml_files(reader: Any) -> list[bytes]:
@@ -199,7 +203,7 @@ def read_certificate(document: bytes, source: str) -> CertificateNumbers:
         )
     except (ArithmeticError, KeyError, ValueError) as error:
         raise RecordError(
-            f"{source}: is not a calibration certificate written by counterspin ({error})"
+            f"{source} is not a calibration certificate written by counterspin ({error})"
         ) from error
 
 
@@ -347,12 +351,12 @@ def _select(element: Element, path: str, **variables: str) -> list[Any]:
 def _single_text(element: Element, path: str, **variables: str) -> str:
     matches = _select(element, path, **variables)
     if not matches or not _text(matches[0]):
-        raise ValueError(f"there is no {path.rpartition('/')[2]}")
+        raise ValueError(f"{path.rpartition('/')[2]} is missing")
     return _text(matches[0])
 
 
 def _text(element: Element) -> str:
     if len(element):
         # `text` holds only the part before the child.
-        raise ValueError(f"there is something other than text in {element.tag.rpartition('}')[2]}")
+        raise ValueError(f"{element.tag.rpartition('}')[2]} contains something other than text")
     return str(element.text or "")

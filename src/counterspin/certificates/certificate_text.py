@@ -70,9 +70,9 @@ _RULES: Final = {
     "simple": "simple acceptance: pass if the estimate lies within the tolerance limits, else fail",
     "guarded": "guarded acceptance: pass if the estimate lies within the tolerance limits by at "
     "least the guard band, fail if it lies outside by more than that, else undecided",
-    "probability": "by probability: pass if the coefficient conforms with at least the required "
-    "probability, "
-    "fail if it does not conform with at least that probability, else undecided",
+    "probability": "by probability: pass if the probability of conformity is at least the "
+    "required value, fail if the probability of non-conformity is at least that value, else "
+    "undecided",
 }
 
 #: Statement of a certificate that lacks data of the laboratory, or is not issued yet.
@@ -89,7 +89,7 @@ BASED_ON: Final = (
 
 #: Disclaimer required by ISO/IEC 17025:2017, 7.8.2.2.
 CUSTOMER_DISCLAIMER: Final = (
-    "The customer supplied these data. They can affect the validity of the results; the "
+    "The customer supplied these data. These data can affect the validity of the results; the "
     "laboratory is not responsible for them."
 )
 
@@ -101,7 +101,7 @@ EQUIPMENT: Final = "Equipment and traceability"
 CAPABILITY: Final = "Calibration and measurement capability"
 BASIS: Final = "Basis of the result"
 PRIOR_KNOWLEDGE: Final = "Prior information"
-ASSUMED: Final = "Assumed perfect, and the evidence"
+ASSUMED: Final = "Terms assumed perfect, with evidence"
 DEFAULTS: Final = "Evidence for default uncertainties"
 SUPPLIED: Final = "Data supplied by the customer"
 CONFORMITY: Final = "Conformity"
@@ -124,8 +124,8 @@ def uncertainty_statement() -> str:
     """Return the definition of the expanded uncertainties."""
     return (
         "The number after ± is the expanded uncertainty U: the combined standard uncertainty, "
-        "evaluated according to the GUM (JCGM 100), multiplied by the stated coverage factor k. "
-        "k is that of Student's t-distribution for the effective degrees of freedom "
+        "evaluated according to the GUM (JCGM 100), multiplied by the stated coverage factor k. k "
+        "is that of Student's t-distribution for the effective degrees of freedom "
         "(Welch-Satterthwaite), or of the normal distribution where these are infinite, for a "
         f"coverage probability of {format_share(COVERAGE)}. Quantities that the campaign does "
         f"not state contribute to U and to probabilities of conformity with their default "
@@ -147,9 +147,9 @@ def unit_statement(gravity: float) -> str:
     return (
         f"g is the local gravity of the site, g = {g} m/s^2. A coefficient that multiplies the "
         "n-th power of specific force is g^(1-n) times as large in SI units as in g-units: K_F in "
-        "m/s^2 is K_F in g times g, K_II in s^2/m is K_II in g/g^2 divided by g. If the "
-        "campaign states an uncertainty of g, the uncertainties of the coefficients include it. In "
-        "SI units most of it cancels."
+        "m/s^2 is K_F in g times g, K_II in s^2/m is K_II in g/g^2 divided by g. If the campaign "
+        "states an uncertainty of g, the uncertainties of the coefficients include this "
+        "contribution. In SI units most of this contribution cancels."
     )
 
 
@@ -251,9 +251,9 @@ def assumption_lines(name: str, result: Result) -> list[str]:
             unit, scale = field_unit(line.unit)
             size = f"{format_uncertainty(line.u * scale)} {unit}"
             sizes[line.source] = (
-                f"Default prior: {name_with_words(line.source)}, standard uncertainty {size}"
-                f"{_source_of_default(line.source, line.u)}, {format_share(line.share)} of the "
-                "variance at most."
+                f"Default prior: {name_with_words(line.source)}, standard uncertainty "
+                f"{size}{_source_of_default(line.source, line.u)}; contributes at most "
+                f"{format_share(line.share)} of the variance."
             )
     return [*sentences, *reversed(sizes.values())]
 
@@ -273,8 +273,8 @@ def seal_lines(result: Result, accepted: str | None) -> list[str]:
     if result.sealed:
         return []
     return [
-        "The result file has no seal: changes after it was written cannot be excluded. Its state "
-        "was re-evaluated from its numbers.",
+        "The result file has no seal: changes after it was written cannot be excluded. The state "
+        "of the result was re-evaluated from the numbers in the file.",
         *([] if accepted is None else [f"The missing seal was accepted: {accepted}"]),
     ]
 
@@ -289,7 +289,7 @@ def misfit_lines(result: Result, names: Sequence[str]) -> list[str]:
         if result.accelerometers[name].state == "contradicted"
     ]
     return [
-        *(f"The result failed its own tests. {line}" for line in failed),
+        *(f"The result failed its checks. {line}" for line in failed),
         f"The misfit was accepted: {result.accepted_misfit}",
     ]
 

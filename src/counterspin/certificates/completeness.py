@@ -21,7 +21,7 @@ from counterspin.reports.numbers import format_share
 #: smaller by more than 5 %.
 EVIDENCE_SHARE: Final = 0.1
 
-_TEMPLATE: Final = "has a value of the template; replace it"
+_TEMPLATE: Final = "still has the value of the template; replace it"
 
 
 @frozen
@@ -47,9 +47,9 @@ def missing_evidence(source: str, share: float, quantity: str) -> MissingEntry:
     """Return the entry for a default uncertainty that causes a share of a variance."""
     return MissingEntry(
         f"evidence.{source}",
-        f"is missing; the default uncertainty of {name_with_words(source)} causes "
-        f"{format_share(share)} of the variance of {quantity}: give the evidence for its "
-        "bound, such as a data sheet, or state its prior in the campaign",
+        f"is missing; the default uncertainty of {name_with_words(source)} contributes "
+        f"{format_share(share)} of the variance of {quantity}: give evidence for its bound, such "
+        "as a data sheet, or state a prior for the term in the campaign",
     )
 
 
@@ -84,7 +84,12 @@ def missing_lines(entries: Sequence[MissingEntry]) -> list[str]:
     """Return a line for each entry; one line for all keys with values of the template."""
     keys = [entry.key for entry in entries if entry.words == _TEMPLATE]
     lines = (
-        [f"{', '.join(keys)}: values of the template; replace them before signing"] if keys else []
+        [
+            f"{', '.join(keys)}: these keys still have the values of the template; replace them "
+            "before signing"
+        ]
+        if keys
+        else []
     )
     return lines + [f"{e.key}: {e.words}" for e in entries if e.words != _TEMPLATE]
 
@@ -93,8 +98,8 @@ def _missing_conditions(lab: Lab) -> Iterator[MissingEntry]:
     if lab.conditions.temperature is None:
         yield MissingEntry(
             "conditions.temperature",
-            "is missing; a certificate states the conditions that influence its results (ISO/IEC "
-            '17025, 7.8.4.1 b), such as temperature = "20.0 ± 0.3 degC"',
+            "is missing; a certificate must state the environmental conditions that influence the "
+            'results (ISO/IEC 17025, 7.8.4.1 b), such as temperature = "20.0 ± 0.3 degC"',
         )
 
 
@@ -102,8 +107,7 @@ def _missing_evidence(lab: Lab, result: Result) -> Iterator[MissingEntry]:
     for term in terms_without_evidence(result.assumed, lab.evidence):
         yield MissingEntry(
             f"evidence.{term}",
-            "is missing; the result assumes this term to be perfect: give the evidence for its "
-            "bound",
+            "is missing; the result assumes this term to be perfect: give evidence for its bound",
         )
     lacking = dict[str, tuple[float, str]]()
     for name, source, share, symbol in _default_shares(lab, result):

@@ -161,10 +161,9 @@ def triad_lines(triad: TriadResult) -> list[str]:
     """Return sentences on the triad: the method, its parameters, and those without a value."""
     names = ", ".join(triad.accelerometers)
     lines = [
-        f"{names} are one sensor. In addition to their coefficients, parameters are given that "
-        f"do not depend on its frame: offsets, sensitivities, "
-        "and the angles between the sensitive axes (Geist, Gaitan et al., J. Res. NIST 122 "
-        "(2017) 32)."
+        f"{names} form one sensor. In addition to the coefficients, the certificate gives "
+        "parameters that do not depend on the frame of the sensor: offsets, sensitivities, and "
+        "the angles between the sensitive axes (Geist, Gaitan et al., J. Res. NIST 122 (2017) 32)."
     ]
     if triad.poses:
         rms = ""
@@ -175,8 +174,8 @@ def triad_lines(triad: TriadResult) -> list[str]:
             rms += "." if after is None else f", corrected {format_number(after, 3)} m/s^2."
         lines.append(
             f"The sensor was at rest in {len(triad.poses)} poses whose attitudes were unknown: "
-            f"the direction of each was estimated with the coefficients; only the magnitude of "
-            f"the specific force, the local gravity, was taken as known.{rms}"
+            "the attitude in each pose was estimated together with the coefficients; only the "
+            f"magnitude of the specific force, the local gravity, was taken as known.{rms}"
         )
     lines += [
         f"{parameter_words(name)}: {certificate_text.undetermined_reason(c)}; "
@@ -213,7 +212,7 @@ def parameter_line(name: str, parameter: Coefficient) -> str:
     """Return a determined parameter, with U and k, in g-units and its SI unit."""
     words, c = shown_parameter(name, parameter)
     k = coverage_factor(c.dof)
-    full_text = "the complete angle is " if c.value != parameter.value else ""
+    full_text = "the angle is " if c.value != parameter.value else ""
     value_text = certificate_text.unit_remark(si_unit(c.unit)[0])
     estimate = f"{certificate_text.format_in_g_units(c, k)} (U, k = {format_decimal(k)})"
     return f"{words} = {estimate}; {full_text}{value_text}"
@@ -229,11 +228,11 @@ def output_lines(result: Result, triad: TriadResult) -> list[str]:
     other_terms = [name for name in triad.parameters if name.split(".")[0] in triad.accelerometers]
     reduced = f", minus the contributions of {', '.join(other_terms)}" if other_terms else ""
     return [
-        f"Corrected output: f = M (y - b), y being the indications of {names} by their nominal "
-        f"sensitivities{by}{reduced}, and b their offsets. "
-        "f lies along the axes x, y, z in which the "
-        "campaign states their directions: east, north and up while the sensor is level. "
-        "Misalignments that are not among the coefficients above have their stated values, or zero."
+        f"Corrected output: f = M (y - b), where y are the indications of {names} divided by "
+        f"their nominal sensitivities{by}{reduced}, and b are the offsets. The components of f "
+        "are along the axes x, y, z in which the campaign states the directions of the "
+        "accelerometers: east, north and up while the sensor is level. Misalignments that are not "
+        "listed above have their stated values, or zero."
     ]
 
 
@@ -345,8 +344,8 @@ def cmc_lines(result: Result, certified: Result, lab: Lab) -> list[str]:
             evaluated = format_uncertainty(coverage_factor(c.dof) * c.u * factor)
             lines.append(
                 f"{words}: the evaluated uncertainty is U = {evaluated} {unit}; the certificate "
-                f"states the laboratory's calibration and measurement capability, the smallest "
-                "uncertainty that it may state."
+                "states the calibration and measurement capability, which is the smallest "
+                "uncertainty that the laboratory may state."
             )
     return lines
 

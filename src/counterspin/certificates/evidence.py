@@ -58,9 +58,9 @@ def require_evidence(assumed: Sequence[str], evidence: Mapping[str, str], source
     lacking = list(dict.fromkeys(".".join(name.split(".")[:2]) for name in lacking))
     lines = " ".join(f'"{name}" = "..."' for name in lacking)
     problem = (
-        f"evidence: the result assumes {', '.join(lacking)} to be perfect, which u does not "
-        f"include; give for each in [evidence] the evidence for its bound, such as a measurement "
-        f"or a data sheet: {lines}; or calibrate without the assumption"
+        f"evidence: the result assumes {', '.join(lacking)} to be perfect, so u does not include "
+        "these terms; give evidence for the bound of each term in [evidence], such as a "
+        f"measurement or a data sheet: {lines}; or calibrate without the assumption"
     )
     raise CampaignError(source, [problem])
 

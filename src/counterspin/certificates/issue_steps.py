@@ -54,7 +54,10 @@ def issue_notes(lab: Lab, issue: Issue, missing: Sequence[MissingEntry]) -> Iter
                 f"certificate.begin, {lab.certificate.begin}."
             )
     if missing:
-        yield "This is a draft, which cannot be signed and is not entered in a ledger. It lacks:"
+        yield (
+            "This is a draft, which cannot be signed and is not entered in a ledger. Missing "
+            "entries:"
+        )
         yield from missing_lines(missing)
 
 

@@ -165,8 +165,8 @@ class Certificate:
         staged_pdf = self._staged_pdf_path(pdf, published_xml)
         if not (staged_pdf.is_file() and read_document(staged_pdf) == published_xml):
             raise CounterspinError(
-                f"{xml} exists and its PDF was not begun by this command; a certificate never "
-                "replaces a file: choose another name"
+                f"{xml} exists, but its PDF was not begun by this command; a certificate never "
+                "overwrites a file: choose another name"
             )
         data = read_file(staged_pdf)
         self._write(pdf, data, ledger, {**self.entry, "sha256": checksum_of(published_xml)})
@@ -193,7 +193,7 @@ class Certificate:
         earlier_entry = record_certificate(ledger_path, path, data, entry, details)
         if earlier_entry is not None:
             self.notes.append(
-                f"An interrupted command had already entered certificate {self.identifier} on "
+                f"An interrupted command already entered certificate {self.identifier} on "
                 f"{earlier_entry.when}: {path} is the certificate of that entry "
                 f"({earlier_entry.number})."
             )
@@ -286,7 +286,7 @@ def certificate(
         if judged.state != "contradicted":
             raise CampaignError(
                 "certificate",
-                ["`accept_misfit`: the records do not contradict this result; leave it out"],
+                ["`accept_misfit`: the records do not contradict this result; omit this argument"],
             )
         judged = judged.model_copy(update={"accepted_misfit": accept_misfit})
     try:
@@ -392,19 +392,19 @@ def _unsealed_error(result: Result, accept_unsealed: str | None) -> str | None:
     """Return the error of a result whose file must not be certified; None if it may be."""
     if not result.sealed and accept_unsealed is None:
         return (
-            "the file has no seal, so changes after writing cannot be excluded; give the "
-            "original file, calibrate again, or state in `accept_unsealed` why it is certified "
+            "the file has no seal, so changes after writing cannot be excluded; give the original "
+            "file, calibrate again, or state in `accept_unsealed` why the result is certified "
             "nevertheless"
         )
     if result.sealed and accept_unsealed is not None:
-        return "the file has a valid seal; leave `accept_unsealed` out"
+        return "the file has a valid seal; omit `accept_unsealed`"
     return None
 
 
 def _omission_notes(lab: Lab, result: Result) -> Iterator[str]:
     names = lab.certified(result)
     if excluded := [name for name in result.accelerometers if name not in names]:
-        yield f"Not certified, according to certificate.accelerometers: {', '.join(excluded)}."
+        yield f"Not certified (see certificate.accelerometers): {', '.join(excluded)}."
 
 
 # Reading and checking
@@ -460,8 +460,8 @@ def _check_pages(path: Path, cert: Path | KeyMaterial) -> PdfSignatureStatus | N
     status = verify_pages(path, expected)
     if status == "changed":
         raise RecordError(
-            f"{path}: the signature is not valid: the pages were changed after the holder "
-            f"of {cert} had signed them; the attached XML was not"
+            f"{path}: the signature is not valid: the pages were changed after the holder of "
+            f"{cert} had signed them; the attached XML was not changed"
         )
     if status == "invalid":
         raise RecordError(
@@ -483,7 +483,7 @@ def certificate_blocks(certified: CertificateNumbers) -> Iterator[Block]:
         if triad.matrix is not None and triad.expanded is not None and triad.factor is not None:
             matrix, expanded = triad.matrix.tolist(), triad.expanded.tolist()
             yield output_table(triad.accelerometers, matrix, expanded, triad.factor)
-            yield Paragraph("Matrix and offsets are those of these parameters.", "quiet")
+            yield Paragraph("The matrix and the offsets follow from these parameters.", "quiet")
     yield Paragraph(
         f"g = {format_number(certified.gravity, 9)} m/s^2, assumed exact for the values in "
         "g-units.",

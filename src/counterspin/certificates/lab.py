@@ -122,7 +122,7 @@ class CertificateSettings(SettingsSection):
         absent="`SOURCE_DATE_EPOCH` of the environment, or today (UTC)",
     )
     traceability: Text = key_field(
-        "statement of metrological traceability to the SI (ISO/IEC 17025, 7.8.4.1 c)",
+        "metrological traceability statement (ISO/IEC 17025, 7.8.4.1 c)",
         "Length, time and gravity are traceable to national standards.",
     )
     ledger: Text | None = key_field(
@@ -245,7 +245,7 @@ class Equipment(SettingsSection):
         "quantity that the equipment measures or realises", "radius of the centrifuge", None
     )
     certificate: Text | None = key_field(
-        "identifier of the calibration certificate of the equipment", "2025-4711", None
+        "identifier of the equipment's calibration certificate", "2025-4711", None
     )
     calibrated_by: Text | None = key_field(
         "laboratory that calibrated the equipment", "Example Metrology Institute", None
@@ -297,14 +297,14 @@ class Lab(SettingsSection):
         },
     )
     accelerometers: dict[str, LabAccelerometer] = key_field(
-        "parts of the item that have an identity, by name",
+        "identified parts of the item, by name",
         {"Qx": {"serial_number": "Q-104"}},
         {},
         absent="none",
         kind="tables",
     )
     persons: list[Person] = key_field(
-        "persons responsible for the results; the first one signs",
+        "persons responsible for the results; the first person signs",
         [{"name": "N. N.", "role": "Head of the laboratory"}],
         min_length=1,
     )
@@ -315,29 +315,28 @@ class Lab(SettingsSection):
         absent="none",
     )
     equipment: list[Equipment] = key_field(
-        "measuring equipment, with the calibrations that make it traceable",
+        "measuring equipment, with the calibrations that establish its traceability",
         [{"name": "laser interferometer", "certificate": "2025-4711"}],
         [],
         absent="none",
     )
     cmc: dict[str, str] = key_field(
-        "smallest expanded uncertainty (95 %) that the laboratory may state, by term; "
-        "`applied` is that of the [applied acceleration](applied.md), relative",
+        "smallest expanded uncertainty (95 %) that the laboratory may state, by term; `applied` "
+        "is the relative uncertainty of the [applied acceleration](applied.md)",
         {"K_II": "1e-7 g/g^2"},
         {},
         absent="no limit",
     )
     evidence: Annotated[dict[str, Text], BeforeValidator(_flatten)] = key_field(
-        "evidence for the bounds of each term that the result "
-        "[assumes](#assumed-terms) perfect, or whose default uncertainty causes a "
-        "tenth or more of a variance, by term",
+        "evidence for the bound of each term that the result [assumes](#assumed-terms) perfect, "
+        "or whose default uncertainty contributes a tenth or more of a variance, by term",
         {"K_OO": "type test TR-12"},
         {},
         absent="none",
     )
     specification: Annotated[dict[str, Any] | None, Section(Specifications)] = key_field(
-        "limits for the coefficients, as in [a campaign](campaign.md#specification): "
-        "[conformity](conformity.md)",
+        "limits for the coefficients, as in [a campaign](campaign.md#specification), for "
+        "statements of [conformity](conformity.md)",
         {"K_II": "abs <= 5e-5 g/g^2"},
         None,
         absent="the campaign's",
@@ -412,9 +411,11 @@ def _load_lab(
         source, problems = "the laboratory's data", Problems(path)
         raw = to_toml_value(path, (), problems.add)
     else:
-        path = path_of(path, "a mapping of the laboratory's data, or their file")
+        path = path_of(
+            path, "a mapping with the laboratory's data, or the file that contains the data"
+        )
         source = str(path)
-        advice = "`certificates.lab.write_example` makes one"
+        advice = "`certificates.lab.write_example` writes a template"
         raw = load_document(path, advice, "laboratory")
         problems = Problems(raw)
     # An empty table makes the check report each of its required keys.
@@ -460,7 +461,7 @@ def _check_accelerometers(raw: Mapping[str, Any], result: Result, problems: Prob
         if stated and lab_serial_number and lab_serial_number != stated:
             problems.add(
                 ("accelerometers", name, "serial_number"),
-                f'is "{lab_serial_number}", but the result is that of "{stated}"',
+                f'is "{lab_serial_number}", but the result is for "{stated}"',
             )
 
 

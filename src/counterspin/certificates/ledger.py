@@ -35,8 +35,8 @@ _LOCKED_BYTE: Final = 0x7FFF_0000
 _LOCK_PAUSE: Final = 0.05
 
 _NO_LEDGER: Final = (
-    "entry 1 was altered, or this is not a ledger; do not rely "
-    "on it. Name the ledger, or a new file"
+    "entry 1 was altered, or this is not a ledger; do not rely on this file. Give the ledger, or "
+    "a new file"
 )
 
 #: Keys of an entry, in the order in which they are written; `hash` is last.
@@ -106,7 +106,7 @@ class OpenLedger:
         self._path, self._file = path, file
         self._size = os.fstat(file).st_size
         if self._size > DOCUMENT_BYTES:
-            raise RecordError(f"{path}: has more than {DOCUMENT_BYTES} bytes; start a new ledger")
+            raise RecordError(f"{path} has more than {DOCUMENT_BYTES} bytes; start a new ledger")
         complete = b""
         while partial_entry := os.read(file, self._size + 1):
             complete += partial_entry
@@ -226,14 +226,14 @@ def _verify_content(content_bytes: bytes, source: str) -> VerifiedLedger:
         content = _parse_line(line)
         problem, which = None, number
         if content is None or _format_line(content) != line + b"\n":
-            problem = "is not as it was written"
+            problem = "was changed after it was written"
         elif content["hash"] != _content_hash(content):
             problem = "was altered: its hash does not match its content"
         elif content["number"] != number:
             problem = f"is numbered entry {content['number']}: entries are missing or were moved"
         elif content["previous"] != previous:
             # The hash chain shows it only in the following entry.
-            problem, which = "was altered after it was written, or taken out", number - 1
+            problem, which = "was altered after it was written, or removed", number - 1
         if problem is not None or content is None:
             if content is None and number == 1:
                 raise RecordError(f"{source}: {_NO_LEDGER}")
@@ -344,9 +344,9 @@ def record_certificate(
                     _publish(path, entry.of["file_sha256"])
                     return entry
             raise RecordError(
-                f"{ledger_path}: has certificate {of['identifier']} already "
-                f"(entry {earlier[-1].number}), with different content; issue an amendment "
-                "(`amends`), or choose another certificate.identifier"
+                f"{ledger_path} already contains certificate {of['identifier']} (entry "
+                f"{earlier[-1].number}), with different content; issue an amendment (`amends`), "
+                "or choose another certificate.identifier"
             )
         _check_amended(ledger, ledger_path, of)
         staged = _staging_path(path, checksum)
@@ -365,7 +365,7 @@ def _check_amended(ledger: OpenLedger, ledger_path: Path, of: Mapping[str, str])
     amended = [entry for entry in ledger.entries if entry.of.get("identifier") == of["amends"]]
     if amended and all(entry.of.get("sha256") != of["amends_sha256"] for entry in amended):
         raise RecordError(
-            f"{ledger_path}: entry {amended[-1].number} is of certificate {of['amends']} with "
+            f"{ledger_path}: entry {amended[-1].number} records certificate {of['amends']} with "
             "different content: the file to be amended was changed after it was issued; give the "
             "issued file"
         )
@@ -411,7 +411,7 @@ def _publish(path: Path, checksum: str) -> None:
     try:
         finish(_staging_path(path, checksum), path)
     except OSError as error:
-        raise CounterspinError(f"{path}: cannot be written ({error.strerror})") from error
+        raise CounterspinError(f"{path} cannot be written ({error.strerror})") from error
 
 
 def ledger_blocks(verified: VerifiedLedger) -> Iterator[Block]:
@@ -439,9 +439,9 @@ def ledger_blocks(verified: VerifiedLedger) -> Iterator[Block]:
         ),
     )
     yield Paragraph(
-        f"{len(verified.entries)} entries, none altered. Hash of the last: {verified.head}. Keep a "
-        "copy elsewhere: it reveals whether entries were removed at the end, or the whole ledger "
-        "was rewritten."
+        f"{len(verified.entries)} entries, none altered. Hash of the last entry: {verified.head}. "
+        "Keep a copy of this hash elsewhere: it reveals whether entries were removed at the end, "
+        "or the whole ledger was rewritten."
     )
 
 

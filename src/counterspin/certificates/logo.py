@@ -37,7 +37,7 @@ def read_logo(folder: Path, name: str) -> bytes:
     if not data.startswith(_PNG):
         _check_svg(name, data)
     if not is_image(data):
-        raise ValueError(f"{name} is damaged, or not an image that can be set on a page")
+        raise ValueError(f"{name} is damaged, or is not an image that can be placed on a page")
     return data
 
 
@@ -53,7 +53,9 @@ def _check_svg(name: str, data: bytes) -> None:
         raise ValueError(f"{name} has a document type declaration; save it as plain SVG")
     for element in root.iter():
         if problem := _problem(element):
-            raise ValueError(f"{name} has {problem}; save it as plain SVG, with text as paths")
+            raise ValueError(
+                f"{name} has {problem}; save the logo as plain SVG, with text as paths"
+            )
 
 
 def _problem(element: Any) -> str:

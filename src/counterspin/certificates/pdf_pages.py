@@ -42,7 +42,7 @@ TITLE: Final = "Calibration certificate"
 
 #: Line for a signature on paper.
 _SIGNATURE_LINE: Final = MultilineText("", "_____________________________________")
-_ELECTRONIC: Final = "electronic, of the XML and of these pages"
+_ELECTRONIC: Final = "electronic signature of the XML and of these pages"
 
 
 def page_title(issue: Issue) -> str:
@@ -171,8 +171,12 @@ def _result_blocks(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
     if (triad := certified_triad(stated, names)) is not None:
         yield from map(typeset_block, _triad_blocks(stated, triad))
     yield Paragraph(
-        "The XML holds the covariances of these coefficients"
-        + (", also between accelerometers." if len(names) > 1 and stated.correlation else "."),
+        "The XML contains the covariances of these coefficients"
+        + (
+            ", including those between accelerometers."
+            if len(names) > 1 and stated.correlation
+            else "."
+        ),
         "quiet",
     )
     yield from section_blocks(

@@ -59,7 +59,7 @@ def check_schema(document: bytes, schema: Path, source: str) -> None:
     lines = [f"line {entry.line}: {_with_prefixes(entry.message)}" for entry in log[:_MAX_ERRORS]]
     remaining_count = f"\n  and {len(log) - _MAX_ERRORS} more" if len(log) > _MAX_ERRORS else ""
     raise RecordError(
-        f"{source}: does not conform to the schema in {schema}\n  "
+        f"{source} does not conform to the schema in {schema}\n  "
         + "\n  ".join(lines)
         + remaining_count
     )
@@ -77,7 +77,7 @@ def parse(document: bytes, source: str, *, comments: bool = False) -> Any:
         seen = "" if document.lstrip()[:1] == b"<" else looks_like(document) or "other text"
         reason = f"it is {seen}" if seen else str(error)
         raise RecordError(
-            f"{source}: is not XML, or is damaged ({reason}); give the XML or PDF of a certificate"
+            f"{source} is not XML, or is damaged ({reason}); give the XML or PDF of a certificate"
         ) from error
     if root.getroottree().docinfo.doctype:
         # Entities could hide content, and no certificate needs them.
@@ -103,8 +103,8 @@ def load_schema(schema: Path) -> Any:
         return etree.XMLSchema(etree.parse(str(main), reader))
     except (etree.LxmlError, OSError) as error:
         raise CounterspinError(
-            f"{main}: is not a schema, or files that it imports are not in the folder ({error}); "
-            "get all of dcc.xsd, the D-SI schema, QUDT's and xmldsig-core-schema.xsd"
+            f"{main} is not a schema, or files that it imports are not in the folder ({error}); "
+            "download dcc.xsd, the D-SI schema, the QUDT schema and xmldsig-core-schema.xsd"
         ) from error
 
 

@@ -75,7 +75,7 @@ def verify(document: bytes, certificate: Path | KeyMaterial, source: str) -> Sig
     trusted = certificates_in(KeyMaterial.read(certificate))[0]
     root = parse(document, source, comments=True)  # the signature may cover the comments
     if root.find(_SIGNATURE) is None:
-        raise RecordError(f"{source}: is not signed")
+        raise RecordError(f"{source} is not signed")
     try:
         verified = _signed_part(root, trusted.public_key())
     except InvalidDigest as error:
@@ -138,7 +138,10 @@ def _describe_signer(root: Any, certificate: Path | KeyMaterial) -> str:
     try:
         stated = load_der_x509_certificate(b64decode(root.findtext(_STATED_CERTIFICATE)))
     except (TypeError, ValueError):
-        return f"it was changed, or not signed by the holder of {certificate}; it names no signer"
+        return (
+            f"the document was changed, or not signed by the holder of {certificate}; it does not "
+            "name a signer"
+        )
     try:
         _signed_part(root, stated.public_key())
     except InvalidDigest:
@@ -146,7 +149,7 @@ def _describe_signer(root: Any, certificate: Path | KeyMaterial) -> str:
     except Exception:  # any error of signxml and cryptography
         return "the signature itself was changed"
     subject = stated.subject.rfc4514_string()[:REASON_LENGTH]
-    return f"it is that of another signer ({subject}), not of the holder of {certificate}"
+    return f"the signer is {subject}, not the holder of {certificate}"
 
 
 def _issue_date(root: Any) -> date | None:
@@ -166,7 +169,7 @@ def _expiry(
     begin, end = trusted.not_valid_before_utc, trusted.not_valid_after_utc
     if begin > now:
         raise RecordError(
-            f"{source}: {certificate} is valid from {begin:%Y-%m-%d} only; check the clock"
+            f"{source}: {certificate} is valid only from {begin:%Y-%m-%d}; check the clock"
         )
     if now <= end:
         return None
@@ -174,7 +177,8 @@ def _expiry(
         day = "no day of issue" if issued is None else f"the day of issue {issued}"
         raise RecordError(
             f"{source}: {certificate} was valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, and the "
-            f"document states {day}: nothing shows that it was signed during that time"
+            f"document states {day}: there is no evidence that the document was signed within "
+            "this period"
         )
     last_day: date = end.date()
     return last_day

@@ -113,7 +113,7 @@ def read_signer(
         certificates = certificates_in(certificate_material or key_material)
     source = (certificate_material or key_material).name
     if certificates[0].public_key() != private.public_key():
-        raise CounterspinError(f"{source}: is not the certificate of the key {key_material.name}")
+        raise CounterspinError(f"{source} is not the certificate of the key {key_material.name}")
     signer = signer_from_key(private, certificates)
     _check_signer(signer, key_material.name, source)
     return signer
@@ -138,7 +138,7 @@ def command_signer(command: str, certificate: Path) -> Signer:
     except ValueError as error:
         raise CounterspinError(f"`signer`: {command!r} is not a command ({error})") from error
     if not words:
-        raise CounterspinError("`signer`: give the command that signs")
+        raise CounterspinError("`signer`: give the signing command")
     certificates = certificates_in(KeyMaterial.read(certificate))
     signer = Signer(
         certificates, lambda data: _sign_with_command(words, data, certificates[0].public_key())
@@ -165,10 +165,12 @@ def _sign_with_command(words: Sequence[str], data: bytes, public: Any) -> bytes:
     except OSError as error:
         raise failed(f"cannot be run ({error.strerror})") from error
     except subprocess.TimeoutExpired as error:
-        raise failed(f"did not end within {_COMMAND_SECONDS:g} s") from error
+        raise failed(f"did not finish within {_COMMAND_SECONDS:g} s") from error
     if process.returncode != 0:
         message = process.stderr.decode("utf-8", "replace").strip()[:REASON_LENGTH]
-        raise failed(f"ended with {process.returncode}: {message or 'no reason given'}")
+        raise failed(
+            f"failed with exit status {process.returncode}: {message or 'no reason given'}"
+        )
     try:
         public.verify(process.stdout, data, *_signature_scheme(public))
     except InvalidSignature as error:
@@ -198,7 +200,7 @@ def certificates_in(file: KeyMaterial) -> list[Any]:
     try:
         return load_pem_x509_certificates(file.content)
     except ValueError as error:
-        raise CounterspinError(f"{file.name}: is not an X.509 certificate in PEM form") from error
+        raise CounterspinError(f"{file.name} is not an X.509 certificate in PEM format") from error
 
 
 def _read_pem_key(file: KeyMaterial, password: bytes | None) -> Any:
@@ -209,15 +211,15 @@ def _read_pem_key(file: KeyMaterial, password: bytes | None) -> Any:
         return load_pem_private_key(file.content, password)
     except TypeError as error:
         if password is None:
-            raise PasswordNeededError(f"{file.name}: is encrypted; give its password") from error
+            raise PasswordNeededError(f"{file.name} is encrypted; give the password") from error
         return _read_pem_key(file, None)  # it is not encrypted
     except (ValueError, UnsupportedAlgorithm) as error:
         if password is not None:
             raise CounterspinError(
-                f"{file.name}: cannot be read with this password, or is not a private key in PEM "
-                "form"
+                f"{file.name} cannot be read with this password, or is not a private key in PEM "
+                "format"
             ) from error
-        raise CounterspinError(f"{file.name}: is not a private key in PEM form") from error
+        raise CounterspinError(f"{file.name} is not a private key in PEM format") from error
 
 
 def _read_pkcs12(file: KeyMaterial, password: bytes | None) -> tuple[Any, list[Any]]:
@@ -229,15 +231,15 @@ def _read_pkcs12(file: KeyMaterial, password: bytes | None) -> tuple[Any, list[A
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:
         if not file.content.startswith(b"\x30"):
             raise CounterspinError(
-                f"{file.name}: is not a private key in PEM form, nor a PKCS #12 file"
+                f"{file.name} is neither a private key in PEM format nor a PKCS #12 file"
             ) from error
         if password is None:
-            raise PasswordNeededError(f"{file.name}: is encrypted; give its password") from error
+            raise PasswordNeededError(f"{file.name} is encrypted; give the password") from error
         raise CounterspinError(
-            f"{file.name}: cannot be read with this password, or is not a PKCS #12 file"
+            f"{file.name} cannot be read with this password, or is not a PKCS #12 file"
         ) from error
     if content.key is None or content.cert is None:
-        raise CounterspinError(f"{file.name}: does not hold both a key and its certificate")
+        raise CounterspinError(f"{file.name} does not contain both a key and its certificate")
     return content.key, [
         content.cert.certificate,
         *(extra.certificate for extra in content.additional_certs),
@@ -249,10 +251,10 @@ def _check_signer(signer: Signer, key: str, certificate: str) -> None:
     from cryptography.x509 import ExtensionNotFound, KeyUsage
 
     if not _signature_scheme(signer.public_key):
-        raise CounterspinError(f"{key}: must be an RSA or an elliptic-curve key")
+        raise CounterspinError(f"{key} must be an RSA or an elliptic-curve key")
     min_bits, size = _RSA_BITS if signer.uses_rsa else _CURVE_BITS, signer.public_key.key_size
     if size < min_bits:
-        raise CounterspinError(f"{key}: the key has {size} bits; at least {min_bits} are needed")
+        raise CounterspinError(f"{key} has {size} bits; at least {min_bits} are required")
     certificate_of_signer = signer.certificates[0]
     begin, end = (
         certificate_of_signer.not_valid_before_utc,
@@ -260,16 +262,17 @@ def _check_signer(signer: Signer, key: str, certificate: str) -> None:
     )
     if not begin <= datetime.now(UTC) <= end:
         raise CounterspinError(
-            f"{certificate}: is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d} only, and not today"
+            f"{certificate} is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d} only, so it is not "
+            "valid today"
         )
     try:
         usage = certificate_of_signer.extensions.get_extension_for_class(KeyUsage).value
     except ExtensionNotFound:
         return
     except ValueError as error:
-        raise CounterspinError(f"{certificate}: its extensions are damaged") from error
+        raise CounterspinError(f"{certificate}: the extensions are damaged") from error
     if not (usage.digital_signature or usage.content_commitment):
-        raise CounterspinError(f"{certificate}: its key is not meant for signatures (key usage)")
+        raise CounterspinError(f"{certificate}: the key is not intended for signatures (key usage)")
 
 
 def _require_cryptography() -> None:

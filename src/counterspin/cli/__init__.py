@@ -99,7 +99,7 @@ def _unexpected_error_message(error: Exception) -> str:
     if isinstance(error, MemoryError):
         return "not enough memory"
     if isinstance(error, OSError) and error.errno == ENOSPC:
-        return "the output cannot be written: no space left on the device"
+        return "the output cannot be written: no space left on device"
     if isinstance(error, OSError) and error.strerror:
         # A name that is too long, a folder that was taken away: none of our faults.
         where = f"{error.filename}: " if error.filename else ""
@@ -108,7 +108,7 @@ def _unexpected_error_message(error: Exception) -> str:
         return str(CounterspinError(f"{where}the operating system reports: {error.strerror}"))
     if isinstance(error, ImportError):
         return (
-            f"a part of this installation cannot be loaded ({CounterspinError(str(error))}); "
+            f"part of the installation cannot be loaded ({CounterspinError(str(error))}); "
             "reinstall counterspin, or check whether memory is short"
         )
     what = str(CounterspinError(f"{type(error).__name__}: {error}"))
@@ -147,7 +147,7 @@ def _run(words: list[str]) -> int:
     try:
         require_thread_count()
         if any("\0" in word for word in words):
-            raise CampaignError("the command's words", ["contain the character NUL"])
+            raise CampaignError("the arguments of the command", ["contain a NUL character"])
         app(words, exit_on_error=False, print_error=False, result_action="return_value")
         if sys.stdout is not None:
             sys.stdout.flush()

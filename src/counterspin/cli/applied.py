@@ -59,7 +59,7 @@ class CertificateOptions:
     def check(self) -> None:
         """Refuse incomplete options and existing files."""
         if (self.lab is None) != (self.certificate is None):
-            raise CampaignError("applied", ["give `certificate` and `lab` together"])
+            raise CampaignError("applied", ["give both `certificate` and `lab`, or neither"])
         if self.certificate is not None:
             self.signing.check_output(self.certificate)
 

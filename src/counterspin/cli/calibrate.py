@@ -124,7 +124,7 @@ class LedgerOptions:
                 raise CampaignError("calibrate", ["--who and --why need --ledger FILE"])
             return
         if campaigns > 1:
-            raise CampaignError("calibrate", ["--ledger takes the result of one campaign only"])
+            raise CampaignError("calibrate", ["--ledger accepts the result of only one campaign"])
         if json is None or not self.who or not self.why:
             raise CampaignError(
                 "calibrate", ["with --ledger, give --json FILE, --who NAME and --why REASON"]
@@ -179,7 +179,7 @@ def calibrate(
     )
     ledger_options.check(1 + len(more), save_options.json)
     if more and estimation.monte_carlo:
-        raise CampaignError("calibrate", ["--monte-carlo takes one campaign only"])
+        raise CampaignError("calibrate", ["--monte-carlo accepts only one campaign"])
     if more:
         calibrate_several(
             (directory, *more),
@@ -259,5 +259,5 @@ def calibrate_several(
         names = ", ".join(batch.not_determined)
         raise CounterspinError(
             f"the data of {len(batch.not_determined)} of {len(batch.campaigns)} campaigns do not "
-            f"determine all that is requested: {names}"
+            f"determine all requested terms: {names}"
         )

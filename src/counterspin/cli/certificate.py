@@ -70,11 +70,11 @@ class SigningOptions:
             raise CampaignError("certificate", ["give --key or --signer, not both"])
         if command is not None:
             if cert is None:
-                raise CampaignError("certificate", ["give --signer and --cert together"])
+                raise CampaignError("certificate", ["give both --signer and --cert"])
             return lambda: command_signer(command, cert)
         if key is None:
             if cert is not None:
-                raise CampaignError("certificate", ["--cert: give --key or --signer too"])
+                raise CampaignError("certificate", ["--cert: also give --key or --signer"])
             return None
         return lambda: _read_signer(key, cert)
 
@@ -177,7 +177,7 @@ def certificate(
             "certificate", ["give RESULT and LAB.toml, or --init LAB.toml, or --verify FILE"]
         )
     if init is not None:
-        print_output(f"Wrote {write_example(init)}. Replace all of its example data.")
+        print_output(f"Wrote {write_example(init)}. Replace all example data in this file.")
         return
     if verify is not None:
         checked = check_certificate(
@@ -185,26 +185,27 @@ def certificate(
         )
         report_console().print(Report(list(certificate_blocks(checked.certified))))
         said = {
-            "none": "It is not signed.",
-            "unchecked": "It is signed, but the signature was not checked: give --cert CERT.pem.",
+            "none": "The document is not signed.",
+            "unchecked": "The document is signed, but the signature was not checked: give --cert "
+            "CERT.pem.",
             "valid": "The signature is valid.",
         }
         print_output("", said[checked.signature])
         if checked.expired is not None:
             print_output(
                 f"The signer's certificate expired on {checked.expired}; it was valid on the day "
-                "of issue that the certificate states."
+                "of issue stated in the document."
             )
         if (old := checked.certified.amends) is not None:
-            checksum = " and its checksum is right" if issue.amends is not None else ""
-            print_output(f"It amends and replaces certificate {old}{checksum}.")
+            checksum = ", whose checksum is correct" if issue.amends is not None else ""
+            print_output(f"The document amends and replaces certificate {old}{checksum}.")
         if verify.suffix.lower() == ".pdf":
             print_output(_PAGES[checked.pages])
         return
     if result is None or lab is None or output is None:
         raise CampaignError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])
     if (issue.amends is None) != (issue.reason is None):
-        raise CampaignError("certificate", ["give --amends OLD.xml and --reason WHY together"])
+        raise CampaignError("certificate", ["give both --amends OLD.xml and --reason WHY"])
     signing.check_output(output)
     done = make(
         result,

@@ -51,7 +51,7 @@ def init(
         _import_files(directory, from_, answer or [], test, asks_questions=not yes)
         return
     if yes or answer:
-        raise CampaignError("init", ["name the files of a recorder: --from FILE ..."])
+        raise CampaignError("init", ["give the recorder files: --from FILE ..."])
     from counterspin.ingest.starter import init as run
 
     written = run(directory, test or "double-turntable")
@@ -90,7 +90,7 @@ def _import_files(
     answers = _parse_answers(answer_options)
     with work_progress("Files") as advance:
         all_contents = read_files(files, answers, progress=advance)
-    print_output("Seen in the files:", *(f"  {line}" for line in overview(all_contents)))
+    print_output("Found in the files:", *(f"  {line}" for line in overview(all_contents)))
     asks_questions = asks_questions and sys.stdin is not None and sys.stdin.isatty()
     if (question := sensor_question(all_contents)) is not None:
         if not asks_questions:
@@ -146,7 +146,10 @@ def _choose_test(all_contents: Sequence[FileContents], *, asks: bool) -> Test:
         print_output(*reasons)
         return cast("Test", _ask(question))
     if likely is None:
-        text = f"{question.text} Choose with `test`. The files do not show it: {'; '.join(reasons)}"
+        text = (
+            f"{question.text} Choose with `test`. The test cannot be detected from the files: "
+            f"{'; '.join(reasons)}"
+        )
         raise CampaignError("init", [f"test: {text}"])
     return likely
 

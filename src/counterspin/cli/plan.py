@@ -85,7 +85,7 @@ def plan(
     from counterspin.reports.text import progress, report_console
 
     if sum(given is not None for given in (file, check, start.init)) != 1:
-        raise CampaignError("plan", ["give a plan's file, or --check DIR, or --init FILE"])
+        raise CampaignError("plan", ["give a plan file, --check DIR, or --init FILE"])
     if start.init is not None:
         print_output(f"Wrote {write_example(start.init, start.example)}. Edit it, or try it:")
         print_output(f"  counterspin plan {shell_word(start.init)}")
@@ -111,7 +111,7 @@ def plan(
         written = None if output is None else write_campaign(planned, output)
         report_console().print(result)
     if output is not None and result.readings:
-        print_output("", f"Wrote {written}. Replace each ? by the reading, then:")
+        print_output("", f"Wrote {written}. Replace each ? with the reading, then:")
         print_output(f"  counterspin calibrate {shell_word(output)}")
     elif output is not None and written is not None:
         print_output("", f"Wrote {written}. Record its runs, or simulate them:")

@@ -60,14 +60,14 @@ def serve(
         X.509 certificate (PEM) of the key that the command uses.
     """
     if (signer is None) != (cert is None):
-        raise CampaignError("serve", ["give --signer and --cert together"])
+        raise CampaignError("serve", ["give both --signer and --cert"])
     try:
         from counterspin.application.server import serve as run
     except ModuleNotFoundError as error:
         if error.name not in ("starlette", "uvicorn", "tomlkit"):
             raise
         raise CounterspinError(
-            f"the page needs Starlette and uvicorn: {installing('application')}"
+            f"the web interface needs Starlette and uvicorn: {installing('application')}"
         ) from error
     signing = None if signer is None or cert is None else (signer, cert)
     run(directory, port=port, browser=browser, signing=signing, say=print_output)

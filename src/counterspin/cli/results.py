@@ -141,7 +141,8 @@ def history(
         report_console().print(result)
     if result.damaged:
         raise CounterspinError(
-            f"{len(result.damaged)} of the result files cannot be read; the history leaves them out"
+            f"{len(result.damaged)} of the result files cannot be read; the history omits these "
+            "files"
         )
 
 
@@ -336,9 +337,9 @@ def ledger(
     report_console().print(Report(list(ledger_blocks(verified))))
     if verified.partial_entry:
         raise RecordError(
-            f"{ledger}: after entry {len(verified.entries)} comes an incomplete line of "
-            f"{len(verified.partial_entry)} bytes, left by an interrupted command or altered "
-            "at its end; the entries before it are intact, and the next entry will preserve it"
+            f"{ledger}: entry {len(verified.entries)} is followed by an incomplete line of "
+            f"{len(verified.partial_entry)} bytes, left by an interrupted command or altered at "
+            "the end; the preceding entries are intact, and the next entry will preserve this line"
         )
 
 

@@ -63,7 +63,11 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
         raise CampaignError("compare", ["give two or more results, or their files"])
     if names is not None and len(names) != len(results):
         raise CampaignError(
-            "compare", [f"there are {len(results)} results and {len(names)} `names`"]
+            "compare",
+            [
+                f"{len(results)} results and {len(names)} `names` were given; give one name for "
+                "each result"
+            ],
         )
     loaded = [judge_result(r if isinstance(r, Result) else Result.read(r)) for r in results]
     result_names = list(names) if names is not None else name_results(results, loaded)

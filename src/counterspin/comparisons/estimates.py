@@ -338,7 +338,9 @@ def relation_of(
             "so the terms are compared as if they were uncorrelated."
         )
     if not all(records):
-        assumed.append("A result names no records: the two are assumed independent.")
+        assumed.append(
+            "One of the results lists no records: the two results are assumed to be independent."
+        )
     if not records[0] & records[1]:
         assumed.append(
             "Radius, gravity and priors that both results state identically count as one "
@@ -352,24 +354,25 @@ def relation_of(
     )
     if efficient is None and overlap == "part":
         assumed.append(
-            "The results share some records, but neither uses all records of the other: they are "
-            "assumed independent, which overestimates the uncertainty of a difference."
+            "The results share some records, but neither uses all records of the other: the "
+            "results are assumed to be independent, which overestimates the uncertainty of a "
+            "difference."
         )
     elif first.model != second.model:
         assumed.append(
-            "One of the results comes from the equations as printed, which estimate something "
-            "else: the uncertainty of a difference has little meaning."
+            "One of the results was computed with the equations as printed, which estimate a "
+            "different quantity: the uncertainty of a difference has little meaning."
         )
     elif efficient is None:
         assumed.append(
-            "Neither model is part of the other, or the priors differ: the result with the "
-            "smaller variance is assumed to be the best estimate from these records, "
-            "so that the variances subtract."
+            "The models are not nested, or the priors differ: the result with the smaller "
+            "variance is assumed to be the best estimate from these records, so the variances are "
+            "subtracted."
         )
     elif first.method != second.method:
         assumed.append(
-            "The joint method is assumed to be the best estimate from these records, "
-            "so that the variances subtract."
+            "The joint method is assumed to give the best estimate from these records, so the "
+            "variances are subtracted."
         )
     elif not same_weights and _estimated_noise(name, first) != _estimated_noise(name, second):
         assumed.append(

@@ -96,8 +96,8 @@ def intercompare(
         laboratories=list(laboratories),
         references=references,
         assumed=[
-            f"The campaign of {', '.join(unnamed)} states no laboratory: equal statements of the "
-            "machine and the site count as the same measurement."
+            f"The campaign of {', '.join(unnamed)} does not state a laboratory: equal statements "
+            "about the machine and the site are treated as the same measurement."
         ]
         if unnamed
         else [],
@@ -120,14 +120,14 @@ def _require_comparable(laboratories: Mapping[str, Result]) -> None:
     for name, result in laboratories.items():
         reason = refusal_reason(result, result.accelerometers)
         if result.model == "as-printed":
-            reason = "it comes from the equations as printed, with half the true K_II"
+            reason = "the equations as printed return half the true K_II"
         if reason is not None:
             raise _error(f"{name} cannot take part: {reason}")
     for (first, result), (second, other_result) in combinations(laboratories.items(), 2):
         if records_of(result) & records_of(other_result):
             raise _error(
-                f"{first} and {second} use the same records. Give one result of each laboratory, "
-                "or use `compare` for the two"
+                f"{first} and {second} use the same records. Give one result from each "
+                "laboratory, or compare the two results with `compare`"
             )
 
 
@@ -136,7 +136,7 @@ def _common_accelerometers(laboratories: Mapping[str, Result]) -> list[str]:
     names = [name for name in accelerometers[0] if all(name in a for a in accelerometers)]
     if not names:
         listed = "; ".join(f"{n}: {', '.join(r.accelerometers)}" for n, r in laboratories.items())
-        raise _error(f"no accelerometer is in every result ({listed})")
+        raise _error(f"the results have no accelerometer in common ({listed})")
     for name in names:
         serials = {a[name].serial_number for a in accelerometers} - {None}
         if len(serials) > 1:

@@ -34,14 +34,13 @@ def intercomparison_blocks(compared: Intercomparison) -> Iterator[Block]:
         yield _degree_plot(reference)
         if reference.shared:
             sources = ", ".join(reference.shared)
-            yield Paragraph(f"Common sources, counted as covariances: {sources}.", "quiet")
+            yield Paragraph(f"Common sources, included as covariances: {sources}.", "quiet")
     yield from _youden_plots(compared)
     yield Paragraph(
         "± is one standard uncertainty, U an expanded uncertainty (k = 2). d: value minus "
-        "reference value. E_n = d/U(d) and zeta = d/u(d) as in ISO 13528; a magnitude of E_n of at "
-        "most 1 is satisfactory. The reference value is the weighted mean of the largest "
-        "consistent subset (Cox, Metrologia 44 (2007) 187). Its u does not include the choice of "
-        "the subset.",
+        "reference value. E_n = d/U(d) and zeta = d/u(d) as in ISO 13528; |E_n| <= 1 is "
+        "satisfactory. The reference value is the weighted mean of the largest consistent subset "
+        "(Cox, Metrologia 44 (2007) 187). Its u does not include the choice of the subset.",
         "quiet",
     )
     for text in compared.assumed:

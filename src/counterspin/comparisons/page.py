@@ -69,7 +69,7 @@ def comparison_blocks(compared: ResultComparison) -> Iterator[Block]:
         rows = tuple((change.subject, *change.values) for change in compared.changes)
         yield Table(tuple(columns), rows)
     else:
-        yield Paragraph("Their model, noise and inputs are the same.")
+        yield Paragraph("The results have the same model, noise and inputs.")
 
 
 def _unsealed(names: Sequence[str]) -> list[Paragraph]:
@@ -106,8 +106,8 @@ def _conversion_note(compared: ResultComparison, result: ComparedResult, gravity
         f"{', '.join(symbols)} by {percent:+.2g} %" for percent, symbols in moved.items() if percent
     )
     return (
-        f"{result.name} was calibrated where gravity is {format_number(gravity, 9)} m/s^2. Its "
-        f"numbers are converted to the g-units of {compared.results[0].name} "
+        f"{result.name} was calibrated where gravity is {format_number(gravity, 9)} m/s^2. The "
+        f"values are converted to the g-units of {compared.results[0].name} "
         f"({format_number(compared.gravity, 9)} m/s^2), which changes "
         f"{'; '.join(amounts) or 'none of them'}."
     )
@@ -119,11 +119,14 @@ def agreement_sentence(compared: ResultComparison, agreement: AgreementOfTwo) ->
     whose = f"{agreement.accelerometer}: {agreement.result} and {first}"
     records = _RECORDS[agreement.records]
     if not agreement.terms:
-        return f"{whose} have no coefficient that both determine ({records})."
+        return f"{whose} do not determine any coefficient in common ({records})."
     if agreement.p is None and _is_identical(compared, agreement):
         return f"{whose} are equal ({records})."
     if agreement.p is None:
-        return f"{whose} cannot differ by chance ({records}): the changes cause the difference."
+        return (
+            f"{whose} cannot differ by chance ({records}): the difference is caused by the "
+            "changes listed below."
+        )
     agree = "agree" if agreement.agrees else "differ significantly"
     words = (
         f"chi-square {format_number(agreement.chi2)} with {agreement.dof} "
@@ -234,14 +237,14 @@ def _shared_source_blocks(compared: ResultComparison) -> Iterator[Block]:
 def repeat_blocks(repeated: RepeatedCalibration) -> list[Block]:
     """Return the verdict on a repeated result, and the changes."""
     blocks: list[Block] = [
-        Heading("A result calibrated again", 1),
+        Heading("Repeated calibration", 1),
         *_unsealed(repeated.unsealed),
         Paragraph(repetition_sentence(repeated), "answer" if repeated.same else "warning"),
     ]
     if repeated.moved:
         locations = "; ".join(f"{name}: {where}" for name, where in repeated.moved.items())
         blocks.append(
-            Paragraph(f"These inputs were found under other names: {locations}.", "quiet")
+            Paragraph(f"These inputs were found under different names: {locations}.", "quiet")
         )
     differing = [c for c in repeated.coefficients if c.relative is None or c.relative > 0.0]
     if not repeated.same and differing:
@@ -262,14 +265,14 @@ def repetition_sentence(repeated: RepeatedCalibration) -> str:
     limit = format_number(repeated.limit)
     if repeated.same:
         size = repeated.largest or 0.0
-        most = f"largest relative difference {size:.1e}" if size else "no number differs"
-        return f"{repeated.result}: the same within {limit} ({most})."
+        most = f"largest relative difference {size:.1e}" if size else "all numbers are equal"
+        return f"{repeated.result}: the repeated result is the same within {limit} ({most})."
     whose = "; ".join(change.subject for change in repeated.changes)
     cause = f" Changed: {whose}." if whose else " Inputs, version and environment are the same."
     if repeated.largest is None:
         how = "its coefficients, or the determined ones, differ"
     elif repeated.largest <= repeated.limit:
-        how = f"it was {repeated.state_before}, and is {repeated.state_now}"
+        how = f"the state was {repeated.state_before} and is now {repeated.state_now}"
     elif repeated.largest_in_u is None:
         how = f"the largest relative difference is {repeated.largest:.1e}"
     else:
@@ -277,7 +280,7 @@ def repetition_sentence(repeated: RepeatedCalibration) -> str:
             f"the largest difference is {format_number(repeated.largest_in_u)} u "
             f"(relative: {repeated.largest:.1e})"
         )
-    return f"{repeated.result}: not the same within {limit}: {how}.{cause}"
+    return f"{repeated.result}: the repeated result is not the same within {limit}: {how}.{cause}"
 
 
 def _difference_table(differing: list[RepeatedCoefficient]) -> Table:

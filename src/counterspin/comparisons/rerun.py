@@ -87,9 +87,9 @@ def _model(result: Result) -> Iterator[tuple[str, str]]:
             yield f"noise of {name}, {part}", "estimated" if line.estimated else size
     yield "assumed", ", ".join(result.assumed) or _MISSING
     yield "not stated", ", ".join(_default_priors(result)) or _MISSING
-    yield "terms of the platform", ", ".join(result.platform) or _MISSING
+    yield "platform terms", ", ".join(result.platform) or _MISSING
     run_terms = dict.fromkeys(symbol for run in result.runs.values() for symbol in run.terms)
-    yield "terms of runs", ", ".join(run_terms) or _MISSING
+    yield "run terms", ", ".join(run_terms) or _MISSING
     yield "runs", ", ".join(result.runs)
 
 
@@ -101,7 +101,7 @@ def _prior_information(result: Result, name: str) -> tuple[list[str], Mapping[st
             if line.kind == "held":
                 considered[line.source] = None
             elif line.kind == "stated" and line.u is not None:
-                priors[f"u of the prior of {line.source}"] = _quantity(line.u, 0.0, line.unit)
+                priors[f"u of the prior for {line.source}"] = _quantity(line.u, 0.0, line.unit)
     return sorted(considered), priors
 
 
@@ -163,12 +163,12 @@ def rerun(
     before = judge_result(result if isinstance(result, Result) else Result.read(result))
     result_name = before.title or "the result" if isinstance(result, Result) else str(result)
     if folder is None and isinstance(result, Result):
-        raise RecordError(f"{result_name}: give the folder of its campaign: `folder`")
+        raise RecordError(f"{result_name}: give the folder of the campaign (`folder`)")
     campaign_folder = Path(result).parent if folder is None else Path(folder)  # type: ignore[arg-type]
     if before.provenance.in_memory or not before.provenance.inputs:
         raise RecordError(
-            f"{result_name}: made from data in memory; only results from a "
-            "campaign's files can be repeated"
+            f"{result_name}: computed from data in memory; only results from the files of a "
+            "campaign can be repeated"
         )
     method, options, without = parse_options(before.provenance.options)
     with ExitStack() as stack:
@@ -217,8 +217,8 @@ def _locate_inputs(
             moved[name] = str(elsewhere)
         elif name in changed and actual[name] == "unreadable":
             raise RecordError(
-                f"{result_name}: its input {name} ({checksum}) is not in {folder}, under this name "
-                "or another; name the folder of its campaign"
+                f"{result_name}: its input {name} ({checksum}) is not in {folder}, under this or "
+                "any other name; give the folder of the campaign"
             )
         else:
             paths[name] = named_paths[name]
@@ -241,8 +241,8 @@ def _is_inside_folder(name: str) -> bool:
 def _refuse_renamed(result_name: str, moved: dict[str, str]) -> dict[str, str]:
     name, new_path = next(iter(moved.items()))
     raise RecordError(
-        f"{result_name}: its input {name} is now {new_path}; rename it, since other inputs are "
-        "outside the campaign's folder"
+        f"{result_name}: its input {name} is now {new_path}; rename it to the earlier name, "
+        "because other inputs are outside the folder of the campaign"
     )
 
 

@@ -160,14 +160,15 @@ def apply(
         raise CampaignError(
             _SOURCE,
             [
-                "the result is from the paper's equations as printed, which give "
-                "half the true K_II; calibrate again with the exact model, or give `force=True`"
+                "the result was computed with the equations as printed, which return half the "
+                "true K_II; calibrate again with the exact model, or give `force=True`"
             ],
         )
     indications = {accelerometer: indicated, **options.others}
     if accelerometer in options.others:
         raise CampaignError(
-            _SOURCE, [f"`others`: {accelerometer} is the accelerometer to be corrected"]
+            _SOURCE,
+            [f"`others`: {accelerometer} is the accelerometer to be corrected; omit it here"],
         )
     unit, scales = _column_scales(result, indications, options.unit)
     factor = unit_factor(unit, "g", gravity=result.inputs.gravity)
@@ -303,7 +304,7 @@ def _column_scales(
         except ValueError as error:
             text = f"`unit`: {error}"
             if nominal is None:
-                text += f"; the result states no other output of {name}"
+                text += f"; the result does not state another output of {name}"
             raise CampaignError(_SOURCE, [text]) from error
         scales[name] = _ColumnScale(
             factor / nominal.sensitivity, nominal.zero / nominal.sensitivity
@@ -318,13 +319,13 @@ def _missing_input_warnings(name: str, symbols: Sequence[str]) -> Iterator[str]:
         (products, "force along the other axes is not given (`pendulous`, `output_axis`)"),
         (
             slopes,
-            "temperature is not given (`temperature`), or differs from that of the calibration",
+            "temperature is not given (`temperature`), or differs from the calibration temperature",
         ),
     ):
         if omitted:
             yield (
-                f"{name}: {', '.join(omitted)} are not stated, and the {missing_input}; "
-                "their uncertainty is not included in u."
+                f"{name}: {', '.join(omitted)} are not stated, and the {missing_input}; the "
+                "uncertainty of these terms is not included in u."
             )
 
 
@@ -358,8 +359,8 @@ def _covariance_warnings(name: str, accelerometer: AccelerometerResult) -> list[
     if is_possible(covariance_of(accelerometer, determined_terms(accelerometer))):
         return []
     return [
-        f"{name}: the correlations in the result are inconsistent, a fault "
-        "of versions before 0.1.0; u is an upper estimate. Calibrate again."
+        f"{name}: the correlations in the result are inconsistent, because of a fault in versions "
+        "before 0.1.0; u is an upper bound. Calibrate again."
     ]
 
 
@@ -408,14 +409,13 @@ def _omitted_term_warnings(name: str, accelerometer: AccelerometerResult) -> lis
     unknown = [symbol for symbol, c in terms.items() if c.value is None]
     if unknown:
         warnings.append(
-            f"{name}: not applied, because the result does not determine them: "
-            f"{', '.join(unknown)}. "
-            "Their uncertainty is not included in u."
+            f"{name}: not applied, because not determined by the result: {', '.join(unknown)}. "
+            "The uncertainty of these terms is not included in u."
         )
     for symbol, row in TERMS.items():
         if row.nominal and (symbol not in terms or symbol in unknown):
             warnings.append(
-                f"{name}: the result has no value of {symbol} ({row.words}); {row.nominal:g} "
+                f"{name}: the result has no value for {symbol} ({row.words}); {row.nominal:g} "
                 f"{row.unit} is used as if it were exact."
             )
     return warnings
@@ -431,6 +431,6 @@ def _range_warnings(result: Result, name: str, indicated: Array) -> list[str]:
     if largest <= _RANGE_FACTOR * calibrated_range:
         return []
     return [
-        f"{name}: the indication reaches {largest:.3g} g, but the calibration only "
-        f"{calibrated_range:.3g} g: beyond that, u covers only the terms of the model."
+        f"{name}: the indication reaches {largest:.3g} g, but the calibration reached only "
+        f"{calibrated_range:.3g} g: above this value, u covers only the terms of the model."
     ]

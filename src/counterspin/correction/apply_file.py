@@ -128,7 +128,9 @@ def apply_file(
             others = {name: name for name in result.triad.accelerometers}
         accelerometer = next(iter(others), None)
         if accelerometer is None or column is not None:
-            raise CampaignError("apply", ["name the one to be corrected with `accelerometer`"])
+            raise CampaignError(
+                "apply", ["select the accelerometer to be corrected with `accelerometer`"]
+            )
         column = others.pop(accelerometer)
     for name in (accelerometer, *others):
         instrument_of(result, name)  # refuse a wrong name before reading the file
@@ -158,7 +160,7 @@ def apply_file(
     ):
         if name in frame.columns:
             raise CampaignError(
-                str(source), [f"has a column '{name}' already; was it corrected before?"]
+                str(source), [f"already has a column '{name}'; was the file corrected before?"]
             )
     forces: dict[str, Any] = {
         name: values[text] if text in values else _check_constant(name, text, frame.columns)
@@ -198,8 +200,9 @@ def _check_units(source: Path, units: Mapping[str, str], stated: str) -> None:
     for name, file_unit in units.items():
         if file_unit and not same_unit(file_unit, stated):
             raise RecordError(
-                f"{source}: column '{name}' is in '{file_unit}' by the file's row of units, but in "
-                f"'{stated}' by `unit`; all forces must be in one unit, stated with `unit`."
+                f"{source}: column '{name}' is in '{file_unit}' according to the units row of the "
+                f"file, but in '{stated}' according to `unit`; all forces must be in one unit, "
+                "stated with `unit`."
             )
 
 
@@ -210,8 +213,8 @@ def _in_celsius(source: Path, column: str, values: Array, unit: str) -> Array:
     if unit in ("", *TEMPERATURES):
         return values
     raise RecordError(
-        f"{source}: column '{column}' is in '{unit}' by the file's row of units; a temperature is "
-        "in degC or K."
+        f"{source}: column '{column}' is in '{unit}' according to the units row of the file; a "
+        "temperature must be in degC or K."
     )
 
 
@@ -224,8 +227,8 @@ def _guess_column(source: Path, table: pl.DataFrame, accelerometer: str, used: l
     raise CampaignError(
         str(source),
         [
-            f"which column is the indication of {accelerometer}? Name it with `column`; the file "
-            f"has {', '.join(table.columns)}"
+            f"which column contains the indication of {accelerometer}? Select it with `column`; "
+            f"the file has {', '.join(table.columns)}"
         ],
     )
 
@@ -247,7 +250,7 @@ def _summarise(output: Path, column: str, correction: Correction, gravity: float
     indicated = correction.indicated
     valid = np.flatnonzero(np.isfinite(correction.corrected))
     if valid.size == 0:
-        raise RecordError(f"{output}: not written: no row has all the necessary numbers.")
+        raise RecordError(f"{output} was not written: no row has all required numbers.")
     values, corrected = indicated[valid], correction.corrected[valid]
     one_g = 1.0 / unit_factor(correction.unit, "g", gravity=gravity)
 

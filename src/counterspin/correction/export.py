@@ -108,15 +108,17 @@ def export(
     if suffix not in endings:
         raise CampaignError(str(output), [f"must end in one of {', '.join(endings)}"])
     if normalisation == "ieee" and form != "coefficients":
-        raise CampaignError("export", [f"`normalisation` does not apply to the form {form}"])
+        raise CampaignError("export", [f"`normalisation` does not apply to the format {form}"])
     if (noise is not None) != (form == "kalibr"):
-        raise CampaignError("export", ["give `noise` with the form kalibr, and with no other form"])
+        raise CampaignError(
+            "export", ["give `noise` only with the format kalibr, where it is required"]
+        )
     if result.model == "as-printed":
         raise CampaignError(
             "export",
             [
-                "the result is from the paper's equations as printed, which give half the true "
-                "K_II; calibrate again with the exact model"
+                "the result was computed with the equations as printed, which return half the "
+                "true K_II; calibrate again with the exact model"
             ],
         )
     if (reason := refusal_reason(judge_result(result), result.accelerometers)) is not None:
@@ -296,7 +298,7 @@ _COEFFICIENT_FILES: Final[dict[str, Callable[[CoefficientTable, Result], bytes]]
 def _determined_triad(result: Result) -> TriadResult:
     triad = result.triad
     if triad is None:
-        raise CampaignError("export", ["this form is for a triad, and the result has none"])
+        raise CampaignError("export", ["this format requires a triad, and the result has none"])
     if triad.matrix is None or triad.bias is None:
         why = triad.why_no_matrix or "The result has no matrix."
         raise RecordError(f"the triad has no matrix: {why}")
@@ -324,7 +326,7 @@ def _triad_content(
     else:
         assert noise is not None
         lines += [
-            "# raw = M*force + bias; Kalibr estimates the bias itself",
+            "# raw = M*force + bias; Kalibr estimates the bias",
             f"accelerometer_noise_density: {_yaml(noise[0])}",
             f"accelerometer_random_walk: {_yaml(noise[1])}",
             f"accelerometers: {{M: {_yaml(np.linalg.inv(matrix).tolist())}}}",

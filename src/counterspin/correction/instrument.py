@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from graphlib import TopologicalSorter
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -12,7 +11,6 @@ import numpy.typing as npt
 from counterspin.arrays import Array, semidefinite_root
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.errors import CampaignError
-from counterspin.inference.priors import correlation_matrix
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.correction import (
     CalibratedAccelerometer,
@@ -75,7 +73,7 @@ def predict(
     given = (np.atleast_1d(np.asarray(part, float)) for part in (force, pendulous, output_axis))
     axes = np.stack(np.broadcast_arrays(*given))
     if axes.ndim != 2 or not axes.size or not np.isfinite(axes).all():
-        raise ValueError("specific forces are finite numbers, or arrays of one and the same length")
+        raise ValueError("specific forces must be finite numbers, or arrays of equal length")
     whole, _ = with_unstated(result, ("I", "|I|", "sign_I", "P", "O"))
     return Prediction(*indication(instrument_of(whole, accelerometer), axes))
 
@@ -99,15 +97,15 @@ def instrument_of(result: Result, name: str, *, placed: bool = False) -> Calibra
         raise CampaignError(
             "apply",
             [
-                "the result, which an earlier version wrote, does not state the "
-                f"axes of {name}. Calibrate again, or give the force along the axes instead"
+                "the result was written by an earlier version and does not state the axes of "
+                f"{name}. Calibrate again, or give the force along the axes"
             ],
         )
     mounting = Mounting(tuple(accelerometer.axes)) if placed and accelerometer.axes else _ALONE
     terms = determined_terms(accelerometer)
     values = {s: float(c.value) for s, c in terms.items() if c.value is not None}
     if not values:
-        raise CampaignError("apply", [f"the result has no coefficient of {name} with a value"])
+        raise CampaignError("apply", [f"the result has no value for any coefficient of {name}"])
     covariance = covariance_of(accelerometer, terms)
     way = {**accelerometer.known, **accelerometer.coefficients}.get(HYSTERESIS)
     if way is not None and "K_F" in values:
@@ -163,33 +161,7 @@ def covariance_of(accelerometer: AccelerometerResult, terms: Mapping[str, Coeffi
             if source in terms and source not in estimated and line.sensitivity is not None:
                 j = symbols.index(source)
                 covariance[i, j] = covariance[j, i] = line.sensitivity * u[j] ** 2
-        for source, size in _correlated_shifts(accelerometer, symbol).items():
-            if source in terms and source not in estimated:
-                j = symbols.index(source)
-                covariance[i, j] = covariance[j, i] = size * u[j]
     return covariance
-
-
-def _correlated_shifts(accelerometer: AccelerometerResult, symbol: str) -> dict[str, float]:
-    """Return the covariance of an estimate with each correlated prior, over the u of the prior.
-
-    A budget has them as independent sources, each given some of those before it.
-    """
-    given: dict[str, list[str]] = {}
-    shifts: dict[str, float] = {}
-    for line in accelerometer.budget.get(symbol, []):
-        source, _, conditions = line.source.partition(" given ")
-        if source in accelerometer.prior_correlations and line.u and line.sensitivity is not None:
-            given[source] = conditions.split(", ") if conditions else []
-            shifts[source] = line.sensitivity * line.u
-    members = list(TopologicalSorter(given).static_order())
-    if not accelerometer.prior_correlations.keys() >= {*members}:
-        return {}  # of terms of other accelerometers their correlations are not known here
-    if not members:
-        return {}
-    root = np.linalg.cholesky(correlation_matrix(members, accelerometer.prior_correlations))
-    covariances = root @ [shifts.get(member, 0.0) for member in members]
-    return dict(zip(members, map(float, covariances), strict=True))
 
 
 def is_possible(covariance: Array) -> bool:

@@ -19,7 +19,8 @@ def correction_report(corrected: CorrectedFile) -> Report:
     if math.isfinite(correction.dof):
         blocks.append(
             Paragraph(
-                f"It has at least {format_number(correction.dof, 3)} effective degrees of freedom."
+                f"The correction has at least {format_number(correction.dof, 3)} effective "
+                "degrees of freedom."
             )
         )
     blocks += [Paragraph(note) for note in correction.notes]
@@ -33,9 +34,11 @@ def _column_blocks(corrected: CorrectedFile) -> list[Block]:
     def at(level: CorrectedRow) -> str:
         return f"{format_number(level.u, 2)} {unit} at {format_number(level.indicated, 6)} {unit}"
 
-    read = f" It was read with {corrected.found}." if corrected.found else ""
+    read = f" File format: {corrected.found}." if corrected.found else ""
     missing = (
-        f"; {corrected.missing} of them lack a number and remain empty" if corrected.missing else ""
+        f"; {corrected.missing} of these rows lack a number and remain empty"
+        if corrected.missing
+        else ""
     )
     return [
         Paragraph(

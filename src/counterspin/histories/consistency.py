@@ -326,7 +326,7 @@ def _repeat_groups(records: Sequence[DatedResult]) -> tuple[dict[str, list[str]]
         named = [label for label in values if label is not None]
         if len(named) < len(values):
             lacking = len(values) - len(named)
-            not_told[name] = f"{lacking} of {len(values)} results do not state it"
+            not_told[name] = f"{lacking} of {len(values)} results do not contain this value"
         elif len(set(named)) < 2:
             not_told[name] = "all results have the same label"
         else:

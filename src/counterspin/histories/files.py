@@ -159,7 +159,7 @@ def collect_results(inputs: Sequence[Path | Result], term: str) -> ResultSet:
         first = seen.setdefault(hashlib.sha256(content).hexdigest(), str(file))
         if first != str(file):
             collected.left_out.append(
-                UnusedResult(file=str(file), reason=f"the same file as {first}")
+                UnusedResult(file=str(file), reason=f"is the same file as {first}")
             )
         else:
             _add_file(file, term, collected)
@@ -240,7 +240,7 @@ def _dated_result(
     if (problem := _reason_unusable(result, names)) is not None:
         return problem
     if uses_campaign_serial and campaign_serial is None:
-        return "has no serial number; state it in [accelerometers] or [campaign]"
+        return "has no serial number; state the serial number in [accelerometers] or [campaign]"
     if isinstance(date, str):
         return date
     identifiers = [campaign_serial, *names] if uses_campaign_serial else serial_numbers
@@ -278,21 +278,21 @@ def _limits(conformity: Conformity | None) -> tuple[float | None, float | None, 
 def _reason_unusable(result: Result, names: Sequence[str]) -> str | None:
     """Return the reason why a result is unusable, or None."""
     if result.model == "as-printed":
-        return "comes from the equations as printed, which return half the true K_II"
+        return "was computed with the equations as printed, which return half the true K_II"
     for name in names:
         if refusal_reason(result, [name]) is not None:
-            return f"its records contradict it: {result.accelerometers[name].findings[0].text}"
+            return f"is contradicted by its records: {result.accelerometers[name].findings[0].text}"
     return None
 
 
 def _parse_date(text: str | None) -> datetime | str:
     """Return a campaign's date, or the reason why it is unusable."""
     if text is None:
-        return "has no date; state it in [campaign]"
+        return "has no date; state the date in [campaign]"
     try:
         date = datetime.fromisoformat(text.strip())
     except ValueError:
-        return f'its date "{text}" cannot be read; write it as 2026-03-01'
+        return f'has the unreadable date "{text}"; write the date as 2026-03-01'
     return date.astimezone(UTC).replace(tzinfo=None) if date.tzinfo else date
 
 

@@ -89,7 +89,7 @@ def history(
         If no result can be used; the reasons are given.
     """
     if not 0.5 < reliability < 1.0:
-        raise CampaignError("`reliability`", [f"{reliability} does not lie between 0.5 and 1"])
+        raise CampaignError("`reliability`", [f"{reliability} is not between 0.5 and 1"])
     if term not in TERMS and term not in TRIAD_QUANTITIES:
         raise CampaignError("`term`", [_unknown_term_message(term)])
     if isinstance(paths, str | os.PathLike | Result) or not isinstance(paths, Iterable):
@@ -138,7 +138,7 @@ def history(
 
 def _unknown_term_message(term: str) -> str:
     if term in SHARED_TERMS:
-        return f'"{term}" belongs to the machine; a history follows a term of an accelerometer'
+        return f'"{term}" is a term of the machine; a history tracks a term of an accelerometer'
     kind, _, owner = term.partition(".")
     if owner and kind in TRIAD_QUANTITIES:
         return f'"{term}" is a quantity of a triad; "{kind}" tracks all its accelerometers'
@@ -181,7 +181,7 @@ def _no_results_message(paths: Sequence[Path | str | Result], collected: ResultS
         f"{', '.join(names)}: {reason}" for reason, names in names_by_reason.items()
     )
     more = f"; and {len(unused) - 5} more" if len(unused) > 5 else ""
-    return f"no result can be used in a history. {reasons}{more}"
+    return f"no usable results: {reasons}{more}"
 
 
 def _shared_record_notes(by_serial: dict[str, list[DatedResult]]) -> list[str]:
@@ -267,7 +267,9 @@ def _due_date(
     elif line is None:
         reason = "results of at least two dates are needed"
     elif verdict in {"differ", "disagree"}:
-        reason = "the results do not agree with a straight line that could be extrapolated"
+        reason = (
+            "the results are not consistent with a straight line, so they cannot be extrapolated"
+        )
     else:
         ends = (limits.low, limits.high)
         date = next_due_date(line, records[0].date, records[-1].date, ends, reliability)

@@ -51,15 +51,14 @@ def history_blocks(history: History) -> Iterator[Block]:
     yield Paragraph(
         "± is one standard uncertainty (k = 1). z: difference from the weighted mean divided by "
         "its standard uncertainty. E_n: change since the previous result divided by the expanded "
-        "uncertainty (95 %) of the change; results agree if its magnitude is at most 1 (ISO "
-        "13528).",
+        "uncertainty (95 %) of the change; two results are consistent if |E_n| <= 1 (ISO 13528).",
         "quiet",
     )
     if history.converted:
         gravity = format_number(history.gravity, 9)
         yield Paragraph(
-            f"Results of other sites are converted to g-units of g = {gravity} m/s^2, that of the "
-            "latest result.",
+            "Results from other sites are converted to the g-units of the latest result, g = "
+            f"{gravity} m/s^2.",
             "quiet",
         )
     yield from _unused_blocks(history)
@@ -98,8 +97,8 @@ def verdict_sentences(history: History, instrument: InstrumentHistory) -> str:
     farthest = max(points, key=lambda point: abs(point.z or 0.0))
     return (
         f"{name} scatters more than the uncertainties explain ({scatter}), and not as a steady "
-        f"drift: it jumped, or uncertainties are too small. The largest deviation is that of "
-        f"{farthest.file} (z = {format_number(farthest.z or 0.0, 2)})."
+        "drift: the value jumped, or the uncertainties are too small. The largest deviation is "
+        f"that of {farthest.file} (z = {format_number(farthest.z or 0.0, 2)})."
     )
 
 
@@ -112,7 +111,7 @@ def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Ite
 
     if (chart := instrument.control) is not None:
         out = [
-            *(f"{file} is beyond the action limits" for file in chart.beyond),
+            *(f"{file} is outside the action limits" for file in chart.beyond),
             *(f"{file} differs by a jump from the previous result" for file in chart.leaps),
         ]
         yield (
@@ -130,8 +129,8 @@ def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Ite
         reliability = format_probability(due.reliability)
         if due.date is not None:
             yield (
-                f"Due on {due.date}: until then it is within specification with {reliability}, "
-                "by the line through its results (control chart method of ILAC-G24:2022)."
+                f"Due on {due.date}: until then, the straight line through the results stays "
+                f"within specification with {reliability} (control chart method of ILAC-G24:2022)."
             )
         elif instrument.specification is not None:
             yield f"No due date at {reliability}: {due.reason}."
@@ -139,8 +138,8 @@ def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Ite
         agree = "agree" if pair.agrees else "differ significantly"
         difference = format_number(pair.difference * factor, 2)
         yield (
-            f"{pair.second} minus {pair.first}: {difference} {unit}, E_n = {pair.e_n:.2f}: they "
-            f"{agree}."
+            f"{pair.second} minus {pair.first}: {difference} {unit}, E_n = {pair.e_n:.2f}: the "
+            f"results {agree}."
         )
 
 
@@ -171,10 +170,10 @@ def _repeatability_blocks(history: History, repeats: Repeatability) -> Iterator[
 
     rows = [row(name, component) for name, component in repeats.components.items()]
     if len(rows) > 1:
-        rows.append(("all of them", shown(repeats.total), "", "", ""))
+        rows.append(("all results", shown(repeats.total), "", "", ""))
     yield Table(
         columns=(
-            Column("Repeatability with"),
+            Column("Changed condition"),
             Column(f"Standard deviation, {unit}", "right"),
             Column("95 % interval", "right"),
             Column("From", "right"),
@@ -182,7 +181,7 @@ def _repeatability_blocks(history: History, repeats: Repeatability) -> Iterator[
         ),
         rows=tuple(rows),
     )
-    about = "a line" if repeats.about == "line" else "their mean"
+    about = "a line" if repeats.about == "line" else "the mean"
     few = [
         _CONDITIONS[n][1]
         for n, component in repeats.components.items()
@@ -194,10 +193,10 @@ def _repeatability_blocks(history: History, repeats: Repeatability) -> Iterator[
         if name != "day"
     ]
     yield Paragraph(
-        f"Standard deviations about {about} in excess of the uncertainties of the results, by "
-        f"restricted likelihood."
+        f"Standard deviations about {about}, in addition to the uncertainties of the results "
+        "(restricted likelihood)."
         + (
-            f" With few {' and '.join(few)} the estimates are poor: use the intervals."
+            f" With few {' and '.join(few)} the estimates are unreliable: use the intervals."
             if few
             else ""
         )
@@ -320,7 +319,7 @@ def _table(history: History, instrument: InstrumentHistory) -> Table:
             Column("File", wraps=True),
             Column("Method", wraps=True),
             Column(f"{_title(history)}, {unit}", "right"),
-            Column("Less mean", "right"),
+            Column("Deviation", "right"),
             Column("z", "right"),
             Column("E_n", "right"),
         ),
@@ -353,7 +352,7 @@ def _unused_blocks(history: History) -> Iterator[Block]:
     for unused in history.damaged:
         yield Paragraph(f"Not read: {unused.file}: {unused.reason}.", "warning")
     if history.left_out:
-        yield Paragraph(f"Left out ({len(history.left_out)}):")
+        yield Paragraph(f"Omitted ({len(history.left_out)}):")
     for unused in history.left_out:
         whose = f", {unused.accelerometer}" if unused.accelerometer else ""
         yield Paragraph(f"{unused.file}{whose}: {unused.reason.removesuffix('.')}.", "quiet")

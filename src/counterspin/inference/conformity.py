@@ -38,9 +38,11 @@ class DecisionRule:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.guard_factor < math.inf:
-            raise ValueError(f"a guard factor is a number from 0 on; got {self.guard_factor}")
+            raise ValueError(f"a guard factor must not be negative; got {self.guard_factor}")
         if not 0.5 < self.needed < 1.0:
-            raise ValueError(f"the required probability lies between 0.5 and 1; got {self.needed}")
+            raise ValueError(
+                f"the required probability must be between 0.5 and 1; got {self.needed}"
+            )
 
 
 @frozen
@@ -111,7 +113,7 @@ def decide(
     if rule.name == "probability":
         if max(inside, outside) >= rule.needed:
             verdict = "pass" if inside >= rule.needed else "fail"
-        reason = f"neither conformity nor nonconformity reaches the probability {rule.needed:g}"
+        reason = f"neither conformity nor non-conformity reaches the probability {rule.needed:g}"
     else:
         if _between(value, *acceptance_limits(low, high, guard_band)):
             verdict = "pass"
@@ -183,11 +185,11 @@ def _standardised(
     if low is None and high is None:
         raise ValueError("a specification needs a tolerance limit")
     if low is not None and high is not None and not low < high:
-        raise ValueError(f"the lower limit {low} is not below the upper one {high}")
+        raise ValueError(f"the lower limit {low} is not below the upper limit {high}")
     if not (math.isfinite(value) and 0.0 <= u < math.inf):
         raise ValueError(f"{value} ± {u} is not a valid estimate")
     if dof is not None and not dof > 0.0:
-        raise ValueError(f"degrees of freedom are positive; got {dof}")
+        raise ValueError(f"degrees of freedom must be positive; got {dof}")
     if u == 0.0:
         # Exact: at a limit it conforms.
         return (

@@ -129,7 +129,7 @@ def diagnose(
     )
     total_dof = float(sum(shares[name] for name in values))
     if not min(shares[name] for name in values) > 0:
-        raise ValueError(f"{total_dof} degrees of freedom: there is nothing to test")
+        raise ValueError(f"there are {total_dof} degrees of freedom, so there is nothing to test")
     runs = {}
     for name, rows in values.items():
         interval = 1.0 if times is None else median(np.diff(np.asarray(times[name])))
@@ -219,8 +219,8 @@ def _findings(
             f"independent."
         )
         wave = (
-            f"{name}: a peak at {run.peak_frequency:.4g} {unit} contains "
-            f"{run.peak_share:.2%} of the residuals' variance: they contain a periodic "
+            f"{name}: a peak at {run.peak_frequency:.4g} {unit} contains {run.peak_share:.2%} of "
+            "the residual variance: the residuals contain a periodic "
             f"effect{', such as a vibration' if _is_large(run) else ''}."
         )
         tested = [(run.sign_p, signs), (run.peak_p, wave)]

@@ -36,7 +36,7 @@ class Process:
     def __post_init__(self) -> None:
         """Refuse a standard deviation that is not positive."""
         if not (math.isfinite(self.mean) and 0.0 < self.sigma < math.inf):
-            raise ValueError(f"{self.mean} ± {self.sigma} is not the distribution of a process")
+            raise ValueError(f"{self.mean} ± {self.sigma} is not a valid process distribution")
 
 
 def global_risk(
@@ -96,7 +96,7 @@ def guard_band_for_risk(
     Parameters as of `global_risk`; consumer: The largest permitted risk, positive.
     """
     if not 0.0 < consumer < 1.0:
-        raise ValueError(f"a risk lies between 0 and 1; got {consumer}")
+        raise ValueError(f"a risk must be between 0 and 1; got {consumer}")
 
     def risk(width: float) -> float:
         low, high = tolerance

@@ -115,7 +115,7 @@ def assess(
     p = len(symbols)
     if p > solution.estimate.size or np.isinf(solution.prior_sd[p:]).any():
         size = solution.estimate.size
-        raise ValueError(f"{p} symbols for {size} unknowns: those without one need a prior")
+        raise ValueError(f"{p} symbols for {size} unknowns: unknowns without a symbol need a prior")
     offset = np.zeros(p) if nominal is None else np.asarray(nominal, dtype=np.float64)
     limits, prior_sd = solution.limits[:p], solution.prior_sd[:p]
     free = np.flatnonzero(prior_sd > 0)

@@ -83,8 +83,8 @@ def reduce_block(
     if y.ndim != 1 or any(part.ndim != 2 or part.shape[0] != n for part in parts):
         shapes = ", ".join(str(part.shape) for part in parts)
         raise ValueError(
-            f"nuisance, design and considered need the {n} rows of the observations; "
-            f"their shapes are {shapes}"
+            f"nuisance, design and considered must have the {n} rows of the observations; the "
+            f"shapes are {shapes}"
         )
     return reduce_rows(np.column_stack([*parts, y]), parts[0].shape[1], parts[1].shape[1])
 
@@ -375,7 +375,7 @@ def solve(
         and VIII (square-root information, considered parameters).
     """
     if not blocks:
-        raise ValueError("no block of observations was given")
+        raise ValueError("no blocks of observations were given")
     factor = np.vstack([block.factor for block in blocks])
     considered = np.vstack([block.considered for block in blocks])
     p, q = factor.shape[1], considered.shape[1]
@@ -418,8 +418,8 @@ def solve(
     if bound is None and weak.size:
         which = int(free[weak[0]])
         raise NotIdentifiableError(
-            f"column {which + 1} of the design is a combination of the columns before it, so "
-            "that the data cannot separate these unknowns; leave one out or give a prior"
+            f"column {which + 1} of the design matrix is a linear combination of the preceding "
+            "columns, so the data cannot separate these unknowns; omit one of them or give a prior"
         )
     data, after = factor.shape[0], factor.shape[0] + known.size
     inverse = np.linalg.solve(triangle, eye)
@@ -542,7 +542,7 @@ def fit(
     if given is None:
         if dof < 1:
             raise NotIdentifiableError(
-                f"{y.size} observations of {columns.shape[1]} unknowns leave no degrees of "
+                f"{y.size} observations for {columns.shape[1]} unknowns leave no degrees of "
                 "freedom to estimate sigma; give sigma"
             )
         scale = math.sqrt(solution.chi2 / dof)

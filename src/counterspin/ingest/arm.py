@@ -440,33 +440,35 @@ def _questions(table: ArmTable, answers: Mapping[str, str]) -> Iterator[FileQues
     yield from place_questions(contents)
     yield from _radius_questions(table)
     numbers = [column.name for column in contents.columns]
-    text = "Which column has the rate, the time of a revolution or the acceleration?"
+    text = "Which column contains the rate, the period of revolution or the acceleration?"
     yield part_question("rate", text, numbers, roles, needed=True)
     if table.rate is not None:
-        text = f"In which unit is column '{table.rate.name}', a rate, a time or an acceleration?"
+        text = (
+            f"What is the unit of column '{table.rate.name}' (a rate, a period or an acceleration)?"
+        )
         units = tuple(dict.fromkeys([*_RATE_UNITS, *filter(None, [table.unit])]))
         yield FileQuestion("rate unit", text, "rpm", units, table.unit)
     if "sense" not in roles.values():
-        text = "In which sense does the arm turn at a positive rate, seen from above?"
+        text = "In which sense does the arm rotate at a positive rate, seen from above?"
         yield FileQuestion("sense", text, SENSES[0], SENSES)
-    text = "Which column names the mounting of the accelerometer?"
+    text = "Which column contains the mounting of the accelerometer?"
     yield part_question("position", text, [*numbers, *contents.words], roles, needed=False)
     axes = {w: answers.get(f"{w} axis") or _pointing(table, w) for w in table.mountings}
     for word, axis in axes.items():
-        text = f"How does the input axis point in the mounting '{word}'?"
+        text = f"Where does the input axis point in the mounting '{word}'?"
         if axis is None and readings and word not in table.turning:
             axis = _resting(table, _sensed(table, readings[0], axes, answers), word)  # noqa: PLW2901
         yield FileQuestion(f"{word} axis", text, "inward", DIRECTIONS, axis)
     if "" in table.turning:
-        text = "How does the input axis point while the arm turns?"
+        text = "Where does the input axis point while the arm rotates?"
         if table.mountings:
-            text = "How does the input axis point where the table names no mounting?"
+            text = "Where does the input axis point in rows without a mounting?"
         guess = _follows_acceleration(table, "")
         yield FileQuestion("axis", text, "inward", DIRECTIONS, guess)
         axes[""] = answers.get("axis", guess)
     sensed = {column.name: _sensed(table, column, axes, answers) for column in readings}
     if any(rests and not word for rests, word in zip(table.rests, table.words, strict=True)):
-        text = "How does the input axis point at rest, where the table names no mounting?"
+        text = "Where does the input axis point at rest in rows without a mounting?"
         guess = _resting(table, sensed[readings[0].name], "") if readings else None
         yield FileQuestion("axis at rest", text, "up", DIRECTIONS, guess)
     text = "Where does the pendulous axis point when the input axis points inward?"
@@ -480,7 +482,8 @@ def _questions(table: ArmTable, answers: Mapping[str, str]) -> Iterator[FileQues
     if readings and "uncertainty" not in roles.values() and not _shows_noise(table):
         unit = output_unit(readings[0], answers) or "mA"
         text = (
-            "What is the standard uncertainty of a reading? They are too few to show their noise."
+            "What is the standard uncertainty of a reading? There are too few readings to "
+            "estimate their noise."
         )
         yield FileQuestion("u", text, f"2e-6 {unit}", quantity=unit)
 
@@ -496,7 +499,7 @@ def _shows_noise(table: ArmTable) -> bool:
 
 
 def _radius_questions(table: ArmTable) -> Iterator[FileQuestion]:
-    text = "How far is the proof mass from the spindle's axis"
+    text = "How far is the proof mass from the spindle axis"
     radii = table.radii()
     known = {radius for sizes in radii.values() for radius in sizes}
     example = "1.0 ± 1e-3 m"
@@ -538,13 +541,14 @@ def _statements(table: ArmTable) -> Iterator[str]:
     yield from role_statements(table.contents, table.roles)
     if table.rate is not None and (step := table.rate_step()) > _LARGE_STEP:
         yield (
-            f"column '{table.rate.name}' has so few digits that the last one changes the force by "
-            f"{100.0 * step:.1g} %; give more digits if there are any. A stated uncertainty of the "
-            "readings must include this rounding; without one, the residuals show it"
+            f"column '{table.rate.name}' has so few digits that the last digit changes the force "
+            f"by {100.0 * step:.1g} %; give more digits if available. A stated uncertainty of the "
+            "readings must include this rounding error; without a stated uncertainty, the error "
+            "is part of the residuals"
         )
     rests = int(table.rests.sum())
     if table.rate is not None:
-        yield f"{rests or 'no'} reading{'' if rests == 1 else 's'} at rest, where the rate is 0"
+        yield f"{rests or 'no'} reading{'' if rests == 1 else 's'} at rest (rate 0)"
         if converts(table.unit or "", "m/s^2"):
             yield "accelerations refer to the radius; g is the gravity of the site"
     for word in table.mountings:
@@ -554,8 +558,14 @@ def _statements(table: ArmTable) -> Iterator[str]:
             _pointing(table, word),
         )
         if axis == meant and seen not in (None, meant):
-            yield f"mounting '{word}': {meant} by its name, {seen} if the sensitivity is positive"
+            yield (
+                f"mounting '{word}': {meant} according to its name, but {seen} if the sensitivity "
+                "is positive"
+            )
         elif axis:
-            source = "by its name" if axis == meant else "by its readings"
+            source = "according to the name" if axis == meant else "according to the readings"
             yield f"mounting '{word}': input axis {axis}, {source}"
-    yield "the pendulous axis turns with the input axis; with a vertical one it points outward"
+    yield (
+        "the pendulous axis rotates with the input axis; if the input axis is vertical, the "
+        "pendulous axis points outward"
+    )

@@ -154,7 +154,7 @@ class FileGuess:
         """Return the description of rows that are counted for a person; empty with a time."""
         if self.time is not None or self.sampling is None:
             return []
-        rate = f"time: no column; {self.sampling:.8g} rows a second"
+        rate = f"time: no column; {self.sampling:.8g} rows per second"
         if self.shared is None or self.uncounted:
             return [rate]
         return [
@@ -362,8 +362,8 @@ def common_guess(guesses: Sequence[FileGuess]) -> FileGuess:
         missing = [name for name in asked if name not in names]
         if missing:
             raise RecordError(
-                f"{guess.contents.path}: has no column '{missing[0]}', which "
-                f"{first.contents.path.name} has. Give files of the same layout only."
+                f"{guess.contents.path} has no column '{missing[0]}', unlike "
+                f"{first.contents.path.name}. Give only files with the same layout."
             )
     rate = first.rate if all(guess.rate for guess in guesses) else None
     return replace(first, rate=rate)

@@ -185,7 +185,7 @@ def _read_contents(
             if column is None:
                 others.append(name)
                 first = first or why
-                if "holds the text" in why and f"{file.locate(0)}:" not in why:
+                if "contains the text" in why and f"{file.locate(0)}:" not in why:
                     reasons.append(why)
                     spoilt.append(why.replace(str(path), path.name))
             else:
@@ -197,11 +197,11 @@ def _read_contents(
                 return _read_contents(path, sheet, sheets, f"{told_apart}={sensor}", group)
         if not columns:
             seen = file.preview()
-            lines = f"Its first lines:\n{seen}\n{_WANTED}" if seen else _WANTED
+            lines = f"First lines of the file:\n{seen}\n{_WANTED}" if seen else _WANTED
             if reasons and len(reasons) == len(names):
                 more = "" if "each run" in reasons[0] else f" {_ANOTHER_RUN}"
                 raise RecordError(f"{reasons[0]}{more}")
-            shown = f"no column could be read as numbers. {lines}"
+            shown = f"no column contains only numbers. {lines}"
             raise RecordError(f"{path}: {shown}" if seen or not first else first)
         return FileContents(
             path,

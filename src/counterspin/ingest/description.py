@@ -88,7 +88,7 @@ def draft(all_contents: Sequence[FileContents], answers: Mapping[str, str] | Non
     answers: By the keys of questions; they take precedence over guesses.
     """
     if not all_contents:
-        raise CampaignError("init", ["name the files of the runs"])
+        raise CampaignError("init", ["give the files of the runs"])
 
     def seen(taken: Mapping[str, str]) -> tuple[tuple[FileGuess, ...], FileGuess]:
         guesses = tuple(guess_file(contents, taken) for contents in all_contents)
@@ -123,8 +123,8 @@ def _unfit(contents: FileContents) -> str:
     if rows < _FEWEST_ROWS:
         return (
             f"{contents.path.name} has {rows} rows of numbers in {len(contents.columns)} columns, "
-            "too few for a record of a run. Export a row for each sample and a column for each "
-            "quantity; for a table of readings, choose that kind of test"
+            "too few for the record of a run. Export one row per sample and one column per "
+            "quantity; for a table of readings, select that test"
         )
     for name, cells in contents.first_words.items():
         kinds = len(set(cells))
@@ -168,7 +168,7 @@ def write_description(draft: AnyDraft, folder: Path) -> Path:
             folder.rmdir()
         raise CampaignError("init", problems.lines)
     names = ", ".join(file.name for file in draft.files)
-    head = [f"A campaign made from {names}.", "Detected in the files (please check):"]
+    head = [f"Campaign created from {names}.", "Detected in the files (please check):"]
     head += [f"- {statement}" for statement in draft.statements]
     comments = {
         "site": '± standard uncertainty (k = 1), as in "9.8066 ± 1e-5 m/s^2"',
@@ -206,8 +206,8 @@ def further_runs(
     for guess in guesses:
         if guess.rate is None or not (guess.time or guess.sampling):
             raise CounterspinError(
-                f"{guess.contents.path}: the file does not show at which rate the centrifuge "
-                "turned; add its run in the description"
+                f"{guess.contents.path}: the rate of the centrifuge cannot be detected from the "
+                "file; add the run to the description"
             )
     names = [run["name"] for run in runs]
     return list(_runs(guesses, {}, sense, folder.resolve(), names))
@@ -252,7 +252,7 @@ def _statements(common: FileGuess, sense: str | None) -> Iterator[str]:
         yield f"angle: column '{angle.column}' contains pulse times, one pulse per revolution"
     else:
         counts = f", {angle.per_revolution:.10g} a revolution" if angle.per_revolution else ""
-        source = "by the file" if angle.known else "by its name or its numbers"
+        source = "according to the file" if angle.known else "according to its name or values"
         unit = angle.unit or "an unknown unit"
         yield f"angle: column '{angle.column}', in {unit}{counts} ({source})"
     if sense is not None and angle is not None:
@@ -260,9 +260,9 @@ def _statements(common: FileGuess, sense: str | None) -> Iterator[str]:
     yield from common.temperature_words
     for signal in common.signals:
         what = (signal.observable or "a signal").replace("_", " ")
-        axis = f"along {signal.axis}" if signal.axis else "of an unknown axis"
+        axis = f"along {signal.axis}" if signal.axis else "axis not detected"
         unit = f" in {signal.unit}" if signal.unit else ""
-        unit += " (by the radius)" if signal.by_radius else ""
+        unit += " (according to the radius)" if signal.by_radius else ""
         yield f"column '{signal.column}': {what}{unit}, {axis}"
     if common.signals:
         yield "pendulous axes: assumed down (north if the input axis points up)"

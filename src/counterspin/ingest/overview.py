@@ -93,7 +93,8 @@ def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
         stamps = int(np.sum(np.diff(join_bursts(guess.shared.values)) > 0.0)) + 1
         yield (
             f"times in bursts: the rows of column '{guess.shared.name}' have {stamps} different "
-            f"times or come in {stamps} bursts; {guess.uncounted or 'rows are counted instead'}"
+            f"times or arrive in {stamps} bursts; "
+            f"{guess.uncounted or 'time is calculated from the row count'}"
         )
     if guess.time is None or guess.contents.is_mixed:
         return
@@ -115,16 +116,16 @@ def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
 def _sampling(guess: FileGuess) -> str:
     """Return the number of rows a second; empty text if it is not known."""
     if guess.time is None:
-        return f"{guess.sampling:.8g} rows a second" if guess.sampling else ""
+        return f"{guess.sampling:.8g} rows per second" if guess.sampling else ""
     if guess.time.unit is None:
         return ""
     column = next(c for c in guess.contents.columns if c.name == guess.time.column)
     steps = np.diff(column.values[np.isfinite(column.values)]) * guess.time.factor
     if guess.contents.is_mixed:  # rows of several sensors have no common step
-        return f"about {1.0 / np.mean(steps):.4g} rows a second, of all sensors together"
+        return f"about {1.0 / np.mean(steps):.4g} rows per second for all sensors together"
     steps = steps[steps > 0.0]
     step = median(steps) if steps.size else math.nan
-    return f"about {1.0 / step:.4g} rows a second" if steps.size else ""
+    return f"about {1.0 / step:.4g} rows per second" if steps.size else ""
 
 
 def _appearance(column: FileColumn, guess: FileGuess) -> str:
@@ -140,7 +141,7 @@ def _appearance(column: FileColumn, guess: FileGuess) -> str:
         (guess.time is not None and guess.time.column == name, "the time"),
         (guess.shared is not None and guess.shared.name == name, "times in bursts"),
         (is_nominal(values), "only -1, 0 and 1: nominal orientations, not measurements"),
-        (guess.angle is not None and guess.angle.column == name, "advances evenly as an angle"),
+        (guess.angle is not None and guess.angle.column == name, "advances evenly, like an angle"),
         (guess.temperature is not None and guess.temperature[0] == name, "a temperature"),
         (
             any(s.column == name and s.amplitude for s in guess.signals),
@@ -195,8 +196,8 @@ def sensor_question(all_contents: Sequence[FileContents]) -> FileQuestion | None
         if contents.is_mixed and contents.sensors is not None:
             column, values = contents.sensors
             text = (
-                f"Column '{column}' of {contents.path.name} takes {len(values)} values: the "
-                "rows are those of several sensors or runs. Which rows are read?"
+                f"Column '{column}' of {contents.path.name} takes {len(values)} values: the rows "
+                "come from several sensors or runs. Which rows should be used?"
             )
             return FileQuestion("select", text, values[0], values)
     return None
@@ -205,15 +206,15 @@ def sensor_question(all_contents: Sequence[FileContents]) -> FileQuestion | None
 def kind_question(likely: Test | None) -> FileQuestion:
     """Return the question about the kind of test."""
     kinds = "; ".join(f"{test}: {words}" for test, words in TESTS.items())
-    text = f"Which kind of test is it? {kinds}."
+    text = f"Which type of test is it? {kinds}."
     return FileQuestion("test", text, "poses", tuple(TESTS), likely)
 
 
 def no_test_reasons(all_contents: Sequence[FileContents]) -> Iterator[str]:
     """Yield the reasons why files look like no kind of test."""
     yield (
-        "no column follows a rotation, no three columns show rests at different attitudes, and "
-        "no column is a rate or a position beside readings"
+        "no column follows a rotation, no three columns contain rests at different attitudes, and "
+        "no column contains a rate or a position together with readings"
     )
     for contents in all_contents:
         if axes := without_gravity(guess_file(contents)):

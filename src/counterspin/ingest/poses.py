@@ -150,7 +150,7 @@ def poses_draft(
     answers: By the keys of questions; they take precedence over guesses.
     """
     if not all_contents:
-        raise CampaignError("init", ["name the record of the poses"])
+        raise CampaignError("init", ["give the record of the poses"])
     guesses: tuple[FileGuess, ...] = ()
     questions: tuple[FileQuestion, ...] = ()
     found: TriadColumns | None = None
@@ -194,12 +194,12 @@ def _questions(
     yield from place_questions(guess.contents)
     yield from () if in_table else time_questions(guess, names)
     for place, axis in enumerate(AXES):
-        text = f"Which column is the sensor's axis {axis}?"
+        text = f"Which column contains axis {axis} of the sensor?"
         known = found.columns[place] if found else None
         yield FileQuestion(axis, text, names[min(place, len(names) - 1)], names, known)
-    text = "In which unit are the three axes?"
+    text = "What is the unit of the three axes?"
     if found and math.isfinite(found.gravity):
-        text += f" At rest their magnitude is {found.gravity:.4g}."
+        text += f" At rest, the magnitude of the vector is {found.gravity:.4g}."
     unit = answers.get("unit") or (found.unit if found else None)
     yield FileQuestion("unit", text, UNITS[0], UNITS, unit)
     if unit is not None and not converts(unit, "m/s^2"):
@@ -209,7 +209,7 @@ def _questions(
         yield FileQuestion("sensitivity", text, f"1000 {unit}/g", guess=size, quantity=f"{unit}/g")
         zeros = found.zero.tolist() if found else []
         for axis, zero in zip(AXES, zeros if any(zeros) else [], strict=False):
-            text = f"What does axis {axis} nominally read at zero force?"
+            text = f"What is the nominal output of axis {axis} at zero force?"
             size = f"{zero:.4g} {unit}"
             yield FileQuestion(f"{axis} zero", text, size, guess=size, quantity=unit)
     if found is not None and found.means is not None and len(found.means) <= _NO_NOISE:
@@ -221,10 +221,10 @@ def _questions(
         example = "0.01 m/s^2" if said == "m/s^2" else f"0.001 {said}"
         yield FileQuestion("u", text, example, quantity=said)
     if not in_table:
-        text = "How long must a rest last at least to count as a pose?"
+        text = "What is the minimum duration of a rest that is used as a pose?"
         usual = f"{found.rest if found else MIN_DURATION:g} s"
         yield FileQuestion("rest", text, usual, guess=usual, quantity="s")
-    text = "What is the grade of the sensor? It sets the default uncertainties."
+    text = "What is the grade of the sensor? The grade sets the default uncertainties."
     grade = grade_of(found, guess) if found else None
     yield FileQuestion("grade", text, "consumer", GRADES, grade)
 
@@ -246,17 +246,17 @@ def _statements(
     yield f"a sensor with three axes: columns {format_names(found.columns)}{unit}"
     poses = found.poses
     if poses is None:
-        yield "no rest was found in it"
+        yield "no rest was found in the record"
         return
-    usual = " if it has 100 rows a second" if time is None and sampling is None else ""
-    usual = ", its first part," + usual if len(poses.level) == MOST_ROWS else usual
+    usual = " if the record has 100 rows per second" if time is None and sampling is None else ""
+    usual = ", first part of the record," + usual if len(poses.level) == MOST_ROWS else usual
     where = guesses[0].contents.path.name if len(guesses) == 1 else f"{len(guesses)} files"
     yield from _few(found)
     level = f"{poses.threshold:.3g} {found.unit or ''}".strip()
     yield (
         f"{len(poses.start)} poses in {where}{usual}: rests of at least "
-        f"{answers.get('rest', f'{found.rest:g} s')} in which the axes together scatter by less "
-        f"than {level}; their attitudes are unknown"
+        f"{answers.get('rest', f'{found.rest:g} s')} in which the combined scatter of the axes is "
+        f"less than {level}; the attitudes are unknown"
     )
     yield from poses.warnings
     yield from poses.rejected
@@ -274,7 +274,7 @@ def _pose_table_messages(guess: FileGuess, found: TriadColumns) -> Iterator[str]
     assert found.means is not None
     unit = f" in {found.unit}" if found.unit else ""
     yield f"a sensor with three axes: columns {format_names(found.columns)}{unit}"
-    yield f"{len(found.means)} poses, one in each row; their attitudes are unknown"
+    yield f"{len(found.means)} poses, one per row; the attitudes are unknown"
     yield from _few(found)
     yield from guess.temperature_words
     yield from _not_used(guess, found)
@@ -290,8 +290,11 @@ def _few(found: TriadColumns) -> Iterator[str]:
         if few
         else "poses near the six faces do not determine the angles between axes"
     )
-    more = "all over the sphere" if few else "halfway between two axes on both sides"
-    yield (f"{why}: only biases and scale factors are requested; take twelve poses or more, {more}")
+    more = "spread over the whole sphere" if few else "halfway between two axes on both sides"
+    yield (
+        f"{why}: only biases and scale factors are requested; measure at least twelve poses,  "
+        f"{more}"
+    )
 
 
 def _not_used(guess: FileGuess, found: TriadColumns) -> Iterator[str]:

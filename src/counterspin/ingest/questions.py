@@ -121,7 +121,7 @@ class FileQuestion:
             return known[word]
         close = get_close_matches(word, known, n=1)
         hint = f"; did you mean {known[close[0]]!r}?" if close else ""
-        raise ValueError(f"{answer!r} is none of {', '.join(self.choices)}{hint}")
+        raise ValueError(f"{answer!r} is not one of {', '.join(self.choices)}{hint}")
 
 
 @frozen
@@ -148,7 +148,7 @@ class AnsweredDraft:
         if unfit := [line for line in self.problems if line.startswith(f"{UNFIT}: ")]:
             raise CampaignError("init", unfit)
         missing = [
-            f"{q.key}: {q.text} No answer is given."
+            f"{q.key}: {q.text} No answer was given."
             for q in self.open_questions
             if not any(line.startswith(f"{q.key}: ") for line in self.problems)
         ]
@@ -188,10 +188,10 @@ def questions_of(
     yield from time_questions(common, names)
     yield from _angle_questions(common, names, sense)
     if common.rate is None:
-        text = "At which rate does the centrifuge turn?"
+        text = "What is the rate of the centrifuge?"
         yield FileQuestion("rate", text, "0.25 rev/s", quantity="rad/s")
     if not common.signals or "signal" in answered:
-        yield FileQuestion("signal", "Which column is the signal?", names[-1], names)
+        yield FileQuestion("signal", "Which column contains the signal?", names[-1], names)
     yield from _signal_questions(common)
 
 
@@ -201,9 +201,9 @@ def place_questions(contents: FileContents, *more: str) -> Iterator[FileQuestion
     more: Answers in addition to the names of the sheets.
     """
     if contents.sheets:
-        text = "Which sheet is the table?"
+        text = "Which sheet contains the table?"
         if more:
-            text = f"Which sheet is the table of a run ('{ALL_SHEETS}': each of them)?"
+            text = f"Which sheet contains the table of a run ('{ALL_SHEETS}': every sheet)?"
         yield FileQuestion("sheet", text, contents.sheets[0], (*contents.sheets, *more))
     yield FileQuestion(
         "gravity", "What is the local gravity?", "9.8066 ± 1e-5 m/s^2", quantity="m/s^2"
@@ -222,15 +222,18 @@ def _size_seen(common: FileGuess) -> str:
 def time_questions(common: FileGuess, names: tuple[str, ...]) -> Iterator[FileQuestion]:
     """Yield the questions about the time of each row."""
     time = common.time
-    text = "Which column is the time?"
+    text = "Which column contains the time?"
     yield FileQuestion("time", text, names[0], (*names, NONE), time.column if time else NONE)
     if time is not None and time.unit != "iso":
-        text = f"In which unit is the time, column '{time.column}'?"
+        text = f"What is the unit of the time column '{time.column}'?"
         yield FileQuestion("time unit", text, "s", USUAL_UNITS["s"], time.unit, unit="s")
     if time is None:
         text = f"{why_no_time(common.contents)}. What is the sampling rate?"
         if common.shared is not None and common.uncounted:
-            text += f" Column '{common.shared.name}' does not show it: {common.uncounted}."
+            text += (
+                f" Column '{common.shared.name}' does not show the sampling rate: "
+                f"{common.uncounted}."
+            )
         guess = f"{common.sampling:.12g} Hz" if common.sampling else None
         yield FileQuestion("sampling_rate", text, "50 Hz", guess=guess, quantity="Hz")
 
@@ -239,21 +242,21 @@ def _angle_questions(
     common: FileGuess, names: tuple[str, ...], sense: str | None
 ) -> Iterator[FileQuestion]:
     angle = common.angle
-    text = "Which column is the angle of the spindle?"
+    text = "Which column contains the spindle angle?"
     yield FileQuestion("angle", text, names[0], (*names, NONE), angle.column if angle else NONE)
     if angle is not None and not angle.pulses:
-        text = f"In which unit is the angle, column '{angle.column}'?"
+        text = f"What is the unit of the angle column '{angle.column}'?"
         # Counts are no unit of an angle, but a person may say that it is counted.
         choices = ("deg", "rad", "rev", "mrad", "arcmin", "arcsec", "count")
         yield FileQuestion("angle unit", text, "deg", choices, guess=angle.unit)
     if angle is not None and angle.unit == "count":
         seen = f" The waves show {angle.turn:.6g}." if angle.turn else ""
-        text = f"How many counts of column '{angle.column}' make a revolution?{seen}"
+        text = f"How many counts of column '{angle.column}' are there per revolution?{seen}"
         counts = f"{angle.per_revolution:.12g}" if angle.per_revolution else None
         yield FileQuestion("per_revolution", text, "65536", guess=counts)
     text = "In which sense does the angle increase, seen from above?"
     if angle is None or angle.pulses:
-        text = "In which sense does the centrifuge turn, seen from above?"
+        text = "In which sense does the centrifuge rotate, seen from above?"
     yield FileQuestion("sense", text, SENSES[0], SENSES, guess=sense)
 
 
@@ -268,17 +271,17 @@ def _signal_questions(common: FileGuess) -> Iterator[FileQuestion]:
         guess = signal.observable if signal else UNUSED
         if common.temperature is not None and common.temperature[0] == name:
             guess = TEMPERATURE
-        text = f"What is column '{name}'?"
+        text = f"What does column '{name}' contain?"
         scale = temperature_scale(column)
         choices = (*OBSERVABLES, *([] if scale is None else [TEMPERATURE]), UNUSED)
         yield FileQuestion(f"{name} is", text, choices[0], choices, guess)
         if signal is None:
             continue
-        text = f"In which unit is column '{name}'?"
+        text = f"What is the unit of column '{name}'?"
         wanted = OBSERVABLES.get(signal.observable or "", ANY_SIGNAL)
         units = USUAL_UNITS[wanted]
         yield FileQuestion(f"{name} unit", text, units[0], units, signal.unit, unit=wanted)
-        text = f"Along which axis is column '{name}'?"
+        text = f"Along which axis was column '{name}' measured?"
         yield FileQuestion(f"{name} axis", text, AXES[0], AXES, guess=signal.axis)
 
 

@@ -102,7 +102,7 @@ class ReadingsDraft(AnsweredDraft):
         ]
         if not readings:
             known = ", ".join(column.name for column in self.contents.columns)
-            text = f'no column of readings was found (columns: {known}); answer "COLUMN is=reading"'
+            text = f'no readings column was found (columns: {known}); answer "COLUMN is=reading"'
             raise CampaignError("init", [text])
         few = len(readings) <= len(ascii_uppercase)
         names = [ascii_uppercase[n] if few else f"A{n + 1}" for n in range(len(readings))]
@@ -261,7 +261,7 @@ def role_questions(
             continue
         words = name in contents.others
         choices = tuple(word_roles) if words else (*parts, *ROLES)
-        text, example = f"What is column '{name}'?", WORD_ROLES[0] if words else ROLES[0]
+        text, example = f"What does column '{name}' contain?", WORD_ROLES[0] if words else ROLES[0]
         yield FileQuestion(f"{name} is", text, example, choices, role)
 
 
@@ -270,14 +270,14 @@ def output_questions(
 ) -> Iterator[FileQuestion]:
     """Yield the questions about the units of columns of readings."""
     name = column.name
-    text = f"In which unit are the readings of column '{name}'?"
+    text = f"What is the unit of the readings in column '{name}'?"
     unit = output_unit(column, answers)
     yield FileQuestion(f"{name} unit", text, "mA", _OUTPUTS, output_unit(column))
     if unit is None or converts(unit, "m/s^2"):
         return
     text = f"What is the nominal sensitivity of column '{name}'?"
     if math.isfinite(sensed.per_g):
-        text += f" It is about {sensed.per_g:.4g} {unit}/g."
+        text += f" The data show about {sensed.per_g:.4g} {unit}/g."
     yield FileQuestion(f"{name} sensitivity", text, f"1.25 {unit}/g", quantity=f"{unit}/g")
     if abs(sensed.zero) > _LARGE_BIAS * abs(sensed.per_g):
         text = f"What is the nominal reading of column '{name}' at zero force?"

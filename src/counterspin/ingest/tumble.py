@@ -181,20 +181,20 @@ def _questions(
 ) -> Iterator[FileQuestion]:
     yield from place_questions(contents)
     names = [column.name for column in contents.columns]
-    text = "Which column is the angle of the dividing head?"
+    text = "Which column contains the angle of the dividing head?"
     yield part_question("position", text, names, roles, needed=True)
     angles = None
     position = next(iter(columns_of_role(contents, roles, "position")), None)
     if position is not None:
         unit = answers.get("position unit") or _angle_unit(position)
-        text = f"In which unit is the position, column '{position.name}'?"
+        text = f"What is the unit of the position column '{position.name}'?"
         yield FileQuestion("position unit", text, "deg", _ANGLES, unit, unit="rad")
         angles = position.values * unit_factor(unit, "rad")
     readings = columns_of_role(contents, roles, "reading")
     guess = None
     if angles is not None and readings:
         guess = _axis(angles, readings[0].values)
-    text = "How does the input axis point at the position 0, for a head that turns about north?"
+    text = "Where does the input axis point at position 0, for a head that rotates about north?"
     yield FileQuestion("axis at 0", text, "up", tuple(_UP_AT), guess)
     yield from role_questions(contents, roles, ["position"])
     yield from several_question(readings)
@@ -216,5 +216,8 @@ def _statements(
     yield from role_statements(contents, roles)
     axis = next((q.guess for q in questions if q.key == "axis at 0"), None)
     if axis:
-        yield f"input axis at position 0: {axis}, from the readings against the angle"
-    yield "the head turns about north, right-handed, and the output axis lies along its axis"
+        yield f"input axis at position 0: {axis}, from the readings as a function of the angle"
+    yield (
+        "the head rotates about north (right-handed), and the output axis is parallel to the axis "
+        "of the head"
+    )

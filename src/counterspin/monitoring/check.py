@@ -151,7 +151,7 @@ def _select_run(campaign: Campaign, file: Path | None, name: str | None) -> Reco
     if len(recorded) == 1:
         return recorded[0]
     raise CampaignError(
-        "`run`", [f"name the run, one of: {', '.join(by_name) or 'no run has a record'}"]
+        "`run`", [f"give the name of a run: {', '.join(by_name) or 'no run has a record'}"]
     )
 
 
@@ -252,7 +252,7 @@ def _expected_estimates(
         )
     unknown = [r.name for r in completed.runs if r.duration is None]
     if unknown:
-        return [], f"the description does not state how long {', '.join(unknown)} will last"
+        return [], f"the description does not state the duration of {', '.join(unknown)}"
     try:
         completed = add_pose_noise(completed)
         predicted = forecast(completed, sampling_rate=rate)

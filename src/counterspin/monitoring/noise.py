@@ -121,9 +121,11 @@ def noise(
         if campaign is not None:
             full_campaign = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
             if gravity is not None:
-                raise CampaignError("noise", ["`gravity`: the campaign states it"])
+                raise CampaignError("noise", ["`gravity`: already stated in the campaign; omit it"])
             if select is not None:
-                raise CampaignError("noise", ["`select`: the campaign states it, in [records]"])
+                raise CampaignError(
+                    "noise", ["`select`: already stated in [records] of the campaign; omit it"]
+                )
             g = full_campaign.gravity.value
             signals = _select_signals(static_signals(full_campaign, source), columns)
         else:
@@ -195,7 +197,7 @@ def _guess_signals(
         if known is None or observable is None or len(column.values) != time.size:
             if columns:
                 reason = f"is in {known!r}" if known else "has no unit; give `unit`"
-                requested = "a length, a velocity or a specific force is needed"
+                requested = "a length, a velocity or a specific force is required"
                 raise CampaignError("noise", [f"column {column.name!r} {reason}; {requested}"])
             unused.append(column.name)
             continue
@@ -207,13 +209,13 @@ def _guess_signals(
             StaticSignal(column.name, column.name, observable_order, in_g, time, values)
         )
     if unit is not None and not any(converts(unit, si) for si in OBSERVABLES.values()):
-        requested = "a unit of length, velocity or specific force is needed, such as m/s^2"
+        requested = "a unit of length, velocity or specific force is required, such as m/s^2"
         raise CampaignError("noise", [f"`unit`: {unit!r}: {requested}"])
     if not used_columns:
         raise RecordError(
             f"{source}: no column has a unit of length, velocity or specific force "
-            f"({', '.join(unused) or 'only the time'}). Name it with `columns`, "
-            "and its unit with `unit`."
+            f"({', '.join(unused) or 'only the time'}). Select the column with `columns`, and "
+            "give its unit with `unit`."
         )
     varying = [signal for signal in used_columns if np.unique(signal.values).size > 1]
     if varying and not columns:
@@ -228,8 +230,8 @@ def _read_source(source: Path | MemoryTable, select: str | None) -> FileContents
     """Return the contents of a record, of one sensor."""
     if select is not None and not (select.partition("=")[2] and isinstance(source, Path)):
         problem = (
-            "`select`: write COLUMN=VALUE, such as device=A. It selects rows of a file; filter a "
-            "data frame yourself"
+            "`select`: write COLUMN=VALUE, such as device=A. `select` applies to the rows of a "
+            "file; filter data frames before the call"
         )
         raise CampaignError("noise", [problem])
     if isinstance(source, MemoryTable):
@@ -242,8 +244,8 @@ def _read_source(source: Path | MemoryTable, select: str | None) -> FileContents
         key, sensors = contents.sensors
         raise RecordError(
             f"{source}: column '{key}' takes {len(sensors)} values ({format_names(sensors, 8)}): "
-            "the rows are those of several sensors. Select the rows of one with `select`, such as "
-            f'"{key}={sensors[0]}".'
+            "the rows come from several sensors. Select the rows of one sensor with `select`, "
+            f'such as "{key}={sensors[0]}".'
         )
     return contents
 
@@ -350,15 +352,19 @@ def _alias_frequency(frequency: float, sampling: float) -> float:
 def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
     """Yield remarks on the validity of the figures."""
     names = {"acceleration": "white noise of the accelerometer", "flicker": "flicker"}
-    names |= {"bias_walk": "random walk of the bias", "quantisation": "quantisation noise"}
+    names |= {"bias_walk": "bias random walk", "quantisation": "quantisation noise"}
     for key, size in stated.components.items():
         name = names.get(key, f"white noise of the {key}")
         if size.value is None:
             if key in ("flicker", "bias_walk"):
-                growth = "as the square root of its length" if key == "flicker" else "as its length"
+                growth = (
+                    "in proportion to the square root of the length of the record"
+                    if key == "flicker"
+                    else "in proportion to the length of the record"
+                )
                 yield (
                     f"The record does not show {name}; the stated upper limit decreases "
-                    f"about {growth}. A longer record, of hours, shows smaller values."
+                    f"approximately {growth}. A longer record (hours) shows smaller values."
                 )
             continue
         wide = (
@@ -373,13 +379,13 @@ def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
             )
         elif wide:
             yield (
-                f"The {name} depends on the few slowest periods of this record, hence "
-                f"its wide interval: use a record several times longer than {stated.seconds:.4g} s."
+                f"The {name} depends on the few slowest periods of this record, so the interval "
+                f"is wide: use a record several times longer than {stated.seconds:.4g} s."
             )
     yield from _sampling_remarks(record)
     if stated.outliers:
         many = "1 sample" if stated.outliers == 1 else f"{stated.outliers} samples"
-        yield f"Left out as outliers: {many}."
+        yield f"Rejected as outliers: {many}."
     if stated.gaps:
         yield (
             f"The record is cut at {stated.gaps} gap{'s' if stated.gaps > 1 else ''}; spectrum and "
@@ -388,14 +394,14 @@ def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
     thin = round(record.analysis.step / record.segments.step)
     if thin > 1:
         yield (
-            f"Components, lines and Allan deviation are computed from velocities {thin} "
-            "samples apart; the spectrum from all samples."
+            f"Noise components, lines and Allan deviation are computed from velocities {thin} "
+            "samples apart, the spectrum from all samples."
         )
     if stated.resolution and stated.resolution**2 / 12.0 > 0.1 * _local_scatter(record) ** 2:
         yield (
-            f"The samples are multiples of {stated.resolution:.3g} {OBSERVABLES[stated.observable]}"
-            ": rounding contributes much of the white noise here, and it is not white "
-            "where the signal stays within one step."
+            f"The samples are multiples of {stated.resolution:.3g} "
+            f"{OBSERVABLES[stated.observable]}: much of this white noise is rounding error, which "
+            "is not white where the signal stays within one step."
         )
     yield from _motion_remarks(record)
     yield from _misfit_remarks(record.analysis.noise.bands)
@@ -412,8 +418,8 @@ def _sampling_remarks(record: StaticRecord) -> Iterator[str]:
         )
     if stretches.restamped:
         yield (
-            f"{stretches.restamped} of {stretches.rows} rows repeat the time of the row before "
-            "with another value. Rows are counted instead."
+            f"{stretches.restamped} of {stretches.rows} rows repeat the time of the previous row "
+            "with a different value. Time is calculated from the row count."
         )
     if stretches.filled and stretches.recorded_fraction < 1.0:
         part = 100.0 * (1.0 - stretches.recorded_fraction)
@@ -445,9 +451,9 @@ def _motion_remarks(record: StaticRecord) -> Iterator[str]:
         start_time = start + index * size * record.segments.step
         yield (
             f"From {start_time:.4g} s to {start_time + size * record.segments.step:.4g} s the "
-            f"record scatters {scatter[index] / median_scatter:.2g} times as much as in its "
-            "quiet parts: the sensor was not at rest throughout, and these figures are not its "
-            "noise. Cut the record there."
+            f"scatter is {scatter[index] / median_scatter:.2g} times that of the quiet parts of "
+            "the record: the sensor was not at rest throughout, so these values are not the noise "
+            "of the sensor. Cut the record there."
         )
 
 
@@ -471,10 +477,9 @@ def _misfit_remarks(bands: Sequence[Band]) -> Iterator[str]:
     if worst is not None:
         band = worst[1]
         yield (
-            f"From {band.low:.3g} to {band.high:.3g} Hz the record has {band.ratio:.3g} times "
-            f"the power of these components: a filter, a resonance or a disturbance rather than "
-            f"noise "
-            "of the sensor. The intervals do not include it; inspect the spectrum."
+            f"From {band.low:.3g} to {band.high:.3g} Hz the record has {band.ratio:.3g} times the "
+            "power of these noise components: a filter, a resonance or a disturbance rather than "
+            "sensor noise. The intervals do not include this effect; inspect the spectrum."
         )
 
 

@@ -114,12 +114,12 @@ class GrowingTable:
         if before is None:
             return None
         if (now.device, now.inode) != (before.device, before.inode):
-            return "was replaced by another file, which is now read from its start"
+            return "was replaced by another file; counterspin now reads the new file from the start"
         if now.size < self._done:
-            return "has become shorter, and is now read again from its start"
+            return "has become shorter; counterspin now reads it again from the start"
         file.seek(self._done - len(self._tail))
         if file.read(len(self._tail)) != self._tail:
-            return "was rewritten, and is now read again from its start"
+            return "was rewritten; counterspin now reads it again from the start"
         return None
 
     def _reset(self) -> None:
@@ -351,7 +351,7 @@ def _wait_reason(run: Recorded, columns: RecordColumns, table: MemoryTable) -> s
     )
     seconds = float(last - first) * clock.factor
     if isinstance(run, PoseRecord):
-        return None if seconds >= run.rest else f"{seconds:.1f} s of {run.rest:g} s of rest"
+        return None if seconds >= run.rest else f"{seconds:.1f} s at rest of {run.rest:g} s"
     turned = abs(run.rate) * seconds / (2.0 * math.pi)
     if turned >= MIN_REVOLUTIONS:
         return None
@@ -379,7 +379,7 @@ def _poll_file(watched: _WatchedRun) -> tuple[bool, str | None]:
         return gone, "has disappeared" if gone else None
     except (OSError, RecordError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
-        trouble = f"{path}: cannot be read: {reason}." if reason else str(error)
+        trouble = f"{path} cannot be read: {reason}." if reason else str(error)
         changed, watched.fault = trouble != watched.fault, trouble
         return changed, None
     watched.fault = None

@@ -43,7 +43,7 @@ def check_blocks(checked: CheckedRun) -> Iterator[Block]:
     run = checked.run
     yield Heading(f"{run.run}: {run.record}", 1)
     if checked.good:
-        words = "The run may be kept." if not checked.remarks else "The run may be kept; note:"
+        words = "The run is usable." if not checked.remarks else "The run is usable; note:"
     else:
         words = "The run has faults and should be repeated."
     yield Paragraph(words, "answer" if checked.good else "warning")
@@ -56,10 +56,12 @@ def check_blocks(checked: CheckedRun) -> Iterator[Block]:
         others = ", ".join(checked.others)
         yield Heading("Expected uncertainty")
         yield _coefficients(
-            checked, f"with {others}" if others else "from this record alone, with the priors"
+            checked, f"with {others}" if others else "from this record only, with the priors"
         )
     if checked.why_not and run.state == "read":
-        yield Paragraph(f"The whole campaign cannot be forecast: {checked.why_not}.", "quiet")
+        yield Paragraph(
+            f"A forecast of the whole campaign is not possible: {checked.why_not}.", "quiet"
+        )
 
 
 def _coefficients(checked: CheckedRun, now: str) -> Table:
@@ -92,11 +94,11 @@ def _run_rows(run: RunState) -> Iterator[tuple[str, str]]:
             f"{format_estimate(run.rate, run.u_rate, 'rad/s')}, nominal {run.nominal_rate:.7g} "
             f"({'+' if part >= 0.0 else ''}{format_number(part, 2)})",
         )
-        yield "Drift of the rate", f"{format_number(run.drift or 0.0)} 1/s"
+        yield "Rate drift", f"{format_number(run.drift or 0.0)} 1/s"
         yield "Ripple", _format_ripple(run)
         rms = f"{format_number(run.angle_rms)} rad" if run.angle_rms else "-"
         yield "Angle residuals", f"rms {rms}"
-    yield "Left out", f"{run.outliers} outliers, {run.empty} empty cells"
+    yield "Rejected or empty", f"{run.outliers} outliers, {run.empty} empty cells"
     for name, mean in run.means.items():
         over = f" over {mean.revolutions} revolutions" if mean.revolutions else ""
         yield f"Mean of {name}", f"{format_estimate(mean.value, mean.u, 'g')}{over}"
@@ -111,19 +113,23 @@ def _run_rows(run: RunState) -> Iterator[tuple[str, str]]:
 
 
 def _pose_rows(run: RunState, poses: PosesState) -> Iterator[tuple[str, str]]:
-    rms = "" if poses.rms is None else f", |f| - g left with rms {format_number(poses.rms)} m/s^2"
+    rms = (
+        ""
+        if poses.rms is None
+        else f", rms of the remaining |f| - g: {format_number(poses.rms)} m/s^2"
+    )
     yield "Poses", f"{poses.count}{rms}"
     yield "At rest", f"where the scatter is below {format_number(poses.threshold)} m/s^2"
-    yield "Left out", f"{run.outliers} outliers, {run.empty} empty cells"
+    yield "Rejected or empty", f"{run.outliers} outliers, {run.empty} empty cells"
     yield "Deviating from the model", ", ".join(poses.outlying) or "none"
     yield "Missing directions", "; ".join(poses.missing) or "none"
 
 
 def _format_ripple(run: RunState) -> str:
     if run.ripple is None:
-        return "none seen"
+        return "none detected"
     part = run.ripple / abs(run.rate or run.nominal_rate)
-    return f"{format_number(part, 2)} of the rate, harmonic {run.harmonic}"
+    return f"{format_number(part, 2)} of the rate at harmonic {run.harmonic}"
 
 
 def watch_blocks(state: WatchState) -> Iterator[Block]:
@@ -161,7 +167,7 @@ def watch_blocks(state: WatchState) -> Iterator[Block]:
     if state.met:
         yield Paragraph("The goal is met.", "answer")
     if state.complete:
-        yield Paragraph("Every run is as long as the campaign states.", "answer")
+        yield Paragraph("Every run has the length stated in the campaign.", "answer")
 
 
 def _row(run: RunState) -> tuple[str, ...]:
@@ -169,7 +175,9 @@ def _row(run: RunState) -> tuple[str, ...]:
     rate = "" if run.rate is None else f"{run.rate:.7g}"
     ripple = ""
     if run.rate is not None:
-        ripple = "none seen" if run.ripple is None else format_number(run.ripple / abs(run.rate), 2)
+        ripple = (
+            "none detected" if run.ripple is None else format_number(run.ripple / abs(run.rate), 2)
+        )
     return run.run, _format_progress(run), rate, ripple, ratio
 
 
@@ -213,7 +221,7 @@ NAMES: Final = {
     "quantisation": "quantisation noise of the velocity, per sample",
     "acceleration": "white noise of the accelerometer, N",
     "flicker": "flicker (bias instability), B",
-    "bias_walk": "random walk of the bias, K",
+    "bias_walk": "bias random walk, K",
 }
 
 #: Stride of averaging times in the table: every other one, an octave apart.
@@ -237,9 +245,9 @@ def noise_blocks(result: NoiseResult) -> Iterator[Block]:
     for line in result.table.splitlines():
         yield Paragraph(line, "command")
     yield Paragraph(
-        "Intervals are for 95 %. N^2 is a two-sided density, as in IEEE Std 952: the variance of "
-        "velocity grows as N^2 t, and a one-sided spectrum is twice as high. The floor of the "
-        "Allan deviation of flicker is 0.664 B.",
+        "Intervals have 95 % coverage. N^2 is a two-sided density, as in IEEE Std 952: the "
+        "variance of velocity grows as N^2 t, and a one-sided spectrum is twice as high. The "
+        "minimum of the Allan deviation of flicker noise is 0.664 B.",
         "quiet",
     )
     if result.unused:
@@ -268,7 +276,7 @@ def _summary_sentence(signal: SignalNoise, gravity: float) -> str:
         unit, factor = _display_unit(component.unit, signal, gravity)
         if component.value is not None:
             slow.append(f"{name} = {format_number(component.value * factor)} {unit}")
-    others = f", {' and '.join(slow)}" if slow else "; no slower noise is visible"
+    others = f", {' and '.join(slow)}" if slow else "; no slower noise detected"
     rate = format_number(signal.sampling_rate, 5)
     return f"{white}{others}, in {signal.seconds:.5g} s at {rate} Hz."
 
@@ -281,11 +289,11 @@ def _component_table(signal: SignalNoise, gravity: float) -> Table:
     rows = []
     for key, size in signal.components.items():
         unit, factor = _display_unit(size.unit, signal, gravity)
-        value = "not seen" if size.value is None else format_number(size.value * factor)
+        value = "not detected" if size.value is None else format_number(size.value * factor)
         rows.append((NAMES[key], value, _format_interval(size, factor), unit))
     unit, factor = _display_unit("m/s^2/s", signal, gravity)
     drift = format_estimate(signal.drift * factor, signal.u_drift * factor)
-    rows.append(("drift of the bias", drift, "", unit))
+    rows.append(("bias drift", drift, "", unit))
     columns = (
         Column("Component", wraps=True),
         Column("Size", "right"),
@@ -317,7 +325,7 @@ def _line_table(signal: SignalNoise, gravity: float) -> Table:
     columns = (
         Column("Line, Hz", "right"),
         Column(f"Amplitude, {unit}", "right"),
-        Column("May be", wraps=True),
+        Column("Possible source", wraps=True),
     )
     return Table(columns, rows)
 
@@ -372,7 +380,7 @@ def noise_plots(signal: SignalNoise, gravity: float) -> list[Plot]:
     density = Plot(
         f"{signal.name}: spectral density",
         "frequency, Hz",
-        f"root of the two-sided density, {unit}",
+        f"square root of two-sided density, {unit}",
         (
             PlotSeries(
                 "record, 95 %",

@@ -140,7 +140,7 @@ def run_remarks(
             )
     if state.stated_seconds and state.seconds < COMPLETE_FRACTION * state.stated_seconds:
         faults.append(
-            f"The record lasts {state.seconds:.4g} s, the campaign states "
+            f"The record lasts {state.seconds:.4g} s instead of the stated "
             f"{state.stated_seconds:.4g} s."
         )
     if state.outliers > OUTLIER_SHARE * max(state.rows, 1) * max(len(views), 1):

@@ -70,12 +70,12 @@ def operating(
     """
     path = path_of(file, "the file of a table")
     if (input is None) == (time is None):
-        raise CampaignError("operating", ["name a column of inputs, or one of times (warm-up)"])
+        raise CampaignError("operating", ["give an input column, or a time column (warm-up)"])
     if output in (input, time):
         problem = f'"{output}" is named for both columns; name two different columns'
         raise CampaignError("operating", [problem])
     if full_scale is not None and not 0.0 < full_scale < math.inf:
-        raise CampaignError("operating", ["full_scale: give a number greater than zero"])
+        raise CampaignError("operating", ["full_scale: must be greater than zero"])
     first, outputs, digest = _read_columns(path, str(input or time), output)
     try:
         if input is not None:
@@ -120,7 +120,7 @@ def _read_columns(path: Path, first: str, output: str) -> tuple[Array, Array, st
     )
     pair = pair[np.isfinite(pair).all(axis=1)]
     if not 0 < len(pair) <= _MAX_ROWS:
-        raise RecordError(f"{path}: {len(pair)} rows with numbers; 1 to {_MAX_ROWS} are possible")
+        raise RecordError(f"{path}: {len(pair)} rows with numbers; 1 to {_MAX_ROWS} are allowed")
     return pair[:, 0].copy(), pair[:, 1].copy(), hashlib.sha256(content).hexdigest()
 
 
@@ -165,7 +165,7 @@ def _static_tests(
             "dead-band",
             lambda: model.dead_band(line, inputs, outputs),
             "inputs about zero with less than 10 % of the expected change",
-            "zero input, or an input outside the band on each side, is missing",
+            "the zero input, or an input outside the band on each side, is missing",
         ),
     )
     for name, test, definition, missing in tests:

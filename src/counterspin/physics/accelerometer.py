@@ -31,7 +31,7 @@ def direction(value: str | Sequence[float]) -> Array:
     """Return the unit vector (east, north, up) of a named direction or of three components."""
     if isinstance(value, str):
         if value not in DIRECTIONS:
-            raise ValueError(f"no direction is called {value!r}; known: {', '.join(DIRECTIONS)}")
+            raise ValueError(f"unknown direction {value!r}; known: {', '.join(DIRECTIONS)}")
         return np.array(DIRECTIONS[value])
     vec = np.asarray(value, dtype=float)
     # The square of a finite number may be beyond all numbers.
@@ -89,7 +89,7 @@ class Mounting:
                     "reverse one of them"
                 )
             if float(given @ o) < 1.0 - 1e-6:
-                raise ValueError("the output axis must be at right angles to the other two")
+                raise ValueError("the output axis must be at right angles to the other two axes")
         return cls(tuple((float(v[0]), float(v[1]), float(v[2])) for v in (i, p, o)))
 
     @property

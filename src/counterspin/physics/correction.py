@@ -120,8 +120,8 @@ def _solve_rising_branch(
         max_indication = float(y[row] + side[row] * largest[0])
         raise NotInvertibleError(
             int(rows[row]),
-            f"cannot be corrected: it indicates {y[row]:.6g} g, and this model has its "
-            f"turning point at {force:.6g} g, where it indicates {max_indication:.6g} g.",
+            f"cannot be corrected: the indication is {y[row]:.6g} g, but the model has a turning "
+            f"point at {force:.6g} g, with an indication of {max_indication:.6g} g.",
         )
     return side * _root(poly, high, y, rows)
 
@@ -479,9 +479,9 @@ def _projections(
     directions = np.stack([*rows, *(item.direction for item in known)])
     if np.linalg.matrix_rank(directions, tol=_PROJECTION_ROUNDING) < directions.shape[0]:
         raise ValueError(
-            "the specific force along some direction is given more than once: by "
-            f"{len(rows)} accelerometers ({', '.join(i.name for i in instruments)}) and "
-            f"{len(known)} known forces, whose directions are not independent"
+            f"the specific force along a direction is given more than once: by {len(rows)} "
+            f"accelerometers ({', '.join(i.name for i in instruments)}) and {len(known)} known "
+            "forces, with linearly dependent directions"
         )
     targets = np.stack([instrument.mounting.matrix[1:] for instrument in instruments])
     weights = targets @ np.linalg.pinv(directions)

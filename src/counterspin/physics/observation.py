@@ -189,7 +189,7 @@ def columns(
         if i not in evaluated and isinstance(effect, Integrated)
     }
     if unobserved := set(range(len(effects))) - evaluated - set(smooth_effects):
-        raise ValueError(f"no record shows {', '.join(symbols[i] for i in sorted(unobserved))}")
+        raise ValueError(f"no record observes {', '.join(symbols[i] for i in sorted(unobserved))}")
     result = np.empty((len(effects), times.size))
     result[bias_indices] = trajectory.site.gravity * times**order / max(1, order)
     if kinked_effects:

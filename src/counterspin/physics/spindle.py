@@ -449,8 +449,8 @@ def _fit(
     n, unknowns = time.size, 3 + 2 * count
     if n <= unknowns:
         raise NotIdentifiableError(
-            f"{n} angle samples cannot determine a spindle with {count} harmonics "
-            f"({unknowns} unknowns); record longer or ask for fewer harmonics"
+            f"{n} angle samples cannot determine a spindle with {count} harmonics ({unknowns} "
+            "unknowns); use a longer record or request fewer harmonics"
         )
     span = float(np.ptp(time))
     scaled = time / span  # keeps the columns of one size
@@ -478,8 +478,8 @@ def _fit(
         size = np.maximum(np.linalg.norm(r, axis=0), math.sqrt(n))
         if np.any(np.abs(np.diag(r)) < 1e-12 * size):
             raise NotIdentifiableError(
-                f"the angle samples do not separate {count} harmonics: there are too "
-                "few in a revolution, or they repeat the same angles; ask for fewer harmonics"
+                f"the angle samples do not separate {count} harmonics: there are too few samples "
+                "per revolution, or the samples repeat the same angles; request fewer harmonics"
             )
         solution = np.asarray(np.linalg.solve(r, triangle[:unknowns, -1]))
         previous_rate, w0 = w0, start_rate + float(solution[1]) / span
@@ -488,8 +488,8 @@ def _fit(
             break
     else:
         raise ConvergenceError(
-            f"the spindle's rate did not converge near {start_rate:.9g} rad/s: "
-            "is the run's nominal rate right?"
+            f"the spindle rate did not converge near {start_rate:.9g} rad/s: is the nominal rate "
+            "of the run correct?"
         )
     residuals = columns[-1] - solution @ columns[:-1]
     dof = n - unknowns

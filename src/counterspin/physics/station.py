@@ -299,7 +299,7 @@ class Stations:
                 wave = np.sin if quadrature == "sin" else np.cos
                 moved = {"turn": self.turn + (size * wave(n * head_angle))[:, None] * head}
             case _:
-                raise ValueError(f"{symbol} moves no station")
+                raise ValueError(f"{symbol} does not affect any station")
         return replace(self, **moved)
 
 

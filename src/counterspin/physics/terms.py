@@ -131,7 +131,7 @@ _UNITS: Final = {
 
 
 def _product_rows() -> Iterator[Term[SpecificForceProduct]]:
-    asymmetry = "asymmetry of the {}, positive minus negative input"
+    asymmetry = "{} asymmetry, positive minus negative input"
     for symbol, factors, ieee, words in (
         ("K_F", "", "K0", "bias"),
         ("K_I", "I", "K1", "scale factor"),
@@ -148,7 +148,7 @@ def _product_rows() -> Iterator[Term[SpecificForceProduct]]:
         ("K_0_asym", "sign_I", "K0'", asymmetry.format("bias")),
         ("K_I_asym", "|I|", "K1'", asymmetry.format("scale factor")),
         ("K_spin", "w_I w_P", "Kspin", "spin coefficient of input and pendulous axes"),
-        ("K_ang", "dw_O/dt", "Kang", "coefficient of angular acceleration about the output axis"),
+        ("K_ang", "dw_O/dt", "Kang", "output-axis angular acceleration coefficient"),
         ("delta_O", "P", "delta_o", "misalignment about the output axis"),
         ("delta_P", "O", "delta_p", "misalignment about the pendulous axis"),
     ):
@@ -196,12 +196,16 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
         yield Term(f"platform.tilt.{name}", turn, words, "rad", 1e-2, typical, source, "run")
     # kind, unit, words; credible and typical size, source
     rate = 10.0 * DEGREE_PER_HOUR, 0.01 * DEGREE_PER_HOUR
-    of_square = "sensitivity of the gyro about {} to the square of the force"
+    of_square = "g²-sensitivity of the gyro about {}"
     of_force = "g-sensitivity of the {} gyro to force along {}"
     lean = "platform rotation about {} due to force along {}"
     by_axis = (
         ("drift", "rad/s", "gyro drift about {}"),
-        (*rate, "one nautical mile an hour, as for K_F: 0.01 deg/h is 0.6 nautical miles an hour"),
+        (
+            *rate,
+            "one nautical mile per hour, as for K_F: 0.01 deg/h corresponds to 0.6 nautical miles "
+            "per hour",
+        ),
     )
     by_square = (
         ("g2_sensitivity", "rad/s/g^2", of_square),
@@ -209,7 +213,7 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
     )
     by_force = (
         ("g_sensitivity", "rad/s/g", of_force),
-        (*rate, "equal to the drift: the part that 1 g causes"),
+        (*rate, "equal to the drift, for 1 g"),
     )
     by_lean = (
         ("compliance", "rad/g", lean),
@@ -255,7 +259,7 @@ def _trajectory_rows() -> Iterator[Term[TrajectoryError]]:
         "s^2/m",
         1e-5,
         4.6e-9,
-        f"{_NO_SOURCE}: 0.1 µm of 2.5 m at 1 g",
+        f"{_NO_SOURCE}: 0.1 µm for 2.5 m at 1 g",
         "machine",
         motions=_TURNING,
     )
@@ -263,7 +267,7 @@ def _trajectory_rows() -> Iterator[Term[TrajectoryError]]:
         "centrifuge.imbalance",
         (1, 2),
         ("m", 1e-3, 1e-6, f"{_NO_SOURCE}: run-out of a good spindle"),
-        "imbalance, radius varying {} per revolution",
+        "imbalance, radius variation {} per revolution",
     )
     for axis in ("east", "north"):
         yield Term(
@@ -318,7 +322,7 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
     proof_mass = "centrifuge.radius.ACCELEROMETER.MOUNTING"
     head = f"{_NO_SOURCE}: 5 arcsec"
     rate = f"{_NO_SOURCE}: the mean rate of a precision centrifuge"
-    iso = "ISO 16063-21: 1 % at k = 2 of a transducer calibrated by comparison"
+    iso = "ISO 16063-21: 1 % (k = 2) for a transducer calibrated by comparison"
     for symbol, words, unit, limit, typical, source, motions in (
         ("centrifuge.radius.MOUNTING", "radius of mounting", "m", 0.1, 1e-3, radius, ("arm",)),
         (proof_mass, "radius of the proof mass", "m", 0.1, 1e-3, radius, ("arm",)),
@@ -339,7 +343,7 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
         *(
             (
                 f"fixture.position.POSITION.{axis}",
-                f"setting error about {axis}, position",
+                f"setting error about {axis} at position",
                 "rad",
                 0.2,
                 2.5e-5,
@@ -348,7 +352,7 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
             )
             for axis in ("east", "north")
         ),
-        ("vibration.amplitude", "common error of amplitudes", "1", 0.1, 5e-3, iso, ("vibration",)),
+        ("vibration.amplitude", "common amplitude error", "1", 0.1, 5e-3, iso, ("vibration",)),
         ("head.zero", "zero of the dividing head", "rad", 1e-2, 2.5e-5, head, ("static",)),
     ):
         scope = next(
@@ -360,8 +364,8 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
         effect = SetupError("misalignment", about) if turned else SetupError(of)
         yield Term(symbol, effect, words, unit, limit, typical, source, scope, motions=motions)
     arcseconds = (
-        "order of magnitude: mounting errors of arcseconds (Lu et al.), ±5 distributed over the "
-        "harmonics"
+        "order of magnitude: mounting errors of arcseconds (Lu et al.), ±5 arcsec distributed "
+        "over the harmonics"
     )
     graduated = (1e-3, 1e-5, arcseconds)
     for n, quadrature, called in _wave_orders(
@@ -373,7 +377,7 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
 
 
 def _input_rows() -> Iterator[Term[Input]]:
-    radius = "4e-6 of 2.5 m, the larger relative uncertainty of measured radii"
+    radius = "4e-6 of 2.5 m, the largest relative uncertainty of measured radii"
     # An absolute gravimeter does better by 1000.
     gravity = f"{_NO_SOURCE}: a gravity map, corrected for the height"
     delay, cutoff = "delay of the recorded angle", "cutoff frequency of the recorder's low pass"
@@ -396,7 +400,7 @@ def _input_rows() -> Iterator[Term[Input]]:
         ("records.timing_offset", delay, "s", (-1.0, 1.0), 10.0, 1e-5, "one row at 100 kHz"),
         (
             "records.clock",
-            "error of the recorder's clock",
+            "recorder clock error",
             "1",
             (-1e-2, 1e-2),
             1e-2,
@@ -405,7 +409,7 @@ def _input_rows() -> Iterator[Term[Input]]:
         ),
         (
             "centrifuge.clock",
-            "error of the clock of the rate counter",
+            "rate counter clock error",
             "1",
             (-1e-2, 1e-2),
             1e-2,

@@ -98,7 +98,7 @@ def fault_requirements(
     unknown = model.unknowns[index]
     expected = expected_values(campaign, model.unknowns)
     fit = replace(fit_before, model=model, observations=_omit_terms(prediction, model, expected))
-    basis = f"at the expected value of {name}"
+    basis = f"for the expected value of {name}"
     if expected[index] == 0.0:
         expected[index] = unknown.limit
         unit = unit_of(unknown.symbol)
@@ -117,15 +117,15 @@ def fault_requirements(
         ("radius", radius, "m"),
         ("drift of the rate that the recorded angle does not show", drift, "1/s"),
         ("relative rate error, the same in all runs", rate @ rates, "1"),
-        ("zero of the angle, new in each run", zero, "rad"),
+        ("zero of the angle, varying from run to run", zero, "rad"),
         (
-            "noise of the angle, per sample",
+            "angle noise per sample",
             _angle_noise(campaign, np.column_stack([zero, rate, drift]), sampling_rate),
             "rad",
         ),
-        (f"{paths[0].words}, the same in all runs", machine[0], "rad"),
+        (f"{paths[0].words}, common to all runs", machine[0], "rad"),
         (paths[1].words, machine[1], "m"),
-        ("delay between the clocks of angle and output", delay, "s"),
+        ("delay between the angle and output clocks", delay, "s"),
     ]
     allowed = _TOLERABLE_FRACTION_OF_U * prediction.u[name]
     largest = {**_MAX_SIZES, "m": _MAX_SIZES["1"] * campaign.radius.value}

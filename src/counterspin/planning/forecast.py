@@ -148,8 +148,8 @@ def forecast(
 
 def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None) -> None:
     problems = [
-        f"runs[{index}]: neither duration nor revolutions are given; a prediction needs one "
-        f'(run "{run.name}")'
+        f"runs[{index}]: neither duration nor revolutions are given; a prediction needs one of "
+        f'them (run "{run.name}")'
         for index, run in enumerate(campaign.runs)
         if run.duration is None
     ]
@@ -165,18 +165,21 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
         if math.isnan(reading.value)
     ]
     if campaign.triad is not None and campaign.triad.records:
-        problems.append("a prediction needs the poses of a record, not the record itself")
+        problems.append("a prediction needs the list of poses in a record, not the record")
     if sampling_rate is None and campaign.runs:
-        problems.append("simulation.sampling_rate: missing; a prediction needs it")
+        problems.append("simulation.sampling_rate: missing; required for a prediction")
     for name, accelerometer in campaign.accelerometers.items() if campaign.runs else ():
         noise = _resolved_noise(campaign, name)
         keys = (accelerometer.observable, "acceleration", "flicker", "bias_walk")
         for key in (*keys, "quantisation", "timing"):
             if not isinstance(noise.get(key, "estimate"), float):
-                problems.append(f"noise.{key}: a prediction needs its size")
+                problems.append(
+                    f"noise.{key}: a prediction needs a value; the noise cannot be estimated "
+                    "without records"
+                )
         sizes = [noise.get(key) for key in (accelerometer.observable, "acceleration")]
         if sizes == [0.0, 0.0]:
-            problems.append(f"noise: {name} has none; give {accelerometer.observable}")
+            problems.append(f"noise: no noise is given for {name}; give {accelerometer.observable}")
     if problems:
         raise CampaignError(str(campaign.path), dict.fromkeys(problems))
 

@@ -324,10 +324,9 @@ class InformationTable:
         self._harmonics = harmonics
         if revolutions[1] > (most := MOST_ROWS / BLOCKS_PER_REVOLUTION):
             raise CounterspinError(
-                f"limits: a run may have {revolutions[1]:.3g} revolutions; with a random walk "
-                f"or noise of the time stamps, the search is limited to runs of at most "
-                f"{most:.3g}: "
-                "state a shorter longest_run or total_time, or a lower highest_rate"
+                f"limits: a run may have {revolutions[1]:.3g} revolutions; with a random walk or "
+                f"time-stamp jitter, the search is limited to runs of at most {most:.3g}: give a "
+                "shorter longest_run or total_time, or a lower highest_rate"
             )
         self._counts = _integer_grid(revolutions)
         self._nodes = _log_nodes(*rates)

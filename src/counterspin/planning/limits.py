@@ -67,13 +67,13 @@ def _candidate_limits(search: Search, design: Design) -> Iterator[_Limit]:
         {"rate": (low * less, high)},
     )
     rates, runs = limits.fewest_rates, limits.runs
-    yield _Limit("fewest_rates", f"{rates} rates at least", rates > 1, {"fewest_rates": rates - 1})
+    yield _Limit("fewest_rates", f"at least {rates} rates", rates > 1, {"fewest_rates": rates - 1})
     more_runs = {"runs": math.ceil(runs * more)}
-    yield _Limit("runs", f"{runs} runs at most", len(design.types) >= runs, more_runs)
+    yield _Limit("runs", f"at most {runs} runs", len(design.types) >= runs, more_runs)
     words = {
-        "settling": f"settling {limits.settling:.4g} s a run",
-        "spin_up": "time of spin-up and spin-down",
-        "attitude_change": f"changing the attitude, {limits.attitude_change:.4g} s",
+        "settling": f"settling time {limits.settling:.4g} s per run",
+        "spin_up": "spin-up and spin-down time",
+        "attitude_change": f"attitude change time {limits.attitude_change:.4g} s",
     }
     several = len({run_type.attitude for run_type in design.types}) > 1
     for key, text in words.items():
@@ -82,7 +82,7 @@ def _candidate_limits(search: Search, design: Design) -> Iterator[_Limit]:
         yield _Limit(key, text, touched, {key: size * less})
     yield _Limit(
         "revolutions",
-        f"{limits.revolutions:g} revolutions at least",
+        f"at least {limits.revolutions:g} revolutions",
         bool((design.revolutions < limits.revolutions * above).any()),
         {"revolutions": limits.revolutions * less},
     )
@@ -95,7 +95,7 @@ def _candidate_limits(search: Search, design: Design) -> Iterator[_Limit]:
     yield _Limit("sampling_rate", f"sampling rate {search.plan.sampling_rate:.6g} Hz", True, {})
     one_sense = all(run_type.sense == 1 for run_type in limits.types)
     yield _Limit(
-        "senses", "one sense of the spin", one_sense, {"types": allow_both_senses(limits).types}
+        "senses", "one sense of rotation", one_sense, {"types": allow_both_senses(limits).types}
     )
 
 

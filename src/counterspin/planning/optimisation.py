@@ -55,7 +55,7 @@ def optimise(
     """
     if not limits.is_feasible:
         raise NotIdentifiableError(
-            f"no run fits into {limits.total_time:.6g} s: the shortest takes "
+            f"no run fits into {limits.total_time:.6g} s: the shortest run takes "
             f"{limits.shortest_time:.6g} s with spin-up and settling"
         )
     choices = [

@@ -29,7 +29,7 @@ _EMPTY_BOUND: Final = 90.0
 _DETECTION_DEVIATIONS: Final = 4.0
 
 #: Descriptions of changes to limits that are not sizes.
-_CHANGES: Final = {"senses": "both senses of rotation", "fewest_rates": "one fewer"}
+_CHANGES: Final = {"senses": "both senses of rotation", "fewest_rates": "reduced by one"}
 
 
 def plan_blocks(result: PlanResult) -> list[Block]:
@@ -74,8 +74,8 @@ def _summary_blocks(result: PlanResult) -> Iterator[Block]:
         yield Paragraph(_optimality(goal, result.total_time > 0.0))
     gravity = format_number(result.gravity, 9)
     yield Paragraph(
-        "All are standard uncertainties (k = 1) that a joint calibration will give, in units "
-        f"of the site's gravity, g = {gravity} m/s^2.",
+        "All values are standard uncertainties (k = 1) expected from a joint calibration, in "
+        f"units of the site's gravity, g = {gravity} m/s^2.",
         "quiet",
     )
 
@@ -168,7 +168,7 @@ def _reading_blocks(result: PlanResult) -> Iterator[Block]:
         "listed": "in the order of the stations",
     }
     if result.order:
-        yield Paragraph(f"The planned campaign has them {words[result.order]}.")
+        yield Paragraph(f"The planned campaign lists the readings {words[result.order]}.")
 
 
 def _accelerometer_blocks(
@@ -195,7 +195,7 @@ def _accelerometer_blocks(
     )
     for item in accelerometer.confounded:
         yield Paragraph(
-            f"{confounding_text(item)} in this plan; determined: {item.determined}. "
+            f"{confounding_text(item)} with this plan, which determines {item.determined}. "
             f"{_separation_advice(result, item.terms)}"
         )
     targets = result.goal.sizes if result.goal else {_main_coefficient(result): 1.0}
@@ -209,7 +209,7 @@ def _separation_advice(result: PlanResult, terms: Sequence[str]) -> str:
     """Return advice to separate terms: the other sense, other rates, another attitude."""
     rates = [run.rate for run in result.runs]
     if not rates:
-        return "Other stations or a stated value of one of them would separate them."
+        return "Other stations, or a stated value for one of these terms, would separate the terms."
     platform = [SHARED_TERMS[symbol] for symbol in terms if symbol in SHARED_TERMS]
     rows = [TERMS[symbol] for symbol in terms if symbol in TERMS]
     if (
@@ -221,13 +221,15 @@ def _separation_advice(result: PlanResult, terms: Sequence[str]) -> str:
         )
     ):
         # Drift and g-sensitivity change their sign with the sense, the accelerometer's do not.
-        return "The other sense of the spin would separate them."
+        return "Runs in the other sense of rotation would separate the terms."
     one_rate = max(map(abs, rates)) < 1.001 * min(map(abs, rates))
     if one_rate and len({len(row.effect.factors) for row in rows}) > 1:
-        return "Other rates would separate them."
+        return "Other rates would separate the terms."
     if not platform and len({run.attitude for run in result.runs}) == 1:
-        return "A second attitude or a stated value of one of them would separate them."
-    return "A stated value of one of them would separate them."
+        return (
+            "A second attitude, or a stated value for one of these terms, would separate the terms."
+        )
+    return "A stated value for one of these terms would separate the terms."
 
 
 def _budget_blocks(
@@ -296,26 +298,28 @@ def _fault_blocks(
             ),
         )
         yield Paragraph(
-            "Remove them from model.assume, state their priors in [model.priors], and plan again."
+            "Remove these terms from model.assume, state priors for them in [model.priors], and "
+            "run the plan again."
         )
     else:
         yield Paragraph(
-            "Nothing that is assumed perfect would shift K_II undetected by more "
-            "than its standard uncertainty."
+            "No effect that is assumed perfect would shift K_II by more than the standard "
+            "uncertainty without being detected."
             if result.assumed
-            else "Nothing is assumed perfect: each term without a prior contributes its "
-            "default standard uncertainty."
+            else "No effect is assumed perfect: each term without a prior contributes its default "
+            "standard uncertainty."
         )
     if detected:
         named = ", ".join(effect.symbol for effect in detected)
-        yield Paragraph(f"The residuals would show {named}.")
+        yield Paragraph(f"The residuals would reveal {named}.")
     share = accelerometer.harmonic_share
     if share is None:
         return
     part = "Less than 0.1" if abs(share) < 1e-3 else format_number(100.0 * share, 2)
     yield Paragraph(
-        f"{part} % of the information on K_II comes from its second harmonic, which an eccentric "
-        "encoder and imbalance imitate; the rest comes from the mean of a_I^2.",
+        f"{part} % of the information on K_II comes from the second harmonic of the K_II term, "
+        "which encoder eccentricity and imbalance can imitate; the rest comes from the mean of "
+        "a_I^2.",
     )
 
 
@@ -326,8 +330,8 @@ def _limit_blocks(result: PlanResult) -> Iterator[Block]:
     what = "Uncertainty" if result.goal.kind == "minimise" else "Time"
     if not result.limits:
         yield Paragraph(
-            f"Relaxing any limit by 10 % gains nothing: the {what.lower()} is "
-            "limited by the priors."
+            f"Relaxing any limit by 10 % does not help: the {what.lower()} is limited by the "
+            "priors."
         )
         return
     rows = []
@@ -380,7 +384,8 @@ def _requirement_blocks(result: PlanResult) -> Iterator[Block]:
     rows = tuple((line.words, _format_size(line)) for line in result.requirements)
     yield Table((Column("Property", wraps=True), Column("Within", "right")), rows)
     yield Paragraph(
-        f"Each of these alone would increase the uncertainty by 5 %, {result.requirements_for}.",
+        "Any single one of these errors would increase the uncertainty by 5 %, "
+        f"{result.requirements_for}.",
         "quiet",
     )
 

@@ -255,8 +255,8 @@ def check(
     if sampling_rate is not None and not campaign.readings:
         words, requirements = _accelerometer_requirements(prediction, name, sampling_rate)
     warnings = [
-        f"{run.name}: {revolutions:g} revolutions are assumed; the campaign does not state the "
-        "length of its record."
+        f"{run.name}: {revolutions:g} revolutions are assumed, because the campaign does not "
+        "state the length of the record."
         for run in (unsized_runs if revolutions is not None else ())
     ]
     return result.model_copy(
@@ -345,7 +345,7 @@ def _alternative_plans(
     others = []
     for words, alternative in (
         (
-            "the paper's plan: 1/4, 1/2 and all of the highest rate, equal revolutions",
+            "the paper's plan: 1/4, 1/2 and the whole of the highest rate, equal revolutions",
             search.three_rates(design, total),
         ),
         ("equally spaced rates, equal durations", search.even_rates(design, total)),

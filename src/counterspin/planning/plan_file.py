@@ -90,7 +90,7 @@ def load_plan(path: Mapping[str, Any] | Path | str) -> dict[str, Any]:
         if problems.lines:
             raise CampaignError(str(plan_name(path)), problems.lines)
         return document
-    advice = "`planning.plan.write_example` writes a plan to start from"
+    advice = "`planning.plan.write_example` writes a starter plan"
     return load_document(Path(path), advice, "plan")
 
 
@@ -184,8 +184,9 @@ def _refuse_time_dependence(document: Mapping[str, Any], problems: Problems) -> 
             if condition != "force":
                 problems.add(
                     ("model", key, index),
-                    f'"{name}" depends on the {condition} of each run, which a plan does not know; '
-                    "leave it out here, add it to the planned campaign, and forecast that campaign",
+                    f'"{name}" depends on the {condition} of each run, which is unknown in a '
+                    "plan; omit the term here, add it to the planned campaign, and run a forecast "
+                    "of that campaign",
                 )
     return len(problems.lines) > error_count
 
@@ -251,8 +252,8 @@ def _record_sizes(campaign: Campaign, stated: NoiseSettings, problems: Problems)
         problems.add(
             ("noise", "from"),
             f"the record shows {key}, {sizes[key]:.3g} {units[key]}, but the search for runs "
-            f'cannot treat a wandering bias; add {key} = "0 {units[key]}", '
-            "and forecast the planned campaign with it",
+            f'cannot model a drifting bias; add {key} = "0 {units[key]}" here, and run a forecast '
+            "of the planned campaign with this noise",
         )
     return {key: f"{size!r} {units[key]}" for key, size in sizes.items()}
 
@@ -265,15 +266,13 @@ def _check_noise(campaign: Campaign, problems: Problems) -> None:
         if getattr(noise, key) != 0.0:
             problems.add(
                 ("noise", key),
-                "the search for runs cannot treat a wandering bias; leave it "
-                "out here, add it to the planned campaign, and forecast that campaign",
+                "the search for runs cannot model a drifting bias; omit this noise here, add it "
+                "to the planned campaign, and run a forecast of that campaign",
             )
     for name, accelerometer in campaign.accelerometers.items():
         sizes = (getattr(noise, accelerometer.observable), noise.acceleration, noise.quantisation)
         if sizes == (0.0, 0.0, 0.0):
-            problems.add(
-                ("noise",), f"{name} would have no noise at all; give {accelerometer.observable}"
-            )
+            problems.add(("noise",), f"{name} has no noise; give {accelerometer.observable}")
 
 
 def _resolve_limits(
@@ -295,8 +294,8 @@ def _resolve_limits(
     if fewest * 2.0 * math.pi / high > longest * (1.0 + 1e-9):
         problems.add(
             ("limits", "longest_run"),
-            f"{fewest:g} revolutions take {fewest * 2.0 * math.pi / high:.4g} s even "
-            "at the highest rate; allow a longer run or fewer revolutions",
+            f"{fewest:g} revolutions take {fewest * 2.0 * math.pi / high:.4g} s even at the "
+            "highest rate; allow longer runs or fewer revolutions",
         )
     samples = fewest * 2.0 * math.pi / high * settings.sampling_rate
     if samples < _MIN_SAMPLES:
@@ -332,7 +331,7 @@ def _resolve_limits(
     if limits.total_time < limits.shortest_time:
         problems.add(
             ("limits", "total_time"),
-            f"no run fits: the shortest takes {limits.shortest_time:.4g} s with its spin-up, "
+            f"no run fits: the shortest run takes {limits.shortest_time:.4g} s with its spin-up, "
             f"settling and {fewest:g} revolutions"
             if limits.fewest_rates == 1
             else f"{limits.fewest_rates} runs at different rates do not fit: the shortest take "
@@ -345,7 +344,7 @@ def _rate_shortage(limits: Limits) -> str:
     """Return the reason why too few different rates are possible; empty if enough are."""
     count = limits.fewest_rates
     if count > limits.runs:
-        return f"{count} rates need as many runs, and limits.runs is {limits.runs}"
+        return f"{count} rates need at least {count} runs, but limits.runs is {limits.runs}"
     rates = limits.different_rates(limits.rate[1])
     if len(rates) < count and limits.settings:
         return f"only {len(rates)} settings of the rate are within the limits"
@@ -401,10 +400,10 @@ def resolve_goal(
 ) -> GoalResult | None:
     """Return the goal of a plan, or None after reporting its errors."""
     if settings.minimise is not None and settings.target is not None:
-        problems.add(("goal",), "has both minimise and target; keep one")
+        problems.add(("goal",), "has both minimise and target; keep only one of them")
         return None
     if settings.target is not None and settings.criterion != "sum":
-        problems.add(("goal", "criterion"), "has no meaning with target; leave it out")
+        problems.add(("goal", "criterion"), "has no meaning with target; omit it")
     key: Literal["target", "minimise"] = "minimise" if settings.target is None else "target"
     settings_path = settings.target if settings.target is not None else settings.minimise
     if settings_path is None:
@@ -415,7 +414,7 @@ def resolve_goal(
     units: set[str] = set()
     names = list(settings_path)
     if not names:
-        problems.add(("goal", key), "names no coefficient")
+        problems.add(("goal", key), "does not name a coefficient")
     for index, name in enumerate(names):
         path = ("goal", key, name if isinstance(settings_path, Mapping) else index)
         chosen = [u for u in shared if name in (u.name, u.symbol)]
@@ -431,8 +430,8 @@ def resolve_goal(
     if not isinstance(settings_path, Mapping) and settings.criterion == "sum" and len(units) > 1:
         problems.add(
             ("goal", key),
-            "these have different units; give for each the u that counts as 1, such as "
-            'minimise = { K_II = "1e-8 g/g^2" }',
+            "the coefficients have different units; give the u that counts as 1 for each "
+            'coefficient, such as minimise = { K_II = "1e-8 g/g^2" }',
         )
     if len(problems.lines) > error_count:
         return None

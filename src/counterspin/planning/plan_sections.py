@@ -50,7 +50,7 @@ def _check_not_negative(value: float) -> float:
 def _check_positive_count(value: float) -> float:
     # The functions of the angle are hardly separable within less than a revolution.
     if value < 1.0:
-        raise ValueError("must be one revolution at least")
+        raise ValueError("must be at least one revolution")
     return value
 
 
@@ -84,7 +84,7 @@ class LimitsSettings(SettingsSection):
         absent="any rate between",
     )
     specific_force: Force | None = key_field(
-        "largest centripetal force, in g", "1 g", None, absent="that of the rates"
+        "largest centripetal force, in g", "1 g", None, absent="that of the highest rate"
     )
     senses: Literal["one", "both"] = key_field("sense of rotation", "both", "one")
     settling: Duration = key_field("settling time before each record", "10 s", 0.0, absent="0 s")
@@ -104,7 +104,7 @@ class LimitsSettings(SettingsSection):
         "minimum number of revolutions of a run, at least 1", 10, 5.0
     )
     longest_run: Seconds | None = key_field(
-        "longest duration of a record", "400 s", None, absent="the total time"
+        "maximum duration of a record", "400 s", None, absent="the total time"
     )
     runs: Annotated[int, Field(le=MOST_RECORDS), AfterValidator(positive)] = key_field(
         "maximum number of runs, up to 60", 14, 8
@@ -114,7 +114,7 @@ class LimitsSettings(SettingsSection):
         "`rates`, different rates suffice",
         3,
         None,
-        absent="2, or 1 where the other limits leave no room for two",
+        absent="2, or 1 if the other limits do not allow two",
     )
     attitudes: list[Annotated[Any, PlainValidator(_parse_attitude)]] = key_field(
         "list of allowed attitudes, written as in `campaign.toml`",
@@ -155,25 +155,25 @@ class StationsSettings(SettingsSection):
         "angles",
         ["X", "-X", "Y - Z"],
         None,
-        absent="each axis, every two and every three of them: 26",
+        absent="every axis, pair and triple of axes: 26",
     )
-    about: Text = key_field("axis about which the positions turn", "east", "north")
+    about: Text = key_field("axis of rotation of the positions", "east", "north")
     u_angle: Annotated[float, read_exactly("rad"), AfterValidator(_check_not_negative)] = key_field(
         "random error of the dividing head at each position", "2 arcsec", 0.0, absent="0 rad"
     )
     rates: Annotated[list[Rate], Field(min_length=1)] | None = key_field(
-        "list of rates of a station that turns", ["5 rad/s", "9.9 rad/s"], None
+        "list of rates of a rotating station", ["5 rad/s", "9.9 rad/s"], None
     )
     specific_forces: Annotated[list[Force], Field(min_length=1)] | None = key_field(
         "list of centripetal forces, in place of `rates`", ["2 g", "10 g"], None
     )
     senses: Literal["one", "both"] = key_field("sense of rotation", "both", "one")
     axes: dict[str, Any] | None = key_field(
-        "axes in the frame of the motion, as of a run with a reading",
+        "axes in the frame of the motion, as for a run with a reading",
         {"input": "inward", "pendulous": "up"},
         None,
     )
-    mounting: str = key_field("mounting, as of a run with a reading", "in", "")
+    mounting: str = key_field("mounting, as for a run with a reading", "in", "")
     u: Annotated[Text | dict[str, Text], BeforeValidator(require_units)] = key_field(
         "standard uncertainty of one reading, in g or the unit of `output`; for several"
         " accelerometers one value or a table by name",
@@ -186,17 +186,17 @@ class ReadingLimitsSettings(SettingsSection):
     """[limits]: limits on the number and order of readings."""
 
     readings: Annotated[int, Field(le=MOST_READINGS), AfterValidator(positive)] | None = key_field(
-        "largest number of readings", 60, None, absent="limited by the time"
+        "maximum number of readings", 60, None, absent="limited by the time"
     )
     total_time: Seconds | None = key_field(
-        "total time of all readings; with it a target is reached in the least time, "
-        "otherwise with the fewest readings",
+        "total time of all readings; if given, a target is reached in the least time, otherwise "
+        "with the fewest readings",
         "2 h",
         None,
         absent="limited by the number",
     )
     order: Literal["mirrored", "random", "listed"] = key_field(
-        'order of the readings: `"mirrored"` goes there and back, which cancels a '
+        'order of the readings: `"mirrored"` repeats the sequence in reverse, which cancels a '
         'linear drift; `"random"`; `"listed"`',
         "random",
         "mirrored",
@@ -276,7 +276,7 @@ class PlanDocument(_Sections):
         {"displacement": "0.01 m"},
     )
     truth: Annotated[dict[str, Any] | None, Section(TruthSettings)] = key_field(
-        "true values, for a simulation of the plan", {}, None
+        "true values for a simulation of the plan", {}, None
     )
 
 
@@ -287,7 +287,7 @@ class ReadingPlanDocument(_Sections):
         "limits on the number and order of readings", {}
     )
     centrifuge: Annotated[dict[str, Any] | None, Section(CentrifugeSettings)] = key_field(
-        "dimensions of the centrifuge, as in a campaign; required if a station turns", {}, None
+        "dimensions of the centrifuge, as in a campaign; required if a station rotates", {}, None
     )
     fixture: Annotated[dict[str, Any] | None, Section(FixtureSettings)] = key_field(
         "uncertainty of positions at rest, as in a campaign", {}, None
@@ -299,13 +299,13 @@ class ReadingPlanDocument(_Sections):
         "three accelerometers of one sensor, as in a campaign", {}, None
     )
     runs: Runs = key_field(
-        "records and readings that are taken in any case, as in a campaign",
+        "records and readings that are made regardless of the plan, as in a campaign",
         [],
         absent="none",
         default_factory=list,
     )
     readings: Annotated[dict[str, Any] | None, Section(ReadingsSettings)] = key_field(
-        "a table of readings that are taken in any case, as in a campaign", {}, None
+        "a table of readings that are made regardless of the plan, as in a campaign", {}, None
     )
     stations: Annotated[list[Any], Field(min_length=1), Section(list[StationsSettings])] = (
         key_field("stations at which readings may be taken", [{"positions": 24, "u": "2e-6 g"}])

@@ -256,9 +256,9 @@ class ReadingSearch:
         """Return readings in the order in which to take them; refused if they are too many."""
         if counts.sum() > MOST_READINGS:
             raise CounterspinError(
-                f"{self.plan.path}: limits.total_time leaves time for {counts.sum():.3g} readings, "
-                f"but a campaign has {MOST_READINGS} at most; state limits.readings, or reduce "
-                "the time"
+                f"{self.plan.path}: limits.total_time leaves time for {counts.sum():.3g} "
+                f"readings, but a campaign may have at most {MOST_READINGS}; give "
+                "limits.readings, or reduce the time"
             )
         return [self.plan.candidates[index] for index in measurement_order(counts, self.plan.order)]
 
@@ -270,9 +270,9 @@ class ReadingSearch:
         if not missing:
             return
         if text.endswith(by) and all(r.motion == "static" for r in self.plan.template.readings):
-            text += ": at 1 g the squares of the specific forces add up to one"
+            text += ": at 1 g the squares of the specific force components add up to one"
         raise NotIdentifiableError(
-            text + ". Allow other stations, such as an arm or other axes, or state priors of the "
+            text + ". Allow other stations, such as an arm or other axes, or state priors for the "
             "other terms in [model.priors]."
         )
 
@@ -307,9 +307,7 @@ class ReadingSearch:
         if not all(expected.assessment.determined[name] for name in self.plan.goal.sizes):
             return []
         often = "every reading equally often"
-        text = (
-            often if number % size == 0 else "the same number of readings, spread evenly over all"
-        )
+        text = often if number % size == 0 else "the same number of readings, distributed evenly"
         time = float(self.candidates.cost @ counts)
         return [other_plan(text, time, prediction.u, expected.u, self.plan.goal.sizes)]
 
@@ -321,7 +319,7 @@ class ReadingSearch:
         factor = 1.0 + RELAXATION
         relaxed = {
             "readings": (
-                f"{number:.0f} readings at most",
+                f"at most {number:.0f} readings",
                 number,
                 (np.ceil(number * factor), time),
             ),

@@ -224,8 +224,8 @@ def _one_rate(campaign: Campaign) -> list[str]:
         return []
     return [
         f"All runs are at one rate, {rates[0]:.6g} rad/s. At one rate the mean effects of K_F, "
-        f"K_II, K_4 and K_F.heating cannot be separated, so that K_II depends on the priors of "
-        f"the others; if these are wrong, the records will not show it. Runs at a "
+        "K_II, K_4 and K_F.heating cannot be separated, so that K_II depends on the priors for "
+        "the other terms; if these priors are wrong, the records will not show this. Runs at a "
         "second rate would."
     ]
 

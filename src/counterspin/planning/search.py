@@ -249,7 +249,7 @@ def require_determined(search: Search) -> None:
         assessment,
         search.plan.goal.sizes,
         "any campaign within these limits",
-        f"in the attitudes allowed ({', '.join(search.plan.attitudes)}) ",
+        f"in the allowed attitudes ({', '.join(search.plan.attitudes)}) ",
     )
     if not missing:
         return
@@ -257,7 +257,7 @@ def require_determined(search: Search) -> None:
     text += (
         f'. Allow the attitude "{helps}" too (limits.attitudes)'
         if helps
-        else ". State priors of the other terms in [model.priors], or remove them from model.terms"
+        else ". State priors for the other terms in [model.priors], or remove them from model.terms"
     )
     raise NotIdentifiableError(text + ".")
 
@@ -394,5 +394,5 @@ def unreachable(search: Search) -> CounterspinError:
     if all(run_type.sense == 1 for run_type in search.limits.types):
         both = search.smallest(allow_both_senses(search.limits), best.design)
         u = search.predictor.u(both.design)[search.predictor.names.index(name)]
-        text += f", with both senses of the spin {format_distinct(u, size)} {unit}"
+        text += f", with both senses of rotation {format_distinct(u, size)} {unit}"
     return CounterspinError(text + ".")

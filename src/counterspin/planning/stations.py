@@ -212,7 +212,7 @@ def read_reading_plan(
     seen = {str(run.get("name")) for run in taken if isinstance(run, dict)}
     for reading in candidates:
         if reading.name in seen:
-            text = f'two have the name "{reading.name}"; give each entry its own name'
+            text = f'two have the name "{reading.name}"; give each entry a different name'
             problems.add(("stations",), text)
         seen.add(reading.name)
     if len(candidates) > _MAX_CANDIDATES:
@@ -239,13 +239,15 @@ def read_reading_plan(
     if limits is not None and limits.readings is None and limits.total_time is None:
         problems.add(("limits",), "give readings or total_time")
     if limits is not None and limits.total_time is not None and not all(r.time for r in candidates):
-        problems.add(("limits", "total_time"), "needs the time of a reading at every station")
+        problems.add(("limits", "total_time"), "requires the time of a reading at every station")
     if limits is not None and campaign is not None and campaign.runs and not limits.sampling_rate:
         problems.add(
             ("limits", "sampling_rate"), "is missing: the sampling rate of the records in [[runs]]"
         )
     if problems.lines or campaign is None or sought is None or limits is None:
-        raise campaign_error(file, problems.lines or ["stations: there are none"])
+        raise campaign_error(
+            file, problems.lines or ["stations: missing; give at least one [[stations]]"]
+        )
     return ReadingPlan(
         file.absolute(),
         document,
@@ -368,7 +370,7 @@ def _up(text: str, names: Sequence[str]) -> dict[str, float]:
         else:
             up[part], sign = sign, 1.0
     if not up:
-        raise ValueError("names no accelerometer")
+        raise ValueError("does not name an accelerometer")
     return up
 
 

@@ -58,8 +58,8 @@ _MAX_SINGLE_SHARE: Final = 0.25
 
 #: What hysteresis goes with, in words.
 _HYSTERESIS_CAUSES: Final = {
-    APPROACH: "the side from which a position was approached",
-    FORCE: "whether the force along the input axis had risen or fallen",
+    APPROACH: "the direction from which a position was approached",
+    FORCE: "whether the force along the input axis had increased or decreased",
 }
 
 #: More standard deviations than this say no more: the others have hardly any noise.
@@ -104,10 +104,10 @@ def check_readings(view: AccelerometerView) -> list[Finding]:
         sentences = []
         if p is not None and p < level / len(groups):
             statement = (
-                f"The residuals of the {group.label} do not agree with the stated noise"
+                f"The residuals of the {group.label} are not consistent with the stated noise"
                 if noise_stated
-                else f"Positions of the {group.label} deviate more from the model than "
-                "repeats of one position from each other"
+                else f"In the {group.label}, positions deviate more from the model than repeats of "
+                "one position deviate from each other"
             )
             sentences = [f"{statement} (p = {p:.2g})."]
         general = lack_of_fit_finding(view.name, sentences, residual) if sentences else None
@@ -137,7 +137,7 @@ def _check_redundancy(view: AccelerometerView) -> list[Finding]:
         return []
     text = (
         f"{count} readings cannot test the {len(free_symbols)} coefficients that they determine "
-        f"({', '.join(free_symbols)}): the model would fit them despite any error. Take "
+        f"({', '.join(free_symbols)}): the model would fit the readings despite any error. Take "
         "more readings."
     )
     return [Finding(code="unjudged-readings", subject=view.name, text=text)]
@@ -158,10 +158,9 @@ def _check_residual_dof(view: AccelerometerView) -> list[Finding]:
     dof_text = format_number(dof, 2)
     text = (
         f"{count} readings leave {dof_text} degree{'' if dof_text == '1' else 's'} of freedom "
-        "after the "
-        f"estimation: a pattern in them, such as a drift, hysteresis or a missing term, cannot "
-        f"be recognised{_detection_clause(dof)}. Take more readings, or state priors of more "
-        "terms."
+        "after the estimation: a pattern in the residuals, such as a drift, hysteresis or a "
+        f"missing term, cannot be detected{_detection_clause(dof)}. Take more readings, or state "
+        "priors for more terms."
     )
     return [Finding(code="unjudged-readings", subject=view.name, text=text)]
 
@@ -182,20 +181,20 @@ def _parameter_dof(view: AccelerometerView) -> float:
 def _detection_clause(dof: float) -> str:
     """Return in words how large residuals must be for chi-square to call them no noise."""
     if dof <= 0.5:
-        return ", nor whether their scatter agrees with the stated uncertainty"
+        return ", and the scatter cannot be compared with the stated uncertainty"
     from scipy.special import chdtri
 
     ratio = math.sqrt(float(chdtri(dof, 0.5 * SIGNIFICANCE)) / dof)
     ratio_text = format_number(ratio, 2)
-    return f", and residuals are noticed only above {ratio_text} times the stated uncertainty"
+    return f", and residuals are detected only above {ratio_text} times the stated uncertainty"
 
 
 def untestable_finding(name: str, group: FittedReadings) -> Finding:
     """Return the finding that hardly any freedom is left to test residuals by."""
     text = (
         f"{group.readings.size} {group.label} without a stated uncertainty leave "
-        f"{format_number(group.tested_dof, 2)} degrees of freedom after the estimation: their "
-        "residuals cannot be tested. State their uncertainty, or take more of them."
+        f"{format_number(group.tested_dof, 2)} degrees of freedom after the estimation: the "
+        "residuals cannot be tested. State the uncertainty of the readings, or take more readings."
     )
     return Finding(code="unjudged-readings", subject=name, text=text)
 
@@ -271,8 +270,7 @@ def _pattern_finding(
     if first.kind == WAVE:
         alternatives_text = f", or {' or '.join(terms)} in the accelerometer," if terms else ""
         text += (
-            f" An error of the head that varies with its angle{alternatives_text} would have "
-            "this effect."
+            f" A head error that varies with the angle{alternatives_text} would have this effect."
         )
     elif terms:
         text += f" {' or '.join(terms)} would have the same effect."
@@ -281,7 +279,7 @@ def _pattern_finding(
         for alternative in pattern.alternatives[1:]
         if alternative.kind not in (TERM, WAVE)
     )
-    text += "".join(f" Equally well, they {clause}." for clause in clauses)
+    text += "".join(f" Alternatively, the residuals {clause}." for clause in clauses)
     if general is not None:
         text += f" {general.text}"
     return Finding(
@@ -296,26 +294,26 @@ def _pattern_finding(
 def pattern_clause(alternative: Alternative) -> str:
     """Return the description of residuals that follow a column, as the end of a sentence."""
     when = {
-        "order": "the order in which they were taken",
-        "angle": "the angle of the head",
+        "order": "the order of the readings",
+        "angle": "the head angle",
     }.get(alternative.symbol.rpartition(" ")[2], "the time of reading")
     return {
-        WAVE: f"follow {alternative.symbol}, phi being the angle of the head from input axis up",
-        HEAD: f"look like an error of the head {alternative.symbol.partition(' ')[2]} per "
-        f"revolution",
+        WAVE: f"follow {alternative.symbol}, where phi is the head angle from input axis up",
+        HEAD: f"have the pattern of a head error {alternative.symbol.partition(' ')[2]} per "
+        "revolution",
         TERM: f"follow {alternative.symbol}, more than the model allows",
         DRIFT: f"drift with {when}",
-        WARM_UP: f"settle with {when}, as after a warm-up",
-        BEND: f"drift and reverse with {when}",
-        SCALE: f"have a scale that drifts with {when}",
-        TURN: f"look like positions that rotate steadily with {when}",
+        WARM_UP: f"settle with {when}, as during warm-up",
+        BEND: f"drift with {when} and reverse",
+        SCALE: f"have a scale factor that drifts with {when}",
+        TURN: f"have the pattern of positions that rotate steadily with {when}",
         SWING: f"swing {alternative.symbol.partition(' ')[2].partition(' ')[0]} times with {when}",
-        ASYMMETRY: f"look like a {alternative.symbol} that differs for negative forces",
-        RANGE: f"look like a gain that changes above {alternative.symbol}, as between ranges of a "
-        "meter",
+        ASYMMETRY: f"have the pattern of a {alternative.symbol} that differs for negative forces",
+        RANGE: f"have the pattern of a gain that changes above {alternative.symbol}, as between "
+        "ranges of a meter",
         STEP: f'have a step that starts at "{alternative.symbol}"',
-        SENSE: "depend on the sense in which the machine turned",
-        REVERSED: "look like a rotation in the other sense than stated",
+        SENSE: "depend on the sense of rotation of the machine",
+        REVERSED: "have the pattern of a rotation opposite to the stated sense",
         HYSTERESIS: f"depend on {_HYSTERESIS_CAUSES.get(alternative.symbol)} (hysteresis)",
     }[alternative.kind]
 
@@ -380,7 +378,7 @@ def _outlier_finding(group: FittedReadings, name: str, outlier: OutlyingReadings
 
 
 def _rate_clause(group: FittedReadings) -> str:
-    return " and its rate" if group.readings.motion in ("arm", "counter-rotating") else ""
+    return " and the rate" if group.readings.motion in ("arm", "counter-rotating") else ""
 
 
 def rounding_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
@@ -390,9 +388,9 @@ def rounding_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
             if group.readings.u is None and group.has_external_noise:
                 size = format_number(group.readings.noise_floor * 1e6, 2)
                 yield (
-                    f"{view.name}: the {group.label} follow the model to their last digit. Their "
-                    f"noise is assumed to be rounding, {size} ug; if it is larger, "
-                    "state it with each reading (±)."
+                    f"{view.name}: the {group.label} fit the model to the last digit. The noise "
+                    f"is assumed to be rounding error, {size} ug; if the noise is larger, state "
+                    "it with each reading (±)."
                 )
 
 

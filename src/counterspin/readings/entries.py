@@ -56,11 +56,11 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
         (is_pose and not no_axes, no_meaning, "axes attitude"),
         (is_pose and run.mounting, no_meaning, "mounting attitude"),
         # Terms of the machine have it between dots: centrifuge.radius.MOUNTING.
-        ("." in run.mounting, f'"{run.mounting}" has a dot; leave it out', "mounting"),
-        (static and rotates, "a static run does not turn; leave the rate out", "rate motion"),
+        ("." in run.mounting, f'"{run.mounting}" contains a dot; remove it', "mounting"),
+        (static and rotates, "a static run does not rotate; omit the rate", "rate motion"),
         (
             vibrates and rotates,
-            "a run on a shaker does not turn; leave the rate out",
+            "a run on a shaker does not rotate; omit the rate",
             "rate motion",
         ),
         (
@@ -70,22 +70,22 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
         ),
         (
             not vibrates and run.amplitude is not None,
-            'belongs to a vibration; write motion = "vibration"',
+            'applies only to a vibration; write motion = "vibration"',
             "amplitude motion",
         ),
         (
             not vibrates and run.bias_acceleration,
-            'belongs to a vibration; write motion = "vibration"',
+            'applies only to a vibration; write motion = "vibration"',
             "bias_acceleration motion",
         ),
         (
             vibrates and run.file is not None,
-            "is not averaged over vibrations; give the mean output as reading",
+            "is not averaged over vibration cycles; give the mean output as reading",
             "record motion",
         ),
         (
             (static or vibrates) and run.truth,
-            "a static run does not turn, and its truth is that of the spindle; leave it out",
+            "a static run does not rotate, but truth describes the spindle; omit this key",
             "truth motion",
         ),
         (
@@ -95,18 +95,18 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
         ),
         (
             not static and not vibrates and not rotates,
-            f"is missing: a run with motion {run.motion} turns",
+            f"is missing: a run with motion {run.motion} rotates",
             "rate motion",
         ),
         (
             (static or vibrates) and no_axes and not has_attitude,
-            "is missing: a reading at rest needs its position",
+            "is missing: a reading at rest needs a position",
             "attitude axes motion",
         ),
         (no_axes and not is_pose and run.motion == "arm", arm, " axes motion"),
         (
             not no_axes and has_attitude and not is_pose,
-            "has axes and an attitude; keep one",
+            "has axes and an attitude; keep only one of them",
             " axes attitude",
         ),
         (
@@ -121,17 +121,17 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
         ),
         (
             run.file is None and not single_temperature,
-            "a reading has one temperature; several belong to a record",
+            "a reading has only one temperature; a list of temperatures applies to a record",
             "temperature record",
         ),
         (
             run.poses and not is_pose,
-            'are searched for only with attitude = "unknown"',
+            'are detected only with attitude = "unknown"',
             "poses attitude",
         ),
         (
             run.poses and is_pose and run.file is None,
-            "are found in a record, but this is a reading",
+            "are detected in a record, but this run has a reading",
             "poses record",
         ),
     )
@@ -184,7 +184,7 @@ def resolve_readings(
             empty.append((*path, "reading"))
         readings += [_with_duration(reading, turns) for reading in run_readings]
     if empty and turns is None:
-        others_text = f", nor have {len(empty) - 1} others" if len(empty) > 1 else ""
+        others_text = f", and neither have {len(empty) - 1} others" if len(empty) > 1 else ""
         problems.add(
             empty[0],
             f"has no value yet{others_text}; enter the reading, or [truth] to simulate it",
@@ -209,7 +209,8 @@ def _accelerometer_readings(
     elif not isinstance(values, dict):
         if len(names) > 1:
             problems.add(
-                path_of_reading, "there are several accelerometers; write reading = { NAME = ... }"
+                path_of_reading,
+                "the campaign has several accelerometers; write reading = { NAME = ... }",
             )
             return
         values = dict.fromkeys(names, values or [])

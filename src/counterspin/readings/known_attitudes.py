@@ -254,8 +254,8 @@ class Readings:
             return ""
         return (
             f"{self.accelerometer}: {self.size} readings ({self.motion}) without a stated "
-            f"uncertainty do not determine their noise in addition to the unknowns; state it, or "
-            "take more readings than there are unknowns"
+            "uncertainty do not determine the noise in addition to the unknowns; state the "
+            "uncertainty, or take more readings than there are unknowns"
         )
 
     def divergence(self, rounds: int) -> str:  # noqa: ARG002

@@ -184,20 +184,21 @@ def _disagreement_findings(
         method.without, key=lambda symbol: abs(method.without[symbol].z), default=""
     )
     others = " and ".join(alternative.kind for alternative in methods if alternative is not method)
-    text = f"The test methods do not agree: {method.kind} against {others}"
+    text = f"The test methods are not consistent: {method.kind} compared with {others}"
     if symbol_of_shift:
         unit, factor = field_unit(unit_of(symbol_of_shift))
         shift = method.without[symbol_of_shift]
         text += (
-            f". Without {method.kind}, {symbol_of_shift} moves by "
-            f"{format_number(shift.shift * factor, 2)} "
-            f"{unit}, {format_number(abs(shift.z), 2)} times the standard uncertainty of the shift"
+            f". Omitting {method.kind} shifts {symbol_of_shift} by "
+            f"{format_number(shift.shift * factor, 2)} {unit}, {format_number(abs(shift.z), 2)} "
+            "times the standard uncertainty of the shift"
         )
     return [
         Finding(
             code="kinds-disagree",
             subject=f"{view.name}.{symbol_of_shift}" if symbol_of_shift else view.name,
-            text=f"{text}. Look for an effect in one test method that the model lacks.",
+            text=f"{text}. Look for an effect in one of the test methods that the model does not "
+            "include.",
             size=size,
             contradicts=size > CONTRADICTION_SIGMAS,
         )

@@ -51,7 +51,9 @@ class MountingSettings(ReadingAxes):
     """[readings.mountings.NAME]: axes of a mounting, and the column of its readings."""
 
     reading: Text | None = key_field(
-        "column with its readings, if mountings have separate columns", "inward_mA", None
+        "column with the readings of the mounting, if mountings have separate columns",
+        "inward_mA",
+        None,
     )
     u: Text | None = key_field("column with the uncertainties of the readings", "u_inward_mA", None)
 
@@ -72,7 +74,9 @@ class ReadingsSettings(TableDialect, _TableFile):
         None,
         absent="estimated",
     )
-    motion: MotionKind = key_field("motion of every row, if no column states it", "arm", "static")
+    motion: MotionKind = key_field(
+        "motion of every row, if no column contains the motion", "arm", "static"
+    )
     about: Text = key_field("axis of the angles in the column `attitude`", "east", "north")
     attitude_unit: Text = key_field(
         "unit of the angles in the columns `attitude` and `head`", "arcmin", "deg"
@@ -84,14 +88,15 @@ class ReadingsSettings(TableDialect, _TableFile):
         absent="0",
     )
     rate_unit: Text = key_field(
-        "unit of the column `rate` (`1/min`, `Hz`: revolutions); or of the time of a revolution "
-        "(`s`), or of the acceleration (`g`, `m/s^2`) at the radius of `[centrifuge]`",
+        "unit of the column `rate` (`1/min`, `Hz`: revolutions), which may also contain the "
+        "period of revolution (`s`) or the acceleration (`g`, `m/s^2`) at the radius of "
+        "`[centrifuge]`",
         "rpm",
         "rad/s",
     )
     u_rate: Text | None = key_field(
-        "random standard uncertainty of rates without an entry in the column `u_rate`, "
-        "which is in `rate_unit`",
+        "random standard uncertainty of rates without an entry in the column `u_rate` (unit: "
+        "`rate_unit`)",
         "1e-5 rad/s",
         None,
         absent="the default",
@@ -106,7 +111,7 @@ class ReadingsSettings(TableDialect, _TableFile):
         "counterclockwise",
     )
     axes: ReadingAxes | None = key_field(
-        "axes of rows that turn", {"input": "inward", "pendulous": "up"}, None, absent="`attitude`"
+        "axes of rotating rows", {"input": "inward", "pendulous": "up"}, None, absent="`attitude`"
     )
     axes_at_rest: ReadingAxes | None = key_field(
         "attitude of rows at rest", {"input": "up", "pendulous": "outward"}, None, absent="`axes`"
@@ -119,8 +124,8 @@ class ReadingsSettings(TableDialect, _TableFile):
         False,
     )
     mountings: dict[str, MountingSettings] = key_field(
-        "axes of each mounting, in place of `axes`; and its column `reading`, if "
-        "mountings have separate columns",
+        "axes of each mounting, in place of `axes`; also the column `reading` of each mounting, "
+        "if mountings have separate columns",
         {"in": {"input": "inward", "pendulous": "up"}},
         {},
     )

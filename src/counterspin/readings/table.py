@@ -71,7 +71,7 @@ def read_table(
     table, places, checksums[folder / settings.file] = loaded
     frame = table.frame
     if frame.is_empty():
-        problems.add(("readings", "file"), f"{settings.file} has no rows below the names")
+        problems.add(("readings", "file"), f"{settings.file} has no rows below the header row")
         return
     if settings.decimal is None and table.decimal == ",":
         problems.add(
@@ -93,7 +93,9 @@ def load_table(path: Path, dialect: Dialect) -> tuple[StoredTable, list[str], st
     from counterspin.records.formats import is_workbook, read_small_table
 
     if path.suffix.lower() not in TABLE_ENDINGS:
-        raise ValueError(f"{path.name}: a table of readings ends in {', '.join(TABLE_ENDINGS)}")
+        raise ValueError(
+            f"{path.name}: the name of a readings table must end in {', '.join(TABLE_ENDINGS)}"
+        )
     if dialect.sheet is not None and not is_workbook(path):
         raise ValueError(f"{path.name}: only a workbook (.xlsx) has sheets")
     try:
@@ -113,7 +115,7 @@ def insert_readings(document: dict[str, Any], frame: Any, problems: Problems) ->
     """Put the rows of a frame among a document's runs, by what its section of readings says."""
     raw = document.pop("readings", None)
     if not isinstance(raw, Mapping) or "file" in raw:
-        reason = "names a file; leave it out" if isinstance(raw, Mapping) else "is missing"
+        reason = "gives a file; omit this key" if isinstance(raw, Mapping) else "is missing"
         problems.add(
             ("readings",),
             f"{reason}: the table is given as a frame, and `columns` assigns its columns",
@@ -127,7 +129,10 @@ def insert_readings(document: dict[str, Any], frame: Any, problems: Problems) ->
     if settings is None:
         return
     if len({len(values) for values in columns.values()}) != 1:
-        problems.add(("readings",), "the columns of the frame differ in length, or there are none")
+        problems.add(
+            ("readings",),
+            "the columns of the data frame differ in length, or the data frame has no columns",
+        )
         return
     tables = table_of(document, "accelerometers")
     rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
@@ -268,19 +273,25 @@ class ReadingsTable:
             elif key in COLUMNS and not isinstance(value, str):
                 problems.add((*path, key), "must be the name of one column")
         if not stated_columns.get("reading"):
-            problems.add(path, "reading is missing: the column that holds the values")
+            problems.add(path, "reading is missing; give the column with the values")
             return
         self._check_quantities()
         if self.settings.mountings and not (self.settings.mounting or "mounting" in stated_columns):
-            problems.add(path, "mounting is missing: the column with the mounting of each reading")
+            problems.add(
+                path, "mounting is missing; give the column with the mounting of each reading"
+            )
         is_static = self.settings.motion == "static" and "motion" not in stated_columns
         for key, motions in (("rate", ("arm", "counter-rotating")), ("amplitude", ("vibration",))):
             stated_motion = self.settings.motion if "motion" not in stated_columns else ""
             if stated_motion in motions and key not in stated_columns:
-                problems.add(path, f"{key} is missing: the column with the {key} of each reading")
+                problems.add(
+                    path, f"{key} is missing; give the column with the {key} of each reading"
+                )
         stated = self.settings.axes is not None or self.settings.attitude is not None
         if is_static and not {"attitude", "input"} & set(stated_columns) and not stated:
-            problems.add(path, "attitude is missing: the column with the position of each reading")
+            problems.add(
+                path, "attitude is missing; give the column with the position of each reading"
+            )
         required = [*self.columns.values()]
         for key in ("reading", "u"):
             for owner, columns in self.value_columns(key).items():
@@ -356,8 +367,8 @@ class ReadingsTable:
             if unit_in_table and not same_unit(unit_in_table, unit):
                 self.problems.add(
                     ("readings", "columns"),
-                    f'{self.settings.file}: column "{column}" is in {unit_in_table} by the row '
-                    f"of units, but in {unit} by the description",
+                    f'{self.settings.file}: column "{column}" is in {unit_in_table} according to '
+                    f"the units row, but in {unit} according to the description",
                 )
 
     def make_run(self, row: Mapping[str, Any], index: int, path: KeyPath) -> dict[str, Any]:
@@ -386,7 +397,7 @@ class ReadingsTable:
             run["axes"] = stated.model_dump(include={"input", "pendulous"})
         elif settings.mountings and motion != "static":
             hint = suggest_name(mounting, settings.mountings)
-            self.problems.add(path, f'readings.mountings has no "{mounting}"{hint}')
+            self.problems.add(path, f'readings.mountings does not contain "{mounting}"{hint}')
         attitude = settings.attitude if cell("attitude") is None else cell("attitude")
         if "axes" in run or attitude is None:
             pass
@@ -412,7 +423,7 @@ class ReadingsTable:
         if rate := self._parse_number(stated, path):
             sense = words_of(cell("sense")).lower() or self.settings.sense
             if sense not in SENSE_WORDS:
-                message = f"'{sense}' is none of {', '.join(SENSE_WORDS)}"
+                message = f"'{sense}' is not one of {', '.join(SENSE_WORDS)}"
                 self.problems.add((*path[:-1], "sense"), message)
                 return motion, None
             u = self._parse_number(cell("u_rate"), (*path[:-1], "u_rate"))
@@ -422,7 +433,7 @@ class ReadingsTable:
         if motion != "arm" or "motion" in self.columns:
             return motion, None
         if stated is None:
-            message = "is missing: a run with motion arm turns; write 0 where the arm rests"
+            message = "is missing: an arm rotates; write 0 for readings at rest"
             self.problems.add(path, message)
         return "static", None
 

@@ -95,7 +95,7 @@ def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list
                 expected = _expected_size(
                     column, typical, float(tests.value[column_index]), float(tests.u[column_index])
                 )
-                clause = f"{_describe_fault(column, size)} moves {symbol} by "
+                clause = f"{_describe_fault(column, size)} shifts {symbol} by "
                 clause += f"{format_size(symbol, abs(shift), 3)} ({ratio:.2g} times its u)"
                 fault = _UndetectedFault(ratio * expected / size, ratio, clause)
                 kinds = faults_by_name[view.name]
@@ -115,9 +115,9 @@ def fault_remarks(faults: Mapping[str, Sequence[str]]) -> Iterator[str]:
     for name, clauses in faults.items():
         if clauses:
             yield (
-                f"{name}: the residuals would not show these single faults: {'; '.join(clauses)}. "
-                "Rule them out by other means: repeat the series in another order, or use a single "
-                "range of the meter."
+                f"{name}: the residuals would not show any single one of these faults: "
+                f"{'; '.join(clauses)}. Rule them out by other means: repeat the series in "
+                "another order, or use a single range of the meter."
             )
 
 
@@ -180,11 +180,11 @@ def _typical_size(campaign: Campaign, part: FittedReadings, fault: Alternative) 
 
 def _describe_fault(fault: Alternative, size: float) -> str:
     if fault.kind == REVERSED:
-        return "a rotation in the other sense than stated"
+        return "a rotation opposite to the stated sense"
     if fault.kind == STEP:
         return f'a bias step of {format_size("K_F", size, 3)} starting at "{fault.symbol}"'
     if fault.kind == RANGE:
-        return f"a change of the meter's gain by {1e6 * size:.2g} ppm above {fault.symbol}"
+        return f"a meter gain change of {1e6 * size:.2g} ppm above {fault.symbol}"
     if fault.kind == TURN:
         return f"a head error that grows by {2.0 * math.pi * size / ARCSEC:.2g} arcsec a turn"
     return f"a drift of the bias by {format_size('K_F', size, 3)} during the series"

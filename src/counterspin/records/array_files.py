@@ -159,7 +159,7 @@ class ArrayFile(ColumnFile):
                         "export the time in seconds."
                     )
                 if name not in self.timestamp_columns and array.dtype.kind not in "fiub":
-                    raise RecordError(f"{self.path}: '{name}' does not hold numbers.")
+                    raise RecordError(f"{self.path}: '{name}' does not contain numbers.")
             length = max((max(array.shape, default=1) for array in arrays.values()), default=0)
             for start in range(0, length, _BATCH_ROWS):
                 stop = min(start + _BATCH_ROWS, length)
@@ -224,8 +224,8 @@ class Hdf5File(ArrayFile):
             # The checksum would be of this file, the numbers from another.
             if dataset.is_virtual or dataset.external:
                 raise RecordError(
-                    f"{self.path}: the numbers of '{name}' are in another file. Write "
-                    "a file that contains them itself."
+                    f"{self.path}: the values of '{name}' are in another file. Write a file that "
+                    "contains them."
                 )
             if field:
                 array = _FieldArray(dataset, field)
@@ -234,7 +234,7 @@ class Hdf5File(ArrayFile):
                 kind = dataset.id.get_type().get_class()
                 has_numbers, shape = kind in (h5py.h5t.INTEGER, h5py.h5t.FLOAT), dataset.shape
             if not has_numbers:
-                raise RecordError(f"{self.path}: '{name}' does not hold numbers.")
+                raise RecordError(f"{self.path}: '{name}' does not contain numbers.")
             return shape
 
     @contextmanager
@@ -355,15 +355,15 @@ class MatlabFile(ArrayFile):
         unreadable = [name for name, (_, kind) in self._variables.items() if kind == "opaque"]
         if unreadable or any(name == "None" for name in self._variables):
             return (
-                f"there is no column '{missing[0]}'. The file has an object such as a table, which "
-                "only MATLAB can read: save s = table2struct(T, 'ToScalar', true) instead."
+                f"there is no column '{missing[0]}'. Only MATLAB can read an object such as a "
+                "table: save s = table2struct(T, 'ToScalar', true) instead."
             )
         return super()._missing_columns_message(missing)
 
     def _shape(self, name: str) -> tuple[int, ...]:
         shape, kind = self._variables[self._paths[name]]
         if kind not in _MATLAB_NUMBERS:
-            raise RecordError(f"{self.path}: '{name}' does not hold numbers.")
+            raise RecordError(f"{self.path}: '{name}' does not contain numbers.")
         return shape
 
     @contextmanager
@@ -578,10 +578,10 @@ class TdmsFile(ArrayFile):
         notes = []
         if any(skipped_rows):
             notes.append(
-                f"channels aligned by their start, up to {max(skipped_rows)} samples left out"
+                f"channels aligned by start time, up to {max(skipped_rows)} samples omitted"
             )
         if max(row_counts) > common_rows:
-            notes.append(f"channels cut to the shortest, {common_rows} samples")
+            notes.append(f"channels truncated to the shortest, {common_rows} samples")
         self.format_description = ", ".join(notes)
         return {
             path: (skipped_count, common_rows)

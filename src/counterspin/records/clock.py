@@ -53,8 +53,8 @@ _UNIT_SLIPS = (
     (1e-6, "Is the time column in microseconds?"),
     (1e6, "Is the time column in seconds rather than microseconds?"),
     (1e-9, "Is the time column in nanoseconds?"),
-    (1 / 60, "Is the time column in seconds rather than minutes, or the rate per minute?"),
-    (60.0, "Is the time column in minutes, or the rate per minute?"),
+    (1 / 60, "Is the time column in seconds rather than minutes, or is the rate given per minute?"),
+    (60.0, "Is the time column in minutes, or is the rate given per minute?"),
 )
 
 
@@ -120,7 +120,7 @@ class Clock:
             if (steps < 0).any():
                 row = int(np.flatnonzero(is_valid)[np.flatnonzero(steps < 0)[0] + 1])
                 raise self._fail(row, "time runs backwards.")
-            raise RecordError(f"{self._path}: fewer than two rows differ in time.")
+            raise RecordError(f"{self._path}: fewer than two rows have different times.")
         self.step = median(steps[steps > 0])
         if angle is None:
             return
@@ -285,9 +285,8 @@ class Clock:
             if revolutions > _GAP_REVOLUTIONS:
                 raise self._fail(
                     int(rows[index]),
-                    f"no row for {length:.6g} s, {revolutions:.4g} revolutions; the rotation "
-                    "cannot "
-                    "be tracked over such a gap. Cut the record here.",
+                    f"there are no rows for {length:.6g} s, {revolutions:.4g} revolutions; the "
+                    "rotation cannot be tracked over such a gap. Cut the record here.",
                 )
             self.findings.gap_count += 1
             if len(self.findings.gaps) < LISTED:
@@ -431,13 +430,16 @@ def _rate_mismatch_message(measured: float, nominal: float) -> str:
     )
     if abs(ratio + 1) < 0.05:
         return words + (
-            " The angle runs in the opposite sense to the run's rate: give the rate the other "
-            "sign, or the angle column."
+            " The angle changes in the opposite sense to the stated rate: reverse the sign of the "
+            "rate or of the angle column."
         )
     slip, hint = min(_UNIT_SLIPS, key=lambda known: abs(abs(ratio) / known[0] - 1))
     if abs(abs(ratio) / slip - 1) < 0.05:
         return f"{words} {hint}"
-    return words + " The two must agree within 5 %: check the rate, and the record's units."
+    return (
+        words
+        + " The two rates must agree within 5 %: check the stated rate and the units of the record."
+    )
 
 
 def _jump_message(elapsed: float, step: float, misfit: float, rate: float) -> str:
@@ -449,12 +451,10 @@ def _jump_message(elapsed: float, step: float, misfit: float, rate: float) -> st
     """
     if abs(elapsed / step - 1) < 0.2:
         return (
-            f"the angle jumps: it is {misfit:.4g} rad off the extrapolation of the rows "
-            "before it, and stays off. Cut the record here."
+            f"the angle jumps by {misfit:.4g} rad from the extrapolation of the preceding rows, "
+            "and does not return. Cut the record here."
         )
     return (
-        f"the clock jumps: time advances by {elapsed:.6g} s over one row, but the "
-        "angle advances as "
-        f"in "
-        f"{elapsed + misfit / rate:.6g} s. Cut the record here."
+        f"the clock jumps: time advances by {elapsed:.6g} s over one row, but the angle advances "
+        f"as expected in {elapsed + misfit / rate:.6g} s. Cut the record here."
     )

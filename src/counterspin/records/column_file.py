@@ -160,8 +160,8 @@ def record_errors(path: Path, where: Callable[[], str] = str) -> Iterator[None]:
 
 def _damage_message(path: Path, where: str) -> str:
     return (
-        f"{path}: the file is damaged{where}, or it contains something that counterspin does not "
-        "read. Export it again, or export it as CSV."
+        f"{path}: the file is damaged{where}, or it contains data that counterspin cannot read. "
+        "Export the file again, or export it as CSV."
     )
 
 
@@ -217,8 +217,8 @@ class ColumnFile(ABC):
             with record_errors(self.path):
                 if FileIdentity.of(self.path) != self.identity:
                     raise RecordError(
-                        f"{self.path}: the file was changed while it was read. Wait until it is "
-                        "complete."
+                        f"{self.path}: the file was changed while counterspin was reading it. "
+                        "Wait until the file is complete."
                     )
 
     def require(self, wanted: Sequence[str]) -> None:
@@ -410,8 +410,8 @@ class ColumnFile(ABC):
         size = self.identity.size if self.identity else 0
         if needed > _UNPACKED_BYTES + _UNPACKED_RATIO * size:
             raise DamagedFileError(
-                f"{self.path}: the file is damaged: its {size} bytes claim "
-                f"to contain {needed} bytes of numbers."
+                f"{self.path}: the file is damaged: it has {size} bytes, but its header announces "
+                f"{needed} bytes of numbers."
             )
 
 

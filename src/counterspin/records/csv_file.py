@@ -110,17 +110,17 @@ class CsvFile(ColumnFile):
             # What is in no known form may be no text at all.
             self._check_is_text(head)
         if layout is None:
-            raise RecordError(f"{self.path}: the file has no header line and no rows.")
+            raise RecordError(f"{self.path}: the file has no header row and no rows of numbers.")
         numbers = [cell for cell in layout.names if _is_number(cell)]
         mixed_cell = next((cell for cell in layout.names if _MIXED_CELL.search(cell)), None)
         if len(numbers) == len(layout.names) or (
             mixed_cell and 2 * len(numbers) >= len(layout.names)
         ):
             line = next(line for number, line in lines if number == layout.header)
-            mixed_text = f" and text within a cell, '{mixed_cell[:40]}'" if mixed_cell else ""
+            mixed_text = f" and the text '{mixed_cell[:40]}'" if mixed_cell else ""
             raise RecordError(
-                f"{self.path}, line {layout.header}: the first line must name the columns, "
-                f"but it holds numbers{mixed_text}: {line[:60]}"
+                f"{self.path}, line {layout.header}: the first line must contain the column "
+                f"names, but it contains numbers{mixed_text}: {line[:60]}"
             )
         self.delimiter, self.decimal = layout.delimiter, layout.decimal
         self._named = layout.header > 0
@@ -178,7 +178,9 @@ class CsvFile(ColumnFile):
         if self._named:
             return words
         above = f"above the first numbers, line {self._before_rows + 1}"
-        reason = self._mismatch or f"no line {above}, names the columns, so they are numbered"
+        reason = (
+            self._mismatch or f"no line {above}, contains column names, so the columns are numbered"
+        )
         return f"{words} {reason[0].upper()}{reason[1:]}."
 
     def first_cells(self, names: Sequence[str], count: int) -> dict[str, list[str]]:
@@ -211,13 +213,15 @@ class CsvFile(ColumnFile):
         try:
             wide_codec = "a,;\t1\n".encode(self._encoding) != b"a,;\t1\n"
         except LookupError:
-            raise RecordError(f"{self.path}: '{self._encoding}' is not a known encoding.") from None
+            raise RecordError(f"{self.path}: unknown encoding '{self._encoding}'.") from None
         if wide_codec and self._encoding != "utf-8-sig":
             try:
                 self._content = self.content().decode(self._encoding).encode()
                 self._is_utf8 = True
             except UnicodeError:
-                raise RecordError(f"{self.path}: this is not text in {self._encoding}.") from None
+                raise RecordError(
+                    f"{self.path}: the file is not text in {self._encoding}."
+                ) from None
         if self._content is not None:
             first_bytes = self._content[:_LINE_BYTES]
         if b"\r" in first_bytes and b"\n" not in first_bytes:
@@ -239,7 +243,9 @@ class CsvFile(ColumnFile):
         for number, raw in head:
             line = raw.decode("utf-8-sig", errors="replace").strip("\r\n")
             if "\ufffd" in line or any(c < " " and c != "\t" for c in line):
-                raise RecordError(f"{self.path}, line {number}: this is not text in UTF-8. {_FORM}")
+                raise RecordError(
+                    f"{self.path}, line {number}: the file is not text in UTF-8. {_FORM}"
+                )
             if line.strip() and not line.startswith("#"):
                 return
 
@@ -356,18 +362,18 @@ class CsvFile(ColumnFile):
         cell = str(self._as_strings([column]).slice(row, 1).collect().item())
         if column in self.timestamp_columns:
             raise RecordError(
-                f"{self.path}, {self.locate(row)}: column '{column}' holds the text '{cell[:40]}' "
-                "instead of a time, such as 2026-03-01T12:00:00.020."
+                f"{self.path}, {self.locate(row)}: column '{column}' contains the text "
+                f"'{cell[:40]}' instead of a time, such as 2026-03-01T12:00:00.020."
             )
         hint = ""
         if cell.strip() == column:
             hint = " The column names are repeated: put each run into a separate file."
         if _UNIT_CELL.fullmatch(cell.strip()):
-            hint = " Move the unit from the cells to the line of names, such as 'Time [s]'."
+            hint = " Move the unit from the cells to the header row, such as 'Time [s]'."
         if _is_number(cell.replace(",", ".")):
-            hint = ' Write numbers with a decimal point, or state `decimal=","`.'
+            hint = ' Write numbers with a decimal point, or give `decimal=","`.'
         raise RecordError(
-            f"{self.path}, {self.locate(row)}: column '{column}' holds the text '{cell[:40]}' "
+            f"{self.path}, {self.locate(row)}: column '{column}' contains the text '{cell[:40]}' "
             f"instead of a number.{hint}"
         )
 
@@ -447,10 +453,13 @@ class CsvFile(ColumnFile):
                 if width > len(self.names):
                     hint = ""
                     if self.delimiter == "," and width == 2 * len(self.names):
-                        hint = " Commas separate cells or decimals; export with semicolons or tabs."
+                        hint = (
+                            " Commas serve as both cell and decimal separators; export the file "
+                            "with semicolons or tabs."
+                        )
                     raise RecordError(
-                        f"{self.path}, line {number}: the line has {width} cells, "
-                        f"the header names {len(self.names)}.{hint}"
+                        f"{self.path}, line {number}: the line has {width} cells, but the header "
+                        f"row has {len(self.names)} names.{hint}"
                     )
         if open_line:
             raise RecordError(f"{self.path}, line {open_line}: a quotation mark is not closed.")
@@ -477,7 +486,7 @@ def open_text_named_excel(path: Path, stream: BinaryIO, dialect: Dialect) -> Col
     head = stream.read(_PREVIEW_BYTES)
     stream.seek(0)
     if head.startswith((b"\xd0\xcf\x11\xe0", b"PK")):
-        raise RecordError(f"{path}: this is a workbook; save it as .xlsx, without a password.")
+        raise RecordError(f"{path}: this is a workbook; save it as .xlsx without a password.")
     if head.lstrip().startswith(b"<"):
         raise RecordError(
             f"{path}: this is a web page or XML for Excel; open it in Excel and save it as .xlsx."

@@ -61,11 +61,12 @@ _ALTERNATIVES: Final[Mapping[str, str]] = {
     'savetxt("NAME.csv", load("NAME.npz")["ARRAY"], delimiter=",").',
     **dict.fromkeys(
         (".json", ".jsonl", ".xml", ".yaml", ".yml", ".toml", ".db", ".sqlite"),
-        "not a data table; export the data as CSV, with a line for each sample.",
+        "not a data table; export the data as CSV with one line per sample.",
     ),
     **dict.fromkeys(
         (".ods", ".numbers", ".doc", ".docx", ".rtf", ".pdf"),
-        "this format is not read; save its table as .xlsx or .csv in the program that wrote it.",
+        "this format is not supported; save the table as .xlsx or .csv in the program that wrote "
+        "the file.",
     ),
     **dict.fromkeys(
         (".bin", ".raw", ".pkl", ".pickle"),
@@ -84,5 +85,5 @@ def suffix_problem(path: Path) -> str:
         return "the file is compressed; unpack it, and give the file inside."
     if ending in _ALTERNATIVES and not path.is_dir():
         return _ALTERNATIVES[ending]
-    kind = "this is a folder" if path.is_dir() else "this one does not"
+    kind = "this is a folder" if path.is_dir() else "this file does not"
     return f"a record file ends in one of {', '.join(RECORD_FORMATS)}; {kind}."

@@ -25,8 +25,8 @@ def memory_table(name: str, frame: Any) -> MemoryTable:
             continue
         if numbers.ndim != 1:
             raise RecordError(
-                f"{name}: column '{key}' has the shape {numbers.shape}; a column has one value "
-                "for each row."
+                f"{name}: column '{key}' has the shape {numbers.shape}; a column needs one value "
+                "per row."
             )
         columns[key] = numbers
     lengths = {key: len(values) for key, values in columns.items()}
@@ -56,7 +56,7 @@ def iter_columns(name: str, frame: Any) -> Iterator[tuple[str, Any]]:
     else:
         raise RecordError(
             f"{name}: a {type(frame).__name__} has no named columns. Give a mapping of arrays, a "
-            "frame of polars or pandas, or a file."
+            "polars or pandas data frame, or a file."
         )
 
 

@@ -94,7 +94,7 @@ _MAX_FOOTER_LINES: Final = 40
 _DELIMITER_WORDS: Final = {
     ";": "semicolon-separated",
     "\t": "tab-separated",
-    BLANKS: "separated by blanks",
+    BLANKS: "separated by spaces",
 }
 #: Between a name that several columns have, and which of them one is.
 NUMBERED: Final = " #"
@@ -118,13 +118,13 @@ class TableFormat:
         """Say what is not plain; empty text of a plain file."""
         statements = []
         if not self.header:
-            statements.append("columns without names")
+            statements.append("unnamed columns")
         if self.mismatch:
             statements.append(self.mismatch)
         if self.header > 1:
             statements.append(f"names in line {self.header}")
         if self.units_row:
-            statements.append("a row of units")
+            statements.append("a units row")
         if self.delimiter in _DELIMITER_WORDS:
             statements.append(_DELIMITER_WORDS[self.delimiter])
         if self.decimal == ",":

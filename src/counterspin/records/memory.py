@@ -74,7 +74,7 @@ class MemoryFile(ColumnFile):
     def _require(self, wanted: Sequence[str]) -> None:
         for name in wanted:
             if name in self._table_in_memory.others:
-                raise RecordError(f"{self.path}: column '{name}' holds no numbers.")
+                raise RecordError(f"{self.path}: column '{name}' contains no numbers.")
 
     def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         yield {name: self._table_in_memory.columns[name] for name in wanted}

@@ -45,7 +45,9 @@ _IDLE_SECONDS: Final = 60.0
 
 #: Status of a process that another one is to follow.
 _RESTART_STATUS: Final = 75
-_TIMEOUT_STATUS: Final = "the file is damaged: reading it takes far longer than its size explains."
+_TIMEOUT_STATUS: Final = (
+    "the file is damaged: reading it takes far longer than expected for its size."
+)
 #: How processes end on Windows -> what that means.
 _WINDOWS_DEATHS: Final = {
     0xC000_0005: "access violation",
@@ -327,7 +329,7 @@ def _answer(message: bytes) -> tuple[Any] | BaseException:
     except CounterspinError as error:
         return error
     except MemoryError:
-        return DamagedFileError(f"{path}: the file needs more memory than is allowed.")
+        return DamagedFileError(f"{path}: the file needs more memory than allowed.")
     except BaseException as error:
         error.add_note(traceback.format_exc())
         return error
@@ -367,11 +369,11 @@ def _exit_description(status: int) -> str:
         return _TIMEOUT_STATUS
     if name == "SIGABRT":
         return (
-            "the file is damaged or needs more memory than is allowed: its reader "
-            "aborted (SIGABRT)."
+            "the file is damaged or needs more memory than allowed: the reader process aborted "
+            "(SIGABRT)."
         )
     if name == "SIGKILL":
         return (
-            "the operating system stopped the reading of this file, most likely for lack of memory."
+            "the operating system stopped the reader process, most likely because memory ran out."
         )
-    return f"the file is damaged: its reader crashed on it ({name})."
+    return f"the file is damaged: it crashed the reader process ({name})."

@@ -267,14 +267,14 @@ class _RecordReader:
             self._rows += rows
         if averager is None:
             raise RecordError(
-                f"{self._file.path}: none of its {self._rows} rows is in the part to be used."
+                f"{self._file.path}: none of the {self._rows} rows is in the part to be used."
                 if self._rows
-                else f"{self._file.path}: the file names its columns, but has no rows."
+                else f"{self._file.path}: the file has column names, but no rows."
             )
         self._clock.finish()
         self._check_empty_rows()
         if not chunks:
-            raise RecordError(f"{self._file.path}: no row of the record can be used.")
+            raise RecordError(f"{self._file.path}: the record has no usable rows.")
         return BlockMeans.concatenate(chunks)
 
     def main_segment(self, blocks: BlockMeans) -> tuple[float, float] | None:
@@ -307,8 +307,8 @@ class _RecordReader:
         finite = time[np.isfinite(time)]
         if not len(finite):
             raise RecordError(
-                f"{self._file.path}: column '{self._columns.time.name}' has no numbers at its "
-                "start."
+                f"{self._file.path}: column '{self._columns.time.name}' does not start with "
+                "numbers."
             )
         return float(finite[0])
 
@@ -349,8 +349,8 @@ class _RecordReader:
             if len(infinite):
                 mask = self._file.locate_row(first_row + int(infinite[0]))
                 raise RecordError(
-                    f"{self._file.path}, {mask}: column '{self._signals[place].name}' "
-                    "holds an infinite value."
+                    f"{self._file.path}, {mask}: column '{self._signals[place].name}' contains an "
+                    "infinite value."
                 )
 
     def _note_outliers(
@@ -380,9 +380,9 @@ class _RecordReader:
         large = self._clock.findings.implausible_angles
         if self._columns.angle is not None and large > MAX_EMPTY_FRACTION * self._rows:
             raise RecordError(
-                f"{self._file.path}: column '{self._columns.angle.name}' has {large} angles beyond "
-                f"{MAX_ANGLE:g} rad in {self._rows} rows; at most {MAX_EMPTY_FRACTION:.0%} may be "
-                "so large. Check the unit of the column, or subtract its first value."
+                f"{self._file.path}: column '{self._columns.angle.name}' has {large} angles above "
+                f"{MAX_ANGLE:g} rad in {self._rows} rows; at most {MAX_EMPTY_FRACTION:.0%} are "
+                "allowed. Check the unit of the column, or subtract the first value."
             )
         differing_count = self._clock.findings.differing
         if differing_count > MAX_EMPTY_FRACTION * self._rows:
@@ -442,8 +442,8 @@ class _RecordReader:
             required = f"{min_revolutions:g} are" if min_revolutions > 1.0 else "1 is"
             raise RecordError(
                 f"{self._file.path}: the record lasts {duration:.6g} s, {revolutions:.3g} "
-                f"revolutions at the run's rate; at least {required} needed. "
-                "Check the unit of the time column."
+                f"revolutions at the stated rate; at least {required} needed. Check the unit of "
+                "the time column."
             )
         if revolutions > MAX_REVOLUTIONS_PER_ROW * self._rows:
             raise RecordError(
@@ -462,8 +462,8 @@ class _RecordReader:
         largest = float(np.abs(values[~np.isnan(values)]).max(initial=0.0))
         if not largest < MAX_MAGNITUDE:
             raise RecordError(
-                f"{self._file.path}: column '{spec.name}' holds values up to {largest:.3g} in SI "
-                "units, which is not plausible."
+                f"{self._file.path}: column '{spec.name}' contains values up to {largest:.3g} in "
+                "SI units, which is implausible."
             )
 
     def _check_amplitude(
@@ -537,7 +537,7 @@ class _RecordReader:
         )
         location = self._file.locate_row(int(np.concatenate(rows)[row_index]))
         return RecordError(
-            f"{self._file.path}, {location}: column '{spec.name}' changes its unit or its scale: "
+            f"{self._file.path}, {location}: column '{spec.name}' changes unit or scale: "
             f"{change.description}. Cut the record here or correct the column."
         )
 

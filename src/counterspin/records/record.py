@@ -89,26 +89,26 @@ class RecordReport:
         """Return one plain sentence for each thing found, for warnings and reports."""
         notes = []
         if self.format_description:
-            notes.append(f"The file was read as follows: {self.format_description}.")
+            notes.append(f"Detected file format: {self.format_description}.")
         if self.outside:
-            notes.append(f"{self.outside} rows outside the part to be used were left out.")
+            notes.append(f"{self.outside} rows outside the part to be used were omitted.")
         if self.repeated:
-            text = f", {self.differing} of them with other values" if self.differing else ""
+            text = f", {self.differing} of them with different values" if self.differing else ""
             notes.append(f"{self.repeated} repeated rows were dropped{text}.")
         for column, count in self.empty.items():
             if count:
-                notes.append(f"{count} empty cells in column '{column}' were left out.")
+                notes.append(f"{count} empty cells in column '{column}' were omitted.")
         for column, count in self.outliers.items():
             if count:
-                notes.append(f"{count} outliers in column '{column}' were left out.")
+                notes.append(f"{count} outliers in column '{column}' were rejected.")
         if self.isolated:
-            text = "1 row that stands" if self.isolated == 1 else f"{self.isolated} rows that stand"
+            text = "1 row separated" if self.isolated == 1 else f"{self.isolated} rows separated"
             verb = "was" if self.isolated == 1 else "were"
-            notes.append(f"{text} alone beyond a gap {verb} left out.")
+            notes.append(f"{text} from the others by a gap {verb} omitted.")
         if self.gap_count:
             longest = max(gap.length for gap in self.gaps)
             text = "1 gap" if self.gap_count == 1 else f"{self.gap_count} gaps"
-            notes.append(f"{text} in the record; the longest takes {longest:.6g} s.")
+            notes.append(f"{text} in the record; the longest lasts {longest:.6g} s.")
         return notes
 
 
@@ -168,20 +168,24 @@ class ColumnSpec:
         place = f"{file.path}: column '{self.name}'"
         if self.unit is None:
             if not file_unit:
-                raise RecordError(f"{place} has no unit in the file; state it in the campaign.")
+                raise RecordError(
+                    f"{place} has no unit in the file; state the unit in the campaign."
+                )
             if self.kind == "temperature" and file_unit in TEMPERATURE_SCALES:
                 return replace(self, unit=file_unit).resolve_unit(file)
             try:
                 factor = unit_factor(file_unit, self.target_unit, gravity=self.gravity)
             except ValueError as error:
-                raise RecordError(f"{place} is in '{file_unit}' by the file: {error}.") from None
+                raise RecordError(
+                    f"{place} is in '{file_unit}' according to the file: {error}."
+                ) from None
             # Beside the unit there may be a sense, or a clock that is known to be fast.
             return replace(self, factor=factor * self.factor, unit=file_unit)
         is_same = file_unit == self.unit or same_unit(file_unit, self.unit, gravity=self.gravity)
         if file_unit and file.units_row and not is_same:
             raise RecordError(
-                f"{place} is in '{file_unit}' by the file's row of units, but in '{self.unit}' by "
-                "the campaign."
+                f"{place} is in '{file_unit}' according to the units row of the file, but in "
+                f"'{self.unit}' according to the campaign."
             )
         if self.kind == "temperature":
             return replace(self, offset=TEMPERATURE_SCALES[self.unit])
@@ -224,7 +228,7 @@ class RecordColumns:
         """Return the columns as `RunFile` yields them, under names that no file has."""
         time, angle = self.time, self.angle
         if time.kind == "rows":
-            time = replace(time, name="(counted time)")
+            time = replace(time, name="(time from row count)")
         if angle is not None and angle.kind == "pulses":
             angle = replace(angle, name="(angle between pulses)", factor=1.0)
         return replace(self, time=time, angle=angle)

@@ -46,7 +46,7 @@ class RunFile:
         self.identity: FileIdentity | None = files[0].identity
         notes = [file.format_description for file in files[:1] if file.format_description]
         if len(files) > 1:
-            notes.append(f"{len(files)} files, one after the other")
+            notes.append(f"{len(files)} files, concatenated")
         if columns.time.kind == "rows":
             notes.append(f"the time from counted rows, {columns.time.factor:.9g} s per row")
         if pulses is not None:
@@ -108,13 +108,13 @@ def pulse_angle(pulses: Array, time: Array, rate: float, per_revolution: float) 
     steps = np.diff(pulses)
     if (steps <= 0).any():
         index = int(np.flatnonzero(steps <= 0)[0]) + 2
-        raise ValueError(f"pulse {index} is not later than the one before it")
+        raise ValueError(f"pulse {index} is not later than the preceding pulse")
     interval = median(steps)
     expected_interval = 2 * math.pi / abs(rate) / per_revolution
     if abs(interval / expected_interval - 1) > 0.05:
         raise ValueError(
-            f"the pulses are {interval:.6g} s apart; at the run's rate, with {per_revolution:g} a "
-            f"revolution, it should be {expected_interval:.6g} s"
+            f"the pulses are {interval:.6g} s apart; at the stated rate, with {per_revolution:g} "
+            f"pulses per revolution, the interval should be {expected_interval:.6g} s"
         )
     # A pulse that is missing leaves an interval of two.
     revolutions = np.round(steps / interval)
@@ -122,7 +122,7 @@ def pulse_angle(pulses: Array, time: Array, rate: float, per_revolution: float) 
     if offset.any() or (revolutions < 1).any():
         index = int(np.flatnonzero(offset | (revolutions < 1))[0]) + 2
         raise ValueError(
-            f"pulse {index} comes {steps[index - 2]:.6g} s after the one before it, others after "
+            f"pulse {index} comes {steps[index - 2]:.6g} s after the preceding pulse, instead of "
             f"{interval:.6g} s"
         )
     unit = math.copysign(2 * math.pi / per_revolution, rate)

@@ -174,7 +174,8 @@ class RepeatedValues:
             (name, count / rows) for name, count in zip(self._names, self._held, strict=True)
         )
         return [
-            f"column '{name}' repeats {100.0 * fraction:.3g} % of its values, not used"
+            f"column '{name}' repeats {100.0 * fraction:.3g} % of its values; the repeats are not "
+            "used"
             for name, fraction in fractions
             if fraction
         ]
@@ -212,7 +213,8 @@ def row_rate(time: Array) -> float:
     steps = np.diff(count_times(stamps, int(np.sum(np.diff(stamps) == 0.0))))
     if np.ptp(steps) > 0.5 * median(steps):
         raise ValueError(
-            "samples are missing among rows that share stamps; export finer time stamps"
+            "samples are missing among rows with equal time stamps; export time stamps with a "
+            "finer resolution"
         )
     # The first and the last stamp may have fewer rows.
     first = np.flatnonzero(np.diff(stamps) > 0.0)[[0, -1]] + 1
@@ -246,9 +248,9 @@ def count_times(time: Array, restamped: int) -> Array:
         deviation = segment[size:] - segment[: segment.size - size] - size * step
         if lacks_rows or (size > 0 and np.abs(deviation).max() > (burst + 1.0) * step):
             raise ValueError(
-                f"{restamped} of {time.size} rows repeat the time of the row before with other "
-                "values, and samples are missing among them, so that rows cannot be counted; "
-                "export finer time stamps"
+                f"{restamped} of {time.size} rows repeat the time of the previous row with "
+                "different values, and samples are missing among them, so the rows cannot be "
+                "counted; export time stamps with a finer resolution"
             )
         counted_times.append(segment[0] + step * np.arange(segment.size))
     return np.concatenate(counted_times)

@@ -184,13 +184,13 @@ def find_unit_change(fitted: HarmonicFit, *, may_grow: bool) -> UnitChange | Non
     factor = float(size[after] / size[before]) if size[before] else math.inf
     if may_grow and 1 / _CHANGE_RATIO <= factor <= _CHANGE_RATIO:
         return None
-    description = "its wave of one period a revolution "
+    description = "the once-per-revolution wave "
     if not 1e-9 < factor < 1e9:
-        return UnitChange(before, after, description + ("stops" if factor < 1.0 else "only begins"))
+        return UnitChange(before, after, description + ("stops" if factor < 1.0 else "only starts"))
     description += f"changes by a factor of {factor:.4g}"
     nearest, distance = _nearest_unit_ratio(factor)
     if distance < 0.02:
-        description += f", as between {nearest}"
+        description += f", the ratio of {nearest}"
     return UnitChange(before, after, description)
 
 
@@ -265,15 +265,16 @@ def check_first_harmonic(
     if 0.5 < size < 2:
         angle_degrees = math.degrees(math.atan2(ratio.imag, ratio.real))
         return (
-            f"is turned by {angle_degrees:.0f} degrees against the input axis: "
-            "check the input axis, its sign, and which column is which"
+            f"is rotated by {angle_degrees:.0f} degrees against the input axis: check the input "
+            "axis, its sign, and which column is which"
         )
     nearest, distance = _nearest_unit_ratio(size) if size > 0.0 else ("", math.inf)
     if distance < 0.05:
         return (
-            f"{message}; the factor {size:.4g} is that between {nearest}: check the column's unit"
+            f"{message}; the factor {size:.4g} is the ratio of {nearest}: check the unit of the "
+            "column"
         )
-    return f"{message}: check the column's unit, the radius and the input axis"
+    return f"{message}: check the unit of the column, the radius and the input axis"
 
 
 def _sd_of_median(fitted: HarmonicFit, mean: complex) -> float:

@@ -57,8 +57,8 @@ class ParquetFile(ColumnFile):
         for name in wanted:
             if name not in self.timestamp_columns and not self._schema[name].is_numeric():
                 raise RecordError(
-                    f"{self.path}: column '{name}' is of type {self._schema[name]}; "
-                    "numbers are needed."
+                    f"{self.path}: column '{name}' is of type {self._schema[name]}; numbers are "
+                    "required."
                 )
         rows = int(self._scan().select(pl.len()).collect().item())
         self._check_size(8 * rows * len(wanted))
@@ -98,7 +98,7 @@ class ParquetFile(ColumnFile):
         if kind == pl.String():
             return nanoseconds(name)
         if not isinstance(kind, pl.Datetime):
-            raise RecordError(f"{self.path}: column '{name}' holds no time stamps.")
+            raise RecordError(f"{self.path}: column '{name}' contains no time stamps.")
         return pl.col(name).dt.cast_time_unit("ns").to_physical()
 
 
@@ -165,11 +165,12 @@ def _find_sheet(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str
     matches = filled_sheets if len(filled_sheets) == 1 else _table_sheets(book, filled_sheets)
     if len(matches) != 1:
         text = (
-            f"the sheets {format_names(matches or filled_sheets)} hold rows; name one"
+            f"the sheets {format_names(matches or filled_sheets)} contain rows; give the name of "
+            "one"
             if filled_sheets
-            else "it has none"
+            else "the workbook has no sheets with rows"
         )
-        raise RecordError(f"{path}: which sheet is the table: {text}.")
+        raise RecordError(f"{path}: the sheet with the table is not known: {text}.")
     return book, matches[0]
 
 
@@ -217,7 +218,9 @@ class ExcelFile(ColumnFile):
         self._book, self._sheet = _find_sheet(path, dialect.sheet, self.content())
         table_position = _score_rows(self._book, self._sheet, dialect)
         if table_position is None:
-            raise NoRowsError(f"{path}: sheet '{self._sheet}' has no rows of numbers below names.")
+            raise NoRowsError(
+                f"{path}: sheet '{self._sheet}' has no rows of numbers below a header row."
+            )
         self._layout = table_position[1]
         self.names, self.decimal = list(self._layout.names), self._layout.decimal
         self.units = dict(zip(self._layout.names, self._layout.units, strict=True))
@@ -229,9 +232,9 @@ class ExcelFile(ColumnFile):
             self.footer = tuple("; ".join(filter(None, cells)) for cells in split_rows[-count:])
         self.format_description = ", ".join(
             [f"sheet '{self._sheet}'"] * (len(self._book.sheet_names) > 1)
-            + ["columns without names"] * (self._layout.header == 0)
+            + ["unnamed columns"] * (self._layout.header == 0)
             + [f"names in row {self._layout.header}"] * (self._layout.header > 1)
-            + ["a row of units"] * self.units_row
+            + ["a units row"] * self.units_row
             + ["text with decimal commas"] * (self.decimal == ",")
         )
 
@@ -273,7 +276,7 @@ class ExcelFile(ColumnFile):
                 row = int(invalid[0])
                 noun = "time" if name in self.timestamp_columns else "number"
                 raise RecordError(
-                    f"{self.path}, {self.locate(row)}: column '{name}' holds the text "
+                    f"{self.path}, {self.locate(row)}: column '{name}' contains the text "
                     f"'{str(stated[row])[:40]}' instead of a {noun}."
                 )
         yield columns
@@ -305,5 +308,5 @@ def _require_size(path: Path, content: bytes) -> None:
     if size > max_bytes:
         raise DamagedFileError(
             f"{path}: the workbook unpacks to {size / 1e6:.0f} MB, more than the "
-            f"{max_bytes / 1e6:.0f} MB allowed for a file of its size; save the table as CSV."
+            f"{max_bytes / 1e6:.0f} MB allowed for a file of this size; save the table as CSV."
         )

@@ -79,9 +79,8 @@ def _temperature_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> 
             )
             raise RecordError(
                 f"{file.path}, {row_location}: column '{spec.name}' holds {implausible:.6g} K "
-                f"({implausible - ZERO_CELSIUS:.6g} degC), at which no accelerometer works. "
-                "Check the unit "
-                "of the column."
+                f"({implausible - ZERO_CELSIUS:.6g} degC), outside the operating range of any "
+                "accelerometer. Check the unit of the column."
             )
         rows += len(time)
         is_used = (time >= columns.time_range[0]) & (time <= columns.time_range[1])
@@ -105,9 +104,8 @@ def _temperature_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> 
     gap = max(gap, (span[1] - last, last, span[1]))
     if gap[0] > _MAX_GAP_FRACTION * (span[1] - span[0]):
         raise RecordError(
-            f"{location} has no number from {gap[1]:.6g} s to {gap[2]:.6g} s, more than "
-            "a quarter of "
-            "the record. State the temperature of the run instead (`temperature`), and no column."
+            f"{location} has no number from {gap[1]:.6g} s to {gap[2]:.6g} s, more than a quarter "
+            "of the record. State the temperature of the run (`temperature`) instead of a column."
         )
     values = np.concatenate(segments, axis=1)
     low, high = float(values[1].min()), float(values[1].max())

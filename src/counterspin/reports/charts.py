@@ -68,7 +68,7 @@ def check_format(path: Path) -> str:
     kind = path.suffix.lower()
     if kind not in _METADATA:
         raise CounterspinError(
-            f"{path}: a figure is written as {', '.join(_METADATA)}; choose one of these endings"
+            f"{path}: unsupported file type for a figure; end the name in {', '.join(_METADATA)}"
         )
     return kind
 

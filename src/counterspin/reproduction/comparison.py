@@ -51,9 +51,9 @@ def first_stage_uncertainty() -> tuple[Row, ...]:
             printed,
             run.parabola.u_b2,
             "m/s^2",
-            "100 strobes of 0.01 m give this, and 16 times more at four times the rate, because "
-            "the strobes then span a quarter of the time; we found no reading of the plan that "
-            "gives the printed value (printed in g^2; b2 is in m/s^2)"
+            "100 strobes with a noise of 0.01 m give this value, and 16 times this value at four "
+            "times the rate, because the strobes then span a quarter of the time; no "
+            "interpretation of the plan gives the printed value (printed in g^2; b2 is in m/s^2)"
             if number == 1
             else "likewise",
             ".5e",
@@ -86,7 +86,8 @@ def second_stage_uncertainty() -> tuple[Row, ...]:
             "from the printed sigma(b2), Eq. 26, g = 9.8",
             ours,
             f"reproduced to {abs(1 - ours / PRINTED_SIGMA_K_II):.2%}; the paper does not state g, "
-            f"and {GRAVITY * PRINTED_SIGMA_K_II / ours:.4f} m/s^2 would give its figure",
+            f"and {GRAVITY * PRINTED_SIGMA_K_II / ours:.4f} m/s^2 would give the value of the "
+            "paper",
         ),
         row(
             "standard_gravity",
@@ -123,7 +124,7 @@ def second_stage_uncertainty() -> tuple[Row, ...]:
         ),
         row(
             "exact_alone",
-            "stated plan, exact: K_II alone",
+            "stated plan, exact: K_II only",
             u(_exact_second_stage(plan, fit_bias=False)),
             "with the bias perfectly known, as the paper assumes",
             ".3e",
@@ -132,7 +133,7 @@ def second_stage_uncertainty() -> tuple[Row, ...]:
             "exact_drift",
             "stated plan, exact: K_II, K_F and drift C",
             u(_exact_second_stage(plan, nominal_angle=True)),
-            "with only the nominal angle as reference the drift is an unknown too",
+            "with only the nominal angle as reference, the drift is also an unknown",
             ".3e",
         ),
         Row(
@@ -158,13 +159,13 @@ def recovery() -> tuple[Row, ...]:
     return (
         row(
             "as_printed",
-            "K_II by Eq. 26 as printed (paper: its Table 1)",
+            "K_II by Eq. 26 as printed (paper: Table 1)",
             _printed_second_stage(runs).estimate("K_II")[0],
-            "half of the truth: 1/2 stands where the double integral gives 1/4",
+            "half the true value: the equation has 1/2 where the double integral gives 1/4",
         ),
         row(
             "exact",
-            "K_II by the exact model, K_F estimated too",
+            "K_II by the exact model, K_F also estimated",
             _exact_second_stage(runs).estimate("K_II")[0],
             "the true value",
         ),
@@ -202,8 +203,8 @@ def second_stage_ripple() -> tuple[Row, ...]:
             truth,
             separated[0],
             "g/g^2",
-            f"separating it changes nothing, and costs {separated[1] / alone[1] - 1:.0%} in "
-            "uncertainty",
+            "separating the ripple does not change K_II, but increases the uncertainty by "
+            f"{separated[1] / alone[1] - 1:.0%}",
         ),
         Row(
             "separation.printed_without",
@@ -211,11 +212,11 @@ def second_stage_ripple() -> tuple[Row, ...]:
             truth,
             k_ii(columns[:, :1])[0],
             "g/g^2",
-            "half of the truth with or without it",
+            "half the true value with or without this column",
         ),
         Row(
             "separation.ripple",
-            "(w_p/w0) sin(phi) that Eq. 26 finds (paper: its Table 2)",
+            "(w_p/w0) sin(phi) estimated by Eq. 26 (paper: Table 2)",
             RIPPLE_RATIO * math.sin(RIPPLE_PHASE),
             by_ratio.estimate(RIPPLE)[0],
             "",

@@ -91,8 +91,8 @@ def write_description(folder: Path) -> None:
     try:
         if target.exists() and read_file(target) != text.encode():
             raise CounterspinError(
-                f"{target} is another campaign, or an earlier or edited one; remove it, or choose "
-                "another folder"
+                f"{target} belongs to another campaign, or to an earlier or edited demonstration; "
+                "remove it, or choose another folder"
             )
         taken = [
             place for run in parse_toml(text)["runs"] if (place := folder / run["record"]).exists()
@@ -103,6 +103,6 @@ def write_description(folder: Path) -> None:
             )
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise CounterspinError(f"{folder}: cannot be used ({error.strerror})") from error
+        raise CounterspinError(f"{folder} cannot be used ({error.strerror})") from error
     if not target.exists():
         write_text(target, text)

@@ -23,7 +23,7 @@ _COLUMNS = (
     Column("Paper", align="right"),
     Column("counterspin", align="right"),
     Column("Unit", wraps=True),
-    Column("Why they differ", wraps=True),
+    Column("Reason for the difference", wraps=True),
 )
 
 
@@ -34,8 +34,8 @@ def reproduction_blocks(reproduction: Reproduction) -> list[Block]:
         blocks += [Heading(section.title), _table(section)]
     blocks.append(
         Paragraph(
-            "Paper: printed number, or value of the printed equation. counterspin: computed "
-            "now. The derivations are in docs/paper.md.",
+            "Paper: printed value, or value of the printed equation. counterspin: computed value. "
+            "The derivations are in docs/paper.md.",
             "quiet",
         )
     )
@@ -90,7 +90,9 @@ def demonstration_report(shown: Demonstration) -> Report:
         Paragraph(
             "Joint: every sample of every run in one weighted fit, the default of `calibrate`."
         ),
-        Paragraph("Two-stage: the paper's method, one sample a revolution, with exact equations."),
+        Paragraph(
+            "Two-stage: the paper's method, one sample per revolution, with exact equations."
+        ),
         Paragraph(
             "As printed: the paper's own equations. Their K_II term is twice the exact one, so "
             "they return half the true K_II."

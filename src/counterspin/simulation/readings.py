@@ -226,7 +226,7 @@ def simulate_mean_record(
     assert campaign.simulation is not None
     truth, rate = campaign.simulation.truth, campaign.simulation.sampling_rate
     if reading.duration is None:
-        raise ValueError(f'the run "{reading.name}" states no duration')
+        raise ValueError(f'the run "{reading.name}" has no duration')
     time = np.arange(sample_count(reading.duration, rate)) / rate
     (group,) = (
         apply_inputs_to_readings(campaign, reading_group)

@@ -31,7 +31,7 @@ _MAX_RATE_CHANGE: Final = 0.5
 #: Highest ripple harmonic that is simulated.
 _MAX_RIPPLE_HARMONIC: Final = 1000
 #: Why a record at rest cannot be simulated.
-_MISSING_DURATION: Final = "a record at rest that is simulated needs a duration"
+_MISSING_DURATION: Final = "simulating a record at rest requires a duration"
 
 
 def simulation_problems(campaign: Campaign) -> list[str]:
@@ -45,7 +45,7 @@ def simulation_problems(campaign: Campaign) -> list[str]:
     truth = campaign.simulation.truth
     stated = truth.noise is campaign.noise
     problems = [
-        f"{'noise' if stated else 'truth.noise'}.{key}: a simulation needs its true size"
+        f"{'noise' if stated else 'truth.noise'}.{key}: a simulation requires the true value"
         + ("; write it in [truth.noise]" if stated else "")
         for key in StatedNoise.model_fields
         if getattr(truth.noise, key) == ESTIMATE
@@ -81,8 +81,8 @@ def _implausible_size(location: str, symbol: str, value: float, limit: float) ->
 def _unsteady_rate(spindle: Spindle, duration: float | None) -> Iterator[str]:
     if spindle.highest_harmonic > _MAX_RIPPLE_HARMONIC:
         yield (
-            f"a ripple of harmonic {spindle.highest_harmonic} is above {_MAX_RIPPLE_HARMONIC}, the "
-            "highest that is simulated"
+            f"a ripple of harmonic {spindle.highest_harmonic} is above {_MAX_RIPPLE_HARMONIC}, "
+            "the highest that can be simulated"
         )
     ripple = sum(abs(ripple.amplitude / spindle.rate) for ripple in spindle.ripples)
     change = ripple + abs(spindle.drift) * (duration or 0.0)
@@ -105,7 +105,7 @@ def reading_problems(campaign: Campaign) -> list[str]:
     if campaign.triad and campaign.triad.records and _is_noiseless(truth.noise):
         problems.append(
             "truth.noise.specific_force: missing; a sensor without noise at rest would look like "
-            "a stopped one, and counterspin would find no pose in its record"
+            "a stopped sensor, and counterspin would not find any pose in its record"
         )
     for (name, _), run_truth in truth.read.items():
         duration = max(
@@ -120,8 +120,8 @@ def reading_problems(campaign: Campaign) -> list[str]:
                 problems.append(f'run "{reading.name}": {_MISSING_DURATION}')
         elif reading.u is None and reading.accelerometer not in truth.reading_noise:
             problems.append(
-                f'truth.noise.reading: missing; "{reading.name}" states no uncertainty, so '
-                "its true noise is needed"
+                f'truth.noise.reading: missing; "{reading.name}" has no stated uncertainty, so '
+                "the true noise is required"
             )
             break
     for symbol, value in truth.machine.items():
@@ -154,15 +154,15 @@ def refuse_unsupported(campaign: Campaign) -> None:
         ]
         for key, channel in (("time", recording.time), ("angle", recording.angle)):
             if channel is not None and channel.name and (channel.kind != "numbers"):
-                problems.append(f"{where}.{key}: simulated records have numbers in every row")
+                problems.append(f"{where}.{key}: simulated records contain numbers in every row")
             elif channel is not None and channel.name and not channel.unit:
-                problems.append(f"{where}.{key}.unit: is missing; a simulation of records needs it")
+                problems.append(f"{where}.{key}.unit: missing; required to simulate records")
         if recording.time.kind == "rows" and campaign.runs:
-            problems.append(f"{where}.time: simulated records have a column of the time")
+            problems.append(f"{where}.time: simulated records contain a time column")
     for name, accelerometer in campaign.accelerometers.items():
         if accelerometer.channel.name and not accelerometer.channel.unit:
             key = f"accelerometers.{name}.{accelerometer.observable}.unit"
-            problems.append(f"{key}: is missing; a simulation of records needs it")
+            problems.append(f"{key}: missing; required to simulate records")
     problems += _clock_problems(campaign)
     problems += _missing_temperatures(campaign)
     records = [run.record for run in campaign.runs]
@@ -183,8 +183,8 @@ def _missing_temperatures(campaign: Campaign) -> Iterator[str]:
     stated = {item.name: item.temperature for some in (runs, read, posed) for item in some}
     for name in (name for name, temperature in stated.items() if not temperature):
         yield (
-            f'run "{name}": temperature is missing; its record has a column of it, so that the '
-            "true one is needed"
+            f'run "{name}": temperature is missing; the record has a temperature column, so the '
+            "true temperature is required"
         )
 
 
@@ -253,7 +253,7 @@ def check_size(
     total = sum(rows for rows, _ in sizes)
     records = len(campaign.runs) * len(campaign.accelerometers)
     if purpose != "simulation" and records > MOST_RECORDS:
-        text = f"runs: they have {records} records, and a {purpose} has room for {MOST_RECORDS}"
+        text = f"runs: {records} records are too many; a {purpose} can have at most {MOST_RECORDS}"
         raise CampaignError(str(campaign.path), [text])
     max_rows = MOST_SIMULATED_ROWS if purpose == "simulation" else MOST_ROWS
     advice = (

@@ -124,8 +124,8 @@ def simulate(
     own = description.exists() and read_from is not None and description.samefile(read_from)
     if description.exists() and not own and not _is_simulated(description):
         raise CounterspinError(
-            f"{description} does not belong to a simulated campaign, so its files are not "
-            "replaced: simulate into another folder"
+            f"{description} does not belong to a simulated campaign, so its files were not "
+            "overwritten: simulate into another folder"
         )
     replaced = [description] if text is not None or not own else []
     taken_along = _static_record_copy(campaign, folder)
@@ -160,7 +160,7 @@ def _check_targets(paths: Sequence[Path], description: Path, *, overwrite: bool)
     if existing and not description.exists():
         raise CounterspinError(
             f"{existing[0]} exists, and no {DESCRIPTION_NAME} in its folder describes it as "
-            "simulated, so it is not replaced. Simulate into another folder"
+            "simulated, so it was not overwritten. Simulate into another folder"
         )
     if existing and not overwrite:
         raise CounterspinError(
@@ -185,7 +185,7 @@ def _simulate_in_memory(campaign: Campaign) -> Campaign:
     source = require_source(campaign)
     if "readings" in source.document:
         raise CampaignError(
-            str(campaign.path), ["readings: a table of readings is simulated into a folder only"]
+            str(campaign.path), ["readings: a readings table can only be simulated into a folder"]
         )
     readings, head_errors = true_readings(campaign)
     noise, exact = reading_generator(campaign, 1), NoiselessReadings(readings, true_poses(campaign))
@@ -308,7 +308,7 @@ def _static_record_copy(campaign: Campaign, folder: Path) -> dict[Path, Path | M
     if not named or place is None or Path(named).is_absolute():
         return {}
     if ".." in place.parts:
-        words = "is outside the campaign's folder; name a file beside the description"
+        words = "is outside the campaign's folder; choose a file next to the description"
         raise CampaignError(str(campaign.path), [f"noise.from: {named} {words}"])
     target, rest = folder / named, campaign.record_at(place)
     same_file = isinstance(rest, Path) and target.exists() and target.samefile(rest)
@@ -325,8 +325,8 @@ def _targets_in_folder(
             problems.append(f"{key}: {file.name} cannot be simulated; write .csv or .parquet")
         elif ".." in file.parts or not file.is_relative_to(campaign.folder):
             problems.append(
-                f"{key}: {file} is outside the campaign's folder, "
-                "where a simulation does not write; name a file beside the description"
+                f"{key}: {file} is outside the campaign's folder, where a simulation does not "
+                "write; choose a file next to the description"
             )
         else:
             targets.append(folder / file.relative_to(campaign.folder))

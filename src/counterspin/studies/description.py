@@ -66,7 +66,7 @@ def _analysis_name(analysis: str) -> str:
 class AnalysisSettings(SettingsSection):
     """[study.analyses.NAME]: an analysis to compare."""
 
-    method: Literal["two-stage", "joint"] = key_field("method of calibration", "joint")
+    method: Literal["two-stage", "joint"] = key_field("calibration method", "joint")
     model: Literal["exact", "as-printed"] = key_field(
         "equations of the two-stage method", "as-printed", "exact"
     )
@@ -74,13 +74,14 @@ class AnalysisSettings(SettingsSection):
         "whether the second stage of the two-stage method is weighted", False, True
     )
     ripple: Literal["amplitude", "ratio"] = key_field(
-        "form of the ripple in the two-stage method: its amplitude, or its amplitude over the rate",
+        "form of the rate ripple in the two-stage method: amplitude, or amplitude divided by the "
+        "rate",
         "ratio",
         "amplitude",
     )
     fit_bias: bool = key_field("whether the second stage fits a bias", False, True)
     sigma: Literal["given", "residuals"] = key_field(
-        "source of the strobes' noise: given, or estimated from the residuals",
+        "noise of the strobes: given, or estimated from the residuals",
         "residuals",
         "given",
     )
@@ -267,8 +268,8 @@ def parse_study(
             data = "readings" if has_readings else "records of velocity or force"
             problems.add(
                 ("study", "analyses", name, "method"),
-                "the two-stage method takes records of displacement of a double turntable; "
-                f"this campaign has {data}, which need the joint method",
+                "the two-stage method requires records of displacement on a double turntable; "
+                f"this campaign has {data}, which require the joint method",
             )
             continue
         analysis = _parse_analysis(name, table, document, source, problems)
@@ -383,7 +384,7 @@ def _varied_quantities(
         return []
     distributions = [name for name in _DISTRIBUTIONS if getattr(settings, name) is not None]
     if len(distributions) != 1:
-        problems.add(path, "needs one of normal, uniform and fixed")
+        problems.add(path, "give one of normal, uniform and fixed")
         return []
     (distribution,) = distributions
     symbol = names[0][1]
@@ -398,7 +399,7 @@ def _varied_quantities(
     )
     per_run = settings.per == "run"
     if per_run and (symbol in (*INPUTS, *NOISE_LEVELS) or not campaign.runs):
-        problems.add(path, "is the same in all runs and readings of a campaign; remove per")
+        problems.add(path, "is the same in all runs and readings of a campaign; remove the key per")
     if parameters is None:
         return []
     first, second = parameters

@@ -79,7 +79,7 @@ def list_analyses(study: StudyDescription) -> tuple[Analysis, ...]:
         if campaign.angle is None:
             raise NotIdentifiableError(
                 f"{name}: a study of the two-stage method needs a recorded angle ([records] "
-                "angle); without it study the joint fit alone ([study.analyses])"
+                "angle); without an angle, study only the joint fit ([study.analyses])"
             )
         for owner, accelerometer in campaign.accelerometers.items():
             request = make_request(problem, accelerometer, options)
@@ -102,7 +102,9 @@ def prepare_study(study: StudyDescription, seed: int, engine: EngineName = "auto
             assert setup is not None
             engines.append(choose_engine(setup, truth, analysis, engine))
         if not engines[-1].coefficients:
-            raise NotIdentifiableError(f"{analysis.name}: the records determine no coefficient")
+            raise NotIdentifiableError(
+                f"{analysis.name}: the records do not determine any coefficient"
+            )
     return StudyEngine(truth, seed, tuple(engines), TrialAccumulator(_bias_covariates(truth)))
 
 
@@ -323,11 +325,12 @@ def _compare_with_full_records(
         u_differences.append(float(np.abs(slow.u / fast.u - 1.0)[list(linear.rows)].max()))
     if max(estimate_differences) > _MAX_ESTIMATE_DIFFERENCE:
         return [
-            f"the analysis is not linear: whole records differ by {max(estimate_differences):.2g} u"
+            "the analysis is not linear: the estimates from full records differ by "
+            f"{max(estimate_differences):.2g} u"
         ]
     if max(u_differences) > _MAX_U_DIFFERENCE:
         return [
-            f"the analysis is not linear: u of whole records differs by {max(u_differences):.1%}"
+            f"the analysis is not linear: u from full records differs by {max(u_differences):.1%}"
         ]
     return []
 
@@ -398,12 +401,12 @@ def joint_engine_obstacles(
     """Return the reasons against the linear engine for the joint fit; empty if it is valid."""
     obstacles = _common_obstacles(setup, truth)
     if truth.varies(DRIFT, RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
-        obstacles.append("the rotation varies, and with it the weights of every sample")
+        obstacles.append("the rotation varies, and so do the weights of all samples")
     assumed_noise = {name: replace(noise, covariance=()) for name, noise in request.noise.items()}
     if any(noise.has_bias_instability for noise in assumed_noise.values()):
-        obstacles.append("the noise that the analysis assumes wanders")
+        obstacles.append("the noise that the analysis assumes includes drift")
     if any(noise.to_estimate for noise in assumed_noise.values()):
-        obstacles.append("the noise is estimated, so that the estimate is not linear")
+        obstacles.append("the noise is estimated, so the estimate is not linear")
         return obstacles
     true_noise = {name: setup.true_noise(name) for name in assumed_noise}
     if true_noise == assumed_noise and not truth.varies(WHITE):
@@ -414,13 +417,13 @@ def joint_engine_obstacles(
         )
     displacement = set(setup.observables.values()) == {"displacement"}
     if len(set(assumed_noise.values())) > 1 or not displacement:
-        obstacles.append("the accelerometers' assumed noises differ from the true one")
+        obstacles.append("the noise assumed for the accelerometers differs from the true noise")
     return obstacles
 
 
 def _common_obstacles(setup: SimulationSetup, truth: StudyTruth) -> list[str]:
     obstacles = (
-        ["the bias wanders, which only complete records simulate"]
+        ["the bias drifts, which only full records simulate"]
         if setup.noise.has_bias_instability
         else []
     )
@@ -429,7 +432,7 @@ def _common_obstacles(setup: SimulationSetup, truth: StudyTruth) -> list[str]:
     other_levels = NOISE_LEVELS.keys() - {WHITE}
     varying = [quantity.symbol for quantity in truth.varying if quantity.symbol in other_levels]
     if varying:
-        obstacles.append(f"{', '.join(varying)} varies, which only complete records simulate")
+        obstacles.append(f"{', '.join(varying)} varies, which only full records simulate")
     if setup.noise.quantisation > 0.0:
         obstacles.append("quantisation is not Gaussian")
     fastest = max(abs(spindle.rate) for spindle in setup.spindles)

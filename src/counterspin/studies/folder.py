@@ -127,7 +127,7 @@ def _is_trials_file(path: Path) -> bool:
 
 
 #: File with the values of each trial.
-_TRIALS_FILE_TYPE: Final = FileType("a file of a study's trials", _is_trials_file)
+_TRIALS_FILE_TYPE: Final = FileType("a file with the trials of a study", _is_trials_file)
 
 
 def _write_parquet(path: Path, names: list[str], batch_results: BatchResults) -> None:
@@ -192,8 +192,8 @@ class StudyProgress:
         """Load the batches of an earlier study; report damaged batches, which run again."""
         if not self._file.exists():
             raise CounterspinError(
-                f"{self.folder}: contains no study to resume; leave out `resume`, or "
-                "give its folder as `output`"
+                f"{self.folder}: contains no study to resume; omit `resume`, or give the folder "
+                "of the study as `output`"
             )
         arrays = _load_arrays(self._file)
         if arrays is not None and str(arrays.get("fingerprint")) != self._fingerprint:
@@ -226,7 +226,7 @@ class StudyProgress:
         if lost_count:
             _warn(
                 f"{self.folder / _PARTS}: {lost_count} of {len(batches)} files are missing, "
-                "damaged or from another study: their trials are repeated"
+                "damaged or from another study: the trials in these files are repeated"
             )
 
     def _check_sums(self, arrays: dict[str, Array] | None) -> tuple[int, list[int], Array]:

@@ -211,7 +211,7 @@ class DrawnPoses:
     noise: Array  #: True standard deviation of each indication, g, shape (n, 3).
 
 
-_NO_NOISE: Final = "the readings have no noise, so that results do not scatter"
+_NO_NOISE: Final = "the readings have no noise, so the results do not scatter"
 
 
 @frozen

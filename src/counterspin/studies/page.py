@@ -90,7 +90,7 @@ def _verdict_blocks(result: StudyResult) -> Iterator[Block]:
 def _varied_quantity_blocks(result: StudyResult) -> Iterator[Block]:
     yield Heading("Varied quantities")
     if not result.varying:
-        yield Paragraph("Only the noise.")
+        yield Paragraph("Only the noise varies.")
         return
     rows = tuple(tuple(line.split(": ", 1)) for line in result.varying)
     yield Table((Column("Quantity"), Column("Distribution", wraps=True)), rows)

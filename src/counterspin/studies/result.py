@@ -314,12 +314,12 @@ def summarise_analyses(analyses: Mapping[str, AnalysisResult]) -> list[str]:
     trustworthy = {name: analysis for name, analysis in analyses.items() if analysis.trustworthy}
     lines = []
     if not trustworthy:
-        lines.append("Every analysis has a fault.")
+        lines.append("No analysis is free of faults.")
     else:
         best = min(trustworthy, key=lambda name: _mean_square_error(trustworthy[name]))
         lines.append(
             f"{best}: no fault found"
-            + (", and the smallest errors" if len(trustworthy) > 1 else "")
+            + (", and smallest errors" if len(trustworthy) > 1 else "")
             + ". "
             + _findings(trustworthy[best].coefficients.values())
         )

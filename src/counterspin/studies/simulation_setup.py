@@ -156,7 +156,7 @@ def make_setup(campaign: Campaign) -> SimulationSetup:
     assert campaign.simulation is not None
     rate = campaign.simulation.sampling_rate
     errors = [
-        f"runs[{index}]: {run.duration:.4g} s have too few samples at {rate:.4g} Hz; a trial "
+        f"runs[{index}]: {run.duration:.4g} s contain too few samples at {rate:.4g} Hz; a trial "
         "needs at least three, preferably many"
         for index, run in enumerate(campaign.runs)
         if run.duration is not None and sample_count(run.duration, rate) < _MIN_SAMPLES

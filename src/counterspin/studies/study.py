@@ -148,8 +148,8 @@ def _check_memory(engine: StudyEngine, trials: int) -> None:
     max_trials = _MAX_RESULTS_SIZE // batch_bytes * engine.batch_size
     if trials > max_trials:
         raise CounterspinError(
-            f"{trials:.3g} `trials` need too much memory; "
-            f"this study can have at most {max_trials:.3g}"
+            f"{trials:.3g} `trials` need too much memory; this study may have at most "
+            f"{max_trials:.3g}"
         )
 
 
@@ -161,8 +161,8 @@ def _warn_of_duration(engine: StudyEngine, trials: int, workers: int) -> None:
     warnings.warn(
         f"{trials} trials will take about {_format_duration(seconds)}"
         + (f" ({reason})" if reason else "")
-        + "; use fewer `trials`, more `workers` or a `cluster` to shorten it; Ctrl-C ends "
-        "it with a valid result of the completed trials",
+        + "; use fewer `trials`, more `workers` or a `cluster` to reduce this time; Ctrl-C "
+        "stops the study with a valid result for the completed trials",
         CounterspinWarning,
         stacklevel=4,
     )

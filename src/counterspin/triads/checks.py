@@ -44,7 +44,9 @@ def pose_findings(fit: JointFit, groups: Sequence[FittedReadings]) -> list[Findi
         residual = residual_of([group])
         p = residual.lack_of_fit_p
         if p is not None and p < 0.5 * SIGNIFICANCE / len(groups):
-            statement = f"The residuals of the {group.label} do not agree with the stated noise"
+            statement = (
+                f"The residuals of the {group.label} are not consistent with the stated noise"
+            )
             findings.append(lack_of_fit_finding(TRIAD, [f"{statement} (p = {p:.2g})."], residual))
         findings += [_pattern_finding(group, pattern)] if pattern else []
         findings += outlier_findings(TRIAD, group)
@@ -78,14 +80,16 @@ def _pattern_finding(group: FittedReadings, pattern: Pattern) -> Finding:
         others = [
             alternative.name for alternative in pattern.alternatives[1:] if alternative.kind == TERM
         ]
-        remedy = f" So would {' or '.join(others[:_MOST_NAMED])}." if others else ""
+        remedy = (
+            f" {' or '.join(others[:_MOST_NAMED])} would have the same effect." if others else ""
+        )
     else:
         owners = dict.fromkeys(
             candidate.owner for candidate in pattern.alternatives if candidate.kind == first.kind
         )
         clause += f", most in {' or '.join(owners)}"
         remedy = (
-            " Was the sensor knocked, or switched off?"
+            " Was the sensor knocked or switched off?"
             if first.kind == STEP
             else (
                 " Let the sensor warm up first, or add K_F.trend to model.terms"
@@ -105,6 +109,6 @@ def _check_residual_dof(group: FittedReadings) -> Finding:
     dof_text = format_number(group.residual_dof, 2) if group.residual_dof >= 0.05 else "no"
     text = (
         f"{group.readings.size} poses leave {dof_text} degrees of freedom after the estimation: "
-        "their residuals cannot be tested. Take more of them."
+        "the residuals cannot be tested. Measure more poses."
     )
     return Finding(code="unjudged-readings", subject=TRIAD, text=text)

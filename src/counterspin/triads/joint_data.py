@@ -97,9 +97,9 @@ def pose_advice(view: AccelerometerView) -> str:
         if missing:
             sentences.append(f" No pose has {' or '.join(missing)} pointing {direction}.")
     return (
-        "".join(sentences) + " Take poses whose directions are spread over the whole sphere, or "
-        "request fewer coefficients in model.terms: the others then enter with their default "
-        "priors."
+        "".join(sentences)
+        + " Measure poses with directions spread over the whole sphere, or request fewer "
+        "coefficients in model.terms: the remaining coefficients then have default priors."
     )
 
 

@@ -424,21 +424,20 @@ def _insufficient_poses_error(poses: TriadPoses, solution: Solution, model: Unkn
     determined = assess(solution, requested).determined
     undetermined = [name for name in requested if not determined[name]]
     undetermined_text = (
-        f" They do not determine {', '.join(undetermined)} at all." if undetermined else ""
+        f" The poses do not determine {', '.join(undetermined)} at all." if undetermined else ""
     )
     angles = [u for u in model.unknowns if u.is_of_interest and u.symbol.startswith("delta")]
     suggestion = (
-        " They can determine biases and scale factors, if only these are requested: terms = "
+        " The poses can determine biases and scale factors, if only these are requested: terms = "
         '["K_F", "K_I"] in [model].'
         if angles and poses.size > len(requested) - len(angles)
         else ""
     )
     return (
         f"{poses.accelerometer}: {poses.size} pose{'s' * (poses.size > 1)} at unknown attitudes "
-        f"without a stated uncertainty do not determine their noise in addition to "
-        f"{len(free_names)} unknowns without a prior.{undetermined_text} Take more poses, "
-        "spread over all "
-        f"directions, or state the uncertainty.{suggestion}"
+        "without a stated uncertainty do not determine the noise in addition to "
+        f"{len(free_names)} unknowns without a prior.{undetermined_text} Measure more poses, "
+        f"spread over all directions, or state the uncertainty.{suggestion}"
     )
 
 

@@ -35,9 +35,9 @@ class TriadSettings(SettingsSection):
     """[triad]: three accelerometers of one sensor."""
 
     accelerometers: Annotated[list[Text], Field(min_length=3, max_length=3)] = key_field(
-        "names of the three accelerometers. The frame's first axis is the input axis of"
-        " the first; the input axis of the second lies in the plane of the first two. "
-        "If none states an axis, the frame's axes are at right angles",
+        "names of the three accelerometers. The first axis of the frame is the input axis of the "
+        "first accelerometer; the input axis of the second lies in the plane of the first two "
+        "axes. If no axes are stated, the nominal input axes are at right angles",
         ["X", "Y", "Z"],
     )
 
@@ -94,8 +94,8 @@ def resolve_triad(
         if symbol in (given or {}).get(name, {}):
             problems.add(
                 ("accelerometers", name, symbol),
-                "is zero by definition of the triad's frame if all "
-                "attitudes are unknown; leave it out",
+                "is zero by definition of the frame of the triad if all attitudes are unknown; "
+                "omit it",
             )
     poses: list[tuple[Reading, ...]] = []
     records: list[PoseRecord] = []
@@ -113,7 +113,9 @@ def _axes_of(
     for place, name in enumerate(names if mountings else ()):
         if name not in mountings:
             said = suggest_name(name, mountings)
-            problems.add(("triad", "accelerometers", place), f'no accelerometer is "{name}"{said}')
+            problems.add(
+                ("triad", "accelerometers", place), f'no accelerometer is named "{name}"{said}'
+            )
         elif name in names[:place]:
             problems.add(("triad", "accelerometers", place), f'"{name}" is listed twice')
     axes = [own for own in map(mountings.get, names) if own is not None]
@@ -177,11 +179,11 @@ def _resolve_pose(
     readings = {one.accelerometer: one for one in read([(raw, path)])}
     if names and readings and set(readings) != set(names):
         every = ", ".join(names)
-        said = f"at an unknown attitude all of {every} must be read, and no other"
+        said = f"at an unknown attitude, exactly {every} must have readings"
         problems.add((*path, "reading"), said)
     stated = [one.u is not None for one in readings.values()]
     if any(stated) and not all(stated):
-        said = "state the uncertainty of all three readings of a pose, or of none"
+        said = "state the uncertainty for all three readings of a pose, or for none"
         problems.add((*path, "reading"), said)
     if readings.keys() >= set(names) > set() and len(problems.lines) == before:
         yield tuple(readings[name] for name in names)

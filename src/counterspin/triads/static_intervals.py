@@ -89,10 +89,10 @@ class StaticIntervals:
             messages.append("The record contains no motion: all of it counts as rest.")
         elif self.contrast < MIN_CONTRAST:
             messages.append(
-                f"Rest and motion are not clearly separated: motion has "
-                f"{self.contrast:.2g} times the level of rest. Compare the plot of the level with "
-                f"the threshold of {self.threshold:.3g}, and state another one if it "
-                "separates them better."
+                f"Rest and motion are not clearly separated: motion has {self.contrast:.2g} times "
+                "the level of rest. Compare the plot of the level with the threshold of "
+                f"{self.threshold:.3g}, and state a different threshold if it separates rest and "
+                "motion better."
             )
         total_scatter = np.sqrt((self.scatter**2).sum(axis=1))
         for index in np.flatnonzero(total_scatter > _DRIFT_RATIO * self.threshold)[:1]:
@@ -157,12 +157,12 @@ def find_poses(
     contrast = _contrast(level, used_threshold, starts, ends)
     faults = _interval_faults(x, starts, ends, resolutions)
     left_out = tuple(
-        f"The rest from {t[starts[index]]:.6g} s to {t[ends[index] - 1]:.6g} s is left out: "
+        f"The rest from {t[starts[index]]:.6g} s to {t[ends[index] - 1]:.6g} s was rejected: "
         f"{reason}"
         for index, reason in faults.items()
     )
     if len(faults) == len(starts):
-        raise RecordError("every rest is left out. " + " ".join(left_out))
+        raise RecordError("all rests were rejected. " + " ".join(left_out))
     starts, ends = np.delete(starts, list(faults)), np.delete(ends, list(faults))
     rows = [x[first:last] for first, last in zip(starts, ends, strict=True)]
     interval = np.searchsorted(t[starts], spike_times) - 1
@@ -190,9 +190,11 @@ def _sampling_step(time: Array, rest: float) -> float:
     Rows with the same time, as a coarse clock writes them, have no step.
     """
     if not rest > 0.0:
-        raise RecordError(f"a rest of {rest:g} s is not possible: state a positive time.")
+        raise RecordError(f"the duration of a rest must be positive, not {rest:g} s.")
     if len(time) < _FEWEST_ROWS:
-        raise RecordError(f"{len(time)} rows have all three values, too few to find a pose.")
+        raise RecordError(
+            f"{len(time)} rows have all three values, which is too few to detect a pose."
+        )
     steps = np.diff(time)
     if (steps < 0.0).any():
         raise RecordError(f"time runs backwards after {time[np.argmax(steps < 0.0)]:.6g} s.")
@@ -352,12 +354,12 @@ def _no_interval_message(
         else:
             low = middle + 1
     if low == len(candidates):
-        return f"{message} No stretch of the record is as long without a gap."
+        return f"{message} The record has no interval of this length without a gap."
     starts, ends = _find_intervals(time, level, float(candidates[low]), rest, window, step)
     return (
-        f"{message} The quietest stretch, from {time[starts[0]]:.6g} s to "
-        f"{time[ends[0] - 1]:.6g} s, stays below {candidates[low]:.3g}: a higher threshold would "
-        "include it, or a shorter rest a quieter part."
+        f"{message} The quietest interval, from {time[starts[0]]:.6g} s to "
+        f"{time[ends[0] - 1]:.6g} s, stays below {candidates[low]:.3g}: use a higher threshold to "
+        "include this interval, or a shorter rest to use a quieter part."
     )
 
 
@@ -373,15 +375,15 @@ def _interval_faults(
     faults = {}
     for index, (a, b) in enumerate(zip(starts, ends, strict=True)):
         if median_scatter.any() and (values[a:b] == values[a]).all():
-            faults[index] = "its values do not change at all, as if the recorder had stopped."
+            faults[index] = "the values do not change at all, as if the recorder had stopped."
             continue
         share_at_ends = (values[a:b, None] == extremes).mean(axis=0).max(axis=0)
         saturated = np.flatnonzero(is_testable & (share_at_ends > _SATURATED_FRACTION))
         if len(saturated):
             axis = saturated[0]
             faults[index] = (
-                f"{share_at_ends[axis]:.0%} of its values along axis {axis + 1} are the largest or "
-                "smallest of the record, as at the limit of the range."
+                f"{share_at_ends[axis]:.0%} of the values along axis {axis + 1} are the largest "
+                "or smallest of the record, as if at the limit of the range."
             )
             continue
         constant_axes = np.flatnonzero(is_testable & (values[a:b] == values[a]).all(axis=0))

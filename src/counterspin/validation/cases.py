@@ -118,8 +118,9 @@ def _integrals(given: Mapping[str, Any]) -> dict[str, Any]:
             key = TERMS[symbol].effect.text if symbol in TERMS else symbol
             if key not in table[mounting]:
                 raise CounterspinError(
-                    f"{given['file']} has no integral of {symbol}, along {mounting} in the motion "
-                    f'"{given["label"]}"; make it with the script in tests/reference'
+                    f"{given['file']} does not contain the integral of {symbol} along {mounting} "
+                    f'for the motion "{given["label"]}"; generate it with the script in '
+                    "tests/reference"
                 )
             sign = -1.0 if symbol == "delta_P" else 1.0
             values = np.array(table[mounting][key], np.float64)

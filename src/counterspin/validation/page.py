@@ -92,9 +92,9 @@ def dossier_blocks(dossier: Dossier) -> Iterator[Block]:
         yield Heading(f"Cases: {requirement}")
         yield _cases([case for case in dossier.cases if case.requirement == requirement])
     yield Paragraph(
-        "For each case the number closest to its limit is shown. Digits: correct digits of that "
-        "number, -log10 of its relative difference, at most 16. Limit: largest "
-        "difference allowed.",
+        "For each case, the number closest to its limit is shown. Digits: correct digits of this "
+        "number (-log10 of the relative difference), at most 16. Limit: largest allowed "
+        "difference.",
         "quiet",
     )
     yield Heading("Sources")
@@ -187,14 +187,14 @@ def _installation_blocks(dossier: Dossier) -> Iterator[Block]:
     yield Paragraph(f"{installation.files} files of the package, together {installation.checksum}.")
     if not installation.recorded:
         yield Paragraph(
-            "The installation has no RECORD of these files (it was installed in place, "
-            "or not installed): they cannot be compared with the delivered ones."
+            "The installation has no RECORD of these files (installed in place, or not "
+            "installed), so they cannot be compared with the delivered files."
         )
         return
     altered, missing = len(installation.altered), len(installation.missing)
     yield Paragraph(
         f"{installation.recorded} files are in the installation's RECORD: {altered} altered, "
-        f"{missing} missing; {len(installation.unknown)} files are not in it."
+        f"{missing} missing; {len(installation.unknown)} files are not in the RECORD."
     )
     if installation.unknown:
         yield Paragraph(f"Not in RECORD: {', '.join(installation.unknown)}.", "quiet")

@@ -181,7 +181,7 @@ def check_case(case: Case) -> CheckedCase:
     for name, expected in reference.items():
         computed = np.asarray(answer.get(name, np.nan), np.float64)
         if computed.shape != expected.shape:
-            return _failed_case(case, "failed", f"{name} is missing, or has another shape")
+            return _failed_case(case, "failed", f"{name} is missing, or has a different shape")
         tolerance = np.broadcast_to(case.tolerance(name), expected.shape)
         for index in np.ndindex(expected.shape):
             count += 1

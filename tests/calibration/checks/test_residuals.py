@@ -136,6 +136,6 @@ def test_strobes_that_scatter_by_a_tenth_of_the_stated_noise_are_a_finding(tmp_p
     joint, strobes = (findings[0].text for findings in found.values())
     shown = float(re.search(r"times as large as stated, ([\d.]+) m, would fit", joint).group(1))
     assert shown == pytest.approx(1e-3, rel=0.05)
-    shown = float(re.search(r"by ([\d.]+) m instead of 0\.01 m", strobes).group(1))
+    shown = float(re.search(r"noise: ([\d.]+) m instead of 0\.01 m", strobes).group(1))
     # Some 40 strobes: within a third.
     assert shown == pytest.approx(1e-3, rel=1 / 3)

@@ -79,7 +79,7 @@ MISTAKES = (
     ),
     Mistake(
         "radius 2.5 cm for 2.5 m",
-        "between m and cm: check the column's unit",
+        "ratio of m and cm: check the unit of the column",
         description=((RADIUS, 'radius = "2.5 cm"'),),
         state="",
     ),
@@ -117,7 +117,7 @@ MISTAKES = (
     ),
     Mistake(
         "angle's zero off by 90 deg",
-        "is turned by 90 degrees against the input axis",
+        "is rotated by 90 degrees against the input axis",
         records=added(None, ANGLE, lambda t: math.radians(90.0)),
         state="",
     ),
@@ -129,7 +129,7 @@ MISTAKES = (
     ),
     Mistake(
         "angle counted in the other sense",
-        "The angle runs in the opposite sense",
+        "The angle changes in the opposite sense",
         records=multiplied(None, ANGLE, -1.0),
         state="",
     ),
@@ -140,7 +140,7 @@ MISTAKES = (
     ),
     Mistake(
         "a parabola removed from every record of one accelerometer",
-        "a parabola was removed from column 'east_m' (Qx) before it was written",
+        "a parabola was removed from column 'east_m' (Qx) before the file was written",
         description=(("bias", "# bias"),),
         records=detrended(EAST),
         state="",
@@ -296,13 +296,13 @@ MISTAKES = (
     ),
     Mistake(
         "a run in the other sense",
-        "give the rate the other sign",
+        "reverse the sign of the rate",
         description=(('rate = "1 rev/s"', 'rate = "-1 rev/s"'),),
         state="",
     ),
     Mistake(
         "rate of a run 1.2 rev/s for 1 rev/s",
-        "check the rate, and the record's units",
+        "check the stated rate and the units of the record",
         description=(('rate = "1 rev/s"', 'rate = "1.2 rev/s"'),),
         state="",
     ),
@@ -459,8 +459,8 @@ def test_a_clock_is_named_beside_what_looks_the_same(observable, unit, fast, alo
     named = [first.subject, *first.as_well]
     if alone:
         assert {"records.clock", "centrifuge.radius", "Qx.K_I", "Qx"} <= {*named[:4]}
-        assert "fit equally well with another" in first.text
-        assert "error of the recorder's clock" in first.text
+        assert "Another " in first.text
+        assert "recorder clock error" in first.text
     else:
         assert named == ["records.clock", "centrifuge.radius"]
         assert "x 1e-4 would fit" in first.text or "x 1e-5 would fit" in first.text

@@ -51,7 +51,7 @@ K_II = "2e-5 g/g^2"
 
 
 def remarks(result):
-    unchecked = "depends on values that its data cannot check"
+    unchecked = "depends on values that the data cannot check"
     return [text for text in result.warnings if unchecked in text]
 
 

@@ -104,7 +104,7 @@ def test_what_speaks_against_a_result_is_said_once_and_before_everything_else():
     assert sentence.style == "warning"
     assert sentence.text.endswith("reservations: 2 findings, the most serious first.")
     assert {row[0] for row in rows[:2]} == {"Strobes lost", "Run disagrees: K_II"}
-    for words in ("3 strobes were", "Without slow K_II moves"):
+    for words in ("3 strobes were", "Omitting slow shifts K_II"):
         assert sum(words in row[1] for row in rows) == 1
 
 
@@ -141,13 +141,13 @@ def test_every_picture_of_a_full_result_is_there():
     assert sum(isinstance(p, Bars) for p in pictures) == 1
     titles = [p.title for p in pictures if isinstance(p, Plot)]
     assert titles == [
-        "K_II of Qx with each run left out",
+        "K_II of Qx with one run omitted at a time",
         "Residuals of Qx, slow",
         "Residuals of Qx, fast",
         "Mean residual of Qx over the revolution",
         "Spectrum of the whitened residuals of Qx",
         "Detrended normal Q-Q plot of the whitened residuals of Qx",
-        "Ripple of the rate by harmonic; bars: 95 %",
+        "Rate ripple by harmonic; bars: 95 % intervals",
     ]
 
 
@@ -191,7 +191,7 @@ def test_the_command_of_a_report_is_quoted_for_a_shell():
 def test_degrees_of_freedom_are_counted_whole_and_units_are_in_print():
     residual = {"rms": 0.01, "unit": "m", "dof": 21659.98}
     written = " ".join(texts(document(result(residual=residual))))
-    assert "with 21660 degrees of freedom" in written
+    assert "21660 degrees of freedom" in written
     assert "Gravity 9.8 m/s², latitude" in written
 
 

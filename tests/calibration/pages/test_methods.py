@@ -51,15 +51,17 @@ def test_each_kind_of_test_is_a_sentence():
     lines = list(describe_tests(result(TUMBLE + ARM, ("slow", "fast"))))
     assert lines == [
         "Readings at rest in 2 positions, 3 readings (multi-position test, IEEE Std 1293).",
-        "Readings on the arm of a centrifuge (IEEE Std 836) at 2 rates, 7 to 14 rad/s, one "
-        "sense, 2 mountings (in, out): 4 readings, each the mean over whole revolutions.",
+        "Readings on the arm of a centrifuge (IEEE Std 836) at 2 rates, 7 to 14 rad/s, one sense "
+        "of rotation, 2 mountings (in, out): 4 readings, each the mean over whole revolutions.",
         "Records of a double turntable centrifuge at the stated rates: 2 records.",
     ]
 
 
 def test_both_senses_and_a_single_rate():
     (line,) = describe_tests(result([reading("counter-rotating", w) for w in (6.0, -6.0)]))
-    assert line.startswith("Readings on a double turntable at 1 rate, 6 rad/s, both senses: 2")
+    assert line.startswith(
+        "Readings on a double turntable at 1 rate, 6 rad/s, both senses of rotation: 2"
+    )
 
 
 def test_the_table_has_a_row_for_each_mounting():
@@ -73,7 +75,7 @@ def test_the_forces_are_those_of_the_motions_alone():
     text = [block.text for block in reading_blocks(result(ARM))]
     assert any(line.startswith("On the arm") for line in text)
     assert not any("At rest" in line or "double turntable" in line for line in text)
-    assert text[-1].endswith("estimated with the coefficients: centrifuge.radius.in.")
+    assert text[-1].endswith("estimated together with the coefficients: centrifuge.radius.in.")
     assert list(reading_blocks(result([]))) == []
 
 
@@ -103,4 +105,6 @@ def kinds(p):
 @pytest.mark.parametrize(("p", "verdict"), [(0.0013, "agrees"), (0.0012, "does not agree")])
 def test_all_tests_of_all_kinds_share_the_significance(p, verdict):
     (words,) = [b.text for b in method_blocks(kinds(p)) if isinstance(b, Paragraph)]
-    assert words.startswith(f"Each test method against the others: at rest: {verdict} (chi")
+    assert words.startswith(
+        f"Comparison of each test method with the others: at rest: {verdict} (chi"
+    )

@@ -26,8 +26,8 @@ def test_reservations_say_the_gravest_first_and_how_many_more():
         jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -3.1}],
     )
     assert told == (
-        "Qx can be used with reservations: Without slow K_II moves by 0.01 ug/g^2, 3.1 times "
-        "as far as its uncertainty explains: this run disagrees with the others. There are 2 more "
+        "Qx can be used with reservations: Omitting slow shifts K_II by 0.01 ug/g^2, 3.1 times "
+        "as far as the uncertainty explains: this run disagrees with the others. There are 2 more "
         "findings. Passed checks: the residuals are consistent with the stated noise (p = 0.5); "
         "the "
         "two-stage method agrees."
@@ -36,7 +36,7 @@ def test_reservations_say_the_gravest_first_and_how_many_more():
 
 def test_nothing_speaks_for_a_contradicted_result():
     told = sentence(jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -6.1}])
-    assert told.startswith("Qx is contradicted by its records and must not be used: Without slow")
+    assert told.startswith("Qx is contradicted by its records and must not be used: Omitting slow")
     assert "Passed checks" not in told
 
 
@@ -45,10 +45,12 @@ def test_nothing_supports_a_result_that_is_not_determined():
     lacking["undetermined"] = True
     found = judge_result(result(findings=[lacking]))
     told = verdict_sentence("Qx", found.accelerometers["Qx"])
-    assert told == "Qx is not determined by its data: Add a run."
+    assert told == "Qx is not fully determined by its data: Add a run."
     (first,) = misfit_blocks(found)
     assert first.style == "undetermined"
-    assert first.text.startswith("This result is not determined by its data (Qx.K_III): Add a run.")
+    assert first.text.startswith(
+        "The data do not fully determine this result (Qx.K_III): Add a run."
+    )
     (paragraph,) = verdict_blocks(found)
     assert paragraph.style == "undetermined"
 
@@ -68,6 +70,6 @@ def test_what_a_cause_accounts_for_stands_with_it():
         "explains": [misfit],
     }
     assert sentence(findings=[cause]).startswith(
-        "Qx can be used with reservations: A radius of 2.5 m would fit. That explains the "
-        "other findings: The residuals are large. Passed checks"
+        "Qx can be used with reservations: A radius of 2.5 m would fit. This explains the other "
+        "findings: The residuals are large. Passed checks"
     )

@@ -400,7 +400,7 @@ def test_terms_that_act_alike_are_said_with_their_combination(tmp_path, capsys):
         c = found.coefficients[item.terms[0]]
         assert (item.value, item.u) == (c.value, c.u)
         assert item.correlation == -1.0
-        assert f"determined: {item.determined} = " in text
+        assert f"the records determine {item.determined} = " in text
 
 
 def test_what_nothing_states_is_in_u_at_its_typical_size(tmp_path):
@@ -551,7 +551,7 @@ def test_strobes_in_gaps_are_counted(tmp_path):
     frame.filter(~time.is_between(5.1, 7.9)).write_csv(folder / "fast.csv")
     result = calibrate(folder, method="two-stage")
     # Qx has its strobes at 0.25 s, Qy at 0.5 s of each revolution.
-    assert "Qx: 3 strobes fell into gaps of the record and were left out." in qx(result).warnings
+    assert "Qx: 3 strobes fell into gaps in the record and were omitted." in qx(result).warnings
     assert result.runs["fast"].parabolas["Qx"].strobes == 17
 
 

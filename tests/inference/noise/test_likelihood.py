@@ -23,7 +23,7 @@ def likelihood(unknowns, width, noise=1e-6):
 @pytest.mark.parametrize("unknowns", [6, 7, 12])
 @pytest.mark.parametrize("width", [1.0, 1e3, 1e9])
 def test_as_many_unknowns_as_rows_leave_no_noise_to_be_told(unknowns, width):
-    with pytest.raises(NotIdentifiableError, match="the unknowns fit all of 6 rows"):
+    with pytest.raises(NotIdentifiableError, match="the unknowns fit all 6 rows"):
         likelihood(unknowns, width).best_scale(WHITE)
 
 

@@ -30,18 +30,18 @@ _TIE_TOLERANCE: Final = 1e-6
 
 #: What a quantity is off by where its unit was mistaken, and the words.
 _RATIO_MISTAKES: Final[Sequence[tuple[float, str]]] = (
-    (-1.0, "its sign is reversed"),
-    (1e3, "as between a unit and a thousandth of it"),
-    (1e6, "as between a unit and a millionth of it"),
-    (9.80665, "as between g and m/s^2"),
+    (-1.0, "the sign may be reversed"),
+    (1e3, "the unit may be wrong by a factor of 1000"),
+    (1e6, "the unit may be wrong by a factor of 1000000"),
+    (9.80665, "g and m/s^2 may be confused"),
 )
 
 #: The same of what is measured in angles, or in times.
 _ANGLE_MISTAKES: Final[Sequence[tuple[float, str]]] = (
-    (3600.0, "as between degrees and arcsec, or hours and seconds"),
-    (60.0, "as between minutes and seconds"),
-    (206264.806, "as between rad and arcsec"),
-    (57.29578, "as between rad and deg"),
+    (3600.0, "degrees and arcsec, or hours and seconds, may be confused"),
+    (60.0, "minutes and seconds may be confused"),
+    (206264.806, "rad and arcsec may be confused"),
+    (57.29578, "rad and deg may be confused"),
 )
 _ANGLE_UNITS: Final = ("rad", "s")  # begin or end the units of these
 
@@ -130,11 +130,9 @@ class PriorExplanation:
         symbol = self.alternative.symbol
         unit = unit_of(self.fit.model.unknowns[next(iter(self.alternative.prior_shifts))].symbol)
         text = (
-            f"{symbol} differs from its stated value in the same way in all runs: the records "
-            f"shift it by "
-            f"{self._format_estimate(unit)}, {abs(self.value) / self.u:.1f} standard "
-            "uncertainties of the "
-            "difference. Check the stated value."
+            f"{symbol} differs from the stated value by the same amount in all runs: the records "
+            f"shift the value by {self._format_estimate(unit)}, or {abs(self.value) / self.u:.1f} "
+            "standard uncertainties of the difference. Check the stated value."
         )
         return FindingText(
             code="prior-conflict", subject=symbol, text=text, name=f"{symbol} of all runs"
@@ -153,8 +151,8 @@ class PriorExplanation:
             as_stated.split(" (exact)")[0],
         )
         text = (
-            f"{article} {known.words}{owner} of {estimate} would fit; {stated_text} is "
-            f"{'stated' if stated else 'taken'}. Check it."
+            f"{article} {known.words}{owner} of {estimate} would fit the records; {stated_text} "
+            f"is {'stated' if stated else 'assumed'}. Check the value."
         )
         name = f"{known.words}{owner}"
         return FindingText(code="wrong-input", subject=self.alternative.name, text=text, name=name)
@@ -171,7 +169,7 @@ def describe_conflict(
     )
     if hint := _usual_mistake(estimate[0], stated[0], unit):
         text += f" ({hint})"
-    return f"{text}. Check it."
+    return f"{text}. Check the stated value."
 
 
 def format_si(value: float, u: float, unit: str) -> str:

@@ -44,13 +44,11 @@ def _compare_run_noise(view: AccelerometerView) -> list[Finding]:
     if worst is None or worst.p * tests >= FALSE_ALARMS:
         return []
     text = (
-        "The estimated noise of the accelerometer differs between runs: "
-        f"that of {worst.run} is {format_number(math.sqrt(worst.ratio), 2)} times as large as "
-        f"the others' "
-        f"(p = {worst.p:.2g}). A slow error of this record, or of one that it is compared with, "
-        f"may have been counted as noise and may shift the coefficients by more than their "
-        "uncertainty. "
-        "Inspect the records."
+        f"The estimated noise of the accelerometer differs between runs: in {worst.run} it is "
+        f"{format_number(math.sqrt(worst.ratio), 2)} times as large as in the other runs (p = "
+        f"{worst.p:.2g}). A slow error of this record, or of a record that it is compared with, "
+        "may have been taken for noise and may shift the coefficients by more than their "
+        "uncertainty. Inspect the records."
     )
     return [
         Finding(
@@ -73,8 +71,8 @@ def noise_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
         }:
             strides = ", ".join(f"one in {stride} of {run}" for run, stride in thinned.items())
             yield (
-                f"{view.name}: adjacent rows have nearly the same error, as after a filter in the "
-                f"recorder or with a coarse resolution. Only independent rows are used: {strides}."
+                f"{view.name}: adjacent rows have nearly the same error, as if the recorder had a "
+                f"filter or a coarse resolution. Only independent rows are used: {strides}."
             )
         sizes = {series.run: math.sqrt(series.variance_ratio) for series in view.series}
         quietest, noisiest = (
@@ -99,10 +97,9 @@ def noise_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
                     "Times are corrected by the angle",
                 )
             yield (
-                f"{view.name}: {symptom}, as if the time stamps scattered by {timing * 1e6:.2g} "
-                "us. "
-                f"{action} accordingly. If the time stamps do scatter, state it as timing in "
-                "[noise]."
+                f"{view.name}: {symptom}, as if the time stamps had a jitter of "
+                f"{timing * 1e6:.2g} us. {action} accordingly. If the time stamps do have jitter, "
+                "state its size as timing in [noise]."
             )
 
 
@@ -120,6 +117,6 @@ def undetected_walk_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]
         if share > _MAX_UNDETECTED_SHARE:
             yield (
                 f"{name}: {share:.0%} of u^2 of K_II comes from white noise of the accelerometer "
-                "that the records neither show nor exclude. If it is known, even as zero, state "
-                "it as acceleration in [noise]; otherwise record longer runs."
+                "that the records neither show nor exclude. If this noise is known, even to be "
+                "zero, state it as acceleration in [noise]; otherwise record longer runs."
             )

@@ -109,9 +109,9 @@ def _tilt_finding(
     tilt = float(np.linalg.norm(size)) / ARCSEC
     unit, factor = field_unit(coefficient.unit)
     text = (
-        f"The tilt of {run} may reach {tilt:.3g} arcsec (value and 2 u): beyond first order it "
-        f"moves {subject} by up to {format_number(shift * factor, 2)} {unit}, "
-        f"{format_number(ratio, 2)} times its u. "
-        f"The first-order model holds up to about {tilt / math.sqrt(ratio):.2g} arcsec here."
+        f"The tilt of {run} may reach {tilt:.3g} arcsec (value and 2 u): beyond first order, this "
+        f"tilt shifts {subject} by up to {format_number(shift * factor, 2)} {unit}, "
+        f"{format_number(ratio, 2)} times its u. The first-order model holds up to about "
+        f"{tilt / math.sqrt(ratio):.2g} arcsec here."
     )
     return Finding(code="large-tilt", subject=subject, text=text, size=ratio)

@@ -40,19 +40,18 @@ class Explanation(PriorExplanation):
             name += " in all runs"
         text = (
             f"{name} of {self._format_estimate(unit_of(self.alternative.symbol))} would explain "
-            "the records; "
-            "the model leaves it out. "
+            "the records; the model omits this term. "
         )
-        label = f"{name}, which is left out"
+        label = f"{name}, which the model omits"
         if abs(self.value) > limit:
             shown, factor = field_unit(unit_of(self.alternative.symbol))
             largest = f"{format_number(limit * factor, 3)} {shown}"
             text += (
-                f"That exceeds the largest credible size, {largest}, but nothing credible explains "
-                f"as much. If it can be so large, add it to the terms and state its limit; "
-                "otherwise look for a mistake that has the same effect."
+                f"This value exceeds the largest credible size, {largest}, but no credible cause "
+                "explains the misfit as well. If the term can be this large, add it to the terms "
+                "and state its limit; otherwise look for a mistake with the same effect."
             )
-            label += " and would be larger than is credible"
+            label += " and which would be incredibly large"
         else:
             text += "Add it to the terms, or state a prior for it."
         return FindingText(
@@ -69,10 +68,9 @@ class Explanation(PriorExplanation):
 
     def _describe_scale(self) -> FindingText:
         text = (
-            f"The record of {self._record_names} would fit if it were "
-            f"{format_number(1 - self.value, 6)} "
-            f"times as large (u {format_number(self.u, 2)}): check its scale, its "
-            "unit and the stated scale factor."
+            f"The record of {self._record_names} would fit if the signal were "
+            f"{format_number(1 - self.value, 6)} times as large (u {format_number(self.u, 2)}): "
+            "check the scale and unit of the record, and the stated scale factor."
         )
         name = f"scale of the record of {self._record_names}"
         return FindingText(code="wrong-scale", subject=self.alternative.owner, text=text, name=name)
@@ -85,15 +83,15 @@ class Explanation(PriorExplanation):
         fastest = max(rates)
         change, u = (0.5e6 * size * fastest**2 for size in (abs(self.value), self.u))
         direction, cause = (
-            ("fell", "a filter in the recorder, or means over a sample")
+            ("fell", "a filter in the recorder, or averaging over the sampling interval")
             if self.value > 0.0
             else ("rose", "a resonance of the sensor")
         )
         text = (
-            f"The records of {self.alternative.owner} would fit if the gain {direction} with "
-            "the square of the "
-            f"frequency, by {format_estimate(change, u, 'ppm')} at {fastest / (2.0 * math.pi):.3g} "
-            f"Hz, as with {cause}. Check the frequency response of accelerometer and recorder."
+            f"The records of {self.alternative.owner} would fit if the gain {direction} with the "
+            f"square of the frequency, by {format_estimate(change, u, 'ppm')} at "
+            f"{fastest / (2.0 * math.pi):.3g} Hz, as with {cause}. Check the frequency response "
+            "of the accelerometer and of the recorder."
         )
         return FindingText(
             code="frequency-response",
@@ -108,9 +106,8 @@ class Explanation(PriorExplanation):
         size = f"{math.degrees(abs(self.value)):.4g} deg (u {math.degrees(self.u):.1g} deg)"
         direction = "larger" if self.value > 0.0 else "smaller"
         text = (
-            f"The records would fit if the angle{of_run} were {size} {direction}: check its "
-            "zero, and "
-            "the time at which it is sampled."
+            f"The records would fit if the angle{of_run} were {size} {direction}: check the zero "
+            "of the angle and the time at which the angle is sampled."
         )
         return FindingText(
             code="wrong-angle",
@@ -125,9 +122,9 @@ class Explanation(PriorExplanation):
             ("the platform's", "platform") if uses_platform else ("its own", "own velocity")
         )
         text = (
-            f"The records look like those of a computer that uses {owner} velocity for the "
-            f"Coriolis acceleration: {format_number(self.value, 4)} times that effect "
-            f"is in them (u {format_number(self.u, 2)}). If it does, state reference = "
+            f"The records are consistent with a computer that uses {owner} velocity for the "
+            f"Coriolis acceleration: they contain {format_number(self.value, 4)} times that "
+            f"effect (u {format_number(self.u, 2)}). If the computer does so, state reference = "
             f'"{stated}" in [records].'
         )
         name = f"velocity in the Coriolis acceleration, {owner}"
@@ -137,10 +134,9 @@ class Explanation(PriorExplanation):
 
     def _describe_bias(self) -> FindingText:
         text = (
-            f"{self._record_names} would fit with a separate bias, "
-            f"{self._format_estimate('g')} more than in "
-            "the other runs: the bias has changed, or the record has a slow error. "
-            "Inspect the record."
+            f"{self._record_names} would fit with a separate bias that differs by "
+            f"{self._format_estimate('g')} from the bias in the other runs: the bias has changed, "
+            "or the record has a slow error. Inspect the record."
         )
         return FindingText(
             code="run-differs",
@@ -167,9 +163,9 @@ class Explanation(PriorExplanation):
     def _describe_bias_step(self) -> FindingText:
         text = (
             f"{self._record_names} would fit with a bias that changes by "
-            f"{self._format_estimate('g')} at about "
-            f"{self.alternative.time:.4g} s: switching on, warm-up or another slow "
-            "error. Leave out the part before that time, or the whole run."
+            f"{self._format_estimate('g')} at about {self.alternative.time:.4g} s: a switch-on "
+            "transient, warm-up or another slow error. Omit the part before that time, or the "
+            "whole run."
         )
         return FindingText(
             code="bias-drifts",
@@ -185,12 +181,12 @@ class Explanation(PriorExplanation):
         if self.alternative.kind == mistakes.JUMP:
             quantity, change_text = "level", f"jumps by {self._format_estimate(unit)} at {at}"
         else:
-            change = format_estimate(self.value, self.u, f"{unit} a second")
-            quantity, change_text = "slope", f"drifts from {at} on: its slope changes by {change}"
+            change = format_estimate(self.value, self.u, f"{unit} per second")
+            quantity, change_text = "slope", f"changes slope at {at}, by {change}"
         return FindingText(
             code="jump",
             subject=self.alternative.owner,
-            text=f"The record of {self._record_names} {change_text}. Leave the run out, or record "
-            "it again.",
+            text=f"The record of {self._record_names} {change_text}. Omit the run, or record it "
+            "again.",
             name=f"{quantity} of {self._record_names}",
         )

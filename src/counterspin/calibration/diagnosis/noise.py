@@ -61,13 +61,13 @@ def _deviating_runs(runs: Mapping[str, float]) -> list[str]:
 def _noise_finding(name: str, runs: Mapping[str, float]) -> Finding:
     deviating = _deviating_runs(runs)
     ratios = [f"{format_number(runs[run], 2)} times" for run in deviating[:_MAX_NAMED]]
-    ratios[0] += " the stated one"
+    ratios[0] += " the stated noise"
     listing = ", ".join(f"{size} in {run}" for size, run in zip(ratios, deviating, strict=False))
-    rest = ", and as stated in the others" if len(deviating) < len(runs) else ""
+    rest = ", and as stated in the other runs" if len(deviating) < len(runs) else ""
     text = (
-        f"The noise of {name} is {listing}{rest}, by the differences between adjacent rows. "
-        "Find out "
-        "why, or leave it out of [noise]: each run is then weighted with its own."
+        f"The noise of {name} is {listing}{rest}, according to the differences between adjacent "
+        "rows. Find the cause, or remove the value from [noise]: each run is then weighted by its "
+        "own noise."
     )
     size = max(max(ratio, 1.0 / ratio) for ratio in runs.values())
     return Finding(code="wrong-noise", subject=name, text=text, size=size)
@@ -100,8 +100,7 @@ def check_stated_noise(view: AccelerometerView) -> Iterator[Finding]:
     shown = f", {format_number(factor * white, 3)} {unit}," if white > 0.0 else ""
     text = (
         f"Noise {format_number(factor, 4)} times as large as stated{shown} would fit: the "
-        "residuals "
-        "have this size in every run and are independent of each other. Check the stated noise, "
-        "or have it estimated."
+        "residuals have this size in every run and are independent of each other. Check the "
+        "stated noise, or let counterspin estimate it."
     )
     yield Finding(code="wrong-noise", subject=name, text=text, size=max(factor, 1.0 / factor))

@@ -160,16 +160,15 @@ def mounting_finding(mounting: AlternativeMounting) -> Finding:
     symbol, shift, size = mounting.largest_shift()
     data, sense = "records", ""
     if any(group.motion != "poses" for group in mounting.view.groups):
-        data, sense = "readings", ", the sense in which the attitudes turn"
+        data, sense = "readings", ", the sense of rotation of the attitudes"
     text = (
-        f"The {data} of {name} would fit if its pendulous axis pointed {fitted} instead of "
-        f"{stated}, as stated. Check pendulous_axis{sense}, and for which axes "
-        f"{_join_symbols(_stated_cross_terms(mounting.view))} "
-        "was measured."
+        f"The {data} of {name} would fit if its pendulous axis pointed {fitted} instead of the "
+        f"stated {stated}. Check pendulous_axis{sense}, and the axes of the stated "
+        f"{_join_symbols(_stated_cross_terms(mounting.view))}."
     )
     if symbol:
         ratio = format_number(size, 2)
-        text += f" {symbol} would move by {format_size(symbol, shift)}, {ratio} times its u."
+        text += f" {symbol} would change by {format_size(symbol, shift)}, {ratio} times its u."
     return Finding(
         code="wrong-mounting",
         subject=name,
@@ -196,13 +195,12 @@ def undetermined_axis_remarks(mountings: Sequence[AlternativeMounting]) -> Itera
         stated, fitted = worst.pendulous_directions
         direction = "larger" if shift > 0.0 else "smaller"
         symbols = _stated_cross_terms(worst.view)
-        values, verb = ("values", "rest") if symbols[1:] else ("value", "rests")
+        values, verb = ("values", "depend") if symbols[1:] else ("value", "depends")
         yield (
-            f"{name}: the records do not show where the pendulous axis points, and the "
-            f"stated {values} of {_join_symbols(symbols)} {verb} on it. With {fitted} for "
-            f"{stated} the records would fit equally well, and {symbol} would be "
-            f"{format_size(symbol, abs(shift))} {direction}, "
-            f"{format_number(size, 2)} times its u."
+            f"{name}: the records do not determine the direction of the pendulous axis, and the "
+            f"stated {values} of {_join_symbols(symbols)} {verb} on it. With {fitted} instead of "
+            f"{stated}, the records would fit equally well, and {symbol} would be "
+            f"{format_size(symbol, abs(shift))} {direction}, {format_number(size, 2)} times its u."
         )
 
 
@@ -265,9 +263,9 @@ def untested_input_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
         remarks.sort(reverse=True)
         if remarks:
             yield (
-                f"{view.name} depends on values that its data cannot check: "
-                f"{'; '.join(sentence for _, sentence in remarks[:_MAX_NAMED])}. No residual "
-                "would show this."
+                f"The result for {view.name} depends on values that the data cannot check: "
+                f"{'; '.join(sentence for _, sentence in remarks[:_MAX_NAMED])}. The residuals "
+                "would not show such an error."
             )
 
 

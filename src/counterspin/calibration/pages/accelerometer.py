@@ -38,8 +38,8 @@ _STRONG_CORRELATION: Final = 0.9
 #: Unknowns of the two-stage method that are the spindle's, and so in neither table of terms:
 #: symbol and words.
 _SPINDLE: Final = {
-    "spindle.drift": ("C", "drift of the rate, common to all runs"),
-    "spindle.ripple": ("w_p", "ripple as in Eq. 26, common to all runs"),
+    "spindle.drift": ("C", "rate drift common to all runs"),
+    "spindle.ripple": ("w_p", "rate ripple (Eq. 26) common to all runs"),
 }
 
 
@@ -180,7 +180,7 @@ def _uncertainty_origin(coefficient: Coefficient) -> str:
     if coefficient.value is None:
         return NOT_DETERMINED
     if not coefficient.estimated:
-        return "prior alone"
+        return "prior only"
     components = {
         "noise": coefficient.u_noise,
         "stated": coefficient.u_stated,
@@ -203,8 +203,9 @@ def confounding_text(confounded: ConfoundedTerms) -> str:
 
 def _confounded_sentence(confounded: ConfoundedTerms) -> str:
     text = (
-        f"{confounding_text(confounded)} by these records (correlation "
-        f"{_format_correlation(confounded.correlation)}); determined: {confounded.determined}"
+        f"{confounding_text(confounded)} with these records (correlation "
+        f"{_format_correlation(confounded.correlation)}); the records determine "
+        f"{confounded.determined}"
     )
     if confounded.value is None:
         return text + "."
@@ -230,7 +231,7 @@ def _format_correlation(r: float) -> str:
 def _residual_sentence(accelerometer: AccelerometerResult) -> str:
     residual = accelerometer.residual
     text = (
-        f"Residuals: rms {format_number(residual.rms)} {residual.unit} with "
+        f"Residuals: rms {format_number(residual.rms)} {residual.unit}, "
         f"{format_count(residual.dof)} degrees of freedom"
     )
     if residual.chi2 is not None and residual.dof > 0.0:

@@ -40,7 +40,7 @@ def budget_blocks(name: str, result: Result) -> Iterator[Block]:
 
 def interval_blocks(name: str, result: Result) -> Iterator[Block]:
     """Yield the coverage intervals of an accelerometer by the GUM and by Monte Carlo, if drawn."""
-    words = {True: "validated", False: "not validated", None: "trials too few"}
+    words = {True: "validated", False: "not validated", None: "too few trials"}
     rows, trials = [], 0
     accelerometer = result.accelerometers[name]
     for symbol, drawn in accelerometer.monte_carlo.items():

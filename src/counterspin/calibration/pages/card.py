@@ -145,7 +145,10 @@ def _checks(accelerometer: AccelerometerResult) -> Iterator[Check]:
     shift = None
     if largest is not None:
         shift_text = format_number(abs(largest.z or 0.0), 2)
-        shift = f"largest shift, without {largest.run}: {shift_text} times its standard uncertainty"
+        shift = (
+            f"omitting {largest.run} causes the largest shift, {shift_text} times the u of the "
+            "shift"
+        )
     clause = evidence.get("each run left out")
     yield _make_check("Runs", f"{clause}; {shift}" if clause else None, shift)
     yield _make_check("Method", *_compare_methods(accelerometer))
@@ -164,7 +167,7 @@ def _compare_methods(accelerometer: AccelerometerResult) -> tuple[str | None, st
         return None, None
     unit, factor = field_unit(coefficient.unit)
     value = format_estimate(comparison.value * factor, comparison.u * factor, unit)
-    difference = f"difference {format_number(abs(comparison.z), 2)} times its standard uncertainty"
+    difference = f"z = {format_number(abs(comparison.z), 2)}"
     if methods_agree(comparison):
         return f"two-stage method agrees: {value}, {difference}", None
     return None, f"two-stage method disagrees: {value}, {difference}"

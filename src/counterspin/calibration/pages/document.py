@@ -418,11 +418,13 @@ def batch_blocks(batch: BatchResult) -> list[Block]:
     blocks: list[Block] = [Table(_COLUMNS, rows)] if rows else []
     blocks += [Paragraph(f"{folder}: {error}", "warning") for folder, error in batch.failed.items()]
     blocks += [
-        Paragraph(f"{folder}: the records contradict the result; it must not be used.", "warning")
+        Paragraph(
+            f"{folder}: the records contradict the result, which must not be used.", "warning"
+        )
         for folder in batch.contradicted
     ]
     blocks += [
-        Paragraph(f"{folder}: the data do not determine all that is requested.", "undetermined")
+        Paragraph(f"{folder}: the data do not determine all requested terms.", "undetermined")
         for folder in batch.not_determined
     ]
     failed = len(batch.failed)

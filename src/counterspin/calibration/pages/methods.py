@@ -73,15 +73,14 @@ def model_blocks(result: Result) -> Iterator[Block]:
     )
     if turns := [symbol for symbol in platform if symbol in PLATFORM_TERMS]:
         yield Paragraph(
-            "The small attitude error ψ of the platform turns the sensed force to f − ψ × f; it is "
-            "ψ = tilt + ∫ (drift + D f/g + E |f|²/g²) dt + C f/g. Taken into account: "
+            "The small attitude error ψ of the platform rotates the sensed specific force to f − "
+            "ψ × f, with ψ = tilt + ∫ (drift + D f/g + E |f|²/g²) dt + C f/g. Terms in the fit: "
             f"{_join(turns)}."
         )
     if paths := [symbol for symbol in platform if symbol in MOTION_TERMS]:
         yield Paragraph(
-            "Errors of the path, which displace the platform from the position given by radius "
-            "and recorded angle: "
-            f"{_join(paths)}."
+            "Path errors, which displace the platform from the position given by radius and "
+            f"recorded angle: {_join(paths)}."
         )
     yield from reading_blocks(result)
     if result.runs or not (readings_of(result) or poses_of(result)):
@@ -96,8 +95,8 @@ def _recorded_signal_blocks(result: Result) -> Iterator[Block]:
         for accelerometer in result.accelerometers.values()
     }
     yield Paragraph(
-        "The recorded signal, where a_h is the harmful acceleration (gravity, Coriolis and "
-        "centrifugal) that the system subtracts; fitted along the motion of the spindle:"
+        "Recorded signal along the motion of the spindle; a_h is the acceleration (gravity, "
+        "Coriolis and centrifugal) that the navigation computer subtracts:"
     )
     for observable in sorted(observables):
         yield Paragraph(_OBSERVED[observable], "equation")
@@ -112,8 +111,9 @@ def _method_sentence(result: Result) -> str:
         )
     if result.method == "two-stage":
         return (
-            "Two stages, as in the paper: a parabola through one sample a revolution where the "
-            "reference displacement is zero, then its curvature against the rate."
+            "Two stages, as in the paper: first a parabola is fitted to one sample per "
+            "revolution, taken where the reference displacement is zero; then a function of the "
+            "rate is fitted to the curvatures."
         )
     readings = ["all readings of all test methods"] if readings_of(result) else []
     poses = ["all poses (two unknown angles each)"] if poses_of(result) else []
@@ -121,15 +121,14 @@ def _method_sentence(result: Result) -> str:
         records = ["all samples of the records"] if result.runs else []
         observations = " and ".join([*records, *readings, *poses])
         return (
-            f"{observations[:1].upper()}{observations[1:]} in one weighted least-squares fit, "
-            "with priors as further observations. Fixed (considered) quantities are propagated "
-            "through their sensitivity coefficients."
+            f"One weighted least-squares fit to {observations}, with priors as additional "
+            "observations. Fixed (considered) quantities are propagated through their sensitivity "
+            "coefficients."
         )
     return (
-        "All samples of all runs and accelerometers in one weighted least-squares fit, with "
-        "priors as further observations. Fixed (considered) quantities are propagated through "
-        "their sensitivity coefficients. Each run has a separate start offset and start "
-        "velocity."
+        "One weighted least-squares fit to all samples of all runs and accelerometers, with "
+        "priors as additional observations. Fixed (considered) quantities are propagated through "
+        "their sensitivity coefficients. Each run has a separate start offset and start velocity."
     )
 
 
@@ -215,12 +214,16 @@ def describe_tests(result: Result) -> Iterator[str]:
             yield (
                 f"Readings during vibration at {_format_count(len(amplitudes), 'amplitude')}, "
                 f"{_format_range(amplitudes)} m/s^2 (peak): {count}, each the mean over whole "
-                "vibrations."
+                "vibration cycles."
             )
             continue
         rates = sorted({abs(reading.rate) for reading in readings})
         rate_text = f"{_format_count(len(rates), 'rate')}, {_format_range(rates)} rad/s"
-        senses = "both senses" if len({r.rate > 0.0 for r in readings}) > 1 else "one sense"
+        senses = (
+            "both senses of rotation"
+            if len({r.rate > 0.0 for r in readings}) > 1
+            else "one sense of rotation"
+        )
         mountings = list(dict.fromkeys(r.mounting for r in readings if r.mounting))
         mounting_names = ", ".join(mountings)
         mounting_text = (
@@ -280,22 +283,23 @@ def reading_blocks(result: Result) -> Iterator[Block]:
     """Yield the definition of a reading, and the forces at its position."""
     if poses_of(result):
         yield Paragraph(
-            "In a pose whose attitude is unknown, |f| = g; the direction of f is estimated with "
-            "the coefficients."
+            "In a pose whose attitude is unknown, |f| = g; the direction of f is estimated "
+            "together with the coefficients."
         )
     motions = readings_of(result)
     if not motions:
         return
     yield Paragraph(
-        "A reading is the indication at rest, or its mean over whole revolutions. The "
-        "specific force, with the radius R, the rate w, the Earth's rate Ω and the latitude L:"
+        "A reading is the indication at rest, or the mean indication over whole revolutions. "
+        "Specific force, with radius R, rate w, Earth rate Ω and latitude L:"
     )
     for motion in motions:
         yield Paragraph(_FORCES[motion], "equation")
     machine_terms = [s for s in result.platform if s not in SHARED_TERMS and affects_readings(s)]
     if machine_terms:
         yield Paragraph(
-            f"Terms of the machine, estimated with the coefficients: {', '.join(machine_terms)}."
+            "Machine error terms, estimated together with the coefficients: "
+            f"{', '.join(machine_terms)}."
         )
 
 
@@ -346,7 +350,7 @@ def method_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
     )
     level = method_test_level(methods)
     words = "; ".join(_agreement_text(method, level) for method in methods)
-    yield Paragraph("Each test method against the others: " + words + ".")
+    yield Paragraph("Comparison of each test method with the others: " + words + ".")
 
 
 def _has_value(method: MethodAgreement, symbol: str) -> bool:
@@ -371,5 +375,8 @@ def _agreement_text(method: MethodAgreement, level: float) -> str:
     moved = {symbol: abs(shift.z) for symbol, shift in method.without.items()}
     if moved and math.isfinite(size := max(moved.values())):
         symbol = max(moved, key=lambda name: moved[name])
-        text += f"; without it {symbol} moves most, by {format_number(size, 2)} times the shift's u"
+        text += (
+            f"; omitting it shifts {symbol} most, by {format_number(size, 2)} times the u of the "
+            "shift"
+        )
     return text + ")"

@@ -91,8 +91,8 @@ def jackknife_plot(name: str, accelerometer: AccelerometerResult) -> Plot | None
     y_values = [line.value * factor for line in lines if line.value is not None]
     x_range = (x_values[0] - 0.5, x_values[-1] + 0.5)
     return Plot(
-        title=f"K_II of {name} with each run left out",
-        x_label="run left out",
+        title=f"K_II of {name} with one run omitted at a time",
+        x_label="omitted run",
         y_label=f"K_II, {unit}",
         series=(
             PlotSeries(
@@ -194,7 +194,7 @@ def _time_plot(name: str, residual_trace: _ResidualTrace, unit: str, factor: flo
     if trace.left_out:
         times, values = zip(*trace.left_out, strict=True)
         outliers = _scale(values, factor)
-        label = "left out as outliers"
+        label = "rejected as outliers"
         series.append(PlotSeries(label, tuple(times), outliers, kind="points", stands_out=True))
     return Plot(
         title=f"Residuals of {name}, {residual_trace.run}",
@@ -222,7 +222,7 @@ def _angle_plot(
     if series:
         yield Plot(
             title=f"Mean residual of {name} over the revolution",
-            x_label="angle of the spindle, deg",
+            x_label="spindle angle, deg",
             y_label=f"mean residual, {unit}",
             series=tuple(series),
             levels=(0.0,),
@@ -266,7 +266,7 @@ def _spectrum_plot(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot
     yield Plot(
         title=f"Spectrum of the whitened residuals of {name}",
         x_label="frequency, Hz",
-        y_label="power, of white noise",
+        y_label="power relative to white noise",
         series=tuple(series),
         levels=(1.0,),
         log_x=True,
@@ -360,8 +360,8 @@ def ripple_plot(runs: Mapping[str, RunResult]) -> Plot | None:
     if not series:
         return None
     return Plot(
-        title="Ripple of the rate by harmonic; bars: 95 %",
-        x_label="harmonic of the revolution",
+        title="Rate ripple by harmonic; bars: 95 % intervals",
+        x_label="harmonic of the rotation",
         y_label="amplitude, ppm of the rate",
         series=tuple(series),
         levels=(0.0,),

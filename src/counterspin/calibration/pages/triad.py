@@ -102,12 +102,11 @@ def triad_blocks(result: Result, *, details: bool) -> Iterator[Block]:
             ),
         )
     elif triad.why_no_matrix is not None:
-        yield Paragraph(f"Corrected output: not given. {triad.why_no_matrix}", "warning")
+        yield Paragraph(f"The corrected output is not available. {triad.why_no_matrix}", "warning")
     for name, record in triad.records.items():
         yield Paragraph(
-            f"{name}: {record.poses} {'pose' if record.poses == 1 else 'poses'}, found where the "
-            "scatter stays below "
-            f"{format_number(record.threshold, 3)} m/s^2."
+            f"{name}: {record.poses} {'pose' if record.poses == 1 else 'poses'}, detected where "
+            f"the scatter stays below {format_number(record.threshold, 3)} m/s^2."
         )
         for note in record.notes:
             yield Paragraph(f"{name}: {note}", "warning")

@@ -22,7 +22,7 @@ from counterspin.reports.numbers import (
 _OPENINGS: Final = {
     "good": "passed all checks",
     "reservations": "can be used with reservations",
-    "not-determined": "is not determined by its data",
+    "not-determined": "is not fully determined by its data",
     "contradicted": "is contradicted by its records and must not be used",
 }
 
@@ -81,7 +81,7 @@ def finding_text(finding: Finding) -> str:
     if not finding.explains:
         return finding.text
     explained_text = " ".join(explained.text for explained in finding.explains)
-    return f"{finding.text} That explains the other findings: {explained_text}"
+    return f"{finding.text} This explains the other findings: {explained_text}"
 
 
 def verdict_blocks(result: Result) -> Iterator[Block]:
@@ -134,7 +134,7 @@ def misfit_blocks(result: Result) -> Iterator[Block]:
     first = result.findings[0]
     if result.state == "not-determined":
         yield Paragraph(
-            f"This result is not determined by its data ({first.subject}): {first.text}",
+            f"The data do not fully determine this result ({first.subject}): {first.text}",
             "undetermined",
         )
         return
@@ -189,9 +189,9 @@ def conformity_blocks(result: Result) -> Iterator[Block]:
             unit, factor = field_unit(verdict.unit)
             process = format_estimate(risk.mean * factor, risk.sigma * factor, unit)
             yield Paragraph(
-                f"{symbol} of {name}, items of a process {process}: an item passes and does not "
-                f"conform with a probability of {format_probability(risk.consumer)} (consumer's "
-                "risk); it conforms and does not pass with a probability of "
+                f"{symbol} of {name}, for items from a process with {process}: an item passes but "
+                f"does not conform with a probability of {format_probability(risk.consumer)} "
+                "(consumer's risk); an item conforms but does not pass with a probability of "
                 f"{format_probability(risk.producer)} (producer's risk).",
                 "quiet",
             )
@@ -210,7 +210,7 @@ def rule_in_words(verdict: Conformity) -> str:
     """Return the decision rule of a verdict, as a certificate must state it."""
     risk = "The risk is the probability that the verdict is wrong (JCGM 106:2012)."
     if verdict.rule == "simple":
-        return f"Decision rule: simple acceptance, by the estimate alone. {risk}"
+        return f"Decision rule: simple acceptance, based on the estimate only. {risk}"
     if verdict.rule == "guarded":
         return (
             "Decision rule: guard bands. Pass if the estimate is inside the tolerance limits "

@@ -122,7 +122,7 @@ def check_two_stage(
     all_findings += misfit
     lost_strobes = sum(parabola.strobes.lost for parabola in second.parabolas)
     if lost_strobes:
-        text = f"{lost_strobes} strobes fell into gaps of the record and were left out."
+        text = f"{lost_strobes} strobes fell into gaps in the record and were omitted."
         all_findings.append(Finding(code="strobes-lost", subject=name, text=text))
     return all_findings
 
@@ -136,9 +136,9 @@ def check_strobe_noise(
         return
     ratio = math.sqrt(max(residual.chi2, _LEAST_SQUARES) / residual.dof)
     text = (
-        f"The strobes scatter by only {format_number(ratio, 2)} times the stated noise: by "
-        f"{format_number(ratio * sigma, 2)} m instead of {format_number(sigma, 2)} m. u is too "
-        "large. Check the stated noise, or have it estimated."
+        f"The scatter of the strobes is only {format_number(ratio, 2)} times the stated noise: "
+        f"{format_number(ratio * sigma, 2)} m instead of {format_number(sigma, 2)} m. u is "
+        "therefore too large. Check the stated noise, or let counterspin estimate it."
     )
     yield Finding(code="wrong-noise", subject=view.name, text=text, size=1.0 / ratio)
 

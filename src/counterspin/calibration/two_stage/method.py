@@ -347,7 +347,7 @@ def make_request(
     stated = resolve_noise(campaign)[accelerometer.name].sizes
     if stated is not None and stated.wanders:
         raise NotIdentifiableError(
-            f"{accelerometer.name}: the two-stage method cannot treat a wandering bias "
+            f"{accelerometer.name}: the two-stage method cannot model a drifting bias "
             "(noise.flicker, noise.bias_walk); use the joint method"
         )
     for run in campaign.runs:

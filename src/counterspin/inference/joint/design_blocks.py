@@ -80,7 +80,7 @@ class DesignBlock(Observation):
         if series.time.size <= series.order:
             raise NotIdentifiableError(
                 f"{series.accelerometer} in {series.run}: {series.time.size} samples do not "
-                "determine the record's own start offset and start velocity; the record is too "
+                "determine the start offset and start velocity of the record; the record is too "
                 "short"
             )
         whiten = series.whitener(noise)

@@ -228,8 +228,8 @@ def reject_outliers(
     )
     raise ConvergenceError(
         f"{where}: outliers were still found after {_MAX_ROUNDS} rounds of rejection: the "
-        f"residuals are not noise around a smooth curve; inspect the record for a jump of "
-        "its clock or displacement, or add the missing terms to the model"
+        "residuals are not noise about a smooth curve; inspect the record for a jump in the clock "
+        "or displacement, or add the missing terms to the model"
     )
 
 

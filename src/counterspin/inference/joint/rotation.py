@@ -70,9 +70,8 @@ def find_rotation(
         if all(_end_angle(record, change[record.run]) < _ANGLE_TOLERANCE for record in rotated):
             return rotated
     raise ConvergenceError(
-        "the rotation could not be found from the displacement: the nominal rate is too "
-        "inaccurate; "
-        "record the spindle's angle, or state the rate more accurately"
+        "the rotation could not be determined from the displacement: the nominal rate is too "
+        "inaccurate; record the spindle angle, or state the rate more accurately"
     )
 
 

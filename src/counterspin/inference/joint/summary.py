@@ -81,9 +81,9 @@ class WhatIf:
     def parts(self, name: str, known: Mapping[str, float]) -> dict[str, float]:
         """Return the u^2 of a coefficient by source, and the rest, as ``""``; as `u`."""
         if unknown := [source for source in known if source not in self.known]:
-            raise ValueError(f"no prior of {', '.join(unknown)}")
+            raise ValueError(f"no prior for {', '.join(unknown)}")
         if not all(u > 0.0 and math.isfinite(u) for u in known.values()):
-            raise ValueError("a standard uncertainty is a number above 0")
+            raise ValueError("a standard uncertainty must be greater than zero")
         weighted = np.array(self.weighed)
         beside = np.array(self.beside) if self.beside else np.zeros_like(weighted)
         weighed = {source: u for source, u in known.items() if source not in self.held}

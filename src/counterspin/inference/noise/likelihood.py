@@ -202,11 +202,11 @@ class RestrictedLikelihood:
     ) -> RestrictedLikelihood:
         """Difference the records; arguments as of `search.estimate_noise`."""
         if not records:
-            raise ValueError("noise cannot be estimated from no records")
+            raise ValueError("noise cannot be estimated without records")
         rows = [np.asarray(r.design, float) for r in records]
         reduced = [r.reduce() for r in records]
         if len({record.order for record in reduced}) > 1:
-            raise ValueError("records of different observables do not share noise components")
+            raise ValueError("records of different observables have different noise components")
         places = [
             np.arange(design.shape[1]) if r.places is None else np.asarray(r.places, np.intp)
             for r, design in zip(records, rows, strict=True)
@@ -231,8 +231,8 @@ class RestrictedLikelihood:
         unknowns = likelihood.prior.shape[1] - 1
         if likelihood.rows + len(prior_factor) <= unknowns:
             raise NotIdentifiableError(
-                f"{likelihood.rows} differenced rows are too few to estimate noise "
-                f"together with {unknowns} unknowns; state the noise, or give longer records"
+                f"{likelihood.rows} differenced rows are too few to estimate the noise together "
+                f"with {unknowns} unknowns; state the noise, or use longer records"
             )
         return likelihood
 
@@ -341,15 +341,15 @@ class RestrictedLikelihood:
         rss = float(values[-1]) ** 2 if dof > 0 else float(values @ values)
         if rss == 0:
             raise NotIdentifiableError(
-                "the residuals are all zero, so no noise can be estimated; state the noise"
+                "all residuals are zero, so the noise cannot be estimated; state the noise"
             )
         log_scale = math.log(rss / (dof if dof > 0 else self.rows))
         for _ in range(100 if len(self.prior) else 0):
             freedom, scaled = self._dof_and_rss(log_scale, ratios)
             if freedom <= _MIN_DOF * self.rows or scaled <= 0.0:
                 raise NotIdentifiableError(
-                    f"the unknowns fit all of {self.rows} rows exactly, so that no noise "
-                    "can be estimated; state the noise, or give longer records"
+                    f"the unknowns fit all {self.rows} rows exactly, so the noise cannot be "
+                    "estimated; state the noise, or use longer records"
                 )
             change = math.log(scaled / freedom)
             log_scale += change

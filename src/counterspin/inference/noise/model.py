@@ -85,7 +85,7 @@ class Noise:
             if value is ESTIMATE and name in COMPONENTS:
                 continue
             if not (np.isfinite(value) and value >= 0):
-                raise ValueError(f"noise: {name} is {value}; it must be zero or positive")
+                raise ValueError(f"noise: {name} is {value}; it must not be negative")
 
     @property
     def to_estimate(self) -> tuple[str, ...]:
@@ -151,10 +151,12 @@ class Differences:
             )
         time = np.asarray(times, dtype=float)
         if time.ndim != 1 or len(time) <= order:
-            raise ValueError(f"{time.size} rows are too few to whiten: {order + 1} are needed")
+            raise ValueError(
+                f"{time.size} rows are too few for whitening: {order + 1} are required"
+            )
         counts = np.broadcast_to(np.asarray(1 if count is None else count, float), time.shape)
         if not (counts >= 1).all():
-            raise ValueError("a row represents no sample: counts must be 1 or more")
+            raise ValueError("a row represents no samples: counts must be at least 1")
         steps = np.diff(time)
         if not (steps > 0).all():
             raise ValueError("times must increase from row to row")
@@ -309,7 +311,7 @@ def solve_banded_factor(bands: Array, rows: Array, transposed: bool = False) -> 
     columns = rows if rows.ndim == 2 else rows[:, None]
     solution, failed = dtbtrs(bands, columns, uplo="L", trans="T" if transposed else "N")
     if failed:
-        raise ArithmeticError("the noise has no spread in some row: its covariance is singular")
+        raise ArithmeticError("the noise of a row has zero variance: the covariance is singular")
     return np.asarray(solution if rows.ndim == 2 else solution[:, 0])
 
 

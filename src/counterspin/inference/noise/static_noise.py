@@ -136,7 +136,7 @@ def analyse_static_record(record: object, signal: StaticSignal) -> StaticRecord:
     try:
         stretches = split_segments(signal.time, signal.values)
         if np.ptp(stretches.longest[1]) == 0.0:
-            raise ValueError("all its samples are equal: nothing was recorded")
+            raise ValueError("all samples are equal: no signal was recorded")
         analysis = analyse(stretches, signal.order)
     except (ValueError, NotIdentifiableError) as error:
         raise RecordError(f"{record}: column '{signal.column}': {error}.") from error
@@ -152,11 +152,11 @@ def split_segments(time: Array, values: Array) -> Segments:
     is_finite = np.isfinite(time)
     time, values = time[is_finite], values[is_finite]
     if (np.diff(time) < 0.0).any():
-        raise ValueError("its time runs backwards")
+        raise ValueError("time runs backwards")
     samples = SensorSamples.of(time, values)
     time, values = samples.time, samples.values
     if time.size < _MIN_SAMPLES:
-        raise ValueError(f"{time.size} samples are too few: {_MIN_SAMPLES} are needed")
+        raise ValueError(f"{time.size} samples are too few: {_MIN_SAMPLES} are required")
     steps = np.diff(time)
     step = median(steps)
     # The median of rounded times is off; their mean over steps that are one is not.
@@ -169,7 +169,7 @@ def split_segments(time: Array, values: Array) -> Segments:
     good = np.isfinite(clean)
     good_times, kept = time[good], clean[good]
     if kept.size < _MIN_SAMPLES:
-        raise ValueError(f"{kept.size} samples are too few: {_MIN_SAMPLES} are needed")
+        raise ValueError(f"{kept.size} samples are too few: {_MIN_SAMPLES} are required")
     relative_steps = np.diff(good_times) / step
     cuts = np.flatnonzero(relative_steps > _max_missing(relative_steps) + 1.5) + 1
     parts: list[tuple[float, Array, Array]] = []
@@ -190,12 +190,12 @@ def split_segments(time: Array, values: Array) -> Segments:
             or (np.diff(sample_index) < 1.0).any()
         ):
             raise ValueError(
-                "its samples are not evenly spaced, which the noise "
-                "analysis needs; resample the record, or name another time column"
+                "the samples are not evenly spaced, as the noise analysis requires; resample the "
+                "record, or select another time column"
             )
         parts.append((float(own_time[0]), sample_index, segment_values))
     if not parts:
-        raise ValueError(f"no {_MIN_SAMPLES} successive samples are without a gap")
+        raise ValueError(f"there are no {_MIN_SAMPLES} successive samples without a gap")
     count = sum(int(sample_index[-1]) + 1 for _, sample_index, _ in parts)
     recorded = sum(segment_values.size for _, _, segment_values in parts)
     share = recorded / count
@@ -276,7 +276,7 @@ def analyse(segments: Segments, order: int) -> StaticAnalysis:
             lines = own_lines
             velocity = rest if noise_order == 1 else np.diff(rest) / decimated_step
     if not records:
-        raise NotIdentifiableError("the record is too short to estimate any noise")
+        raise NotIdentifiableError("the record is too short to estimate the noise")
     noise = estimate_static_noise(records)
     # A sample of a specific force holds the noise of one step, also where others are lost.
     noise_per_sample = (
@@ -340,7 +340,7 @@ def estimate_static_noise(records: Sequence[EvenlySampledData]) -> StaticNoise:
     records: Their first unknown is the drift, by a column of time in s.
     """
     if sum(record.observations.size for record in records) < 4 * (2 + len(COMPONENTS)):
-        raise NotIdentifiableError("the record is too short to estimate any noise")
+        raise NotIdentifiableError("the record is too short to estimate the noise")
     likelihood = RestrictedLikelihood.of(records, None, None)
     best, full_maximum, without = _eliminate_components(likelihood)
     components: dict[str, SizedComponent] = {}

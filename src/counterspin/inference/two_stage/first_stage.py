@@ -62,7 +62,7 @@ def strobe_angle(input_axis: Array) -> float:
     """
     if abs(float(input_axis[2])) > 1e-3:
         raise NotIdentifiableError(
-            "strobes need a horizontal input axis; this one is "
+            "strobes require a horizontal input axis; this axis is "
             f"{math.degrees(math.asin(float(input_axis[2]))):.3f} deg above the horizontal"
         )
     return (math.atan2(float(input_axis[1]), float(input_axis[0])) + math.pi / 2) % TURN
@@ -144,8 +144,8 @@ def _interpolate(
     keep = (is_inside | (share == 0.0) | (share == 1.0)) & np.isfinite(value)
     if np.count_nonzero(keep) < FEWEST_STROBES:
         raise RecordError(
-            f"only {np.count_nonzero(keep)} of the {FEWEST_STROBES} strobes that the parabola of "
-            "the first stage needs could be read: record more revolutions or fill the gaps"
+            f"only {np.count_nonzero(keep)} of the {FEWEST_STROBES} strobes required for the "
+            "parabola of the first stage could be read: record more revolutions, or fill the gaps"
         )
     at = time[row_before] + share * spacing[row_before]
     return Strobes(at[keep], value[keep], np.sqrt(variance[keep]), int(np.sum(~keep)))

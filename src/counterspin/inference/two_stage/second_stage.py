@@ -344,8 +344,8 @@ def _check_rates(
         if different < len(needed):
             raise NotIdentifiableError(
                 f"{len(needed)} unknowns without a prior ({', '.join(needed)}) need at least "
-                f"{len(needed)} different {description}; the campaign has {different}: "
-                "add runs at other rates, or give priors"
+                f"{len(needed)} different {description}; the campaign has only {different}: add "
+                "runs at other rates, or give priors"
             )
 
 
