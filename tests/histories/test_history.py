@@ -147,7 +147,7 @@ def test_frozen_results_of_every_schema_are_read():
             for path in (FROZEN / "schema-1-joint.json", FROZEN / "schema-1-two-stage.json")
         ]
         assert [(p.value, p.u) for p in instrument.points] == [(c["value"], c["u"]) for c in stated]
-    assert "serial number of the campaign" in str(list(history_blocks(found)))
+    assert "(of the campaign)" in str(list(history_blocks(found)))
 
 
 def test_instruments_are_kept_apart(tmp_path):

@@ -110,8 +110,7 @@ class StudyFolder:
 
 def _foreign_file_error(path: Path) -> CounterspinError:
     return CounterspinError(
-        f"{path} exists and was not written by a study, and is therefore not replaced: name "
-        f"another folder"
+        f"{path} exists and was not written by a study, so it is not replaced: name another folder"
     )
 
 
