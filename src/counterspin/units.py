@@ -145,14 +145,14 @@ def unit_factor(unit: str, wanted: str, *, gravity: float | None = None) -> floa
     names = _names(written, kind, accepted)
     if not names <= set(UNITS):
         unknown = ", ".join(sorted(repr(name) for name in names - set(UNITS)))
-        raise ValueError(f"unknown unit {unknown}; {kind} is needed ({accepted})")
+        raise ValueError(f"unknown unit {unknown}; {kind} is required ({accepted})")
     if names & {"Hz", "kHz"} and "Hz" not in wanted:
         if wanted == "rad/s":
             raise ValueError(
                 f"{unit!r} is ambiguous for an angular rate: write rev/s for revolutions a "
                 f"second, or rad/s ({accepted})"
             )
-        raise ValueError(f"{unit!r} is a frequency; {kind} is needed ({accepted})")
+        raise ValueError(f"{unit!r} is a frequency; {kind} is required ({accepted})")
     factor, dimension = _evaluate(written)
     wanted_factor, wanted_dimension = _evaluate(wanted)
     factor /= wanted_factor
@@ -220,12 +220,12 @@ def advice(wanted: str) -> tuple[str, str]:
 def _names(written: str, kind: str, accepted: str) -> set[str]:
     """Return the unit names in an expression, having checked that it is nothing but one."""
     if re.search(r"[*/]\s*[*/]", written):
-        raise ValueError(f"{written!r} is not a unit; {kind} is needed ({accepted})")
+        raise ValueError(f"{written!r} is not a unit; {kind} is required ({accepted})")
     names, position = set(), 0
     while position < len(written):
         match = _FACTOR.match(written, position)
         if match is None:
-            raise ValueError(f"{written!r} is not a unit; {kind} is needed ({accepted})")
+            raise ValueError(f"{written!r} is not a unit; {kind} is required ({accepted})")
         if match[1]:
             names.add(match[1])
         position = match.end()

@@ -150,7 +150,7 @@ def test_without_gravity_g_and_si_stay_apart():
         ("1 1/(s", "1/s", "a factor or a bracket is missing"),
         ("1 m^-99 km^99 km^99", "m", "is not a unit of length"),
         ("1 Hz", "rad/s", "'Hz' is ambiguous for an angular rate: write rev/s"),
-        ("1 Hz", "1/s", "'Hz' is a frequency; a relative drift is needed"),
+        ("1 Hz", "1/s", "'Hz' is a frequency; a relative drift is required"),
         ("1 g/g^2", "g/g^3", "not a unit of third-order coefficient"),
         ("1 g", "rad", "not a unit of angle"),
         ("1 m//s", "m/s", "is not a unit"),
@@ -192,7 +192,7 @@ def test_a_quantity_reads_back_exactly(value, u, unit):
     ],
 )
 def test_implausible_angles_and_times_are_refused(text, unit, kind):
-    with pytest.raises(ValueError, match=f"implausibly large or small; {kind} is needed"):
+    with pytest.raises(ValueError, match=f"implausibly large or small; {kind} is required"):
         parse(text, unit)
     parse(text.replace("e18", "e8").replace("e10", "e9"), unit)
 

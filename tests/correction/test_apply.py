@@ -351,7 +351,7 @@ def test_which_column_is_asked_only_where_it_is_open(folder, capsys):
     assert run(*words, "--output-axis", "north") == 0
     assert pl.read_csv("out.csv").columns[-1] == "east_corrected_u"
     assert run("result.json", "out.csv", *words[2:4], "--input", "east", "-o", "o.csv") == 2
-    assert "'east_corrected' already" in capsys.readouterr().err
+    assert "already has a column 'east_corrected'" in capsys.readouterr().err
 
 
 def test_a_row_beyond_the_model_is_named_by_its_line(folder, capsys):

@@ -364,7 +364,7 @@ SLIPS = {
     "a rate in no unit of it": (
         "n,side,mA\n6,innen,1.25\n",
         f'rate_unit = "kg"\n{ARM}',
-        "readings.rate_unit: unknown unit 'kg'; an angular rate is needed",
+        "readings.rate_unit: unknown unit 'kg'; an angular rate is required",
     ),
     "an acceleration with a sign": (
         "n,side,mA\n-6,innen,1.25\n",

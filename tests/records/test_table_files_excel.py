@@ -110,7 +110,7 @@ def test_a_sheet_is_read_as_a_record(tmp_path):
     assert record.report.format_description == "sheet 'Run', names in row 3, a units row"
     rows[200][1] = "oops"
     write_workbook(path, {"Run": [*head, *rows]})
-    assert f"row 205: column '{ANGLE}' holds the text 'oops'" in refusal(path, time=time)
+    assert f"row 205: column '{ANGLE}' contains the text 'oops'" in refusal(path, time=time)
     write_workbook(path, {"Run": [["only", "words"]] * 5})
     assert "no rows of numbers" in refusal(path)
 

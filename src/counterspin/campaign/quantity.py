@@ -200,7 +200,7 @@ def _in_unit(quantity: Quantity, unit: str, text: str, gravity: float | None) ->
         raise ValueError(f"{text!r} has a negative uncertainty")
     largest = _LARGEST.get(unit, _SIZE_RANGE[1])
     if any(size and not _SIZE_RANGE[0] < size < largest for size in (abs(value), u)):
-        raise ValueError(f"{text!r} is implausibly large or small; {kind} is needed ({accepted})")
+        raise ValueError(f"{text!r} is implausibly large or small; {kind} is required ({accepted})")
     return Quantity(value, u, unit, quantity.distribution)
 
 
