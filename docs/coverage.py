@@ -42,7 +42,7 @@ FIRST: Final = 1000
 BAND: Final = 1.96
 
 #: What makes the noise larger than the records show is in u, whether it is there or not.
-HIDDEN: Final = ("white, not stated", "white and hidden walk, not stated")
+HIDDEN: Final = ("white noise, not stated", "white noise and hidden random walk, not stated")
 
 
 @dataclass(frozen=True)
@@ -119,33 +119,37 @@ _HARDLY: Final = {"displacement": "8e-6 g/Hz^0.5", "velocity": "6e-6 g/Hz^0.5"}
 def _cases() -> Iterator[Case]:
     for observable, size in _WHITE.items():
         white = {observable: size}
-        yield Case("joint", observable, "white, stated", white, white)
+        yield Case("joint", observable, "white noise, stated", white, white)
         if observable == "specific_force":
             # The accelerometer's noise is that of the record there.
-            yield Case("joint", observable, "white, found", white, {})
+            yield Case("joint", observable, "white noise, estimated", white, {})
             continue
         found = {observable: "estimate", **_NO_WALK}
-        yield Case("joint", observable, "white, found; no walk stated", white, found)
-        yield Case("joint", observable, "white, not stated", white, {})
+        yield Case(
+            "joint", observable, "white noise estimated, random walk stated as zero", white, found
+        )
+        yield Case("joint", observable, "white noise, not stated", white, {})
         both = {**white, **_WALK}
-        yield Case("joint", observable, "white and walk, stated", both, both)
-        yield Case("joint", observable, "white and walk, not stated", both, {})
+        yield Case("joint", observable, "white noise and random walk, stated", both, both)
+        yield Case("joint", observable, "white noise and random walk, not stated", both, {})
     for observable, size in _HARDLY.items():
         both = {observable: _WHITE[observable], "acceleration": size}
         yield Case("joint", observable, HIDDEN[1], both, {})
     white = {"displacement": "0.01 m"}
     both = {**white, **_WALK}
     for words, true, stated in (
-        ("white, stated", white, white),
-        ("white and walk, stated", both, both),
-        ("white and walk, not stated", both, {}),
+        ("white noise, stated", white, white),
+        ("white noise and random walk, stated", both, both),
+        ("white noise and random walk, not stated", both, {}),
     ):
         yield Case("two-stage", "displacement", words, true, stated)
     for method, observable in (*(("joint", one) for one in _WHITE), ("two-stage", "displacement")):
         white = {observable: _WHITE[observable]}
         true = {**white, "timing": TIMING}
-        yield Case(method, observable, "white and time stamps, stated", true, true)
-        yield Case(method, observable, "white stated, time stamps found", true, white)
+        yield Case(method, observable, "white noise and jitter of time stamps, stated", true, true)
+        yield Case(
+            method, observable, "white noise stated, jitter of time stamps estimated", true, white
+        )
 
 
 CASES: Final = tuple(_cases())

@@ -102,7 +102,7 @@ NUMBERS = [
     ("methods", "| below {} | omitted", [encoder._CONSIDERED_NORM_SQUARED]),
     (
         "methods",
-        "from zero by more than {} default uncertainties is a finding",
+        "from zero by more than {} default standard uncertainties raises",
         [limits._MAX_DEFAULT_SDS],
     ),
     ("result", "more than {} default standard uncertainties", [limits._MAX_DEFAULT_SDS]),
@@ -138,7 +138,7 @@ NUMBERS = [
     ("methods", "false alarm in one of {} good", [1 / diagnostics.SIGNIFICANCE]),
     (
         "methods",
-        "reduce the variance of its prior by at least {}.",
+        "reduce the variance of the coefficient's prior by at least {}.",
         [1 - identifiability.MAX_VARIANCE_RATIO],
     ),
     ("methods", "deviate from their neighbours by more than {} standard", [outliers.LIMIT_SDS]),
@@ -390,7 +390,7 @@ def test_intervals_with_a_noise_that_is_found_are_rather_too_long():
     for row in rows:
         assert sum(row["covered"].values()) / len(row["covered"]) >= 0.95, row["words"]
     for row in rows:
-        if row["words"] == "white, not stated":
+        if row["words"] == "white noise, not stated":
             length = 1.0 / row["normal_rms"]["K_F"]
             assert "about twice as long as necessary" in sentences("methods")
             assert length == pytest.approx(2.0, abs=0.35)

@@ -71,7 +71,7 @@ def test_a_few_trials_scatter_as_they_claim(method):
     case = next(
         case
         for case in STUDY["CASES"]
-        if (case.method, case.words) == (method, "white and walk, stated")
+        if (case.method, case.words) == (method, "white noise and random walk, stated")
     )
     row = STUDY["row_of"](case, 8)
     count = row.values
