@@ -291,7 +291,7 @@ def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder, tmp_pat
     tab = opened("/campaign/three")
     tab.get_by_role("tab", name="Coefficients").press("End")
     assert tab.evaluate("document.activeElement.textContent") == "Inputs"
-    tab.get_by_role("heading", name="Inputs and reproduction").wait_for()
+    tab.get_by_role("heading", name="Inputs and reproducibility").wait_for()
     tab.get_by_text("Add records, copy").click()
     tab.get_by_label("Name of the folder").fill("four")
     tab.get_by_role("button", name="Copy", exact=True).click()

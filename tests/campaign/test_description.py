@@ -274,7 +274,7 @@ EXACT_PATHS = [
     ('"K_III"]', '"K_IIII"]', 'model.terms[3]: unknown term "K_IIII"; did you mean "K_III"'),
     ('"K_III"]', '"zzz"]', 'model.terms[3]: unknown term "zzz"; known: K_F, K_I,'),
     ('"K_III"]', '"K_F"]', 'model.terms[3]: "K_F" is listed twice'),
-    ('"K_III"]', "3]", "model.terms[3]: must be text"),
+    ('"K_III"]', "3]", "model.terms[3]: must be a string"),
     ("hold = []", 'hold = ["K_II"]', 'model.hold: "K_II" is also in model.terms'),
     ("hold = []", 'hold = ["K_OO"]', 'model.hold: "K_OO" is held, but'),
     ("hold = []", 'hold = ["platform.tilt"]', 'model.hold: "platform.tilt.eas'),

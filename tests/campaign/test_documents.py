@@ -113,7 +113,7 @@ def test_a_message_has_the_line_of_its_key_or_of_its_table(tmp_path):
     file = tmp_path / "a.toml"
     file.write_text(TEXT, encoding="utf-8")
     told = {
-        "accelerometers.Qx.output.zero: must be text": 12,
+        "accelerometers.Qx.output.zero: must be a string": 12,
         "accelerometers.Qx.input_axis: is missing": 11,
         'runs[1].rate: is missing (run "two")': 17,
         '"platform.tilt": unknown term': 4,
@@ -200,7 +200,7 @@ def test_what_cannot_stand_in_a_description_is_noted_with_its_key():
     problems = Problems({})
     to_toml_value({"site": {"gravity": 1j}, 7: 1}, (), problems.add)
     assert problems.lines == [
-        ": the key 7 must be text",
+        ": the key 7 must be a string",
         "site.gravity: a complex is not allowed here; write text or a number",
     ]
 

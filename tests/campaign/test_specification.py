@@ -53,7 +53,7 @@ def test_range_and_tolerance_say_the_same(middle, half):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (5e-5, "must be text, such as"),
+        (5e-5, "must be a string, such as"),
         ("5e-5 g/g^2", "is not a specification; write"),
         ("", "is not a specification"),
         ("< 5e-5 g/g^2", "is not a specification"),

@@ -110,7 +110,7 @@ def test_a_result_that_assumes_nothing_says_nothing_of_it():
         ('K_O = "Bericht"', 'evidence.K_O: unknown term "K_O"'),
         ('Qz.K_OO = "Bericht"', 'unknown term "Qz.K_OO"'),
         ('K_OO = "  "', "evidence.K_OO: must not be empty"),
-        ("K_OO = 1", "evidence.K_OO: must be text"),
+        ("K_OO = 1", "evidence.K_OO: must be a string"),
     ],
 )
 def test_mistakes_are_told_by_key(text, problem):

@@ -41,7 +41,7 @@ def test_answers_as_people_write_them(question, answer, meaning):
         (AXIS, "noth", "did you mean 'north'"),
         (UNIT, "s", "is not a unit of length"),
         (COUNTS, "-4", "positive"),
-        (COUNTS, "many", "not a positive number, such as 65536"),
+        (COUNTS, "many", "not a positive number; enter, for example, 65536"),
         (COUNTS, "inf", "not a positive number"),
     ],
 )

@@ -42,7 +42,7 @@ SAID = {
     "tumble": "Readings at rest in 24 positions, 24 readings",
     "arm": "Readings on the arm of a centrifuge (IEEE Std 836) at 6 rates, 3.132 to "
     "14.01 rad/s, one sense of rotation, 2 mountings (in, out): 24 readings",
-    "double-turntable": "The item was carried on a double turntable centrifuge at the stated",
+    "double-turntable": "The item was mounted on a double turntable centrifuge and",
 }
 
 

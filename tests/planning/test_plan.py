@@ -577,7 +577,7 @@ def test_target_that_no_plan_reaches(starter):
         plan(file)
     text = str(raised.value)
     assert "u(Qx.K_II) = 1e-08 g/g^2" in text
-    assert "The best, in 700 s, has 2.25e-08 g/g^2" in text
+    assert "The best plan, in 700 s, has 2.25e-08 g/g^2" in text
     assert "platform.g_sensitivity.zx 47 %, platform.tilt.north of the runs 32 %" in text
     assert "With unlimited time" in text
     assert "with both senses" in text

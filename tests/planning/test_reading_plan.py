@@ -160,7 +160,7 @@ def test_a_target_holds_with_what_changes_with_time(written):
     # Digits that tell the two apart, and where the best comes from.
     asked, had = re.findall(r"(\d\.?\d*e-\d+) rad", str(raised.value))
     assert float(asked) < float(had)
-    assert "; its square comes from " in str(raised.value)
+    assert "; the variance comes from " in str(raised.value)
 
 
 def test_a_limit_of_time(written):
@@ -211,7 +211,7 @@ def test_calibration_says_what_the_plan_has_promised(written, tmp_path):
     planned = plan(written(ARM, ("[limits]", REST)))
     folder = tmp_path / "planned"
     file = write_campaign(planned, folder)
-    with pytest.raises(CampaignError, match="reading: has no value yet, nor have 23 others"):
+    with pytest.raises(CampaignError, match="reading: has no value yet, and neither have 23"):
         read_campaign(file)
     blank = file.read_text(encoding="utf-8")
     lines = iter(planned.result.readings)
@@ -312,9 +312,9 @@ def test_report_and_json_of_readings(written, tmp_path, capsys, monkeypatch):
 MISTAKES = {
     "rates at rest": ([('positions = 24', 'rates = ["1 rad/s"]')], TUMBLE,
                       "a station at rest has no rates"),
-    "no rates": ([(f"specific_forces = [{FORCES}]", "")], ARM, "one of rates and specific_forces"),
+    "no rates": ([(f"specific_forces = [{FORCES}]", "")], ARM, "either rates or specific_forces"),
     "both": ([('positions = 24', 'positions = 24\nattitudes = ["level"]')], TUMBLE,
-             "one of positions and attitudes"),
+             "either positions or attitudes"),
     "twice": ([('name = "out"', 'name = "in"')], ARM, 'two have the name "in 1 g"'),
     "no u": ([('u = "1e-6 g"', "")], TUMBLE, r"stations\[0\].u: is missing"),
     "unit": ([('u = "1e-6 g"', 'u = "1e-6 V"')], TUMBLE, "'V' is not a unit"),
@@ -336,7 +336,7 @@ def test_mistakes_are_told_by_their_key(changes, text, message, written):
     ("triad", "message"),
     [
         ("3", "must be a list"),
-        ('["X", "Y", ["Z"]]', "must be text"),
+        ('["X", "Y", ["Z"]]', "must be a string"),
         ('["X"]', "must have at least 3 entries"),
     ],
 )

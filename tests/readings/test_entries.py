@@ -162,7 +162,7 @@ SLIPS = {
     "no centrifuge": (HEAD + ON_ARM, "centrifuge: is missing"),
     "no reading": (
         HEAD + RUN.replace("reading =", "# reading ="),
-        "runs[0]: give one of reading and record",
+        "runs[0]: give either reading or record",
     ),
     "a direction of another frame": (
         HEAD + ARM + ON_ARM.replace("inward", "east"),

@@ -77,7 +77,7 @@ def test_rows_of_a_table_may_be_poses(tmp_path):
         (('attitude = "unknown"', 'attitude = "unknown"\nmounting = "in"'), "has no meaning"),
         (('attitude = "unknown"', 'attitude = "unknown"\nposes = {}'), "are detected in a record"),
         (('attitude = "unknown"', 'attitude = "level"\nposes = {}'), 'attitude = "unknown"'),
-        (('name = "one"', 'name = "one"\nrecord = "a.csv"'), "give one of reading and record"),
+        (('name = "one"', 'name = "one"\nrecord = "a.csv"'), "give either reading or record"),
         (
             (
                 'input_axis = "up"\npendulous_axis = "east"',

@@ -272,7 +272,7 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
     cutoff_frequency: (
         Annotated[Quantity, uncertain_quantity("Hz"), AfterValidator(positive)] | None
     ) = key_field(
-        "cutoff frequency (-3 dB) of the recorder's first-order low pass; see "
+        "cutoff frequency (-3 dB) of the recorder's first-order low-pass filter; see "
         "[frequency response](#frequency-response)",
         "100 ± 5 Hz",
         None,

@@ -312,7 +312,7 @@ def to_toml_value(value: Any, path: KeyPath, note: Callable[[KeyPath, str], None
     if isinstance(value, Mapping):
         for key in value:
             if not isinstance(key, str):
-                note(path, f"the key {key!r} must be text")
+                note(path, f"the key {key!r} must be a string")
         return {
             key: to_toml_value(inner, (*path, key), note)
             for key, inner in value.items()

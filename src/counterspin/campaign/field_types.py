@@ -325,7 +325,7 @@ def record_file(name: str) -> str:
 def _in_folder(name: object, info: ValidationInfo) -> Path:
     """Return a record's file, in the campaign's folder."""
     if not isinstance(name, str):
-        raise ValueError("must be text")
+        raise ValueError("must be a string")
     if not name:
         raise ValueError("must not be empty")
     folder: Path = (info.context or {}).get("folder", Path())
@@ -337,7 +337,7 @@ def parse_temperature(value: object) -> float:
     if isinstance(value, Quantity):
         return _to_kelvin(value.value, value.unit)
     if not isinstance(value, str):
-        raise ValueError("must be text")
+        raise ValueError("must be a string")
     match = _TEMPERATURE.fullmatch(value)
     if match is None:
         raise ValueError(f'{value!r} is not a temperature; write "23.4 degC" or "296.5 K"')

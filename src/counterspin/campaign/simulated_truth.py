@@ -91,7 +91,7 @@ class Simulation(SettingsSection):
         "sampling rate", "100 Hz", 50.0, absent="50 Hz"
     )
     seed: Annotated[int, Field(ge=0)] = key_field(
-        "seed of the random numbers; each run has a separate stream", 7, 1
+        "seed of the random number generator; each run has a separate stream", 7, 1
     )
     revolutions: PositiveRatio = key_field("number of revolutions in each run", 40, 100.0)
     poses: Annotated[int, Field(ge=1, le=10_000)] = key_field(

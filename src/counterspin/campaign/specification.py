@@ -122,7 +122,7 @@ def parse_specification(text: object, unit: str, *, gravity: float | None = None
     gravity: The site's, m/s^2, as in `counterspin.campaign.quantity.parse`.
     """
     if not isinstance(text, str):
-        raise ValueError(f"must be text, such as {_FORMS}")
+        raise ValueError(f"must be a string, such as {_FORMS}")
     clean = " ".join(text.replace("−", "-").replace("≤", "<=").replace("≥", ">=").split())
     low: float | None
     high: float | None

@@ -88,7 +88,9 @@ class RecordsTruthSettings(SettingsSection):
         absent=_STATED,
     )
     cutoff_frequency: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = (
-        key_field("true cutoff frequency of the recorder's low pass", "98 Hz", None, absent=_STATED)
+        key_field(
+            "true cutoff frequency of the recorder's low-pass filter", "98 Hz", None, absent=_STATED
+        )
     )
     clock: (
         Annotated[dict[str, float], PlainValidator(_clocks, float | str | dict[str, float | str])]

@@ -23,7 +23,7 @@ _PLAIN_MESSAGES: Final[Mapping[str, str]] = {
     "model_attributes_type": "must be a table",
     "dict_type": "must be a table",
     "list_type": "must be a list",
-    "string_type": "must be text",
+    "string_type": "must be a string",
     "string_too_short": "must not be empty",
     "int_type": "must be a whole number",
     "too_short": "must have at least one entry",

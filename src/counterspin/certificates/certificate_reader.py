@@ -310,7 +310,7 @@ def _read_covariance(
     ).T
     scale = np.array([from_si(1.0, _unit(symbol), gravity) for symbol in terms])
     if in_si.shape != (len(terms), len(terms)):
-        raise ValueError("the covariance matrix does not have the size of the list")
+        raise ValueError("the size of the covariance matrix does not match the length of the list")
     with np.errstate(over="ignore", invalid="ignore"):
         covariance: npt.NDArray[np.float64] = in_si * np.outer(scale, scale)
     if not np.all(np.isfinite(covariance)):

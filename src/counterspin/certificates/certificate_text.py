@@ -146,8 +146,9 @@ def unit_statement(gravity: float) -> str:
     g = format_number(gravity, 12)
     return (
         f"g is the local gravity of the site, g = {g} m/s^2. A coefficient that multiplies the "
-        "n-th power of specific force is g^(1-n) times as large in SI units as in g-units: K_F in "
-        "m/s^2 is K_F in g times g, K_II in s^2/m is K_II in g/g^2 divided by g. If the campaign "
+        "n-th power of specific force is g^(1-n) times as large in SI units as in g-units. To "
+        "convert to SI units, multiply K_F by g (result in m/s^2), and divide K_II by g (result in "
+        "s^2/m). If the campaign "
         "states an uncertainty of g, the uncertainties of the coefficients include this "
         "contribution. In SI units most of this contribution cancels."
     )
@@ -180,7 +181,9 @@ def test_lines(result: Result) -> list[str]:
     """Return sentences on the tests of the item, one for each kind of test."""
     if readings_of(result) or poses_of(result):
         return list(describe_tests(result))
-    return ["The item was carried on a double turntable centrifuge at the stated rates."]
+    return [
+        "The item was mounted on a double turntable centrifuge and rotated at the stated rates."
+    ]
 
 
 def method_lines(result: Result) -> list[str]:

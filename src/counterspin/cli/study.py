@@ -20,7 +20,7 @@ class TrialSettings:
     trials
         Number of trials; overrides the study's number.
     seed
-        Seed of the random numbers; overrides the study's seed.
+        Seed of the random number generator; overrides the study's seed.
     engine
         Engine that computes the trials; auto selects the fastest valid one.
     """

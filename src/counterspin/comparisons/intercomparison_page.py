@@ -65,7 +65,7 @@ def reference_sentence(reference: ReferenceValue) -> str:
     return (
         f"Reference value {value}, from the largest consistent subset: {', '.join(members)} "
         f"(p = {format_number(reference.p_members, 2)}). Outside the subset: "
-        f"{', '.join(outside)}. All results together are not consistent ({test})."
+        f"{', '.join(outside)}. The results are not mutually consistent ({test})."
     ) + (f" Other consistent subsets of the same size: {others}." if others else "")
 
 

@@ -69,7 +69,7 @@ def comparison_blocks(compared: ResultComparison) -> Iterator[Block]:
         rows = tuple((change.subject, *change.values) for change in compared.changes)
         yield Table(tuple(columns), rows)
     else:
-        yield Paragraph("The results have the same model, noise and inputs.")
+        yield Paragraph("The results use the same model, noise and inputs.")
 
 
 def _unsealed(names: Sequence[str]) -> list[Paragraph]:

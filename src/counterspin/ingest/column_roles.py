@@ -158,7 +158,8 @@ class FileGuess:
         if self.shared is None or self.uncounted:
             return [rate]
         return [
-            f"{rate}, by counting rows, because rows share the times in column '{self.shared.name}'"
+            f"{rate}, by counting rows, because several rows have the same time in column "
+            f"'{self.shared.name}'"
         ]
 
     @property

@@ -35,8 +35,8 @@ ALL_SHEETS: Final = "all"
 #: What a table has to be like.
 _WANTED: Final = (
     "Remove words between the numbers of its rows. Export one column for each "
-    "quantity, with the names in one line above the numbers, and nothing but numbers in the cells: "
-    ".csv with semicolons or tabs, .xlsx, .tdms, .mat or .h5."
+    "quantity: one header row, then numeric cells only. Formats: .csv with "
+    "semicolons or tabs, .xlsx, .tdms, .mat or .h5."
 )
 #: What to do where numbers end at words.
 _ANOTHER_RUN: Final = (

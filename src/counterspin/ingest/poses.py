@@ -286,9 +286,10 @@ def _few(found: TriadColumns) -> Iterator[str]:
         return
     few = len(found.means) <= PARAMETERS
     why = (
-        "nine poses or fewer do not determine the angles between axes and the noise"
+        "with nine poses or fewer, the noise and the angles between the axes cannot both be "
+        "determined"
         if few
-        else "poses near the six faces do not determine the angles between axes"
+        else "poses near the six faces do not determine the angles between the axes"
     )
     more = "spread over the whole sphere" if few else "halfway between two axes on both sides"
     yield (

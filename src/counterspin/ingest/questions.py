@@ -110,7 +110,9 @@ class FileQuestion:
                 raise ValueError(errors[0])
             return unit
         if not BARE.fullmatch(clean) or not 0.0 < float(clean) < math.inf:
-            raise ValueError(f"{answer!r} is not a positive number, such as {self.example}")
+            raise ValueError(
+                f"{answer!r} is not a positive number; enter, for example, {self.example}"
+            )
         return clean
 
     def _chosen(self, answer: str) -> str:

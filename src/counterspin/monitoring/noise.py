@@ -452,8 +452,8 @@ def _motion_remarks(record: StaticRecord) -> Iterator[str]:
         yield (
             f"From {start_time:.4g} s to {start_time + size * record.segments.step:.4g} s the "
             f"scatter is {scatter[index] / median_scatter:.2g} times that of the quiet parts of "
-            "the record: the sensor was not at rest throughout, so these values are not the noise "
-            "of the sensor. Cut the record there."
+            "the record: the sensor moved during part of the record, so these values are not the "
+            "noise of the sensor. Cut the record there."
         )
 
 

@@ -164,7 +164,8 @@ def _static_tests(
         (
             "dead-band",
             lambda: model.dead_band(line, inputs, outputs),
-            "inputs about zero with less than 10 % of the expected change",
+            "width of the inputs about zero that change the output by less than 10 % of the "
+            "expected change",
             "the zero input, or an input outside the band on each side, is missing",
         ),
     )

@@ -380,7 +380,7 @@ def _input_rows() -> Iterator[Term[Input]]:
     radius = "4e-6 of 2.5 m, the largest relative uncertainty of measured radii"
     # An absolute gravimeter does better by 1000.
     gravity = f"{_NO_SOURCE}: a gravity map, corrected for the height"
-    delay, cutoff = "delay of the recorded angle", "cutoff frequency of the recorder's low pass"
+    delay, cutoff = "delay of the recorded angle", "low-pass cutoff frequency of the recorder"
     natural, low_pass = f"{_NO_SOURCE}: 5 % of 400 Hz", f"{_NO_SOURCE}: 5 % of 100 Hz, RC parts"
     measured, numbers = "the u that the table states", (-100.0, 100.0)
     # symbol, words, unit, what is possible, largest credible and typical error, source

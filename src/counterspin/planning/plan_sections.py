@@ -89,13 +89,13 @@ class LimitsSettings(SettingsSection):
     senses: Literal["one", "both"] = key_field("sense of rotation", "both", "one")
     settling: Duration = key_field("settling time before each record", "10 s", 0.0, absent="0 s")
     spin_up: SpinUp | None = key_field(
-        "angular acceleration; rate / acceleration is added to each run",
+        "angular acceleration; rate / acceleration is added to the duration of each run",
         "0.1 rad/s^2",
         None,
         absent="no time",
     )
     spin_down: SpinUp | None = key_field(
-        "angular deceleration; rate / deceleration is added to each run",
+        "angular deceleration; rate / deceleration is added to the duration of each run",
         "0.1 rad/s^2",
         None,
         absent="no time",

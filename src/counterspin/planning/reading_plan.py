@@ -294,7 +294,7 @@ class ReadingSearch:
             self.forecast(best_numbers),
             goal.sizes,
             "no choice of readings within the limits",
-            f"The best, {best_numbers.sum()} readings,",
+            f"The best choice, {best_numbers.sum()} readings,",
         )
         raise CounterspinError(text + ".")
 

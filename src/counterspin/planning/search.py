@@ -300,7 +300,7 @@ def words_of_missed_target(
     sources = ", ".join(f"{words} {100.0 * share:.0f} %" for words, share in named)
     return (
         f"{none} reaches u({name}) = {format_distinct(goal[name], u[name])} {unit}. {best} has "
-        f"{format_distinct(u[name], goal[name])} {unit}; its square comes from {sources}"
+        f"{format_distinct(u[name], goal[name])} {unit}; the variance comes from {sources}"
     )
 
 
@@ -375,7 +375,7 @@ def unreachable(search: Search) -> CounterspinError:
         forecast(search.campaign(best.design)),
         goal,
         f"no plan {'within the limits' if search.bounded else 'that was found'}",
-        f"The best, in {search.limits.time(best.design):.4g} s,",
+        f"The best plan, in {search.limits.time(best.design):.4g} s,",
     )
     if len(goal) > 1:
         return CounterspinError(text + ".")

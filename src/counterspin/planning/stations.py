@@ -304,9 +304,9 @@ def _candidate_readings(
     if static and (settings.rates or settings.specific_forces):
         problems.add(path, "a station at rest has no rates; give positions or attitudes")
     if not static and bool(settings.rates) == bool(settings.specific_forces):
-        problems.add(path, "give one of rates and specific_forces")
+        problems.add(path, "give either rates or specific_forces")
     if settings.positions is not None and settings.attitudes is not None:
-        problems.add(path, "give one of positions and attitudes")
+        problems.add(path, "give either positions or attitudes")
     if settings.attitude is None and settings.up is not None:
         problems.add((*path, "up"), 'is for poses; write attitude = "unknown"')
     if settings.attitude is not None:

@@ -45,7 +45,7 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
     rows: Iterable[tuple[object, str, str]] = (
         (
             (run.reading is None) == (run.file is None),
-            "give one of reading and record",
+            "give either reading or record",
             " reading record",
         ),
         (

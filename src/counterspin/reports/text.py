@@ -234,7 +234,7 @@ def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
     if len(block.rows) > len(shown):
         yield Text(
             f"{len(block.rows) - len(shown)} of {len(block.rows)} rows are not shown; the JSON "
-            "file and the HTML report contain all.",
+            "file and the HTML report contain all rows.",
             _STYLES["quiet"],
         )
 

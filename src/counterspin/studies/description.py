@@ -133,7 +133,7 @@ class StudySettings(SettingsSection):
     trials: Annotated[int, Field(ge=2, le=10**9)] = key_field(
         "number of campaigns to simulate and calibrate", 2000, 10_000
     )
-    seed: Annotated[int, Field(ge=0)] = key_field("seed of the random numbers", 1, 1)
+    seed: Annotated[int, Field(ge=0)] = key_field("seed of the random number generator", 1, 1)
     vary: Annotated[dict[str, Any], Section(dict[str, DistributionSettings])] = key_field(
         "quantities that vary from trial to trial: name -> distribution",
         {"centrifuge.radius": {"normal": "2.5 ± 1e-5 m"}},

@@ -184,7 +184,7 @@ class StudyResult(ReportableResult):
     trials: int  #: Number of trials done.
     trials_asked: int  #: Number of trials requested.
     complete: bool  #: Whether all trials were done.
-    seed: int  #: Seed of the random numbers.
+    seed: int  #: Seed of the random number generator.
     varying: list[str]  #: Varied quantities, in words.
     levels: tuple[float, ...] = LEVELS  #: Levels of the intervals.
     analyses: dict[str, AnalysisResult]  #: Compared analyses, by name.

@@ -91,7 +91,7 @@ class StaticIntervals:
             messages.append(
                 f"Rest and motion are not clearly separated: motion has {self.contrast:.2g} times "
                 "the level of rest. Compare the plot of the level with the threshold of "
-                f"{self.threshold:.3g}, and state a different threshold if it separates rest and "
+                f"{self.threshold:.3g}, and specify a different threshold if it separates rest and "
                 "motion better."
             )
         total_scatter = np.sqrt((self.scatter**2).sum(axis=1))
@@ -204,13 +204,14 @@ def _sampling_step(time: Array, rest: float) -> float:
     if length + step < rest * (1.0 - 1e-9):
         raise RecordError(
             f"the record lasts {length:.4g} s, less than one rest of {rest:g} s. Check the unit "
-            "of the time or the sampling rate, or state a shorter rest."
+            "of the time or the sampling rate, or specify a shorter "
+            "rest interval."
         )
     if not _FEWEST_ROWS * step <= rest * (1.0 + 1e-9):
         raise RecordError(
             f"the rows are {step:.4g} s apart, so that a rest of {rest:g} s has less than "
-            f"{_FEWEST_ROWS} of them. Check the unit of the time or the sampling rate, or state a "
-            "longer rest."
+            f"{_FEWEST_ROWS} of them. Check the unit of the time or the sampling rate, or specify "
+            "a longer rest interval."
         )
     return step
 

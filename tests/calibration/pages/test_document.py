@@ -66,7 +66,7 @@ def test_chapters_in_order():
     sections = [b.text for b in document(result()) if isinstance(b, Heading) and b.level == 3]
     wanted = ["Quality checks", "Accelerometer Qx", "Platform", "Residuals of Qx", "Model"]
     assert [h for h in sections if h in wanted] == wanted
-    assert sections[-1] == "Inputs and reproduction"
+    assert sections[-1] == "Inputs and reproducibility"
 
 
 def checked(blocks):
@@ -318,7 +318,7 @@ def test_estimates_that_move_together_are_named_in_words(correlation, rows):
     assert told == (
         "Correlations above 0.9 in magnitude:"
         if rows
-        else "No correlation of two estimates exceeds 0.9 in magnitude."
+        else "No correlation between two estimates exceeds 0.9 in magnitude."
     )
     found = [table.rows for table in tables if table.columns[0].title == "Estimate"]
     assert found == ([tuple(rows)] if rows else [])

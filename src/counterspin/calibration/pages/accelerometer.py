@@ -333,7 +333,7 @@ def _correlation_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
     ]
     pairs.sort(key=lambda pair: -abs(pair[2]))
     if not pairs:
-        yield Paragraph("No correlation of two estimates exceeds 0.9 in magnitude.")
+        yield Paragraph("No correlation between two estimates exceeds 0.9 in magnitude.")
         return
     yield Paragraph("Correlations above 0.9 in magnitude:")
     yield Table(

@@ -147,7 +147,7 @@ def _join(words: Iterable[str]) -> str:
 
 def origin_blocks(result: Result) -> Iterator[Block]:
     """Yield the inputs of the result, and the command that repeats the calibration."""
-    yield Heading("Inputs and reproduction")
+    yield Heading("Inputs and reproducibility")
     inputs = result.inputs
     latitude = format_number(math.degrees(inputs.latitude), 8)
     radius = f", radius {inputs.radius:.10g} m" if inputs.radius else ""
