@@ -163,8 +163,8 @@ NUMBERS = [
     ("diagnosis", "for up to {} causes", [search._MAX_CAUSES]),
     ("diagnosis", "effects below {} % of its size", [100 * search._MIN_RELATIVE_SIZE]),
     ("diagnosis", "on priors occur in at most {} % of good campaigns", [CAUSES]),
-    ("diagnosis", "left out (`run-disagrees`): {} % of campaigns", [ALARMS]),
-    ("diagnosis", "(`noise-differs`): {} %, likewise", [ALARMS]),
+    ("diagnosis", "results (`run-disagrees`): {} % of campaigns", [ALARMS]),
+    ("diagnosis", "(`noise-differs`): {} % of campaigns, in", [ALARMS]),
     ("diagnosis", "two-stage method: {} % of accelerometers", [ALARMS]),
     (
         "diagnosis",
@@ -176,7 +176,7 @@ NUMBERS = [
         "(`methods-disagree`): {} % of accelerometers",
         [200.0 * normal_cdf(-diagnostics.AGREEMENT)],
     ),
-    ("diagnosis", "causes: {} % for priors, {} % for all else", [CAUSES, CAUSES]),
+    ("diagnosis", "causes: {} % of campaigns for priors, {} % for all other", [CAUSES, CAUSES]),
     ("diagnosis", "effective ones, rounded: from {} on", [fitted.MIN_DOF]),
     ("diagnosis", "sine of 1 to {} times the head's angle", [patterns._HARMONICS]),
     ("diagnosis", "constant of {} or {} of the duration of the series", [*patterns._WARM_UPS]),
@@ -411,10 +411,10 @@ def test_no_share_of_good_campaigns_is_larger_than_is_told():
     (residuals, _) = told(
         "diagnosis", "(`lack-of-fit`): {} % of accelerometers; by the two-stage method alone {} %"
     )
-    causes = told("diagnosis", "causes: {} % for priors, {} % for all else")
+    causes = told("diagnosis", "causes: {} % of campaigns for priors, {} % for all other")
     shares = {
         "`run-disagrees`": told("diagnosis", "(`run-disagrees`): {} % of campaigns")[0],
-        "`noise-differs`": told("diagnosis", "(`noise-differs`): {} %, likewise")[0],
+        "`noise-differs`": told("diagnosis", "(`noise-differs`): {} % of campaigns, in")[0],
         "`methods-disagree`": 2 * value_of(told("diagnosis", "(`methods-disagree`): {} % of")[0]),
         "`lack-of-fit`": 2 * value_of(residuals),
         "a cause": sum(map(value_of, causes)),
@@ -618,7 +618,7 @@ def test_what_a_bias_that_settles_early_leaves_to_be_seen():
         others = np.stack([*((time / 100.0) ** k for k in range(power)), *waves], axis=1)
         left = shown - others @ np.linalg.lstsq(others, shown, rcond=None)[0]
         assert f"{np.linalg.norm(left) / noise:.2g}" == text
-    (moved,) = told("diagnosis", "it moves K_II by {} ug/g^2. u includes")
+    (moved,) = told("diagnosis", "increase shifts K_II by {} ug/g^2. u includes")
     assert f"{1e6 * 2.0 * rise * (g / (radius * rate**2)) ** 2:.2g}" == moved
 
 

@@ -152,9 +152,9 @@ class Run(SettingsSection):
         applies_to=READINGS,
     )
     file: RecordFile | None = key_field(
-        f"file, relative to the campaign's folder ({', '.join(RECORD_FORMATS)}). For a run at "
-        "rest or on an arm, the mean over whole revolutions is the reading, and the noise gives "
-        "the uncertainty",
+        f"file, relative to the campaign's folder ({', '.join(RECORD_FORMATS)}). On an "
+        "arm, the reading is the mean over whole revolutions; at rest, it is the mean of the "
+        "record. The uncertainty of the reading is computed from the noise",
         "run1.csv",
         None,
         absent="`reading`",
@@ -216,8 +216,8 @@ class Run(SettingsSection):
         absent="as in `[simulation]`",
     )
     temperature: Temperatures | None = key_field(
-        "temperature in this run, for temperature slopes, also in K; the values of a list are "
-        "spaced evenly from the start to the end of a record",
+        "temperature of the run in °C or K, needed for temperature slopes; a list contains values "
+        "at equal intervals from the start to the end of the record",
         "23.4 degC",
         None,
         absent="the temperature in the record",

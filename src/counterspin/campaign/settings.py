@@ -316,7 +316,7 @@ class ModelSettings(SettingsSection):
     )
     hold: list[Text] = key_field(
         "terms and inputs that are fixed at the stated value; their uncertainty contributes to u, "
-        "but the records do not adjust the values (considered, Schmidt)",
+        "but the fit does not adjust the values (considered, Schmidt)",
         ["K_PP"],
         [],
         absent="none",

@@ -126,7 +126,7 @@ class CertificateSettings(SettingsSection):
         "Length, time and gravity are traceable to national standards.",
     )
     ledger: Text | None = key_field(
-        "file next to LAB.toml in which each certificate is [entered](#keep-a-ledger)",
+        "[ledger](#keep-a-ledger) file, next to LAB.toml, that lists each certificate",
         "ledger.jsonl",
         None,
     )
