@@ -477,7 +477,7 @@ def test_the_certificate_is_of_the_schema_that_the_readme_names():
 def test_the_truth_of_the_quickstart_is_the_starter_s():
     starter = tomllib.loads((files("counterspin.ingest") / "starter.toml").read_text("utf-8"))
     ((truth, micro),) = re.findall(
-        r"truth was `(\S+) g/g\^2`, which is (\d+) ug", sentences("quickstart")
+        r"value in `\[truth\]` is `(\S+) g/g\^2`, which is (\d+) ug", sentences("quickstart")
     )
     assert starter["truth"]["Qx"]["K_II"] == f"{truth} g/g^2"
     assert float(micro) == pytest.approx(1e6 * float(truth))
@@ -550,7 +550,7 @@ def test_rates_of_the_arm_s_example():
 
 
 def test_the_tumble_s_example_and_table():
-    (count,) = told("tumble", "a table with {} positions")
+    (count,) = told("tumble", "a table of {} positions")
     text = (files("counterspin.ingest") / "starter_tumble.csv").read_text("utf-8")
     assert len(list(csv.DictReader(text.splitlines()))) == value_of(count)
     # The closed form: one over the length of what is left of a column beside the others.
@@ -568,7 +568,7 @@ def test_the_tumble_s_example_and_table():
         u = np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
         assert [float(cell) for cell in cells if cell] == pytest.approx(list(u), abs=6e-7)
     assert u[1] * math.sqrt(12.0) == pytest.approx(
-        value_of(told("tumble", "K_I is {} times as uncertain")[0]), rel=0.1
+        value_of(told("tumble", "u of K_I is about {} times as large")[0]), rel=0.1
     )
 
 

@@ -81,7 +81,8 @@ class Result(ReportableResult):
     method: str  #: ``joint`` or ``two-stage``.
     model: str  #: ``exact`` or ``as-printed``.
     #: State of the result: ``good``, ``reservations``, ``not-determined`` or ``contradicted``,
-    #: the worst of all parts; null in results of versions without states.
+    #: the worst state of all parts; null in results written by versions that did not record a
+    #: state.
     state: State | None = None
     #: Findings against the result, of all accelerometers and of the campaign, most severe
     #: first.
@@ -101,11 +102,11 @@ class Result(ReportableResult):
     inputs: Inputs  #: Gravity, latitude and radius.
     #: Prior information on terms and inputs that were not requested, stated or by default.
     rests_on: list[Knowledge] = []
-    #: Terms and inputs assumed perfect: they add nothing to ``u``. A certificate needs
-    #: evidence for each.
+    #: Terms and inputs assumed perfect, which do not contribute to ``u``. A certificate needs
+    #: evidence for each of them.
     assumed: list[str] = []
     details: dict[str, str] = {}  #: Further entries of ``[campaign]``.
-    warnings: list[str] = []  #: Remarks on the campaign as a whole, and its findings in words.
+    warnings: list[str] = []  #: Remarks and findings on the campaign, in words.
     provenance: Provenance  #: Program version and input files.
 
     _residuals: pl.DataFrame | None = PrivateAttr(default=None)

@@ -59,7 +59,7 @@ class Coefficient(ResultPart):
     #: Estimate; the prior if not `estimated`; None if the records do not determine it and it
     #: has no prior.
     value: float | None
-    #: Combined standard uncertainty; u^2 is the sum of the squares of its three parts.
+    #: Combined standard uncertainty; u^2 is the sum of the squares of the three parts below.
     u: float | None
     #: Part of u from noise of the records and of the encoder, including noise that the records
     #: may not show.
@@ -73,7 +73,7 @@ class Coefficient(ResultPart):
     #: 1e9.
     dof: float | None = None
     unit: str  #: Unit of value and uncertainties: g-units, or SI for platform terms.
-    estimated: bool  #: Whether the records determine it.
+    estimated: bool  #: Whether the records determine the coefficient.
 
     _gravity: StatedGravity | None = PrivateAttr(default=None)
 
@@ -171,7 +171,7 @@ class Residual(ResultPart):
     dof: float  #: Degrees of freedom.
     #: Chi-square relative to the stated noise; null if the noise was estimated.
     chi2: float | None = None
-    #: p-value of the fit: probability of a larger misfit if the model is correct.
+    #: p-value of the fit: probability of a larger chi-square if the model is correct.
     lack_of_fit_p: float | None = None
 
 
@@ -221,14 +221,14 @@ class Finding(ResultPart):
     #: term, or empty for the campaign.
     subject: str
     text: str  #: Description of the finding, and the action to take.
-    #: Size of the effect, in standard uncertainties or relative to the expected size; None if
-    #: it has none.
+    #: Size of the effect, in standard uncertainties or relative to the expected size; None for
+    #: findings without a size.
     size: float | None = None
-    #: Whether the records contradict the result, which then must not be used.
+    #: Whether the records contradict the result; a contradicted result must not be used.
     contradicts: bool = False
     #: Whether the finding makes the state ``not-determined``: the coefficient is the
-    #: campaign's purpose, or ``[model] terms`` requests it. For other coefficients it is only
-    #: information.
+    #: campaign's purpose, or ``[model] terms`` requests it. For other coefficients, the finding
+    #: does not change the state.
     undetermined: bool = False
     #: For a cause: other findings that would disappear if the cause were removed.
     explains: list[Finding] = []
@@ -274,7 +274,7 @@ class Trace(ResultPart):
     time: list[float]  #: Centre time of each interval, s from the start of the run.
     low: list[float]  #: Smallest residual in each interval, in the observable's unit.
     high: list[float]  #: Largest residual in each interval, in the observable's unit.
-    #: Times and residuals of rejected outliers, the largest ones if there are many.
+    #: Times and residuals of rejected outliers; if there are many, only of the largest ones.
     left_out: list[tuple[float, float]] = []
     by_angle: Fold | None = None  #: Residuals against the spindle angle.
     spectrum: Spectrum | None = None  #: Spectrum of the whitened residuals.
@@ -310,7 +310,7 @@ class ReadingResult(ResultPart):
     input_axis: tuple[float, ...] = ()
     pendulous_axis: tuple[float, ...] = ()  #: Direction of the pendulous axis, in the same frame.
     rate: float  #: Rate of the spindle, rad/s.
-    amplitude: float | None = None  #: Peak acceleration of a vibration, m/s^2; null elsewhere.
+    amplitude: float | None = None  #: Peak acceleration of a vibration, m/s^2; otherwise null.
     value: float  #: Reading converted by the nominal sensitivity, g.
     u: float  #: Standard uncertainty of the reading, stated or estimated, g.
     residual: float  #: Reading minus model, g.
@@ -318,8 +318,8 @@ class ReadingResult(ResultPart):
     z: float | None
     #: Number of rows averaged, if the reading is the mean of a record; otherwise null.
     samples: int | None = None
-    #: Number of rows that are ``repeated``, ``empty`` or ``outliers``, and of ``gaps``; empty
-    #: if the reading is not the mean of a record.
+    #: Number of rows that are ``repeated``, ``empty`` or ``outliers``, and number of ``gaps``;
+    #: empty if the reading is not the mean of a record.
     counts: dict[str, int] = {}
     notes: list[str] = []  #: Remarks from reading the record.
 
@@ -347,9 +347,10 @@ class PosesInRecord(ResultPart):
 
     poses: int  #: Number of poses.
     threshold: float  #: Scatter below which the triad counts as at rest, m/s^2.
-    #: Median scatter in motion divided by that at rest; null without motion.
+    #: Median scatter in motion divided by the median scatter at rest; null if the record has
+    #: no motion.
     contrast: float | None
-    notes: list[str] = []  #: Rejected rests, and doubts about the threshold.
+    notes: list[str] = []  #: Remarks on rejected rest periods and on the threshold.
     #: Start times of intervals of the record, s, to plot the detection of rest.
     time: list[float] = []
     #: Largest combined scatter of the three outputs in each interval, m/s^2, compared with the
@@ -373,22 +374,22 @@ class TriadResult(ResultPart):
     budget: dict[str, list[BudgetLine]] = {}
     #: Sensitivity of each parameter to the assumed g, per m/s^2; empty if g is exact.
     by_gravity: dict[str, float] = {}
-    #: f = matrix (y - bias): the specific force in the triad's frame, g, of the indications y by
-    #: the nominal sensitivities, g; null where the matrix is not determined.
+    #: Matrix of f = matrix (y - bias), where f is the specific force in the triad's frame, g, and
+    #: y the outputs converted by the nominal sensitivities, g; null if it is not determined.
     matrix: list[list[float]] | None = None
     u_matrix: list[list[float]] | None = None  #: Standard uncertainties of the matrix.
-    #: Offsets of the three accelerometers, g; null without the matrix.
+    #: Offsets of the three accelerometers, g; null if the matrix is null.
     bias: list[float] | None = None
-    #: Reason for a missing matrix; null with a matrix, and in files of earlier versions.
+    #: Reason for a missing matrix; null if the matrix exists, and in files of earlier versions.
     why_no_matrix: str | None = None
     #: Root mean square over the poses of norm(f) - g, with the nominal sensitivities, m/s^2; null
-    #: without poses.
+    #: if there are no poses.
     rms_before: float | None = None
     #: Root mean square over the poses of norm(f) - g after correction by matrix, bias and
     #: requested second-order terms.
     rms_after: float | None = None
-    poses: list[PoseResult] = []  #: Those at unknown attitudes.
-    records: dict[str, PosesInRecord] = {}  #: Records in which poses were found, by run.
+    poses: list[PoseResult] = []  #: Poses at unknown attitudes.
+    records: dict[str, PosesInRecord] = {}  #: Records in which poses were detected, by run.
 
     def frame(self, library: str = "polars") -> Any:
         """Return the parameters as a frame with the columns of `Result.frame`.
@@ -434,15 +435,15 @@ class MethodAgreement(ResultPart):
 
     kind: str  #: ``at rest``, ``arm`` or ``double turntable``.
     count: int  #: Number of records and readings.
-    #: Coefficients from this method alone with all priors, without `dof`; None if the method
-    #: does not determine one.
+    #: Coefficients from this method alone with all priors, without `dof`; None for a
+    #: coefficient that the method does not determine.
     coefficients: dict[str, Coefficient]
-    #: Shift of each coefficient when this method is left out, if the others determine it.
+    #: Shift of each coefficient if this method is omitted and the others determine it.
     without: dict[str, Shift] = {}
     chi2: float  #: Chi-square of the method's results minus the prediction of the others.
-    dof: int  #: Degrees of freedom: number of combinations that both determine.
-    #: Probability of a larger chi-square if the methods agree; None if the others predict
-    #: nothing.
+    dof: int  #: Degrees of freedom: combinations that the method and the others determine.
+    #: p-value: probability of a larger chi-square if the methods agree; None if the others
+    #: determine none of the combinations.
     p: float | None
 
 
@@ -452,12 +453,12 @@ class AccelerometerResult(ResultPart):
     #: State of the result: ``good``, ``reservations``, ``not-determined`` or ``contradicted``.
     state: State | None = None
     findings: list[Finding] = []  #: Findings against the result, most severe first.
-    #: Single faults of typical size that the residuals of readings would not show, with the
-    #: shift of a coefficient by each; worst first.
+    #: Single faults of typical size that the residuals of readings would not show, each with
+    #: the coefficient shift that it causes; largest first.
     unseen_faults: list[str] = []
     serial_number: str | None = None  #: Serial number, as stated in the campaign.
     coefficients: dict[str, Coefficient]  #: Coefficients of the requested terms.
-    #: Further terms with stated priors; the fit has subtracted their values.
+    #: Further terms with stated priors, whose effects the fit has subtracted.
     known: dict[str, Coefficient] = {}
     #: Stated correlations between priors: term -> correlation with other terms; terms of
     #: other accelerometers have their full names.
@@ -467,7 +468,8 @@ class AccelerometerResult(ResultPart):
     axes: list[tuple[float, float, float]] | None = None
     #: Recorded observable: ``displacement``, ``velocity`` or ``specific_force``.
     observable: str | None = None
-    correlation: Correlation | None  #: Correlation of the estimated coefficients; None without any.
+    #: Correlation between the estimated coefficients; None if no coefficient was estimated.
+    correlation: Correlation | None
     confounded: list[ConfoundedTerms] = []  #: Sets of terms that cannot be separated.
     residual: Residual  #: Residuals and goodness of fit.
     noise: dict[str, NoiseLine] = {}  #: Noise used, by component.
@@ -479,8 +481,8 @@ class AccelerometerResult(ResultPart):
     what_if: WhatIf | None = None
     #: Second unknown of the two-stage method, in addition to K_II and K_F.
     second_unknown: dict[str, Coefficient] = {}
-    jackknife: list[Jackknife] = []  #: K_II with each run left out, joint method.
-    two_stage: Comparison | None = None  #: Two-stage K_II for comparison, joint method.
+    jackknife: list[Jackknife] = []  #: Leave-one-run-out results for K_II, joint method.
+    two_stage: Comparison | None = None  #: Comparison with the two-stage K_II, joint method.
     conformity: dict[str, Conformity] = {}  #: Conformity of each term with a stated specification.
     traces: dict[str, Trace] = {}  #: Residuals of each run, thinned for figures, joint method.
     readings: list[ReadingResult] = []  #: Readings at rest, on an arm or on a turntable.

@@ -56,17 +56,17 @@ class ConfoundedTerms:
     """Terms that the data cannot tell apart, or hardly, and the combination they do determine."""
 
     terms: list[str]  #: Names of the terms, in the order of the unknowns.
-    #: Correlation of the two estimates from the data, without the priors of the terms. For more
-    #: than two terms, the largest magnitude among the pairs, with the other terms fixed.
+    #: Correlation between the two estimates from the data, without the priors of the terms. For
+    #: more than two terms, the largest magnitude among the pairs, with the other terms fixed.
     correlation: float
     #: The determined combination, such as ``K_I - K_IP``. Terms that contribute less than a tenth
     #: of `u` at their largest credible size are omitted, and the rounding of the weights changes no
     #: term by more than a tenth of `u`.
     determined: str
-    #: Exact weights, in the order of `terms`; 1 for the first.
+    #: Exact weights, in the order of `terms`; 1 for the first term.
     weights: list[float] = field(default_factory=list)
-    value: float | None = None  #: The combination's estimate.
-    u: float | None = None  #: Its combined standard uncertainty.
+    value: float | None = None  #: Estimate of the combination.
+    u: float | None = None  #: Combined standard uncertainty of the combination.
 
     @property
     def inseparable(self) -> bool:

@@ -24,18 +24,18 @@ CONSIDERED: Final = "held"
 class BudgetLine:
     """One source of uncertainty (GUM table 1)."""
 
-    #: Name of a term or input; ``noise of Qx``, ``undetected noise of Qx``; an uncertain part of a
-    #: run's rotation, such as ``run1.rate`` or ``run1.ripple1``.
+    #: Name of a term or input; ``noise of Qx`` or ``undetected noise of Qx``; or an uncertain
+    #: quantity of a run's rotation, such as ``run1.rate`` or ``run1.ripple1``.
     source: str
     kind: Kind  #: ``noise`` (including encoder noise), ``stated``, ``unstated`` or ``held``.
-    #: Standard uncertainty of the source, in `unit`; None for noise. For undetected noise, its
-    #: level; for a ripple, u of its sine and of its cosine; for random errors of rates, their root
-    #: mean square.
+    #: Standard uncertainty of the source, in `unit`; None for noise. For undetected noise, the
+    #: noise level; for a ripple, u of the sine and of the cosine; for random errors of rates, the
+    #: root mean square of their u.
     u: float | None
-    unit: str  #: Of u.
+    unit: str  #: Unit of `u`.
     #: Change of the coefficient per unit of the source; None for noise, whose sensitivity differs
     #: between samples. For a ripple (sine and cosine in one line) and for errors of rates, the
-    #: magnitude.
+    #: magnitude of the sensitivity.
     sensitivity: float | None
     contribution: float  #: Magnitude of sensitivity × u, in the coefficient's unit.
     share: float  #: Share of the coefficient's u^2, from 0 to 1.
@@ -49,11 +49,11 @@ class WhatIf:
     units: list[str]  #: Unit of each name: SI, or g-units.
     #: Prior standard uncertainty of each source; sources without an entry cannot be changed.
     known: dict[str, float]
-    #: The covariance that the weights minimise, rows and columns as `names`.
+    #: Covariance matrix that the weights minimise, with rows and columns in the order of `names`.
     weighed: list[list[float]]
-    #: Covariance added by held terms and undetected noise; empty if none.
+    #: Covariance added by held terms and undetected noise; empty if there are none.
     beside: list[list[float]] = field(default_factory=list)
-    #: Shift of each of `names` by one standard uncertainty of each held source.
+    #: Shift of each coefficient and source for a change of each held source by its u.
     held: dict[str, list[float]] = field(default_factory=dict)
 
     @property
@@ -113,12 +113,12 @@ class WhatIf:
 class Jackknife:
     """Change of one unknown without a run."""
 
-    run: str  #: Run that is left out.
+    run: str  #: Omitted run.
     #: Estimate without this run; None if the other runs do not determine the unknown.
     value: float | None = None
     shift: float | None = None  #: Estimate without this run minus the estimate of all runs.
     #: Shift divided by its standard uncertainty; None if the run contains so little information on
     #: the unknown that rounding dominates.
     z: float | None = None
-    #: Effective degrees of freedom of that uncertainty; None means infinite.
+    #: Effective degrees of freedom of the u of the shift; None means infinite.
     dof: float | None = None
