@@ -232,7 +232,7 @@ NUMBERS = [
     ),
     (
         "physics",
-        "{} µg/g² of it is {} µg/g² of $K_{II}$",
+        "term of {} µg/g² is equivalent to {} µg/g² of $K_{II}$",
         [
             0.1,
             0.1 * parabola("K_F.heating", QX, 3.0, *PLAN) / parabola("K_II", QX, 3.0, *PLAN),

@@ -468,8 +468,7 @@ class AccelerometerResult(ResultPart):
     axes: list[tuple[float, float, float]] | None = None
     #: Recorded observable: ``displacement``, ``velocity`` or ``specific_force``.
     observable: str | None = None
-    #: Correlation between the estimated coefficients; None if no coefficient was estimated.
-    correlation: Correlation | None
+    correlation: Correlation | None  #: Correlation between the estimated coefficients, if any.
     confounded: list[ConfoundedTerms] = []  #: Sets of terms that cannot be separated.
     residual: Residual  #: Residuals and goodness of fit.
     noise: dict[str, NoiseLine] = {}  #: Noise used, by component.
