@@ -62,10 +62,10 @@ def make(folder: Path, rows: int) -> None:
 def drawn(tab, rows: int, name: str) -> float:
     """Return the seconds from the click on a campaign's records to their last curve."""
     tab.evaluate("location.hash = '#/'")
-    tab.get_by_text("Begin a campaign").wait_for()
+    tab.get_by_role("heading", name="New campaign").wait_for()
     begun = time.perf_counter()
     tab.evaluate(f"location.hash = '#/runs/{name}'")
-    tab.get_by_text(f"Of {rows:,} rows").wait_for()
+    tab.get_by_text(f"({rows:,} rows in total)").wait_for()
     return time.perf_counter() - begun
 
 

@@ -182,9 +182,9 @@ def photograph_the_application(browser: Any) -> None:
         try:
             page = browser.new_page(viewport=WINDOW)
             page.goto(credentials.link)
-            page.get_by_label("Folder of the new campaign").fill("mine")
+            page.get_by_label("Folder for the new campaign").fill("mine")
             records = sorted((folder / "first").glob("*.csv"))
-            page.get_by_label("The recorder's files").set_input_files(records)
+            page.get_by_label("Recorder files").set_input_files(records)
             page.get_by_role("img", name="Double turntable").wait_for()
             page.locator("#view").screenshot(path=IMAGES / "application-import.png")
             page.goto(credentials.link.partition("#")[0] + "#/campaign/first")

@@ -83,6 +83,6 @@ def test_nothing_new_is_written_through_a_link(page, folder, outside):
         told = page.post(f"/api/{name}", json=said)
         assert (told.status_code, told.json()["error"]) == (
             403,
-            "new/campaign.toml leads out of this folder",
+            "new/campaign.toml is outside this folder",
         )
     assert list(outside.iterdir()) == []

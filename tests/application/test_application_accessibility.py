@@ -51,8 +51,8 @@ def go(tab, place):
 def bring_record(tab, path):
     """Import a file with a mistake in an answer, which stands at its field."""
     go(tab, "/")
-    tab.get_by_label("Folder of the new campaign").fill("mine")
-    tab.get_by_label("The recorder's files").set_input_files(path)
+    tab.get_by_label("Folder for the new campaign").fill("mine")
+    tab.get_by_label("Recorder files").set_input_files(path)
     tab.get_by_label("Local gravity", exact=True).fill("9,81 apples")
     tab.get_by_label("Latitude", exact=True).focus()
     tab.locator("[aria-invalid]").first.wait_for()
@@ -72,11 +72,11 @@ def states(tab, app):
     tab.get_by_text("Differences are from").wait_for()
     yield "a comparison"
     go(tab, "/certificate/three%2Fresult.json")
-    tab.get_by_label("Type of certificate").select_option("Amendment of CS-1")
+    tab.get_by_label("Certificate type").select_option("Amendment to CS-1")
     yield "an amendment"
     tab.evaluate(TOUR)
     go(tab, "/campaign/three")
-    tab.get_by_role("dialog", name="Tour of the campaign").get_by_text("Next").click()
+    tab.get_by_role("dialog", name="Campaign tour").get_by_text("Next").click()
     yield "the tour"
     bring_record(tab, next(app.folder.path("three").glob("*.csv")))
     yield "the columns of a file"

@@ -221,7 +221,7 @@ def test_from_files_to_a_signed_certificate(opened, frames, folder, tmp_path, wr
     tab = opened()
     hand = Hand(tab)
     hand.read(tab.locator(".drop"))
-    hand.bring(tab.get_by_label("The recorder's files"), sorted(files.iterdir()))
+    hand.bring(tab.get_by_label("Recorder files"), sorted(files.iterdir()))
     answer_field(tab, "Local gravity").wait_for()
     hand.read(*tab.locator(".site, .columns, .unused, .checklist").all())
     for question, answer in KNOWN.items():
@@ -249,8 +249,8 @@ def test_from_files_to_a_signed_certificate(opened, frames, folder, tmp_path, wr
     hand.click(certificate)
     tab.get_by_label("Signature").wait_for()
     office = fill_in_the_laboratory(tab) if write is FIRST else Hand(tab)
-    hand.bring(tab.get_by_label("Key, PEM or PKCS #12"), key)
-    hand.fill(tab.get_by_label("Password of the key"), "secret")
+    hand.bring(tab.get_by_label("Key file (PEM or PKCS #12)"), key)
+    hand.fill(tab.get_by_label("Key password"), "secret")
     hand.click(tab.get_by_role("button", name="Sign and issue"))
     tab.get_by_role("heading", name=re.compile("^Certificate .* signed and issued")).wait_for()
     for name in ("certificate.xml", "certificate.pdf"):

@@ -78,9 +78,9 @@ def test_discarded_files_are_in_the_trash_until_they_are_restored(app, folder):
 @pytest.mark.parametrize(
     ("source", "name", "words"),
     [
-        ("three", "three/slow.csv", "three is a campaign; its files are kept"),
-        ("new", "three/slow.csv", "only files of one folder"),
-        ("", "slow.csv", "only files of one folder"),
+        ("three", "three/slow.csv", "three is a campaign, so its files were not discarded"),
+        ("new", "three/slow.csv", "only files in the folder"),
+        ("", "slow.csv", "only files in the folder"),
         ("new", "../slow.csv", "not a valid file name"),
     ],
 )
@@ -123,7 +123,7 @@ def test_a_planted_name_does_not_lead_out_of_the_folder(app, folder):
     [
         ("three", "three already exists; choose another name"),
         ("", "this folder already exists"),
-        ("three/inside", "lies in three"),
+        ("three/inside", "is inside three"),
         ("../out", "is not a valid file name in this folder"),
         (".hidden", "is not a valid file name in this folder"),
     ],
@@ -151,7 +151,7 @@ def test_a_campaign_that_names_files_beside_its_folder_stays_beside_them(app, fo
     (folder / "three" / "slow.csv").rename(folder / "slow.csv")
     file = folder / "three" / "campaign.toml"
     file.write_text(file.read_text().replace('"slow.csv"', '"../slow.csv"'))
-    with pytest.raises(CounterspinError, match="names files outside of its folder"):
+    with pytest.raises(CounterspinError, match="refers to files outside the campaign folder"):
         rename_campaign(app, "three", "lab/three")
     rename_campaign(app, "three", "third")
     assert app.campaign("third").runs
@@ -163,7 +163,7 @@ def test_nothing_moves_while_a_job_is_at_work(app, folder, page):
         for name, said in (("rename", {"to": "third"}), ("put-away", {})):
             told = page.post(f"/api/{name}", json={"name": "three"} | said)
             assert told.status_code == 422
-            assert "a job is running in it" in told.json()["error"]
+            assert "a job is running in this campaign" in told.json()["error"]
         app.jobs.stop(app.jobs.all()[-1].number)
     assert (folder / "three").is_dir()
 
@@ -204,5 +204,5 @@ def test_a_record_without_a_wave_is_no_run(app, folder):
 
 def test_readings_are_no_records(app, folder):
     init(folder / "tumble", "tumble")
-    with pytest.raises(CounterspinError, match="are readings, not records"):
+    with pytest.raises(CounterspinError, match="uses readings, not records"):
         add_records(app, "tumble", ["three/slow.csv"])

@@ -86,7 +86,7 @@ def test_a_damaged_result_is_said_to_be_one(page, folder):
     file.write_text(file.read_text().replace('"gravity": 9', '"gravity": -9', 1))
     (campaign,) = page.get("/api/folder").json()["campaigns"]
     assert campaign["results"][0]["state"] == "damaged"
-    assert campaign["results"][0]["words"].startswith("three/result.json: ")
+    assert campaign["results"][0]["words"].startswith("three/result.json ")
 
 
 def test_an_example_to_start_from(page, folder):

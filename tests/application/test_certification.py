@@ -126,7 +126,7 @@ def test_a_key_signs_both_files_and_leaves_nothing_of_itself(
     ("change", "words"),
     [
         ({"password": "wrong words"}, "cannot be read with this password"),
-        ({"password": None}, "key.p12: is encrypted; type its password"),
+        ({"password": None}, "key.p12 is encrypted; enter the password"),
         ({"key": None}, "started without a signing command"),
     ],
 )

@@ -99,11 +99,11 @@ def test_a_draft_shows_columns_and_what_is_wrong(page, brought):
     assert {len(column["first"]) for column in columns.values()} == {4}
     time, angle, east = (columns[name]["curve"] for name in ("time_s", "angle_rad", "east_m"))
     # A time has even steps; an angle at a steady rate is a straight line.
-    assert (time["words"], time["size"]) == ("step from row to row", pytest.approx(0.0, abs=1e-9))
-    assert angle["words"] == "minus a straight line"
+    assert (time["words"], time["size"]) == ("row-to-row step", pytest.approx(0.0, abs=1e-9))
+    assert angle["words"] == "straight line removed"
     assert angle["size"] < 1e-3
     # The wave has the radius of 2.5 m as its amplitude, about a parabola that is subtracted.
-    assert east["words"] == "minus its parabola, first 4 revolutions"
+    assert east["words"] == "parabola removed, first 4 revolutions"
     assert (east["unit"], east["size"]) == ("m", pytest.approx(2.5, rel=0.05))
     low, high = np.array(east["extent"]).T
     assert (low <= high).all()
@@ -122,12 +122,12 @@ def test_an_unused_column_has_a_reason(page, folder):
     _, columns = columns_of(page, [name], answers=COUNTED)
     reasons = {name: columns[name]["reason"] for name in ("index", "status", "marker", "note")}
     assert reasons == {
-        "index": "Counts the rows.",
+        "index": "Contains row numbers.",
         "status": "Constant: 7 in every row.",
         "marker": "Empty in every row.",
         "note": "Text, not numbers: ok",
     }
-    assert columns["count"]["reason"].startswith("Does not vary with the rotation")
+    assert columns["count"]["reason"].startswith("The column does not vary with the rotation")
     assert columns["note"]["curve"] is None
 
 

@@ -70,7 +70,7 @@ def test_a_profile_fills_in_the_next_certificate(page, folder):
 def test_a_profile_of_the_template_is_refused(page, folder):
     told = page.post("/api/profile", json={"file": FILE, "text": example_text()})
     assert told.status_code == 422
-    assert "fill in the laboratory" in told.json()["error"]
+    assert "Fill in the Laboratory section" in told.json()["error"]
     assert not (folder / "laboratory.toml").exists()
 
 

@@ -17,10 +17,10 @@ def test_data_and_fit_differ_by_the_residuals(page, app, folder):
     about = page.get("/api/record-about", params=RUN).json()["overview"]
     assert about["together"] == 2
     assert [column["name"] for column in about["columns"]] == [
-        "Qx: data minus its parabola",
-        "Qx: fit minus its parabola",
-        "Qy: data minus its parabola",
-        "Qy: fit minus its parabola",
+        "Qx: data, parabola removed",
+        "Qx: fit, parabola removed",
+        "Qy: data, parabola removed",
+        "Qy: fit, parabola removed",
     ]
     window = RUN | {"low": about["first"], "high": about["last"], "parts": 4000}
     told = page.get("/api/record", params=window).json()

@@ -79,7 +79,7 @@ def test_what_is_no_text_or_too_much_is_refused(served):
         served.read("a/odd.toml")
     with pytest.raises(CounterspinError, match="a pipe"):
         served.read("a/pipe.toml")
-    with pytest.raises(CounterspinError, match="is not text"):
+    with pytest.raises(CounterspinError, match="is not valid text"):
         served.write("a/new.toml", "\ud800", "")
 
 

@@ -63,7 +63,7 @@ def test_it_prints_its_link_serves_this_machine_alone_and_ends_when_asked_to(tmp
         assert link[2] not in later
         server.send_signal(how)
         out, err = server.communicate(timeout=BOUND)
-    assert (server.returncode, out, err) == (0, "Ended.\n", "")
+    assert (server.returncode, out, err) == (0, "Server stopped.\n", "")
     assert list(beside.iterdir()) == []
 
 
@@ -80,7 +80,7 @@ def test_what_is_being_loaded_is_waited_for_at_the_end(tmp_path, monkeypatch):
     monkeypatch.setattr(server, "make_server", lambda *_: SimpleNamespace(run=lambda **_: None))
     server.serve(tmp_path, browser=False, say=done.append)
     *_, loaded, last = done
-    assert (type(loaded), last) == (server.AppState, "Ended.")
+    assert (type(loaded), last) == (server.AppState, "Server stopped.")
 
 
 def test_what_a_browser_is_given_on_its_command_line_holds_no_token(tmp_path, monkeypatch):

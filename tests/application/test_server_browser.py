@@ -59,17 +59,17 @@ def leave_and_return(tab):
 def test_from_exports_to_the_certificate(opened, app, folder):
     """As a person would: bring the recorder's files, calibrate, look, issue the certificate."""
     tab = opened()
-    tab.get_by_label("Folder of the new campaign").fill("mine")
+    tab.get_by_label("Folder for the new campaign").fill("mine")
     assert "token" not in tab.url
     records = [folder / "three" / f"{run}.csv" for run in ("slow", "middle", "fast")]
-    tab.get_by_label("The recorder's files").set_input_files(records)
+    tab.get_by_label("Recorder files").set_input_files(records)
     for question, said in PLACE:
         answer_field(tab, question).fill(said)
     leave_and_return(tab)
     # The axes and the angle that are asked for are drawn.
     tab.get_by_role("img", name="Double turntable").wait_for()
     # What is guessed of a column may be changed, and changed back, before anything is written.
-    what = tab.get_by_label("What is column north_m?")
+    what = tab.get_by_label("Role of column north_m")
     what.select_option("velocity")
     tab.get_by_label("What is the unit of column 'north_m'?").wait_for()
     tab.get_by_role("button", name="Calibrate").click()
@@ -83,7 +83,7 @@ def test_from_exports_to_the_certificate(opened, app, folder):
     tab.get_by_text("unknown unit 'degs'").wait_for()
     # The files may be brought once more: they are the same.
     with tab.expect_response(lambda answer: answer.url.endswith("/api/draft")):
-        tab.get_by_label("The recorder's files").set_input_files(records[::-1])
+        tab.get_by_label("Recorder files").set_input_files(records[::-1])
     tab.get_by_label("Latitude", exact=True).wait_for()
     for question, said in PLACE:
         answer_field(tab, question).fill(said)
@@ -103,8 +103,8 @@ def test_from_exports_to_the_certificate(opened, app, folder):
     # Other pictures than those that can be zoomed come as they come near.
     see_pictures(tab)
     tab.get_by_role("link", name="Certify", exact=True).last.click()
-    tab.get_by_label("Signature").select_option("Not signed")
-    tab.get_by_role("button", name="Write a draft").click()
+    tab.get_by_label("Signature").select_option("No signature")
+    tab.get_by_role("button", name="Write draft").click()
     with tab.expect_download() as saved:
         tab.get_by_role("button", name="Save mine/certificate.xml").click()
     assert saved.value.suggested_filename == "certificate.xml"
@@ -134,12 +134,12 @@ def test_a_certificate_is_signed_by_mouse(opened, folder, tmp_path, kind):
     assert customer.evaluate("field => field === document.activeElement")
     customer.fill("Own customer")
     customer.blur()
-    tab.get_by_label("Key, PEM or PKCS #12").set_input_files(key)
-    tab.get_by_role("heading", name="Nothing is missing.").wait_for()
+    tab.get_by_label("Key file (PEM or PKCS #12)").set_input_files(key)
+    tab.get_by_role("heading", name="All required entries are complete.").wait_for()
     assert button.get_attribute("aria-disabled") is None
     if kind == "pem":
-        tab.get_by_label("Certificate of the key (PEM)").set_input_files(cert)
-    password = tab.get_by_label("Password of the key")
+        tab.get_by_label("Signer's certificate (PEM)").set_input_files(cert)
+    password = tab.get_by_label("Key password")
     password.fill("wrong")
     button.click()
     tab.get_by_text("cannot be read with this password").wait_for()
@@ -148,9 +148,9 @@ def test_a_certificate_is_signed_by_mouse(opened, folder, tmp_path, kind):
     password.fill("vy secret")
     button.click()
     tab.get_by_role("heading", name=re.compile("^Certificate .* signed and issued")).wait_for()
-    assert tab.get_by_label("Password of the key").count() == 0
+    assert tab.get_by_label("Key password").count() == 0
     tab.get_by_role("button", name="Verify three/certificate.pdf").click()
-    tab.get_by_text("Signatures of XML and pages are valid").wait_for()
+    tab.get_by_text("The signatures of XML and pages are valid").wait_for()
     for name in ("certificate.xml", "certificate.pdf"):
         assert tab.get_by_role("button", name=f"Save three/{name}").is_visible()
         assert check_certificate(folder / "three" / name, cert=cert).signature == "valid"
@@ -162,8 +162,8 @@ def test_a_certificate_is_signed_by_mouse(opened, folder, tmp_path, kind):
 def test_a_drawing_stands_beside_the_fields_that_it_explains(opened):
     tab = opened("/description/three")
     for question, name in (
-        ("Which axis is which?", "Axes of an accelerometer"),
-        ("Where is the angle 0, and which way does it count?", "Double turntable"),
+        ("Accelerometer axes", "Axes of an accelerometer"),
+        ("Zero angle and positive direction", "Double turntable"),
     ):
         tab.get_by_text(question).click()
         tab.get_by_role("img", name=name).wait_for()
@@ -191,9 +191,9 @@ def test_the_page_that_explains_a_section_opens_beside_what_is_typed(opened):
 
 def test_what_was_said_outlives_another_kind_of_test(opened, folder):
     tab = opened()
-    tab.get_by_label("Folder of the new campaign").fill("mine")
+    tab.get_by_label("Folder for the new campaign").fill("mine")
     records = [folder / "three" / f"{run}.csv" for run in ("slow", "middle", "fast")]
-    tab.get_by_label("The recorder's files").set_input_files(records)
+    tab.get_by_label("Recorder files").set_input_files(records)
     for question, said in PLACE:
         answer_field(tab, question).fill(said)
     kind = tab.get_by_label("Kind of test")
@@ -212,8 +212,8 @@ def test_from_a_table_of_readings_to_a_result(opened, folder, tmp_path):
     ]
     (tmp_path / "tumble.csv").write_text("\n".join(["angle_deg,reading_mA,u_mA", *rows]) + "\n")
     tab = opened()
-    tab.get_by_label("Folder of the new campaign").fill("tumble")
-    files = tab.get_by_label("The recorder's files")
+    tab.get_by_label("Folder for the new campaign").fill("tumble")
+    files = tab.get_by_label("Recorder files")
     files.set_input_files(tmp_path / "tumble.csv")
     tab.get_by_label("What is the nominal sensitivity").wait_for()
     # A slow server: an answer that it has not judged yet is kept for the next file.
@@ -250,9 +250,9 @@ def test_from_a_pasted_table_of_an_arm_to_a_result(opened, folder):
         force = 1.25 * (rpm * math.pi / 30.0) ** 2 / 9.8066
         rows += [f"A\t{rpm}\t{force + 0.003:.5f}", f"B\t{rpm}\t{-force + 0.003:.5f}"]
     tab = opened()
-    tab.get_by_label("Folder of the new campaign").fill("arm")
+    tab.get_by_label("Folder for the new campaign").fill("arm")
     tab.get_by_text("Paste a table").click()
-    tab.get_by_label("Column names").fill("\n".join([*rows, rows[1], rows[2]]))
+    tab.get_by_label("Table with a header row").fill("\n".join([*rows, rows[1], rows[2]]))
     tab.get_by_role("button", name="Use this table").click()
     tab.get_by_label("Sense of rotation").select_option("clockwise")
     known = (*PLACE[:2], ("Radius", "1.0 ± 1e-3 m"))
@@ -260,7 +260,7 @@ def test_from_a_pasted_table_of_an_arm_to_a_result(opened, folder):
         answer_field(tab, question).fill(said)
     # What was guessed is shown, of columns of words too.
     assert tab.get_by_label("Kind of test").input_value() == "arm"
-    assert tab.get_by_label("What is column side?").input_value() == "position"
+    assert tab.get_by_label("Role of column side").input_value() == "position"
     assert tab.get_by_label("in the mounting 'B'").input_value() == "outward"
     tab.get_by_role("button", name="Calibrate").click()
     tab.get_by_role("heading", name="Quality checks").wait_for()
@@ -271,15 +271,15 @@ def test_from_a_pasted_table_of_an_arm_to_a_result(opened, folder):
 def test_from_a_log_of_poses_to_a_triad(opened, folder, tmp_path):
     np.savetxt(tmp_path / "imu.log", posed(3.0, 1.0, count=24).values, fmt="%.5f")
     tab = opened()
-    tab.get_by_label("Folder of the new campaign").fill("triad")
-    tab.get_by_label("The recorder's files").set_input_files(tmp_path / "imu.log")
+    tab.get_by_label("Folder for the new campaign").fill("triad")
+    tab.get_by_label("Recorder files").set_input_files(tmp_path / "imu.log")
     answers = (*PLACE[:2], ("What is the sampling rate", "100 Hz"))
     for question, said in answers:
         answer_field(tab, question).fill(said)
     # What was guessed is shown.
     kind = tab.get_by_label("Kind of test")
     assert kind.input_value() == "poses"
-    assert tab.get_by_label("What is column column 2?").input_value() == "Y"
+    assert tab.get_by_label("Role of column column 2").input_value() == "Y"
     assert tab.get_by_label("What is the unit of the three axes?").input_value() == "m/s^2"
     tab.get_by_role("button", name="Calibrate").click()
     tab.get_by_role("heading", name="Quality checks").wait_for()
@@ -293,7 +293,7 @@ def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder, tmp_pat
     assert tab.evaluate("document.activeElement.textContent") == "Inputs"
     tab.get_by_role("heading", name="Inputs and reproducibility").wait_for()
     tab.get_by_text("Add records, copy").click()
-    tab.get_by_label("Name of the folder").fill("four")
+    tab.get_by_label("Folder name").fill("four")
     tab.get_by_role("button", name="Copy", exact=True).click()
     tab.get_by_text(re.compile(r" four$")).wait_for()
     tab.get_by_text("Add records, copy").click()
@@ -301,13 +301,13 @@ def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder, tmp_pat
     rows = (folder / "three" / "slow.csv").read_text().splitlines()
     other = tmp_path / "slower.csv"
     other.write_text("\n".join(rows[:1] + rows[1::2]))
-    tab.get_by_label("Add records").set_input_files(other)
-    tab.get_by_text("Added as run: slower at 0.25 rev/s.").wait_for()
+    tab.get_by_label("Records to add").set_input_files(other)
+    tab.get_by_text("Added run: slower at 0.25 rev/s.").wait_for()
     # The page is drawn again then, with its parts folded.
     tab.locator("#view:not([aria-busy])").wait_for()
     assert read_campaign(folder / "four").runs[-1].record == folder / "four" / "slower.csv"
     tab.get_by_text("Add records, copy").click()
-    tab.get_by_label("Name of the folder").fill("three")
+    tab.get_by_label("Folder name").fill("three")
     tab.get_by_role("button", name="Rename").click()
     tab.get_by_text("three already exists; choose another name").wait_for()
     tab.goto(tab.url.partition("#")[0] + "#/")
@@ -317,7 +317,7 @@ def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder, tmp_pat
     tab.locator(".card a").click()
     tab.get_by_text(re.compile(r" four$")).wait_for()
     tab.get_by_text("Add records, copy").click()
-    tab.get_by_role("button", name="Move to the trash").click()
+    tab.get_by_role("button", name="Move to trash").click()
     tab.wait_for_url("**#/")
     assert not (folder / "four").exists()
     # What was moved to the trash comes back: at once, or later from its list.
@@ -325,7 +325,7 @@ def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder, tmp_pat
     tab.wait_for_url("**#/campaign/four")
     assert (folder / "four" / "campaign.toml").is_file()
     tab.get_by_text("Add records, copy").click()
-    tab.get_by_role("button", name="Move to the trash").click()
+    tab.get_by_role("button", name="Move to trash").click()
     tab.get_by_text("Trash (1)").click()
     tab.get_by_role("button", name="Restore four").click()
     tab.wait_for_url("**#/campaign/four")
@@ -336,7 +336,7 @@ def test_a_record_is_drawn_and_a_closer_look_shows_more(opened):
     tab = opened("/runs/three")
     tab.locator(".canvas canvas").nth(2).wait_for()
     tab.get_by_label("Run").select_option("fast")
-    tab.get_by_text("Every row is drawn.").wait_for()
+    tab.get_by_text("The plot shows every row.").wait_for()
     drawing = "document.querySelector('.canvas canvas').toDataURL()"
     whole = tab.evaluate(drawing)
     with tab.expect_response(lambda answer: "/api/record?" in answer.url) as asked:
@@ -349,14 +349,14 @@ def test_a_record_is_drawn_and_a_closer_look_shows_more(opened):
 @pytest.mark.usefixtures("inline_jobs")
 def test_a_table_of_readings_is_pasted_and_becomes_a_campaign(opened, folder):
     tab = opened()
-    tab.get_by_label("Folder of the new campaign").fill("pasted")
+    tab.get_by_label("Folder for the new campaign").fill("pasted")
     tab.get_by_text("Paste a table").click()
     rows = [(angle, 1.25 * (0.002 + math.cos(math.radians(angle)))) for angle in range(0, 360, 30)]
     # As a spreadsheet gives it where numbers have a decimal comma.
     lines = ["position_deg\treading_mA", *(f"{a}\t{v:.6f}".replace(".", ",") for a, v in rows)]
-    tab.get_by_label("Column names").fill("\r\n".join(lines))
+    tab.get_by_label("Table with a header row").fill("\r\n".join(lines))
     tab.get_by_role("button", name="Use this table").click()
-    circle = tab.get_by_role("img", name="The input axis at 12 positions")
+    circle = tab.get_by_role("img", name="Input-axis direction at 12 positions")
     circle.wait_for()
     assert circle.locator("path").count() == 12
     for words, answer in (*PLACE[:2], ("What is the nominal sensitivity", "1.25 mA/g")):
@@ -373,7 +373,7 @@ def test_a_plan_is_searched_on_a_click_and_its_search_can_be_stopped(opened, fol
     example.write_text(changed(example.read_text(), ("runs = 14", "runs = 2"), *PERFECT))
     tab = opened("/plans")
     tab.get_by_role("link", name="A day at the centrifuge").click()
-    search = tab.get_by_role("button", name="Plan within these limits")
+    search = tab.get_by_role("button", name="Calculate plan")
     search.click()
     tab.get_by_role("button", name="Stop").click()
     tab.get_by_text("The plan was stopped.").wait_for()
@@ -383,12 +383,14 @@ def test_a_plan_is_searched_on_a_click_and_its_search_can_be_stopped(opened, fol
     tab.get_by_label("Highest rate").fill("0.6366")
     assert tab.get_by_label("Highest rate").get_attribute("aria-valuetext") == "0.6366 rev/s"
     assert tab.locator("output:not([aria-live=off])").count() == 0
-    tab.get_by_text("The limits have changed since this plan.").wait_for()
+    tab.get_by_text("The limits have changed since this plan was calculated.").wait_for()
     search.click()
     tab.get_by_text("highest rate 3.99988 rad/s").wait_for()
-    assert not tab.get_by_text("The limits have changed since this plan.").is_visible()
-    tab.get_by_label("Folder of the planned campaign").fill("new")
-    tab.get_by_role("button", name="Save these limits and create the campaign").click()
+    assert not tab.get_by_text(
+        "The limits have changed since this plan was calculated."
+    ).is_visible()
+    tab.get_by_label("Folder for the planned campaign").fill("new")
+    tab.get_by_role("button", name="Save limits and create campaign").click()
     tab.wait_for_url("**#/campaign/new")
     assert (folder / "new" / "campaign.toml").is_file()
 
@@ -568,10 +570,10 @@ def test_of_two_windows_none_loses_an_edit(opened, folder):
     first.get_by_role("button", name="Save").click()
     first.get_by_text("Saved").wait_for()
     second.get_by_role("button", name="Save").click()
-    second.get_by_text("was changed in the meantime").wait_for()
-    assert 'radius = "3 m"' in second.get_by_label("The file as it is now").input_value()
+    second.get_by_text("Another window or program has changed").wait_for()
+    assert 'radius = "3 m"' in second.get_by_label("Current file").input_value()
     assert 'radius = "3 m"' in file.read_text()
-    second.get_by_role("button", name="Overwrite with my version").click()
+    second.get_by_role("button", name="Overwrite current file").click()
     second.get_by_text("Saved").wait_for()
     assert 'radius = "4 m"' in file.read_text()
 
@@ -606,7 +608,7 @@ def test_every_place_fits_a_small_screen_and_names_its_controls(opened, app):
 @pytest.mark.usefixtures("inline_jobs")
 def test_a_try_is_shown_in_its_own_place(opened):
     tab = opened("/campaign/three")
-    tab.get_by_text("Method, file and command").click()
+    tab.get_by_text("Method, result file and command").click()
     tab.get_by_label("Method").select_option("two-stage")
     tab.get_by_label("Result file").fill("try.json")
     tab.get_by_role("button", name="Calibrate").click()
@@ -712,7 +714,7 @@ def test_limits_are_stated_and_a_study_is_made_by_keyboard(opened):
     tab.get_by_text("More", exact=True).click()
     tab.get_by_role("link", name="Try out").press("Enter")
     tab.get_by_role("heading", name="Requirements for the centrifuge").wait_for()
-    tab.get_by_label("Trials").fill("4")
+    tab.get_by_label("Number of trials").fill("4")
     tab.keyboard.press("Enter")
     tab.get_by_role("heading", name="Verdict").wait_for()
 
@@ -736,8 +738,8 @@ def test_the_first_screen_has_the_answer_and_a_slider_changes_u(opened, folder):
     tab.get_by_role("tab", name="Uncertainty budget").click()
     slider = tab.locator("td.control input").first
     slider.fill("-1")
-    tab.get_by_text(re.compile("^u of K.* instead of ")).wait_for()
-    assert "as now" not in slider.get_attribute("aria-valuetext")
+    tab.get_by_text(re.compile("^u of K.* \\(currently ")).wait_for()
+    assert "current value" not in slider.get_attribute("aria-valuetext")
 
 
 def test_tables_and_figures_are_saved(opened):
@@ -762,8 +764,8 @@ def test_a_sample_campaign_is_opened_with_its_result(opened, folder):
     tab.wait_for_url("**#/campaign/sample")
     tab.locator(".instrument").first.wait_for()
     # The tour can be closed and started again.
-    tour = tab.get_by_role("dialog", name="Tour of the campaign")
-    tour.get_by_role("button", name="Close the tour").click()
+    tour = tab.get_by_role("dialog", name="Campaign tour")
+    tour.get_by_role("button", name="Close tour").click()
     assert not tour.is_visible()
     tab.get_by_text("More", exact=True).click()
     tab.get_by_role("button", name="Tour").click()

@@ -62,7 +62,7 @@ def test_who_has_no_key_cannot_stop_it(tmp_path):
     assert [status for status, _ in taken] == [200, 200]
     # It takes some milliseconds; where descriptors had run out it took 40 s.
     assert max(seconds for _, seconds in taken) < 30.0
-    assert (server.returncode, out.splitlines()[-1], err) == (0, "Ended.", "")
+    assert (server.returncode, out.splitlines()[-1], err) == (0, "Server stopped.", "")
 
 
 @pytest.fixture

@@ -264,7 +264,7 @@ def test_keys_and_fingers_can_zoom_and_move(desk):
     press("Move right", [374.75, 749.5])
     press("Zoom out", [0.0, 749.5])
     press("Zoom in")
-    press("Show the whole", [0.0, 749.5])
+    press("Show all", [0.0, 749.5])
 
 
 def test_outliers_are_seen_at_any_zoom_and_flatten_nothing(desk):

@@ -194,13 +194,13 @@ class AccessControl:
         headers, path = Headers(scope=scope), scope["path"]
         hosts = [host.lower() for host in headers.getlist("host")]
         if len(hosts) != 1 or hosts[0] not in self._credentials.hosts:
-            yield 403, "This page can only be reached at its own address."
+            yield 403, "Open the application at the address that `counterspin serve` printed."
         origins = headers.getlist("origin")
         same_site = headers.get("sec-fetch-site", "same-origin") in ("same-origin", "none")
         if any(origin.lower() != f"http://{hosts[0]}" for origin in origins):
             yield 403, "The request was refused because another page sent it."
         if scope["method"] not in _SAFE_METHODS and not origins:
-            yield 403, "The request does not state its origin."
+            yield 403, "The request has no Origin header."
         if path.startswith("/api/"):
             if not same_site:
                 yield 403, "The request was refused because another page sent it."

@@ -121,7 +121,7 @@ class AppState:
         if path.is_dir():
             for file in path.iterdir():
                 if file.is_symlink() and not self.folder.contains(file):
-                    raise PathForbiddenError(f"{self.folder.name(file)} leads out of this folder")
+                    raise PathForbiddenError(f"{self.folder.name(file)} is outside this folder")
         return path
 
     def require_inside(self, folder: Path, document: Mapping[str, Any]) -> None:

@@ -67,7 +67,7 @@ def open_upload(app: AppState, name: str) -> Upload:
         temporary_path.touch()
     except OSError as error:
         cleanup.close()
-        raise CounterspinError(f"{name}: cannot be written ({error.strerror})") from error
+        raise CounterspinError(f"{name} cannot be written ({error.strerror})") from error
     return Upload(path, temporary_path, cleanup, folders)
 
 
@@ -105,7 +105,7 @@ def copy_campaign(app: AppState, name: str, to: str) -> Named:
             )
             copied.rename(target)
     except OSError as error:
-        raise CounterspinError(f"{to}: cannot be written ({error.strerror or error})") from error
+        raise CounterspinError(f"{to} cannot be written ({error.strerror or error})") from error
     return {"name": app.folder.name(target)}
 
 
@@ -133,9 +133,9 @@ def discard_uploads(app: AppState, folder: str, names: list[str]) -> TrashPlace:
     source = app.folder.path(folder)
     paths = [app.folder.path(name) for name in dict.fromkeys(names)]
     if source == app.folder.root or any(path.parent != source for path in paths):
-        raise PathForbiddenError("only files of one folder of an import can be discarded")
+        raise PathForbiddenError("only files in the folder of the import can be discarded")
     if (source / DESCRIPTION_NAME).exists():
-        raise CounterspinError(f"{folder} is a campaign; its files are kept")
+        raise CounterspinError(f"{folder} is a campaign, so its files were not discarded")
     files = [path for path in paths if path.is_file() and not path.is_symlink()]
     if not files:
         return {"place": None}
@@ -202,7 +202,7 @@ def add_records(app: AppState, name: str, files: list[str]) -> AddedRuns:
     runs = [run for run in document.get("runs", []) if isinstance(run, dict)]
     if not runs or "record" not in runs[0]:
         raise CounterspinError(
-            "the runs of this campaign are readings, not records; add yours to its table"
+            "this campaign uses readings, not records; add your readings to the readings table"
         )
     known_records = {(description.parent / str(run.get("record"))).resolve() for run in runs}
     new_files = [file for file in map(app.file, files) if file.resolve() not in known_records]
@@ -224,7 +224,8 @@ def _campaign_folder(app: AppState, name: str) -> Path:
     source = app.description(name).parent
     if source == app.folder.root:
         raise CounterspinError(
-            "this campaign is the served folder itself; move it outside the application"
+            "this campaign is the served folder itself; use your file manager to copy or move "
+            "the folder"
         )
     if app.folder.root.joinpath(*Path(name).parts).is_symlink():
         raise PathForbiddenError(
@@ -232,7 +233,9 @@ def _campaign_folder(app: AppState, name: str) -> Path:
         )
     for path in source.rglob("*"):
         if path.is_symlink():
-            raise PathForbiddenError(f"{app.folder.name(path)} is a link; copy or move it by hand")
+            raise PathForbiddenError(
+                f"{app.folder.name(path)} is a link; copy or move the campaign manually"
+            )
     return source
 
 
@@ -241,7 +244,9 @@ def _idle_campaign_folder(app: AppState, name: str) -> Path:
     source = _campaign_folder(app, name)
     busy = [job for job in app.jobs.all() if job.state in ("waiting", "running")]
     if any(job.campaign == name or job.campaign.startswith(f"{name}/") for job in busy):
-        raise CounterspinError(f"{name}: a job is running in it; wait until it ends, or stop it")
+        raise CounterspinError(
+            f"{name}: a job is running in this campaign; stop the job or wait until the job ends"
+        )
     return source
 
 
@@ -252,15 +257,15 @@ def _new_folder(app: AppState, name: str, to: str) -> Path:
         raise CounterspinError(f"{to or 'this folder'} already exists; choose another name")
     source = app.description(name).parent
     if target.is_relative_to(source):
-        raise CounterspinError(f"{to} lies in {name}; choose a folder outside it")
+        raise CounterspinError(f"{to} is inside {name}; choose a folder outside {name}")
     try:
         names_outside = ".." in str(load_document(source / DESCRIPTION_NAME))
     except CounterspinError:
         names_outside = True  # a description that cannot be read may name anything
     if names_outside and target.parent != source.parent:
         raise CounterspinError(
-            f"{name}: its description names files outside of its folder, relative to it; choose a "
-            "name in the same folder"
+            f"{name}: the description refers to files outside the campaign folder by relative "
+            "path; choose a name in the same parent folder"
         )
     make_folder(target.parent)
     return target
@@ -270,4 +275,4 @@ def _move(source: Path, target: Path) -> None:
     try:
         source.rename(target)
     except OSError as error:
-        raise CounterspinError(f"{source.name}: cannot be moved ({error.strerror})") from error
+        raise CounterspinError(f"{source.name} cannot be moved ({error.strerror})") from error

@@ -47,10 +47,10 @@ _RESULT_NAME: Final = "result.json"
 
 #: State of a campaign -> its words.
 _STATE_LABELS: Final[Mapping[str, str]] = {
-    "mistakes": "The description has mistakes",
-    "records missing": "Records are missing",
+    "mistakes": "Mistakes in the description",
+    "records missing": "Records missing",
     "not calibrated": "Not calibrated yet",
-    "changed": "Changed since the calibration",
+    "changed": "Changed since calibration",
     **{str(state): words for state, words in STATE_WORDS.items()},
 }
 
@@ -271,7 +271,9 @@ def begin_calibration(
     path = app.description(name)
     app.campaign(name)
     if "/" in output or not output.lower().endswith(".json"):
-        raise CounterspinError(f"{output!r}: give a file name such as result.json")
+        raise CounterspinError(
+            f"{output!r} is not a valid result file; use a file name such as result.json"
+        )
     target = app.folder.path(f"{name}/{output}" if name else output)
     command = calibrate_command(path.parent, target, method, accept_misfit)
 
@@ -286,7 +288,7 @@ def begin_campaign(app: AppState, name: str, test: Test = "double-turntable") ->
     from counterspin.ingest.starter import init
 
     if not name:
-        raise CounterspinError("name the folder of the new campaign")
+        raise CounterspinError("enter a folder name for the new campaign")
     folder = app.target_path(name)
     init(folder, test)
     return {"name": name, "command": init_command(folder, test)}

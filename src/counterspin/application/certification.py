@@ -67,7 +67,7 @@ class Signing(BaseModel):
         try:
             return read_signer(self.key.read(), certificate_material, password)
         except PasswordNeededError as error:
-            raise CounterspinError(f"{self.key.name}: is encrypted; type its password") from error
+            raise CounterspinError(f"{self.key.name} is encrypted; enter the password") from error
 
 
 def _sign_without_drawing_lock(app: AppState, data: bytes) -> bytes:

@@ -22,7 +22,7 @@ def _entries(campaign: Campaign) -> Iterator[ChecklistEntry]:
         effect = "stated (Type B)" if stated else "estimated from the residuals (Type A)"
         yield {"words": "Noise", "stated": stated, "effect": effect, "key": "noise"}
     unnumbered = [n for n, a in campaign.accelerometers.items() if not a.serial_number]
-    effect = f"not stated for {', '.join(unnumbered)}; history and certificate need it"
+    effect = f"not stated for {', '.join(unnumbered)}; required for the history and the certificate"
     first = next(iter([*unnumbered, *campaign.accelerometers]), "")
     yield {
         "words": "Serial number",
@@ -31,7 +31,7 @@ def _entries(campaign: Campaign) -> Iterator[ChecklistEntry]:
         "key": f"accelerometers.{first}.serial_number",
     }
     dated = "date" in campaign.details
-    effect = "stated" if dated else "not stated; the history needs it"
+    effect = "stated" if dated else "not stated; required for the history"
     yield {"words": "Date", "stated": dated, "effect": effect, "key": "campaign.date"}
 
 
@@ -39,9 +39,9 @@ def _prior_entry(campaign: Campaign, key: str, symbol: str) -> ChecklistEntry:
     """Return the entry of a coefficient that can have a prior."""
     unstated = [n for n, a in campaign.accelerometers.items() if symbol not in a.priors]
     owner = next(iter([*unstated, *campaign.accelerometers]), "")
-    effect = "stated: a prior (Type B)"
+    effect = "stated prior (Type B)"
     if unstated:
-        effect = f"not stated for {', '.join(unstated)}; only the data determine it"
+        effect = f"not stated for {', '.join(unstated)}; determined only by the data"
     words = TERMS[symbol].words
     return {
         "words": f"{words[:1].upper()}{words[1:]}",

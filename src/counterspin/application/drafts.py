@@ -154,16 +154,19 @@ def _unused_reason(column: FileColumn, guess: FileGuess | None) -> str:
     """Return why a column of numbers is unused, if it is."""
     values = column.values[np.isfinite(column.values)]
     if column.stamps:
-        return "Contains time stamps in addition to the time."
+        return "Contains timestamps; the time is read from another column."
     if values.min() == values.max():
         return f"Constant: {values[0]:.6g} in every row."
     if counts_rows(column):
-        return "Counts the rows."
+        return "Contains row numbers."
     if column.unit and not any(converts(column.unit, si) for si in OBSERVABLES.values()):
-        return f"Its unit, {column.unit}, is not that of a signal."
+        return f"The unit {column.unit} does not match a known signal."
     if guess is not None:
-        return "Does not vary with the rotation, and its name is not that of a signal."
-    return "Neither its name nor its unit identifies the quantity."
+        return (
+            "The column does not vary with the rotation, and the column name does not match a "
+            "known signal."
+        )
+    return "Neither the name nor the unit identifies the quantity."
 
 
 def detrended_curve(column: FileColumn, guess: FileGuess | None) -> Curve:
@@ -175,13 +178,13 @@ def detrended_curve(column: FileColumn, guess: FileGuess | None) -> Curve:
     if guess is not None:
         signal = next((s for s in guess.signals if s.column == column.name), None)
         if guess.time is not None and guess.time.column == column.name:
-            values, words = _regular_steps(values), "step from row to row"
+            values, words = _regular_steps(values), "row-to-row step"
             unit = "s" if guess.time.unit == "iso" else guess.time.unit or ""
         elif guess.angle is not None and guess.angle.column == column.name:
             if guess.angle.pulses:
-                values, words = _regular_steps(values), "step from pulse to pulse"
+                values, words = _regular_steps(values), "pulse-to-pulse step"
             else:
-                values, words = _detrend(_unwrap(values), 1), "minus a straight line"
+                values, words = _detrend(_unwrap(values), 1), "straight line removed"
             unit = guess.angle.unit or ""
         elif guess.temperature is not None and guess.temperature[0] == column.name:
             unit = guess.temperature[1]
@@ -195,7 +198,7 @@ def detrended_curve(column: FileColumn, guess: FileGuess | None) -> Curve:
             revolutions = _CURVE_REVOLUTIONS if rows < len(values) else 0.0
             values, words = (
                 _detrend(values[:rows], degree, revolutions),
-                f"minus its {trend}{shown_part}",
+                f"{trend} removed{shown_part}",
             )
             unit = signal.unit or ""
     extent, size = _min_and_max(values)

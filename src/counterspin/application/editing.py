@@ -147,7 +147,7 @@ def set_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
         try:
             value = datetime.date.fromisoformat(value)
         except (TypeError, ValueError) as error:
-            raise CounterspinError(f"{value!r} is not a date: write 2026-03-01") from error
+            raise CounterspinError(f"{value!r} is not a date; use the form 2026-03-01") from error
     parsed = parse_text(text)
     try:
         expected = _expected_document(parsed, path, value)
@@ -162,9 +162,7 @@ def set_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
     return changed_text
 
 
-_CANNOT_CHANGE: Final = (
-    "This field cannot edit the file in its present form. Edit the text instead."
-)
+_CANNOT_CHANGE: Final = "The file cannot be edited in this field. Edit the text instead."
 
 
 def _expected_document(document: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]:
@@ -278,7 +276,7 @@ def plan_text(app: AppState, name: str) -> EditedFile:
     path = app.file(name)
     document = load_document(path)
     if not is_plan(document):
-        raise PathForbiddenError(f"{name}: not a plan: it has no [limits] and [goal]")
+        raise PathForbiddenError(f"{name} is not a plan: [limits] and [goal] are missing")
     edited = app.folder.read(name)
     return {
         **parse_plan_text(app, path, edited.text).to_dict(),
@@ -325,7 +323,7 @@ def save_text(
     """Write a text, even with mistakes, if the file has not changed since its editor read it."""
     path, content = _text_path(app, file), _parse_text_of(app, file, text, result)
     if result is None and path.name != DESCRIPTION_NAME and not is_plan(content.document):
-        raise CounterspinError(f"{file}: a plan has [limits] and [goal]; nothing was saved")
+        raise CounterspinError(f"{file}: a plan requires [limits] and [goal]; nothing was saved")
     return {
         **content.to_dict(),
         "file": file,

@@ -163,7 +163,7 @@ def handle_request(
 ) -> ApiResponse:
     """Answer one request, also if it fails."""
     if (method, name) not in ENDPOINTS:
-        return ApiResponse(404, {"error": "This request does not exist."})
+        return ApiResponse(404, {"error": "Unknown request: the server has no such endpoint."})
     handler = ENDPOINTS[method, name]
 
     def call_handler() -> Any:
@@ -182,7 +182,8 @@ def handle_ticket(app: AppState, ticket: str) -> ApiResponse:
     target = app.tickets.take(ticket)
     if target is None:
         return ApiResponse(
-            404, {"error": "This download link has been used. Click the button again."}
+            404,
+            {"error": "This download link has been used. Click the download button again."},
         )
     return handle_request(app, "GET", *target)
 

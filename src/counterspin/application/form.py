@@ -106,7 +106,7 @@ def lab_form() -> tuple[FormSection, ...]:
             "explained": "certificate#assumed-terms",
             "repeat": None,
             "fields": [
-                _text_field(ALL, "a report", "for every term"),
+                _text_field(ALL, "a report", "evidence for every term"),
                 *(_text_field(symbol, "a report or a data sheet") for symbol in TERMS),
             ],
         }
@@ -235,7 +235,7 @@ def _term_rows() -> tuple[TermRow, ...]:
     rows = {symbol: row.words for symbol, row in ACCELEROMETER_TERMS.items()}
     for family, members in BARE_NAMES.items():
         if family.count(".") == 1:
-            rows[family] = f"{members[0].words}, and so on"
+            rows[family] = f"{members[0].words}, and similar terms"
     for symbol, row in (*SHARED_TERMS.items(), *READING_TERMS.items()):
         if symbol.count(".") == 1:
             rows.setdefault(symbol, row.words)

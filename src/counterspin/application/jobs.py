@@ -43,7 +43,7 @@ class Worker:
             self._process.start()
         except OSError as error:  # no memory, or too many processes
             self._connection.close()
-            raise CounterspinError(f"its process cannot be started: {error.strerror}") from error
+            raise CounterspinError(f"the process cannot be started ({error.strerror})") from error
         finally:
             connection.close()
 
@@ -62,7 +62,7 @@ class Worker:
                 self._connection.recv() if self._connection.poll(seconds) else None
             )
         except (EOFError, OSError):
-            return "failed", "its process ended unexpectedly, perhaps for lack of memory"
+            return "failed", "the process ended unexpectedly, possibly because memory ran out"
         return message
 
     def terminate(self) -> None:
@@ -193,7 +193,7 @@ class Jobs:
         """End a job; CounterspinError if no job has the number."""
         with self._lock:
             if number not in self._jobs:
-                raise CounterspinError(f"there is no job {number}")
+                raise CounterspinError(f"job {number} does not exist")
             job = self._jobs[number]
         job.stop.set()
         return job
@@ -316,7 +316,9 @@ class LiveViews:
         view = self._views.get(key)
         if view is None:
             if len(self._views) >= _MAX_VIEWS:
-                raise CounterspinError("too many campaigns are monitored at the same time")
+                raise CounterspinError(
+                    "too many campaigns are monitored at the same time; close another Live page"
+                )
             view = self._views[key] = _View(Worker(run_watch, *key))
             if len(self._views) == 1:
                 threading.Thread(target=self._end_unused, daemon=True).start()

@@ -96,7 +96,7 @@ def save_profile(app: AppState, file: str, text: str) -> ProfileFile:
     )
     _move_logo(profile, folder, app.folder.root)
     if not any(profile.values()):
-        raise CounterspinError("The profile would be empty: fill in the laboratory first.")
+        raise CounterspinError("The profile would be empty. Fill in the Laboratory section first.")
     app.folder.write(PROFILE_NAME, write_document(profile), app.folder.read(PROFILE_NAME).version)
     return {"file": PROFILE_NAME}
 
@@ -117,7 +117,7 @@ def _initial_text(app: AppState, result: Result, folder: Path) -> str:
             text = set_value(text, path, value)
         except CounterspinError as error:
             raise CounterspinError(
-                f"{PROFILE_NAME}: {key_path(path)}: cannot be used; correct or remove this file"
+                f"{PROFILE_NAME}: {key_path(path)} cannot be used; correct or remove this file"
             ) from error
     return text
 

@@ -125,7 +125,7 @@ def manual_page(name: str) -> ManualPage:
     """Return a page as HTML, and the names and titles of all; NotThereError if there is none."""
     texts = _page_texts()
     if name not in texts:
-        raise NotFoundError(f"there is no page {name} of the documentation")
+        raise NotFoundError(f"the documentation has no page {name}")
     titles = {
         page_name: text.partition("\n")[0].removeprefix("# ") for page_name, text in texts.items()
     }
@@ -295,7 +295,7 @@ def page_content(app: AppState, kind: Kind, names: Sequence[str], term: str) -> 
         result = judge_result(app.result(names[0]))
         content["accelerometers"] = list(result.accelerometers)
         content["state"] = result.state or ""
-        content["words"] = STATE_WORDS[result.state] if result.state else "Not judged"
+        content["words"] = STATE_WORDS[result.state] if result.state else "Not assessed"
         content["refusal"] = _certificate_refusal(result)
     return content
 
@@ -326,10 +326,10 @@ def page_picture(app: AppState, kind: Kind, names: Sequence[str], term: str, ind
 
     page = _page_or_job(app, kind, names, term)
     if isinstance(page, Job):
-        raise NotFoundError("the page of this picture is still being prepared")
+        raise NotFoundError("the page with this plot is still being prepared")
     pictures = [block for block in page.blocks if isinstance(block, Picture)]
     if not 0 <= index < len(pictures):
-        raise NotFoundError(f"there is no picture {index}")
+        raise NotFoundError(f"there is no plot {index}")
     files = [app.file(name) for name in names]
     with app.drawing:
         return app.cache.get(

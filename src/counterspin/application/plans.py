@@ -57,19 +57,19 @@ class SliderSpec:
 
 #: Key of [limits] -> how it is moved, of a plan of records and of one of readings.
 PLAN_SLIDERS: Final[Mapping[str, SliderSpec]] = {
-    "total_time": SliderSpec("Time at the centrifuge", "s", 0.25, 4.0),
+    "total_time": SliderSpec("Centrifuge time", "s", 0.25, 4.0),
     "highest_rate": SliderSpec("Highest rate", "rad/s", 0.5, 2.0),
-    "settling": SliderSpec("Settling of each run", "s", 0.0, 4.0),
+    "settling": SliderSpec("Settling time per run", "s", 0.0, 4.0),
     "runs": SliderSpec("Maximum number of runs", "", 0.25, 2.0, is_integer=True, minimum=1.0),
     "fewest_revolutions": SliderSpec(
-        "Minimum number of revolutions of a run", "", 0.5, 4.0, minimum=1.0
+        "Minimum number of revolutions per run", "", 0.5, 4.0, minimum=1.0
     ),
 }
 READING_PLAN_SLIDERS: Final[Mapping[str, SliderSpec]] = {
     "readings": SliderSpec(
         "Maximum number of readings", "", 0.25, 4.0, is_integer=True, minimum=1.0
     ),
-    "total_time": SliderSpec("Time of all readings", "s", 0.25, 4.0),
+    "total_time": SliderSpec("Total time of all readings", "s", 0.25, 4.0),
 }
 
 
@@ -127,7 +127,9 @@ def begin_plan(app: AppState, name: str, example: Example = "records") -> Named:
     """Write an example of a plan; CounterspinError if the file exists already."""
     path = app.folder.path(name)
     if path.suffix.lower() != ".toml":
-        raise CounterspinError(f"{name}: name the plan's file, such as PLAN.toml")
+        raise CounterspinError(
+            f"{name} is not a valid plan file; use a file name such as PLAN.toml"
+        )
     write_example(path, example)
     return {"name": name}
 
@@ -137,7 +139,7 @@ def _read_plan(app: AppState, file: Path) -> Plan | ReadingPlan:
         document = load_document(file)
         app.require_inside(file.parent, document)
         if not is_plan(document):
-            raise CampaignError(str(file), ["not a plan: it has no [limits] and [goal]"])
+            raise CampaignError(str(file), ["not a plan: [limits] and [goal] are missing"])
         return read_any_plan(file)
 
     return app.cache.get(("plan", file), [file], read)
@@ -207,7 +209,7 @@ def _set_limits(app: AppState, name: str, text: str, moved: Mapping[str, float])
     limits = {limit.key: limit for limit in _sliders(_read_plan(app, file), load_document(file))}
     for key, value in moved.items():
         if key not in limits:
-            raise CounterspinError(f"{key}: there is no such limit")
+            raise CounterspinError(f"{key} is not a limit of this plan")
         if not math.isclose(value, limits[key].value, rel_tol=1e-9):
             text = set_value(text, ["limits", key], limits[key].format_value(value))
     return text
@@ -249,7 +251,7 @@ def begin_planned(
     file = app.file(name)
     target = app.target_path(folder)
     if not folder:
-        raise CounterspinError("name the folder of the campaign")
+        raise CounterspinError("enter a folder name for the campaign")
     require_no_campaign(target)
     plan_text = app.folder.read(name)
     text = _set_limits(app, name, plan_text.text, moved or {})

@@ -154,7 +154,7 @@ def _find_run(app: AppState, name: str, run: str) -> tuple[Campaign, Run]:
     for candidate in campaign.runs:
         if candidate.name == run:
             return campaign, candidate
-    raise NotFoundError(f"{name}: there is no run {run!r} with a record")
+    raise NotFoundError(f"{name} has no run {run!r} with a record")
 
 
 def _cached_record(campaign: Campaign, run: Run) -> PlotColumns:
@@ -177,7 +177,7 @@ def _read_record(campaign: Campaign, run: Run) -> PlotColumns:
     time, *values = read_scaled(run.record, specs, dialect)
     valid_rows = np.flatnonzero(np.isfinite(time))
     if not len(valid_rows):
-        raise CounterspinError(f"{run.record}: no row has a time")
+        raise CounterspinError(f"{run.record}: no row contains a time")
     if len(valid_rows) < len(time) or np.any(np.diff(time) < 0.0):
         # What runs backwards is refused by a calibration; here it is shown in the order of time.
         valid_rows = valid_rows[np.argsort(time[valid_rows], kind="stable")]
@@ -190,7 +190,7 @@ def check_run(app: AppState, name: str, run: str) -> RunCheck:
     campaign = app.campaign(name)
     records = [candidate.record for candidate in campaign.runs if candidate.name == run]
     if not records:
-        raise NotFoundError(f"{name}: there is no run {run!r} with a record")
+        raise NotFoundError(f"{name} has no run {run!r} with a record")
     run_check = check(records[0], campaign, run=run)
     blocks = list(map(typeset_block, run_check.blocks()))
     return {
@@ -220,7 +220,7 @@ def begin_fit(app: AppState, name: str) -> JobEntry:
     name: The campaign's folder.
     """
     path = app.description(name)
-    app.campaign(name).require_records("a picture of the fit")
+    app.campaign(name).require_records("a plot of the fit")
     command = calibrate_command(path.parent, path.parent / "result.json", "joint", None)
     _, store = app.cache.lookup(*_fit_cache_key(app, name))
 
@@ -234,7 +234,7 @@ def fitted_run(app: AppState, name: str, run: str) -> PlotColumns:
     """Return data and fit of a run, for each accelerometer; NotThereError before `begin_fit`."""
     fitted: Mapping[str, PlotColumns] | None = app.cache.lookup(*_fit_cache_key(app, name))[0]
     if fitted is None or run not in fitted:
-        raise NotFoundError(f"{name}: the records of {run} are not fitted yet, or were changed")
+        raise NotFoundError(f"{name}: the records of {run} changed or have not been fitted yet")
     return fitted[run]
 
 
@@ -296,7 +296,7 @@ def _merge_columns(run_data: list[tuple[str, str, Array, Array, Array]]) -> Plot
             column = np.full(time.size, np.nan)
             column[np.searchsorted(time, series_time)] = series_values
             values.append(column)
-            names.append(f"{accelerometer}: {label} minus its {trends[observable]}")
+            names.append(f"{accelerometer}: {label}, {trends[observable]} removed")
             units.append(OBSERVABLES[observable])
     return PlotColumns(time, tuple(names), tuple(units), tuple(values))
 
@@ -387,9 +387,9 @@ def begin_simulation(app: AppState, name: str, folder: str) -> JobEntry:
     app.campaign(name)
     target = app.target_path(folder)
     if not folder:
-        raise CounterspinError("name the folder of the simulated records")
+        raise CounterspinError("enter a folder name for the simulated records")
     if (target / DESCRIPTION_NAME).exists():
-        raise CounterspinError(f"{folder} already contains a campaign; name another folder")
+        raise CounterspinError(f"{folder} already contains a campaign; choose another folder")
     app.require_inside(target, load_document(path))
     command = simulate_command(path.parent, target)
 

@@ -47,8 +47,8 @@ class EditConflictError(CounterspinError):
     def __init__(self, name: str, current: FileVersion) -> None:
         self.current = current
         super().__init__(
-            f"{name} was changed in the meantime by another window or program; nothing "
-            "was written. Compare the two, then save again."
+            f"Another window or program has changed {name}, so nothing was written. "
+            "Compare the two versions, then save again."
         )
 
 
@@ -69,7 +69,7 @@ class ServedFolder:
     def __init__(self, root: Path) -> None:
         if not root.is_dir():
             kind = "is a file, not a folder" if root.exists() else "folder not found"
-            raise CounterspinError(f"{root}: {kind}; give the folder that holds the campaigns")
+            raise CounterspinError(f"{root}: {kind}; give the folder that contains the campaigns")
         self.root = root.resolve()
         self._write_lock = threading.Lock()
 
@@ -80,13 +80,13 @@ class ServedFolder:
         """
         parts = PurePosixPath(name).parts
         if len(parts) > _MAX_PATH_PARTS:
-            raise PathForbiddenError(f"{name!r} has more than {_MAX_PATH_PARTS} folders")
+            raise PathForbiddenError(f"{name!r} has more than {_MAX_PATH_PARTS} folder levels")
         is_hidden = any(not part or part[0] == "." or part[-1] in ". " for part in parts)
         if is_hidden or name.startswith("/") or any(c in name for c in "\\:\0\n\r"):
             raise PathForbiddenError(f"{name!r} is not a valid file name in this folder")
         path = self.root.joinpath(*parts)
         if not self.contains(path):
-            raise PathForbiddenError(f"{name!r} leads out of this folder")
+            raise PathForbiddenError(f"{name!r} is outside this folder")
         return path
 
     def contains(self, path: Path) -> bool:
@@ -141,7 +141,7 @@ class ServedFolder:
         except FileNotFoundError:
             return FileVersion("", NO_FILE_VERSION)
         except UnicodeDecodeError as error:
-            raise CounterspinError(f"{name}: is not UTF-8 text") from error
+            raise CounterspinError(f"{name} is not UTF-8 text") from error
         except OSError as error:
             raise CounterspinError(f"{name}: {describe_read_error(error)}") from error
 
@@ -154,7 +154,7 @@ class ServedFolder:
         try:
             data = text.encode("utf-8")
         except UnicodeEncodeError as error:
-            raise CounterspinError(f"{name}: the content is not text") from error
+            raise CounterspinError(f"{name}: the content is not valid text") from error
         with self._write_lock:
             current = self.read(name)
             if current.version != edited_version:

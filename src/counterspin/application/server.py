@@ -181,7 +181,7 @@ def make_application(app: AppState, credentials: Credentials) -> Starlette:
             )
         except OSError as error:
             return _to_starlette(
-                ApiResponse(422, {"error": f"{name}: cannot be written: {error.strerror}"})
+                ApiResponse(422, {"error": f"{name} cannot be written ({error.strerror})"})
             )
         finally:
             upload.discard()
@@ -298,7 +298,7 @@ def serve(
             # Python aborts where it ends in the middle of an import of a library in C++.
             has_ended.set()
             loading.join(_LOADING_TIMEOUT)
-    say("Ended.")
+    say("Server stopped.")
 
 
 def _private_folder() -> Path:
@@ -380,6 +380,6 @@ def open_listener(port: int) -> socket.socket:
         reason = getattr(error, "strerror", None) or str(error)
         raise CounterspinError(
             f"port {port} is in use or not permitted ({reason}); give another "
-            "`port`, or 0 for any free one"
+            "`port`, or 0 for any free port"
         ) from error
     return listener

@@ -244,7 +244,7 @@ def apply_improvement(
         suggestion = (_search_results(app, name) or {}).get(accelerometer)
         if suggestion is None:
             raise NotFoundError(
-                f"{accelerometer}: no further runs were found; search for them first"
+                f"{accelerometer}: no additional runs have been found; start the search first"
             )
         run_count, suffix = len(load_document(source).get("runs", [])), "further-runs"
         for index, run in enumerate(suggestion.runs):
@@ -261,7 +261,7 @@ def _best_prior(result: Result, accelerometer: str) -> tuple[tuple[str, str], st
     improvement = next(_prior_improvements(result, accelerometer), None)
     if improvement is None:
         raise NotFoundError(
-            f"{accelerometer}: no further statement of a single quantity would reduce its u"
+            f"{accelerometer}: specifying any one quantity more accurately would not reduce u"
         )
     source, (_, update) = (
         improvement["source"],

@@ -73,12 +73,12 @@ async function exchange(path, request) {
   try {
     response = await fetch(`/api/${path}`, { ...request, headers });
   } catch {
-    throw new Refused(0, { error: "The server does not respond. Check that it is still running." });
+    throw new Refused(0, { error: "The server does not respond. Check that `counterspin serve` is still running." });
   }
   if (response.ok) return response;
   // One of an earlier server is of no use, to other windows either.
   if (response.status === 401 && sessionStorage.getItem(KEY) === key) sessionStorage.removeItem(KEY);
-  const told = await response.json().catch(() => ({ error: `The server responds with status ${response.status}.` }));
+  const told = await response.json().catch(() => ({ error: `The server responded with status ${response.status}.` }));
   throw new Refused(response.status, told);
 }
 

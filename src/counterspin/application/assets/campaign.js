@@ -29,7 +29,7 @@ function calibration(campaign) {
   const place = make("div");
   const method = make("select", {},
     make("option", { value: "joint" }, "Joint: all samples in one fit"),
-    make("option", { value: "two-stage" }, "Two-stage: the method of the paper"));
+    make("option", { value: "two-stage" }, "Two-stage: method of the paper"));
   const output = make("input", { value: "result.json", required: true, autocomplete: "off" });
   const reason = make("input", { autocomplete: "off" });
   const show = (/** @type {import("./job.js").Job} */ job) => showResult(campaign.name, job.output);
@@ -46,9 +46,9 @@ function calibration(campaign) {
   },
   campaign.state === "contradicted"
     ? labelled("Reason for accepting the misfit", reason) : null,
-  make("details", { class: "aside" }, make("summary", {}, "Method, file and command"),
+  make("details", { class: "aside" }, make("summary", {}, "Method, result file and command"),
     make("div", { class: "row" }, labelled("Method", method),
-      labelled("Result file; an earlier result is replaced", output)),
+      labelled("Result file (an existing result is replaced)", output)),
     command(campaign.command)));
   followRunning(campaign.jobs, "calibration", place, show);
   return { button, below: [place, form] };
@@ -93,12 +93,12 @@ function keeping(name) {
     const names = [...files.files ?? []].map((file) => (name ? `${name}/${file.name}` : file.name));
     for (const [place, file] of [...files.files ?? []].entries()) await bring(names[place], file);
     const { added } = await send("POST", "records", { name, files: names });
-    return added.length ? `Added as ${added.length > 1 ? "runs" : "run"}: ${added.join(", ")}.`
-      : "The records are in the folder; the description already names them.";
+    return added.length ? `Added ${added.length > 1 ? "runs" : "run"}: ${added.join(", ")}.`
+      : "No run was added: the description already contains these records.";
   }, () => dispatchEvent(new HashChangeEvent("hashchange"))));
-  return make("details", { class: "keeping" }, make("summary", {}, "Add records, copy, rename, move to the trash"),
-    make("div", { class: "row" }, labelled("Add records: each record becomes a run at its detected rate", files)),
-    make("div", { class: "row" }, labelled("Name of the folder", to),
+  return make("details", { class: "keeping" }, make("summary", {}, "Add records, copy, rename or move to trash"),
+    make("div", { class: "row" }, labelled("Records to add (each record becomes a run at the detected rate)", files)),
+    make("div", { class: "row" }, labelled("Folder name", to),
       make("button", { type: "button", onclick: moved("copy", "Copying the campaign", "Copied to") }, "Copy"),
       make("button", { type: "button", onclick: moved("rename", "Renaming the campaign", "Renamed to") }, "Rename"),
       make("button", {
@@ -107,11 +107,11 @@ function keeping(name) {
           place.replaceChildren(working("Moving the campaign to the trash"));
           const { place: trashed } = await send("POST", "put-away", { name });
           location.hash = "#/";
-          say(`${name} is in the trash.`, async () => {
+          say(`Moved ${name} to the trash.`, async () => {
             location.hash = campaignAddress((await send("POST", "restore", { place: trashed })).name);
           });
         }),
-      }, "Move to the trash")),
+      }, "Move to trash")),
     place);
 }
 
@@ -130,7 +130,7 @@ export async function campaignView(name) {
   const troubles = [
     ...campaign.mistakes.map(warning),
     ...(campaign.missing.length
-      ? [warning(`Missing: ${campaign.missing.join(", ")}`)] : []),
+      ? [warning(`Missing files: ${campaign.missing.join(", ")}`)] : []),
   ];
   /** @type {Node[]} */
   const content = [];

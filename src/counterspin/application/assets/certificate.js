@@ -26,10 +26,10 @@ class Amendment {
         changed();
       },
     }, make("option", { value: "" }, "New certificate"),
-    ...certificates.map(({ file, identifier }) => make("option", { value: file }, `Amendment of ${identifier}`)));
+    ...certificates.map(({ file, identifier }) => make("option", { value: file }, `Amendment to ${identifier}`)));
     this.reason = make("input", { autocomplete: "off", oninput: changed });
     this.row = labelled("Reason for the amendment", this.reason);
-    this.element = make("div", { class: "row" }, labelled("Type of certificate", this.file), this.row);
+    this.element = make("div", { class: "row" }, labelled("Certificate type", this.file), this.row);
     this.element.hidden = !certificates.length;
     if (certificates.some(({ file }) => file === amendedFile)) this.file.value = amendedFile;
     amendedFile = "";
@@ -54,8 +54,8 @@ class Amendment {
 /** The pages of a certificate as images. */
 class Preview {
   constructor() {
-    this.sheets = make("div", { class: "sheets", tabindex: "0", role: "region", "aria-label": "Pages of the certificate" });
-    this.state = make("p", { class: "quiet", role: "status" }, "Drawing the pages.");
+    this.sheets = make("div", { class: "sheets", tabindex: "0", role: "region", "aria-label": "Certificate pages" });
+    this.state = make("p", { class: "quiet", role: "status" }, "Rendering the pages.");
     this.wrong = make("div");
     this.element = make("section", { class: "pages" }, make("h2", {}, "Preview"), this.state, this.wrong, this.sheets);
   }
@@ -68,7 +68,7 @@ class Preview {
   show(pages, text) {
     this.sheets.replaceChildren(...pages.map((page, place) => make("img", {
       src: `data:image/svg+xml;charset=utf-8,${encodeURIComponent(page)}`,
-      alt: `Page ${place + 1} of ${pages.length} of the certificate`,
+      alt: `Certificate page ${place + 1} of ${pages.length}`,
     })));
     this.state.textContent = text;
   }
@@ -119,7 +119,7 @@ export async function certificateView(result) {
     const list = gaps();
     const draft = form.now.missing.length > 0 && !signing.wanted && !form.now.problems.length;
     const blocked = list.length > 0 && !draft;
-    button.textContent = signing.wanted ? "Sign and issue" : draft ? "Write a draft" : "Issue";
+    button.textContent = signing.wanted ? "Sign and issue" : draft ? "Write draft" : "Issue";
     if (blocked) button.setAttribute("aria-disabled", "true");
     else button.removeAttribute("aria-disabled");
     button.setAttribute("aria-describedby", missing.id);
@@ -129,7 +129,7 @@ export async function certificateView(result) {
     const sections = new Map(list.map(({ section }) => [section, list.filter((gap) => gap.section === section)]));
     missing.replaceChildren(make("h2", {}, list.length
       ? `Complete ${entries} before you ${action}${draft ? "; until then, you can write a draft" : ""}`
-      : `Nothing is missing. Read the pages before you ${action}.`),
+      : `All required entries are complete. Check the pages before you ${action}.`),
     ...list.length ? [make("ul", {}, ...[...sections].map(([section, some]) =>
       make("li", {}, make("span", { class: "section" }, section), make("span", {}, ...some.flatMap(({ text, words, go, leaveOut }) => [
         make("button", { type: "button", class: "link", onclick: go }, text),
@@ -145,7 +145,7 @@ export async function certificateView(result) {
       preview.state.textContent = "The preview does not show the latest entries, because they contain a mistake.";
       return;
     }
-    preview.state.textContent = "Drawing the pages.";
+    preview.state.textContent = "Rendering the pages.";
     drawn = text;
     const { pages } = await send("POST", "certificate-preview", { file, text, result });
     if (!issued) preview.show(pages, "Preview of the current entries. Every page is marked DRAFT until the certificate is issued.");
@@ -182,7 +182,7 @@ export async function certificateView(result) {
         dispatchEvent(new HashChangeEvent("hashchange"));
       };
       entries.replaceChildren(receiptOf(made, { result, signed: signing.wanted, form, amend }));
-      preview.show(made.pages, made.draft ? "Pages of the draft." : "Pages of the issued certificate.");
+      preview.show(made.pages, made.draft ? "Certificate draft as written." : "Certificate as issued.");
       entries.querySelector("h2")?.focus();
     } finally {
       button.disabled = false;
@@ -194,18 +194,18 @@ export async function certificateView(result) {
       labelled(`${file}, as text`, form.area), form.button),
     make("form", { class: "sign", novalidate: true, onsubmit: issue },
       amendment.element, signing.element,
-      make("details", { class: "aside" }, make("summary", {}, "Files of the certificate"),
+      make("details", { class: "aside" }, make("summary", {}, "Certificate files"),
         make("div", { class: "row" },
-          labelled("File of the certificate, .xml or .pdf", output),
+          labelled("Certificate file (.xml or .pdf)", output),
           make("label", { class: "choice" }, both, "Write both XML and PDF"))),
       place, button));
   const campaign = campaignOf(folder, result);
   return {
-    title: `Certificate of ${result}`,
+    title: `Certificate for ${result}`,
     content: [
       make("div", { class: "head" }, make("div", {}, make("h1", {}, "Calibration certificate"),
-        make("p", { class: "quiet" }, "Of ", make("a", { href: resultAddress(result) }, result),
-          "; the entries are kept in ", make("code", {}, file), "."))),
+        make("p", { class: "quiet" }, "Result: ", make("a", { href: resultAddress(result) }, result),
+          ". The entries are stored in ", make("code", {}, file), "."))),
       ...campaign === undefined ? [] : [campaignTabs(campaign, "certificate", { step: "certify", result })],
       make("div", { class: "certify" }, preview.element, entries),
     ],

@@ -21,7 +21,7 @@ const TITLES = /** @type {Record<string, string>} */ ({
   persons: "Responsible persons",
   equipment: "Equipment",
   specification: "Specification",
-  file: "The entries as text",
+  file: "Entries as text",
 });
 
 /** @param {string} section */
@@ -102,7 +102,7 @@ export class CertificateForm extends Editor {
 
   profileRow() {
     return make("div", { class: "row" }, this.profileButton(), make("p", { class: "help" },
-      "Laboratory, persons and traceability are then filled in for the next certificate."));
+      "The profile supplies laboratory, persons and traceability for the next certificate."));
   }
 
   profileButton() {
@@ -116,7 +116,7 @@ export class CertificateForm extends Editor {
     await this.last;
     const { file } = await send("POST", "profile", { file: this.file, text: this.now.text });
     this.hasProfile = true;
-    say(`Saved the laboratory profile, ${file}.`);
+    say(`Saved the laboratory profile as ${file}.`);
   }
 
   /** Mark fields with mistakes; `gaps` lists them. */

@@ -57,18 +57,18 @@ export async function historyView() {
     if (!told?.empty) return;
     const links = folder.campaigns.filter(({ results: own }) => own.length).map(({ name, title }) =>
       make("li", {}, make("a", { href: descriptionAddress(name, "s-accelerometers") }, title || name)));
-    place.append(make("p", {}, "Add a serial number and a date to the description of a campaign, then calibrate it again:"),
+    place.append(make("p", {}, "Add a serial number and a date to a campaign description, then calibrate the campaign again:"),
       make("ul", {}, ...links));
   };
   term.addEventListener("change", show);
   if (results.length) show();
-  else place.append(make("p", {}, "There is no result in this folder yet."));
+  else place.append(make("p", {}, "This folder contains no results yet."));
   return {
     title: "History",
     content: [
-      make("h1", {}, "History of instruments"),
-      make("p", { class: "quiet" }, "Results of one serial number are shown in the order of their dates. ",
-        "State both in a campaign's description, under Accelerometers and Campaign."),
+      make("h1", {}, "Instrument history"),
+      make("p", { class: "quiet" }, "Results with the same serial number are shown in order of date. ",
+        "Enter the serial number under Accelerometers and the date under Campaign in the campaign description."),
       make("div", { class: "row" }, labelled("Coefficient", term)),
       place,
     ],

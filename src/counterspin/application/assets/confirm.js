@@ -23,10 +23,10 @@ const ROLES = {
 };
 /** Kind of test -> its words. */
 const TESTS = {
-  "double-turntable": "Records of a double turntable",
-  "tumble": "Readings of a tumble test",
-  "arm": "Readings on the arm of a centrifuge",
-  "poses": "Records of a sensor in many poses",
+  "double-turntable": "Double-turntable records",
+  "tumble": "Tumble-test readings",
+  "arm": "Arm-centrifuge readings",
+  "poses": "Sensor records in many poses",
 };
 /** Question -> label; the question itself is then the help. */
 const LABELS = /** @type {Record<string, string>} */ ({
@@ -208,7 +208,7 @@ export class Confirmation {
     const others = this.questions.filter(({ key }) => !shown.has(key) && !key.endsWith(" is"));
     const site = others.filter(({ key }) => key in LABELS), rest = others.filter(({ key }) => !(key in LABELS));
     this.asks.replaceChildren(
-      make("h2", {}, "Information that the files do not contain"),
+      make("h2", {}, "Information not contained in the files"),
       make("div", { class: "site" }, ...site.map((question) => this.field(question, wrong))),
       make("div", { class: "site" }, ...rest.map((question) => this.field(question, wrong))),
       ...(wrong.has("") ? [warning(/** @type {string} */ (wrong.get("")))] : []));
@@ -216,7 +216,7 @@ export class Confirmation {
     this.below.replaceChildren(
       make("div", { class: "figures" }, ...(found.directions.length ? [circleOf(found.directions)] : []),
         ...(this.test ? [drawingOf(this.test === "poses" ? "accelerometer" : this.test, true)] : [])),
-      make("details", {}, make("summary", {}, "Findings in the files"),
+      make("details", {}, make("summary", {}, "Properties detected in the files"),
         make("ul", {}, ...found.statements.map((/** @type {string} */ line) => make("li", {}, line)))));
     this.showChecklist(found);
     if (!this.form.isConnected) this.place.replaceChildren(this.form);
@@ -237,11 +237,11 @@ export class Confirmation {
         : make("span", {}, words), make("span", { class: "quiet" }, more));
     const used = found.columns.length - this.unused(found).length;
     this.list.replaceChildren(
-      item("done", "Columns", `${used} used, ${found.columns.length - used} not used`),
+      item("done", "Columns", `${used} used, ${found.columns.length - used} unused`),
       ...this.questions.filter(({ key, guess }) => (guess === null || key in LABELS) && !key.endsWith(" is")).map(({ key, text }) =>
         item(open.has(key) ? "open" : "done", LABELS[key] ?? text, open.has(key) ? "open"
           : this.remembered.has(key) && this.sent[key] === found.remembered[key]?.answer
-            ? `as in ${found.remembered[key].campaign}; please check` : "", key)),
+            ? `copied from ${found.remembered[key].campaign}; please check` : "", key)),
       item("optional", "Bias and scale factor", "optional, in the description"),
       item("optional", "Serial number and date", "optional, for history and certificate"));
     const names = this.open().map(({ key, text }) => LABELS[key] ?? text);
@@ -296,10 +296,10 @@ export class Confirmation {
         make("p", { class: "quiet first" }, `${first.filter(Boolean).slice(0, 3).join(", ") || "empty"}${first.length ? " …" : ""}`));
     });
     const names = this.names.length > 1 ? `, ${this.names.length} files` : "";
-    const element = make("div", {}, make("h2", {}, `Columns of ${found.file}${names}`),
+    const element = make("div", {}, make("h2", {}, `Columns in ${found.file}${names}`),
       make("ul", { class: "columns" }, ...cards),
-      unused.length ? make("details", { class: "unused", open: true }, make("summary", {}, `Columns not used (${unused.length})`),
-        make("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Columns not used" }, make("table", {},
+      unused.length ? make("details", { class: "unused", open: true }, make("summary", {}, `Unused columns (${unused.length})`),
+        make("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Unused columns" }, make("table", {},
           make("thead", {}, make("tr", {}, ...["Column", "Reason", "First values", "Use as"].map((words) => make("th", { scope: "col" }, words)))),
           make("tbody", {}, ...unused.map((column) => make("tr", {},
             make("th", { scope: "row" }, make("code", {}, column.name)), make("td", {}, column.reason),
@@ -322,7 +322,7 @@ export class Confirmation {
     const { parts, others, blank } = this.roles();
     const choices = [...new Set([...parts, ...questions.get(`${name} is`)?.choices ?? others])];
     const control = make("select", {
-      "aria-label": `What is column ${name}?`,
+      "aria-label": `Role of column ${name}`,
       onchange: () => {
         for (const part of parts) {
           if (control.value === part) this.answers[part] = name;

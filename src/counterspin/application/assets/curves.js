@@ -26,7 +26,7 @@ export const tipOf = (degrees, radius) => {
  * @param {number[]} directions from up, clockwise, deg
  */
 export function circleOf(directions) {
-  const label = `The input axis at ${directions.length} positions, seen from the south, in degrees from up by east: ` +
+  const label = `Input-axis direction at ${directions.length} positions, seen from the south, in degrees clockwise from up: ` +
     directions.map((angle) => Number(angle.toFixed(1))).join(", ");
   const arrows = directions.map((angle) => {
     const [x, y] = tipOf(angle, 80);
@@ -36,7 +36,7 @@ export function circleOf(directions) {
     const [x, y] = tipOf(Number(angle), anchor === "middle" ? 98 : 90);
     return draw("text", { x, y: y + 4, "text-anchor": anchor }, document.createTextNode(String(word)));
   });
-  return make("figure", {}, make("figcaption", {}, "The input axis at each position, seen from the south"),
+  return make("figure", {}, make("figcaption", {}, "Input-axis direction at each position, seen from the south"),
     draw("svg", { viewBox: "-130 -112 260 224", class: "circle", role: "img", "aria-label": label },
       draw("circle", { cx: 0, cy: 0, r: 80, class: "rim" }), ...arrows, ...words));
 }

@@ -15,7 +15,7 @@ export async function descriptionView(name, begin) {
   const [told, campaign] = await Promise.all([get("description", { name }), get("campaign", { name })]);
   const title = told.document.campaign?.title || name || "Campaign";
   return {
-    title: `${title}, description`,
+    title: `Description: ${title}`,
     content: [make("h1", {}, title), campaignTabs(name, "description", reachedBy(campaign)), editorOf(told).element],
     begin,
   };

@@ -5,10 +5,10 @@ import { attempt, make } from "./dom.js";
 
 /** Drawing -> the question that it answers. */
 const QUESTIONS = /** @type {Record<string, string>} */ ({
-  "accelerometer": "Which axis is which?",
-  "arm": "Which way does the force point on the arm?",
-  "double-turntable": "Where is the angle 0, and which way does it count?",
-  "tumble": "Where is the angle 0, and which way does it count?",
+  "accelerometer": "Accelerometer axes",
+  "arm": "Direction of the specific force on the arm",
+  "double-turntable": "Zero angle and positive direction",
+  "tumble": "Zero angle and positive direction",
 });
 
 /** Drawings that were shown open, so that they stay so when fields are drawn again. */
@@ -30,7 +30,7 @@ export function drawingOf(name, begin = false) {
       if (!details.open || place.childElementCount) return;
       await attempt(place, async () => {
         const answer = await fetch(`/assets/machine-${name}.svg`);
-        if (!answer.ok) throw new Error(`The server responds with status ${answer.status}.`);
+        if (!answer.ok) throw new Error(`The server responded with status ${answer.status}.`);
         // The program's own, the same for everybody.
         place.innerHTML = await answer.text();
       });

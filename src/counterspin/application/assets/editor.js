@@ -70,9 +70,9 @@ const MOST_LISTED = 4;
 
 /** Section -> what is asked of a table that is added. */
 const ADDED = /** @type {Record<string, string>} */ ({
-  accelerometers: "Name of another accelerometer",
+  accelerometers: "Name of the new accelerometer",
   specification: "Name of an accelerometer with separate limits",
-  truth: "True values of an accelerometer, or of spindle, platform, centrifuge, encoder or noise",
+  truth: "Name of an accelerometer with true values, or spindle, platform, centrifuge, encoder or noise",
 });
 
 /**
@@ -96,7 +96,7 @@ const listed = (labels) => labels.slice(0, MOST_LISTED).join(", ")
   + (labels.length > MOST_LISTED ? ` and ${labels.length - MOST_LISTED} more` : "");
 
 /** @param {any} choice */
-const choiceWords = (choice) => ({ "\t": "tab", " ": "blank" })[String(choice)] ?? String(choice);
+const choiceWords = (choice) => ({ "\t": "tab", " ": "space" })[String(choice)] ?? String(choice);
 
 export class Editor {
   /**
@@ -241,7 +241,7 @@ export class Editor {
     const { text, version } = refused.told;
     const theirs = make("textarea", { readonly: true, rows: 12, value: text });
     const box = make("div", { class: "conflict" }, warning(refused.message),
-      labelled("The file as it is now", theirs),
+      labelled("Current file", theirs),
       make("div", { class: "row" },
         make("button", {
           type: "button",
@@ -253,7 +253,7 @@ export class Editor {
             this.textTyped();
             box.remove();
           },
-        }, "Load the file's version"),
+        }, "Load current file"),
         make("button", {
           type: "button",
           onclick: () => {
@@ -262,7 +262,7 @@ export class Editor {
             box.remove();
             this.save();
           },
-        }, "Overwrite with my version")));
+        }, "Overwrite current file")));
     this.notes.prepend(box);
   }
 
@@ -406,7 +406,7 @@ export class Editor {
   /** @param {string} key */
   adding(key) {
     const name = make("input", { autocomplete: "off", id: `new-${key}` });
-    return make("div", { class: "row" }, labelled(ADDED[key] ?? "Name of another", name),
+    return make("div", { class: "row" }, labelled(ADDED[key] ?? "Name of the new entry", name),
       make("button", {
         type: "button",
         onclick: () => { if (name.value.trim()) this.change([key, name.value.trim()], {}); },
@@ -588,7 +588,7 @@ export class Editor {
     return make("details", { class: "terms", id: `t-${keyPath(path)}`, open: ticked.length > 0 },
       make("summary", {}, ticked.length ? `${field.label}: ${ticked.join(", ")}` : field.label), help,
       make("div", { class: "ticks" }, make("table", {},
-        make("thead", {}, make("tr", {}, make("td", {}), ...["Term", "What it is", "Known beforehand"]
+        make("thead", {}, make("tr", {}, make("td", {}), ...["Term", "Description", "Prior information"]
           .map((words) => make("th", { scope: "col" }, words)))),
         make("tbody", {}, ...others.map((one) => row(one, "")),
           ...rows.map(({ key, words }) => row(key, words))))));
@@ -632,7 +632,7 @@ export class Editor {
     const key = make("input", { id: `nk-${keyPath(path)}`, autocomplete: "off" });
     const one = make("input", { id: `nv-${keyPath(path)}`, autocomplete: "off" });
     return make("fieldset", {}, make("legend", {}, field.label), help, ...rows,
-      make("div", { class: "row" }, labelled("Another key", key), labelled("Its value", one),
+      make("div", { class: "row" }, labelled("New key", key), labelled("New value", one),
         make("button", {
           type: "button",
           onclick: () => {

@@ -35,8 +35,8 @@ function campaignCard(campaign) {
     make("div", {}, ...(result?.answers ?? []).map((a) =>
       make("p", { class: "answer-line" }, ...symbols(`${a.name} = ${a.text}`))),
     make("p", {}, stateMark(campaign.state, campaign.words),
-      campaign.missing.length ? ` ${campaign.missing.length} missing` : "",
-      campaign.mistakes.length ? ` ${campaign.mistakes.length} to correct` : "")));
+      campaign.missing.length ? ` Missing files: ${campaign.missing.length}` : "",
+      campaign.mistakes.length ? ` Mistakes: ${campaign.mistakes.length}` : "")));
 }
 
 /** What campaigns are sorted by -> what a campaign has of it, the first one least. */
@@ -76,8 +76,8 @@ function newCampaign() {
   const name = make("input", { required: true, autocomplete: "off", placeholder: "my-campaign" });
   const test = make("select", {},
     make("option", { value: "double-turntable" }, "Double turntable"),
-    make("option", { value: "tumble" }, "Tumble"),
-    make("option", { value: "arm" }, "Arm of a centrifuge"));
+    make("option", { value: "tumble" }, "Tumble test"),
+    make("option", { value: "arm" }, "Arm centrifuge"));
   const wrong = make("div");
   const form = make("form", {
     class: "row",
@@ -87,8 +87,8 @@ function newCampaign() {
       say(`Wrote ${made.name}/campaign.toml.`);
       location.hash = campaignAddress(made.name);
     }),
-  }, labelled("Folder of the example", name), labelled("Kind of test", test),
-  make("button", {}, "Write an example"));
+  }, labelled("Example folder", name), labelled("Kind of test", test),
+  make("button", {}, "Write example"));
   return [
     make("h2", {}, "New campaign"), importEntry(),
     make("details", {}, make("summary", {}, "Start from a template"), form, wrong),
@@ -146,8 +146,8 @@ export async function folderView() {
       folder.campaigns.length > 2 ? make("button", { type: "button", class: "main", onclick: begin }, "New campaign") : null),
     ...folder.campaigns.length
       ? campaignList(folder.campaigns)
-      : [make("p", {}, "counterspin calibrates accelerometers from records of a centrifuge or tumble test: it estimates their " +
-        "error coefficients, above all K_II, with uncertainties. This folder has no campaign yet.")],
+      : [make("p", {}, "counterspin calibrates accelerometers from records of a centrifuge or tumble test. It estimates the error " +
+        "coefficients, in particular K_II, and their uncertainties. This folder contains no campaigns yet.")],
     instruments([...folder.campaigns.flatMap((c) => c.results), ...folder.results]
       .filter((r) => r.state !== "damaged").map((r) => r.name)),
     make("section", {}, ...newCampaign()),

@@ -44,7 +44,7 @@ export function folderName(names, date, taken) {
  * @param {(files: File[], folder: string) => any} take
  */
 function importPanel(take) {
-  const folder = make("input", { autocomplete: "off", placeholder: "suggested from the files" });
+  const folder = make("input", { autocomplete: "off", placeholder: "derived from the file names" });
   const files = make("input", { type: "file", multiple: true, id: "exports" });
   const takeFiles = (/** @type {Iterable<File>|null|undefined} */ list) => {
     const found = [...list ?? []];
@@ -61,9 +61,9 @@ function importPanel(take) {
   }, "Open a sample campaign");
   const zone = make("div", { class: "drop" },
     make("h2", {}, "Drop your recorder’s files here"),
-    make("p", { class: "quiet" }, "One file for each run, or one table of readings: CSV, text, Excel, Parquet, HDF5, MATLAB, TDMS or " +
+    make("p", { class: "quiet" }, "One file per run, or one table of readings: CSV, text, Excel, Parquet, HDF5, MATLAB, TDMS or " +
       "LabVIEW. The files stay on this machine."),
-    make("div", { class: "row" }, labelled("The recorder's files", files), labelled("Folder of the new campaign (optional)", folder), sample),
+    make("div", { class: "row" }, labelled("Recorder files", files), labelled("Folder for the new campaign (optional)", folder), sample),
     pastedTable((file) => takeFiles([file])), place);
   zone.addEventListener("dragover", (event) => {
     event.preventDefault();
@@ -98,7 +98,7 @@ function pastedTable(take) {
     placeholder: "position_deg\treading_mA\n0\t1.2503\n30\t1.0825" });
   let count = 0;
   return make("details", {}, make("summary", {}, "Paste a table"),
-    labelled("Column names, then one line per reading, as copied from a spreadsheet", text),
+    labelled("Table with a header row and one row per reading, as copied from a spreadsheet", text),
     make("button", {
       type: "button",
       // A changed table is another file, because no file is replaced.
@@ -133,7 +133,7 @@ async function upload(files, typed, show, uploaded) {
     try {
       const names = [];
       for (const [place, file] of files.entries()) {
-        show(`Uploading ${file.name}, ${place + 1} of ${files.length}`);
+        show(`Uploading ${file.name} (${place + 1} of ${files.length})`);
         const { name } = await bring(`${folder}/${file.name}`, file);
         names.push(name);
         uploaded(folder, name);
@@ -151,7 +151,7 @@ async function upload(files, typed, show, uploaded) {
 export async function importView() {
   const place = make("div");
   const title = make("h1", {}, "New campaign");
-  const steps = make("nav", { class: "steps", "aria-label": "Steps of the campaign" }, stepList(0));
+  const steps = make("nav", { class: "steps", "aria-label": "Campaign steps" }, stepList(0));
   /** @type {Confirmation|null} */
   let confirmation = null;
   const show = (/** @type {string} */ text) => place.replaceChildren(working(text));

@@ -52,11 +52,11 @@ export async function addSliders(part, result, accelerometer) {
   const known = {};
   const ask = oneAtATime(async () => {
     const told = await send("POST", "what-if", { ...asked, known: { ...known } });
-    const instead = Object.keys(known).length ? ` instead of ${first.text}` : "";
+    const instead = Object.keys(known).length ? ` (currently ${first.text})` : "";
     answer.replaceChildren(...symbols(`u of ${first.symbol}: ${told.text}${instead}`));
   }, wrong);
   const rows = /** @type {HTMLTableRowElement[]} */ ([...box.querySelectorAll("tr")]);
-  rows[0].append(make("th", { scope: "col", class: "control" }, "What if it were known to"));
+  rows[0].append(make("th", { scope: "col", class: "control" }, "Assumed standard uncertainty"));
   const cells = rows.slice(1).map((row) => {
     const cell = make("td", { class: "control" });
     row.append(cell);
@@ -69,13 +69,13 @@ export async function addSliders(part, result, accelerometer) {
     const words = make("output", { for: id, "aria-live": "off" }, size(source, source.u));
     const range = make("input", {
       id, type: "range", min: -2, max: 1, step: 0.05, value: 0,
-      "aria-label": named(source), "aria-valuetext": `${words.textContent}, as now`,
+      "aria-label": named(source), "aria-valuetext": `${words.textContent}, current value`,
       oninput: () => {
         const u = knownTo(source, Number(range.value));
         if (Number(range.value)) known[source.name] = u;
         else delete known[source.name];
         words.textContent = size(source, u);
-        range.setAttribute("aria-valuetext", `${words.textContent}${Number(range.value) ? "" : ", as now"}`);
+        range.setAttribute("aria-valuetext", `${words.textContent}${Number(range.value) ? "" : ", current value"}`);
         ask();
       },
     });
@@ -110,17 +110,17 @@ export async function waysPart(name, result) {
   const lines = told.ways.flatMap(({ accelerometer, stated, runs }) => {
     const of = told.ways.length > 1 ? ` of ${accelerometer}` : "";
     const found = runs ? [make("li", {},
-      ...symbols(`Add ${runs.count} run${runs.count === 1 ? "" : "s"} turned ${runs.attitude} (${runs.minutes} min of records): ` +
-        `the uncertainty of ${stated.symbol}${of} becomes ${runs.left} instead of ${runs.now}. `),
+      ...symbols(`Add ${runs.count} run${runs.count === 1 ? "" : "s"} with attitude ${runs.attitude} (${runs.minutes} min of records): ` +
+        `the uncertainty of ${stated.symbol}${of} would fall from ${runs.now} to ${runs.left}. `),
       make("button", { type: "button",
         onclick: prepare(accelerometer, "runs", "A copy of the campaign contains these runs. Record them, then calibrate the copy.") }, "Prepare a copy with these runs"))]
-      : told.searched ? [make("li", {}, `No run in another attitude would improve ${accelerometer}.`)] : [];
+      : told.searched ? [make("li", {}, `No run in another attitude would reduce the uncertainty of ${stated.symbol}${of}.`)] : [];
     return [make("li", {},
-      ...symbols(`Measure or state the ${named({ name: stated.source, words: stated.words })}, to ${stated.known}: ` +
-        `the uncertainty of ${stated.symbol}${of} becomes ${stated.left} instead of ${stated.now}. `),
+      ...symbols(`Measure or specify the ${named({ name: stated.source, words: stated.words })}, with a standard uncertainty of ${stated.known}: ` +
+        `the uncertainty of ${stated.symbol}${of} would fall from ${stated.now} to ${stated.left}. `),
       make("button", { type: "button",
-        onclick: prepare(accelerometer, "state", "The copy of the campaign states a value for it. " +
-          "Replace this value with yours.") }, "Prepare a copy with this value")),
+        onclick: prepare(accelerometer, "state", "The copy of the campaign contains a placeholder value. " +
+          "Replace this value with your measured value.") }, "Prepare a copy with this value")),
     ...found];
   });
   const box = make("section", { class: "ways" }, make("h2", {}, "How to reduce the uncertainty"), make("ul", {}, ...lines));

@@ -15,9 +15,9 @@ const HEIGHT = 220;
 class UncertaintyChart {
   constructor() {
     this.seen = /** @type {Reached[]} */ ([]);
-    this.box = make("div", { class: "canvas", role: "img", "aria-label": "Standard uncertainty over recorded minutes" });
+    this.box = make("div", { class: "canvas", role: "img", "aria-label": "Standard uncertainty versus recorded time" });
     this.element = make("figure", { hidden: true }, make("figcaption", {},
-      "Standard uncertainty over recorded minutes, since this page was opened"), this.box);
+      "Standard uncertainty versus recorded time, since this page was opened"), this.box);
     /** @type {any} */
     this.chart = null;
     new ResizeObserver(() => {
@@ -49,13 +49,13 @@ class UncertaintyChart {
         const steps = stepsAround(low, high);
         return [steps[0], steps[steps.length - 1]];
       } } },
-      axes: [axis("recorded, min", 34), {
+      axes: [axis("recorded time, min", 34), {
         ...axis("standard uncertainty", 70),
         splits: (/** @type {any} */ _, /** @type {number} */ __, /** @type {number} */ low, /** @type {number} */ high) => stepsAround(low, high),
         filter: (/** @type {any} */ _, /** @type {number[]} */ steps) => steps,
         values: (/** @type {any} */ _, /** @type {number[]} */ steps) => steps.map(String),
       }],
-      series: [{ label: "recorded, min" }, ...this.seen[0].u.map(({ name }, place) =>
+      series: [{ label: "recorded time, min" }, ...this.seen[0].u.map(({ name }, place) =>
         ({ label: name, stroke: () => colour(`--series-${(place % 6) + 1}`), width: 2 }))],
     }, columnsOf(this.seen), this.box);
   }
@@ -134,7 +134,7 @@ export async function liveView(name) {
         told.events.forEach(/** @param {string} one */ (one) => events.prepend(make("li", {}, one)));
       }
       if (told.complete) {
-        say("All runs are recorded.");
+        say("All runs have been recorded.");
         place.append(make("p", {}, make("a", { class: "button", href: campaignAddress(name) }, "Continue to the result")));
         looking = false;
         return;
@@ -164,12 +164,12 @@ export async function liveView(name) {
   });
   setTimeout(look);
   return {
-    title: `${campaign.title}, live`,
+    title: `Live: ${campaign.title}`,
     content: [
       make("h1", {}, campaign.title), campaignTabs(name, "live", reachedBy(campaign)),
-      make("p", { class: "quiet" }, "The page reads the records every second while your recorder writes them into the campaign's folder. "
-        + "Ripple is given as a fraction of the rate; residuals should be about as large as the noise."),
-      make("div", { class: "row" }, labelled("Goal: a coefficient and its standard uncertainty", goal)), wrong, chart.element, place, events, command,
+      make("p", { class: "quiet" }, "The page reads the records every second while your recorder writes them into the campaign folder. "
+        + "Ripple is given as a fraction of the rate. The residuals should be about as large as the noise."),
+      make("div", { class: "row" }, labelled("Goal (coefficient and standard uncertainty)", goal)), wrong, chart.element, place, events, command,
     ],
   };
 }

@@ -16,28 +16,28 @@ export async function plansView() {
   const wrong = make("div");
   const name = make("input", { required: true, autocomplete: "off", value: "PLAN.toml" });
   const example = make("select", {},
-    make("option", { value: "records" }, "Records of a double turntable"),
-    make("option", { value: "poses" }, "Poses of three accelerometers"));
+    make("option", { value: "records" }, "Double-turntable records"),
+    make("option", { value: "poses" }, "Poses for three accelerometers"));
   const form = make("form", {
     class: "row",
     onsubmit: submitting(wrong, async () => {
       await send("POST", "plan", { name: name.value.trim(), example: example.value });
       location.hash = planAddress(name.value.trim());
     }),
-  }, labelled("File of the example", name), labelled("Kind of plan", example), make("button", {}, "Write an example"));
+  }, labelled("Example file", name), labelled("Plan type", example), make("button", {}, "Write example"));
   return {
     title: "Plans",
     content: [
       make("h1", {}, "Plans"),
-      make("p", { class: "quiet" }, "A plan chooses the runs' rates, lengths and attitudes that lead to the smallest uncertainty ",
-        "within the limits of time and machine, or to a target uncertainty in the shortest time. A plan of readings chooses ",
+      make("p", { class: "quiet" }, "A plan selects the rates, durations and attitudes of the runs. The plan minimises the uncertainty within the limits of ",
+        "time and machine, or the time to reach a target uncertainty. A plan for readings selects ",
         "positions, rates or poses in the same way."),
       folder.plans.length
         ? make("ul", { class: "cards" }, ...folder.plans.map(/** @param {{name: string, title: string}} plan */ ({ name, title }) =>
           make("li", { class: "card" }, make("h2", {}, make("a", { href: planAddress(name) }, title || name)),
             title ? make("p", { class: "quiet" }, name) : null)))
-        : make("p", {}, "There is no plan in this folder yet."),
-      make("h2", {}, "Begin a plan"), form, wrong,
+        : make("p", {}, "This folder contains no plans yet."),
+      make("h2", {}, "New plan"), form, wrong,
     ],
   };
 }
@@ -77,7 +77,7 @@ function timeField(id, limit, moved) {
   const change = () => {
     const seconds = Number(number.value) * UNITS[/** @type {keyof typeof UNITS} */ (unit.value)];
     const good = seconds >= limit.low && seconds <= limit.high;
-    wrong.textContent = good ? "" : `From ${duration(limit.low)} to ${duration(limit.high)}.`;
+    wrong.textContent = good ? "" : `Enter a time from ${duration(limit.low)} to ${duration(limit.high)}.`;
     number.setAttribute("aria-invalid", String(!good));
     if (good) moved(seconds);
   };
@@ -123,7 +123,7 @@ export async function planView(name) {
    */
   const move = (key, value) => {
     moved[key] = value;
-    if (planned.childElementCount) state.textContent = "The limits have changed since this plan. Plan again.";
+    if (planned.childElementCount) state.textContent = "The limits have changed since this plan was calculated. Calculate the plan again.";
   };
   const sliders = plan.limits.map((limit) => {
     const id = `limit-${limit.key}`;
@@ -149,14 +149,14 @@ export async function planView(name) {
     class: "row",
     onsubmit: carryOut(written, () => send("POST", "planned", { name, moved, folder: folder.value }),
       (job) => { location.hash = campaignAddress(job.output); }),
-  }, labelled("Folder of the planned campaign", folder),
-  make("button", {}, "Save these limits and create the campaign"));
+  }, labelled("Folder for the planned campaign", folder),
+  make("button", {}, "Save limits and create campaign"));
   const search = make("form", {
     onsubmit: submitting(planned, () => {
       state.textContent = "";
       return show({ ...moved });
     }),
-  }, make("div", { class: "sliders" }, ...sliders), make("button", { class: "main" }, "Plan within these limits"));
+  }, make("div", { class: "sliders" }, ...sliders), make("button", { class: "main" }, "Calculate plan"));
   const edited = make("div");
   const file = make("details", {
     ontoggle: () => {
@@ -173,7 +173,7 @@ export async function planView(name) {
     content: [
       make("h1", {}, plan.title), make("p", { class: "quiet" }, name),
       search, state, planned, file,
-      make("h2", {}, "Campaign of this plan"), form, written, commandLine(plan.command),
+      make("h2", {}, "Planned campaign"), form, written, commandLine(plan.command),
     ],
   };
 }

@@ -54,7 +54,7 @@ export function quantityField({ key, choices, example, guess, units = [] }, labe
     : make("input", { id, autocomplete: "off", spellcheck: "false", placeholder: units.length ? "" : example });
   const hint = make("p", { class: "help", id: `${id}-help` }, help || (units.length ? `For example ${example}.` : ""));
   const usual = hint.textContent ?? "";
-  const u = make("input", { autocomplete: "off", spellcheck: "false", placeholder: "typical", "aria-label": `${label}, standard uncertainty` });
+  const u = make("input", { autocomplete: "off", spellcheck: "false", placeholder: "default", "aria-label": `${label}, standard uncertainty` });
   const unit = make("select", { "aria-label": `${label}, unit` }, ...units.map((value) => make("option", { value }, value.replace("^2", "²"))));
   const controls = units.length ? [control, u, unit] : [control];
   if (bare) control.setAttribute("aria-label", label);

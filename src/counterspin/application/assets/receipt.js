@@ -17,8 +17,8 @@ export function receiptOf(made, { result, signed, form, amend }) {
   const facts = [
     ["Identifier", made.identifier],
     ["Accelerometers", made.accelerometers.join(", ")],
-    ["Responsible", made.signed_by],
-    ["Signature", signed ? `electronic, ${made.signer}` : "none"],
+    ["Responsible person", made.signed_by],
+    ["Signature", signed ? `electronic (${made.signer})` : "none"],
   ];
   const files = made.files.map((/** @type {string} */ name, /** @type {number} */ place) =>
     fileBox(name, made.checksums[place], pem));
@@ -57,7 +57,7 @@ function fileBox(name, checksum, pem) {
       return;
     }
     state.replaceChildren(make("span", { class: "state good" }, {
-      valid: told.pages ? "Signatures of XML and pages are valid" : "Signature is valid",
+      valid: told.pages ? "The signatures of XML and pages are valid" : "The signature is valid",
       none: "Unchanged; not signed",
       unchecked: "Unchanged; the signature was not verified",
     }[/** @type {"valid" | "none" | "unchecked"} */ (told.signature)]));

@@ -52,7 +52,7 @@ class RecordPlots {
       tool("−", "Zoom out", () => this.see(0, 2)),
       tool("‹", "Move left", () => this.see(-0.25, 1)),
       tool("›", "Move right", () => this.see(0.25, 1)),
-      tool("Whole", "Show the whole", () => this.show(this.whole)),
+      tool("All", "Show all", () => this.show(this.whole)),
       make("p", {}, "Drag to zoom in, double-click to zoom out."));
   }
 
@@ -89,9 +89,9 @@ class RecordPlots {
       });
     });
     this.words.textContent = told.whole
-      ? "Every row is drawn."
-      : "Each column of pixels shows the minimum and the maximum of its rows " +
-        `(${this.about.rows.toLocaleString("en")} in all).`;
+      ? "The plot shows every row."
+      : "Each pixel column shows the minimum and the maximum of its rows " +
+        `(${this.about.rows.toLocaleString("en")} rows in total).`;
   }
 
   make() {
@@ -180,18 +180,18 @@ export async function runsView(name) {
   select.addEventListener("change", show);
   fitted.addEventListener("change", show);
   if (runs.length) setTimeout(show);
-  const missing = campaign.missing.map(/** @param {string} file */ (file) => warning(`Missing: ${file}`));
+  const missing = campaign.missing.map(/** @param {string} file */ (file) => warning(`Missing file: ${file}`));
   return {
-    title: `${campaign.title}, records`,
+    title: `Records: ${campaign.title}`,
     content: [
       make("h1", {}, campaign.title), campaignTabs(name, "runs", reachedBy(campaign)),
       ...missing,
       ...(runs.length
         ? [make("div", { class: "row" }, labelled("Run", select),
           make("button", { type: "button", onclick: check }, "Check this run"),
-          make("label", { class: "choice" }, fitted, "Data and fit, minus the parabola of the bias")), judgement, place]
-        : [make("p", {}, "There is no record to show. The records that the description names are drawn here once their files exist; " +
-          "single readings are listed with the result.")]),
+          make("label", { class: "choice" }, fitted, "Data and fit, with the bias parabola removed")), judgement, place]
+        : [make("p", {}, "No records to show. The records listed in the description appear here when their files exist. " +
+          "Individual readings are listed with the result.")]),
     ],
   };
 }

@@ -28,16 +28,16 @@ export class Signing {
         changed();
       },
     },
-      signer ? make("option", { value: "command" }, `With the server’s signing command: ${signer}`) : null,
-      make("option", { value: "key" }, "With a key file"),
-      make("option", { value: "" }, "Not signed"));
+      signer ? make("option", { value: "command" }, `Signing command of the server: ${signer}`) : null,
+      make("option", { value: "key" }, "Key file"),
+      make("option", { value: "" }, "No signature"));
     this.key = make("input", { type: "file", accept: ".pem,.key,.p12,.pfx", onchange: changed });
     this.certificate = make("input", { type: "file", accept: ".pem,.crt,.cer" });
     this.password = make("input", { type: "password", autocomplete: "off" });
     this.files = make("div", { class: "row" },
-      labelled("Key, PEM or PKCS #12", this.key),
-      labelled("Certificate of the key (PEM), if the key file contains none", this.certificate),
-      labelled("Password of the key, if it has one", this.password));
+      labelled("Key file (PEM or PKCS #12)", this.key),
+      labelled("Signer's certificate (PEM), if not in the key file", this.certificate),
+      labelled("Key password (if encrypted)", this.password));
     this.words = make("p", { class: "quiet" });
     this.element = make("div", {}, make("div", { class: "row" }, labelled("Signature", this.how)),
       this.files, this.words);
@@ -51,7 +51,7 @@ export class Signing {
 
   /** What the signature lacks; empty: nothing. */
   get gap() {
-    return this.how.value === "key" && !this.key.files?.length ? "File of the key" : "";
+    return this.how.value === "key" && !this.key.files?.length ? "Key file" : "";
   }
 
   focus() {
@@ -63,8 +63,8 @@ export class Signing {
     this.files.hidden = this.how.value !== "key";
     this.words.textContent = {
       "": "",
-      key: "Both XML and PDF are signed. Key and password are used for this request only and not stored.",
-      command: "Both XML and PDF are signed.",
+      key: "The server signs both XML and PDF. Key and password are used for this request only and are not stored.",
+      command: "The server signs both XML and PDF.",
     }[this.how.value] ?? "";
   }
 
@@ -76,7 +76,7 @@ export class Signing {
     if (this.how.value === "") return undefined;
     if (this.how.value === "command") return {};
     const [key, certificate] = [this.key.files?.[0], this.certificate.files?.[0]];
-    if (!key) throw new Error("Choose the file of the key.");
+    if (!key) throw new Error("Choose the key file.");
     const password = this.password.value;
     this.password.value = "";
     return {

@@ -45,7 +45,7 @@ export function campaignTabs(name, here, { step, result }) {
   const now = ["import", "confirm", "calibrate", "review", "certify"].indexOf(step);
   const links = [at("runs"), at("description"), at("campaign"), at("campaign"),
     result === undefined ? null : `#/certificate/${encodeURIComponent(result)}`];
-  return make("nav", { class: "steps", "aria-label": "The campaign" }, stepList(now, links),
+  return make("nav", { class: "steps", "aria-label": "Campaign steps" }, stepList(now, links),
     make("details", { class: "menu" }, make("summary", {}, "More"),
       make("div", {}, ...Object.entries({ campaign: "Result", ...PLACES }).map(([place, words]) =>
         make("a", { href: at(place), "aria-current": place === here ? "page" : null }, words)),

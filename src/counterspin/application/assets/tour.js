@@ -8,11 +8,11 @@ const KEY = "counterspin-tour";
 
 /** Steps: what is shown, its title and its explanation. */
 const STEPS = [
-  [".steps", "Five steps", "A campaign leads from the files to a certificate in five steps. This one is calibrated: Review shows its result."],
+  [".steps", "Five steps", "A campaign has five steps, from the files to the certificate. This campaign is calibrated; Review shows the result."],
   [".instrument", "Result", "Each card shows K_II with its standard uncertainty u and its 95 % interval. The bar shows the sources of u; the checks below the bar test the fit."],
-  ['[role="tablist"]', "Tabs", "In the uncertainty budget, sliders show how u falls if a source becomes better known. Residuals shows data minus model. Inputs lists all files with checksums."],
-  [".head .row", "Report and certificate", "Save a report, copy the values, or issue a certificate. A certificate is a draft until all entries of the laboratory are complete."],
-  [".steps .menu", "Description and records", "More leads to the description with every setting, to plots of the records, to a forecast and a study. The glossary explains the terms."],
+  ['[role="tablist"]', "Tabs", "In the uncertainty budget, sliders show how u decreases if a source is known more accurately. The Residuals tab shows data minus model. The Inputs tab lists all files with checksums."],
+  [".head .row", "Report and certificate", "Save a report, copy the values, or issue a certificate. A certificate is a draft until all laboratory entries are complete."],
+  [".steps .menu", "Description and records", "The More menu opens the description with every setting, the record plots, a forecast and a study. The glossary explains the terms."],
 ];
 
 /** @param {string} name of the campaign that is shown next */
@@ -30,10 +30,10 @@ export function tourOf(name) {
   const back = make("button", { type: "button", onclick: () => show(now - 1) }, "Back");
   const next = make("button", { type: "button", class: "main", onclick: () => (now + 1 < STEPS.length ? show(now + 1) : close()) });
   const box = make("aside", {
-    class: "tour panel", role: "dialog", "aria-label": "Tour of the campaign",
+    class: "tour panel", role: "dialog", "aria-label": "Campaign tour",
     onkeydown: (/** @type {KeyboardEvent} */ event) => { if (event.key === "Escape") close(); },
   }, title, make("div", { "aria-live": "polite" }, text),
-  make("div", { class: "row" }, count, back, next, make("button", { type: "button", onclick: () => close() }, "Close the tour")));
+  make("div", { class: "row" }, count, back, next, make("button", { type: "button", onclick: () => close() }, "Close tour")));
   const unmark = () => document.querySelectorAll(".toured").forEach((element) => element.classList.remove("toured"));
   const close = () => {
     sessionStorage.removeItem(KEY);

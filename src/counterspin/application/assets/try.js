@@ -74,28 +74,28 @@ export async function tryView(name) {
   setTimeout(() => fill(forecast, "forecast", [file]));
   if (campaign.study) setTimeout(showStudy);
   return {
-    title: `${campaign.title}, tried out`,
+    title: `Try out: ${campaign.title}`,
     content: [
       make("h1", {}, campaign.title), campaignTabs(name, "try", reachedBy(campaign)),
       make("section", {}, make("h2", {}, "Study"),
-        make("p", { class: "quiet" }, "The campaign is simulated many times with the true values of its ",
+        make("p", { class: "quiet" }, "A study simulates the campaign many times with the true values in the ",
           make("a", { href: descriptionAddress(name, "s-truth") }, "description"),
-          " and calibrated each time, which shows whether the stated uncertainties are valid."),
+          " and calibrates each simulation. The result shows whether the stated uncertainties are valid."),
         durationPart(name, trials),
-        ...jobForm(campaign, "study", labelled("Trials", trials), "Study",
+        ...jobForm(campaign, "study", labelled("Number of trials", trials), "Run study",
           () => send("POST", "study", { name, trials: Number(trials.value) }),
           () => showStudy().then(() => studied.scrollIntoView()))),
       make("section", {}, make("h2", {}, "Simulated records"),
-        make("p", { class: "quiet" }, "Simulates the records that the true values in the description would produce, and writes them into a separate folder."),
-        ...jobForm(campaign, "simulation", labelled("Folder of the records", folder), "Simulate",
+        make("p", { class: "quiet" }, "counterspin simulates records from the true values in the description and writes the records to a separate folder."),
+        ...jobForm(campaign, "simulation", labelled("Folder for the records", folder), "Simulate",
           () => send("POST", "simulation", { name, folder: folder.value }),
           (job) => simulated.replaceChildren("The records are in ",
             make("a", { href: campaignAddress(job.output) }, job.output), ".")),
         simulated),
       studied,
       make("section", {}, make("h2", {}, "Forecast"),
-        make("p", { class: "quiet" }, "Expected uncertainties, computed from the description. Missing noise, rates or "
-          + "durations are taken from the records of the runs, if there are any."), forecast),
+        make("p", { class: "quiet" }, "Uncertainties expected from the description. If the description lacks noise, rates or "
+          + "durations, counterspin takes these values from existing records of the runs."), forecast),
     ],
   };
 }

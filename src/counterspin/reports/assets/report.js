@@ -484,7 +484,7 @@ var counterspin = (() => {
         zoomButton("−", "Zoom out", () => see(0, 2)),
         zoomButton("‹", "Move left", () => see(-0.25, 1)),
         zoomButton("›", "Move right", () => see(0.25, 1)),
-        zoomButton("Whole", "Show the whole", () => chart.setScale("x", { min: whole[0], max: whole[1] })),
+        zoomButton("All", "Show all", () => chart.setScale("x", { min: whole[0], max: whole[1] })),
         make("p", {}, "Drag to zoom in, double-click to zoom out.")),
       canvas,
       readout,
