@@ -523,7 +523,7 @@ def test_terms_are_ticked_beside_what_they_do_and_what_is_known_of_them(opened, 
         "one => { for (let up = one; up; up = up.parentElement.closest('details')) up.open = true }"
     )
     row = table.get_by_role("row", name="K_OQ")
-    assert "Odd second-order coefficient" in row.inner_text()
+    assert "Odd quadratic coefficient" in row.inner_text()
     row.get_by_role("checkbox").check()
     text = tab.get_by_label("campaign.toml")
     wait_until(tab, lambda: '"K_OQ"' in text.input_value())

@@ -280,7 +280,7 @@ test("a refusal says what the server says, or its status", async () => {
     return true;
   });
   server.answer = () => new Response("<html>", { status: 502 });
-  await assert.rejects(get("result"), { status: 502, message: "The server responds with status 502." });
+  await assert.rejects(get("result"), { status: 502, message: "The server responded with status 502." });
   server.answer = () => {
     throw new TypeError("network");
   };

@@ -113,7 +113,7 @@ export async function waysPart(name, result) {
       ...symbols(`Add ${runs.count} run${runs.count === 1 ? "" : "s"} with attitude ${runs.attitude} (${runs.minutes} min of records): ` +
         `the uncertainty of ${stated.symbol}${of} would fall from ${runs.now} to ${runs.left}. `),
       make("button", { type: "button",
-        onclick: prepare(accelerometer, "runs", "A copy of the campaign contains these runs. Record them, then calibrate the copy.") }, "Prepare a copy with these runs"))]
+        onclick: prepare(accelerometer, "runs", "A copy of the campaign contains these runs. Record these runs, then calibrate the copy.") }, "Prepare a copy with these runs"))]
       : told.searched ? [make("li", {}, `No run in another attitude would reduce the uncertainty of ${stated.symbol}${of}.`)] : [];
     return [make("li", {},
       ...symbols(`Measure or specify the ${named({ name: stated.source, words: stated.words })}, with a standard uncertainty of ${stated.known}: ` +
