@@ -38,8 +38,9 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     return [
         Table(
             "A plan of eight runs",
-            "Rates, lengths and senses free, all disturbances on. A whole process, start of Python "
-            "included, with the limits of the plan and with alternative plans.",
+            "Rates, durations and senses of rotation are optimised; all disturbances are enabled. "
+            "Each time is that of a whole process, including the start of Python. The output "
+            "includes the limits of the plan and alternative plans.",
             ["process", "median (s)", "fastest (s)", "target (s)", "peak MB"],
             [["counterspin plan", found.median, found.fastest, 3.0, found.peak]],
         ),
