@@ -49,8 +49,8 @@ _KINDS: Final = (
 
 #: How files of some kinds begin, and what they are.
 _BEGINNINGS: Final = (
-    (b"\x89PNG", "a picture (PNG)"),
-    (b"\xff\xd8\xff", "a picture (JPEG)"),
+    (b"\x89PNG", "an image (PNG)"),
+    (b"\xff\xd8\xff", "an image (JPEG)"),
     (b"%PDF", "a PDF"),
     (b"PK\x03\x04", "an Excel workbook, or a ZIP archive"),
     (b"PAR1", "a Parquet file"),

@@ -61,7 +61,7 @@ def blocks(name="Qx"):
         Paragraph(f"Warning: {name} is odd", "warning"),
         Paragraph("Joint method.", "quiet"),
         Heading("Quality checks"),
-        Paragraph(f"{name} passed all checks."),
+        Paragraph(f"The result for {name} passed all checks."),
         Heading(f"Accelerometer {name}"),
         Table(
             (Column("Symbol"), Column("Words", wraps=True), Column("Value", "right")),

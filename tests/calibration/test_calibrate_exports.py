@@ -39,7 +39,7 @@ def test_a_run_is_left_out_by_command_as_by_the_description(tmp_path, plain, cap
     assert result.provenance.options == ["--without=slow"]
     assert result.provenance.in_memory == {}
     assert set(result.provenance.inputs) == {"campaign.toml", "fast.csv"}
-    assert "Left out on request: slow." in result.warnings
+    assert "Omitted on request: slow." in result.warnings
     text = (plain / "campaign.toml").read_text(encoding="utf-8")
     (tmp_path / "campaign.toml").write_text(
         text.replace('name = "slow"', 'name = "slow"\nskip = true'), encoding="utf-8"
@@ -76,4 +76,4 @@ def test_what_the_rest_lacks_then_is_due_to_what_was_left_out(plain, tmp_path, c
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
     assert main(["calibrate", str(tmp_path), "--without", "slow"]) == 2
     shown = " ".join(capsys.readouterr().err.split())
-    assert '--without: with "slow" left out, centrifuge.reference_temperature: is missing' in shown
+    assert '--without: with "slow" omitted, centrifuge.reference_temperature: is missing' in shown

@@ -122,7 +122,7 @@ def test_a_damaged_result(told, tmp_path):
 OTHERS = {
     "r.json": "JSON",
     "c.xml": "XML or HTML",
-    "p.png": "a picture (PNG)",
+    "p.png": "an image (PNG)",
     "empty": "an empty file",
     "plan.toml": "a plan",
     "LAB.toml": "a laboratory's data for certificates",

@@ -147,7 +147,7 @@ def test_gaps_spikes_and_rounding_are_told():
     assert (signal.outliers, signal.gaps) == (1, 1)
     assert signal.resolution == pytest.approx(2e-3)
     told = " ".join(signal.remarks)
-    for words in ("outliers: 1 sample.", "cut at 1 gap;", "multiples of 0.002"):
+    for words in ("outliers: 1 sample.", "split at 1 gap:", "multiples of 0.002"):
         assert words in told
 
 

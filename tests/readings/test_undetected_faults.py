@@ -103,7 +103,7 @@ def test_a_result_with_unseen_faults_is_good_with_a_qualification(tmp_path):
     a = result.accelerometers["A"]
     assert (result.state, result.findings) == ("good", [])
     assert verdict_sentence("A", a).startswith(
-        "A passed all checks, but its readings test only part"
+        "The result for A passed all checks, but its readings test only part"
     )
     assert "gain" in a.unseen_faults[0]
     (remark,) = (

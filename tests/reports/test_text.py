@@ -310,7 +310,7 @@ def test_disagreement_with_the_two_stage_method_is_told():
 
 
 def test_jackknife_is_written_to_the_place_of_the_estimate():
-    rows = text_of(full()).partition("Run left out")[2].splitlines()
+    rows = text_of(full()).partition("Run omitted")[2].splitlines()
     assert rows[2].split() == ["run1", "27.04460", "0.00010", "0.31"]
     assert rows[3].split() == ["run2", *NOT_DETERMINED.split() * 2, "-"]
 
@@ -318,7 +318,7 @@ def test_jackknife_is_written_to_the_place_of_the_estimate():
 def test_verdict_and_warnings_are_in_words_and_yellow_after_the_answer():
     text = squeezed(text_of(full()))
     first = text.index("Warning: run2: the spindle turned at another rate.")
-    verdict = text.index("Qx can be used with reservations: ")
+    verdict = text.index("The result for Qx is usable with reservations: ")
     finding = text.index("The runs do not agree with the model ± anything.")
     assert text.index("K_II of Qx") < first < verdict < finding < text.index("Accelerometer Qx")
     assert text.count("The runs do not agree with the model ± anything.") == 1
@@ -327,7 +327,7 @@ def test_verdict_and_warnings_are_in_words_and_yellow_after_the_answer():
         full(), Console(file=stream, force_terminal=True, color_system="standard", width=100)
     )
     assert "\x1b[33mWarning: run2" in stream.getvalue()
-    assert "\x1b[33mQx can be used" in stream.getvalue()
+    assert "\x1b[33mThe result for Qx is usable" in stream.getvalue()
     assert "\x1b[1;33mK_II of Qx" in stream.getvalue()
 
 

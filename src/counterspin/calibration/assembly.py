@@ -207,7 +207,7 @@ def _campaign_remarks(campaign: Campaign) -> list[str]:
     remarks = list[str]()
     if campaign.skipped:
         names = ", ".join(campaign.skipped)
-        remarks.append(f"Left out on request: {names}.")
+        remarks.append(f"Omitted on request: {names}.")
     if campaign.model.setting is not None and not any(r.position for r in campaign.readings):
         remarks.append(
             "[fixture] position is not used: it describes the setting error of known attitudes, "

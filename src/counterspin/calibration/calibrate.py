@@ -124,7 +124,7 @@ def _exclude_runs(campaign: Campaign, without: Sequence[str]) -> Campaign:
         changed = campaign.change({"runs": runs})
     except CampaignError as error:
         # The file is right: what is wrong with the rest is due to what is left out.
-        prefix = f"`without`: with {_quote_names(without)} left out, "
+        prefix = f"`without`: with {_quote_names(without)} omitted, "
         raise CampaignError(
             str(campaign.path), [prefix + problem for problem in error.problems]
         ) from error

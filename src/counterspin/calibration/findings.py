@@ -392,8 +392,8 @@ def _check_jackknife(
         code="run-disagrees",
         subject=f"{name}.K_II",
         text=f"Omitting {worst.run} shifts K_II by {format_number(worst.shift * factor, 2)} "
-        f"{unit}, {z:.1f} times as far as the uncertainty explains: this run disagrees with "
-        "the others.",
+        f"{unit}, {z:.1f} times the standard uncertainty of the shift: this run disagrees "
+        "with the others.",
         size=size,
         contradicts=size > CONTRADICTION_SIGMAS,
     )
@@ -430,7 +430,7 @@ def supporting_evidence(accelerometer: AccelerometerResult) -> Iterator[tuple[st
         yield "fit", f"the residuals are consistent with {noise} (p = {format_number(p, 2)})"
     worst = _largest_shift(accelerometer.jackknife)
     if worst is not None and _significance(worst) <= AGREEMENT:
-        yield "each run left out", "no single run dominates the result"
+        yield "leave-one-run-out", "no single run dominates the result"
     if accelerometer.two_stage is not None and methods_agree(accelerometer.two_stage):
         yield "another method", "the two-stage method agrees"
 

@@ -335,7 +335,7 @@ class Result(ReportableResult):
         return self.plot_residuals(accelerometer, axes=axes)
 
     def plot_residuals(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
-        """Draw the residuals over time, a picture a run; `axes` as for `plot`."""
+        """Draw the residuals over time, one plot for each run; `axes` as for `plot`."""
         return self._plot_pictures("residuals_over_time", accelerometer, axes)
 
     def plot_spectrum(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
@@ -366,7 +366,7 @@ class Result(ReportableResult):
 
     def _draw(self, pictures: Sequence[Picture], axes: Any) -> list[Any]:
         if not pictures:
-            raise CounterspinError("the result does not contain the data for this picture")
+            raise CounterspinError("the result does not contain the data for this plot")
         return draw_pictures(pictures, axes)
 
     def __repr__(self) -> str:

@@ -225,10 +225,10 @@ def _misplaced_lever_arm(model: ErrorModel, runs: Mapping[int, Run]) -> Mistakes
         if LEVER_ARM not in symbols:
             continue
         if not turns:
-            reason = "acts only in runs with a table_ratio other than -1; leave it out"
+            reason = "acts only in runs with a table_ratio other than -1; omit it"
             yield ("model", key), f'"{LEVER_ARM}" {reason}'
         elif key == "terms":
-            reason = "is estimated in addition to the requested terms; leave it out"
+            reason = "is estimated in addition to the requested terms; omit it"
             yield ("model", key), f'"{LEVER_ARM}" {reason}'
 
 

@@ -63,7 +63,7 @@ def parse_prior(written: object, unit: str, *, gravity: float | None) -> Quantit
     def exact(key: str) -> float:
         quantity = parse(written[key], unit, gravity=gravity)
         if quantity.u != 0.0:
-            raise ValueError(f"{key} must not have a ± of its own")
+            raise ValueError(f"{key} must not have an uncertainty (±)")
         return quantity.value
 
     def size(key: str) -> float:
@@ -84,7 +84,7 @@ def parse_prior(written: object, unit: str, *, gravity: float | None) -> Quantit
     if "dof" in written:
         dof = _positive_number(written, "dof")
         if not _MIN_DOF <= dof < math.inf:
-            raise ValueError(f"dof is {dof:g}; give a number from {_MIN_DOF:g}, or leave it out")
+            raise ValueError(f"dof is {dof:g}; give a number from {_MIN_DOF:g}, or omit it")
         return Quantity(value, size("u"), unit, InputDistribution("t", dof))
     return Quantity(value, size("u"), unit)
 

@@ -110,6 +110,11 @@ SCOPE: Final = "Scope"
 
 #: DCC verdict -> plain English.
 _CONDITIONAL: Final = {"conditionalPass": "conditional pass", "conditionalFail": "conditional fail"}
+#: Wrong decision for a verdict, with its risk (JCGM 106).
+_WRONG_DECISIONS: Final = {
+    "pass": "false acceptance (specific consumer's risk)",
+    "fail": "false rejection (specific producer's risk)",
+}
 
 
 def is_determined(coefficient: Coefficient) -> bool:
@@ -404,6 +409,7 @@ def verdict_sentence(
     if judged.probability is not None:
         text += f" Probability of conformity: {format_probability(judged.probability)}"
         if judged.risk is not None:
-            text += f"; probability that this verdict is wrong: {format_probability(judged.risk)}"
+            wrong = _WRONG_DECISIONS[judged.verdict]
+            text += f"; probability of {wrong}: {format_probability(judged.risk)}"
         text += "."
     return text

@@ -388,8 +388,9 @@ def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
         yield f"Rejected as outliers: {many}."
     if stated.gaps:
         yield (
-            f"The record is cut at {stated.gaps} gap{'s' if stated.gaps > 1 else ''}; spectrum and "
-            f"Allan deviation use its longest part, the components use all parts."
+            f"The record is split at {stated.gaps} gap{'s' if stated.gaps > 1 else ''}: the "
+            "spectrum and the Allan deviation use the longest part, and the noise components use "
+            "all parts."
         )
     thin = round(record.analysis.step / record.segments.step)
     if thin > 1:
@@ -412,8 +413,8 @@ def _sampling_remarks(record: StaticRecord) -> Iterator[str]:
     stretches = record.segments
     if stretches.repeated:
         yield (
-            f"{stretches.repeated} of {stretches.rows} rows repeat the value before them, as when "
-            "the log is faster than the sensor. Only new values are used, at "
+            f"{stretches.repeated} of {stretches.rows} rows repeat the previous value, as when the "
+            "logging rate exceeds the output rate of the sensor. Only new values are used, at "
             f"{1.0 / stretches.sample_interval:.4g} Hz."
         )
     if stretches.restamped:

@@ -351,7 +351,7 @@ def _wait_reason(run: Recorded, columns: RecordColumns, table: MemoryTable) -> s
     )
     seconds = float(last - first) * clock.factor
     if isinstance(run, PoseRecord):
-        return None if seconds >= run.rest else f"{seconds:.1f} s at rest of {run.rest:g} s"
+        return None if seconds >= run.rest else f"{seconds:.1f} s at rest out of {run.rest:g} s"
     turned = abs(run.rate) * seconds / (2.0 * math.pi)
     if turned >= MIN_REVOLUTIONS:
         return None

@@ -187,7 +187,7 @@ def _warm_up(fitted: model.WarmUp, output_unit: str) -> Iterator[OperatingQuanti
         tau = fitted.time_constant
         factor = math.log(size / u)
         time = OperatingEstimate(tau.value * factor, (tau.u or 0.0) * factor)
-        note = "time until the rest of the change is below u of the final output"
+        note = "time until the remaining change is less than u of the final output"
         yield _quantity("warm-up-time", time, "s", note)
 
 

@@ -155,7 +155,7 @@ class ArrayFile(ColumnFile):
             for name, array in arrays.items():
                 if name in self.timestamp_columns and array.dtype.kind != "M":
                     raise RecordError(
-                        f"{self.path}: '{name}' holds no readable time stamps; "
+                        f"{self.path}: '{name}' contains no readable time stamps; "
                         "export the time in seconds."
                     )
                 if name not in self.timestamp_columns and array.dtype.kind not in "fiub":

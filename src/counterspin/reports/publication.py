@@ -178,7 +178,7 @@ def draw_on_axes(pictures: Sequence[Picture], axes: Any = None) -> list[Any]:
             axes = figure.subplots(len(pictures), 1)
         own = list(np.atleast_1d(np.asarray(axes, dtype=object)).ravel())
         if len(own) != len(pictures):
-            raise ValueError(f"{len(own)} axes were given for {len(pictures)} pictures")
+            raise ValueError(f"{len(own)} axes were given for {len(pictures)} plots")
         for picture, place in zip(pictures, own, strict=True):
             draw_on_axes(place, cast("Picture", typeset_block(picture)))
     return own

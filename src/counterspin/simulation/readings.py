@@ -408,10 +408,7 @@ def fill_table(
     if stated_names:
         raise CampaignError(
             str(campaign.path),
-            [
-                f"readings.{key}: a simulated table has no such key; leave it out"
-                for key in stated_names
-            ],
+            [f"readings.{key}: a simulated table has no such key; omit it" for key in stated_names],
         )
     frame = load_table(path, settings.dialect)[0].frame
     outputs = {name: a.output for name, a in campaign.accelerometers.items()}

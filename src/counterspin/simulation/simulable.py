@@ -149,8 +149,7 @@ def refuse_unsupported(campaign: Campaign) -> None:
     for where, recording in ({"records": campaign_recording} | run_recordings).items():
         stated_keys = [key for key, value in vars(recording.dialect).items() if value is not None]
         problems += [
-            f"{where}.{key}: simulated records have no such key; leave it out"
-            for key in stated_keys
+            f"{where}.{key}: simulated records have no such key; omit it" for key in stated_keys
         ]
         for key, channel in (("time", recording.time), ("angle", recording.angle)):
             if channel is not None and channel.name and (channel.kind != "numbers"):

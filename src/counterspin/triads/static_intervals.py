@@ -89,10 +89,10 @@ class StaticIntervals:
             messages.append("The record contains no motion: all of it counts as rest.")
         elif self.contrast < MIN_CONTRAST:
             messages.append(
-                f"Rest and motion are not clearly separated: motion has {self.contrast:.2g} times "
-                "the level of rest. Compare the plot of the level with the threshold of "
-                f"{self.threshold:.3g}, and specify a different threshold if it separates rest and "
-                "motion better."
+                f"Rest and motion are not clearly separated: the level in motion is "
+                f"{self.contrast:.2g} times that at rest. Compare the plot of the level with "
+                f"the threshold of {self.threshold:.3g}, and specify a different threshold if it "
+                "separates rest and motion better."
             )
         total_scatter = np.sqrt((self.scatter**2).sum(axis=1))
         for index in np.flatnonzero(total_scatter > _DRIFT_RATIO * self.threshold)[:1]:

@@ -80,10 +80,10 @@ def checked(blocks):
 
 def test_a_good_result_says_what_was_checked():
     sentence, rows = checked(document(result()))
-    assert sentence == Paragraph("Qx passed all checks.")
+    assert sentence == Paragraph("The result for Qx passed all checks.")
     assert rows == (
         ("Fit", "The residuals are consistent with the stated noise (p = 0.5)."),
-        ("Each run left out", "No single run dominates the result."),
+        ("Leave-one-run-out", "No single run dominates the result."),
         ("Another method", "The two-stage method agrees."),
     )
 
@@ -91,7 +91,9 @@ def test_a_good_result_says_what_was_checked():
 def test_warnings_stand_once_and_before_everything_else():
     blocks = document(result(warnings=["Qx: something is odd"]))
     sentence, rows = checked(blocks)
-    assert sentence == Paragraph("Qx can be used with reservations: 1 finding.", "warning")
+    assert sentence == Paragraph(
+        "The result for Qx is usable with reservations (1 finding).", "warning"
+    )
     assert rows[0] == ("Warning", "something is odd")
     assert "something is odd" not in " ".join(texts(blocks))
 
@@ -102,7 +104,7 @@ def test_what_speaks_against_a_result_is_said_once_and_before_everything_else():
     blocks = document(result(findings=[lost], jackknife=drives))
     sentence, rows = checked(blocks)
     assert sentence.style == "warning"
-    assert sentence.text.endswith("reservations: 2 findings, the most serious first.")
+    assert sentence.text.endswith("reservations (2 findings, the most serious first).")
     assert {row[0] for row in rows[:2]} == {"Strobes lost", "Run disagrees: K_II"}
     for words in ("3 strobes were", "Omitting slow shifts K_II"):
         assert sum(words in row[1] for row in rows) == 1

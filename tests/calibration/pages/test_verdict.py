@@ -13,10 +13,8 @@ def sentence(**changes):
 
 def test_a_good_result():
     assert sentence() == (
-        "Qx passed all checks: the residuals are consistent with the stated noise (p = 0.5); no "
-        "single run "
-        "dominates "
-        "the result; the two-stage method agrees."
+        "The result for Qx passed all checks: the residuals are consistent with the stated noise "
+        "(p = 0.5); no single run dominates the result; the two-stage method agrees."
     )
 
 
@@ -26,17 +24,18 @@ def test_reservations_say_the_gravest_first_and_how_many_more():
         jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -3.1}],
     )
     assert told == (
-        "Qx can be used with reservations: Omitting slow shifts K_II by 0.01 ug/g^2, 3.1 times "
-        "as far as the uncertainty explains: this run disagrees with the others. There are 2 more "
-        "findings. Passed checks: the residuals are consistent with the stated noise (p = 0.5); "
-        "the "
-        "two-stage method agrees."
+        "The result for Qx is usable with reservations: Omitting slow shifts K_II by 0.01 ug/g^2, "
+        "3.1 times the standard uncertainty of the shift: this run disagrees with the others. "
+        "There are 2 more findings. Passed checks: the residuals are consistent with the stated "
+        "noise (p = 0.5); the two-stage method agrees."
     )
 
 
 def test_nothing_speaks_for_a_contradicted_result():
     told = sentence(jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -6.1}])
-    assert told.startswith("Qx is contradicted by its records and must not be used: Omitting slow")
+    assert told.startswith(
+        "The result for Qx is contradicted by its records and must not be used: Omitting"
+    )
     assert "Passed checks" not in told
 
 
@@ -45,7 +44,7 @@ def test_nothing_supports_a_result_that_is_not_determined():
     lacking["undetermined"] = True
     found = judge_result(result(findings=[lacking]))
     told = verdict_sentence("Qx", found.accelerometers["Qx"])
-    assert told == "Qx is not fully determined by its data: Add a run."
+    assert told == "The result for Qx is not fully determined by its data: Add a run."
     (first,) = misfit_blocks(found)
     assert first.style == "undetermined"
     assert first.text.startswith(
@@ -70,6 +69,6 @@ def test_what_a_cause_accounts_for_stands_with_it():
         "explains": [misfit],
     }
     assert sentence(findings=[cause]).startswith(
-        "Qx can be used with reservations: A radius of 2.5 m would fit. This explains the other "
-        "findings: The residuals are large. Passed checks"
+        "The result for Qx is usable with reservations: A radius of 2.5 m would fit. This explains "
+        "the other findings: The residuals are large. Passed checks"
     )

@@ -82,9 +82,8 @@ def noise_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
             ratio = sizes[noisiest] / sizes[quietest]
             yield (
                 f"{view.name}: the noise of {noisiest} is {ratio:.2g} times that of {quietest}. "
-                "Each run "
-                "is weighted with its own noise. Find the cause, and check whether anything else "
-                "differs."
+                "Each run is weighted with the noise of that run. Find the cause, and check "
+                "whether anything else differs."
             )
         if timing := estimated_timing_noise(view):
             symptom, action = (

@@ -304,7 +304,7 @@ def _jackknife_table(lines: Sequence[Jackknife], coefficient: Coefficient) -> It
 
     yield Table(
         columns=(
-            Column("Run left out", wraps=True),
+            Column("Run omitted", wraps=True),
             Column(f"K_II, {unit}", "right"),
             Column(f"shift, {unit}", "right"),
             Column("shift / u(shift)", "right"),

@@ -149,7 +149,7 @@ def _checks(accelerometer: AccelerometerResult) -> Iterator[Check]:
             f"omitting {largest.run} causes the largest shift, {shift_text} times the u of the "
             "shift"
         )
-    clause = evidence.get("each run left out")
+    clause = evidence.get("leave-one-run-out")
     yield _make_check("Runs", f"{clause}; {shift}" if clause else None, shift)
     yield _make_check("Method", *_compare_methods(accelerometer))
 

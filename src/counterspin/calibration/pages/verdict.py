@@ -21,7 +21,7 @@ from counterspin.reports.numbers import (
 
 _OPENINGS: Final = {
     "good": "passed all checks",
-    "reservations": "can be used with reservations",
+    "reservations": "is usable with reservations",
     "not-determined": "is not fully determined by its data",
     "contradicted": "is contradicted by its records and must not be used",
 }
@@ -52,7 +52,7 @@ _COLUMNS = (
 def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
     """Return a sentence on the state of an accelerometer's result, with the reason."""
     assert accelerometer.state is not None
-    opening = f"{name} {_opening(accelerometer)}"
+    opening = f"The result for {name} {_opening(accelerometer)}"
     evidence = "; ".join(clause for _, clause in supporting_evidence(accelerometer))
     if accelerometer.findings:
         sentences = [f"{opening}: {finding_text(accelerometer.findings[0])}"]
@@ -104,7 +104,8 @@ def verdict_tables(result: Result) -> Iterator[Block]:
         findings, count = accelerometer.findings, len(accelerometer.findings)
         summary = "1 finding" if count == 1 else f"{count} findings, the most serious first"
         yield Paragraph(
-            f"{name} {_opening(accelerometer)}" + (f": {summary}." if findings else "."),
+            f"The result for {name} {_opening(accelerometer)}"
+            + (f" ({summary})." if findings else "."),
             _STYLES[accelerometer.state],
         )
         rows = [(_check_title(name, finding), finding_text(finding)) for finding in findings]
