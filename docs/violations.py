@@ -406,7 +406,7 @@ def render(table: Sequence[Row]) -> str:
     right, first = (sum(row.right(among) for row in found) for among in (2, 1))
     return (
         f"{lines_of(table)}\n"
-        f"With everything fixed at its nominal value, findings report {len(found)} of these "
+        f"If every term is fixed at its nominal value, findings report {len(found)} of these "
         f"{len(table)} violations.\n"
         f"The first or the second cause that they name is right in {right} of them, the first in "
         f"{first}.\n"
