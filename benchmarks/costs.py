@@ -44,7 +44,10 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
                 repeats or 3,
             )
         rows += [[way, size, measured.fastest] for way, measured in found.items()]
-    remark = "Seconds of whole processes, start of Python included, the fastest of three; Parquet."
+    remark = (
+        "Each time is that of a whole process that reads Parquet, including the start of Python, "
+        "the fastest of three repetitions."
+    )
     return [Table(SAMPLES, remark, ["process", "samples", "seconds"], rows)]
 
 

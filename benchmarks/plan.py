@@ -46,7 +46,8 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
         ),
         Table(
             "Predictions of u",
-            f"For {RUNS} runs, rates and lengths at random; the best of several batches.",
+            f"Each prediction is for {RUNS} runs with random rates and durations. "
+            "Each value is that of the fastest of several batches.",
             ["predictions", "a second", "target"],
             [[f"in batches of {BATCH}", rate, 10000.0], ["one by one", single, None]],
         ),

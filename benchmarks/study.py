@@ -39,7 +39,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
         _examples(found["examples"]),
         Table(
             "Cost against trials",
-            "Seconds of each method, within one process, the fastest of three.",
+            "Each time is that of one method within one process, the fastest of three repetitions.",
             ["way", "trials", "seconds"],
             [[row["way"], row["trials"], row["seconds"]] for row in found["against trials"]],
         ),

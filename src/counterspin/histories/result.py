@@ -64,7 +64,7 @@ class ControlLimits(ResultPart):
     mean_range: float  #: Mean moving range.
     range_limit: float  #: Upper action limit of the moving range.
     beyond: list[str]  #: Files of results beyond the action limits.
-    #: Files of results that differ from the previous one by more than `range_limit`.
+    #: Files of results that differ from the previous result by more than `range_limit`.
     leaps: list[str]
 
 
@@ -176,7 +176,7 @@ class History(ReportableResult):
     term: str  #: Coefficient, or ``offset``, ``sensitivity`` or ``angle`` (minus 90 deg) of triads.
     unit: str  #: Unit of every value; of a drift, per year.
     gravity: float  #: Gravity of the g-units, m/s^2, from the latest result.
-    converted: bool  #: Whether results with another gravity were converted to it.
+    converted: bool  #: Whether results with another gravity were converted to `gravity`.
     instruments: list[InstrumentHistory]  #: History of each serial number.
     #: Results that cannot be used: without a date or serial number, or duplicates.
     left_out: list[UnusedResult]
