@@ -322,6 +322,8 @@ _CLIP_SDS: Final = 5.0
 #: Harmonics of the spindle, and powers of time, that are no noise: an encoder that errs four times
 #: a revolution makes five, K_OQ makes seven that show.
 _HARMONICS: Final = 8
+#: Eigenvalue below which a combination of these is none, relative to the largest.
+_MIN_EIGENVALUE: Final = 1e-12
 _POLYNOMIAL_TERMS: Final = 4
 
 
@@ -367,24 +369,25 @@ def _is_correlated(residuals: Mapping[int, Array], spacing: Mapping[int, float])
 
 
 def remove_harmonics(series: ResidualSeries, residuals: Array) -> Array:
-    """Remove a trend and the spindle's harmonics from residuals, shape (n,).
+    """Remove a trend and the spindle's harmonics from residuals, shape (n,) or (k, n).
 
     The total variance of white noise is preserved.
 
     residuals: Of a series' last n rows, more than there are shapes of these.
     """
-    times = series.time[-residuals.size :]
-    angle = series.trajectory.spindle.angle(times)
+    times = series.time[-residuals.shape[-1] :]
     # A harmonic at or beyond half the sampling rate would follow the errors of the time stamps.
     turn = abs(series.trajectory.spindle.rate) * median(np.diff(times))
     highest = min(_HARMONICS, int(math.pi / turn) - 1)
-    waves = [f(j * angle) for j in range(1, highest + 1) for f in (np.cos, np.sin)]
-    regressors = np.column_stack([*np.vander(times / times[-1], _POLYNOMIAL_TERMS).T, *waves])
-    coefficients = np.linalg.lstsq(regressors, residuals, rcond=None)[0]
-    count, removed = regressors.shape
-    return np.asarray(
-        (residuals - regressors @ coefficients) * math.sqrt(count / (count - removed))
-    )
+    first = np.exp(1j * series.trajectory.spindle.angle(times))
+    waves = np.cumprod(np.broadcast_to(first, (max(highest, 0), times.size)), axis=0)
+    trend = np.vander(times / times[-1], _POLYNOMIAL_TERMS).T
+    regressors = np.concatenate([trend, waves.real, waves.imag])
+    removed, count = regressors.shape
+    # Ten times as fast as a decomposition of the regressors, which are few and of similar size.
+    inverse = np.linalg.pinv(regressors @ regressors.T, rcond=_MIN_EIGENVALUE, hermitian=True)
+    fitted = (inverse @ (regressors @ residuals.T)).T @ regressors
+    return np.asarray((residuals - fitted) * math.sqrt(count / (count - removed)))
 
 
 def _correlation_time(residuals: Mapping[int, Array], spacing: Mapping[int, float]) -> float:

@@ -126,7 +126,7 @@ def _regression(fit: JointFit, index: int) -> _Regression | None:
     weight = np.sqrt(series.count / series.variance_ratio)
     angle_residuals = sum(series.slopes()) * series.timestamp_errors.delay * weight
     output = fit.residuals[index].unweighted * weight
-    x, y = (np.diff(remove_harmonics(series, rows), ORDER) for rows in (angle_residuals, output))
+    x, y = np.diff(remove_harmonics(series, np.stack([angle_residuals, output])), ORDER)
     strength = float(x @ x)
     if strength == 0.0:
         return None
