@@ -513,7 +513,7 @@ def test_hidden_files_and_pipes_are_no_results(tmp_path):
     assert hidden.file.endswith(".tmpx1y2.json")
     assert "is a hidden file left by an interrupted command" in hidden.reason
     (pipe,) = found.damaged
-    assert "it is a pipe, not a file" in pipe.reason
+    assert "this is a pipe, not a file" in pipe.reason
     # One that is named is meant as a result.
     assert len(only(history([folder / ".tmpx1y2.json"])).points) == 1
 

@@ -115,9 +115,9 @@ def test_no_folder_is_a_pattern(tmp_path, suffix):
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5", ".mat"])
 def test_what_is_no_file_is_not_read(tmp_path, suffix):
     os.mkfifo(tmp_path / f"run{suffix}")
-    assert "it is a pipe, not a file" in refusal(tmp_path / f"run{suffix}")
+    assert "this is a pipe, not a file" in refusal(tmp_path / f"run{suffix}")
     (tmp_path / f"zero{suffix}").symlink_to("/dev/zero")
-    assert "it is a device, not a file" in refusal(tmp_path / f"zero{suffix}")
+    assert "this is a device, not a file" in refusal(tmp_path / f"zero{suffix}")
 
 
 @pytest.mark.parametrize("name", ["a\0b.csv", "a\0b.parquet", "x" * 300 + ".h5"])
