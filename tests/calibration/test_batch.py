@@ -90,7 +90,7 @@ def test_a_run_is_left_out_of_each_campaign_that_has_it(folders, tmp_path, capsy
     first, failed, last = outcomes(BatchResult.read(kept))
     assert first == calibrate(folders[0], without=[run])
     assert run not in first.runs | last.runs
-    assert f'no run is named "{run}"; its runs are "else", ' in failed.error
+    assert f'no run is named "{run}"; the runs are "else", ' in failed.error
     assert "1 of 3 campaigns could not be" in capsys.readouterr().err
 
 

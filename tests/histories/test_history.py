@@ -228,7 +228,7 @@ def test_copies_count_once(tmp_path):
     found = history([folder, folder / "a.json"])
     assert len(only(found).points) == 1
     (left,) = found.left_out
-    assert left.reason == f"the same file as {folder / 'a.json'}"
+    assert left.reason == f"is the same file as {folder / 'a.json'}"
 
 
 def test_shared_records_are_told(tmp_path):
@@ -426,7 +426,7 @@ def test_laboratories_are_compared(tmp_path):
     # Each mean has u over the root of two: U of the difference is 1.96 u (ISO 13528:2015, 9.7).
     assert pair.e_n == pytest.approx(3e-7 / (1.959964 * U), rel=1e-6)
     told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
-    assert "B minus A: 0.3 ug/g^2, E_n = 3.06: they differ significantly." in told
+    assert "B minus A: 0.3 ug/g^2, E_n = 3.06: the results differ significantly." in told
 
 
 def test_what_is_beyond_the_limits_is_named(tmp_path):

@@ -81,7 +81,7 @@ class TestReduceBlock:
             reduce_block(np.ones((3, 1)), [1.0, 2.0, 3.0], [[1.0, 2.0]] * 3)
 
     def test_wrong_input(self):
-        with pytest.raises(ValueError, match="need the 3 rows"):
+        with pytest.raises(ValueError, match="must each have 3 rows"):
             reduce_block(np.ones((2, 1)), np.ones(3))
         with pytest.raises(ValueError, match="not finite"):
             reduce_block(np.ones((3, 1)), [1.0, np.nan, 2.0])

@@ -202,7 +202,9 @@ def test_an_output_with_a_zero(tmp_path):
 
 def test_a_name_that_the_readings_contradict_is_said(tmp_path):
     path = write_table(tmp_path / "t.csv", table(inward="out", outward="in"))
-    said = "mounting 'out': outward by its name, inward if the sensitivity is positive"
+    said = (
+        "mounting 'out': outward according to its name, but inward if the sensitivity is positive"
+    )
     assert said in read(path).statements
 
 

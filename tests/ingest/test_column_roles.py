@@ -144,5 +144,5 @@ def test_a_unit_may_stand_at_the_end_of_a_name(name, unit):
 def test_files_that_are_not_alike():
     one = guess_file(seen(t=TIME, angle=RATE * TIME, east_m=signal()))
     other = guess_file(seen("b.csv", t=TIME, angle=RATE * TIME, x=signal()))
-    with pytest.raises(RecordError, match=r"b.csv: has no column 'east_m', which a.csv has"):
+    with pytest.raises(RecordError, match=r"b.csv has no column 'east_m', unlike a.csv"):
         common_guess([one, other])

@@ -165,5 +165,5 @@ def test_stopping_it_is_no_fault(folder, capsys, monkeypatch):
 
 def test_the_page_lists_the_formats_that_grow():
     page = (Path(__file__).parents[2] / "docs" / "monitoring.md").read_text(encoding="utf-8")
-    appended = page.partition("**Text** (")[2].partition(")")[0]
+    appended = page.partition("**Text files** (")[2].partition(")")[0]
     assert tuple(re.findall(r"`(\.\w+)`", appended)) == GROWING_SUFFIXES

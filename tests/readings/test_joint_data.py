@@ -485,7 +485,7 @@ def test_records_on_the_arm_are_averaged(tmp_path):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("counterspin.readings.mean_records.read_rows", change)
-        with pytest.raises(RecordError, match=r"r3\.csv: the file was changed while"):
+        with pytest.raises(RecordError, match=r"r3\.csv: the file was changed during"):
             calibrate(tmp_path)
     shutil.copy(tmp_path / "r0.csv", tmp_path / "r9.csv")
     with pytest.raises(RecordError, match=r"r9\.csv: holds the same samples as .*r0\.csv"):

@@ -193,7 +193,9 @@ def test_one_radius_is_not_stated_for_all_and_for_one(tmp_path):
         '[model.priors]\n"centrifuge.radius.in" = "0 ± 1e-6 m"\n'
         '"centrifuge.radius.A.in" = "0 ± 1e-6 m"\n'
     )
-    with pytest.raises(CampaignError, match=r'"centrifuge\.radius\.in" is for all accelerometers'):
+    with pytest.raises(
+        CampaignError, match=r'"centrifuge\.radius\.in" applies to all accelerometers'
+    ):
         campaign(tmp_path, more=ASSUMED + priors)
 
 

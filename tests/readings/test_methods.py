@@ -82,7 +82,7 @@ def test_the_kind_that_disagrees_is_named(tmp_path, capsys, monkeypatch, kind, m
     assert codes.count("kinds-disagree") == 1
     assert not {"outlying-reading", "lack-of-fit"} & set(codes)
     (finding,) = [f for f in result.findings if f.code == "kinds-disagree"]
-    assert f"do not agree: {kind} against" in finding.text
+    assert f"are not consistent: {kind} compared with" in finding.text
     assert finding.contradicts
     assert result.state == "contradicted"
     odd = next(k for k in result.accelerometers["A"].kinds if k.kind == kind)
@@ -93,5 +93,5 @@ def test_the_kind_that_disagrees_is_named(tmp_path, capsys, monkeypatch, kind, m
     assert main(["calibrate", str(tmp_path / "all")]) == 1
     out = " ".join(capsys.readouterr().out.split())
     assert f"{kind}: does not agree" in out
-    assert "at rest alone (12)" in out
+    assert "only at rest (12)" in out
     assert any("does not agree" in str(block) for block in document(result))

@@ -32,7 +32,7 @@ def test_names_units_and_rows_below_lines_about_the_measurement():
     assert layout.names == ("Time", "Angle", "East")
     assert layout.units == ("s", "deg", "mm")
     assert layout.describe("latin-1") == (
-        "names in line 5, a row of units, semicolon-separated, decimal commas, latin-1"
+        "names in line 5, a units row, semicolon-separated, decimal commas, latin-1"
     )
 
 

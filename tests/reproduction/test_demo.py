@@ -124,5 +124,5 @@ def test_records_of_somebody_else_are_left_alone(tmp_path):
 
 def test_a_file_in_the_place_of_the_folder(tmp_path):
     (tmp_path / "taken").write_text("")
-    with pytest.raises(CounterspinError, match="taken: cannot be used"):
+    with pytest.raises(CounterspinError, match="taken cannot be used"):
         demo(tmp_path / "taken")

@@ -230,7 +230,7 @@ def test_what_is_there_is_not_overwritten_unless_told_to(tmp_path):
 def test_a_record_that_nothing_says_to_be_simulated_is_never_overwritten(tmp_path):
     path = write(tmp_path, SMALL)
     write(tmp_path / "made", "measured", "middle.csv")
-    with pytest.raises(CounterspinError, match=r"middle\.csv exists, and no .*not replaced"):
+    with pytest.raises(CounterspinError, match=r"middle\.csv exists, and no .*not overwritten"):
         simulate(path, tmp_path / "made", overwrite=True)
     assert contents(tmp_path / "made") == {"middle.csv": b"measured"}
 

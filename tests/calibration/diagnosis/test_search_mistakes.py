@@ -85,7 +85,7 @@ MISTAKES = (
     ),
     Mistake(
         "displacement of one accelerometer in mm for m",
-        "between m and mm",
+        "ratio of m and mm: check the unit of the column",
         records=multiplied(None, EAST, 1e3),
         state="",
     ),

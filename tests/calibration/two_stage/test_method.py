@@ -476,7 +476,7 @@ def test_fewer_rates_than_unknowns_are_refused(tmp_path, capsys):
     assert main(["calibrate", str(folder), "--method", "two-stage"]) == 1
     error = capsys.readouterr().err
     assert "K_II, K_F" in error
-    assert "different rates, in either sense; the campaign has 1" in error
+    assert "different rates, in either sense; the campaign has only 1" in error
     assert "Traceback" not in error
 
 

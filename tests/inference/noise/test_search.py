@@ -342,12 +342,12 @@ def test_dof_of_a_sum_of_two_variances():
 
 def test_what_cannot_be_estimated_is_refused():
     data = record(np.random.default_rng(13), 40, Noise(0.3))
-    with pytest.raises(NotIdentifiableError, match="all zero"):
+    with pytest.raises(NotIdentifiableError, match="all residuals are zero"):
         estimate_noise([replace(data, observations=np.zeros(40))], BOTH)
     short = RecordData(data.times[:5], 2, np.asarray(data.design)[:5], data.observations[:5])
     with pytest.raises(NotIdentifiableError, match="too few"):
         estimate_noise([short], BOTH)
-    with pytest.raises(ValueError, match="no records"):
+    with pytest.raises(ValueError, match="without records"):
         estimate_noise([], BOTH)
     with pytest.raises(ValueError, match="different observables"):
         estimate_noise([data, replace(data, order=1)], BOTH)
