@@ -72,8 +72,8 @@ def test_limits_of_a_specification_are_as_the_table_has_them():
 
 
 def test_names_that_no_accelerometer_may_have_are_listed():
-    words = PAGE.partition("Names begin with a letter")[2].partition("are reserved")[0]
-    words = words.partition(";")[2]
+    words = PAGE.partition("Names of accelerometers begin")[2].partition("are reserved")[0]
+    words = words.partition("`_`.")[2]
     assert tuple(re.findall(r"`(\w+)`", words)) == TRUTH_TABLES
 
 
@@ -87,7 +87,7 @@ def test_harmonics_of_the_path_are_those_of_the_terms():
 
 
 def test_every_unit_is_listed():
-    listed = PAGE.partition("Units, with products")[2].partition("\n\n")[0]
+    listed = PAGE.partition("These units, and their products")[2].partition("\n\n")[0]
     assert set(re.findall(r"`(\w+)`", listed)) - {"g/Hz^0.5", "deg/h/g"} == set(UNITS)
 
 

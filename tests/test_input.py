@@ -24,7 +24,7 @@ def test_what_is_no_file_is_not_waited_for(tmp_path):
         (tmp_path / "pipe", "a pipe"),
         ("/dev/zero", "a device"),
     ):
-        with pytest.raises(OSError, match=f"it is {words}, not a file"):
+        with pytest.raises(OSError, match=f"this is {words}, not a file"):
             open_file(type(tmp_path)(place))
 
 
@@ -51,7 +51,7 @@ def test_an_identity_is_of_the_content(tmp_path):
         (r'{"a": 1, "\u0061": 2}', "the key 'a' occurs twice in one object"),
         ("[1, NaN]", "NaN is not a valid number in JSON"),
         ("[-Infinity]", "-Infinity is not a valid number in JSON"),
-        ("1" * 5000, "a number has 5000 digits; at most 400 are read"),
+        ("1" * 5000, "a number has 5000 digits; at most 400 are allowed"),
         ("[" * 100_000, "the document is nested too deeply"),
     ],
 )

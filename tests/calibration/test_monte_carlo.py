@@ -272,7 +272,7 @@ def shape_is_near_normal(width):
     ("radius", "rate", "message"),
     [
         ('{ value = "1 m", half_width = "1 mm" }', '"3 rad/s"', "give value with u"),
-        ('{ value = "1 ± 0.1 m", u = "1 mm" }', '"3 rad/s"', "value must not have a ±"),
+        ('{ value = "1 ± 0.1 m", u = "1 mm" }', '"3 rad/s"', "value must not have an uncertainty"),
         ('"1 m"', limited(3.0, 1e-3, "rad/s"), "random errors of single readings"),
     ],
 )

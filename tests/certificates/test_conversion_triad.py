@@ -107,7 +107,7 @@ def test_verify_shows_them_and_names_a_matrix_that_is_another(tmp_path, poses, c
         "sensitivity of Z",
         "angle between Y and Z minus 90 deg",
         "M ± U",
-        "are those of",
+        "follow from these parameters",
     ):
         assert words in told
     first = f"{poses.triad.matrix[2][2]!r}".encode()
@@ -122,8 +122,8 @@ def test_an_amendment_names_changed_parameters(tmp_path, poses):
     other = one.replace(b">angle.X.Y<", b">angle.Y.X<")
     shown = shown_of(poses.triad.parameters["angle.X.Y"])
     assert [line for line in describe_changes(one, other) if "triad" in line] == [
-        f"angle.X.Y of the triad: it was {shown}, and is not certified.",
-        f"angle.Y.X of the triad: it was not certified, and is {shown}.",
+        f"angle.X.Y of the triad: was {shown}, is now not certified.",
+        f"angle.Y.X of the triad: was not certified, is now {shown}.",
     ]
 
 

@@ -151,11 +151,11 @@ def test_the_xml_of_a_pdf_is_verified(desk, capsys):
     writer = pypdf.PdfWriter(clone_from="c.pdf")
     writer.add_attachment("second.xml", b"<a/>")
     writer.write("two.pdf")
-    assert "2 XML files are attached" in command(capsys, "--verify", "two.pdf")[2]
+    assert "there are 2 XML files attached" in command(capsys, "--verify", "two.pdf")[2]
     writer = pypdf.PdfWriter()
     writer.add_blank_page(10, 10)
     writer.write("none.pdf")
-    assert "no XML file is attached" in command(capsys, "--verify", "none.pdf")[2]
+    assert "there is no XML file attached" in command(capsys, "--verify", "none.pdf")[2]
     (desk / "no.pdf").write_bytes(b"%PDF-1.7 no")
     assert "no.pdf is not a PDF, or is damaged" in command(capsys, "--verify", "no.pdf")[2]
 
@@ -342,7 +342,7 @@ def test_objects_give_the_certificate_of_their_files(desk, capsys):
     assert made.pdf() == (desk / "a.pdf").read_bytes()
     assert (made.identifier, made.accelerometers) == (known_by(), ["Qx"])
     assert made.write("b.xml").read_bytes() == made.xml
-    with pytest.raises(CounterspinError, match="exists; a certificate never overwrites a file"):
+    with pytest.raises(CounterspinError, match="exists; a certificate never replaces a file"):
         made.write(desk / "b.xml")
     with pytest.raises(CampaignError, match=r"name of the file in \.xml or \.pdf"):
         made.write("b.txt")

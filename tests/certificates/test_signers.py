@@ -60,7 +60,7 @@ def test_a_password_that_is_not_needed_does_no_harm(tmp_path, keys):
 @pytest.mark.parametrize("write", [write_pair, write_pkcs12])
 def test_a_password_is_asked_for_and_a_wrong_one_is_refused(tmp_path, keys, write):
     key, cert = write(tmp_path / "k", keys["rsa"], SECRET.encode())
-    with pytest.raises(PasswordNeededError, match="is encrypted; give its password"):
+    with pytest.raises(PasswordNeededError, match="is encrypted; give the password"):
         read_signer(key, cert)
     with pytest.raises(CounterspinError, match="cannot be read with this password") as raised:
         read_signer(key, cert, "wrong words")
@@ -157,7 +157,7 @@ def test_a_command_of_windows_keeps_its_backslashes(tmp_path, keys, monkeypatch)
     monkeypatch.setattr("sys.platform", "win32")
     monkeypatch.setattr("subprocess.run", run)
     signer = command_signer(r'"C:\my tools\sign.exe" --slot 1', cert)
-    with pytest.raises(CounterspinError, match=r'command "C:\\my tools\\sign.exe" --slot 1 ended'):
+    with pytest.raises(CounterspinError, match=r'command "C:\\my tools\\sign.exe" --slot 1 failed'):
         signer.sign(b"x")
     assert started == [[r"C:\my tools\sign.exe", "--slot", "1"]]
     with pytest.raises(CounterspinError, match=r"cannot be run \(program not found in PATH\)"):

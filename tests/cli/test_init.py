@@ -68,7 +68,7 @@ def test_from_a_table_of_an_arm_to_a_result(tmp_path, monkeypatch, capsys):
     assert main(["init", *words]) == 0
     told = capsys.readouterr().out
     assert "4 readings at rest (rate 0)" in told
-    assert "'left' is none of counterclockwise, clockwise. Try again:" in told
+    assert "'left' is not one of counterclockwise, clockwise. Try again:" in told
     assert "The data show about 1 V/g. (such as 1.25 V/g)" in told
     assert main(["calibrate", str(tmp_path / "a"), "--json", str(tmp_path / "r.json")]) == 0
     found = Result.read(tmp_path / "r.json").accelerometers["A"].coefficients
@@ -88,9 +88,9 @@ def test_what_is_not_known_is_told_or_asked(tmp_path, plain, monkeypatch, capsys
     monkeypatch.setattr("sys.stdin", Terminal("bench\n\n2,5 kg\n2,5\nleft\ncw\n"))
     assert main(words) == 0
     told = capsys.readouterr().out
-    assert "'bench' is none of double-turntable, tumble, arm, poses. Try again:" in told
+    assert "'bench' is not one of double-turntable, tumble, arm, poses. Try again:" in told
     assert "unknown unit 'kg'" in told
-    assert "'left' is none of counterclockwise, clockwise. Try again:" in told
+    assert "'left' is not one of counterclockwise, clockwise. Try again:" in told
     assert 'sense = "clockwise"' in (tmp_path / "campaign.toml").read_text(encoding="utf-8")
     monkeypatch.setattr("sys.stdin", Terminal(""))
     assert main(["init", str(tmp_path / "b"), *words[2:]]) == 1

@@ -84,10 +84,9 @@ def product(symbol, axes):
 
 def attitude_error(symbol):
     """The small rotation psi of the platform per unit coefficient, from d(psi)/dt."""
-    if symbol == "table.axis_tilt.outward":
-        return sp.Matrix([c(tau), s(tau), 0])
-    if symbol == "table.axis_tilt.forward":
-        return sp.Matrix([-s(tau), c(tau), 0])
+    if symbol.startswith("table.axis_tilt."):
+        outward = symbol.endswith("outward")
+        return sp.Matrix([c(tau), s(tau), 0] if outward else [-s(tau), c(tau), 0])
     if symbol.startswith("table."):
         *_, n, wave = symbol.split(".")
         return sp.Matrix([0, 0, {"cos": sp.cos, "sin": sp.sin}[wave](int(n) * tau)])

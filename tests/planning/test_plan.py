@@ -563,7 +563,7 @@ def test_all_mistakes_at_once(starter):
 def test_missing_file(tmp_path, capsys):
     assert cli.main(["plan", str(tmp_path / "none.toml")]) == 2
     told = capsys.readouterr().err
-    assert "file not found; `counterspin plan --init FILE` writes a plan" in told
+    assert "file not found; `counterspin plan --init FILE` writes a starter plan" in told
 
 
 def test_a_missing_plan_is_told_where_to_get_one(tmp_path):

@@ -107,8 +107,11 @@ def test_the_page_says_from_which_ratio_on():
     page = " ".join((Path(__file__).parents[3] / "docs" / "diagnosis.md").read_text().split())
     level = SIGNIFICANCE / 4.0
     least = [f"{np.sqrt(stats.chi2.ppf(level, dof) / dof):.2f} times" for dof in (5, 20)]
-    assert f"a false-alarm rate of {100.0 * level:.3f} % of good campaigns" in page
-    assert f"below {least[0]} the stated uncertainty, with 20 below {least[1]}" in page
+    assert f"false alarms in {100.0 * level:.3f} % of good campaigns" in page
+    assert (
+        f"below {least[0]} the stated uncertainty, and with 20 degrees of freedom below {least[1]}"
+        in page
+    )
 
 
 def test_poses_that_scatter_by_a_tenth_of_their_uncertainty_get_a_remark(tmp_path):

@@ -99,7 +99,7 @@ def test_what_nothing_is_known_of_cannot_be_changed():
     assert set(found.known) <= {"K_OO", "K_PP", "K_4"}
     with pytest.raises(ValueError, match="K_F"):
         found.u("K_II", {"K_F": 1e-6})
-    with pytest.raises(ValueError, match="above 0"):
+    with pytest.raises(ValueError, match="greater than zero"):
         found.u("K_II", {"K_OO": 0.0})
 
 
