@@ -144,3 +144,24 @@ def test_a_table_of_a_second_order_sensor_is_that_sensor():
     assert np.abs(by_table - by_formula).max() < 1e-7 * RADIUS
     changed = measured.deviate("sensor.gain", 2.0)
     assert np.abs(changed.gain(at)) - np.abs(measured.gain(at)) == pytest.approx(2e-5 * at)
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        ResponseTable((1.0, 10.0, 50.0), (1.0, 0.98, 0.7), (-0.01, -0.1, -0.8)),
+        ResponseTable(
+            (1.0, 2.5, 3.0, 3.5, 6.0), (1.0, 1.2, 8.0, 1.2, 0.1), (0.0, -0.2, -1.6, -3, -3)
+        ),
+    ],
+    ids=["three rows", "resonance"],
+)
+def test_the_gain_of_any_table_is_exact_at_the_harmonics(table):
+    response, spindle, times = FrequencyResponse(table=table), Spindle(6.0), np.linspace(0, 3, 50)
+    for harmonic in range(1, 9):
+        shown = response.total_shifts(spindle.rate).apply(
+            spindle, lambda turned, n=harmonic: np.cos(n * turned.angle(times))
+        )
+        (gain,) = response.gain(np.array([harmonic * spindle.rate / (2.0 * math.pi)]))
+        wave = gain * np.exp(1j * harmonic * spindle.angle(times))
+        np.testing.assert_allclose(shown, wave.real, rtol=0, atol=1e-12)

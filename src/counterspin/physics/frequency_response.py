@@ -34,6 +34,10 @@ _POINTS_PER_HARMONIC: Final = 4
 #: Largest error of the approximated gain at these frequencies.
 _TOLERANCE: Final = 3e-10
 
+#: Error above which, as with the table of a resonance, the gain is interpolated between the
+#: harmonics.
+_MAX_ERROR: Final = 1e-7
+
 #: Largest number of time shifts on either side of the delay, and their spacing in parts of the
 #: period of the highest harmonic.
 _MAX_SHIFTS: Final = 6
@@ -207,9 +211,30 @@ def _time_shifts(response: FrequencyResponse, rate: float, *, recorder: bool) ->
         waves = np.exp(1j * np.outer(frequencies, steps) * spacing) - 1.0
         design = np.vstack([waves.real, waves.imag])
         weights = np.linalg.lstsq(design, targets, rcond=1e-13)[0]
-        if np.abs(design @ weights - targets).max() < _TOLERANCE:
+        error = np.abs(design @ weights - targets).max()
+        if error < _TOLERANCE:
             break
+    if error > _MAX_ERROR:
+        return _interpolate(evaluate, rate, delay)
     return TimeShifts(
         (-delay, *(spacing * steps - delay).tolist()),
         (1.0 - float(weights.sum()), *weights.tolist()),
     )
+
+
+def _interpolate(
+    evaluate: Callable[[Array], ComplexArray], rate: float, delay: float
+) -> TimeShifts:
+    """Return shifts over a revolution whose gain is exact at the harmonics of the rotation.
+
+    evaluate: Maps frequencies in Hz, shape (n,), to the complex gain.
+    rate: rad/s.
+    delay: About which the shifts lie, s.
+    """
+    orders = np.arange(-_HARMONICS, _HARMONICS + 1)
+    positive = evaluate(np.arange(1.0, _HARMONICS + 1.0) * (rate / (2.0 * math.pi)))
+    gains = np.concatenate([positive[::-1].conj(), [1.0], positive])
+    angles = 2.0 * math.pi * orders / orders.size
+    waves = np.exp(1j * np.outer(orders, rate * delay - angles))
+    weights = (gains @ waves).real / orders.size
+    return TimeShifts(tuple((angles / rate - delay).tolist()), tuple(weights.tolist()))
