@@ -77,8 +77,8 @@ def test_a_table_is_read_with_its_checksum(tmp_path):
 @pytest.mark.parametrize(
     ("response", "recorder", "table", "words"),
     [
-        ('natural_frequency = "400 Hz"', "", None, "natural_frequency: needs damping too"),
-        ('damping = "0.7"', "", None, "damping: needs natural_frequency too"),
+        ('natural_frequency = "400 Hz"', "", None, "natural_frequency: requires damping as well"),
+        ('damping = "0.7"', "", None, "damping: requires natural_frequency as well"),
         ('natural_frequency = "15 Hz"\ndamping = "1"', "", None, "below 20 times the fastest"),
         ("", 'cutoff_frequency = "5 Hz"', None, "5 Hz is below 20 times"),
         ('frequency_response = "response.csv"', "", "frequency_Hz,gain\n1,1\n", "no column phase"),

@@ -257,7 +257,7 @@ class Accelerometer(SettingsSection):
             key, missing = "natural_frequency", "damping"
             if self.natural_frequency is None:
                 key, missing = missing, key
-            yield (key,), f"needs {missing} too", missing
+            yield (key,), f"requires {missing} as well", missing
         elif self.damping is not None and not self.damping.value >= 0.0:
             yield ("damping",), "must not be negative"
         if self.frequency_response is not None and self.natural_frequency is not None:

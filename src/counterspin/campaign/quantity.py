@@ -150,6 +150,8 @@ def parse(
             raise ValueError(f"must be {kind}, written as text with its unit ({accepted})")
         if not math.isfinite(text):
             raise ValueError(f"{text!r} is not a finite number; {kind} is required ({accepted})")
+        if unit == "1":
+            raise ValueError(f'a ratio is written as text, such as "{text!r}"')
         example = _with_unit(repr(text), unit, usual)
         raise ValueError(f"a number without a unit; write {example} ({kind}: {accepted})")
     if len(text) > _MAX_CHARACTERS:
