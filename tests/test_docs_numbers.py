@@ -173,10 +173,10 @@ ROWS = {
     ],
     "reports": [
         (
-            "Bands contain {} % of white noise",
+            "contain {} % of the values of white noise",
             round(100.0 * (2.0 * normal_cdf(pictures._COVERAGE_FACTOR) - 1.0)),
         ),
-        ("`CS-` and {} digits of its SHA-256", DIGITS),
+        ("`CS-` and {} digits of the SHA-256 checksum", DIGITS),
     ],
 }
 
