@@ -131,10 +131,10 @@ ROWS = {
     ],
     "certificate": [
         ("`CS-` and {} digits of the SHA-256", DIGITS),
-        ("k is Student's factor for {} %", 100.0 * distributions.COVERAGE),
+        ("k is taken from Student's t distribution for {} %", 100.0 * distributions.COVERAGE),
         ("smallest expanded uncertainty ({} %)", 100.0 * distributions.COVERAGE),
-        ("ellipsoidal region of {} %", 100.0 * distributions.COVERAGE),
-        ("rounded to {} decimal places", certificate_text._FACTOR_DECIMALS),
+        ("ellipsoidal {} % coverage region", 100.0 * distributions.COVERAGE),
+        ("rounds k to {} decimal places", certificate_text._FACTOR_DECIMALS),
         (
             "RSA keys need at least {} bits, elliptic curves {}.",
             signers._RSA_BITS,

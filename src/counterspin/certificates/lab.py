@@ -96,7 +96,7 @@ class CertificateSettings(SettingsSection):
         "unique identifier of the certificate",
         "2026-014",
         None,
-        absent="`CS-` and 12 digits of the SHA-256 of the result file and LAB.toml",
+        absent="`CS-` and 12 digits of the SHA-256 digest of the result file and LAB.toml",
     )
     language: Language = key_field(
         "language of the laboratory's entries in this file; standard texts are in "
@@ -119,7 +119,7 @@ class CertificateSettings(SettingsSection):
         "date of issue",
         datetime.date(2026, 3, 9),
         None,
-        absent="`SOURCE_DATE_EPOCH` of the environment, or today (UTC)",
+        absent="date in the environment variable `SOURCE_DATE_EPOCH`, or today (UTC)",
     )
     traceability: Text = key_field(
         "metrological traceability statement (ISO/IEC 17025, 7.8.4.1 c)",
@@ -153,7 +153,7 @@ class CertificateSettings(SettingsSection):
         "remarks, as a list of sentences", ["first calibration"], [], absent="none"
     )
     accelerometers: list[Text] | None = key_field(
-        "names of the coefficients to certify", ["Qx"], None, absent="all"
+        "names of the accelerometers to certify", ["Qx"], None, absent="all"
     )
 
     def contradictions(self) -> Iterator[Contradiction]:
@@ -217,7 +217,7 @@ class LabAccelerometer(SettingsSection):
     manufacturer: Text | None = key_field("manufacturer of the part", "Example Instruments", None)
     model: Text | None = key_field("model of the part", "QA-2000", None)
     serial_number: Text | None = key_field(
-        "serial number of the part; must agree with the campaign's",
+        "serial number of the part; must equal the serial number in the campaign",
         "Q-104",
         None,
         absent="the campaign's",
@@ -297,7 +297,7 @@ class Lab(SettingsSection):
         },
     )
     accelerometers: dict[str, LabAccelerometer] = key_field(
-        "identified parts of the item, by name",
+        "manufacturer, model and serial number of each accelerometer in the item, by name",
         {"Qx": {"serial_number": "Q-104"}},
         {},
         absent="none",
@@ -315,28 +315,28 @@ class Lab(SettingsSection):
         absent="none",
     )
     equipment: list[Equipment] = key_field(
-        "measuring equipment, with the calibrations that establish its traceability",
+        "measuring equipment, with the calibration certificates that establish traceability",
         [{"name": "laser interferometer", "certificate": "2025-4711"}],
         [],
         absent="none",
     )
     cmc: dict[str, str] = key_field(
-        "smallest expanded uncertainty (95 %) that the laboratory may state, by term; `applied` "
-        "is the relative uncertainty of the [applied acceleration](applied.md)",
+        "smallest expanded uncertainty (95 %) that the laboratory may state for each term; "
+        "`applied` is the relative uncertainty of the [applied acceleration](applied.md)",
         {"K_II": "1e-7 g/g^2"},
         {},
         absent="no limit",
     )
     evidence: Annotated[dict[str, Text], BeforeValidator(_flatten)] = key_field(
-        "evidence for the bound of each term that the result [assumes](#assumed-terms) perfect, "
-        "or whose default uncertainty contributes a tenth or more of a variance, by term",
+        "evidence for each term, by name, that the result [assumes](#assumed-terms) to be perfect "
+        "or whose default uncertainty contributes at least 10 % of a variance",
         {"K_OO": "type test TR-12"},
         {},
         absent="none",
     )
     specification: Annotated[dict[str, Any] | None, Section(Specifications)] = key_field(
-        "limits for the coefficients, as in [a campaign](campaign.md#specification), for "
-        "statements of [conformity](conformity.md)",
+        "limits for the coefficients, in the format of [a campaign](campaign.md#specification), "
+        "for statements of [conformity](conformity.md)",
         {"K_II": "abs <= 5e-5 g/g^2"},
         None,
         absent="the campaign's",
