@@ -9,7 +9,7 @@ from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Site
 from counterspin.physics.simulation import coefficients_in_run
-from counterspin.physics.station import FRAMES, Station, mean_products
+from counterspin.physics.station import FRAMES, Station, Stations, mean_products
 from counterspin.physics.terms import TERMS, term
 from counterspin.readings.known_attitudes import Readings
 
@@ -58,7 +58,7 @@ def readings(test, value, u, u_head=0.0, temperature=None):
         motion=stations[0].motion,
         names=tuple(f"position {i}" for i in range(n)),
         site=SITE,
-        stations=tuple(stations),
+        stations=Stations.from_stations(stations),
         mountings=tuple(mountings),
         head=np.asarray(head, dtype=float),
         u_head=np.full(n, u_head),

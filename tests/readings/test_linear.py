@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.station import Station
+from counterspin.physics.station import Station, Stations
 from counterspin.readings.fit import solve_readings
 from counterspin.readings.known_attitudes import Readings, linearize
 
@@ -46,10 +46,12 @@ def faces(values, sigma, repeats=1):
             motion="static",
             names=tuple(map(str, range(n))),
             site=SITE,
-            stations=tuple(
-                Station("static", Mounting.from_axes(*(np.array(axes) @ face)))
-                for face in FACES
-                for _ in range(repeats)
+            stations=Stations.from_stations(
+                [
+                    Station("static", Mounting.from_axes(*(np.array(axes) @ face)))
+                    for face in FACES
+                    for _ in range(repeats)
+                ]
             ),
             mountings=("",) * n,
             head=np.zeros((n, 3)),

@@ -69,7 +69,7 @@ def test_the_other_sense_of_rotation_changes_the_coriolis_force():
         for other in candidate_columns(one, 0, {"K_I"}, set())
         if other.kind == REVERSED
     )
-    rates = np.array([station.rate for station in one.stations])
+    rates = one.stations.rate
     side = np.array([1.0 if name == "inward" else -1.0 for name in one.mountings])
     expected = -4.0 * side * rates * 7.292115e-5 * math.sin(0.8) / 9.80665
     np.testing.assert_allclose(column, expected, rtol=1e-9)

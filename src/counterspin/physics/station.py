@@ -322,12 +322,16 @@ def mean_products(stations: Stations, site: Site) -> Array:
 
     Returns: in g to the power of each product's degree, shape (n, m), in the order of `TERMS`.
     """
-    angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False, dtype=np.float64)
+    # At rest the force is the same at all angles.
+    is_static = stations.motion == "static" and not stations.rate.any()
+    angles = np.linspace(0.0, 2.0 * np.pi, 1 if is_static else _ANGLES, endpoint=False)
     forces, axes = stations.forces(site, angles), stations.axes_under_load()
     a_ipo = np.einsum("nij,nmj->inm", axes, forces)
     a_ipo /= site.gravity
     rotations = np.moveaxis(stations.rotations(axes), 0, 1)
     means: Array = _products(a_ipo, rotations).mean(axis=2).T
+    if is_static:
+        return means
     lowest, highest = a_ipo[0].min(axis=1), a_ipo[0].max(axis=1)
     has_kink = (lowest < SIGN_WIDTH) & (highest > -SIGN_WIDTH) & (highest - lowest > _ROUNDING)
     harmonics = np.fft.rfft(a_ipo[0]) / _ANGLES

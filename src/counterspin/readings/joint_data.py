@@ -203,24 +203,34 @@ def reading_results(
     """Return each reading as a result shows it."""
     group = part.readings
     assert isinstance(group, Readings)
+    stations = group.stations
+    columns = (
+        stations.axes,
+        stations.rate,
+        stations.amplitude,
+        group.value,
+        part.sigma,
+        part.residuals,
+    )
+    rows = zip(
+        group.names, group.mountings, part.single, *(c.tolist() for c in columns), strict=True
+    )
     return [
         ReadingResult(
             name=name,
             motion=group.motion,
-            mounting=group.mountings[index],
-            input_axis=tuple(map(float, station.mounting.matrix[0])),
-            pendulous_axis=tuple(map(float, station.mounting.matrix[1])),
-            rate=station.rate,
-            amplitude=station.amplitude or None,
-            value=float(group.value[index]),
-            u=float(part.sigma[index]),
-            residual=float(part.residuals[index]),
-            z=None
-            if math.isnan(part.single[index].standardized)
-            else part.single[index].standardized,
+            mounting=mounting,
+            input_axis=tuple(axes[0]),
+            pendulous_axis=tuple(axes[1]),
+            rate=rate,
+            amplitude=amplitude or None,
+            value=value,
+            u=u,
+            residual=residual,
+            z=None if math.isnan(single.standardized) else single.standardized,
             **_record_fields(means.get((group.accelerometer, name))),
         )
-        for index, (name, station) in enumerate(zip(group.names, group.stations, strict=True))
+        for name, mounting, single, axes, rate, amplitude, value, u, residual in rows
     ]
 
 

@@ -22,7 +22,7 @@ from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Site
-from counterspin.physics.station import Station, Stations, mean_products
+from counterspin.physics.station import Stations, mean_products
 from counterspin.physics.terms import (
     CONDITION_TERMS,
     TABLE,
@@ -61,7 +61,7 @@ class Readings:
     motion: str
     names: tuple[str, ...]  #: Of the readings.
     site: Site  #: Where they were taken.
-    stations: tuple[Station, ...]  #: Axes and machine of each.
+    stations: Stations  #: Axes and machine of each.
     mountings: tuple[str, ...]  #: Name of each reading's mounting; empty where it has none.
     #: Axis about which the dividing head turned, in the station's frame, shape (n, 3); zero without
     #: one.
@@ -110,7 +110,7 @@ class Readings:
 
     def stations_with(self, machine: Mapping[str, float]) -> Stations:
         """Return where the readings were taken, with the machine's terms as given."""
-        stations = self._stations
+        stations = self.stations
         for symbol, size in machine.items():
             if size != 0.0:
                 stations = self.perturb(stations, symbol, size)
@@ -126,11 +126,6 @@ class Readings:
         )
 
     @cached_property
-    def _stations(self) -> Stations:
-        """The stations as arrays."""
-        return Stations.from_stations(self.stations)
-
-    @cached_property
     def head_angles(self) -> Array:
         """Indicated angle of the head at each reading, rad, shape (n,)."""
         return np.broadcast_to(self.head_angle, self.size)
@@ -141,12 +136,10 @@ class Readings:
 
     def with_setting_errors(self, errors: Array) -> Readings:
         """Return readings at rates or amplitudes larger by relative errors, shape (n,)."""
-        pairs = zip(self.stations, (1.0 + errors).tolist(), strict=True)
-        stations = (
-            replace(station, rate=station.rate * factor, amplitude=station.amplitude * factor)
-            for station, factor in pairs
+        rate, amplitude = (
+            setting * (1.0 + errors) for setting in (self.stations.rate, self.stations.amplitude)
         )
-        return replace(self, stations=tuple(stations))
+        return replace(self, stations=replace(self.stations, rate=rate, amplitude=amplitude))
 
     @property
     def noise_floor(self) -> float:
@@ -166,16 +159,15 @@ class Readings:
         """Places of the readings of each position that was read more than once."""
         groups: dict[tuple[object, ...], list[int]] = {}
         angles = self.head_angles
-        angle_keys = np.round(np.stack([np.cos(angles), np.sin(angles)], axis=-1), 9) + 0.0
-        for index, (station, mounting) in enumerate(
-            zip(self.stations, self.mountings, strict=True)
-        ):
-            # Where an axis points is known to rounding only.
-            axes = tuple(np.round(station.mounting.matrix, 9).ravel().tolist())
-            # A repeat is set to the same rate and turns at nearly the same.
-            rate = self.stated_rates[index] if self.stated_rates else station.rate
-            key = (axes, rate, mounting, *angle_keys[index].tolist())
-            groups.setdefault(key, []).append(index)
+        # Where an axis points is known to rounding only.
+        axes = np.column_stack(
+            [self.stations.axes.reshape(self.size, 9), np.cos(angles), np.sin(angles)]
+        )
+        # A repeat is set to the same rate and turns at nearly the same.
+        rates = self.stated_rates or self.stations.rate.tolist()
+        rows = zip(np.round(axes, 9).tolist(), rates, self.mountings, strict=True)
+        for index, (row, rate, mounting) in enumerate(rows):
+            groups.setdefault((*row, rate, mounting), []).append(index)
         return tuple(tuple(indices) for indices in groups.values() if len(indices) > 1)
 
     @property
@@ -186,7 +178,7 @@ class Readings:
     @property
     def size(self) -> int:
         """The number of readings."""
-        return len(self.stations)
+        return len(self.names)
 
     @property
     def repeat_dof(self) -> float:
@@ -220,10 +212,9 @@ class Readings:
         """Return the readings with an accelerometer mounted otherwise."""
         if self.accelerometer != name:
             return self
-        stations = (
-            replace(station, mounting=rotate(station.mounting)) for station in self.stations
-        )
-        return replace(self, stations=tuple(stations))
+        mountings = (Mounting(tuple(map(tuple, axes))) for axes in self.stations.axes.tolist())
+        axes = np.array([rotate(mounting).axes for mounting in mountings])
+        return replace(self, stations=replace(self.stations, axes=axes))
 
     def default_candidates(self, model: Unknowns) -> Sequence[Unknown]:  # noqa: ARG002
         """Return no parameter: attitudes are known."""
@@ -278,10 +269,7 @@ class Readings:
 
     def design_factor(self, symbol: str) -> Array:
         """Return the regressor of the slope of a coefficient, shape (n,)."""
-        forces = (
-            np.array([station.radius * station.rate**2 for station in self.stations])
-            / self.site.gravity
-        )
+        forces = self.stations.radius * self.stations.rate**2 / self.site.gravity
         return CONDITION_TERMS[symbol].effect.design_factors(
             self.time, self.temperature, np.broadcast_to(self.direction, self.size), forces
         )
@@ -471,10 +459,5 @@ def with_input(group: Readings, name: str, change: float, replaced: Collection[s
     radius_owned = np.zeros(group.size)
     for symbol in replaced:
         radius_owned += group.acts_mask(symbol) if symbol.startswith(f"{name}.") else 0.0
-    pairs = zip(group.stations, radius_owned.tolist(), strict=True)
-    return replace(
-        group,
-        stations=tuple(
-            s if keeps_radius else replace(s, radius=s.radius + change) for s, keeps_radius in pairs
-        ),
-    )
+    radius = group.stations.radius + np.where(radius_owned, 0.0, change)
+    return replace(group, stations=replace(group.stations, radius=radius))

@@ -155,7 +155,7 @@ def head_angle(group: Readings) -> tuple[Array, npt.NDArray[np.bool_]]:
     zero_direction = zero_direction - (zero_direction @ axis) * axis
     zero_direction /= np.linalg.norm(zero_direction)
     quarter_direction = np.cross(axis, zero_direction)
-    frames = np.array([station.mounting.matrix for station in group.stations])
+    frames = group.stations.axes
     projections = np.abs(frames[on_axis] @ axis)
     pointer = frames[:, 0] if projections[:, 0].max() < 0.9 else frames[:, 1]
     angle[on_axis] = np.arctan2(
@@ -328,7 +328,7 @@ def _hysteresis(readings: Readings) -> Iterator[_Column]:
         reversed_start = np.append(-force_signs[:1], force_signs[1:])
         columns = [(APPROACH, _step_signs(steps)), (FORCE, force_signs), (FORCE, reversed_start)]
     else:
-        rates = np.diff([abs(station.rate) for station in readings.stations])
+        rates = np.diff(np.abs(readings.stations.rate))
         columns = [(APPROACH, _step_signs(rates))]
     for symbol, signs in columns:
         if (signs[1:] > 0.0).any() and (signs[1:] < 0.0).any():
@@ -347,7 +347,7 @@ def _step_signs(steps: Array) -> Array:
 
 def _rotation_senses(readings: Readings) -> Iterator[_Column]:
     """Yield which way the machine turned, where it turned both ways."""
-    sense = np.sign([station.rate for station in readings.stations])
+    sense = np.sign(readings.stations.rate)
     if (sense > 0.0).any() and (sense < 0.0).any():
         yield SENSE, "sense of rotation", sense
 
@@ -357,10 +357,8 @@ def _reversed_rotation(readings: Readings, forces: Array) -> Iterator[_Column]:
 
     forces: Along the input axis, g, shape (n,).
     """
-    factors = np.broadcast_to(1.0 - 2.0 * np.asarray(readings.stated_sense), readings.size)
-    pairs = zip(readings.stations, factors.tolist(), strict=True)
-    stations = tuple(replace(station, rate=sign * station.rate) for station, sign in pairs)
-    reversed_readings = replace(readings, stations=stations)
+    rate = (1.0 - 2.0 * np.asarray(readings.stated_sense)) * readings.stations.rate
+    reversed_readings = replace(readings, stations=replace(readings.stations, rate=rate))
     change = reversed_readings.products({})[:, [*TERMS].index("K_I")] - forces
     if np.ptp(change) > 0.0:
         yield REVERSED, "other sense of rotation", change
