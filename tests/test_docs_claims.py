@@ -89,7 +89,7 @@ NUMBERS = [
     ("methods", "blocks of at most {} revolution.", [1 / reduction.BLOCKS_PER_REVOLUTION]),
     (
         "methods",
-        "is known to ±1.96/(4 trials)^½, which is ±{} with 200 trials",
+        "of the rms is ±1.96/(4 trials)^½, which is ±{} for 200 trials",
         [1.96 / math.sqrt(800)],
     ),
     ("methods", "ripple's harmonics {} to {}, whether", [1, angle_error.HARMONICS]),
@@ -102,13 +102,17 @@ NUMBERS = [
     ("methods", "| below {} | omitted", [encoder._CONSIDERED_NORM_SQUARED]),
     (
         "methods",
-        "from zero by more than {} default standard uncertainties raises",
+        "from zero by more than {} default standard uncertainties, counterspin",
         [limits._MAX_DEFAULT_SDS],
     ),
     ("result", "more than {} default standard uncertainties", [limits._MAX_DEFAULT_SDS]),
     ("methods", "above {} of the noise of one row", [design_blocks._MIN_EFFECT]),
-    ("methods", "With the typical {} ug/g^2 of navigation grade", [1e6 * TERMS["K_OO"].typical]),
-    ("methods", "enter u as stated, or with {} arcsec", [ENCODER / ARCSEC]),
+    (
+        "methods",
+        "With the default of {} ug/g^2 for K_OO of navigation grade",
+        [1e6 * TERMS["K_OO"].typical],
+    ),
+    ("methods", "to u as stated, or with the default of {} arcsec", [ENCODER / ARCSEC]),
     ("trust", "with a default of {} arcsec each", [ENCODER / ARCSEC]),
     (
         "campaign",
@@ -121,10 +125,10 @@ NUMBERS = [
         [1e6 * INPUTS["records.clock"].typical],
     ),
     ("physics", "change K_I by {} ppm", [2e6 * INPUTS["records.clock"].typical]),
-    ("methods", "in log-likelihood reaches {}, which", [noise_search.KEEPING_GAIN]),
+    ("methods", "in log-likelihood reaches {}. If", [noise_search.KEEPING_GAIN]),
     (
         "methods",
-        "in one case of {}. Noise",
+        "in one case of {}. The",
         [1 / normal_cdf(-math.sqrt(noise_search.KEEPING_GAIN))],
     ),
     ("methods", "likelihood times N^(-{})", [undetected_walk.PRIOR_EXPONENT]),
@@ -134,7 +138,7 @@ NUMBERS = [
         "the other noise is a {} times as large",
         [1 / bias_instability._MIN_RELATIVE_DENSITY],
     ),
-    ("methods", "flicker above {} half-waves", [bias_instability._BASIS_SIZE_RANGE[1]]),
+    ("methods", "flicker noise above {} half-waves", [bias_instability._BASIS_SIZE_RANGE[1]]),
     ("methods", "false alarm in one of {} good", [1 / diagnostics.SIGNIFICANCE]),
     (
         "methods",
@@ -144,10 +148,14 @@ NUMBERS = [
     ("methods", "deviate from their neighbours by more than {} standard", [outliers.LIMIT_SDS]),
     ("methods", "in at most one of a {} complete records", [1 / outlier_rejection.FALSE_ALARMS]),
     ("methods", "residuals more than {} the stated noise", [findings.RESIDUAL_RATIO_LIMIT]),
-    ("methods", "noise beyond {} ug/Hz^0.5, a run", [1e6 * findings.LARGEST_WALK]),
+    ("methods", "accelerometer noise beyond {} ug/Hz^0.5", [1e6 * findings.LARGEST_WALK]),
     ("methods", "the others by more than {} standard", [findings.CONTRADICTION_SIGMAS]),
-    ("methods", "shifts below {} of their u; below", [diagnostics.AGREEMENT]),
-    ("methods", "within {} u of the difference", [diagnostics.AGREEMENT]),
+    ("methods", "shifts below {} standard uncertainties of the shift", [diagnostics.AGREEMENT]),
+    (
+        "methods",
+        "difference below {} standard uncertainties of the difference",
+        [diagnostics.AGREEMENT],
+    ),
     ("diagnosis", "| each record, at {} times, then", [ranking.STEPS]),
     (
         "diagnosis",
@@ -281,9 +289,13 @@ def test_weighing_is_better_than_holding():
     known = cs.read_campaign(example).change(
         {**WITHOUT_QY, "model": {"assume": "all", "priors": {"platform.tilt": "0 ± 0.5 arcsec"}}}
     )
-    named = told("methods", "tilts that repeat to {} arcsec and all else perfect")
+    named = told("methods", "tilts that repeat to {} arcsec and no other errors")
     assert named == ["0.5"]
-    numbers = told("methods", "u(K_II) = {} g/g^2 where the tilts are held, and {} g/g^2 where")
+    numbers = told(
+        "methods",
+        "are held, u(K_II) is {} g/g^2; if the tilts are estimated with the same prior, "
+        "u(K_II) is {} g",
+    )
     for number, held in zip(numbers, ([*known.model.considered], ["K_IP"]), strict=True):
         found = cs.forecast(known.change({"model": {"hold": held}})).u["Qx.K_II"]
         assert agrees(number, found)
@@ -348,7 +360,9 @@ def test_where_encoder_and_imbalance_matter(violations):
     # methods.md, of 1e-7 of the rate, and physics.md
     arcsec = abs(violations["encoder.harmonic.1.sin", "specific_force"]["shifts"]["K_II"])
     ripple, times = told(
-        "methods", "a first harmonic of {} of the rate that the encoder hides would move K_II by {}"
+        "methods",
+        "a first harmonic of {} of the rate, hidden by an encoder error. This "
+        "harmonic would shift K_II by {}",
     )
     assert value_of(times) == round(arcsec * value_of(ripple) / ARCSEC)
     assert arcsec > 200
@@ -397,7 +411,7 @@ def test_intervals_with_a_noise_that_is_found_are_rather_too_long():
 
 
 def test_u_is_right_where_the_noise_is_stated_or_shows():
-    (near,) = told("methods", "1 lies within {} of every band")
+    (near,) = told("methods", "1 lies within {} of the band")
     study = runpy.run_path(str(ROOT / "docs" / "coverage.py"))
     rows = [row for row in study["TABLE"].load() if not row.hidden]
     assert len(rows) > 10
