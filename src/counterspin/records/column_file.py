@@ -438,6 +438,8 @@ def mask_overflow(values: np.ndarray) -> np.ndarray:
     """Return numbers with NaN for those that instruments write where they measured none."""
     import numpy as np
 
+    if values.max(initial=0.0) < _OVERFLOW and values.min(initial=0.0) > -_OVERFLOW:
+        return values  # NaN fails both tests
     is_overflow = np.abs(values) >= _OVERFLOW
     if not is_overflow.any() or (np.abs(values[is_overflow]) > _NOT_A_NUMBER).any():
         return values
