@@ -58,8 +58,8 @@ demo: $(READY) ## Simulate and calibrate the paper's plan: a table and a figure
 	$(BIN)/counterspin demo
 
 test: PREPARED = $(COMPILED)
-test: lint ## Lint, types, import rules and all tests except those of docs-tests
-	$(BIN)/python -m pytest $(PARALLEL) $(PAGE_TESTS:%=--ignore=%)
+test: lint ## Lint, types, import rules and all tests except slow ones and those of docs-tests
+	$(BIN)/python -m pytest $(PARALLEL) -m "not slow" $(PAGE_TESTS:%=--ignore=%)
 
 quick: $(READY) ## The short tests, for working: a minute at most
 	$(BIN)/python -m pytest $(PARALLEL) --quick 55
@@ -69,7 +69,7 @@ slow: $(READY) ## Time all tests, one by one, and list in tests/slow.txt what qu
 
 # All tests are collected once, after the site is built. The checks of types run beside them, because
 # tests wait a tenth of their time.
-ci: $(READY) $(TYPESCRIPT) $(DOCS) ## All of test and docs-tests, in less time
+ci: $(READY) $(TYPESCRIPT) $(DOCS) ## All of test and docs-tests, and the slow tests
 	$(MAKE) --no-print-directory -j 2 docs $(COMPILED) $(filter-out types-%,$(CHECKS))
 	$(MAKE) --no-print-directory -j 2 tests-with-site $(filter types-%,$(CHECKS))
 

@@ -35,6 +35,7 @@ def test_a_closed_stream_and_one_without_an_encoding_are_left_alone():
     write_substitutes(io.StringIO())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [("schema", "campaign"), ("apply", "--help")])
 def test_commands_write_to_any_encoding(words):
     for encoding in ("cp1252", "ascii"):

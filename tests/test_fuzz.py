@@ -62,6 +62,7 @@ def test_what_was_found_once_is_refused_in_words(bench, case):
     assert verdict != "found", words
 
 
+@pytest.mark.slow
 def test_a_few_new_cases_of_each_format(bench):
     shares = {name: row.share for name, row in FORMATS.items() if name not in SLOW}
     for native, count in ((False, DOCUMENTS), (True, RECORDS)):
@@ -78,6 +79,7 @@ def test_a_few_new_cases_of_each_format(bench):
         assert "refused" in verdicts
 
 
+@pytest.mark.slow
 def test_no_size_that_a_description_states_takes_all_memory(bench):
     form, path = bench("sizes")
     verdicts = []
@@ -89,6 +91,7 @@ def test_no_size_that_a_description_states_takes_all_memory(bench):
     assert verdicts.count("refused") > 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ASKED)
 def test_the_application_answers_whatever_is_asked(bench, name):
     form, path = bench(name)
@@ -176,6 +179,7 @@ def test_a_command_that_fails_without_words_is_found(monkeypatch):
         command("report", ROOT / "tests/frozen/schema-1-joint.json", "--date", "2026-01-01")
 
 
+@pytest.mark.slow
 def test_a_hunt_counts_what_it_tried(tmp_path, bench):
     bag = hunt(["lab"], seed=5, first=1, count=30, output=tmp_path)
     form, path = bench("lab")

@@ -45,6 +45,7 @@ def offences(look, among=SOURCES):
 # Modules
 
 
+@pytest.mark.slow
 def test_every_module_says_what_it_is_for():
     def silent(_, source):
         docstring = ast.get_docstring(nodes_of(source)[0]) or ""
@@ -278,6 +279,7 @@ def test_quick_leaves_out_what_is_listed_as_slow(quick, tmp_path):
     assert quick("--quick", "60", "-p", "clock") == [4, 0, 2]
 
 
+@pytest.mark.slow
 def test_quick_starts_no_test_after_its_time(quick, tmp_path):
     (tmp_path / "slow.txt").write_text("test_it.py::test_long\n")
     assert quick("--quick", "0", "-n", "2") == [2, 4]

@@ -34,6 +34,7 @@ def test_what_is_not_there_cannot_be_planted():
             planted({**mutants()[0], **change})
 
 
+@pytest.mark.slow
 def test_an_error_is_named_by_validate(tmp_path):
     copy = tmp_path / "counterspin"
     shutil.copytree(SOURCE, copy)

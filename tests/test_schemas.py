@@ -96,6 +96,7 @@ def test_every_key_is_described(name):
         assert not re.search(r"\]\(|\n", schema["description"]), path
 
 
+@pytest.mark.slow
 @every_schema
 def test_a_schema_says_what_it_is_and_is_printed_as_it_stands(name, capsys):
     assert made(name)["$schema"] == "https://json-schema.org/draft/2020-12/schema"

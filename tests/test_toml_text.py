@@ -46,6 +46,7 @@ def test_keys_and_brackets_add_up():
         parse_toml("x = " + f"{{ {key} = " * 10 + "1" + " }" * 10)
 
 
+@pytest.mark.slow
 def test_more_keys_and_values_than_any_campaign_has_are_refused():
     for text in ("x = [" + "1," * 600_000 + "]", "k = 1\n" * 600_000, "[[a]]\n" * 300_000):
         with pytest.raises(NestingError, match="more than 500000 keys and values"):

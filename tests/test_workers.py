@@ -41,6 +41,7 @@ def test_command_says_that_it_has_capped_them(tmp_path, monkeypatch, capsys):
     assert error.count("counterspin: --workers: 5000 were requested; more than 2") == 1
 
 
+@pytest.mark.slow
 def test_cluster_of_a_laptop_listens_to_nobody_else_and_runs_nothing_of_its_folder(tmp_path):
     psutil = pytest.importorskip("psutil", reason="comes with Dask")
     for name in ("json", "signal", "multiprocessing"):

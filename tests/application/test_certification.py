@@ -205,6 +205,7 @@ def test_records_are_not_given_away(page):
     assert page.get("/api/file", params={"name": "three/slow.csv"}).status_code == 403
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "mark"), [("html", b"<!DOCTYPE html>"), ("md", b"# "), ("pdf", b"%PDF")]
 )

@@ -80,6 +80,7 @@ def reference(plain, tmp_path_factory):
     return calibrate(place).accelerometers["Qx"].coefficients["K_II"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXPORTS)
 def test_every_make_of_export_gives_the_same_result(page, folder, plain, reference, name, tmp_path):
     files = write_records(plain, tmp_path / "files", EXPORTS[name])

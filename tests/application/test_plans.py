@@ -47,6 +47,7 @@ def test_limits_have_the_names_of_the_plan_s_file(planned):
     assert all(limit["low"] <= limit["value"] <= limit["high"] for limit in told["limits"])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("inline_jobs")
 def test_the_page_is_the_command_s_plan_within_the_changed_limits(planned, folder):
     shown = page_of(planned, total_time=1400.0, highest_rate=5.0)
@@ -82,6 +83,7 @@ def test_a_search_can_be_stopped(planned):
     assert wait(planned, number)["state"] == "stopped"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("inline_jobs")
 def test_limits_move_in_the_units_of_the_file(planned, folder):
     """rev/s and minutes, as a person wrote them; what is asked is in SI."""
@@ -102,6 +104,7 @@ def test_limits_move_in_the_units_of_the_file(planned, folder):
     assert written["runs"] == 3
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("inline_jobs")
 def test_poses_are_planned_as_the_command_plans_them(page, folder):
     page.post("/api/plan", json={"name": "POSES.toml", "example": "poses"})
@@ -172,6 +175,7 @@ def test_an_example_and_what_is_no_plan(page, folder):
     assert page.get("/api/plan", params=query).status_code == 422
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("inline_jobs")
 def test_a_plan_that_cannot_be_made_changes_no_file(planned, folder):
     file = folder / "PLAN.toml"

@@ -27,6 +27,7 @@ BOUND = 300.0
 SVG = "{http://www.w3.org/2000/svg}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_it_prints_its_link_serves_this_machine_alone_and_ends_when_asked_to(tmp_path, how):
     words = [sys.executable, "-m", "counterspin", "serve", str(tmp_path), "--no-browser"]

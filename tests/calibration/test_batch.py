@@ -54,6 +54,7 @@ def outcomes(batch):
     return list(batch.campaigns.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2])
 def test_each_campaign_is_calibrated_as_if_alone(folders, count):
     first, broken, last = outcomes(calibrate_many(folders, workers=Workers(count)))
@@ -132,6 +133,7 @@ class Held:
             os.close(held)
 
 
+@pytest.mark.slow
 def test_campaign_whose_worker_dies_is_tried_again(folders, tmp_path):
     held = Held(tmp_path / "held", folders[0], of_pool, times=1)
     several = [folders[0], tmp_path / "held", folders[2]]
@@ -140,6 +142,7 @@ def test_campaign_whose_worker_dies_is_tried_again(folders, tmp_path):
     assert outcomes(found) == [alone(folders[place]) for place in (0, 0, 2)]
 
 
+@pytest.mark.slow
 def test_campaign_whose_workers_die_is_reported_and_stops_no_other(folders, tmp_path, capsys):
     Held(tmp_path / "held", folders[0], of_pool, times=2)
     kept = tmp_path / "all.json"
@@ -201,6 +204,7 @@ def scheduler(tmp_path):
         yield address, process
 
 
+@pytest.mark.slow
 def test_lost_scheduler_is_told_and_loses_nothing_that_was_done(
     folders, scheduler, tmp_path, monkeypatch
 ):

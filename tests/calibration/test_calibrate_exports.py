@@ -22,6 +22,7 @@ def reference(plain):
     return calibrated(plain).accelerometers["Qx"].coefficients["K_II"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXPORTS)
 def test_every_export_gives_the_same_result(tmp_path, plain, reference, name):
     write_export(plain, tmp_path / "lab", EXPORTS[name])

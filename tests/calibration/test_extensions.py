@@ -144,6 +144,7 @@ def whole(run):
     return results
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extra", EXTRAS)
 def test_a_calibration_needs_no_extra(run, whole, extra):
     modules, dependents = EXTRAS[extra]

@@ -85,6 +85,7 @@ def test_readings_are_refused_in_words_where_they_are_not_installed(tmp_path, ru
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_tests_of_records_pass_without_readings(run_without):
     options = ("-q", "-p", "no:cacheprovider", "-p", "no:xdist", f"--rootdir={TESTS.parent}")
     files = (TESTS / name for name in OF_RECORDS)

@@ -583,6 +583,7 @@ def under_conditions(*changes):
     return changed(BASE, *stated, *changes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("symbol", "size", "unit"),
     [

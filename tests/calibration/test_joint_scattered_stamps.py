@@ -95,6 +95,7 @@ def test_a_force_is_that_of_the_angle_s_time(noise, dense, tmp_path):
     assert result.coefficient("Qx.K_II").u < 2e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["joint", "two-stage"])
 @pytest.mark.parametrize("noise", [True, False], ids=["stated", "found"])
 def test_both_methods_follow_the_angle_in_displacement(method, noise, tmp_path):

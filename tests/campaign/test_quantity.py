@@ -206,6 +206,7 @@ def test_factors_of_one_dimension_are_inverse(one, other):
     assert there * unit_factor(other, one) == pytest.approx(1.0, rel=1e-15)
 
 
+@pytest.mark.slow
 @given(st.text(max_size=20))
 def test_no_text_gets_past_as_anything_but_a_quantity_or_a_value_error(text):
     try:

@@ -134,6 +134,7 @@ minimise = ["K_II"]
 """
 
 
+@pytest.mark.slow
 def test_a_plan_is_of_the_noise_found_and_writes_it_down(tmp_path):
     at_rest(tmp_path, rows=2000)
     file = tmp_path / "PLAN.toml"
@@ -170,6 +171,7 @@ def test_a_plan_says_that_it_cannot_plan_with_a_bias_that_wanders(tmp_path):
     assert 'add bias_walk = "0 m/s^2/s^0.5"' in str(e.value)
 
 
+@pytest.mark.slow
 def test_a_record_at_rest_may_be_in_memory(folder, tmp_path):
     frame, recorded = pl.read_csv(folder / "rest.csv"), cs.simulate(read_campaign(folder))
     of_file = make_noise(recorded)

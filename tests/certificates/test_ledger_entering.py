@@ -156,6 +156,7 @@ def test_only_the_issued_file_of_an_entered_certificate_is_amended(desk, capsys)
     assert amendment.of["amends_sha256"] == digest(desk / "a.xml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lab", [KEPT, LAB], ids=["ledger", "no ledger"])
 @pytest.mark.parametrize("link", range(1, 6))
 def test_both_files_of_an_interrupted_command_are_completed(desk, monkeypatch, lab, link):

@@ -165,6 +165,7 @@ def test_ctrl_c_is_acknowledged(monkeypatch, capsys):
     assert capsys.readouterr().err == "counterspin: stopped\n"
 
 
+@pytest.mark.slow
 def test_an_interrupted_study_is_told_once_and_how_to_go_on(hostile, monkeypatch, capsys):
     from counterspin.studies import study
 
@@ -265,6 +266,7 @@ def hostile(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     [
@@ -310,6 +312,7 @@ def test_a_hostile_report_is_safe_as_markdown(words, hostile, tmp_path):
     assert "K_II = 1" not in {line.strip("> \\") for line in out.read_text("utf-8").splitlines()}
 
 
+@pytest.mark.slow
 def test_a_hostile_report_is_safe_as_html_and_on_paper(hostile, tmp_path):
     for kind in ("html", "pdf"):
         out = tmp_path / f"report.{kind}"

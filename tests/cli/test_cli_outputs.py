@@ -82,6 +82,7 @@ def contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", WRITERS, ids=lambda words: words[0] + words[-1])
 def test_no_file_of_another_kind_is_replaced(words, here, capsys):
     before = contents(here)
@@ -106,6 +107,7 @@ def test_a_certificate_replaces_nothing(name, here, capsys):
     assert contents(here) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     [
@@ -133,6 +135,7 @@ def test_an_earlier_output_is_replaced_if_asked_for(words, here, capsys):
     assert cli.main([*words, "--overwrite"]) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("figure", ["svg", "png", "pdf"])
 def test_a_demonstration_and_its_figure_are_known_again(figure, here, capsys):
     words = ["demo", "-o", "shown", "--figure", figure]
@@ -175,6 +178,7 @@ def test_a_result_that_cannot_be_written_is_printed_all_the_same(here, capsys):
     assert "K_II" in told.out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "name"),
     [
@@ -195,6 +199,7 @@ def test_files_are_written_before_anything_is_printed(words, name, here, monkeyp
     assert (here / name).exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["full", "broken"])
 def test_a_result_is_written_before_it_is_printed(way, here):
     """A full device behind standard output, and a reader that has gone away."""
@@ -247,6 +252,7 @@ PAGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("first", "second", "name"),
     [

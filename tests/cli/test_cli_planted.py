@@ -71,6 +71,7 @@ def foreign(made, monkeypatch):
     assert sorted(made.glob("*.ran")) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", COMMANDS, ids=lambda words: "-".join(words[:2]))
 def test_no_module_of_the_working_folder_is_run(words, foreign):
     if words[0] == "init":
@@ -98,6 +99,7 @@ def test_nor_by_what_the_page_starts(foreign):
 BESIDE = Path(sys.executable).parent
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command", [[BESIDE / "counterspin"], [sys.executable, "-m", "counterspin"]]
 )

@@ -244,6 +244,7 @@ def test_a_terminal_without_width(recorded):
     assert "K_II" in usual[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", ["2>&-", ">&- 2>&- <&-"])
 def test_closed_streams(recorded, closed):
     assert shell(f"{COMMAND} calibrate . {closed}", recorded)[0] == 0
@@ -276,6 +277,7 @@ for words in (
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("locale", ["C", "C.UTF-8"])
 def test_names_outside_ascii_and_outside_utf_8(recorded, tmp_path, locale):
     shutil.copytree(recorded, tmp_path / "here")

@@ -40,6 +40,7 @@ def reference(plain, tmp_path_factory):
     return result_of(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["labview", "tdms", "clockwise from north", "pulse"])
 def test_from_exports_to_a_result(tmp_path, plain, reference, name, capsys):
     files = write_records(plain, tmp_path / "files", EXPORTS[name])

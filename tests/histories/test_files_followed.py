@@ -36,6 +36,7 @@ def results(folder, **options):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["offset", "sensitivity", "angle"])
 def test_nine_parameters_are_followed_with_what_nobody_states_in_common(tmp_path, kind):
     found = results(tmp_path)

@@ -432,6 +432,7 @@ def test_weights_have_the_digits_they_need(weights, slack, text):
     assert write_combination(["K_F", "K_I"], weights, slack) == text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_collinear_pairs_are_those_of_50_digits(seed):
     """Pairs as close as 1e-9, and priors from a millionth to a million times the data's weight."""

@@ -137,6 +137,7 @@ def test_the_interval_of_one_variance_covers_as_chi_square_says(freedom):
     assert rises == pytest.approx([_profile_limit(freedom)] * 2, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_truth_of_few_days_and_turn_ons():
     """Histories of 4 days of 3 turn-ons: 95 % of the intervals, but for 3 sigma of trials."""
     rng = np.random.default_rng(11)

@@ -310,6 +310,7 @@ def unstated(force, warmth, sizes):
     return asymmetries + fifth * force**5 + odd * force * abs(force) + slopes
 
 
+@pytest.mark.slow
 def test_estimates_scatter_as_their_u_says(tmp_path):
     """Truth is drawn from what the description states, or else from the typical sizes."""
     trials, z = 8, []

@@ -128,6 +128,7 @@ def least_squares_u():
     return math.hypot(math.sqrt(np.linalg.inv(design.T @ design)[4, 4]), 1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("write", TABLES, ids=lambda write: write.__name__)
 def test_from_the_file_to_a_result_without_another_answer(tmp_path, write):
     looks = read_files([write(tmp_path)])

@@ -28,6 +28,7 @@ def frame():
     return pl.DataFrame({"time_s": time, "angle_rad": angle, **waves})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
 def test_a_record_is_the_same_whoever_wrote_it(tmp_path, frame, name):
     write, ending = FILES[name]

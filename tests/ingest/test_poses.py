@@ -320,6 +320,7 @@ def layouts(time, values):
 NAMES_OF_LAYOUTS = [name for name, *_ in layouts(np.zeros(1), np.zeros((1, 3)))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES_OF_LAYOUTS)
 def test_layouts_of_loggers(tmp_path, name):
     truth = posed(2.6, 0.8, 12)

@@ -70,6 +70,7 @@ def test_a_size_that_fits_no_unit_is_asked(tmp_path):
     assert {"a unit", "b unit"} <= set(needed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("first", "second"), list(permutations(DIRECTIONS, 2)))
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 @pytest.mark.parametrize("forward", [1.0, -1.0])

@@ -46,6 +46,7 @@ SAID = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("test", [one for one in get_args(Test) if one != "poses"])
 def test_each_example_goes_the_whole_way(tmp_path, test, capsys):
     """From init to the certificate; the study runs small, its coverage within what it allows."""

@@ -151,6 +151,7 @@ def test_gaps_spikes_and_rounding_are_told():
         assert words in told
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("sizes_alone")
 def test_a_sensor_that_is_moved_meanwhile_is_told():
     rng = np.random.default_rng(8)
@@ -240,6 +241,7 @@ def parquet(file, time, force):
     pl.DataFrame({"time_s": time, "force_mg": force}).write_parquet(file)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("sizes_alone")
 @pytest.mark.parametrize(
     ("name", "write", "words"),
@@ -269,6 +271,7 @@ def test_rows_may_be_counted():
     assert found == expected
 
 
+@pytest.mark.slow
 def test_the_command_writes_json_report_and_plot(tmp_path, capsys):
     file = written(tmp_path)
     names = [tmp_path / name for name in ("n.json", "n.html", "n.svg")]
@@ -304,6 +307,7 @@ def test_a_column_of_zeros_is_not_used_beside_a_measurement(tmp_path):
 START = datetime.datetime(2024, 3, 5, 23, 59, 30)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("sizes_alone")
 @pytest.mark.parametrize(
     ("name", "stamp"),

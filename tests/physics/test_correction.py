@@ -223,6 +223,7 @@ MOUNTINGS = st.sampled_from(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(
     mountings=MOUNTINGS,
@@ -319,6 +320,7 @@ def test_uncertainty_of_a_known_force():
     assert got.u[0, 0] == pytest.approx(2e-7, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_uncertainty_of_coupled_accelerometers_against_differences():
     """Sensitivities to each cause of errors by central differences of the whole correction."""
     rng = np.random.default_rng(2026)

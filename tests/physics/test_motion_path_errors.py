@@ -78,6 +78,7 @@ def test_columns_of_the_radius_are_what_the_simulation_shows_of_it(mounting, obs
     np.testing.assert_allclose(scaled, 1.25 * table, rtol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("observable", ORDERS)
 @pytest.mark.parametrize("symbol", [s for s in MOTION_TERMS if s.startswith("encoder")])
 def test_columns_of_the_encoder_are_derivatives_of_what_is_computed_from_its_angle(

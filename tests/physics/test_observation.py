@@ -232,6 +232,7 @@ def simulated_errors(mounting, sets, attitude, times):
     return np.moveaxis(solution.y.reshape(number, 11, -1)[:, 9:], 1, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mounting", "attitude"),
     [(QX, np.eye(3)), (QY, np.eye(3)), (QX, ATTITUDE)],
@@ -264,6 +265,7 @@ def test_nonlinear_first_principles_differ_from_the_columns_by_second_order_only
     np.testing.assert_allclose(left[0] / left[1], 4.0, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_each_column_is_the_derivative_of_the_simulation():
     """Central differences take the second order out: one coefficient at a time."""
     times = np.array([1.0, 2.5])

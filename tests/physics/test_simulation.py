@@ -139,6 +139,7 @@ def by_differential_equation(spindle, mounting, coefficients, platform, times, a
     return {"specific_force": np.array(force), "velocity": state[:, 4], "displacement": state[:, 5]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mounting", "attitude", "rate", "start_angle"),
     [

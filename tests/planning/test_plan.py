@@ -147,6 +147,7 @@ minimise = ["K_II"]
 )
 
 
+@pytest.mark.slow
 def test_calibration_says_what_a_plan_with_everything_has_promised(tmp_path):
     (tmp_path / "PLAN.toml").write_text(EVERYTHING, encoding="utf-8")
     planned = plan(tmp_path / "PLAN.toml")
@@ -161,6 +162,7 @@ def test_calibration_says_what_a_plan_with_everything_has_promised(tmp_path):
     assert max(run.specific_force for run in planned.result.runs) <= 8.0 * (1.0 + 1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", PLANS.values(), ids=PLANS)
 def test_calibration_says_what_the_plan_has_promised(changes, plan_of, tmp_path):
     """Within the 5 % that issue 5 asks for: every u of the accelerometer and the platform."""
@@ -256,6 +258,7 @@ def test_check_says_what_plan_says(plan_of, tmp_path):
     assert cli.main(["plan", "--check", str(tmp_path / "planned")]) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", ["2.2537", "4"])
 def test_a_target_is_met_by_the_forecast(size, plan_of):
     result = plan_of((GOAL, f'target = {{ K_II = "{size}e-8 g/g^2" }}')).result
@@ -265,6 +268,7 @@ def test_a_target_is_met_by_the_forecast(size, plan_of):
     assert result.total_time <= 700.0 * (1.0 + 1e-9)
 
 
+@pytest.mark.slow
 def test_a_target_with_noise_of_the_time_stamps_is_reached(starter, capsys):
     """The search weighs samples as the fit does; nothing bounds what another plan could do."""
     changes = PLANS["time stamps"]
@@ -296,6 +300,7 @@ RECORDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("words", "changes"), RECORDS.items(), ids=RECORDS)
 def test_the_search_predicts_what_the_forecast_says(words, changes, starter):
     """Every u of random plans within 0.02 %.
@@ -408,6 +413,7 @@ def test_report_says_what_the_issue_asks_for(plan_of, capsys):
         assert words in text, words
 
 
+@pytest.mark.slow
 def test_gain_of_a_limit_is_that_of_planning_anew(starter):
     described = starter(("runs = 14", "runs = 4"), SMALL)
     planned = plan(described).result
@@ -424,6 +430,7 @@ def test_gain_of_a_limit_is_that_of_planning_anew(starter):
         assert lines[key].gain == pytest.approx(1.0 - after / before, abs=0.004), key
 
 
+@pytest.mark.slow
 def test_a_plan_is_changed_and_swept(starter):
     """As its file with the same change; longer times leave less u."""
     described = starter(("runs = 14", "runs = 2"), SMALL)
@@ -584,6 +591,7 @@ def test_target_that_no_plan_reaches(starter):
     assert raised.value.exit_status == 1
 
 
+@pytest.mark.slow
 def test_coefficient_that_no_allowed_attitude_determines(starter):
     file = starter(
         ('"K_III", ', '"K_III", "K_PP", '),

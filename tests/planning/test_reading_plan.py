@@ -136,6 +136,7 @@ DRIFTING = [
 ]
 
 
+@pytest.mark.slow
 def test_a_target_holds_with_what_changes_with_time(written):
     """Read in the order of the angle, a drift of the bias looks like a misalignment."""
 
@@ -185,6 +186,7 @@ def test_two_accelerometers_share_a_reading(written):
     assert u_of(result, "K_I") == pytest.approx(result.accelerometers["B"].coefficients["K_I"].u)
 
 
+@pytest.mark.slow
 def test_positions_that_are_set_by_hand_are_many_and_read_once(written, tmp_path):
     """More readings of one position tell its error, and not the misalignment."""
     changes = (
@@ -464,6 +466,7 @@ def test_eighteen_poses_from_nothing_come_near_what_is_possible(tmp_path):
     assert all(reading.axes.startswith("up: ") for reading in result.readings)
 
 
+@pytest.mark.slow
 def test_ten_poses_are_searched_from_many_beginnings(tmp_path):
     """Six of them ended 45 % above the bound; of sixty the best is 21 % above it.
 

@@ -75,6 +75,7 @@ def design_of(setup, rng):
     return Design(types, rng.uniform(1.2, 6.5, 6), rng.uniform(6.0, 32.0, 6))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_prediction_is_the_joint_fit_s(case):
     """Every u within 0.02 %: the lengths are of any part of a revolution and of a sample.

@@ -412,6 +412,7 @@ def test_gravity_is_in_the_scale_factor_of_readings_in_si(tmp_path, unit, part):
     assert k_i.u == pytest.approx(math.hypot(SIGMA / math.sqrt(6.0), part * u_g / g), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_readings_that_fit_have_no_outlier(tmp_path):
     """At the level of 1 % a campaign, in 60 campaigns no more than 4 (p = 0.003)."""
     rng = np.random.default_rng(6)
@@ -649,6 +650,7 @@ def test_what_positions_have_in_common_is_in_u_as_a_dense_covariance_has_it(tmp_
     assert np.abs((values - truth) / u).max() < 4.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [8, 16, 23])
 def test_positions_that_are_set_to_half_a_degree_settle(tmp_path, seed):
     """Of an axis that points up a turn is quadratic: three of 30 such fits went to and fro."""

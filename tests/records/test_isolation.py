@@ -72,6 +72,7 @@ def test_after_a_damaged_file_another_process_reads(file):
         assert 5.0 < seconds < 10.0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="no signals there")
 def test_a_crash_is_a_refusal_of_the_file(file):
     with pytest.raises(

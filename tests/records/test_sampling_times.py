@@ -15,6 +15,7 @@ TIME = np.arange(ROWS) / RATE
 SECONDS, REST = np.floor(TIME) + 1_700_000_000, np.round((TIME % 1.0) * 1e9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("coarse", "fine", "name"),
     [

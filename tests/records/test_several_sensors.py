@@ -97,6 +97,7 @@ def stacked(path, names):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", [("A", "B"), (1, 2)])
 def test_records_that_follow_one_another_are_told_apart(tmp_path, names):
     import counterspin as cs

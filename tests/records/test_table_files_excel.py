@@ -71,6 +71,7 @@ def test_what_unpacks_to_more_than_a_table_is_refused_before_it_is_unpacked(tmp_
         excel_table(path)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="limits are Linux's")
 def test_a_cell_far_out_takes_no_memory_but_its_readers(tmp_path):
     path = write_workbook(tmp_path / "r.xlsx", {"Tumble": ROWS}, {"B5": "XFD1048576"})

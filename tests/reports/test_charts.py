@@ -95,6 +95,7 @@ def test_is_an_element_for_any_page(picture, theme):
     assert "<metadata" not in text
 
 
+@pytest.mark.slow
 @every_theme
 def test_same_picture_gives_the_same_text_in_any_process(theme):
     code = f"""
@@ -360,6 +361,7 @@ def test_the_last_date_is_whole():
 # Files
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", ["svg", "png", "pdf"])
 def test_same_pictures_give_the_same_file(ending, tmp_path):
     files = [tmp_path / f"{name}.{ending}" for name in "ab"]

@@ -334,6 +334,7 @@ def test_chapters_are_in_the_outline():
     assert titles == ["Report", "Runs", "Fit"]
 
 
+@pytest.mark.slow
 def test_same_report_gives_the_same_bytes_in_any_process():
     blocks = (Heading("Report", 1), Paragraph("µg/g² × 10⁻⁵", "answer"), long_table(30), *PICTURES)
     first = made(*blocks, attachments=attachments())

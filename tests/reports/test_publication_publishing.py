@@ -15,6 +15,7 @@ EXAMPLE = ROOT / "docs" / "examples" / "three-rate" / "result.json"
 FIXED = datetime(2026, 3, 1, 12, tzinfo=UTC)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_every_format_is_written_and_depends_on_nothing_but_result_and_date(suffix, tmp_path):
     first, second = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
@@ -174,6 +175,7 @@ def demonstration(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "title", "mark"),
     [

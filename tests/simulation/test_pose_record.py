@@ -153,6 +153,7 @@ def test_the_command_and_a_study(tmp_path, capsys):
     assert "Z.delta_P" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", ["g", "count"])
 def test_a_study_reads_the_poses_of_a_record_one_by_one(tmp_path, unit):
     """Their noise is that of the mean of 3 s of rows, whose u of a bias is known by algebra."""

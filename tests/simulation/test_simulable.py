@@ -118,6 +118,7 @@ def test_trials_that_nobody_can_keep(tmp_path):
         study(write(tmp_path, text, "other.toml"))
 
 
+@pytest.mark.slow
 def test_the_command_says_it_in_a_sentence(tmp_path):
     """With less memory than one column of the record would take."""
     campaign = asked(tmp_path, *(text.format("1e-9 rev/s") for text in SLOW))

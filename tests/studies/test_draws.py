@@ -70,6 +70,7 @@ CLOSED_FORMS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("analysis", [JOINT, TWO_STAGE], ids=["joint", "two-stage"])
 @pytest.mark.parametrize(("name", "true", "shifts"), CLOSED_FORMS)
 def test_every_engine_finds_what_another_input_does(tmp_path, name, true, shifts, analysis):
@@ -117,6 +118,7 @@ TWO_CLOCKS = changed(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", [UNCERTAIN, TWO_CLOCKS], ids=["one clock", "two clocks"])
 def test_what_is_stated_of_inputs_is_covered(tmp_path, text):
     n = 200_000 if FULL else 20_000
@@ -207,6 +209,7 @@ def on_the_arm(rate, unit):
     return f'{run}{axes}reading = "{rate**2 / 10.0} ± 1e-6 {unit}"\n'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", ["g", "m/s^2"])
 def test_readings_on_the_arm_have_the_inputs_of_each_trial(tmp_path, unit):
     """In g, K_I is known to radius and gravity; in m/s^2 to the radius alone."""

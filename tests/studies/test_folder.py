@@ -124,6 +124,7 @@ def test_progress_that_is_cut_short_is_told_and_the_study_done_anew(campaign, be
     assert_whole(outcome, whole)
 
 
+@pytest.mark.slow
 def test_flipped_bits_in_the_progress_are_never_taken_over(campaign, interrupted, tmp_path, whole):
     generator = np.random.default_rng(7)
     content = (interrupted / "progress.npz").read_bytes()
@@ -137,6 +138,7 @@ def test_flipped_bits_in_the_progress_are_never_taken_over(campaign, interrupted
             assert_whole(resumed(campaign, folder), whole)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [

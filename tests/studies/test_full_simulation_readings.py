@@ -116,6 +116,7 @@ def described(folder, *parts):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STUDIES)
 def test_estimates_are_unbiased_and_intervals_hold_the_truth(tmp_path, name):
     """All bounds together fail by chance once in some thousand changes of the random numbers."""

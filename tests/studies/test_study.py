@@ -312,6 +312,7 @@ def test_analysis_that_assumes_other_noise_than_white_needs_whole_records(tmp_pa
         assert np.all(ratio > 1.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["two-stage", "joint"])
 def test_time_stamps_that_scatter_move_angle_and_output_together(tmp_path, method):
     """By 1 ms, at which the output alone would have 1.6 times its noise at the fastest rate."""
@@ -450,6 +451,7 @@ def test_heating_that_is_held_is_covered(tmp_path):
 UNSTATED = SHORT.replace('assume = "all" ', "# ") + '\n[study.analyses.joint]\nmethod = "joint"\n'
 
 
+@pytest.mark.slow
 def test_what_nobody_states_is_covered(tmp_path):
     """Every unknown that nobody states is drawn anew in each trial, and u is that of calibrate."""
     n = 200_000 if FULL else 20_000
@@ -528,6 +530,7 @@ def test_a_wandering_bias_is_covered_by_whole_records(tmp_path):
     assert k_f.sd / k_f.u == pytest.approx(1.0, abs=0.5)
 
 
+@pytest.mark.slow
 def test_result_is_the_same_for_any_number_of_workers(varying):
     assert study(varying) == study(varying, workers=Workers(2))
 
@@ -549,6 +552,7 @@ def test_a_trial_does_not_depend_on_how_many_there_are(varying, tmp_path):
     assert "exact.Qx.K_II.estimate" in many.columns
 
 
+@pytest.mark.slow
 def test_dask_s_workers_give_the_same(varying):
     with dask_cluster() as cluster:
         result = study(varying, trials=50_000, workers=Workers(cluster=cluster.scheduler_address))
@@ -562,6 +566,7 @@ def test_cluster_that_does_not_answer_is_told(varying, monkeypatch):
         study(varying, workers=Workers(cluster="tcp://127.0.0.1:9"))
 
 
+@pytest.mark.slow
 def test_worker_that_is_killed_loses_and_doubles_nothing(engine):
     whole, other = (batch_runner.BatchResults(engine, 100_000) for _ in range(2))
     batch_runner.run_batches(engine, whole)
@@ -724,6 +729,7 @@ def test_command_prints_and_writes(varying, tmp_path, capsys):
     assert set(kept["analyses"]) == {"exact", "residuals"}
 
 
+@pytest.mark.slow
 def test_a_campaign_in_memory_is_studied_as_its_file(tmp_path):
     (tmp_path / "campaign.toml").write_text(PAPER, encoding="utf-8")
     campaign = read_campaign(tmp_path)

@@ -87,6 +87,7 @@ def test_poses_that_determine_everything_keep_no_prior():
     np.testing.assert_allclose(fit.solution.u, free.solution.u, rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [0.0, np.radians(1.0)])
 def test_uncertainties_of_faces_cover(angle):
     # The sensor is drawn from the default priors. Bounds: 1e-3 of chi-square, to either side.

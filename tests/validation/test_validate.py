@@ -49,6 +49,7 @@ def dossier():
     return validate()
 
 
+@pytest.mark.slow
 def test_every_case_passes(dossier):
     assert len(dossier.cases) >= 40
     # The schema of DCC is not part of the package.
@@ -140,6 +141,7 @@ def off(value):  # noqa: PLR0911 -- a branch for each kind of value
     return value
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS, ids=lambda kernel: kernel.rpartition(":")[2])
 def test_a_kernel_that_is_off_by_a_millionth_is_named(kernel, monkeypatch):
     module, _, name = kernel.partition(":")

@@ -356,6 +356,7 @@ def test_the_sound_campaign_is_good(sound, tmp_path, estimated):
     assert (found.state, found.findings) == ("good", [])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mistake", MISTAKES, ids=named)
 def test_a_mistake_is_named(mistake, sound, tmp_path):
     records = make_records(tmp_path / "other", *mistake.truth) if mistake.truth else sound
@@ -380,6 +381,7 @@ reading = { Qx = "0.0050321 ± 1e-5 g", Qy = "-0.003 ± 1e-5 g" }
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "mistake",
     [
@@ -438,6 +440,7 @@ def test_a_bias_that_drifts_in_every_run_is_named_beside_a_drift_of_the_platform
     assert "drift of the bias of Qx" in found.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("observable", "unit"), [("velocity", "m/s"), ("specific_force", "m/s^2")])
 @pytest.mark.parametrize(("fast", "alone"), [(1e-4, False), (-1e-4, True)])
 def test_a_clock_is_named_beside_what_looks_the_same(observable, unit, fast, alone, tmp_path):

@@ -235,6 +235,7 @@ ESTIMATED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "noise", [*ESTIMATED, "[noise]\n"], ids=["walk", "both", "nothing stated", "an empty table"]
 )

@@ -43,6 +43,7 @@ def wandering(series, noise, rng):
     return noisy(replace(series, error=series.error + drawn), plain, rng)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("observable", "noise"),
     [

@@ -270,6 +270,7 @@ ROTATIONS = tuple(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("start", "rate_error", "drift", "revolutions"),
     [

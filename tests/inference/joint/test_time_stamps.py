@@ -67,6 +67,7 @@ def z_of(found):
     return ((solution.estimate[:4] - TRUE) / solution.u[:4]).tolist()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", [True, False], ids=["stated", "found"])
 @pytest.mark.parametrize(
     ("observable", "timing"), [*((observable, 1e-3) for observable in WHITE), ("velocity", 2e-5)]

@@ -37,6 +37,7 @@ def trials():
     return [found(velocity(force(seed)), Sampling(1, 0)) for seed in range(TRIALS)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "size"), [("random_walk", N), ("flicker", B)])
 def test_sizes_are_unbiased_and_their_intervals_hold_them(trials, name, size):
     """Mean within 3.5 of its standard deviations; 95 % intervals miss no more than 1 in 2000."""

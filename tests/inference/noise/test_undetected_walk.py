@@ -121,6 +121,7 @@ class Slow:
         return abs(error) < stdtrit(1.0 / inverse[0], 0.975) * math.sqrt(1.0 + level * self.felt)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("felt", [0.2, 5.0])
 @pytest.mark.parametrize("walk", [0.0, 0.3, 2.0, 6.0])
 def test_intervals_of_a_dropped_walk_hold(walk, felt):
