@@ -42,7 +42,8 @@ def test_numbers_show_three_digits(table):
 def test_the_readme_promises_what_was_measured(rows):
     words = " ".join((ROOT / "README.md").read_text("utf-8").split())
     promised = (
-        "less than a second. A hundred million rows, as Parquet, take four, and 150 MB of memory"
+        "less than a second. A hundred million rows in a Parquet file take four seconds and 150 MB "
+        "of memory"
     )
     assert promised in words
     assert rows["A usual campaign"]["counterspin calibrate"][0] < 1.0

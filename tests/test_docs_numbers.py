@@ -94,7 +94,10 @@ ROWS = {
         ("stretch of the arm ({} per m/s²)", MOTION["centrifuge.stretch"].typical),
         ("because of heating ({} µg/g²)", 1e6 * terms.CONDITION_TERMS["K_F.heating"].typical),
         ("gain of a limit relaxed by {} %", 100.0 * limits.RELAXATION),
-        ("u would increase by {}. If", math.hypot(1.0, faults._TOLERABLE_FRACTION_OF_U) - 1.0),
+        (
+            "u would increase by {} %. If",
+            100.0 * (math.hypot(1.0, faults._TOLERABLE_FRACTION_OF_U) - 1.0),
+        ),
     ],
     "study": [
         ("compares {} analyses", len(description._DEFAULT_ANALYSES)),

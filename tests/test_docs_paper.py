@@ -47,7 +47,7 @@ def test_the_plan_is_some_fifty_times_better(reproduction):
 
 
 def test_what_is_missing_of_the_drift_and_how_small_the_product_is(reproduction):
-    (missing,) = told("paper", "(The missing {} %")
+    (missing,) = told("paper", "(The estimate is {} % smaller than")
     drift = reproduction["separation.drift_as_ripple"].ours
     assert agrees(missing, 100.0 * (1.0 - drift / (2.0 / 3.0 * plan.DRIFT_RATE)))
     (most,) = told("paper", "this parabola is at most {} millionths of the $K_{II}$ term")

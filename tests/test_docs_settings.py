@@ -39,7 +39,7 @@ def test_terms_of_the_machine_are_all_listed_with_their_units():
 def test_what_may_vary_in_a_study_is_listed():
     page = (DOCS / "study.md").read_text("utf-8")
     assert set(re.findall(r"`(noise\.\w+)`", page)) == set(NOISE_LEVELS)
-    (kinds,) = re.findall(r"A distribution is (.*?);", page)
+    (kinds,) = re.findall(r"A distribution is (.*?)\. ", page)
     assert tuple(re.findall(r"`(\w+)`", kinds)) == description._DISTRIBUTIONS
     options = re.search(r"^\| engine \|.*?\n\n", page, re.MULTILINE | re.DOTALL)[0]
     assert set(re.findall(r"--engine (\w+)", options)) <= set(get_args(EngineName))

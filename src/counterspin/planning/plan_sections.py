@@ -81,21 +81,24 @@ class LimitsSettings(SettingsSection):
         "list of the available rates",
         ["0.25 rev/s", "0.5 rev/s"],
         None,
-        absent="any rate between",
+        absent="any rate between the lowest and the highest rate",
     )
     specific_force: Force | None = key_field(
-        "largest centripetal force, in g", "1 g", None, absent="that of the highest rate"
+        "highest centripetal acceleration, in g",
+        "1 g",
+        None,
+        absent="the force at the highest rate",
     )
     senses: Literal["one", "both"] = key_field("sense of rotation", "both", "one")
     settling: Duration = key_field("settling time before each record", "10 s", 0.0, absent="0 s")
     spin_up: SpinUp | None = key_field(
-        "angular acceleration; rate / acceleration is added to the duration of each run",
+        "angular acceleration; counterspin adds rate / acceleration to the time of each run",
         "0.1 rad/s^2",
         None,
         absent="no time",
     )
     spin_down: SpinUp | None = key_field(
-        "angular deceleration; rate / deceleration is added to the duration of each run",
+        "angular deceleration; counterspin adds rate / deceleration to the time of each run",
         "0.1 rad/s^2",
         None,
         absent="no time",
@@ -110,8 +113,8 @@ class LimitsSettings(SettingsSection):
         "maximum number of runs, up to 60", 14, 8
     )
     fewest_rates: Annotated[int, AfterValidator(positive)] | None = key_field(
-        "minimum number of different rates, each at least 1.25 times the next; for "
-        "`rates`, different rates suffice",
+        "minimum number of different rates, each at least 1.25 times the next lower rate; "
+        "rates in the list `rates` need only be different",
         3,
         None,
         absent="2, or 1 if the other limits do not allow two",
@@ -143,19 +146,21 @@ class StationsSettings(SettingsSection):
         "number of equally spaced angles at rest", 24, None
     )
     attitudes: Annotated[list[Any], Field(min_length=1)] | None = key_field(
-        "list of attitudes in place of `positions`, as in [campaigns](readings.md#keys)",
+        "list of attitudes, in place of `positions`, written as in [campaigns](readings.md#keys)",
         ["level", "90 deg about east"],
         None,
     )
     attitude: Literal["unknown"] | None = key_field(
-        "[poses](poses.md#which-poses-next) of a triad, set by hand", "unknown", None
+        "`unknown` for [poses](poses.md#which-poses-next) of a triad that are set by hand",
+        "unknown",
+        None,
     )
     up: Annotated[list[Text], Field(min_length=1)] | None = key_field(
-        "axes that point up in each pose (with a minus: down); several axes point up at equal "
-        "angles",
+        "axes that point up in each pose; a minus sign means down, and several axes point up "
+        "at equal angles",
         ["X", "-X", "Y - Z"],
         None,
-        absent="every axis, pair and triple of axes: 26",
+        absent="26 poses: every axis, pair and triple of axes",
     )
     about: Text = key_field("axis of rotation of the positions", "east", "north")
     u_angle: Annotated[float, read_exactly("rad"), AfterValidator(_check_not_negative)] = key_field(
@@ -169,14 +174,14 @@ class StationsSettings(SettingsSection):
     )
     senses: Literal["one", "both"] = key_field("sense of rotation", "both", "one")
     axes: dict[str, Any] | None = key_field(
-        "axes in the frame of the motion, as for a run with a reading",
+        "directions of the axes, as for a run with a reading",
         {"input": "inward", "pendulous": "up"},
         None,
     )
     mounting: str = key_field("mounting, as for a run with a reading", "in", "")
     u: Annotated[Text | dict[str, Text], BeforeValidator(require_units)] = key_field(
-        "standard uncertainty of one reading, in g or the unit of `output`; for several"
-        " accelerometers one value or a table by name",
+        "standard uncertainty of one reading, in g or in the unit of `output`; one value for all "
+        "accelerometers, or a table by name",
         "2e-6 mA",
     )
     time: Duration = key_field("time for one reading", "60 s", 0.0, absent="0 s")
@@ -189,15 +194,15 @@ class ReadingLimitsSettings(SettingsSection):
         "maximum number of readings", 60, None, absent="limited by the time"
     )
     total_time: Seconds | None = key_field(
-        "total time of all readings; if given, a target is reached in the least time, otherwise "
-        "with the fewest readings",
+        "total time of all readings; if given, the plan reaches a target in the least time, "
+        "otherwise with the fewest readings",
         "2 h",
         None,
         absent="limited by the number",
     )
     order: Literal["mirrored", "random", "listed"] = key_field(
-        'order of the readings: `"mirrored"` repeats the sequence in reverse, which cancels a '
-        'linear drift; `"random"`; `"listed"`',
+        'order of the readings: random, as listed, or mirrored; `"mirrored"` repeats the sequence '
+        "in reverse order, which cancels a linear drift",
         "random",
         "mirrored",
     )
@@ -210,22 +215,22 @@ class GoalSettings(SettingsSection):
     """[goal]: objective of the plan."""
 
     minimise: list[Text] | dict[str, Any] | None = key_field(
-        'coefficients whose u is minimised, such as `["K_II"]`; for different units, '
-        'sizes of u that count equally, such as `{ K_II = "1e-8 g/g^2", K_I = "1e-6 '
+        'coefficients whose u the plan minimises, such as `["K_II"]`; for several units, a table '
+        'of values of u that are equally important, such as `{ K_II = "1e-8 g/g^2", K_I = "1e-6 '
         'g/g" }`',
         ["K_II"],
         None,
         absent="`target`",
     )
     target: dict[str, Any] | None = key_field(
-        "target values of u to reach in the least time, in place of `minimise`",
+        "values of u that the plan must reach in the least time, in place of `minimise`",
         {"K_II": "2e-8 g/g^2"},
         None,
         absent="`minimise`",
     )
     criterion: Literal["sum", "determinant"] = key_field(
-        'criterion: `"sum"` is the mean of (u/size)² (c- or A-optimality); '
-        '`"determinant"` is the volume of the ellipsoid (D-optimality)',
+        'quantity to minimise: `"sum"` is the mean of (u/size)² (c- or A-optimality), and '
+        '`"determinant"` is the volume of the uncertainty ellipsoid (D-optimality)',
         "determinant",
         "sum",
     )

@@ -71,17 +71,17 @@ class AnalysisSettings(SettingsSection):
         "equations of the two-stage method", "as-printed", "exact"
     )
     weighted: bool = key_field(
-        "whether the second stage of the two-stage method is weighted", False, True
+        "whether the second stage of the two-stage method weights the runs", False, True
     )
     ripple: Literal["amplitude", "ratio"] = key_field(
-        "form of the rate ripple in the two-stage method: amplitude, or amplitude divided by the "
-        "rate",
+        "quantity that the runs share in the two-stage method: the amplitude of the rate ripple, "
+        "or its ratio to the rate",
         "ratio",
         "amplitude",
     )
     fit_bias: bool = key_field("whether the second stage fits a bias", False, True)
     sigma: Literal["given", "residuals"] = key_field(
-        "noise of the strobes: given, or estimated from the residuals",
+        "source of the strobe noise: the given value, or an estimate from the residuals",
         "residuals",
         "given",
     )
@@ -135,7 +135,7 @@ class StudySettings(SettingsSection):
     )
     seed: Annotated[int, Field(ge=0)] = key_field("seed of the random number generator", 1, 1)
     vary: Annotated[dict[str, Any], Section(dict[str, DistributionSettings])] = key_field(
-        "quantities that vary from trial to trial: name -> distribution",
+        "quantities that vary from trial to trial, with their distributions by name",
         {"centrifuge.radius": {"normal": "2.5 ± 1e-5 m"}},
         absent="nothing",
         default_factory=dict,
@@ -144,9 +144,9 @@ class StudySettings(SettingsSection):
         dict[Annotated[str, AfterValidator(_analysis_name)], Any],
         Section(dict[str, AnalysisSettings]),
     ] = key_field(
-        "analyses to compare: name -> analysis",
+        "analyses to compare, by name",
         {"joint": {"method": "joint"}},
-        absent="the two methods, and the paper's equations",
+        absent="joint fit, two-stage method, and two-stage method as printed",
         default_factory=dict,
     )
 
