@@ -53,6 +53,25 @@ def test_blanks_part_cells_and_lines_stay_lines(tmp_path):
     )
 
 
+@pytest.mark.parametrize("delimiter", [" ", ",", ";", "\t"])
+@pytest.mark.parametrize("first", [1, 450])
+def test_exponents_of_fortran_are_numbers(tmp_path, delimiter, first):
+    columns = table(n=600)
+    rows = list(zip(*columns.values(), strict=True))
+    text = [
+        delimiter.join(
+            f"{x:24.16E}".replace("E", "dD"[row % 2] if row >= first else "e") for x in cells
+        )
+        for row, cells in enumerate(rows)
+    ]
+    if delimiter == ";":
+        text = [line.replace(".", ",") for line in text]
+    path = write(tmp_path / "run.csv", [delimiter.join(columns), *text])
+    read_columns = read_numbers(path, list(columns))
+    for name, values in columns.items():
+        np.testing.assert_array_equal(read_columns[name], values)
+
+
 def test_a_file_without_names_says_so(tmp_path):
     path = write(tmp_path / "run.log", lines(table())[1:])
     message = refusal(path)

@@ -180,7 +180,7 @@ def _guess_signals(
         available = ", ".join(column.name for column in samples.columns)
         problem = f"`columns`: there is no {missing[0]!r} among {available}"
         problem += f". The file was read as follows: {samples.found}" if samples.found else ""
-        problem += "".join(f". Not read: {reason}" for reason in samples.spoilt)
+        problem += "".join(f". Not read: {reason.removesuffix('.')}" for reason in samples.spoilt)
         raise CampaignError("noise", [problem])
     time = _row_times(source, guess, samples.columns, stated=sampling_rate is not None)
     time_column = guess.time.column if guess.time else None

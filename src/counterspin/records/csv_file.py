@@ -30,13 +30,12 @@ from counterspin.records.layout import (
     Line,
     describe_lines,
     detect_format,
-    find_thousands_separator,
     footer_lines,
     is_plain_format,
     plain_format,
     split_cells,
-    strip_thousands,
 )
+from counterspin.records.number_notation import number_rewriters
 
 if TYPE_CHECKING:
     import polars as pl
@@ -96,8 +95,10 @@ class CsvFile(ColumnFile):
         self._transcode(dialect)
         head = list(islice(self._lines(), HEAD_LINES + (dialect.skip_lines or 0)))
         lines = self._head = [(number, self._decode(raw_line)) for number, raw_line in head]
-        if (separator := find_thousands_separator(text for _, text in lines)) is not None:
-            self._strip_thousands(separator)
+        for rewrite in number_rewriters("\n".join(text for _, text in lines)):
+            encoding = "utf-8" if self._is_utf8 else self._encoding
+            self._content = rewrite(self._rows_content().decode(encoding, errors="replace")).encode()
+            self._is_utf8 = True
             head = list(islice(self._lines(), len(head)))
             lines = self._head = [(number, self._decode(raw_line)) for number, raw_line in head]
         layout, is_plain = None, is_plain_format(lines)
@@ -144,10 +145,9 @@ class CsvFile(ColumnFile):
         if self.delimiter == BLANKS:
             self._separate_by_tabs()
 
-    def _strip_thousands(self, mark: str) -> None:
-        """Take the content without the marks between groups of three digits."""
-        self._content = strip_thousands(self.content().decode(self._encoding), mark).encode()
-        self._is_utf8 = True
+    def _rows_content(self) -> bytes:
+        """Return the content that is parsed."""
+        return self.content() if self._content is None else self._content
 
     def _separate_by_tabs(self) -> None:
         """Take the content with one tab for the blanks between two cells; lines stay lines."""
@@ -170,7 +170,7 @@ class CsvFile(ColumnFile):
 
     def _drop_footer(self, count: int) -> None:
         """Take the content without lines at its end."""
-        lines = (self.content() if self._content is None else self._content).splitlines(True)
+        lines = self._rows_content().splitlines(True)
         self._content = b"".join(lines[: len(lines) - count])
 
     def _missing_columns_message(self, missing: Sequence[str]) -> str:
@@ -225,8 +225,7 @@ class CsvFile(ColumnFile):
         if self._content is not None:
             first_bytes = self._content[:_LINE_BYTES]
         if b"\r" in first_bytes and b"\n" not in first_bytes:
-            content = self.content() if self._content is None else self._content
-            self._content = content.replace(b"\r", b"\n")
+            self._content = self._rows_content().replace(b"\r", b"\n")
 
     def _decode(self, raw: bytes) -> str:
         """Return a line of the head as text."""
@@ -292,8 +291,8 @@ class CsvFile(ColumnFile):
         """
         if self._is_utf8 or self._encoding == "utf-8":
             return False
-        content = self.content() if self._content is None else self._content
-        self._content = content.decode(self._encoding, errors="replace").encode()
+        content = self._rows_content().decode(self._encoding, errors="replace")
+        self._content = content.encode()
         self._is_utf8 = True
         return True
 
@@ -381,7 +380,7 @@ class CsvFile(ColumnFile):
         """Return the text of a cell as a number, null where it is none."""
         import polars as pl
 
-        text = pl.col(name).str.strip_chars()
+        text = pl.col(name).str.strip_chars().str.replace(r"[dD]", "e")
         if self.decimal == ",":
             text = text.str.replace_all(".", "_", literal=True).str.replace(",", ".", literal=True)
         return text.cast(pl.Float64(), strict=False)

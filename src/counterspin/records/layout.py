@@ -61,13 +61,6 @@ _NUMBERS: Final = {
     )
     for mark in (".", ",")
 }
-#: What may part the groups of three digits of a number, and what its decimals then: thin, narrow
-#: and other blanks that are not broken, an apostrophe, or the mark that does not part decimals.
-_GROUPED: Final = {
-    **dict.fromkeys(("\u202f", "\u2009", "\xa0", "'", "’"), r"[.,]"),
-    ".": ",",
-    ",": r"\.",
-}
 #: A cell between blanks, perhaps in quotation marks; a unit in brackets may stand one blank behind
 #: its name.
 _BETWEEN_BLANKS: Final = re.compile(
@@ -506,24 +499,6 @@ def _is_row_cell(cell: str, decimal: str) -> bool:
     """Return whether a cell is a number, a time or empty."""
     empty = cell.lower() in EMPTY_CELL_TEXTS
     return empty or _is_number(cell, decimal) or bool(STAMP.fullmatch(cell))
-
-
-def find_thousands_separator(lines: Iterable[str]) -> str | None:
-    """Return the thousands separator of cells that have decimals too; None without one."""
-    text = "\n".join(lines)
-    for separator, decimal in _GROUPED.items():
-        edge = '"' if separator == "," else r'["\t;\n]'
-        cell = rf"{edge}[-+]?\d{{1,3}}(?:{re.escape(separator)}\d{{3}})+{decimal}\d+(?={edge})"
-        if re.search(cell, f"\n{text}\n"):
-            return separator
-    return None
-
-
-def strip_thousands(text: str, separator: str) -> str:
-    """Return a text without the marks that part groups of three digits."""
-    edge = '"' if separator == "," else r'["\t;\r\n]'
-    cell = rf"(?<={edge})[-+]?\d{{1,3}}(?:{re.escape(separator)}\d{{3}})+(?=[.,]?\d*{edge})"
-    return re.sub(cell, lambda match: match[0].replace(separator, ""), f"\n{text}\n")[1:-1]
 
 
 def split_cells(line: str, delimiter: str) -> list[str]:
