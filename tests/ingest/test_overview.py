@@ -133,7 +133,25 @@ def test_lost_samples_and_bursts_are_reported(tmp_path):
     stamps = 0.01 * (8 * packet + rng.random(250)[packet])
     burst = contents_of({"time_s": stamps, "a": rng.normal(size=2000)})
     lines = overview([burst])
-    assert "times in bursts" in lines[1]
+    assert "times repeated or in bursts" in lines[1]
     assert "time is calculated from the row count" in lines[-1]
     assert guess_file(burst).unused[0] == "time_s"
     assert guess_file(burst).sampling == pytest.approx(100.0, rel=2e-3)
+
+
+def test_rows_with_repeated_times_are_counted(tmp_path):
+    rng = np.random.default_rng(2)
+    time, values = np.arange(2000) * 0.01, rng.normal(size=2000)
+    time[2::3] = time[1::3][: time[2::3].size]
+    repeated = contents_of({"time_s": time, "a": values})
+    assert "2000 rows of column 'time_s' have 1334 different times" in overview([repeated])[-1]
+    assert guess_file(repeated).sampling == pytest.approx(100.0, rel=1e-3)
+    keep = rng.random(2000) > 0.2
+    lost = guess_file(contents_of({"time_s": time[keep], "a": values[keep]}))
+    assert (lost.time, lost.sampling) == (None, None)
+    assert "samples are missing" in lost.uncounted
+    twice = np.sort(np.append(np.arange(2000), np.arange(0, 2000, 5)))
+    doubled = {"time_s": 0.01 * twice, "a": values[twice], "no": np.arange(2400.0)}
+    guess = guess_file(contents_of(doubled))
+    assert guess.time is not None
+    assert guess.time.column == "time_s"

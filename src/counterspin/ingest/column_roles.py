@@ -22,7 +22,7 @@ from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.ingest.contents import FileColumn, FileContents, frequency, wave
-from counterspin.records.sampling import is_bursty, row_rate
+from counterspin.records.sampling import has_shared_times, row_rate
 from counterspin.records.unit_notation import unit_in_name
 from counterspin.units import converts, unit_factor
 
@@ -186,8 +186,11 @@ def guess_file(
     # A file of several rates has a time for each of them.
     longest = max(len(column.values) for column in columns)
     rows = [column for column in columns if len(column.values) == longest]
-    # Rows of several sensors seem to come in bursts.
-    steady = rows if contents.is_mixed else [c for c in rows if not is_bursty(np.diff(c.values))]
+    # Rows of several sensors seem to share times.
+    series = [column.values for column in rows]
+    steady = (
+        rows if contents.is_mixed else [c for c in rows if not has_shared_times(c.values, series)]
+    )
     time_column = _chosen(rows, answers.get("time"), lambda _: _time_column(steady))
     time: TimeGuess | None = None
     sampling, shared, uncounted = None, None, ""
@@ -409,7 +412,7 @@ def _shared_times(columns: Sequence[FileColumn]) -> FileColumn | None:
         if (
             unit
             and (column.stamps or _is_named_time(column.name))
-            and is_bursty(np.diff(column.values))
+            and has_shared_times(column.values, [c.values for c in columns])
         ):
             return replace(column, values=column.values * unit_factor(unit, "s"))
     return None

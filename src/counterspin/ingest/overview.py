@@ -92,8 +92,8 @@ def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
     if guess.shared is not None:
         stamps = int(np.sum(np.diff(join_bursts(guess.shared.values)) > 0.0)) + 1
         yield (
-            f"times in bursts: the rows of column '{guess.shared.name}' have {stamps} different "
-            f"times or arrive in {stamps} bursts; "
+            f"repeated times or bursts: the {guess.shared.values.size} rows of column "
+            f"'{guess.shared.name}' have {stamps} different times or bursts; "
             f"{guess.uncounted or 'time is calculated from the row count'}"
         )
     if guess.time is None or guess.contents.is_mixed:
@@ -139,7 +139,7 @@ def _appearance(column: FileColumn, guess: FileGuess) -> str:
     name = column.name
     evidence = [
         (guess.time is not None and guess.time.column == name, "the time"),
-        (guess.shared is not None and guess.shared.name == name, "times in bursts"),
+        (guess.shared is not None and guess.shared.name == name, "times repeated or in bursts"),
         (is_nominal(values), "only -1, 0 and 1: nominal orientations, not measurements"),
         (guess.angle is not None and guess.angle.column == name, "advances evenly, like an angle"),
         (guess.temperature is not None and guess.temperature[0] == name, "a temperature"),

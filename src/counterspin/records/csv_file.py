@@ -97,7 +97,8 @@ class CsvFile(ColumnFile):
         lines = self._head = [(number, self._decode(raw_line)) for number, raw_line in head]
         for rewrite in number_rewriters("\n".join(text for _, text in lines)):
             encoding = "utf-8" if self._is_utf8 else self._encoding
-            self._content = rewrite(self._rows_content().decode(encoding, errors="replace")).encode()
+            text = self._rows_content().decode(encoding, errors="replace")
+            self._content = rewrite(text).encode()
             self._is_utf8 = True
             head = list(islice(self._lines(), len(head)))
             lines = self._head = [(number, self._decode(raw_line)) for number, raw_line in head]

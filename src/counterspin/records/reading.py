@@ -43,7 +43,7 @@ from counterspin.records.record import (
 )
 from counterspin.records.reduction import BlockAverager, BlockMeans, block_size, main_segment
 from counterspin.records.run_file import RunFile, is_derived, pulse_angle
-from counterspin.records.sampling import RepeatedValues
+from counterspin.records.sampling import MAX_REPEATED_TIMES, RepeatedValues
 from counterspin.records.several_sensors import refuse_several_sensors
 from counterspin.records.signals import (
     HarmonicFit,
@@ -385,7 +385,7 @@ class _RecordReader:
                 "allowed. Check the unit of the column, or subtract the first value."
             )
         differing_count = self._clock.findings.differing
-        if differing_count > MAX_EMPTY_FRACTION * self._rows:
+        if differing_count > MAX_REPEATED_TIMES * self._rows:
             raise RecordError(
                 f"{self._file.path}: {differing_count} of {self._rows} rows repeat the time of "
                 "the row before with other values. If no row is lost, state `sampling_rate`."

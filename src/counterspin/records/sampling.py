@@ -46,6 +46,8 @@ _MIN_CHANGES: Final = 32
 _MAX_BURST_FRACTION: Final = 0.5
 _MIN_BURSTS: Final = 4
 _MIN_PAUSE_FRACTION: Final = 0.01
+#: Part of the rows that may repeat the time of the row before with other values.
+MAX_REPEATED_TIMES: Final = 0.05
 #: Fewest stamps that show whether rows are lost within them, and a correlation of adjacent stamps
 #: halfway between that of lost rows, 0, and that of late rows, -1/2.
 _MIN_STAMPS: Final = 10
@@ -202,6 +204,22 @@ def is_bursty(steps: Array) -> bool:
     pauses = int(np.sum(steps > _MAX_BURST_FRACTION * mean))
     fewest = _MIN_BURSTS if median(steps) == 0.0 else _MIN_PAUSE_FRACTION * steps.size
     return median(steps) < _MAX_BURST_FRACTION * mean and pauses >= fewest
+
+
+def has_shared_times(time: Array, columns: Sequence[Array]) -> bool:
+    """Return whether different rows share times, or come in bursts.
+
+    Rows that are equal except for a counter were written twice.
+
+    columns: Columns of the rows, of the same length.
+    """
+    steps = np.diff(time)
+    is_repeated = steps == 0.0
+    if is_bursty(steps) or (steps < 0.0).any() or not is_repeated.any():
+        return is_bursty(steps)
+    changes = [change for column in columns if ((change := np.diff(column)) < 0.0).any()]
+    differs = np.any([np.abs(change[is_repeated]) > 0.0 for change in changes], axis=0)
+    return float(np.sum(differs)) > MAX_REPEATED_TIMES * steps.size
 
 
 def row_rate(time: Array) -> float:
