@@ -638,6 +638,9 @@ def test_reading_a_campaign_imports_nothing_heavy(tmp_path):
 
 
 def test_a_record_given_for_a_campaign_is_named(tmp_path):
+    with pytest.raises(CampaignError, match=r"run1\.csv: file not found"):
+        read_campaign(tmp_path / "run1.csv")
+    (tmp_path / "run1.csv").touch()
     with pytest.raises(CampaignError, match=r"run1\.csv: a record, not a campaign; give the"):
         read_campaign(tmp_path / "run1.csv")
 

@@ -4,7 +4,6 @@ import datetime
 import json
 import math
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -289,9 +288,10 @@ def test_the_command_writes_json_report_and_plot(tmp_path, capsys):
     assert main([*(str(word) for word in words), "--overwrite"]) == 0
 
 
-def test_a_file_that_is_not_there(tmp_path, capsys):
-    assert main(["noise", str(Path(tmp_path) / "none.csv")]) != 0
-    assert "file not found" in capsys.readouterr().err
+def test_a_file_that_is_not_there(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["noise", "none.csv"]) != 0
+    assert "counterspin: none.csv: file not found" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("sizes_alone")

@@ -324,7 +324,7 @@ def read_campaign(path: Path | str) -> Campaign:
         is not UTF-8 or not TOML.
     """
     file = description_file(path)
-    if file.suffix.lower() in RECORD_FORMATS:
+    if file.suffix.lower() in RECORD_FORMATS and file.exists():
         raise CampaignError(
             str(file),
             [f"a record, not a campaign; give the folder that contains {DESCRIPTION_NAME}"],

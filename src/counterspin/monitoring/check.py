@@ -72,7 +72,7 @@ def _check_record(record: object, campaign: Campaign, name: str | None) -> Check
     file = Path(record).absolute() if isinstance(record, Path | str) else None
     if file is not None:
         if not file.exists():
-            raise RecordError(f"{file}: file not found")
+            raise RecordError(f"{record}: file not found")
         find_opener(file)  # checked first: it does not depend on the run
     selected_run = _select_run(campaign, file, name)
     if file is None:

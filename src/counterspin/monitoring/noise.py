@@ -112,7 +112,7 @@ def noise(
     """
     file = Path(record).absolute() if isinstance(record, Path | str) else None
     if file is not None and not file.exists():
-        raise RecordError(f"{file}: file not found")
+        raise RecordError(f"{record}: file not found")
     source = file if file is not None else memory_table("record in memory", record)
     g = _parse_quantity("gravity", gravity, "m/s^2") or STANDARD_GRAVITY
     turning = _parse_quantity("rate", rate, "rad/s")

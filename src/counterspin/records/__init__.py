@@ -7,8 +7,8 @@
 - `column_file`, `csv_file`, `array_files`, `table_files`: what all formats have in common, and each
   format's own
 - `dialect`: what a person states on how a file is written; `layout`, `header_metadata`,
-  `number_notation`, `unit_notation`: what the lines of a table show, what the lines above the names
-  state, and numbers and units as files write them
+  `unit_notation`: what the lines of a table show, what the lines above the names state, and units
+  and numbers as files write them
 - `sampling`, `several_sensors`: the values in a log that repeat a sample, and rows of several
   sensors
 - `run_file`: the files of one run as one, with the time and the angle that no file has

@@ -35,7 +35,7 @@ from counterspin.records.layout import (
     plain_format,
     split_cells,
 )
-from counterspin.records.number_notation import number_rewriters
+from counterspin.records.unit_notation import number_rewriters
 
 if TYPE_CHECKING:
     import polars as pl
