@@ -249,10 +249,12 @@ class CsvFile(ColumnFile):
             if line.strip() and not line.startswith("#"):
                 return
 
-    def _scan(self, wanted: Sequence[str], data_type: Any, *, comments: bool) -> pl.LazyFrame:
+    def _scan(
+        self, wanted: Sequence[str], data_type: Any, *, comments: bool = True, quoted: bool = True
+    ) -> pl.LazyFrame:
         import polars as pl
 
-        if not self._are_quotes_checked:
+        if quoted and not self._are_quotes_checked:
             self._check_quotation_marks()
             self._are_quotes_checked = True
 
@@ -270,6 +272,7 @@ class CsvFile(ColumnFile):
         return pl.scan_csv(
             plain_path(self.path) if self._content is None else self._content,
             separator=self.delimiter,
+            quote_char='"' if quoted else None,
             decimal_comma=self.decimal == ",",
             has_header=False,  # read above: blanks around the names are no part of them
             skip_lines=self._before_rows,
@@ -283,7 +286,7 @@ class CsvFile(ColumnFile):
     def _as_strings(self, wanted: Sequence[str]) -> pl.LazyFrame:
         import polars as pl
 
-        return self._scan(wanted, pl.String(), comments=True)
+        return self._scan(wanted, pl.String())
 
     def _use_utf8(self) -> bool:
         """Encode the content as UTF-8 and return True; return False if it is UTF-8 already.
@@ -333,7 +336,14 @@ class CsvFile(ColumnFile):
             # Looking out for comments takes the parser half as long again. They cannot pass for
             # numbers, so where the first column is read the strict parser stops at them by itself.
             comments = self.names[0] not in wanted or self.names[0] in stamps
-            frames = self._scan(wanted, pl.Float64(), comments=comments)
+            # Where every column is read as numbers, the parser stops at a quotation mark by itself
+            # too, and needs no pass over the file for marks that are not closed.
+            quoted = (
+                len(wanted) < len(self.names)
+                or bool(stamps)
+                or any('"' in line for number, line in self._head if number > self._before_rows)
+            )
+            frames = self._scan(wanted, pl.Float64(), comments=comments, quoted=quoted)
         try:
             for frame in frames.collect_batches(maintain_order=True):
                 yield frame_columns(self._convert_timestamps(frame, stamps) if stamps else frame)
