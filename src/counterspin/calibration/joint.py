@@ -44,7 +44,7 @@ from counterspin.calibration.outcome import (
     own_correlations,
     prior_information,
     residual,
-    residual_frame,
+    residual_columns,
     run_result,
 )
 from counterspin.calibration.result_parts import (
@@ -147,7 +147,7 @@ def fit_jointly(problem: JointProblem) -> Outcome:
             *undetected_walk_remarks(views),
             *noise_remarks(views),
         ),
-        residuals=residual_frame(estimated.fit, units),
+        residuals=residual_columns(estimated.fit, units),
         **data.fields(estimated),
     )
 

@@ -8,7 +8,6 @@ from dataclasses import field
 from typing import Any, Final
 
 import numpy as np
-import polars as pl
 
 from counterspin.arrays import median
 from counterspin.calibration.accelerometer_view import AccelerometerView, FittedGroup
@@ -274,30 +273,31 @@ def record_noise(
     return lines
 
 
-def residual_frame(fit: JointFit, units: Mapping[str, str]) -> pl.DataFrame | None:
-    """Return the residuals of every record for `Result.residuals`; None without records.
+def residual_columns(fit: JointFit, units: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Return the columns of `Result.residuals`, a table for each record.
 
     units: Of each accelerometer's records.
     """
-    frames = []
+    tables: list[dict[str, Any]] = []
     for prepared, residuals in zip(fit.design_blocks, fit.residuals, strict=True):
         series, plain = prepared.series, residuals.unweighted
         whitened = np.full(plain.size, np.nan)
         # Differences belong to the later rows.
         whitened[plain.size - residuals.whitened.size :] = residuals.whitened
-        columns = {
-            "accelerometer": pl.repeat(prepared.accelerometer, plain.size, eager=True),
-            "run": pl.repeat(prepared.run, plain.size, eager=True),
-            "time": series.time,
-            "count": series.count,
-            "error": series.error,
-            "fitted": series.error - plain,
-            "residual": plain,
-            "whitened": pl.Series(whitened, nan_to_null=True),
-            "unit": pl.repeat(units[prepared.accelerometer], plain.size, eager=True),
-        }
-        frames.append(pl.DataFrame(columns))
-    return pl.concat(frames) if frames else None
+        tables.append(
+            {
+                "accelerometer": prepared.accelerometer,
+                "run": prepared.run,
+                "time": series.time,
+                "count": series.count,
+                "error": series.error,
+                "fitted": series.error - plain,
+                "residual": plain,
+                "whitened": whitened,
+                "unit": units[prepared.accelerometer],
+            }
+        )
+    return tables
 
 
 def mounting_radii(
@@ -346,7 +346,8 @@ class Outcome:
     findings: list[Finding] = field(default_factory=list)
     causes: tuple[Cause, ...] = ()  #: What may be behind a misfit, the likeliest first.
     remarks: tuple[str, ...] = ()  #: What the result warns of, beside the campaign's own remarks.
-    residuals: pl.DataFrame | None = None  #: By `residual_frame`; no file has them.
+    #: By `residual_columns`; files do not contain them.
+    residuals: Sequence[Mapping[str, Any]] = ()
     #: Run on the arm -> its rate by the recorded angle, and the stated rate, rad/s.
     arm_rates: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 

@@ -8,7 +8,7 @@ else is SI unless its unit stands beside it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self
 
@@ -109,7 +109,7 @@ class Result(ReportableResult):
     warnings: list[str] = []  #: Remarks and findings on the campaign, in words.
     provenance: Provenance  #: Program version and input files.
 
-    _residuals: pl.DataFrame | None = PrivateAttr(default=None)
+    _residuals: Sequence[Mapping[str, Any]] = PrivateAttr(default=())
     _assumes_all: bool = PrivateAttr(default=False)
 
     @field_validator("accelerometers", "runs")
@@ -153,7 +153,7 @@ class Result(ReportableResult):
         """Return the pickled state: the numbers, without the full residuals."""
         state = super().__getstate__()
         private = dict(state["__pydantic_private__"] or {})
-        return state | {"__pydantic_private__": private | {"_residuals": None}}
+        return state | {"__pydantic_private__": private | {"_residuals": ()}}
 
     def coefficient(self, name: str) -> Coefficient:
         """Return a coefficient by its whole name.
@@ -316,13 +316,14 @@ class Result(ReportableResult):
         KeyError
             If there are none of that name.
         """
-        if self._residuals is None:
+        if not self._residuals:
             raise CounterspinError(_NO_RESIDUALS)
+        frame: pl.DataFrame = load_name(f"{_CONVERSION}:residual_frame")(self._residuals)
         criteria = {"accelerometer": accelerometer, "run": run}
         filters = {column: name for column, name in criteria.items() if name is not None}
-        selected = self._residuals.filter(**filters) if filters else self._residuals
+        selected = frame.filter(**filters) if filters else frame
         if selected.is_empty():
-            available = self._residuals.select(*criteria).unique(maintain_order=True).rows()
+            available = frame.select(*criteria).unique(maintain_order=True).rows()
             names = ", ".join(f"{owner} in {name}" for owner, name in available)
             raise KeyError(f"no residuals of {accelerometer} in {run}; there are those of {names}")
         return selected

@@ -6,7 +6,7 @@ The packages are no requirements; each function says so where its own is missing
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,6 +20,8 @@ from counterspin.reports.publication import MAX_LINES
 from counterspin.results import make_frame
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from counterspin.calibration.result import Result
     from counterspin.calibration.result_parts import Coefficient
 
@@ -31,6 +33,14 @@ _LINE_CHARACTERS: Final = 100
 def coefficient_frame(result: Result, library: str = "polars") -> Any:
     """Return the coefficients as a frame, in the units of the field."""
     return rows_frame(result.rows(), library)
+
+
+def residual_frame(tables: Sequence[Mapping[str, Any]]) -> pl.DataFrame:
+    """Return the residuals of all records as a frame; columns as of `Result.residuals`."""
+    import polars as pl
+
+    frame = pl.concat([pl.DataFrame(table) for table in tables])
+    return frame.with_columns(pl.col("whitened").fill_nan(None))
 
 
 def rows_frame(rows: Iterable[tuple[str, str, Coefficient]], library: str) -> Any:
