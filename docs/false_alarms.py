@@ -89,9 +89,9 @@ angle = "1e-6 rad"
 
 
 CASES: Final = (
-    Case("white, stated", 300),
-    Case("white, stated", 100, MANY),
-    Case("white and walk, not stated", 100, walk=_WALK, stated=False),
+    Case("white noise, stated", 300),
+    Case("white noise, stated", 100, MANY),
+    Case("white noise and random walk, not stated", 100, walk=_WALK, stated=False),
 )
 
 

@@ -156,10 +156,10 @@ NUMBERS = [
         "difference below {} standard uncertainties of the difference",
         [diagnostics.AGREEMENT],
     ),
-    ("diagnosis", "| each record, at {} times, then", [ranking.STEPS]),
+    ("diagnosis", "| each record, at {} times, and", [ranking.STEPS]),
     (
         "diagnosis",
-        "either its own or the platform's, within {} %",
+        "velocity is 1 within {} %",
         [100 * (mistakes._WHOLE_VELOCITY[1] - 1)],
     ),
     (
@@ -167,12 +167,16 @@ NUMBERS = [
         "differs by less than {}, or by less than {} % of the gain",
         [ranking._DECISIVE_CHI2, 100 * ranking._DECISIVE_FRACTION],
     ),
-    ("diagnosis", "one of them first, then up to {} others", [search._MAX_RIVALS]),
-    ("diagnosis", "for up to {} causes", [search._MAX_CAUSES]),
+    (
+        "diagnosis",
+        "one of these explanations first, and then up to {} others",
+        [search._MAX_RIVALS],
+    ),
+    ("diagnosis", "until up to {} causes", [search._MAX_CAUSES]),
     ("diagnosis", "effects below {} % of its size", [100 * search._MIN_RELATIVE_SIZE]),
     ("diagnosis", "on priors occur in at most {} % of good campaigns", [CAUSES]),
     ("diagnosis", "results (`run-disagrees`): {} % of campaigns", [ALARMS]),
-    ("diagnosis", "(`noise-differs`): {} % of campaigns, in", [ALARMS]),
+    ("diagnosis", "(`noise-differs`): {} % of campaigns, by", [ALARMS]),
     ("diagnosis", "two-stage method: {} % of accelerometers", [ALARMS]),
     (
         "diagnosis",
@@ -185,12 +189,12 @@ NUMBERS = [
         [200.0 * normal_cdf(-diagnostics.AGREEMENT)],
     ),
     ("diagnosis", "causes: {} % of campaigns for priors, {} % for all other", [CAUSES, CAUSES]),
-    ("diagnosis", "effective ones, rounded: from {} on", [fitted.MIN_DOF]),
+    ("diagnosis", "(rounded, so from {} on)", [fitted.MIN_DOF]),
     ("diagnosis", "sine of 1 to {} times the head's angle", [patterns._HARMONICS]),
     ("diagnosis", "constant of {} or {} of the duration of the series", [*patterns._WARM_UPS]),
     (
         "diagnosis",
-        "Every explanation within {} of its chi-square is named with it",
+        "Every explanation within {} of the best chi-square is named",
         [patterns._DECISIVE_CHI2],
     ),
     ("result", "accelerometer is above {} ug/Hz^0.5", [1e6 * findings.LARGEST_WALK]),
@@ -428,7 +432,7 @@ def test_no_share_of_good_campaigns_is_larger_than_is_told():
     causes = told("diagnosis", "causes: {} % of campaigns for priors, {} % for all other")
     shares = {
         "`run-disagrees`": told("diagnosis", "(`run-disagrees`): {} % of campaigns")[0],
-        "`noise-differs`": told("diagnosis", "(`noise-differs`): {} % of campaigns, in")[0],
+        "`noise-differs`": told("diagnosis", "(`noise-differs`): {} % of campaigns, by")[0],
         "`methods-disagree`": 2 * value_of(told("diagnosis", "(`methods-disagree`): {} % of")[0]),
         "`lack-of-fit`": 2 * value_of(residuals),
         "a cause": sum(map(value_of, causes)),
@@ -601,8 +605,8 @@ def test_what_few_degrees_of_freedom_show():
     seen, *larger = told(
         "diagnosis",
         "a pattern of {} standard deviations is detected in half of the cases with 5 degrees of "
-        "freedom. With 4 degrees of freedom it must be {} standard deviations, with 3 it must be "
-        "{}, and with 2 it must be {}. Twelve",
+        "freedom. With 4 degrees of freedom, the pattern must be {} standard deviations, with 3 "
+        "degrees of freedom {}, and with 2 degrees of freedom {}. Twelve",
     )
     for freedom, text in zip((5, 4, 3, 2), (seen, *larger), strict=True):
         # Of the residuals' freedom the column itself takes one.
@@ -616,9 +620,8 @@ def test_what_a_bias_that_settles_early_leaves_to_be_seen():
     (g, radius) = (9.8066, 2.5)
     claimed = told(
         "diagnosis",
-        "a residual effect of {} standard deviations in a displacement with 0.01 m of noise if it "
-        "takes 10 s ({} if it takes 5 s), {} in a velocity with 1 mm/s if it takes 3 s, and {} in "
-        "a specific force",
+        "| displacement | 0.01 m | 10 s | {} | | displacement | 0.01 m | 5 s | {} | "
+        "| velocity | 1 mm/s | 3 s | {} | | specific force | 0.1 mm/s² | 1 s | {} |",
     )
     waves = [wave(n * rate * time) for n in (1, 2) for wave in (np.cos, np.sin)]
     for text, (order, noise, takes) in zip(
@@ -632,7 +635,7 @@ def test_what_a_bias_that_settles_early_leaves_to_be_seen():
         others = np.stack([*((time / 100.0) ** k for k in range(power)), *waves], axis=1)
         left = shown - others @ np.linalg.lstsq(others, shown, rcond=None)[0]
         assert f"{np.linalg.norm(left) / noise:.2g}" == text
-    (moved,) = told("diagnosis", "increase shifts K_II by {} ug/g^2. u includes")
+    (moved,) = told("diagnosis", "increase shifts K_II by {} ug/g^2. Unless")
     assert f"{1e6 * 2.0 * rise * (g / (radius * rate**2)) ** 2:.2g}" == moved
 
 
