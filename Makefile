@@ -119,7 +119,7 @@ violations: $(READY) ## Make the tables of what violations of the model do again
 	$(BIN)/python docs/tumbled.py
 	$(BIN)/python docs/incredible.py
 
-fuzz: $(READY) ## Read changed files of every format, and kill what writes; docs/bulwark.md
+fuzz: $(READY) ## Read changed files of every format, and kill what writes; docs/harmful-files.md
 	$(BIN)/python -m fuzz --documents $(DOCUMENTS) --records $(RECORDS) --kills $(KILLS) \
 	  --seed $(SEED) --only "$(ONLY)"
 

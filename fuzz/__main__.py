@@ -1,4 +1,4 @@
-"""`make fuzz`: documents, records and kills; see docs/bulwark.md."""
+"""`make fuzz`: documents, records and kills; see docs/harmful-files.md."""
 
 from __future__ import annotations
 

@@ -74,14 +74,14 @@ NUMBERS = [
     *(
         (page, words, [runs.MOST_ROWS])
         for page, words in (
-            ("bulwark", "are limited to {} rows at once"),
+            ("harmful-files", "are limited to {} rows at once"),
             ("plan", "a checked campaign may have at most {} rows in total"),
             ("study", "together may have at most {} rows"),
         )
     ),
-    ("bulwark", "with at most {} samples each.", [runs.MOST_SIMULATED_ROWS]),
+    ("harmful-files", "with at most {} samples each.", [runs.MOST_SIMULATED_ROWS]),
     (
-        "bulwark",
+        "harmful-files",
         "has at most {} records, one for each run and accelerometer, and a campaign {} readings.",
         [MOST_RECORDS, MOST_READINGS],
     ),

@@ -166,7 +166,7 @@ ROWS = {
             access_control.FILE_MAX_BYTES / 1e9,
         ),
     ],
-    "bulwark": [
+    "harmful-files": [
         (
             "unpack to more than {} MB and {} times their size",
             table_files._UNPACKED_BYTES / 1e6,

@@ -255,12 +255,13 @@ def test_a_loss_would_be_found(tmp_path, monkeypatch):
 
 
 def test_the_page_says_how_much_is_tried():
-    (seconds,) = told("bulwark", "more than {} s of CPU time or")
-    (gigabytes,) = told("bulwark", "of CPU time or {} GB of memory")
+    (seconds,) = told("harmful-files", "more than {} s of CPU time or")
+    (gigabytes,) = told("harmful-files", "of CPU time or {} GB of memory")
     new, asked = told(
-        "bulwark", "reads all of these and {} new cases, and sends {} cases to the application"
+        "harmful-files",
+        "reads all of these and {} new cases, and sends {} cases to the application",
     )
-    (commands,) = told("bulwark", "{} commands were killed")
+    (commands,) = told("harmful-files", "{} commands were killed")
     assert [value_of(number) for number in (seconds, gigabytes, new, asked, commands)] == [
         SECONDS,
         BYTES / 1e9,
@@ -275,7 +276,7 @@ _OF_APPLICATION = ("requests to the application", "connections to its server")
 
 
 def test_what_the_page_says_was_tried_is_what_its_commands_try():
-    page = sentences("bulwark")
+    page = sentences("harmful-files")
     asked = dict.fromkeys(("DOCUMENTS", "RECORDS", "KILLS", "requests"), 0)
     command = (
         r"make fuzz (?:ONLY=(\S+) )?(SEED=\d+ DOCUMENTS=\d+ RECORDS=\d+ KILLS=\d+)"
@@ -287,16 +288,16 @@ def test_what_the_page_says_was_tried_is_what_its_commands_try():
         for key in ("DOCUMENTS", "RECORDS", "KILLS"):
             kind = "requests" if key == "DOCUMENTS" and only.startswith("requests") else key
             asked[kind] += seeds * given[key]
-    documents, refused = told("bulwark", "| documents and CSV | {} | {} |")
-    (records,) = told("bulwark", "Excel and PDF | {} |")
-    (kills,) = told("bulwark", "| commands killed | {} |")
+    documents, refused = told("harmful-files", "| documents and CSV | {} | {} |")
+    (records,) = told("harmful-files", "Excel and PDF | {} |")
+    (kills,) = told("harmful-files", "| commands killed | {} |")
     # A hunt that is stopped has tried fewer.
     assert 0.999 * asked["DOCUMENTS"] < value_of(documents) <= asked["DOCUMENTS"]
     assert value_of(refused) < value_of(documents)
     assert [value_of(records), value_of(kills)] == [asked["RECORDS"], asked["KILLS"]]
-    asked_of = [told("bulwark", f"| {kind} | {{}} | {{}} |") for kind in _OF_APPLICATION]
+    asked_of = [told("harmful-files", f"| {kind} | {{}} | {{}} |") for kind in _OF_APPLICATION]
     assert sum(value_of(tried) for tried, _ in asked_of) == asked["requests"]
     assert all(value_of(refused) < value_of(tried) for tried, refused in asked_of)
     # A case of requests has 1 to 3 of them, 1.6 in the mean.
-    (sent,) = told("bulwark", "The cases of requests sent {} requests")
+    (sent,) = told("harmful-files", "The cases of requests sent {} requests")
     assert value_of(sent) == pytest.approx(1.6 * value_of(asked_of[0][0]), rel=0.01)

@@ -31,8 +31,8 @@ class PosesState(ResultPart):
     #: Root mean square over the poses of norm(f) - g, m/s^2; None before the first fit.
     rms: float | None
     outlying: list[str]  #: Names of poses that deviate from the model.
-    #: Directions in which one more pose would add more information than all present poses, the
-    #: most informative first: ``+X -Y up`` is halfway between X up and Y down.
+    #: Directions in which one more pose would add more information than all present poses, with
+    #: the most informative direction first; ``+X -Y up`` is halfway between X up and Y down.
     missing: list[str]
 
 
@@ -49,7 +49,8 @@ class RunState(ResultPart):
 
     run: str  #: Name of the run.
     record: str  #: Record file.
-    #: ``waiting``: no file, or too few rows; ``read``; ``failed``: the file cannot be used.
+    #: ``waiting``: no file, or too few rows; ``read``: the file was read; ``failed``: the file
+    #: cannot be used.
     state: Literal["waiting", "read", "failed"]
     why: str | None = None  #: Reason for waiting, or the fault.
     rows: int = 0  #: Number of rows read.
@@ -59,7 +60,7 @@ class RunState(ResultPart):
     repeated: int = 0  #: Number of rows with a repeated time.
     empty: int = 0  #: Number of empty cells.
     outliers: int = 0  #: Number of rejected samples.
-    gaps: int = 0  #: Number of gaps, intervals of missing rows.
+    gaps: int = 0  #: Number of gaps (intervals without rows).
     longest_gap: float = 0.0  #: Longest gap, s.
     rate: float | None = None  #: Rate of rotation, rad/s.
     u_rate: float | None = None  #: Standard uncertainty of the rate; None without a recorded angle.
@@ -100,11 +101,12 @@ class WatchState(ReportableResult):
 
     title: str  #: Title of the campaign.
     runs: list[RunState]  #: Runs in the order of the description.
-    #: K_II of each accelerometer, all coefficients of a triad in poses, and those of goals.
+    #: K_II of each accelerometer, the coefficients of a triad in poses, and the coefficients in
+    #: goals.
     coefficients: list[CurrentEstimate]
     goals: list[GoalState]  #: Targets for u.
     events: list[str]  #: Changes of files since the previous state, in sentences.
-    #: Reason why the present records cannot be fitted together; None if they can.
+    #: Reason why the present records cannot be fitted together; None if the fit succeeded.
     trouble: str | None
     complete: bool  #: Whether every run is read and has the stated duration.
 
@@ -121,14 +123,14 @@ class CheckedRun(ReportableResult):
     KIND: ClassVar[str] = "check"
 
     run: RunState  #: State of the run, fitted alone.
-    remarks: list[str]  #: Faults and remarks, in sentences; empty without any.
+    remarks: list[str]  #: Faults and remarks, as sentences; empty if there are none.
     good: bool  #: Whether the record can be used unchanged.
     others: list[str]  #: Other runs of the campaign that have records.
     reached: list[CurrentEstimate]  #: Coefficients from this record and the other records.
-    #: Expected u of the complete campaign, if its other runs are made as described; values are
-    #: None.
+    #: Expected u of the complete campaign if the other runs are recorded as described; each
+    #: ``value`` is None.
     expected: list[CurrentEstimate]
-    why_not: str | None = None  #: Reason why `expected` is missing; None if present.
+    why_not: str | None = None  #: Reason why `expected` is missing; None if `expected` is present.
 
 
 #: SI unit -> the unit of a record in g, and its number per 1 g of the SI quantity.
