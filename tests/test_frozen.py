@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 import pytest
 
-from counterspin.frozen import frozen
+from counterspin.frozen import copy_with, frozen
 
 
 @frozen
@@ -56,7 +56,7 @@ def test_it_is_a_dataclass_like_the_standard_library_s():
     assert [part.name for part in fields(ours)] == [part.name for part in fields(usual)]
     assert dataclasses.asdict(ours) == dataclasses.asdict(usual)
     assert hash(ours) == hash(usual)
-    assert replace(ours, unit="s") == Quantity(2.0, "s")
+    assert replace(ours, unit="s") == copy_with(ours, {"unit": "s"}) == Quantity(2.0, "s")
 
 
 def test_equality_and_hash_go_by_the_attributes_that_count():

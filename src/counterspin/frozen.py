@@ -8,12 +8,13 @@ as usual.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import FrozenInstanceError, dataclass, field, fields
 from operator import attrgetter
 from typing import Any, NoReturn, TypeVar, dataclass_transform, overload
 
 Kind = TypeVar("Kind", bound=type)
+T = TypeVar("T")
 
 
 @overload
@@ -42,6 +43,17 @@ def _frozen(cls: Any, comparing: dict[str, Any]) -> Any:
         # Quick, since dictionaries of terms compare them by the thousand.
         made._compared = attrgetter(*(part.name for part in fields(made) if part.compare))
     return made
+
+
+def copy_with(instance: T, changes: Mapping[str, Any]) -> T:
+    """Return a copy of a frozen object with changed attributes.
+
+    It is quicker than `dataclasses.replace` because `__init__` does not run. The class may not have
+    attributes that are computed once.
+    """
+    copy = object.__new__(type(instance))
+    copy.__dict__.update(instance.__dict__, **changes)
+    return copy
 
 
 def _set_once(self: Any, name: str, value: Any) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Final, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.campaign.validation import suggest_name
@@ -206,6 +207,13 @@ def _in_unit(quantity: Quantity, unit: str, text: str, gravity: float | None) ->
     return Quantity(value, u, unit, quantity.distribution)
 
 
+def within_limits(values: Array, unit: str) -> npt.NDArray[np.bool_]:
+    """Return whether `parse` accepts values in SI or g-units, by their size."""
+    sizes, largest = np.abs(values), _LARGEST.get(unit, _SIZE_RANGE[1])
+    mask: npt.NDArray[np.bool_] = (sizes > _SIZE_RANGE[0]) & (sizes < largest) | (sizes == 0.0)
+    return mask
+
+
 def _with_unit(number: str, unit: str, usual: str | None) -> str:
     """Suggest the text of a number with its most likely unit."""
     scales = (usual,) if usual else _SCALES.get(unit, (advice(unit)[1].split(",")[0],))
@@ -283,7 +291,8 @@ def read_attitude(value: object) -> Attitude:
         value = HeadTurn(parse(match[1], "rad"), match[2])
     if isinstance(value, HeadTurn):
         turn, axis = parse(value.angle, "rad"), read_direction(value.about)
-        return Attitude(_rotate_axes(turn.value, np.array(axis)), axis, turn.value, turn.u)
+        rows = rotate_axes(np.array(turn.value), np.array(axis))
+        return Attitude(rows, axis, turn.value, turn.u)
     if not isinstance(value, Mapping) or not {"x", "y"} <= set(value) <= {"x", "y", "z"}:
         raise ValueError(NO_ATTITUDE)
     x, y = (np.array(read_direction(value[axis])) for axis in "xy")
@@ -332,19 +341,22 @@ def attitude_words(rows: Array) -> str:
     return ", ".join(words)
 
 
-def _rotate_axes(angle: float, axis: Array) -> Array:
-    """Return the axes of the level platform after a right-handed turn (Rodrigues), as rows."""
+def rotate_axes(angle: Array, axis: Array) -> Array:
+    """Return the axes of the level platform after right-handed turns (Rodrigues), as rows.
+
+    angle: Of the turns, rad, shape (...,).
+    axis: Unit vector, shape (3,).
+    Returns: shape (..., 3, 3).
+    """
     # A quarter turn leaves the axes exactly along the directions: cos(pi/2) is not quite zero.
-    quarters = round(angle / (math.pi / 2.0))
-    exact = math.isclose(angle, quarters * math.pi / 2.0, rel_tol=1e-12, abs_tol=1e-15)
-    cos, sin = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarters % 4] if exact else _cos_sin(angle)
-    level = np.eye(3)
-    return (
-        cos * level
-        + sin * np.cross(axis, level)
-        + (1.0 - cos) * (level @ axis)[:, None] * axis[None, :]
-    )
-
-
-def _cos_sin(angle: float) -> tuple[float, float]:
-    return math.cos(angle), math.sin(angle)
+    quarters = np.rint(angle / (math.pi / 2.0))
+    error = np.abs(angle - quarters * math.pi / 2.0)
+    is_exact = error <= np.maximum(1e-12 * np.abs(angle), 1e-15)
+    quarter = quarters.astype(int) % 4
+    cos = np.where(is_exact, np.array([1.0, 0.0, -1.0, 0.0])[quarter], np.cos(angle))
+    sin = np.where(is_exact, np.array([0.0, 1.0, 0.0, -1.0])[quarter], np.sin(angle))
+    x, y, z = axis
+    across = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    cos, sin = cos[..., None, None], sin[..., None, None]
+    rows: Array = cos * np.eye(3) + sin * across + (1.0 - cos) * np.outer(axis, axis)
+    return rows

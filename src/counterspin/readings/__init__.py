@@ -3,6 +3,7 @@
 A calibration loads this room by name for a campaign with readings or with a triad.
 
 - `entries`, `table`, `description`: readings in ``[[runs]]``, in a table, and in the description
+- `similar_rows`: rows of a table that differ only in numbers, as columns
 - `section`, `cells`: keys of `[readings]`, and cells of its table
 - `groups`: readings of a campaign, grouped by accelerometer, motion and noise
 - `linear`: readings and poses linearised at an estimate

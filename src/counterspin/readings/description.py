@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -14,7 +14,13 @@ from counterspin.campaign.runs import is_pose, is_reading
 from counterspin.campaign.settings import FixtureSettings
 from counterspin.campaign.validation import Problems
 from counterspin.loading import is_installed, load_name
-from counterspin.readings.entries import number_positions, resolve_readings, with_recorded_angles
+from counterspin.readings.entries import (
+    add_blank_problem,
+    iter_readings,
+    number_positions,
+    resolve_readings,
+    with_recorded_angles,
+)
 from counterspin.readings.table import read_table
 from counterspin.records.dialect import Dialect
 
@@ -38,18 +44,17 @@ def read_readings(
     folder, error_count = reader.file.parent, len(problems.lines)
     checksums: dict[Path, str] = {}
     entries = _reading_entries(reader, checksums)
-    resolve = partial(
-        resolve_readings,
-        mountings=mountings,
-        outputs=accelerometers.outputs,
-        folder=folder,
-        problems=problems,
-        gravity=reader.gravity,
-        turns=turns,
-    )
+    context: dict[str, Any] = {
+        "mountings": mountings,
+        "outputs": accelerometers.outputs,
+        "folder": folder,
+        "problems": problems,
+        "gravity": reader.gravity,
+        "turns": turns,
+    }
     fixture = reader.parts.get("fixture") or FixtureSettings()
     attitude_entries = [entry for entry in entries if not is_pose(entry[0])]
-    readings = number_positions(resolve(attitude_entries), fixture.position)
+    readings = number_positions(resolve_readings(attitude_entries, **context), fixture.position)
     records = reader.parts.get("records")
     if records and records.recording.angle is not None:
         readings = with_recorded_angles(readings)
@@ -61,7 +66,7 @@ def read_readings(
         if is_pose(raw)
     ]
     default_priors = None if readings or has_records else accelerometers.own_priors
-    triad = _resolve_triad(reader, pose_entries, mountings, resolve, default_priors)
+    triad = _resolve_triad(reader, pose_entries, context, default_priors)
     truths = {
         str(raw["name"]): (raw["truth"], (*path, "truth"))
         for raw, path in entries
@@ -104,11 +109,13 @@ def _with_common_records(
 def _resolve_triad(
     reader: DescriptionReader,
     pose_entries: _Entries,
-    mountings: Mapping[str, Any],
-    resolve_entries: Callable[[_Entries], tuple[Reading, ...]],
+    context: Mapping[str, Any],
     default_priors: Mapping[str, Any] | None,
 ) -> Triad | None:
-    """Return the triad with its poses; None without them."""
+    """Return the triad with its poses; None without them.
+
+    context: Arguments of `resolve_readings`.
+    """
     section = reader.raw.get("triad")
     if section is None and not pose_entries:
         return None
@@ -119,14 +126,25 @@ def _resolve_triad(
     resolve = load_name(TRIAD)
     triad = resolve(
         section,
-        mountings,
+        context["mountings"],
         pose_entries,
         folder,
-        resolve_entries,
+        _iter_poses(pose_entries, context),
         given=default_priors,
         problems=problems,
     )
     return cast("Triad | None", triad)
+
+
+def _iter_poses(
+    pose_entries: _Entries, context: Mapping[str, Any]
+) -> Iterator[Mapping[str, Reading]]:
+    """Yield the readings of each pose with values, by accelerometer, and note its mistakes."""
+    entries = [(raw, path) for raw, path in pose_entries if "record" not in raw]
+    for path, readings in iter_readings(entries, **context):
+        if context["turns"] is None and any(math.isnan(reading.value) for reading in readings):
+            add_blank_problem([(*path, "reading")], context["problems"])
+        yield {reading.accelerometer: reading for reading in readings}
 
 
 def _reading_files(reader: DescriptionReader) -> tuple[Path, ...]:

@@ -8,7 +8,7 @@ checked alike.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -22,10 +22,11 @@ from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import Output
 from counterspin.campaign.validation import Problems, suggest_name
-from counterspin.frozen import frozen
+from counterspin.frozen import copy_with, frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import FRAMES
 from counterspin.readings.cells import BLANK
+from counterspin.readings.similar_rows import attitude_keys, convert_rows, row_pattern
 
 #: Most readings of a campaign, and most records, one for each run and accelerometer, of which a
 #: forecast or a study is made.
@@ -144,12 +145,9 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
 def resolve_readings(
     runs: Sequence[tuple[Any, KeyPath]],
     *,
-    mountings: Mapping[str, Mounting | None],
-    outputs: Mapping[str, Output | None],
-    folder: Path,
     problems: Problems,
-    gravity: float,
     turns: float | None,
+    **context: Any,
 ) -> tuple[Reading, ...]:
     """Return the readings of runs, one for each accelerometer that was read.
 
@@ -160,36 +158,85 @@ def resolve_readings(
     turns: Revolutions of a record that is simulated on a machine; None without a simulation, in
         which case every reading has its value.
     """
+    blank_paths: list[KeyPath] = []
     readings: list[Reading] = []
-    empty: list[KeyPath] = []
-    units = {name: output.unit if output else "g" for name, output in outputs.items()}
-    for raw, path in runs:
-        error_count = len(problems.lines)
-        run, invalid_keys = problems.validate_partial(
-            Run, raw, path, folder=folder, units=units, gravity=gravity
-        )
-        if run is None or invalid_keys & {"reading", "record", "motion"}:
-            continue
-        run_readings: list[Reading] = []
-        for name, texts, value_path in _accelerometer_readings(run, path, mountings, problems):
-            value: _ParsedValue | None = _ParsedValue(0.0, None)
-            if texts and name in outputs:
-                value = problems.collect(value_path, _parse_value, texts, outputs[name], gravity)
-            axes = problems.collect(path, _resolve_axes, run, mountings[name])
-            if value is not None and axes is not None:
-                run_readings.append(_make_reading(run, name, value, axes))
-        if len(problems.lines) > error_count:
-            continue
+    for path, run_readings in iter_readings(runs, problems=problems, turns=turns, **context):
+        readings += run_readings
         if any(math.isnan(reading.value) for reading in run_readings):
-            empty.append((*path, "reading"))
-        readings += [_with_duration(reading, turns) for reading in run_readings]
-    if empty and turns is None:
-        others_text = f", and neither have {len(empty) - 1} others" if len(empty) > 1 else ""
-        problems.add(
-            empty[0],
-            f"has no value yet{others_text}; enter the reading, or [truth] to simulate it",
-        )
+            blank_paths.append((*path, "reading"))
+    if blank_paths and turns is None:
+        add_blank_problem(blank_paths, problems)
     return tuple(readings)
+
+
+def add_blank_problem(paths: Sequence[KeyPath], problems: Problems) -> None:
+    """Note readings without a value."""
+    others_text = f", and neither have {len(paths) - 1} others" if len(paths) > 1 else ""
+    problems.add(
+        paths[0], f"has no value yet{others_text}; enter the reading, or [truth] to simulate it"
+    )
+
+
+def iter_readings(
+    runs: Sequence[tuple[Any, KeyPath]],
+    *,
+    mountings: Mapping[str, Mounting | None],
+    outputs: Mapping[str, Output | None],
+    folder: Path,
+    problems: Problems,
+    gravity: float,
+    turns: float | None,
+) -> Iterator[tuple[KeyPath, Sequence[Reading]]]:
+    """Yield the place of each run with its readings, of which a run with a mistake has none.
+
+    Parameters as of `resolve_readings`.
+    """
+    patterns = [row_pattern(raw) for raw, _ in runs]
+    similar: dict[Hashable, list[int]] = {}
+    for index, pattern in enumerate(patterns):
+        similar.setdefault(pattern, []).append(index)
+    similar.pop(None, None)
+    converted: dict[int, Sequence[Reading]] = {}
+    for index, (raw, path) in enumerate(runs):
+        readings = converted.pop(index, None)
+        if readings is None:
+            readings = _resolve_run(raw, path, mountings, outputs, folder, problems, gravity)
+            members = similar.pop(patterns[index], []) if readings else []
+            members = [member for member in members if member > index]
+            if members:
+                rows = [runs[member][0] for member in members]
+                columns = convert_rows(rows, readings, mountings, outputs, gravity)
+                pairs = zip(members, columns, strict=True)
+                converted |= {member: made for member, made in pairs if made is not None}
+        yield path, [_with_duration(reading, turns) for reading in readings]
+
+
+def _resolve_run(
+    raw: Any,
+    path: KeyPath,
+    mountings: Mapping[str, Mounting | None],
+    outputs: Mapping[str, Output | None],
+    folder: Path,
+    problems: Problems,
+    gravity: float,
+) -> Sequence[Reading]:
+    """Return the readings of a run; none of a run with a mistake."""
+    error_count = len(problems.lines)
+    units = {name: output.unit if output else "g" for name, output in outputs.items()}
+    run, invalid_keys = problems.validate_partial(
+        Run, raw, path, folder=folder, units=units, gravity=gravity
+    )
+    if run is None or invalid_keys & {"reading", "record", "motion"}:
+        return ()
+    readings: list[Reading] = []
+    for name, texts, value_path in _accelerometer_readings(run, path, mountings, problems):
+        value: _ParsedValue | None = _ParsedValue(0.0, None)
+        if texts and name in outputs:
+            value = problems.collect(value_path, _parse_value, texts, outputs[name], gravity)
+        axes = problems.collect(path, _resolve_axes, run, mountings[name])
+        if value is not None and axes is not None:
+            readings.append(_make_reading(run, name, value, axes))
+    return readings if len(problems.lines) == error_count else ()
 
 
 def _with_duration(reading: Reading, turns: float | None) -> Reading:
@@ -270,7 +317,7 @@ def number_positions(readings: Sequence[Reading], setting: Quantity | None) -> t
     )
     numbers = {key: str(number) for number, key in enumerate(keys, start=1)}
     return tuple(
-        replace(reading, position=numbers.get(reading.position, "")) for reading in readings
+        copy_with(reading, {"position": numbers.get(reading.position, "")}) for reading in readings
     )
 
 
@@ -288,8 +335,7 @@ def _position_key(run: Run) -> str:
         return ""
     if run.axes is not None:
         return f"{run.mounting}: {run.axes.input}, {run.axes.pendulous}"
-    # Adding zero makes -0 the same as 0.
-    return f"{run.mounting}: {(np.round(run.attitude, 9) + 0.0).tolist()}"
+    return attitude_keys(run.mounting, run.attitude[None])[0]
 
 
 @frozen

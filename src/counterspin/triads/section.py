@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -63,7 +63,7 @@ def resolve_triad(
     mountings: Mapping[str, Mounting | None],
     runs: Sequence[tuple[Any, KeyPath]],
     folder: Path,
-    read: Callable[[Sequence[tuple[Any, KeyPath]]], tuple[Reading, ...]],
+    pose_readings: Iterator[Mapping[str, Reading]],
     *,
     given: Mapping[str, Mapping[str, Quantity]] | None,
     problems: Problems,
@@ -74,7 +74,7 @@ def resolve_triad(
     mountings: Accelerometer -> its axes in the triad's frame; None where they are a mistake.
     runs: Those at unknown attitudes, with where each stands.
     folder: Of records.
-    read: Resolves runs with values, as if at known attitudes.
+    pose_readings: Readings of the runs without a record, by accelerometer, resolved on demand.
     given: Accelerometer -> symbol -> prior of its own table, where no reading or record says how
         the triad stands; else None.
     """
@@ -100,8 +100,10 @@ def resolve_triad(
     poses: list[tuple[Reading, ...]] = []
     records: list[PoseRecord] = []
     for run, path in runs:
-        for one in _resolve_pose(run, path, names if axes else (), read, folder, problems):
-            (records if isinstance(one, PoseRecord) else poses).append(one)  # type: ignore[arg-type]
+        if "record" in run:
+            records += _resolve_record(run, path, folder, problems)
+        else:
+            poses += _resolve_pose(path, names if axes else (), pose_readings, problems)
     return Triad(names, tuple(poses), tuple(records), of_frame) if axes else None
 
 
@@ -152,38 +154,41 @@ def _frame_misalignments(
     )
 
 
+def _resolve_record(
+    raw: Mapping[str, Any], path: KeyPath, folder: Path, problems: Problems
+) -> Iterator[PoseRecord]:
+    """Yield the record with poses of a run; nothing if it has a mistake."""
+    run = problems.check(Run, raw, path, folder=folder)
+    if run is None:
+        return
+    poses, dialect = run.poses or PosesSettings(), None
+    if run.records is not None:
+        settings = problems.check(RecordsSettings, run.records, (*path, "records"))
+        dialect = settings.dialect if settings else None
+    conditions = (run.temperature, run.time)
+    yield PoseRecord(
+        run.name, run.record, poses.rest, poses.threshold, *conditions, poses.u, dialect
+    )
+
+
 def _resolve_pose(
-    raw: Mapping[str, Any],
     path: KeyPath,
     names: Sequence[str],
-    read: Callable[[Sequence[tuple[Any, KeyPath]]], tuple[Reading, ...]],
-    folder: Path,
+    pose_readings: Iterator[Mapping[str, Reading]],
     problems: Problems,
-) -> Iterator[tuple[Reading, ...] | PoseRecord]:
-    """Yield the pose of a run with values, or what a record with poses is.
+) -> Iterator[tuple[Reading, ...]]:
+    """Yield the next pose with values; nothing if it has a mistake.
 
     names: Of the triad's accelerometers; none where they are a mistake.
     """
-    before = len(problems.lines)
-    if "record" in raw:
-        run = problems.check(Run, raw, path, folder=folder)
-        if run is not None:
-            poses = run.poses or PosesSettings()
-            more = (poses.rest, poses.threshold, run.temperature, run.time, poses.u)
-            dialect = None
-            if run.records is not None:
-                settings = problems.check(RecordsSettings, run.records, (*path, "records"))
-                dialect = settings.dialect if settings else None
-            yield PoseRecord(run.name, run.record, *more, dialect)
-        return
-    readings = {one.accelerometer: one for one in read([(raw, path)])}
+    error_count = len(problems.lines)
+    readings = next(pose_readings)
     if names and readings and set(readings) != set(names):
-        every = ", ".join(names)
-        said = f"at an unknown attitude, exactly {every} must have readings"
-        problems.add((*path, "reading"), said)
-    stated = [one.u is not None for one in readings.values()]
+        message = f"at an unknown attitude, exactly {', '.join(names)} must have readings"
+        problems.add((*path, "reading"), message)
+    stated = [reading.u is not None for reading in readings.values()]
     if any(stated) and not all(stated):
-        said = "state the uncertainty for all three readings of a pose, or for none"
-        problems.add((*path, "reading"), said)
-    if readings.keys() >= set(names) > set() and len(problems.lines) == before:
+        message = "state the uncertainty for all three readings of a pose, or for none"
+        problems.add((*path, "reading"), message)
+    if readings.keys() >= set(names) > set() and len(problems.lines) == error_count:
         yield tuple(readings[name] for name in names)

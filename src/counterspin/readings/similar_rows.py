@@ -1,0 +1,171 @@
+"""Rows of a table that differ from a checked row only in numbers, converted as columns.
+
+The first row with the same keys, units and texts passes the model of a run. The numbers of the
+others are converted and checked as columns. A row with a number outside the limits is left to the
+model of a run, which words the error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.campaign.quantity import (
+    HeadTurn,
+    Quantity,
+    last_digit,
+    read_direction,
+    rotate_axes,
+    within_limits,
+)
+from counterspin.campaign.reading import Reading
+from counterspin.campaign.settings import Output
+from counterspin.frozen import copy_with
+from counterspin.physics.accelerometer import Mounting
+from counterspin.units import TEMPERATURE_SCALES, WORKING_TEMPERATURES, unit_factor
+
+#: Keys whose quantities may differ among similar rows.
+_NUMBERS: Final = {"rate", "temperature", "time"}
+
+
+def row_pattern(row: Mapping[str, Any]) -> Hashable:
+    """Return the key that similar rows share; None for a row whose readings are not numbers."""
+    readings, name = row.get("reading"), row.get("name")
+    if not (isinstance(readings, dict) and isinstance(name, str) and name):
+        return None
+    if not all(isinstance(reading, Quantity) for reading in readings.values()):
+        return None
+    pattern: list[Hashable] = [(key, *_quantity_pattern(q)) for key, q in readings.items()]
+    for key, value in row.items():
+        if key in _NUMBERS and isinstance(value, Quantity):
+            pattern.append((key, *_quantity_pattern(value)))
+        elif isinstance(value, HeadTurn):
+            pattern.append((key, value.angle.unit, value.angle.u, value.about))
+        elif key not in ("name", "reading"):
+            pattern.append((key, repr(value)))
+    return tuple(pattern)
+
+
+def _quantity_pattern(quantity: Quantity) -> tuple[Hashable, ...]:
+    return quantity.unit, quantity.value == 0.0, quantity.u > 0.0, quantity.distribution
+
+
+def convert_rows(
+    rows: Sequence[Mapping[str, Any]],
+    checked: Sequence[Reading],
+    mountings: Mapping[str, Mounting | None],
+    outputs: Mapping[str, Output | None],
+    gravity: float,
+) -> Iterator[tuple[Reading, ...] | None]:
+    """Yield the readings of similar rows; None for a row with a number outside the limits.
+
+    checked: Readings of a row that is similar to them and passed the model of a run.
+    mountings, outputs, gravity: As of `resolve_readings`.
+    """
+    columns = _RowColumns(rows)
+    common = columns.common_fields()
+    readings = []
+    for reading in checked:
+        name = reading.accelerometer
+        fields = dict(common)
+        if name in outputs:
+            fields |= columns.value_fields(name, outputs[name], gravity)
+        fields |= columns.axes_fields(reading, mountings[name])
+        cells = zip(*fields.values(), strict=True)
+        readings.append([copy_with(reading, dict(zip(fields, row, strict=True))) for row in cells])
+    for is_valid, row_readings in zip(columns.valid, zip(*readings, strict=True), strict=True):
+        yield row_readings if is_valid else None
+
+
+def attitude_keys(mounting: str, attitudes: Array) -> list[str]:
+    """Return keys that readings in one attitude and mounting share; attitudes: shape (n, 3, 3)."""
+    # Adding zero makes -0 the same as 0.
+    return [f"{mounting}: {rows}" for rows in (np.round(attitudes, 9) + 0.0).tolist()]
+
+
+class _RowColumns:
+    """Columns of similar rows, n of them, as fields of readings."""
+
+    def __init__(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        self._rows = rows
+        self.valid = np.ones(len(rows), dtype=bool)  #: Whether all numbers are within the limits.
+
+    def common_fields(self) -> dict[str, list[Any]]:
+        """Return the fields that all accelerometers share."""
+        fields: dict[str, list[Any]] = {"name": [row["name"] for row in self._rows]}
+        for key, unit in (("rate", "rad/s"), ("time", "s")):
+            quantities = self._quantities(key)
+            if quantities:
+                value, u = self._convert(quantities, unit)
+                fields[key] = value.tolist()
+                if u[0] > 0.0:
+                    fields[f"u_{key}"] = u.tolist()
+        temperatures = self._quantities("temperature")
+        if temperatures:
+            kelvin = np.array([t.value for t in temperatures])
+            kelvin += TEMPERATURE_SCALES[temperatures[0].unit]
+            coldest, warmest = WORKING_TEMPERATURES
+            self.valid &= (kelvin >= coldest) & (kelvin <= warmest)
+            fields["temperature"] = [(temperature,) for temperature in kelvin.tolist()]
+        return fields
+
+    def value_fields(
+        self, name: str, output: Output | None, gravity: float
+    ) -> dict[str, list[Any]]:
+        """Return the fields of the readings of an accelerometer, in g."""
+        unit, zero, sensitivity = "g", 0.0, 1.0
+        if output is not None:
+            unit, zero, sensitivity = output.unit, output.zero, output.sensitivity
+        conversion = gravity if output is None else None
+        quantities = [row["reading"][name] for row in self._rows]
+        value, u = self._convert(quantities, unit, conversion)
+        fields = {"value": ((value - zero) / sensitivity).tolist()}
+        if u[0] > 0.0:
+            return fields | {"u": (u / abs(sensitivity)).tolist()}
+        digits = [Quantity(float(last_digit(repr(q.value))), 0.0, q.unit) for q in quantities]
+        resolution, _ = self._convert(digits, unit, conversion)
+        return fields | {"resolution": (resolution / abs(sensitivity)).tolist()}
+
+    def axes_fields(self, checked: Reading, mounting: Mounting | None) -> dict[str, list[Any]]:
+        """Return the fields that follow from the angle of the dividing head; none without it."""
+        if mounting is None or not isinstance(self._rows[0].get("attitude"), HeadTurn):
+            return {}
+        angles, attitudes = self._attitudes
+        fields: dict[str, list[Any]] = {
+            "axes": [
+                Mounting(tuple(map(tuple, axes)), mounting.response)
+                for axes in (mounting.matrix @ attitudes).tolist()
+            ]
+        }
+        if "head" not in self._rows[0]:
+            fields["head_angle"] = angles.tolist()
+        if checked.position:
+            fields["position"] = attitude_keys(self._rows[0].get("mounting", ""), attitudes)
+        return fields
+
+    @cached_property
+    def _attitudes(self) -> tuple[Array, Array]:
+        """Angles of the dividing head, rad, and attitudes, shapes (n,) and (n, 3, 3)."""
+        turns = [row["attitude"] for row in self._rows]
+        angles, _ = self._convert([turn.angle for turn in turns], "rad")
+        axis = np.array(read_direction(turns[0].about))
+        return angles, rotate_axes(np.where(self.valid, angles, 0.0), axis)
+
+    def _quantities(self, key: str) -> list[Quantity]:
+        """Return the quantities of a key; none if the rows do not have them."""
+        if not isinstance(self._rows[0].get(key), Quantity):
+            return []
+        return [row[key] for row in self._rows]
+
+    def _convert(
+        self, quantities: Sequence[Quantity], unit: str, gravity: float | None = None
+    ) -> tuple[Array, Array]:
+        """Return values and standard uncertainties in a unit; mark rows outside the limits."""
+        factor = unit_factor(quantities[0].unit, unit, gravity=gravity)
+        value, u = factor * np.array([(quantity.value, quantity.u) for quantity in quantities]).T
+        self.valid &= within_limits(value, unit) & within_limits(u, unit) & (u >= 0.0)
+        return value, u
