@@ -252,8 +252,8 @@ def test_what_the_result_rests_on_is_stated(tmp_path):
     assert apart.endswith("the records determine K_II + K_OO = 27.0000, u = 0.0010 ug/g^2.")
     assert unknown == (
         "Default prior: K_OO (second-order output-axis coefficient), standard uncertainty "
-        "2.0 ug/g^2 (a third of K_IP in the paper's Table 1 (6e-6 g/g²); likewise for the "
-        "others); contributes at most 36 % of the variance."
+        "2.0 ug/g^2 (a third of K_IP in the paper's Table 1 (6e-6 g/g²); same value for the "
+        "other terms); contributes at most 36 % of the variance."
     )
 
 

@@ -39,28 +39,36 @@ class Size:
 
 
 _NONE: Final = "order of magnitude, no source"
-_FIFTH: Final = "order of magnitude: a fifth of K_II, as for navigation grade"
-_TENTH: Final = "order of magnitude: a tenth of K_II, as for navigation grade"
-_TWENTIETH: Final = "order of magnitude: a twentieth of K_F, as for navigation grade"
-_OF_PAPER: Final = "a third of K_IP in the paper's Table 1 (6e-6 g/g²); likewise for the others"
+_FIFTH: Final = "order of magnitude: a fifth of K_II, the same ratio as for navigation grade"
+_TENTH: Final = "order of magnitude: a tenth of K_II, the same ratio as for navigation grade"
+_TWENTIETH: Final = "order of magnitude: a twentieth of K_F, the same ratio as for navigation grade"
+_OF_PAPER: Final = (
+    "a third of K_IP in the paper's Table 1 (6e-6 g/g²); same value for the other terms"
+)
 
 _CROSS: Final = (
     (1e-4, 2e-6, _OF_PAPER),
     (1e-3, 6e-5, _FIFTH),
     (1e-2, 2e-4, _FIFTH),
 )
-_AS_SECOND: Final = "order of magnitude: at 1 g as large as K_II"
-_PENDULUM: Final = ((0.1, 1e-3, "order of magnitude: 10 mm, the length of a pendulum, over g"),) * 3
+_AS_SECOND: Final = "order of magnitude: same effect as K_II at 1 g"
+_PENDULUM: Final = (
+    (0.1, 1e-3, "order of magnitude: a pendulum length of 10 mm, divided by g"),
+) * 3
 _MISALIGNMENT: Final = (
-    (1e-2, 5e-5, "order of magnitude, no source: 10 arcsec, aligned on its platform or fixture"),
+    (
+        1e-2,
+        5e-5,
+        "order of magnitude, no source: 10 arcsec after alignment on the platform or fixture",
+    ),
     (5e-2, 1e-2, "MS1010: misalignment 10 mrad"),
-    (0.2, 2e-2, "between ADXL313 and ADXL350: cross-axis sensitivity ±1 % and ±3 %"),
+    (0.2, 2e-2, "value between the cross-axis sensitivities of ADXL313 (±1 %) and ADXL350 (±3 %)"),
 )
 
 #: HASI's bias has 0.6 µg/K at 293 K and 2.3 µg/K at 100 K: 4e-9 g/K^2.
 _OF_POWER: Final = {
-    2: "order of magnitude, no source: 1 % of the linear coefficient per K",
-    3: "order of magnitude, no source: 1 % of the quadratic coefficient per K",
+    2: "order of magnitude, no source: 1 % of the linear coefficient, per kelvin",
+    3: "order of magnitude, no source: 1 % of the quadratic coefficient, per kelvin",
 }
 
 _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
@@ -68,12 +76,12 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
         (
             0.1,
             1e-4,
-            "one nautical mile an hour, which defines navigation grade: a bias of 1e-4 g tilts the "
-            "platform by 1e-4 rad, 0.34 nautical miles; dual-use list, 7A001.a.1: "
+            "navigation grade means 1 nautical mile per hour: a bias of 1e-4 g tilts the platform "
+            "by 1e-4 rad, or 0.34 nautical miles; dual-use list, 7A001.a.1: "
             "better than 130 µg over one year",
         ),
         (0.3, 1.2e-3, "MS1010: long-term bias repeatability 1.2 mg"),
-        (1.0, 5e-2, "ADXL350: 0 g output ±50 mg, typical, of X and Y"),
+        (1.0, 5e-2, "ADXL350: typical 0 g output of X and Y, ±50 mg"),
     ),
     "K_I": (
         (0.1, 1e-4, "dual-use list, 7A001.a.1: scale factor better than 130 ppm over one year"),
@@ -82,23 +90,28 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
             1.2e-3,
             "dual-use list, 7A001.a.2, above 15 g: scale factor better than 1250 ppm over one year",
         ),
-        (0.5, 4e-2, "ADXL350: 512 LSB/g ± 7.5 %, taken as limits of a rectangular distribution"),
+        (0.5, 4e-2, "ADXL350: 512 LSB/g ± 7.5 %, treated as limits of a rectangular distribution"),
     ),
     "K_II": (
         (1e-4, 1e-5, "half of the value in the paper's Table 1 (2e-5 g/g²)"),
         (3e-3, 3e-4, "MS1010: nonlinearity 0.3 % of 10 g, attributed entirely to second order"),
-        (1e-2, 1e-3, "ADXL313 and ADXL350: nonlinearity ±0.5 % of 4 g and of 8 g, likewise"),
+        (
+            1e-2,
+            1e-3,
+            "ADXL313 and ADXL350: nonlinearity ±0.5 % of 4 g and of 8 g, attributed entirely to "
+            "second order",
+        ),
     ),
     "K_III": (
         (1e-4, 1e-6, "a quarter of the value in the paper's Table 1 (4e-6 g/g³)"),
         (1e-3, 3e-5, "MS1010: nonlinearity 0.3 % of 10 g, attributed entirely to third order"),
-        (1e-2, 1e-4, "ADXL350: nonlinearity ±0.5 % of 8 g, likewise"),
+        (1e-2, 1e-4, "ADXL350: nonlinearity ±0.5 % of 8 g, attributed entirely to third order"),
     ),
     "K_4": ((1e-5, 1e-9, _NONE), (1e-4, 1e-7, _NONE), (1e-3, 1e-6, _NONE)),
     "K_5": (
-        (1e-5, 1e-8, "order of magnitude: 1 mg at 10 g, as much as K_II or K_III"),
+        (1e-5, 1e-8, "order of magnitude: effect of 1 mg at 10 g, as for K_II and K_III"),
         (1e-4, 3e-7, "MS1010: nonlinearity 0.3 % of 10 g, attributed entirely to fifth order"),
-        (1e-3, 1e-6, "ADXL350: nonlinearity ±0.5 % of 8 g, likewise"),
+        (1e-3, 1e-6, "ADXL350: nonlinearity ±0.5 % of 8 g, attributed entirely to fifth order"),
     ),
     "K_0_asym": (
         (1e-2, 5e-6, f"{_NONE}: a twentieth of K_F"),
@@ -119,11 +132,11 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
     "K_F.temperature": (
         (1e-2, 5e-6, "order of magnitude; HASI: 0.6 µg/K at 293 K, 2.3 µg/K at 100 K"),
         (1e-2, 1e-4, _NONE),
-        (1e-2, 2e-4, "ADXL350: 0 g offset ±0.17 mg/K of X and Y, ±0.24 mg/K of Z, typical"),
+        (1e-2, 2e-4, "ADXL350: typical 0 g offset of ±0.17 mg/K (X, Y) and ±0.24 mg/K (Z)"),
     ),
     "K_I.temperature": (
         (1e-2, 1e-4, "HASI: 78 ppm/K at 293 K"),
-        (1e-2, 1e-4, "equal to the grades above and below"),
+        (1e-2, 1e-4, "same value as for navigation and consumer grade"),
         (1e-2, 1e-4, "ADXL313 and ADXL350: ±0.01 %/K"),
     ),
     **{

@@ -174,7 +174,7 @@ def _slope_rows() -> Iterator[Term[Slope]]:
             for of, unit, degree in (("K_F", "g", 3), ("K_I", "g/g", 3), ("K_II", "g/g^2", 1))
             for n, power in powers[:degree]
         ),
-        ("K_F.hysteresis", "direction", "g", "difference of K_F between warming and cooling"),
+        ("K_F.hysteresis", "direction", "g", "difference in K_F between warming and cooling"),
         ("K_F.trend", "time", "g/s", "change of K_F with time"),
         ("K_F.heating", "force", "g/g^2", heating),
     ):
@@ -213,11 +213,11 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
     )
     by_force = (
         ("g_sensitivity", "rad/s/g", of_force),
-        (*rate, "equal to the drift, for 1 g"),
+        (*rate, "same effect as the drift, at 1 g"),
     )
     by_lean = (
         ("compliance", "rad/g", lean),
-        (1e-4, 0.1 * ARCSEC, f"{_NO_SOURCE}: 0.1 arcsec/g, 0.5 µm across 1 m"),
+        (1e-4, 0.1 * ARCSEC, f"{_NO_SOURCE}: 0.1 arcsec/g, or 0.5 µm/g over a length of 1 m"),
     )
     for ((kind, unit, words), sizes), crossed in (
         (by_axis, False),
@@ -241,7 +241,7 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
             "rad",
             1e-3,
             ARCSEC,
-            f"{_NO_SOURCE}: 1 arcsec, a good angle encoder in the table's servo loop",
+            f"{_NO_SOURCE}: 1 arcsec, good angle encoder in the servo loop of the table",
             "machine",
             motions=("counter-rotating",),
         )
@@ -259,7 +259,7 @@ def _trajectory_rows() -> Iterator[Term[TrajectoryError]]:
         "s^2/m",
         1e-5,
         4.6e-9,
-        f"{_NO_SOURCE}: 0.1 µm for 2.5 m at 1 g",
+        f"{_NO_SOURCE}: 0.1 µm at a radius of 2.5 m and 1 g",
         "machine",
         motions=_TURNING,
     )
@@ -277,20 +277,20 @@ def _trajectory_rows() -> Iterator[Term[TrajectoryError]]:
             "rad",
             1e-2,
             10.0 * ARCSEC,
-            f"{_NO_SOURCE}: 10 arcsec, a spindle levelled with a machinist's level",
+            f"{_NO_SOURCE}: 10 arcsec, for a spindle levelled with a machinist's level",
             "machine",
             motions=_TURNING,
         )
     yield from _harmonic_rows(
         "encoder.harmonic",
         (1, 2, 3, 4),
-        ("rad", 1e-3, ARCSEC, "Lu et al.: 1 arcsec, the best angle encoders, properly mounted"),
+        ("rad", 1e-3, ARCSEC, "Lu et al.: 1 arcsec for the best angle encoders, properly mounted"),
         "encoder error, {} per revolution",
     )
     yield Term(
         LEVER_ARM,
         TrajectoryError("lever_arm"),
-        "distance of the proof mass from the table axis, along the input axis",
+        "distance from the table axis to the proof mass, along the input axis",
         "m",
         0.1,
         1e-3,
@@ -318,11 +318,11 @@ def _wave_orders(orders: tuple[int, ...], words: str) -> Iterator[tuple[int, str
 
 
 def _setup_rows() -> Iterator[Term[SetupError]]:
-    radius = "fixture drawing; measured radii: 1e-7 to 4e-6"
+    radius = "fixture drawing; measured radii have relative uncertainties of 1e-7 to 4e-6"
     proof_mass = "centrifuge.radius.ACCELEROMETER.MOUNTING"
     head = f"{_NO_SOURCE}: 5 arcsec"
-    rate = f"{_NO_SOURCE}: the mean rate of a precision centrifuge"
-    iso = "ISO 16063-21: 1 % (k = 2) for a transducer calibrated by comparison"
+    rate = f"{_NO_SOURCE}: typical mean rate error of a precision centrifuge"
+    iso = "ISO 16063-21: 1 % (k = 2) for transducers calibrated by comparison"
     for symbol, words, unit, limit, typical, source, motions in (
         ("centrifuge.radius.MOUNTING", "radius of mounting", "m", 0.1, 1e-3, radius, ("arm",)),
         (proof_mass, "radius of the proof mass", "m", 0.1, 1e-3, radius, ("arm",)),
@@ -377,12 +377,12 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
 
 
 def _input_rows() -> Iterator[Term[Input]]:
-    radius = "4e-6 of 2.5 m, the largest relative uncertainty of measured radii"
+    radius = "largest relative uncertainty of measured radii (4e-6), at a radius of 2.5 m"
     # An absolute gravimeter does better by 1000.
-    gravity = f"{_NO_SOURCE}: a gravity map, corrected for the height"
+    gravity = f"{_NO_SOURCE}: value from a gravity map, corrected for height"
     delay, cutoff = "delay of the recorded angle", "low-pass cutoff frequency of the recorder"
-    natural, low_pass = f"{_NO_SOURCE}: 5 % of 400 Hz", f"{_NO_SOURCE}: 5 % of 100 Hz, RC parts"
-    measured, numbers = "the u that the table states", (-100.0, 100.0)
+    natural, low_pass = f"{_NO_SOURCE}: 5 % of 400 Hz", f"{_NO_SOURCE}: 5 % of 100 Hz"
+    measured, numbers = "standard uncertainty in the response table", (-100.0, 100.0)
     # symbol, words, unit, what is possible, largest credible and typical error, source
     for symbol, words, unit, between, limit, typical, source in (
         ("centrifuge.radius", "radius of the centrifuge", "m", (0.01, 100.0), 0.1, 1e-5, radius),
@@ -395,9 +395,9 @@ def _input_rows() -> Iterator[Term[Input]]:
             (-0.5 * math.pi, 0.5 * math.pi),
             math.pi,
             5e-6,
-            "30 m on the ground",
+            "position error of 30 m on the ground",
         ),
-        ("records.timing_offset", delay, "s", (-1.0, 1.0), 10.0, 1e-5, "one row at 100 kHz"),
+        ("records.timing_offset", delay, "s", (-1.0, 1.0), 10.0, 1e-5, "one sample at 100 kHz"),
         (
             "records.clock",
             "recorder clock error",
@@ -418,8 +418,8 @@ def _input_rows() -> Iterator[Term[Input]]:
         ),
         ("sensor.natural_frequency", "natural frequency", "Hz", (1e-2, 1e6), 1e4, 20.0, natural),
         ("sensor.damping", "damping ratio", "1", (0.0, 100.0), 10.0, 0.1, f"{_NO_SOURCE}: 0.1"),
-        ("sensor.gain", "gain error in u of the table", "1", numbers, 100.0, 1.0, measured),
-        ("sensor.phase", "phase error in u of the table", "1", numbers, 100.0, 1.0, measured),
+        ("sensor.gain", "gain error, as a multiple of u", "1", numbers, 100.0, 1.0, measured),
+        ("sensor.phase", "phase error, as a multiple of u", "1", numbers, 100.0, 1.0, measured),
         ("records.cutoff_frequency", cutoff, "Hz", (1e-2, 1e6), 1e4, 5.0, low_pass),
     ):
         effect = Input(symbol.partition(".")[2], between)
