@@ -116,7 +116,7 @@ NUMBERS = [
     ("trust", "with a default of {} arcsec each", [ENCODER / ARCSEC]),
     (
         "campaign",
-        "the relative rate error of the clock is 0 ± {}, as",
+        "assumes the relative rate error 0 ± {}",
         [INPUTS["records.clock"].typical],
     ),
     (
@@ -124,7 +124,7 @@ NUMBERS = [
         "free-running quartz oscillator is typically {} ppm",
         [1e6 * INPUTS["records.clock"].typical],
     ),
-    ("physics", "change K_I by {} ppm", [2e6 * INPUTS["records.clock"].typical]),
+    ("physics", "changes K_I by {} ppm", [2e6 * INPUTS["records.clock"].typical]),
     ("methods", "in log-likelihood reaches {}. If", [noise_search.KEEPING_GAIN]),
     (
         "methods",
@@ -226,11 +226,16 @@ NUMBERS = [
         "the residuals among {} neighbours",
         [column_file._CHUNK_ROWS, outliers.WINDOW_SAMPLES],
     ),
-    ("physics", "to have risen evenly by {} K from", [conditions.DEFAULT_WARMING]),
-    ("physics", "{} arcmin are ${}$ of K_I", [3, 0.5 * (3 * 60 * ARCSEC) ** 2]),
+    ("physics", "the temperature rose evenly by {} K from", [conditions.DEFAULT_WARMING]),
     (
         "physics",
-        "below about {} deg/h over {} s, where the neglected $g d^2 T^4/24$ reaches {} m",
+        "{} arcmin is equivalent to an error of ${}$ in K_I",
+        [3, 0.5 * (3 * 60 * ARCSEC) ** 2],
+    ),
+    (
+        "physics",
+        "below about {} deg/h in a run of $T$ = {} s. At this limit, "
+        "the neglected displacement $g d^2 T^4/24$ reaches {} m",
         [
             small_angles._FIRST_ORDER_LIMIT / 400.0**2,
             400,
@@ -239,19 +244,23 @@ NUMBERS = [
     ),
     (
         "physics",
-        "{} arcsec/g is ${}$ g/g² of $K_{II}$",
+        "{} arcsec/g is therefore equivalent to an error of ${}$ g/g² in $K_{II}$",
         [SHARED_TERMS["platform.compliance.zy"].typical / ARCSEC, 0.1 * ARCSEC],
     ),
     (
         "physics",
-        "term of {} µg/g² is equivalent to {} µg/g² of $K_{II}$",
+        "term of {} µg/g² is equivalent to an error of {} µg/g² in $K_{II}$",
         [
             0.1,
             0.1 * parabola("K_F.heating", QX, 3.0, *PLAN) / parabola("K_II", QX, 3.0, *PLAN),
         ],
     ),
     ("physics", "A trend ({} µg/min is typical)", [60e6 * CONDITION_TERMS["K_F.trend"].typical]),
-    ("physics", "at $K_I = {}$ a difference of {} %", [1.002, 100 * (1.002 - 1)]),
+    (
+        "physics",
+        "At $K_I = {}$, the two definitions of $K_{II}$ differ by {} %",
+        [1.002, 100 * (1.002 - 1)],
+    ),
     (
         "arm",
         "the Earth's rate adds {} of the force, with",
@@ -306,7 +315,9 @@ def test_weighing_is_better_than_holding():
 
 
 def test_roughly():
-    (times,) = told("physics", "at π/2 rad/s {} times the effect of an equal `zx`")
+    (times,) = told(
+        "physics", "At π/2 rad/s, the effect of `yy` is {} times the effect of an equal `zx`"
+    )
     k_yy = 0.5 * PLAN[0] * 0.5 * math.pi
     k_zx = abs(parabola("platform.g_sensitivity.zx", QX, 0.5 * math.pi, *PLAN))
     assert k_yy / k_zx == pytest.approx(value_of(times), rel=0.1)

@@ -88,15 +88,18 @@ class Accelerometer(SettingsSection):
     model_config = ConfigDict(json_schema_extra=lambda made: made.pop("required", None))
 
     input_axis: Direction = key_field(
-        "sensitive axis on the level platform; may be omitted for a [triad](triads.md)",
+        "direction of the input axis on the level platform; may be omitted for a "
+        "[triad](triads.md)",
         "east",
         kind="direction",
     )
     pendulous_axis: Direction = key_field(
-        "pendulous axis, perpendicular to the input axis", [0, 0, -1], kind="direction"
+        "direction of the pendulous axis, perpendicular to the input axis",
+        [0, 0, -1],
+        kind="direction",
     )
     output_axis: Direction | None = key_field(
-        "output axis; only checked against the other two axes",
+        "direction of the output axis; used only to check the other two axes",
         "north",
         None,
         absent="input × pendulous",
@@ -134,7 +137,7 @@ class Accelerometer(SettingsSection):
         kind='`"navigation"`, `"tactical"` or `"consumer"`',
     )
     output: Output | None = key_field(
-        "unit of the [readings](readings.md), and the nominal sensitivity",
+        "unit, nominal sensitivity and zero of the [readings](readings.md)",
         {"unit": "mA", "sensitivity": "1.25 mA/g"},
         None,
         absent="g",
@@ -152,7 +155,7 @@ class Accelerometer(SettingsSection):
         "prior of K_F", "0.00503 ± 2e-6 g", None, absent="unknown"
     )
     scale_factor: Annotated[Quantity, uncertain_quantity("g/g")] | None = key_field(
-        "prior of K_I; nominally 1, so an excess of 1000 ppm is `1.001 g/g`",
+        "prior of K_I; the nominal value is 1, so an excess of 1000 ppm is `1.001 g/g`",
         "1.00197 ± 5e-6 g/g",
         None,
         absent="unknown",

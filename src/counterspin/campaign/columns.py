@@ -67,7 +67,8 @@ class TimeChannel(SettingsSection):
         "name of the column in the file", "time_s", None, absent="counted from zero"
     )
     unit: Annotated[str, AfterValidator(time_unit)] | None = key_field(
-        "unit of the column; `iso`: time stamps, converted to seconds after the first time stamp",
+        "unit of the column; `iso` for time stamps, which are converted to seconds since the "
+        "first time stamp",
         "ms",
         None,
         absent="the unit in the file",
@@ -182,7 +183,7 @@ class TableDialect(SettingsSection):
     """How a table is written, as far as a person says it: of records and of readings alike."""
 
     skip_lines: Annotated[int, Field(ge=0)] | None = key_field(
-        "number of lines (in a sheet: rows) before the column names", 5, None, absent="detected"
+        "number of lines, or rows of a sheet, before the column names", 5, None, absent="detected"
     )
     delimiter: Literal[",", ";", "\t"] | None = key_field(
         "delimiter between the cells of a text file",
@@ -192,7 +193,7 @@ class TableDialect(SettingsSection):
         kind="`,` `;` or tab",
     )
     decimal: Literal[".", ","] | None = key_field(
-        "decimal separator; must be stated for a readings table with decimal commas",
+        "decimal separator; required for a readings table with decimal commas",
         ",",
         None,
         absent="detected",
@@ -205,14 +206,14 @@ class TableDialect(SettingsSection):
         "whether a units row follows the column names", True, None, absent="detected"
     )
     skip_footer: Annotated[int, Field(ge=0)] | None = key_field(
-        "number of lines of a text, or rows of a sheet, at the end that are not data, such as a"
-        " mean or a signature",
+        "number of lines, or rows of a sheet, at the end that are not data, such as a mean or a "
+        "signature",
         2,
         None,
         absent="none",
     )
     select: RowSelection | None = key_field(
-        "rows to read from a file with several sensors: a column and its value",
+        "rows to read from a file with several sensors, selected by the value of a column",
         {"column": "device", "value": "A"},
         None,
         absent="all",
@@ -238,8 +239,8 @@ class _TimeAndAngle(SettingsSection):
         absent="nominal rate",
     )
     temperature: TemperatureChannel | None = key_field(
-        "temperature of the accelerometers, for temperature slopes; at most a quarter "
-        "of a record's rows may lack it",
+        "temperature of the accelerometers, for temperature slopes; at most a quarter of the rows "
+        "of a record may be empty",
         {"column": "T", "unit": "degC"},
         None,
         absent="the temperature of each run",
@@ -251,7 +252,7 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
     """[records]: format of the record files."""
 
     group: Text | None = key_field(
-        "group of an HDF5 or TDMS file, or structure of a MATLAB file, that holds the columns",
+        "group of an HDF5 or TDMS file, or structure of a MATLAB file, that contains the columns",
         "run1/data",
         None,
         absent="the only one",
@@ -263,11 +264,10 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
         None,
     )
     clock: Annotated[Fraction, AfterValidator(check_clock_error)] | None = key_field(
-        "relative rate error of the recorder's clock, also in `ppm`; positive if it "
-        "runs fast; see below",
+        "relative rate error of the recorder's clock; positive if the clock runs fast; see below",
         "0 ± 1e-7",
         None,
-        kind="part ±",
+        kind="number ±, or in ppm",
     )
     cutoff_frequency: (
         Annotated[Quantity, uncertain_quantity("Hz"), AfterValidator(positive)] | None
@@ -279,14 +279,15 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
         absent="no filter",
     )
     recorder: Text | None = key_field(
-        "name of the recorder, if runs have several; each recorder has its own clock",
+        "name of the recorder, if there are several recorders; each recorder has a separate clock "
+        "error",
         "B",
         None,
         absent="one for all",
     )
     reference: Literal["platform", "own velocity"] = key_field(
-        "source of the velocity from which the navigation computer calculates the "
-        "Coriolis acceleration that it removes; see below",
+        "velocity from which the navigation computer calculates the Coriolis acceleration that it "
+        "removes; see below",
         "own velocity",
         "platform",
     )

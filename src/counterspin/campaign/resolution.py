@@ -86,8 +86,8 @@ class CampaignDocument(SettingsSection):
         "[location of the centrifuge](#site)", {}
     )
     centrifuge: Annotated[dict[str, Any] | None, Section(CentrifugeSettings)] = key_field(
-        "[dimensions of the centrifuge](#centrifuge); required unless all runs are "
-        "[read or recorded at rest](readings.md)",
+        "[dimensions of the centrifuge](#centrifuge); required unless all runs are [readings or "
+        "records at rest](readings.md)",
         {},
         None,
     )
@@ -112,7 +112,7 @@ class CampaignDocument(SettingsSection):
         "[requested terms and prior information](#model)", {}, None, absent="the paper's terms"
     )
     readings: Annotated[dict[str, Any] | None, Section(_READINGS)] = key_field(
-        "[a table of single values](readings.md)", {}, None
+        "[table of readings](readings.md)", {}, None
     )
     runs: Runs = key_field(
         "[a table for each run](#runs) or [reading](readings.md)",

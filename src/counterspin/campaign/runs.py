@@ -123,8 +123,9 @@ class Run(SettingsSection):
     )
     stated_rate: Annotated[Quantity, uncertain_quantity("rad/s"), AfterValidator(check_normal)] = (
         key_field(
-            "nominal rate; negative in the other sense; not used at rest. `±` in a reading,"
-            " or in an arm run without a recorded angle, is its random standard uncertainty",
+            "nominal rate, negative for rotation in the opposite sense; not used at rest. In a "
+            "reading, or in an arm run without a recorded angle, `±` gives the random standard "
+            "uncertainty of the rate",
             "0.25 rev/s",
             Quantity(0.0, 0.0, "rad/s"),
             absent="none",
@@ -152,9 +153,10 @@ class Run(SettingsSection):
         applies_to=READINGS,
     )
     file: RecordFile | None = key_field(
-        f"file, relative to the campaign's folder ({', '.join(RECORD_FORMATS)}). On an "
-        "arm, the reading is the mean over whole revolutions; at rest, it is the mean of the "
-        "record. The uncertainty of the reading is computed from the noise",
+        "record file, with its path relative to the campaign folder "
+        f"({', '.join(RECORD_FORMATS)}). On an arm, the reading is the mean over whole "
+        "revolutions; at rest, it is the mean of the record. The uncertainty of the reading is "
+        "computed from the noise",
         "run1.csv",
         None,
         absent="`reading`",
@@ -162,16 +164,17 @@ class Run(SettingsSection):
     )
     reading: OfEach | None = key_field(
         "value with unit, in place of a `record`; `±` gives the standard uncertainty. A list "
-        "contains repeats at one setting: the mean is used, and the scatter shows the noise",
+        "contains repeats at one setting: counterspin uses their mean, and estimates the noise "
+        "from their scatter",
         "1.082532 ± 2e-6 mA",
         None,
         absent="`record`",
         applies_to=READINGS,
     )
     stand: AttitudeField = key_field(
-        "attitude of the platform in this run. In a reading, `±` states the uncertainty"
-        " of the dividing head, and in a record with a `table_ratio` that of the table's angle; "
-        "`unknown` marks a pose of a triad. At rest this or `axes` is required",
+        "attitude of the platform in this run; at rest, this key or `axes` is required. `±` gives "
+        "the uncertainty of the dividing head in a reading, or of the table angle in a record "
+        "with a `table_ratio`. `unknown` marks a pose of a triad",
         "90 deg about east",
         absent="level",
         kind="attitude",
@@ -203,8 +206,8 @@ class Run(SettingsSection):
     )
     mounting: str = key_field("name of the position on the fixture", "in", "", applies_to=READINGS)
     duration: Seconds | None = key_field(
-        "duration of the record, for [simulate](readings.md#simulating-readings); a "
-        "record shorter than 90 % of it raises a finding",
+        "duration of the record, for [simulate](readings.md#simulating-readings); a finding "
+        "reports a record that is shorter than 90 % of this duration",
         "400 s",
         None,
         absent="by revolutions",
@@ -230,9 +233,9 @@ class Run(SettingsSection):
         absent="directly after the previous run",
     )
     table_ratio: TableRatio = key_field(
-        "angle by which the table turns on the arm over the angle of the spindle, a number or a "
-        "fraction such as 1/2. Except for -1, the records must be of specific force with the angle "
-        "of the spindle, and `strapped = true` is needed",
+        "rotation angle of the table relative to the arm, divided by the spindle angle: a number "
+        "or a fraction such as 1/2. A ratio other than -1 requires records of specific force with "
+        "the spindle angle, and `strapped = true`",
         -2,
         -1.0,
         absent="-1, the attitude in space is constant",
@@ -253,23 +256,23 @@ class Run(SettingsSection):
         applies_to=RECORDS,
     )
     records: dict[str, Any] | None = key_field(
-        "keys of `[records]` that differ in this run: `time`, `angle`, `temperature`, "
-        "`recorder`, `clock` and those of the file format; for a record of poses, only those "
-        "of the file format",
+        "keys of `[records]` that differ in this run: `time`, `angle`, `temperature`, `recorder`, "
+        "`clock` and the keys of the file format; for a record of poses, only the keys of the "
+        "file format",
         {"decimal": "."},
         None,
         absent="as in `[records]`",
         applies_to=RECORDS,
     )
     start: Annotated[float, read_exactly("s")] | None = key_field(
-        "start of the part of the record to use, in the time of the record",
+        "start of the part of the record to use, on the time scale of the record",
         "12 s",
         None,
         absent="first row",
         applies_to=RECORDS,
     )
     stop: Annotated[float, read_exactly("s")] | None = key_field(
-        "end of the part of the record to use",
+        "end of the part of the record to use, on the time scale of the record",
         "390 s",
         None,
         absent="last row",

@@ -59,12 +59,14 @@ class CampaignSettings(SettingsSection):
     )
     laboratory: Text | None = key_field("place of the campaign", "Hall 3", None)
     mounting: Text | None = key_field(
-        "label of the mounting; use a new one after the accelerometers were removed and remounted",
+        "label of the mounting; use a new label each time the accelerometers are removed and "
+        "remounted",
         "2026-03 B",
         None,
     )
     turn_on: Text | None = key_field(
-        "label of the power cycle; use a new one after the accelerometers were switched off and on",
+        "label of the power cycle; use a new label each time the accelerometers are switched off "
+        "and on",
         "2026-03-01 a",
         None,
     )
@@ -86,7 +88,7 @@ class SiteSettings(SettingsSection):
         uncertain_quantity("rad", "deg"),
         BeforeValidator(latitude_text),
         AfterValidator(check_latitude),
-    ] = key_field("latitude, for the Earth's rate", "45.75 ± 0.001 deg")
+    ] = key_field("latitude, used for the components of the Earth's rotation", "45.75 ± 0.001 deg")
     removed_gravity: (
         Annotated[float, read_exactly("m/s^2"), AfterValidator(check_gravity)] | None
     ) = key_field(
@@ -104,39 +106,40 @@ class CentrifugeSettings(SettingsSection):
         "radius from the spindle axis to the centre of the platform", "2.5 ± 1e-5 m"
     )
     stretch: Annotated[Quantity, uncertain_quantity("s^2/m")] | None = key_field(
-        "relative increase of the radius per m/s^2 of centripetal acceleration; if absent, a "
-        "default uncertainty is used",
+        "relative increase in radius per m/s^2 of centripetal acceleration; if absent, 0 with the "
+        "default standard uncertainty",
         "0 ± 5e-9 s^2/m",
         None,
     )
     droop: Annotated[Quantity, uncertain_quantity("rad s^2")] | None = key_field(
-        "rotation about the forward axis per squared rate, positive if the outer end "
-        "goes down; if absent, a default uncertainty is used",
+        "rotation about the forward axis, divided by the square of the rate; positive if the "
+        "outer end goes down; if absent, 0 with the default standard uncertainty",
         "0 ± 1e-8 rad s^2",
         None,
     )
     axis_tilt: Annotated[Quantity, uncertain_quantity("rad", "arcsec")] | None = key_field(
-        "tilt of the spindle axis about east and about north; if absent, a default "
-        "uncertainty is used",
+        "tilt of the spindle axis about east and about north; if absent, 0 with the default "
+        "standard uncertainty",
         "0 ± 5 arcsec",
         None,
     )
     clock: Annotated[Fraction, AfterValidator(check_clock_error)] | None = key_field(
-        "relative rate error of the clock that measures the rates of readings, also in "
-        "`ppm`, positive if it runs fast; defaults to the clock of `[records]`, then to"
-        " a default uncertainty",
+        "relative rate error of the clock that measures the rates of readings; positive if the "
+        "clock runs fast. If absent, counterspin uses the clock of `[records]`, or else the "
+        "default standard uncertainty",
         "0 ± 2 ppm",
         None,
-        kind="part ±",
+        kind="number ±, or in ppm",
     )
     strapped: bool = key_field(
-        "whether the recorded accelerometers are strapped to the counter-rotating table, whose "
-        "errors then rotate the accelerometers; otherwise a platform maintains the attitude",
+        "whether the recorded accelerometers are strapped to the counter-rotating table, so that "
+        "errors of the table rotate the accelerometers; otherwise a platform maintains the "
+        "attitude",
         True,
         False,
     )
     reference_temperature: Temperature | None = key_field(
-        "reference temperature of temperature slopes; by default the mean of all temperatures",
+        "reference temperature of the temperature slopes; by default, the mean of all temperatures",
         "23 degC",
         None,
         kind="text",
@@ -150,7 +153,7 @@ class FixtureSettings(SettingsSection):
         Annotated[Quantity, uncertain_quantity("rad"), AfterValidator(check_zero_mean)] | None
     ) = key_field(
         "setting error of a [position at rest](readings.md#positions-that-are-set-by-hand), about "
-        "east and about north; the same for all its readings",
+        "east and about north; common to all readings in a position",
         "0 ± 0.5 deg",
         None,
     )
@@ -186,11 +189,11 @@ class Output(SettingsSection):
     unit: Annotated[Text, AfterValidator(check_unit)] = key_field("unit of the readings", "mA")
     # A number in that unit per g.
     sensitivity: Annotated[float, PlainValidator(_per_g, Text)] = key_field(
-        "nominal sensitivity; K_I is the true sensitivity divided by it. Required "
-        "unless the output is in g-units",
+        "nominal sensitivity, required unless the output is in g-units; K_I is the true "
+        "sensitivity divided by this value",
         "1.25 mA/g",
         None,
-        absent="for an output in g, `mg`, ...: exact",
+        absent="exact for an output in g, `mg` and so on",
         kind="text",
         validate_default=True,
     )
@@ -249,7 +252,8 @@ class StatedNoise(SettingsSection):
         kind="quantity, m/s^2 or g",
     )
     acceleration: Annotated[float | str, noise_size("m/s^2/Hz^0.5")] = key_field(
-        "white noise of the accelerometer: random-walk coefficient N, velocity variance N^2 t",
+        "white noise of the accelerometer: velocity random walk coefficient N, for a velocity "
+        "variance of N^2 t",
         "estimate",
         0.0,
         kind="quantity, m/s^2/Hz^0.5 or g/Hz^0.5",
@@ -270,13 +274,13 @@ class StatedNoise(SettingsSection):
         "resolution of the recorded displacement", "1 mm", 0.0, kind="quantity, m"
     )
     angle: Annotated[float | str, noise_size("rad")] = key_field(
-        "encoder noise; estimated by the calibration unless the time stamps have jitter",
+        "encoder noise; the calibration estimates this noise unless the time stamps have jitter",
         "1e-6 rad",
         0.0,
         kind="quantity, rad",
     )
     timing: Annotated[float | str, noise_size("s")] = key_field(
-        "standard deviation of the time stamps", "1 us", 0.0, kind="quantity, s"
+        "standard deviation of the time stamp errors (jitter)", "1 us", 0.0, kind="quantity, s"
     )
 
     @property
@@ -289,7 +293,8 @@ class NoiseSettings(StatedNoise):
     """[noise]: noise levels, or a static record from which they are estimated."""
 
     rest: Annotated[Text, AfterValidator(record_file)] | None = key_field(
-        "static record from which noise that is not stated here is estimated",
+        "static record from which counterspin estimates the noise that you do not enter in this "
+        "table",
         "rest.csv",
         None,
         alias="from",
@@ -300,23 +305,23 @@ class ModelSettings(SettingsSection):
     """[model]: requested terms and priors."""
 
     terms: list[Text] | None = key_field(
-        "requested terms: the rows of the result",
+        "requested terms, which are the rows of the result",
         ["K_F", "K_II", "platform.tilt"],
         None,
         absent="K_F, K_I, K_II, K_III",
         kind="list of terms",
     )
     assume: TextList = key_field(
-        "terms and inputs that are assumed perfect unless a value is stated; they do not "
-        "contribute to u",
+        "terms and inputs that are assumed perfect and do not contribute to u, unless you enter a "
+        "prior",
         ["K_OO", "platform.*"],
         [],
         absent="none",
         kind='list of terms and inputs, or `"all"`',
     )
     hold: list[Text] = key_field(
-        "terms and inputs that are fixed at the stated value; their uncertainty contributes to u, "
-        "but the fit does not adjust the values (considered, Schmidt)",
+        "terms and inputs whose values the fit does not adjust, but whose uncertainties "
+        "contribute to u (considered parameters, Schmidt)",
         ["K_PP"],
         [],
         absent="none",
@@ -326,7 +331,7 @@ class ModelSettings(SettingsSection):
         "former name of `hold`", ["K_PP"], [], absent="none", kind="list of terms"
     )
     priors: dict[str, Any] = key_field(
-        "priors by term, for requested and other terms; a table states [a "
+        "priors of requested and other terms, by term; a table specifies [a "
         "distribution](methods.md#distributions-and-monte-carlo)",
         {"platform.tilt": "0 ± 0.5 arcsec", "Qx.K_PP": "0 ± 2e-6 g/g^2"},
         {},

@@ -84,8 +84,8 @@ class Specifications(SettingsSection):
     )
 
     process: dict[str, str] = key_field(
-        "distribution of a term over items of the same type, by term: mean ± standard deviation; "
-        "for the [global risks](conformity.md#global-risk)",
+        "distribution of each term over items of the same type, as mean ± standard deviation; "
+        "used for the [global risks](conformity.md#global-risk)",
         {"K_II": "0 ± 2.5e-5 g/g^2"},
         {},
         absent="none",

@@ -55,7 +55,12 @@ class SiteTruthSettings(SettingsSection):
     )
     latitude: (
         Annotated[float, read_exactly("rad", "deg"), AfterValidator(check_latitude)] | None
-    ) = key_field("true latitude, for the Earth's rate", "45.7502 deg", None, absent=_STATED)
+    ) = key_field(
+        "true latitude, used for the components of the Earth's rotation",
+        "45.7502 deg",
+        None,
+        absent=_STATED,
+    )
 
 
 class TrueRadius(SettingsSection):
@@ -68,8 +73,8 @@ class TrueRadius(SettingsSection):
         absent=_STATED,
     )
     clock: Ratio | None = key_field(
-        "true relative rate error of the clock that measures the rates of readings; "
-        "positive if it runs fast",
+        "true relative rate error of the clock that measures the rates of readings; positive if "
+        "the clock runs fast",
         "20 ppm",
         None,
         absent=_STATED,
@@ -96,12 +101,12 @@ class RecordsTruthSettings(SettingsSection):
         Annotated[dict[str, float], PlainValidator(_clocks, float | str | dict[str, float | str])]
         | None
     ) = key_field(
-        "true relative rate error of the clock of every recorder, positive if it runs "
-        "fast; or a table by recorder",
+        "true relative rate error of all recorder clocks, or a table by recorder; positive if the "
+        "clock runs fast",
         {"A": "20 ppm", "B": "-5 ppm"},
         None,
         absent=_STATED,
-        kind="part, or table",
+        kind="number, or table",
     )
 
 
@@ -174,12 +179,12 @@ _FAMILIES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
         {"east": "5 arcsec"},
     ),
     "table.harmonic": (
-        "rotation of the counter-rotating table about up, with the cosine or sine of 1 or 2"
-        " times the angle",
+        "rotation of the counter-rotating table about up, proportional to the cosine or sine of 1 "
+        "or 2 times the angle",
         {"1": {"sin": "1 arcsec"}},
     ),
     "table.axis_tilt": (
-        "tilt of the table axis about `outward` along the arm or `forward`",
+        "tilt of the table axis about `outward` (along the arm) or about `forward`",
         {"forward": "5 arcsec"},
     ),
     "encoder.harmonic": (

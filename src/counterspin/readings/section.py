@@ -51,7 +51,7 @@ class MountingSettings(ReadingAxes):
     """[readings.mountings.NAME]: axes of a mounting, and the column of its readings."""
 
     reading: Text | None = key_field(
-        "column with the readings of the mounting, if mountings have separate columns",
+        "column with the readings of the mounting, if each mounting has a separate column",
         "inward_mA",
         None,
     )
@@ -88,9 +88,9 @@ class ReadingsSettings(TableDialect, _TableFile):
         absent="0",
     )
     rate_unit: Text = key_field(
-        "unit of the column `rate` (`1/min`, `Hz`: revolutions), which may also contain the "
-        "period of revolution (`s`) or the acceleration (`g`, `m/s^2`) at the radius of "
-        "`[centrifuge]`",
+        "unit of the column `rate`; `1/min` and `Hz` mean revolutions. The column may also "
+        "contain the period of revolution (`s`), or the acceleration (`g`, `m/s^2`) at the radius "
+        "of `[centrifuge]`",
         "rpm",
         "rad/s",
     )
@@ -114,7 +114,7 @@ class ReadingsSettings(TableDialect, _TableFile):
         "axes of rotating rows", {"input": "inward", "pendulous": "up"}, None, absent="`attitude`"
     )
     axes_at_rest: ReadingAxes | None = key_field(
-        "attitude of rows at rest", {"input": "up", "pendulous": "outward"}, None, absent="`axes`"
+        "axes of rows at rest", {"input": "up", "pendulous": "outward"}, None, absent="`axes`"
     )
     mounting: str = key_field("mounting of every row", "in", "")
     merged: bool = key_field(
@@ -125,10 +125,13 @@ class ReadingsSettings(TableDialect, _TableFile):
     )
     mountings: dict[str, MountingSettings] = key_field(
         "axes of each mounting, in place of `axes`; also the column `reading` of each mounting, "
-        "if mountings have separate columns",
+        "if each mounting has a separate column",
         {"in": {"input": "inward", "pendulous": "up"}},
         {},
     )
     attitude: Literal["unknown"] | None = key_field(
-        "`unknown`: every row is a pose of a [triad](triads.md)", "unknown", None, absent="known"
+        "set to `unknown` if every row is a pose of a [triad](triads.md)",
+        "unknown",
+        None,
+        absent="known",
     )
