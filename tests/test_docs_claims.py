@@ -217,7 +217,7 @@ NUMBERS = [
     ("conformity", "with a probability of at most {} %", [50 * (1 - distributions.COVERAGE)]),
     (
         "conformity",
-        "requires `conformance_probability`, {} % by",
+        "requires `conformance_probability`, which is {} % by",
         [100 * conformity.DecisionRule("probability").needed],
     ),
     (
@@ -268,7 +268,7 @@ NUMBERS = [
     ),
     (
         "arm",
-        "The stretch of the arm, {} per m/s^2, is {} g/g^2",
+        "a stretch of the arm of {} per m/s^2 is equivalent to a K_II of {} g/g^2",
         [SHARED_TERMS["centrifuge.stretch"].typical, 9.8 * 4.6e-9],
     ),
 ]

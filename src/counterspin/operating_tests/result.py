@@ -14,10 +14,10 @@ class OperatingQuantity(ResultPart):
     value: float | None  #: Value in `unit`; null if the data do not determine it.
     u: float | None  #: Standard uncertainty in `unit`.
     unit: str  #: Unit of the value.
-    percent: float | None  #: Value in percent of full scale; null if it has no meaning.
+    percent: float | None  #: Value in percent of full scale; null if it is not meaningful.
     u_percent: float | None  #: Standard uncertainty of `percent`.
     at: float | None  #: Input at which the value was found; null if there is none.
-    note: str  #: Definition, or the reason why it is not determined.
+    note: str  #: Definition of the quantity, or the reason why it is not determined.
 
 
 _COLUMNS: Final = ("name", "value", "u", "unit", "percent", "u_percent")
@@ -35,11 +35,11 @@ class OperatingTests(ReportableResult):
     input_unit: str  #: Unit of the inputs.
     output_unit: str  #: Unit of the outputs.
     full_scale: float  #: Full scale of the input.
-    noise: float  #: Standard deviation of a point, in the output's unit.
+    noise: float  #: Standard deviation of a point, in the unit of the output.
     noise_dof: float  #: Degrees of freedom of `noise`.
-    #: Whether the noise is from repeats at the same input; otherwise from residuals.
+    #: Whether the noise was estimated from repeats at the same input; otherwise, from residuals.
     noise_from_repeats: bool
-    quantities: list[OperatingQuantity]  #: The results of the tests.
+    quantities: list[OperatingQuantity]  #: Results of the tests.
     time: list[float]  #: Times of the rows, s; empty without a column of times.
     inputs: list[float]  #: Inputs in the order of the file; empty for a warm-up.
     outputs: list[float]  #: Outputs.
