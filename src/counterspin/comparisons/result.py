@@ -193,7 +193,7 @@ class DegreeOfEquivalence(ResultPart):
 
     value: float  #: Measured value.
     u: float  #: Standard uncertainty of `value`.
-    member: bool  #: Whether the value is part of the reference value.
+    member: bool  #: Whether the value contributes to the reference value.
     d: float | None = None  #: Value minus reference value; None without a reference value.
     #: Expanded uncertainty of `d` (k = 2), allowing for all covariances.
     expanded_u_d: float | None = None
@@ -228,9 +228,9 @@ class ReferenceValue(ResultPart):
     p_members: float | None = None  #: `p` of the largest consistent subset.
     #: Other consistent subsets of the same size, with larger chi-square.
     alternatives: list[list[str]] = []
-    shared: list[str] = []  #: Sources common to laboratories, counted as covariances.
+    shared: list[str] = []  #: Sources common to laboratories, which enter as covariances.
     degrees: dict[str, DegreeOfEquivalence]  #: Degree of equivalence of each laboratory.
-    pairs: list[PairwiseDegree]  #: Differences of all pairs.
+    pairs: list[PairwiseDegree]  #: Differences between all pairs of laboratories.
 
 
 class Intercomparison(ReportableResult):

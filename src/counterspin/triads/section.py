@@ -36,8 +36,8 @@ class TriadSettings(SettingsSection):
 
     accelerometers: Annotated[list[Text], Field(min_length=3, max_length=3)] = key_field(
         "names of the three accelerometers. The first axis of the frame is the input axis of the "
-        "first accelerometer; the input axis of the second lies in the plane of the first two "
-        "axes. If no axes are stated, the nominal input axes are at right angles",
+        "first accelerometer. The input axis of the second accelerometer lies in the plane of the "
+        "first two axes. If you enter no axes, the nominal input axes are at right angles",
         ["X", "Y", "Z"],
     )
 
