@@ -6,17 +6,12 @@ import sys
 from pathlib import Path
 
 import misbehaving
-import numpy as np
 import pytest
 from record_files import SIGNAL, read, refusal, table, write
 
 from counterspin.errors import DamagedFileError, RecordError
-from counterspin.records import isolation, reader_process
-from counterspin.records.isolation import (
-    run_isolated,
-    run_isolated_if_slow,
-    uses_reader_process,
-)
+from counterspin.records import reader_process
+from counterspin.records.isolation import run_isolated, uses_reader_process
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="limits are Linux's")
 
@@ -34,21 +29,6 @@ def test_native_readers_have_a_process_of_their_own_and_csv_has_not(file):
         True,
         False,
     ]
-
-
-def test_long_text_is_read_there_where_little_comes_back(tmp_path, monkeypatch):
-    text = write(tmp_path / "run.csv", table())
-    here = read(text)
-    monkeypatch.setattr(isolation, "_LONG_TEXT_BYTES", text.stat().st_size)
-    assert run_isolated_if_slow(misbehaving.process, text) != os.getpid()
-    assert run_isolated(misbehaving.process, text) == os.getpid()
-    assert run_isolated_if_slow(misbehaving.process, tmp_path / "none.csv") == os.getpid()
-    there = read(text)
-    assert np.array_equal(there.time, here.time)
-    assert np.array_equal(there.signals["Qx"], here.signals["Qx"])
-    assert there.identity == here.identity
-    text.write_text(text.read_text("utf-8").replace("\n", "\nabc,", 1), "utf-8")
-    assert "line 2: the line has 4 cells" in refusal(text)
 
 
 def test_the_process_is_kept_and_survives_a_refusal(file):

@@ -4,8 +4,8 @@ The readers of Parquet, HDF5, MATLAB and Excel files are native code, which a fl
 crash, send round in circles or make ask for all memory. So those files are read in another process,
 which is started once, kept, and given up a minute after its last file or after one that it made
 nothing of. On Linux a process in between forks it, so that after a damaged file another, with all
-that takes long to load, is there at once. What it hands back is small where a record is reduced to
-block means.
+that takes long to load, is there at once. It returns little where a record is reduced to block
+means.
 """
 
 from __future__ import annotations
@@ -36,8 +36,6 @@ from counterspin.records.reader_limits import (
     waiting_seconds,
 )
 
-#: The libraries that read text.
-_TEXT: Final = ("polars",)
 #: Those that start threads when they are loaded: what has them does not fork.
 _THREADED: Final = ("polars",)
 #: Seconds without work after which the reader's process ends.
@@ -118,7 +116,7 @@ class _ReaderProcess:
         self._kill()
         if not self._startable:
             return None
-        libraries = NATIVE.get(suffix, _TEXT)
+        libraries = NATIVE[suffix]
         command = [sys.executable, "-P", "-c", _PROGRAM, json.dumps(sys.path), *libraries]
         pipe = subprocess.PIPE
         try:

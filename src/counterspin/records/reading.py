@@ -29,7 +29,7 @@ from counterspin.records.column_file import (
 )
 from counterspin.records.dialect import AUTODETECT
 from counterspin.records.formats import open_columns
-from counterspin.records.isolation import run_isolated, run_isolated_if_slow
+from counterspin.records.isolation import run_isolated
 from counterspin.records.memory import MemoryTable
 from counterspin.records.outliers import detect_outliers
 from counterspin.records.record import (
@@ -100,9 +100,7 @@ def read_record(
             pulse_angle(pulses[0], pulses[0][:0], motion.rate, columns.angle.per_revolution)
         except ValueError as error:
             raise RecordError(f"{source}: column '{columns.angle.name}': {error}.") from None
-    # Every sample of a long record would be much to hand over.
-    run = run_isolated_if_slow if block == "auto" else run_isolated
-    return run(_read_file, record, columns, motion, block, pulses)
+    return run_isolated(_read_file, record, columns, motion, block, pulses)
 
 
 def _read_file(
