@@ -206,8 +206,8 @@ class TableDialect(SettingsSection):
         "whether a units row follows the column names", True, None, absent="detected"
     )
     skip_footer: Annotated[int, Field(ge=0)] | None = key_field(
-        "number of lines, or rows of a sheet, at the end that are not data, such as a mean or a "
-        "signature",
+        "number of lines, or rows of a sheet, at the end of the file that are not data, such as a "
+        "mean or a signature",
         2,
         None,
         absent="none",
