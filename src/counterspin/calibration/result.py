@@ -80,34 +80,32 @@ class Result(ReportableResult):
 
     method: str  #: ``joint`` or ``two-stage``.
     model: str  #: ``exact`` or ``as-printed``.
-    #: State of the result: ``good``, ``reservations``, ``not-determined`` or ``contradicted``,
-    #: the worst state of all parts; null in results written by versions that did not record a
-    #: state.
+    #: Worst state of all parts of the result: ``good``, ``reservations``, ``not-determined`` or
+    #: ``contradicted``; null in results written by versions that did not record a state.
     state: State | None = None
-    #: Findings against the result, of all accelerometers and of the campaign, most severe
-    #: first.
+    #: Findings on all accelerometers and on the campaign, most severe first.
     findings: list[Finding] = []
-    accepted_misfit: str | None = None  #: Reason given for accepting a contradicted result.
+    accepted_misfit: str | None = None  #: Reason for which a contradicted result was accepted.
     title: str = ""  #: Title of the campaign.
     accelerometers: dict[str, AccelerometerResult]  #: Results of each accelerometer.
     platform: dict[str, Coefficient] = {}  #: Coefficients of the platform, common to all runs.
-    #: Result of the three accelerometers as one sensor; null if the campaign has no
+    #: Result of the three accelerometers as a single sensor; null if the campaign has no
     #: ``[triad]``.
     triad: TriadResult | None = None
     confounded: list[ConfoundedTerms] = []  #: Sets of platform terms that cannot be separated.
-    #: Correlation of all determined terms of accelerometers and platform, by full names such
-    #: as ``Qx.K_II`` and ``run1.platform.tilt.north``; null for the two-stage method.
+    #: Correlation matrix of all determined terms of the accelerometers and the platform, with full
+    #: names such as ``Qx.K_II`` and ``run1.platform.tilt.north``; null for the two-stage method.
     correlation: Correlation | None = None
     runs: dict[str, RunResult]  #: Results of each run.
     inputs: Inputs  #: Gravity, latitude and radius.
-    #: Prior information on terms and inputs that were not requested, stated or by default.
+    #: Stated or default prior information on terms and inputs that were not requested.
     rests_on: list[Knowledge] = []
-    #: Terms and inputs assumed perfect, which do not contribute to ``u``. A certificate needs
-    #: evidence for each of them.
+    #: Terms and inputs that were assumed perfect and do not contribute to `u`. A certificate
+    #: requires evidence for each of them.
     assumed: list[str] = []
     details: dict[str, str] = {}  #: Further entries of ``[campaign]``.
-    warnings: list[str] = []  #: Remarks and findings on the campaign, in words.
-    provenance: Provenance  #: Program version and input files.
+    warnings: list[str] = []  #: Remarks and findings on the campaign, as text.
+    provenance: Provenance  #: Version of counterspin, options, and checksums of the input files.
 
     _residuals: Sequence[Mapping[str, Any]] = PrivateAttr(default=())
     _assumes_all: bool = PrivateAttr(default=False)

@@ -41,38 +41,35 @@ class MonteCarloInterval(ResultPart):
     u: float  #: Standard deviation of the trials.
     low: float  #: Lower end of the shortest interval.
     high: float  #: Upper end of the shortest interval.
-    tolerance: float  #: Half a unit of the second digit of the coefficient's u.
-    #: Whether both ends agree with those of `Coefficient.interval` within `tolerance` (JCGM 101,
-    #: 8.2); null if the trials are too few to tell.
+    tolerance: float  #: Half a unit of the second significant digit of the coefficient's u.
+    #: Whether both ends agree with the GUM interval, `Coefficient.interval`, within `tolerance`
+    #: (JCGM 101, 8.2); null if there are too few trials to decide.
     gum_validated: bool | None = None
-    #: Largest difference of full fits at ±2 u of a source from the linear prediction, if tested.
+    #: Largest difference between full fits with a source at ±2 u and the linear prediction.
     linear_difference: float | None = None
-    #: Sources whose difference exceeds `tolerance`; they are drawn with a second-order response.
+    #: Sources drawn with a second-order response, because their difference exceeds `tolerance`.
     second_order: list[str] = []
-    #: Largest difference with all sources moved together; None with fewer than two sources.
+    #: Largest difference with all sources shifted together; null for fewer than two sources.
     joint_difference: float | None = None
 
 
 class Coefficient(ResultPart):
     """One coefficient and where its uncertainty comes from."""
 
-    #: Estimate; the prior if not `estimated`; None if the records do not determine it and it
-    #: has no prior.
+    #: Estimate, or the prior value if `estimated` is false; null if the records do not determine
+    #: the coefficient and it has no prior.
     value: float | None
-    #: Combined standard uncertainty; u^2 is the sum of the squares of the three parts below.
-    u: float | None
-    #: Part of u from noise of the records and of the encoder, including noise that the records
-    #: may not show.
+    u: float | None  #: Combined standard uncertainty; u^2 = u_noise^2 + u_stated^2 + u_unstated^2.
+    #: Contribution of the noise of the records and the encoder to u, including noise that the
+    #: records may not reveal.
     u_noise: float | None = None
-    #: Part of u from uncertainties stated in the description: priors, inputs, fixed (held)
-    #: terms.
+    #: Contribution of stated uncertainties to u: priors, inputs and fixed (held) terms.
     u_stated: float | None = None
-    #: Part of u from default standard uncertainties of terms and inputs without a stated value.
+    #: Contribution of the default standard uncertainties of unstated terms and inputs to u.
     u_unstated: float | None = None
-    #: Effective degrees of freedom of `u`, for Student's t; None means infinite or more than
-    #: 1e9.
+    #: Effective degrees of freedom of u (Student's t); null means infinite or more than 1e9.
     dof: float | None = None
-    unit: str  #: Unit of value and uncertainties: g-units, or SI for platform terms.
+    unit: str  #: Unit of the value and its uncertainties: g-units, or SI units for platform terms.
     estimated: bool  #: Whether the records determine the coefficient.
 
     _gravity: StatedGravity | None = PrivateAttr(default=None)
@@ -131,7 +128,7 @@ class Coefficient(ResultPart):
 class Correlation(ResultPart):
     """Correlation matrix of the estimated coefficients, rows in the order of `terms`."""
 
-    terms: list[str]  #: Names of rows and columns, in order.
+    terms: list[str]  #: Names of the rows and columns, in the order of the matrix.
     matrix: list[list[float]]  #: Correlation coefficients.
 
     def frame(self) -> pl.DataFrame:
@@ -179,11 +176,11 @@ class Knowledge(ResultPart):
     """Prior information on a nuisance parameter: a term or an input."""
 
     name: str  #: Name of the term or input, such as ``Qx.K_OO`` or ``run1.platform.tilt.north``.
-    kind: Kind  #: Whether the prior is stated, unstated (default) or held (fixed).
-    unit: str  #: Unit of the numbers: SI, or g-units.
-    value: float  #: Prior value: as stated in the description, otherwise the ideal value.
-    u: float  #: Prior standard uncertainty: as stated, otherwise the default.
-    found: float | None = None  #: Posterior value in the same fit; None if it was held.
+    kind: Kind  #: Kind of the prior: stated, unstated (default) or held (fixed).
+    unit: str  #: Unit of the numbers, an SI unit or a g-unit.
+    value: float  #: Prior value, which is the stated value or otherwise the ideal value.
+    u: float  #: Prior standard uncertainty, which is the stated u or otherwise the default.
+    found: float | None = None  #: Posterior value from the same fit; null if the term was held.
     u_found: float | None = None  #: Posterior standard uncertainty.
 
 
@@ -192,48 +189,46 @@ class NoiseLine(ResultPart):
 
     #: Standard deviation per sample; for ``acceleration``, the random-walk coefficient.
     value: float
-    u: float | None = None  #: Standard uncertainty, if the noise was estimated.
+    u: float | None = None  #: Standard uncertainty of the value, if the noise was estimated.
     unit: str  #: Unit of value and uncertainty.
-    #: Whether the noise was estimated from the residuals; otherwise it is as stated.
+    #: Whether the noise was estimated from the residuals; if false, the noise is as stated.
     estimated: bool
-    #: Static record from which the noise was estimated; None if it was stated or estimated
+    #: Static record from which the noise was estimated; null if the noise was stated or estimated
     #: from the residuals.
     record: str | None = None
-    #: Noise of each run, if runs differ; `value` is then the rms over all rows.
+    #: Noise of each run, if the runs differ; `value` is then the root mean square over all rows.
     runs: dict[str, float] = {}
 
 
 class Comparison(ResultPart):
     """K_II by the two-stage method beside the joint fit; `z` is the difference over its u."""
 
-    value: float  #: K_II by the two-stage method.
+    value: float  #: Estimate of K_II by the two-stage method.
     u: float  #: Standard uncertainty.
-    difference: float  #: Difference from the joint K_II.
+    difference: float  #: Difference from the joint estimate of K_II.
     u_difference: float  #: Standard uncertainty of the difference.
-    z: float  #: Difference divided by its standard uncertainty; the methods disagree beyond 3.
+    z: float  #: Difference divided by its standard uncertainty; above 3, the methods disagree.
 
 
 class Finding(ResultPart):
     """One thing that speaks against a result, whatever its checks saw of it."""
 
-    code: str  #: Stable code of the kind of finding, such as ``lack-of-fit``.
-    #: Subject of the finding: an accelerometer, a coefficient (``Qx.K_II``), a run, a platform
-    #: term, or empty for the campaign.
+    code: str  #: Stable code that identifies the kind of finding, such as ``lack-of-fit``.
+    #: Subject of the finding: an accelerometer, a coefficient (``Qx.K_II``), a run or a platform
+    #: term; empty for the campaign.
     subject: str
-    text: str  #: Description of the finding, and the action to take.
-    #: Size of the effect, in standard uncertainties or relative to the expected size; None for
-    #: findings without a size.
+    text: str  #: Description of the finding and of the action to take.
+    #: Size of the effect, in standard uncertainties or relative to the expected size; null if the
+    #: finding has no size.
     size: float | None = None
     #: Whether the records contradict the result; a contradicted result must not be used.
     contradicts: bool = False
-    #: Whether the finding makes the state ``not-determined``: the coefficient is the
-    #: campaign's purpose, or ``[model] terms`` requests it. For other coefficients, the finding
-    #: does not change the state.
+    #: Whether this finding sets the state ``not-determined``. This happens only for a coefficient
+    #: that is the purpose of the campaign or that ``[model] terms`` requests.
     undetermined: bool = False
-    #: For a cause: other findings that would disappear if the cause were removed.
+    #: Other findings that would disappear if this cause were removed (for causes only).
     explains: list[Finding] = []
-    #: For a cause: subjects of alternative causes that explain the records equally well, most
-    #: likely first.
+    #: Subjects of other causes that explain the records equally well, most likely first.
     as_well: list[str] = []
 
 
@@ -271,10 +266,10 @@ class Trace(ResultPart):
 
     rows: int | None = None  #: Number of residuals.
     rms: float | None = None  #: Root mean square of the residuals, in the observable's unit.
-    time: list[float]  #: Centre time of each interval, s from the start of the run.
+    time: list[float]  #: Time at the centre of each interval, in s from the start of the run.
     low: list[float]  #: Smallest residual in each interval, in the observable's unit.
     high: list[float]  #: Largest residual in each interval, in the observable's unit.
-    #: Times and residuals of rejected outliers; if there are many, only of the largest ones.
+    #: Times and residuals of rejected outliers; if there are many, only the largest ones.
     left_out: list[tuple[float, float]] = []
     by_angle: Fold | None = None  #: Residuals against the spindle angle.
     spectrum: Spectrum | None = None  #: Spectrum of the whitened residuals.
@@ -285,7 +280,7 @@ class NominalOutput(ResultPart):
     """By which an output is taken for a specific force, g: (output - zero) / sensitivity."""
 
     unit: str  #: Unit of the output.
-    sensitivity: float  #: Nominal output per g; K_I is the true sensitivity divided by it.
+    sensitivity: float  #: Nominal output per g; K_I is the true sensitivity divided by this value.
     #: Nominal output at zero specific force; K_F is the true output minus this value.
     zero: float = 0.0
 
@@ -303,25 +298,25 @@ class ReadingResult(ResultPart):
     forward, up on an arm. `samples` used, `counts`, `notes` of a record's mean: as of `RunResult`.
     """
 
-    name: str  #: Name of the run or the row.
-    motion: str  #: ``static``, ``vibration``, ``arm`` or ``counter-rotating``.
-    mounting: str = ""  #: Mounting of the instrument on the arm; empty if none is named.
-    #: Direction of the input axis: east, north, up; on an arm outward, forward, up.
+    name: str  #: Name of the run or of the table row.
+    motion: str  #: Type of motion: ``static``, ``vibration``, ``arm`` or ``counter-rotating``.
+    mounting: str = ""  #: Mounting of the instrument on the arm; empty if no mounting is named.
+    #: Direction of the input axis in east-north-up (on an arm outward-forward-up) coordinates.
     input_axis: tuple[float, ...] = ()
     pendulous_axis: tuple[float, ...] = ()  #: Direction of the pendulous axis, in the same frame.
     rate: float  #: Rate of the spindle, rad/s.
     amplitude: float | None = None  #: Peak acceleration of a vibration, m/s^2; otherwise null.
-    value: float  #: Reading converted by the nominal sensitivity, g.
-    u: float  #: Standard uncertainty of the reading, stated or estimated, g.
+    value: float  #: Reading in g, converted by the nominal sensitivity.
+    u: float  #: Stated or estimated standard uncertainty of the reading, g.
     residual: float  #: Reading minus model, g.
     #: Residual divided by its standard deviation; null if the fit follows the reading exactly.
     z: float | None
-    #: Number of rows averaged, if the reading is the mean of a record; otherwise null.
+    #: Number of averaged rows if the reading is the mean of a record; otherwise null.
     samples: int | None = None
     #: Number of rows that are ``repeated``, ``empty`` or ``outliers``, and number of ``gaps``;
     #: empty if the reading is not the mean of a record.
     counts: dict[str, int] = {}
-    notes: list[str] = []  #: Remarks from reading the record.
+    notes: list[str] = []  #: Remarks from the reading of the record.
 
 
 class PoseResult(ResultPart):
@@ -330,15 +325,15 @@ class PoseResult(ResultPart):
     `z` is the residual over its own standard deviation, None where the fit follows it wholly.
     """
 
-    name: str  #: Name of the run or the row; for a pose in a record, with its start time.
-    start: float | None = None  #: Start in the record, s; null for a stated reading.
-    end: float | None = None  #: End in the record, s.
+    name: str  #: Name of the run or table row; for a pose in a record, with its start time.
+    start: float | None = None  #: Start time in the record, s; null for a stated reading.
+    end: float | None = None  #: End time in the record, s.
     samples: int | None = None  #: Number of rows averaged.
-    #: Outputs converted by the nominal sensitivities, in the triad's order.
+    #: Outputs converted by the nominal sensitivities, in the order of the triad.
     values: tuple[float, ...]
     direction: tuple[float, ...]  #: Estimated direction of the specific force in the triad's frame.
-    residual: float  #: Output minus model along the force.
-    u: float  #: Standard uncertainty of the output along the force, stated or estimated.
+    residual: float  #: Output minus model, in the direction of the specific force.
+    u: float  #: Stated or estimated standard uncertainty of the output along the specific force.
     z: float | None  #: Residual divided by its standard deviation.
 
 
@@ -346,15 +341,15 @@ class PosesInRecord(ResultPart):
     """Poses found in a record."""
 
     poses: int  #: Number of poses.
-    threshold: float  #: Scatter below which the triad counts as at rest, m/s^2.
-    #: Median scatter in motion divided by the median scatter at rest; null if the record has
+    threshold: float  #: Scatter below which counterspin treats the triad as at rest, m/s^2.
+    #: Median scatter in motion divided by the median scatter at rest; null if the record contains
     #: no motion.
     contrast: float | None
     notes: list[str] = []  #: Remarks on rejected rest periods and on the threshold.
-    #: Start times of intervals of the record, s, to plot the detection of rest.
+    #: Start times of the intervals of the record, s, for plots of the detection of rest.
     time: list[float] = []
-    #: Largest combined scatter of the three outputs in each interval, m/s^2, compared with the
-    #: threshold.
+    #: Largest combined scatter of the three outputs in each interval, m/s^2, for comparison with
+    #: the threshold.
     level: list[float] = []
 
 
@@ -369,24 +364,25 @@ class TriadResult(ResultPart):
     accelerometers: list[str]  #: Names of the accelerometers, in the order of the other fields.
     parameters: dict[str, Coefficient]  #: Offsets, sensitivities, angles and second-order terms.
     correlation: Correlation | None = None  #: Correlation of the determined parameters.
-    #: Uncertainty budget of each parameter, largest contribution first, with full names of
-    #: terms; empty in files of earlier versions.
+    #: Uncertainty budget of each parameter, with full names of terms, largest contribution first;
+    #: empty in files of earlier versions.
     budget: dict[str, list[BudgetLine]] = {}
-    #: Sensitivity of each parameter to the assumed g, per m/s^2; empty if g is exact.
+    #: Sensitivity of each parameter to the assumed gravity, per m/s^2; empty if gravity is exact.
     by_gravity: dict[str, float] = {}
-    #: Matrix of f = matrix (y - bias), where f is the specific force in the triad's frame, g, and
-    #: y the outputs converted by the nominal sensitivities, g; null if it is not determined.
+    #: Matrix of the correction f = matrix (y - bias); f is the specific force in g in the triad's
+    #: frame, and y are the outputs in g, converted by the nominal sensitivities. Null if the matrix
+    #: is not determined.
     matrix: list[list[float]] | None = None
-    u_matrix: list[list[float]] | None = None  #: Standard uncertainties of the matrix.
+    u_matrix: list[list[float]] | None = None  #: Standard uncertainties of the matrix elements.
     #: Offsets of the three accelerometers, g; null if the matrix is null.
     bias: list[float] | None = None
-    #: Reason for a missing matrix; null if the matrix exists, and in files of earlier versions.
+    #: Reason why there is no matrix; null if there is a matrix, and in files of earlier versions.
     why_no_matrix: str | None = None
-    #: Root mean square over the poses of norm(f) - g, with the nominal sensitivities, m/s^2; null
+    #: Root mean square of norm(f) - g over the poses, with the nominal sensitivities, m/s^2; null
     #: if there are no poses.
     rms_before: float | None = None
-    #: Root mean square over the poses of norm(f) - g after correction by matrix, bias and
-    #: requested second-order terms.
+    #: Root mean square of norm(f) - g over the poses after correction by the matrix, the bias and
+    #: the requested second-order terms, m/s^2.
     rms_after: float | None = None
     poses: list[PoseResult] = []  #: Poses at unknown attitudes.
     records: dict[str, PosesInRecord] = {}  #: Records in which poses were detected, by run.
@@ -425,7 +421,7 @@ class TriadResult(ResultPart):
 class Shift(ResultPart):
     """How far a coefficient moves when something is left out; `z` is the shift over its u."""
 
-    shift: float  #: Estimate without the run minus the full estimate.
+    shift: float  #: Estimate without the omitted method minus the estimate from all methods.
     u: float  #: Standard uncertainty of the shift; common contributions count once.
     z: float  #: Shift divided by its standard uncertainty.
 
@@ -433,16 +429,16 @@ class Shift(ResultPart):
 class MethodAgreement(ResultPart):
     """Records and readings of a test method, and their agreement with the other methods."""
 
-    kind: str  #: ``at rest``, ``arm`` or ``double turntable``.
-    count: int  #: Number of records and readings.
-    #: Coefficients from this method alone with all priors, without `dof`; None for a
-    #: coefficient that the method does not determine.
+    kind: str  #: Test method: ``at rest``, ``arm`` or ``double turntable``.
+    count: int  #: Number of records and readings of this method.
+    #: Coefficients from this method alone with all priors, without `dof`; null for a coefficient
+    #: that this method does not determine.
     coefficients: dict[str, Coefficient]
-    #: Shift of each coefficient if this method is omitted and the others determine it.
+    #: Shift of each coefficient that other methods also determine, if this method is omitted.
     without: dict[str, Shift] = {}
-    chi2: float  #: Chi-square of the method's results minus the prediction of the others.
-    dof: int  #: Degrees of freedom: combinations that the method and the others determine.
-    #: p-value: probability of a larger chi-square if the methods agree; None if the others
+    chi2: float  #: Chi-square of the differences between this method and the other methods.
+    dof: int  #: Number of combinations that this method and the other methods determine.
+    #: p-value: probability of a larger chi-square if the methods agree; null if the other methods
     #: determine none of the combinations.
     p: float | None
 
@@ -453,46 +449,45 @@ class AccelerometerResult(ResultPart):
     #: State of the result: ``good``, ``reservations``, ``not-determined`` or ``contradicted``.
     state: State | None = None
     findings: list[Finding] = []  #: Findings against the result, most severe first.
-    #: Single faults of typical size that the residuals of readings would not show, each with
-    #: the coefficient shift that it causes; largest first.
+    #: Typical faults that the residuals of the readings would not show, as text, each with the
+    #: resulting shift of a coefficient; largest shift first.
     unseen_faults: list[str] = []
     serial_number: str | None = None  #: Serial number, as stated in the campaign.
     coefficients: dict[str, Coefficient]  #: Coefficients of the requested terms.
-    #: Further terms with stated priors, whose effects the fit has subtracted.
+    #: Further terms with stated priors; the fit subtracted the effects of these terms.
     known: dict[str, Coefficient] = {}
-    #: Stated correlations between priors: term -> correlation with other terms; terms of
-    #: other accelerometers have their full names.
+    #: Stated correlations between priors, as a table of correlations for each term; terms of other
+    #: accelerometers have full names.
     prior_correlations: dict[str, dict[str, float]] = {}
-    #: Directions of the input, pendulous and output axes, as rows, in east-north-up while the
-    #: platform is level.
+    #: Directions of the input, pendulous and output axes (one row for each axis) in east-north-up
+    #: coordinates, for a level platform.
     axes: list[tuple[float, float, float]] | None = None
     #: Recorded observable: ``displacement``, ``velocity`` or ``specific_force``.
     observable: str | None = None
-    correlation: Correlation | None  #: Correlation between the estimated coefficients, if any.
+    correlation: Correlation | None  #: Correlation matrix of the estimates, if there are any.
     confounded: list[ConfoundedTerms] = []  #: Sets of terms that cannot be separated.
     residual: Residual  #: Residuals and goodness of fit.
     noise: dict[str, NoiseLine] = {}  #: Noise used, by component.
     budget: dict[str, list[BudgetLine]] = {}  #: Uncertainty budget of each term.
-    #: Coverage interval of each estimated coefficient by Monte Carlo; empty unless requested.
+    #: Monte Carlo coverage interval of each estimated coefficient; empty if it was not requested.
     monte_carlo: dict[str, MonteCarloInterval] = {}
-    #: Data for updating the uncertainties if an input were known better; None if no input
-    #: matters.
+    #: Data to recalculate u for a more accurate input; null if no input affects u.
     what_if: WhatIf | None = None
-    #: Second unknown of the two-stage method, in addition to K_II and K_F.
+    #: Further unknown of the two-stage method, in addition to K_II and K_F.
     second_unknown: dict[str, Coefficient] = {}
-    jackknife: list[Jackknife] = []  #: Leave-one-run-out results for K_II, joint method.
-    two_stage: Comparison | None = None  #: Comparison with the two-stage K_II, joint method.
-    conformity: dict[str, Conformity] = {}  #: Conformity of each term with a stated specification.
-    traces: dict[str, Trace] = {}  #: Residuals of each run, thinned for figures, joint method.
-    readings: list[ReadingResult] = []  #: Readings at rest, on an arm or on a turntable.
-    #: Comparison of the test methods; empty with a single method.
+    jackknife: list[Jackknife] = []  #: Leave-one-run-out results for K_II (joint method only).
+    two_stage: Comparison | None = None  #: Comparison with the two-stage K_II (joint method only).
+    conformity: dict[str, Conformity] = {}  #: Conformity of each term with its specification.
+    traces: dict[str, Trace] = {}  #: Residuals of each run for figures (joint method only).
+    readings: list[ReadingResult] = []  #: Readings taken at rest, on an arm or on a turntable.
+    #: Comparison of the test methods; empty if the campaign uses a single method.
     kinds: list[MethodAgreement] = []
-    #: ``bias`` and ``scale_factor`` in the unit of the readings; empty if that is g.
+    #: ``bias`` and ``scale_factor`` in the unit of the readings; empty if this unit is g.
     output: dict[str, Coefficient] = {}
-    #: Nominal sensitivity and zero that convert the output to specific force; null if the
+    #: Nominal sensitivity and zero for the conversion of the output to specific force; null if the
     #: output is in g or m/s^2.
     nominal: NominalOutput | None = None
-    warnings: list[str] = []  #: Findings in words.
+    warnings: list[str] = []  #: Findings as text.
 
     @field_validator("coefficients", "budget", "conformity")
     @classmethod
@@ -511,7 +506,7 @@ class AccelerometerResult(ResultPart):
 class RippleResult(ResultPart):
     """One ripple of the rate; amplitude in rad/s, phase in rad."""
 
-    harmonic: int  #: Frequency, in cycles per revolution.
+    harmonic: int  #: Frequency of the ripple, in cycles per revolution.
     amplitude: float  #: Amplitude w_n of the rate, rad/s.
     u_amplitude: float  #: Standard uncertainty of the amplitude.
     phase: float  #: Phase at time zero, rad.
@@ -526,7 +521,7 @@ class ParabolaResult(ResultPart):
     b2: float  #: Quadratic coefficient, m/s^2.
     u_b2: float  #: Standard uncertainty of b2 (Eq. 31).
     sigma: float  #: Standard deviation per sample, m.
-    #: Whether sigma was estimated from the residuals; otherwise it is as stated.
+    #: Whether sigma was estimated from the residuals; if false, sigma is as stated.
     sigma_from_residuals: bool
     strobes: int  #: Number of strobes in the fit.
 
@@ -539,30 +534,29 @@ class RunResult(ResultPart):
     """
 
     rate: float  #: Identified rate w0, in `rate_unit`.
-    u_rate: float | None = None  #: Standard uncertainty of the rate; null without a recorded angle.
+    u_rate: float | None = None  #: Standard uncertainty of the rate; null if no angle was recorded.
     rate_unit: Literal["rad/s"] = "rad/s"  #: Unit of the rate and its uncertainty.
     drift: float  #: Relative drift C of the rate, in `drift_unit`.
     u_drift: float | None = None  #: Standard uncertainty of the drift.
     drift_unit: Literal["1/s"] = "1/s"  #: Unit of the drift and its uncertainty.
-    ripples: list[RippleResult] = []  #: Fluctuations of the rate identified from the angle.
+    ripples: list[RippleResult] = []  #: Ripple components of the rate, identified from the angle.
     angle_rms: float | None = None  #: Root mean square of the encoder residual, rad.
     samples: int  #: Number of rows used.
-    rejected: int  #: Number of rejected samples: repeated rows, empty cells, outliers.
-    #: Number of rejected samples by kind; ``block`` is the number of rows averaged.
+    rejected: int  #: Number of rejected samples, which are repeated rows, empty cells and outliers.
+    #: Number of rejected samples of each kind; ``block`` is the number of rows averaged.
     counts: dict[str, int] = {}
-    notes: list[str] = []  #: Remarks from reading the record.
+    notes: list[str] = []  #: Remarks from the reading of the record.
     terms: dict[str, Coefficient] = {}  #: Terms of this run, such as its tilt.
-    parabolas: dict[str, ParabolaResult] = {}  #: Parabola of each accelerometer, two-stage method.
-    #: Tests of the residuals of each accelerometer: chi-square, signs, largest peak of the
-    #: spectrum.
+    parabolas: dict[str, ParabolaResult] = {}  #: Parabola of each accelerometer (two-stage method).
+    #: Residual tests of each accelerometer: chi-square, sign test and largest peak of the spectrum.
     fit: dict[str, dict[str, float | str | None]] = {}
 
 
 class Inputs(ResultPart):
     """Stated inputs of the calibration; u is 0 for an input that was stated as exact."""
 
-    gravity: float  #: Gravity, which defines g in all g-units, in `gravity_unit`.
-    u_gravity: float = 0.0  #: Standard uncertainty of gravity; 0 if stated as exact.
+    gravity: float  #: Gravity that defines g in all g-units, in `gravity_unit`.
+    u_gravity: float = 0.0  #: Standard uncertainty of gravity; 0 if gravity was stated as exact.
     gravity_unit: Literal["m/s^2"] = "m/s^2"  #: Unit of gravity and its uncertainty.
     latitude: float  #: Latitude of the site, in `latitude_unit`.
     u_latitude: float = 0.0  #: Standard uncertainty of the latitude.
@@ -570,9 +564,9 @@ class Inputs(ResultPart):
     radius: float  #: Radius of the centrifuge, in `radius_unit`.
     u_radius: float = 0.0  #: Standard uncertainty of the radius.
     radius_unit: Literal["m"] = "m"  #: Unit of the radius and its uncertainty.
-    #: Reference temperature of temperature slopes, K; null if no temperature was stated.
+    #: Reference temperature of the temperature slopes, K; null if no temperature was stated.
     reference_temperature: float | None = None
-    #: Lowest and highest temperature of runs and readings, K; empty if none was stated.
+    #: Lowest and highest temperature of the runs and readings, K; empty if none was stated.
     temperatures: list[float] = []
 
 
@@ -580,11 +574,11 @@ class Provenance(ResultPart):
     """Provenance of the result: program, options and inputs."""
 
     version: str  #: Version of counterspin.
-    #: SHA-256 of each input file; for data in memory, of the text as it would be written, or
+    #: SHA-256 of each input file; for data in memory, SHA-256 of the text that would be written, or
     #: of the arrays.
     inputs: dict[str, str]
-    #: Inputs without a file, and the reason: ``made in Python``, ``changed`` with the keys, or
-    #: ``arrays``.
+    #: Inputs without a file, each with the reason: ``made in Python``, ``changed`` with the changed
+    #: keys, or ``arrays``.
     in_memory: dict[str, str] = {}
     options: list[str] = []  #: Options of the command that differ from the defaults, as typed.
     #: Versions of Python, NumPy and SciPy, and the machine; empty in results of earlier

@@ -22,9 +22,9 @@ class ComparedResult(ResultPart):
     model: str  #: ``exact`` or ``as-printed``.
     state: str | None  #: State of the result.
     version: str  #: Version of counterspin.
-    date: str | None  #: Date, as stated in the campaign.
-    #: Gravity of the result, m/s^2, if its numbers were converted to g-units of the first
-    #: result; otherwise None.
+    date: str | None  #: Date stated in the campaign.
+    #: Gravity of the result, m/s^2, if its numbers were converted to the g-units of the first
+    #: result; otherwise null.
     gravity: float | None = None
     #: Accelerometers in the result; None in comparisons of earlier versions.
     accelerometers: list[str] | None = None
@@ -37,12 +37,12 @@ class ComparedResult(ResultPart):
 class ComparedEstimate(ResultPart):
     """A coefficient in one result."""
 
-    value: float | None  #: Estimate; None if not determined or not in the model.
+    value: float | None  #: Estimate; null if the coefficient is not determined or not in the model.
     u: float | None  #: Standard uncertainty.
     dof: float | None = None  #: Degrees of freedom; None means infinite.
-    #: Difference from the first result that determines it; None for the first result.
+    #: Difference from the first result that determines the coefficient; null for that result.
     difference: float | None = None
-    #: Standard uncertainty of `difference`, allowing for common sources; 0 if only exact
+    #: Standard uncertainty of `difference`, which allows for common sources; 0 if only exact
     #: quantities differ.
     u_difference: float | None = None
     z: float | None = None  #: `difference` divided by `u_difference`.
@@ -62,16 +62,16 @@ class AgreementOfTwo(ResultPart):
 
     result: str  #: Label of the result.
     accelerometer: str  #: Name of the accelerometer.
-    #: Whether both results use the ``same`` records, share ``part`` of them, or are
-    #: ``independent``.
+    #: Whether both results use the ``same`` records, share ``part`` of their records, or use
+    #: ``independent`` records.
     records: Literal["same", "part", "independent"]
     terms: list[str]  #: Terms that both results determine.
     chi2: float  #: Chi-square of all differences.
     dof: int  #: Degrees of freedom of the differences.
-    #: Probability of a larger chi-square by chance; None without a degree of freedom.
+    #: Probability that chance causes a larger chi-square; null if there is no degree of freedom.
     p: float | None
-    shared: list[str]  #: Sources common to both results, in addition to the records.
-    assumed: list[str]  #: Assumptions about the correlation, in sentences.
+    shared: list[str]  #: Sources of uncertainty common to both results, in addition to the records.
+    assumed: list[str]  #: Assumptions about the correlation, as text.
 
     @property
     def agrees(self) -> bool:
@@ -82,9 +82,10 @@ class AgreementOfTwo(ResultPart):
 class Change(ResultPart):
     """A difference between results: its words in each result, in their order."""
 
-    #: Subject of the change: a file, ``terms of Qx``, ``radius``, ``method`` and so on.
+    #: Subject of the change, for example a file, ``terms of Qx``, ``radius`` or ``method``.
     subject: str
-    #: Value in each result; a file by the first digits of its SHA-256, ``-`` for none.
+    #: Value in each result; for a file, the first digits of its SHA-256; ``-`` if there is no
+    #: value.
     values: list[str]
 
 
@@ -100,13 +101,14 @@ class ResultComparison(ReportableResult):
     BLOCKS: ClassVar[str] = "counterspin.comparisons.page:comparison_blocks"
     KIND: ClassVar[str] = "comparison"
 
-    gravity: float  #: Gravity of the g-units, m/s^2, from the first result.
-    results: list[ComparedResult]  #: Compared results, in the given order.
-    #: Coefficients in all results, for accelerometers in more than one result.
+    gravity: float  #: Gravity to which all g-units refer, m/s^2, from the first result.
+    results: list[ComparedResult]  #: Compared results, in the order given.
+    #: Coefficients of all results, for accelerometers that occur in more than one result.
     coefficients: list[ComparedCoefficient]
-    #: Agreement of each later result with the first that has the accelerometer.
+    #: Agreement of each later result with the first result that contains the accelerometer.
     agreements: list[AgreementOfTwo]
-    changes: list[Change]  #: Differences in files, terms, noise, options and versions.
+    #: Differences between the results in files, terms, noise, options and versions.
+    changes: list[Change]
     unsealed: list[str] = []  #: Labels of results whose files have no seal.
 
     def reference(self, accelerometer: str) -> ComparedResult:
@@ -162,10 +164,11 @@ class RepeatedCoefficient(ResultPart):
     u_before: float | None  #: Standard uncertainty in the original result.
     now: float | None  #: Estimate in the repeated calibration.
     u_now: float | None  #: Standard uncertainty in the repeated calibration.
-    #: Larger of two relative changes: of the estimate, relative to its size or its u (the
-    #: larger), and of u. None if only one result has the number.
+    #: Relative change of the estimate or of u, whichever is larger; the change of the estimate is
+    #: relative to its size or its u, whichever is larger. Null if only one result has the number.
     relative: float | None
-    in_u: float | None  #: Change of the estimate divided by `u_before`; None without `u_before`.
+    #: Change of the estimate divided by `u_before`; null if there is no `u_before`.
+    in_u: float | None
 
 
 class RepeatedCalibration(ReportableResult):
@@ -176,16 +179,18 @@ class RepeatedCalibration(ReportableResult):
 
     result: str  #: File or title of the original result.
     same: bool  #: Whether all estimates, uncertainties and states agree within `limit`.
-    limit: float  #: Largest value of `relative` for equal numbers.
-    #: Largest value of `relative` of all coefficients; None if only one result has a number.
+    limit: float  #: Largest value of `relative` up to which two numbers count as equal.
+    #: Largest value of `relative` of all coefficients; null if only one of the two results has a
+    #: number.
     largest: float | None
-    largest_in_u: float | None  #: Largest magnitude of `in_u`; None without u.
+    largest_in_u: float | None  #: Largest magnitude of `in_u`; null if there is no u.
     coefficients: list[RepeatedCoefficient]  #: Coefficients of both results.
     state_before: str | None  #: State of the original result.
     state_now: str | None  #: State of the repeated calibration.
-    changes: list[Change]  #: Other differences: checksums of inputs, versions, environment.
-    moved: dict[str, str] = {}  #: Inputs found under another name: name in the result -> path.
-    unsealed: list[str] = []  #: Label of the result, if its file has no seal.
+    changes: list[Change]  #: Other differences in checksums of inputs, versions and environment.
+    #: Inputs that were found under another name, with the name in the result and the path.
+    moved: dict[str, str] = {}
+    unsealed: list[str] = []  #: Label of the original result, if its file has no seal.
 
 
 class DegreeOfEquivalence(ResultPart):

@@ -17,7 +17,7 @@ Verdict = Literal["single", "constant", "drifts", "differ", "disagree"]
 class Point(ResultPart):
     """A result in the history."""
 
-    date: str  #: Date of the campaign (ISO 8601); UTC if it states a time zone.
+    date: str  #: Date of the campaign (ISO 8601), in UTC if the date has a time zone.
     file: str  #: Result file.
     accelerometer: str  #: Name of the accelerometer in that campaign; for an angle, both names.
     method: str  #: ``joint`` or ``two-stage``.
@@ -26,7 +26,7 @@ class Point(ResultPart):
     dof: float | None  #: Degrees of freedom; None means infinite.
     difference: float | None  #: Difference from the weighted mean; None for a single result.
     z: float | None  #: Difference divided by its standard uncertainty; None for a single result.
-    e_n: float | None  #: E_n score relative to the previous result; None for the first.
+    e_n: float | None  #: E_n score relative to the previous result; null for the first result.
     laboratory: str | None = None  #: Laboratory of the campaign; None if not stated.
     mounting: str | None = None  #: Label of the mounting in the campaign; None if not stated.
     turn_on: str | None = None  #: Label of the power cycle in the campaign; None if not stated.
@@ -35,10 +35,11 @@ class Point(ResultPart):
 class Scatter(ResultPart):
     """The scatter of results about a mean or a line; p and Birge ratio need a degree of freedom."""
 
-    chi2: float  #: Sum of squares of the differences divided by u.
+    chi2: float  #: Sum of the squares of the differences, each difference divided by u.
     dof: int  #: Degrees of freedom.
-    p: float | None  #: Probability of a larger chi-square; None without a degree of freedom.
-    birge: float | None  #: Birge ratio, the root of chi2/dof; None without a degree of freedom.
+    p: float | None  #: Probability of a larger chi-square; null if there is no degree of freedom.
+    #: Birge ratio, the square root of chi2/dof; null if there is no degree of freedom.
+    birge: float | None
 
 
 class Trend(ResultPart):
@@ -46,8 +47,8 @@ class Trend(ResultPart):
 
     value: float  #: Drift, in the term's unit per year.
     u: float  #: Standard uncertainty.
-    p: float  #: Probability of at least this drift by chance.
-    date: str  #: Weighted mean date, ISO 8601.
+    p: float  #: Probability that chance causes a drift of at least this size.
+    date: str  #: Weighted mean date (ISO 8601).
     level: float  #: Value of the line at `date`.
     u_level: float  #: Standard uncertainty of `level`.
     scatter: Scatter  #: Scatter about the line.
@@ -63,7 +64,7 @@ class ControlLimits(ResultPart):
     action_high: float  #: Upper action limit.
     mean_range: float  #: Mean moving range.
     range_limit: float  #: Upper action limit of the moving range.
-    beyond: list[str]  #: Files of results beyond the action limits.
+    beyond: list[str]  #: Files of the results that lie beyond the action limits.
     #: Files of results that differ from the previous result by more than `range_limit`.
     leaps: list[str]
 
@@ -71,19 +72,19 @@ class ControlLimits(ResultPart):
 class SpecificationLimits(ResultPart):
     """The specification of the latest result that has one, its limits in the term's unit."""
 
-    low: float | None  #: Lower limit; None without a lower limit.
-    high: float | None  #: Upper limit; None without an upper limit.
-    words: str  #: Specification as written.
+    low: float | None  #: Lower limit; null if there is none.
+    high: float | None  #: Upper limit; null if there is none.
+    words: str  #: Specification as written in the campaign.
 
 
 class Due(ResultPart):
     """The date when the next calibration of the instrument is due."""
 
-    #: Last day on which the line is within specification with probability `reliability`; None:
-    #: see `reason`.
+    #: Last day on which the straight line is within specification with the probability
+    #: `reliability`; null if there is no such day.
     date: str | None
     reliability: float  #: Required probability.
-    reason: str | None = None  #: Reason for a missing date.
+    reason: str | None = None  #: Reason why there is no date.
 
 
 class LaboratoryPair(ResultPart):
@@ -91,8 +92,9 @@ class LaboratoryPair(ResultPart):
 
     first: str  #: First laboratory.
     second: str  #: Second laboratory.
-    difference: float  #: Weighted mean of the second minus that of the first.
-    e_n: float  #: E_n score of the pair.
+    #: Weighted mean of the second laboratory minus the weighted mean of the first laboratory.
+    difference: float
+    e_n: float  #: E_n score of the two laboratories.
 
     @property
     def agrees(self) -> bool:
@@ -103,58 +105,63 @@ class LaboratoryPair(ResultPart):
 class RepeatComponent(ResultPart):
     """The variation of results from one turn-on, mounting or day to another."""
 
-    value: float  #: Standard deviation in excess of the u of the results; 0 if none is detected.
+    #: Standard deviation in excess of the u of the results; 0 if no excess is detected.
+    value: float
     low: float  #: Lower end of the 95 % interval; 0 if the component may be absent.
-    high: float | None  #: Upper end of the 95 % interval; None if unlimited.
+    high: float | None  #: Upper end of the 95 % interval; null if there is no upper limit.
     groups: int  #: Number of power cycles, mountings or days.
-    freedom: int  #: Degrees of freedom in excess of coarser groups.
-    #: Other component that always changed together with this one and is part of it.
+    freedom: int  #: Degrees of freedom beyond those of coarser groups.
+    #: Other components that always changed together with this component and are part of it.
     same_as: list[str] = []
 
 
 class Repeatability(ResultPart):
     """The repeatability of results, by restricted likelihood: turn-on, remount and day."""
 
-    #: Components for ``day``, ``mounting`` and ``turn_on``, as far as the results determine
-    #: them.
+    #: Components for `day`, `mounting` and `turn_on`, if the results determine them.
     components: dict[str, RepeatComponent]
     #: Total standard deviation between results (root sum of squares of the components).
     total: float
-    #: Reference of the scatter: the mean, or the line if the results drift.
+    #: Reference of the scatter: the mean, or the straight line if the results drift.
     about: Literal["mean", "line"]
-    value: float  #: Mean weighted by these variances; for a line, its value at the mean date.
-    u: float  #: Standard uncertainty.
-    not_told: dict[str, str] = {}  #: Components that cannot be determined, and the reason.
+    #: Mean of the results weighted by these variances; if the results drift, the value of the line
+    #: at the mean date.
+    value: float
+    u: float  #: Standard uncertainty of the value.
+    not_told: dict[str, str] = {}  #: Components that cannot be determined, each with the reason.
 
 
 class InstrumentHistory(ResultPart):
     """One instrument's results, oldest first."""
 
-    #: Serial number of the accelerometer; or that of the campaign with the accelerometer's
-    #: name.
+    #: Serial number of the accelerometer, or otherwise the serial number of the campaign with the
+    #: name of the accelerometer.
     serial_number: str
-    #: Source of the serial number: accelerometer or campaign.
+    #: Whether the accelerometer or the campaign states the serial number.
     stated_by: Literal["accelerometer", "campaign"]
-    points: list[Point]  #: Results in order of date.
+    points: list[Point]  #: Results in the order of their dates.
     mean: float  #: Weighted mean.
     u_mean: float  #: Standard uncertainty of the mean.
     scatter: Scatter  #: Scatter about the mean.
     drift: Trend | None  #: Drift; None if all results have the same date.
-    #: Verdict. ``single``: one result; ``constant``: consistent without drift; ``drifts``:
-    #: consistent with a drift; ``differ``: two dates differ, by drift or by a jump;
-    #: ``disagree``: the scatter exceeds the uncertainties.
+    #: Verdict: ``single`` (one result), ``constant`` (consistent without drift), ``drifts``
+    #: (consistent with a drift), ``differ`` (two dates differ, because of a drift or a jump) or
+    #: ``disagree`` (the scatter exceeds the uncertainties).
     verdict: Verdict
-    shared: list[str] = []  #: Sources common to results, such as ``centrifuge.radius``.
-    #: Largest resulting correlation between two results; None if independent.
+    #: Sources of uncertainty common to several results, such as ``centrifuge.radius``.
+    shared: list[str] = []
+    #: Largest correlation between two results that these sources cause; null if the results are
+    #: independent.
     correlation: float | None = None
-    #: Control limits from the results alone; None for fewer than three.
+    #: Control limits calculated from the results alone; null if there are fewer than three results.
     control: ControlLimits | None = None
-    specification: SpecificationLimits | None = None  #: Specification; None if no result has one.
-    #: Date of the next calibration, or the reason for its absence; None in files of earlier
+    #: Specification; null if no result states one.
+    specification: SpecificationLimits | None = None
+    #: Date of the next calibration, or the reason why there is none; null in files of earlier
     #: versions.
     due: Due | None = None
-    #: Repeatability in excess of the u of the results; None for too few results, and in files
-    #: of earlier versions.
+    #: Repeatability in excess of the u of the results; null if there are too few results, and in
+    #: files of earlier versions.
     repeatability: Repeatability | None = None
     laboratories: list[LaboratoryPair] = []  #: Comparison of each pair of laboratories.
 
@@ -163,7 +170,7 @@ class UnusedResult(ResultPart):
     """A file, or one accelerometer in it, that is not in the history, and why."""
 
     file: str  #: Result file.
-    accelerometer: str | None = None  #: Name of the accelerometer; None means all.
+    accelerometer: str | None = None  #: Name of the accelerometer; null means all accelerometers.
     reason: str  #: Reason for the exclusion.
 
 
@@ -173,16 +180,17 @@ class History(ReportableResult):
     BLOCKS: ClassVar[str] = "counterspin.histories.page:history_blocks"
     KIND: ClassVar[str] = "history"
 
-    term: str  #: Coefficient, or ``offset``, ``sensitivity`` or ``angle`` (minus 90 deg) of triads.
-    unit: str  #: Unit of every value; of a drift, per year.
-    gravity: float  #: Gravity of the g-units, m/s^2, from the latest result.
-    converted: bool  #: Whether results with another gravity were converted to `gravity`.
-    instruments: list[InstrumentHistory]  #: History of each serial number.
-    #: Results that cannot be used: without a date or serial number, or duplicates.
+    term: str  #: Coefficient; for triads, ``offset``, ``sensitivity`` or ``angle`` (minus 90 deg).
+    unit: str  #: Unit of all values; a drift is in this unit per year.
+    gravity: float  #: Gravity to which all g-units refer, m/s^2, from the latest result.
+    converted: bool  #: Whether results with a different gravity were converted to `gravity`.
+    instruments: list[InstrumentHistory]  #: History for each serial number.
+    #: Results that cannot be used, for example results without a date or serial number, or
+    #: duplicates.
     left_out: list[UnusedResult]
-    damaged: list[UnusedResult]  #: Files that cannot be read, and the reason.
+    damaged: list[UnusedResult]  #: Files that cannot be read, each with the reason.
     passed_over: list[str]  #: JSON files in the folders that are not results.
-    notes: list[str]  #: Further remarks about the files, in sentences.
+    notes: list[str]  #: Further remarks on the files, as text.
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw the control chart of each instrument."""

@@ -56,14 +56,14 @@ class ConfoundedTerms:
     """Terms that the data cannot tell apart, or hardly, and the combination they do determine."""
 
     terms: list[str]  #: Names of the terms, in the order of the unknowns.
-    #: Correlation between the two estimates from the data, without the priors of the terms. For
-    #: more than two terms, the largest magnitude among the pairs, with the other terms fixed.
+    #: Correlation between the two estimates from the data alone, without the priors of the terms.
+    #: For more than two terms, the largest magnitude among all pairs, with the other terms fixed.
     correlation: float
-    #: The determined combination, such as ``K_I - K_IP``. Terms that contribute less than a tenth
-    #: of `u` at their largest credible size are omitted, and the rounding of the weights changes no
-    #: term by more than a tenth of `u`.
+    #: Combination that the records determine, such as ``K_I - K_IP``. The combination omits each
+    #: term that contributes less than a tenth of `u` at its largest credible size. Rounding of the
+    #: weights changes the contribution of each term by at most a tenth of `u`.
     determined: str
-    #: Exact weights, in the order of `terms`; 1 for the first term.
+    #: Exact weights in the order of `terms`; the weight of the first term is 1.
     weights: list[float] = field(default_factory=list)
     value: float | None = None  #: Estimate of the combination.
     u: float | None = None  #: Combined standard uncertainty of the combination.

@@ -18,8 +18,8 @@ class GlobalRisk:
     _: KW_ONLY
     mean: float  #: Mean of the process, in the unit of the limits.
     sigma: float  #: Standard deviation of the process.
-    consumer: float  #: Probability that an item is accepted and does not conform.
-    producer: float  #: Probability that an item conforms and is not accepted.
+    consumer: float  #: Probability that an item does not conform but is accepted.
+    producer: float  #: Probability that an item conforms but is not accepted.
 
 
 @frozen
@@ -28,20 +28,22 @@ class Conformity:
 
     _: KW_ONLY
     specification: str  #: Specification as written, such as ``abs <= 5e-5 g/g^2``.
-    low: float | None  #: Lower tolerance limit, in `unit`; None without one.
-    high: float | None  #: Upper tolerance limit, in `unit`; None without one.
+    low: float | None  #: Lower tolerance limit, in `unit`; null if there is none.
+    high: float | None  #: Upper tolerance limit, in `unit`; null if there is none.
     unit: str  #: Unit of the limits, the guard band and the coefficient.
     rule: RuleName  #: Decision rule: ``simple``, ``guarded`` or ``probability``.
-    #: Width in `unit` by which the acceptance limits lie inside the tolerance limits, 0 without
-    #: guard bands; None without an estimate.
+    #: Distance by which the acceptance limits lie inside the tolerance limits, in `unit`; 0 without
+    #: a guard band, null without an estimate.
     guard_band: float | None
-    needed: float | None = None  #: Probability that the rule requires; None if it requires none.
-    verdict: Verdict  #: Verdict by the rule: ``pass``, ``fail`` or ``undecided``.
+    #: Conformance probability that the rule requires; null if the rule does not require one.
+    needed: float | None = None
+    #: Verdict according to the decision rule: ``pass``, ``fail`` or ``undecided``.
+    verdict: Verdict
     #: Probability that the coefficient conforms, given the estimate and its uncertainty.
     probability: float | None
-    #: Probability that the verdict is wrong: the specific consumer's risk of a pass, the specific
-    #: producer's risk of a fail; None if it is undecided.
+    #: Probability that the verdict is wrong. For a pass, this is the specific consumer's risk; for
+    #: a fail, the specific producer's risk; null for an undecided verdict.
     risk: float | None
     reason: str | None = None  #: Reason for an undecided verdict; otherwise None.
-    #: Risks for items of the stated process; None if none is stated.
+    #: Risks for items from the stated process; null if no process is stated.
     global_risk: GlobalRisk | None = None

@@ -156,10 +156,10 @@ def shown_unit(unit: str, in_g: bool, gravity: float) -> tuple[str, float]:
 class NoiseSize(ResultPart):
     """The size of one component of the noise."""
 
-    value: float | None  #: Estimate; None if the record does not show the component.
+    value: float | None  #: Estimate; null if the record does not reveal the component.
     low: float  #: Lower end of the 95 % interval; 0 if the component may be absent.
-    #: Upper end of the interval; the upper limit of an undetected component. None means no
-    #: limit.
+    #: Upper end of the 95 % interval, or the upper limit of an undetected component; null if there
+    #: is no limit.
     high: float | None
     unit: str  #: Unit of the three numbers.
 
@@ -170,24 +170,25 @@ class SignalNoise(ResultPart):
     name: str  #: Name of the accelerometer or of the column.
     column: str  #: Column in the file.
     observable: Literal["displacement", "velocity", "specific_force"]  #: Recorded observable.
-    in_g: bool  #: Whether the column is in g, or in an output converted with gravity.
+    in_g: bool  #: Whether the column is in g, or in an output unit that is converted with gravity.
     rows: int  #: Number of rows in the record.
     sampling_rate: float  #: Sampling rate, Hz.
     seconds: float  #: Duration of the used parts, s.
     outliers: int  #: Number of rejected samples.
-    filled: int  #: Number of missing samples in the used parts, including outliers.
-    gaps: int  #: Number of gaps, at which the record is split.
-    #: Smallest difference between distinct samples, SI; None if not detected.
+    filled: int  #: Number of missing samples in the used parts, including rejected outliers.
+    gaps: int  #: Number of gaps at which the record was split.
+    #: Smallest difference between distinct samples, in SI units; null if no resolution was
+    #: detected.
     resolution: float | None
-    #: Components by key of ``[noise]``: ``acceleration`` N, ``flicker`` B, ``bias_walk`` K,
-    #: and white noise of the record: ``displacement``, ``velocity``, or for a specific force
-    #: ``quantisation`` (m/s).
+    #: Noise components by key of ``[noise]``: ``acceleration`` (N), ``flicker`` (B), ``bias_walk``
+    #: (K), and the white noise of the record, which is ``displacement``, ``velocity`` or, for a
+    #: specific force, ``quantisation`` (m/s).
     components: dict[str, NoiseSize]
     drift: float  #: Linear drift of the bias, m/s^2 per second.
-    u_drift: float  #: Standard uncertainty of the drift, from the detected components.
-    lines: list[SpectralLine]  #: Spectral lines, the most prominent first.
-    allan: list[AllanValue]  #: Overlapping Allan deviation, without the lines.
-    spectrum: list[SpectrumValue]  #: Power spectral density, including the lines.
+    u_drift: float  #: Standard uncertainty of the drift, calculated from the detected components.
+    lines: list[SpectralLine]  #: Spectral lines, most prominent first.
+    allan: list[AllanValue]  #: Overlapping Allan deviation after removal of the spectral lines.
+    spectrum: list[SpectrumValue]  #: Power spectral density, including the spectral lines.
     remarks: list[str]  #: Remarks on the use of these figures.
 
 
@@ -200,10 +201,10 @@ class NoiseResult(ReportableResult):
 
     record: str  #: Record file.
     checksum: str | None  #: SHA-256 of the file; None for a record in memory.
-    gravity: float  #: Gravity for conversion between g and m/s^2, m/s^2.
+    gravity: float  #: Gravity for conversions between g and m/s^2, in m/s^2.
     signals: list[SignalNoise]  #: Noise of each column.
-    unused: list[str]  #: Columns other than displacement, velocity and specific force.
-    table: str  #: ``[noise]`` table to paste into ``campaign.toml``.
+    unused: list[str]  #: Columns that are not a displacement, a velocity or a specific force.
+    table: str  #: ``[noise]`` table that you can paste into ``campaign.toml``.
 
     def largest_densities(self) -> tuple[float, float]:
         """Return the largest noise density and random walk of the bias of all specific forces.

@@ -14,15 +14,15 @@ class Installation(ResultPart):
 
     version: str  #: Version of counterspin.
     environment: dict[str, str]  #: Versions of Python, NumPy and SciPy, and the machine.
-    packages: dict[str, str]  #: Required package -> version.
-    files: int  #: Number of files of the package.
-    checksum: str  #: SHA-256 of the names and contents of all files.
-    #: Number of files with a hash in the installation's RECORD; 0 without a RECORD, as in an
-    #: editable installation.
+    packages: dict[str, str]  #: Version of each required package.
+    files: int  #: Number of files in the package.
+    checksum: str  #: SHA-256 of the names and contents of all package files.
+    #: Number of files whose hash is listed in the RECORD of the installation; 0 if there is no
+    #: RECORD, as in an editable installation.
     recorded: int
-    altered: list[str]  #: Files that differ from their recorded hash.
+    altered: list[str]  #: Files whose hash differs from the recorded hash.
     missing: list[str]  #: Missing files.
-    unknown: list[str]  #: Files that are not in RECORD.
+    unknown: list[str]  #: Files that RECORD does not list.
 
 
 class CheckedCase(ResultPart):
@@ -32,17 +32,17 @@ class CheckedCase(ResultPart):
     requirement: str  #: Requirement that the case checks.
     kernel: str  #: Function under test.
     source: str  #: Source of the expected values.
-    #: ``passed``, ``failed``, or ``not run`` because a package is not installed.
+    #: State of the case: ``passed``, ``failed``, or ``not run`` because a package is not installed.
     state: Literal["passed", "failed", "not run"]
     numbers: int  #: Number of compared values.
-    quantity: str  #: Value closest to its limit.
-    expected: float | None  #: Expected value.
-    found: float | None  #: Value on this installation.
-    #: Correct digits of that value: -log10 of the relative difference, at most 16; None if the
-    #: expected value is 0 or no value was found.
+    quantity: str  #: Name of the value that is closest to its limit.
+    expected: float | None  #: Expected value of this quantity.
+    found: float | None  #: Value of this quantity on this installation.
+    #: Number of correct digits of this value, -log10 of the relative difference, at most 16; null
+    #: if the expected value is 0 or no value was found.
     digits: float | None
-    limit: float | None  #: Largest allowed difference of that value.
-    note: str = ""  #: Reason why nothing could be compared.
+    limit: float | None  #: Largest permitted difference of this value.
+    note: str = ""  #: Reason why no value could be compared.
 
 
 class Dossier(ReportableResult):
@@ -55,7 +55,7 @@ class Dossier(ReportableResult):
     passed: bool  #: Whether no case failed and no file of the installation is altered or missing.
     installation: Installation  #: Installed software.
     cases: list[CheckedCase]  #: All cases.
-    not_covered: list[str]  #: Limits of the validation, in sentences.
+    not_covered: list[str]  #: Limits of the validation, as text.
 
     @property
     def identifier(self) -> str:

@@ -24,18 +24,20 @@ CONSIDERED: Final = "held"
 class BudgetLine:
     """One source of uncertainty (GUM table 1)."""
 
-    #: Name of a term or input; ``noise of Qx`` or ``undetected noise of Qx``; or an uncertain
-    #: quantity of a run's rotation, such as ``run1.rate`` or ``run1.ripple1``.
+    #: Name of the source: a term, an input, ``noise of Qx``, ``undetected noise of Qx``, or an
+    #: uncertain quantity of the rotation of a run, such as ``run1.rate`` or ``run1.ripple1``.
     source: str
-    kind: Kind  #: ``noise`` (including encoder noise), ``stated``, ``unstated`` or ``held``.
-    #: Standard uncertainty of the source, in `unit`; None for noise. For undetected noise, the
-    #: noise level; for a ripple, u of the sine and of the cosine; for random errors of rates, the
-    #: root mean square of their u.
+    #: Kind of the source: ``noise`` (including encoder noise), ``stated``, ``unstated`` or
+    #: ``held``.
+    kind: Kind
+    #: Standard uncertainty of the source, in `unit`; null for noise. For undetected noise, this is
+    #: the noise level; for a ripple, u of the sine and of the cosine; for random errors of rates,
+    #: the root mean square of their u.
     u: float | None
     unit: str  #: Unit of `u`.
-    #: Change of the coefficient per unit of the source; None for noise, whose sensitivity differs
-    #: between samples. For a ripple (sine and cosine in one line) and for errors of rates, the
-    #: magnitude of the sensitivity.
+    #: Change of the coefficient per unit of the source; null for noise, because its sensitivity
+    #: differs between samples. For a ripple (sine and cosine in one line) and for errors of rates,
+    #: this is the magnitude of the sensitivity.
     sensitivity: float | None
     contribution: float  #: Magnitude of sensitivity × u, in the coefficient's unit.
     share: float  #: Share of the coefficient's u^2, from 0 to 1.
@@ -45,15 +47,16 @@ class BudgetLine:
 class WhatIf:
     """Inputs of the coefficients' uncertainties, as far as an update needs them."""
 
-    names: list[str]  #: Coefficients and sources, named as in a budget.
-    units: list[str]  #: Unit of each name: SI, or g-units.
-    #: Prior standard uncertainty of each source; sources without an entry cannot be changed.
+    names: list[str]  #: Names of the coefficients and sources, as in a budget.
+    units: list[str]  #: Unit of each name, an SI unit or a g-unit.
+    #: Prior standard uncertainty of each source; a source without an entry cannot be changed.
     known: dict[str, float]
-    #: Covariance matrix that the weights minimise, with rows and columns in the order of `names`.
+    #: Covariance matrix that the weights of the fit minimise; rows and columns are in the order of
+    #: `names`.
     weighed: list[list[float]]
-    #: Covariance added by held terms and undetected noise; empty if there are none.
+    #: Additional covariance from held terms and undetected noise; empty if there are none.
     beside: list[list[float]] = field(default_factory=list)
-    #: Shift of each coefficient and source for a change of each held source by its u.
+    #: Shift of each coefficient and source if a held source changes by its u.
     held: dict[str, list[float]] = field(default_factory=dict)
 
     @property
@@ -114,11 +117,11 @@ class Jackknife:
     """Change of one unknown without a run."""
 
     run: str  #: Omitted run.
-    #: Estimate without this run; None if the other runs do not determine the unknown.
+    #: Estimate without this run; null if the other runs do not determine the coefficient.
     value: float | None = None
-    shift: float | None = None  #: Estimate without this run minus the estimate of all runs.
-    #: Shift divided by its standard uncertainty; None if the run contains so little information on
-    #: the unknown that rounding dominates.
+    shift: float | None = None  #: Estimate without this run minus the estimate from all runs.
+    #: Shift divided by its standard uncertainty; null if this run contains so little information
+    #: that rounding errors dominate.
     z: float | None = None
-    #: Effective degrees of freedom of the u of the shift; None means infinite.
+    #: Effective degrees of freedom of the standard uncertainty of the shift; null means infinite.
     dof: float | None = None

@@ -72,23 +72,24 @@ _LOW, _HIGH = 0.025, 0.975
 class SpectrumValue:
     """The power spectral density of the specific force at one frequency, two-sided."""
 
-    frequency: float  #: Hz.
-    density: float  #: (m/s^2)^2/Hz; white noise of coefficient N has N^2.
-    low: float  #: Lower end of its 95 % interval, by chi-square.
-    high: float  #: Upper end.
+    frequency: float  #: Frequency, Hz.
+    #: Power spectral density, (m/s^2)^2/Hz; the density of white noise with coefficient N is N^2.
+    density: float
+    low: float  #: Lower end of the 95 % interval, by chi-square.
+    high: float  #: Upper end of the 95 % interval.
     dof: float  #: Degrees of freedom.
-    expected: float  #: Expected value by the detected components.
+    expected: float  #: Value predicted by the detected components, (m/s^2)^2/Hz.
 
 
 @frozen
 class SpectralLine:
     """A wave in the record."""
 
-    frequency: float  #: Hz.
-    u_frequency: float  #: Its standard uncertainty.
+    frequency: float  #: Frequency, Hz.
+    u_frequency: float  #: Standard uncertainty of the frequency, Hz.
     amplitude: float  #: Amplitude of the specific force, m/s^2.
     u: float  #: Standard uncertainty of the amplitude.
-    #: Probable source, such as ``50 Hz mains, harmonic 3``; None if unknown.
+    #: Probable source, such as ``50 Hz mains, harmonic 3``; null if the source is unknown.
     name: str | None = None
 
 
@@ -220,11 +221,11 @@ class AllanValue:
     """The overlapping Allan deviation at one averaging time."""
 
     tau: float  #: Averaging time, s.
-    deviation: float  #: m/s^2.
-    low: float  #: Lower end of its 95 % interval, by chi-square.
-    high: float  #: Upper end.
-    dof: float  #: Equivalent degrees of freedom, for the detected noise.
-    expected: float  #: Expected value by the detected components, m/s^2.
+    deviation: float  #: Allan deviation, m/s^2.
+    low: float  #: Lower end of the 95 % interval, by chi-square.
+    high: float  #: Upper end of the 95 % interval.
+    dof: float  #: Equivalent degrees of freedom for the detected noise.
+    expected: float  #: Value predicted by the detected components, m/s^2.
 
 
 def allan_deviation(velocity: Array, step: float, count: int) -> float:
