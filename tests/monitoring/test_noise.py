@@ -271,6 +271,21 @@ def test_rows_may_be_counted():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("sizes_alone")
+@pytest.mark.parametrize("name", ["time_s", "time"])
+def test_a_stated_rate_counts_rows_whose_times_do_not_show_it(name):
+    time, values = columns(2000)
+    late = time + np.random.default_rng(1).uniform(0.0, 0.006, time.size)
+    frame = {name: late, "Qx_g": values / G}
+    with pytest.raises(RecordError, match="`sampling_rate`"):
+        cs.noise(frame)
+    counted, expected = (
+        size(cs.noise(data, sampling_rate="100 Hz").signals[0], "acceleration").value
+        for data in (frame, {"Qx_g": values / G})
+    )
+    assert counted == expected
+
+
 def test_the_command_writes_json_report_and_plot(tmp_path, capsys):
     file = written(tmp_path)
     names = [tmp_path / name for name in ("n.json", "n.html", "n.svg")]

@@ -125,15 +125,16 @@ def test_the_rate_of_repeated_samples_holds_where_rows_are_lost(ratio):
 
 
 @pytest.mark.parametrize("part", [0.0, 0.05, 0.2])
-def test_rows_that_are_lost_within_whole_seconds_are_refused(part):
-    row = np.arange(12000)
-    keep = np.random.default_rng(6).random(12000) >= part
-    time, values = np.floor(row * STEP + 1e-9)[keep], white(12000)[keep]
+@pytest.mark.parametrize("step", [STEP, 0.1 * STEP])
+def test_rows_that_are_lost_within_whole_seconds_are_refused(part, step):
+    row = np.arange(20000)
+    keep = np.random.default_rng(6).random(20000) >= part
+    time, values = np.floor(row * step + 1e-9)[keep], white(20000)[keep]
     if part:
         with pytest.raises(ValueError, match="samples are missing"):
             SensorSamples.of(time, values)
     else:
-        assert np.median(np.diff(SensorSamples.of(time, values).time)) == pytest.approx(STEP)
+        assert np.median(np.diff(SensorSamples.of(time, values).time)) == pytest.approx(step)
 
 
 def test_rows_that_come_late_are_not_lost():
@@ -142,6 +143,30 @@ def test_rows_that_come_late_are_not_lost():
     time = np.floor(np.maximum.accumulate(np.arange(12000) * STEP + late))
     found = SensorSamples.of(time, white(12000))
     assert np.median(np.diff(found.time)) == pytest.approx(STEP, rel=0.3 / 120.0)
+
+
+@pytest.mark.parametrize("mean_delay", [0.2, 1.0])
+@pytest.mark.parametrize("lost", [0.0, 0.05])
+def test_packets_with_exponential_delays(mean_delay, lost):
+    """Packets of 10 rows arrive in their order, late by so many packets in the mean.
+
+    The two rows that give the rate are 1330 rows apart or more. The first and the last third have
+    133 packets each, whose least delay is below 0.1 packet with a probability above 1 - 2e-3.
+    """
+    refused, errors = 0, []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        arrival = np.maximum.accumulate(np.arange(400) + rng.exponential(mean_delay, 400))
+        time = 10 * STEP * np.repeat(arrival[rng.random(400) >= lost], 10)
+        try:
+            steps = np.diff(SensorSamples.of(time, white(time.size)).time)
+        except ValueError:
+            refused += 1
+            continue
+        errors.append(np.median(steps) / STEP - 1.0)
+        assert np.sum(steps > 1.5 * np.median(steps)) <= 1
+    assert refused >= 17 if lost else refused <= 3
+    assert lost or np.abs(errors).max() < 10.0 * 0.1 / 1330
 
 
 def test_rows_that_were_written_twice_count_once():

@@ -62,6 +62,9 @@ _MISFIT_P: Final = 1e-3
 #: Factor on either side above which an interval is reported as wide.
 _WIDE_RATIO: Final = 2.0
 
+#: Deviation of a time from a whole number of steps, above which a stated sampling rate counts rows.
+_MAX_STEP_DEVIATION: Final = 0.3
+
 #: Component -> key of [noise]; white noise has that of its observable.
 _KEYS: Final = {"random_walk": "acceleration", "flicker": "flicker", "bias_walk": "bias_walk"}
 
@@ -182,7 +185,9 @@ def _guess_signals(
         problem += f". The file was read as follows: {samples.found}" if samples.found else ""
         problem += "".join(f". Not read: {reason.removesuffix('.')}" for reason in samples.spoilt)
         raise CampaignError("noise", [problem])
-    time = _row_times(source, guess, samples.columns, stated=sampling_rate is not None)
+    time = _row_times(
+        source, guess, samples.columns, _parse_quantity("sampling_rate", sampling_rate, "Hz")
+    )
     time_column = guess.time.column if guess.time else None
     rest = [c for c in samples.columns if c.name != time_column and not c.stamps]
     used_columns: list[StaticSignal] = []
@@ -251,29 +256,36 @@ def _read_source(source: Path | MemoryTable, select: str | None) -> FileContents
 
 
 def _row_times(
-    source: Path | MemoryTable, guess: FileGuess, columns: Sequence[FileColumn], *, stated: bool
+    source: Path | MemoryTable,
+    guess: FileGuess,
+    columns: Sequence[FileColumn],
+    rate: float | None,
 ) -> Array:
     """Return the time of each row, s.
 
-    stated: Whether a person stated the sampling rate.
+    rate: Sampling rate that a person stated, Hz; rows are counted if their times do not show it.
     """
+    rows = np.arange(max(len(column.values) for column in columns))
     if guess.time is not None:
-        if guess.time.unit is None:
+        if guess.time.unit is None and rate is None:
             raise RecordError(
                 f"{source}: column '{guess.time.column}' seems to be the time, but its unit "
                 "is unknown; rename it, for example to 'time_s', or give `sampling_rate` or "
                 "`campaign`."
             )
         column = next(c for c in columns if c.name == guess.time.column)
-        return np.asarray(column.values * guess.time.factor)
-    if guess.shared is not None and not stated:
+        seconds = np.asarray(column.values * guess.time.factor)
+        places = np.diff(seconds[np.isfinite(seconds)]) * (rate or 0.0)
+        is_even = bool((np.abs(places - np.round(places)) < _MAX_STEP_DEVIATION).all())
+        return seconds if rate is None or (guess.time.unit and is_even) else rows / rate
+    if guess.shared is not None and rate is None:
         return guess.shared.values
     if guess.sampling is None:
         problem = f"{source}: {why_no_time(guess.contents)}. Give `sampling_rate`, such as"
         problem += ' "100 Hz".'
         unread = [f"Not read: {reason}" for reason in guess.contents.spoilt]
         raise RecordError(" ".join([problem, *unread]))
-    return np.arange(max(len(column.values) for column in columns)) / guess.sampling
+    return rows / guess.sampling
 
 
 def _estimate_noise(record: StaticRecord, turning: float | None) -> SignalNoise:

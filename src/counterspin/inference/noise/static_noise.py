@@ -190,8 +190,9 @@ def split_segments(time: Array, values: Array) -> Segments:
             or (np.diff(sample_index) < 1.0).any()
         ):
             raise ValueError(
-                "the samples are not evenly spaced, as the noise analysis requires; resample the "
-                "record, or select another time column"
+                "the samples are not evenly spaced, as the noise analysis requires; if the sensor "
+                "samples at a constant rate and no sample is missing, give `sampling_rate`, or "
+                "else resample the record"
             )
         parts.append((float(own_time[0]), sample_index, segment_values))
     if not parts:
