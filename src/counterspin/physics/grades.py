@@ -38,10 +38,16 @@ class Size:
     source: str  #: What `typical` rests on.
 
 
-_NONE: Final = "order of magnitude, no source"
-_FIFTH: Final = "order of magnitude: a fifth of K_II, the same ratio as for navigation grade"
-_TENTH: Final = "order of magnitude: a tenth of K_II, the same ratio as for navigation grade"
-_TWENTIETH: Final = "order of magnitude: a twentieth of K_F, the same ratio as for navigation grade"
+_NONE: Final = "order-of-magnitude estimate, no source"
+_FIFTH: Final = (
+    "order-of-magnitude estimate: a fifth of K_II, the same ratio as for navigation grade"
+)
+_TENTH: Final = (
+    "order-of-magnitude estimate: a tenth of K_II, the same ratio as for navigation grade"
+)
+_TWENTIETH: Final = (
+    "order-of-magnitude estimate: a twentieth of K_F, the same ratio as for navigation grade"
+)
 _OF_PAPER: Final = (
     "a third of K_IP in the paper's Table 1 (6e-6 g/g²); same value for the other terms"
 )
@@ -51,15 +57,16 @@ _CROSS: Final = (
     (1e-3, 6e-5, _FIFTH),
     (1e-2, 2e-4, _FIFTH),
 )
-_AS_SECOND: Final = "order of magnitude: same effect as K_II at 1 g"
+_AS_SECOND: Final = "order-of-magnitude estimate: same effect as K_II at 1 g"
 _PENDULUM: Final = (
-    (0.1, 1e-3, "order of magnitude: a pendulum length of 10 mm, divided by g"),
+    (0.1, 1e-3, "order-of-magnitude estimate: a pendulum length of 10 mm, divided by g"),
 ) * 3
 _MISALIGNMENT: Final = (
     (
         1e-2,
         5e-5,
-        "order of magnitude, no source: 10 arcsec after alignment on the platform or fixture",
+        "order-of-magnitude estimate, no source: 10 arcsec after alignment on the platform or "
+        "fixture",
     ),
     (5e-2, 1e-2, "MS1010: misalignment 10 mrad"),
     (0.2, 2e-2, "value between the cross-axis sensitivities of ADXL313 (±1 %) and ADXL350 (±3 %)"),
@@ -67,8 +74,8 @@ _MISALIGNMENT: Final = (
 
 #: HASI's bias has 0.6 µg/K at 293 K and 2.3 µg/K at 100 K: 4e-9 g/K^2.
 _OF_POWER: Final = {
-    2: "order of magnitude, no source: 1 % of the linear coefficient, per kelvin",
-    3: "order of magnitude, no source: 1 % of the quadratic coefficient, per kelvin",
+    2: "order-of-magnitude estimate, no source: 1 % of the linear coefficient, per kelvin",
+    3: "order-of-magnitude estimate, no source: 1 % of the quadratic coefficient, per kelvin",
 }
 
 _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
@@ -109,7 +116,7 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
     ),
     "K_4": ((1e-5, 1e-9, _NONE), (1e-4, 1e-7, _NONE), (1e-3, 1e-6, _NONE)),
     "K_5": (
-        (1e-5, 1e-8, "order of magnitude: effect of 1 mg at 10 g, as for K_II and K_III"),
+        (1e-5, 1e-8, "order-of-magnitude estimate: effect of 1 mg at 10 g, as for K_II and K_III"),
         (1e-4, 3e-7, "MS1010: nonlinearity 0.3 % of 10 g, attributed entirely to fifth order"),
         (1e-3, 1e-6, "ADXL350: nonlinearity ±0.5 % of 8 g, attributed entirely to fifth order"),
     ),
@@ -130,7 +137,7 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
     "delta_O": _MISALIGNMENT,
     "delta_P": _MISALIGNMENT,
     "K_F.temperature": (
-        (1e-2, 5e-6, "order of magnitude; HASI: 0.6 µg/K at 293 K, 2.3 µg/K at 100 K"),
+        (1e-2, 5e-6, "order-of-magnitude estimate; HASI: 0.6 µg/K at 293 K, 2.3 µg/K at 100 K"),
         (1e-2, 1e-4, _NONE),
         (1e-2, 2e-4, "ADXL350: typical 0 g offset of ±0.17 mg/K (X, Y) and ±0.24 mg/K (Z)"),
     ),
@@ -152,13 +159,13 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
     },
     "K_II.temperature": ((1e-5, 1e-8, _NONE), (1e-4, 3e-7, _NONE), (1e-3, 1e-6, _NONE)),
     "K_F.hysteresis": tuple(
-        (limit, typical, "order of magnitude, no source: effect of 4 K on K_F")
+        (limit, typical, "order-of-magnitude estimate, no source: effect of 4 K on K_F")
         for limit, typical in ((1e-2, 2e-5), (1e-2, 4e-4), (5e-2, 8e-4))
     ),
     "K_F.trend": (
-        (1e-3, 1.7e-9, "order of magnitude, no source: 0.1 µg/min"),
-        (1e-3, 1.7e-8, "order of magnitude, no source: 1 µg/min"),
-        (1e-3, 1.7e-7, "order of magnitude, no source: 10 µg/min"),
+        (1e-3, 1.7e-9, "order-of-magnitude estimate, no source: 0.1 µg/min"),
+        (1e-3, 1.7e-8, "order-of-magnitude estimate, no source: 1 µg/min"),
+        (1e-3, 1.7e-7, "order-of-magnitude estimate, no source: 10 µg/min"),
     ),
     "K_F.heating": ((1e-4, 1e-7, _NONE), (1e-3, 1e-6, _NONE), (1e-2, 1e-5, _NONE)),
 }

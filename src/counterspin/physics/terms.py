@@ -184,7 +184,7 @@ def _slope_rows() -> Iterator[Term[Slope]]:
         yield _accelerometer_term(symbol, slope, words, unit, motions=motions)
 
 
-_NO_SOURCE: Final = "order of magnitude, no source"
+_NO_SOURCE: Final = "order-of-magnitude estimate, no source"
 
 
 def _attitude_rows() -> Iterator[Term[AttitudeError]]:
@@ -364,8 +364,8 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
         effect = SetupError("misalignment", about) if turned else SetupError(of)
         yield Term(symbol, effect, words, unit, limit, typical, source, scope, motions=motions)
     arcseconds = (
-        "order of magnitude: mounting errors of arcseconds (Lu et al.), ±5 arcsec distributed "
-        "over the harmonics"
+        "order-of-magnitude estimate: mounting errors of arcseconds (Lu et al.), ±5 arcsec "
+        "distributed over the harmonics"
     )
     graduated = (1e-3, 1e-5, arcseconds)
     for n, quadrature, called in _wave_orders(
