@@ -209,7 +209,7 @@ NUMBERS = [
     ("result", "means infinite or more than {}", [distributions._INFINITE_DOF]),
     (
         "result",
-        "with the model | from {} times the stated noise; beyond {} standard",
+        "with the model | at {} times the stated noise or more; beyond {} standard",
         [findings.RESIDUAL_RATIO_LIMIT, findings.CONTRADICTION_SIGMAS],
     ),
     ("conformity", "Student's factor for {} % and", [100 * distributions.COVERAGE]),

@@ -118,7 +118,7 @@ ROWS = {
     "history": [
         ("the expanded uncertainty ({} %) of the change", 100.0 * distributions.COVERAGE),
         ("per year of {} days", page._YEAR),
-        ("for {} or more results: limits", consistency.MIN_RESULTS),
+        ("is calculated for {} or more results. Its limits", consistency.MIN_RESULTS),
         ("moving range divided by {}. The warning", consistency._D2),
         (
             "warning limits are {} and the action limits {} standard deviations",

@@ -370,8 +370,8 @@ class TriadResult(ResultPart):
     #: Sensitivity of each parameter to the assumed gravity, per m/s^2; empty if gravity is exact.
     by_gravity: dict[str, float] = {}
     #: Matrix of the correction f = matrix (y - bias); f is the specific force in g in the triad's
-    #: frame, and y are the outputs in g, converted by the nominal sensitivities. Null if the matrix
-    #: is not determined.
+    #: frame, and y are the outputs in g, converted by the nominal sensitivities; null if it is not
+    #: determined.
     matrix: list[list[float]] | None = None
     u_matrix: list[list[float]] | None = None  #: Standard uncertainties of the matrix elements.
     #: Offsets of the three accelerometers, g; null if the matrix is null.
@@ -448,7 +448,7 @@ class AccelerometerResult(ResultPart):
 
     #: State of the result: ``good``, ``reservations``, ``not-determined`` or ``contradicted``.
     state: State | None = None
-    findings: list[Finding] = []  #: Findings against the result, most severe first.
+    findings: list[Finding] = []  #: Findings on this accelerometer, most severe first.
     #: Typical faults that the residuals of the readings would not show, as text, each with the
     #: resulting shift of a coefficient; largest shift first.
     unseen_faults: list[str] = []
