@@ -47,7 +47,7 @@ from counterspin.records.sampling import MAX_REPEATED_TIMES, RepeatedValues
 from counterspin.records.several_sensors import refuse_several_sensors
 from counterspin.records.signals import (
     HarmonicFit,
-    PolynomialMoments,
+    SignalSums,
     UnitChange,
     check_first_harmonic,
     find_changepoint,
@@ -204,7 +204,7 @@ class _RecordReader:
         self._motion = motion
         self._wants_blocks = block == "auto" and bool(motion.rate)
         self._clock = Clock(file.path, file.locate_row, motion.rate)
-        self._polynomials = PolynomialMoments(len(self._signals))
+        self._sums = SignalSums(len(self._signals))
         self._rows = 0
         self._lone = 0
         self._outside = 0
@@ -231,7 +231,7 @@ class _RecordReader:
             rows = row_count(columns)
             if not self._motion.constant_input:
                 signals = [columns[spec.name] for spec in self._signals]
-                self._polynomials.add(columns[self._columns.time.name], signals)
+                self._sums.add(columns[self._columns.time.name], signals)
             first, last = self._row_range(columns, time_range)
             excluded_rows = rows - (last - first)
             out_of_range = (
@@ -414,8 +414,9 @@ class _RecordReader:
             if not self._motion.constant_input:
                 signal, fitted = self._check_amplitude(index, name, blocks, phase, signal)
                 noise = residual_noise(fitted) * np.sqrt(median(blocks.count))
-                end_sizes = self._polynomials.end_size(index)
-                moments = np.append(self._polynomials.normalised_coefficients(index), end_sizes)
+                batches = self._file.batches(self._columns.names)
+                rows = ((batch[self._columns.time.name], batch[spec.name]) for batch in batches)
+                moments = self._sums.coefficients(index, noise / spec.factor, rows)
                 moments_by_signal[name] = moments * (spec.factor / noise)
             signals[name] = signal
         return Record(

@@ -291,8 +291,8 @@ class Record:
     identity: FileIdentity | None  #: Which file it was read from; None of a record in memory.
     #: Likewise of further files: those in which it goes on, and that of its pulses.
     other_files: Mapping[Path, FileIdentity] = field(default_factory=dict)
-    #: Accelerometer -> parts of its whole column along 1, t and t^2, over the noise of one row,
-    #: shape (4,); NaN where nothing tells it. See `counterspin.records.signals`.
+    #: Accelerometer -> parts of its whole column along 1, t and t^2, and of its end rows, over the
+    #: noise of one row, shape (4,); NaN where nothing tells it. See `SignalSums.coefficients`.
     polynomials: Mapping[str, np.ndarray] = field(default_factory=dict)
     #: rad, standard deviation of the angles inside each block; NaN where `time_sd` tells it.
     angle_sd: np.ndarray | None = None

@@ -15,7 +15,7 @@ record. Only all rows of a file show it, those too that are not used.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -301,70 +301,50 @@ _ROUNDING: Final = 0.02
 _ROW_ROUNDING: Final = 1e-3
 
 
-class _Powers:
-    """The powers 1, t and t^2 of times (n,), and their products with each other and with values.
+class SignalSums:
+    """Sums and end rows of signals that are read in chunks.
 
-    Products of vectors in the processor's cache take a tenth of the time of one with a matrix of
-    all powers, which has to be allocated.
-    """
-
-    def __init__(self, time: Array) -> None:
-        self._time, self._square = time, time * time
-        total, squares, cubes = time.sum(), time @ time, time @ self._square
-        self.gram: Array = np.array(
-            [
-                [len(time), total, squares],
-                [total, squares, cubes],
-                [squares, cubes, self._square @ self._square],
-            ]
-        )
-
-    def project(self, values: Array) -> Array:
-        """Return the sums of values (n,) times each power, shape (3,)."""
-        return np.array([values.sum(), self._time @ values, self._square @ values])
-
-
-class PolynomialMoments:
-    """Coefficients along 1, t and t^2 of columns that are read in chunks.
-
-    signals: Number of columns.
+    signals: Number of signals.
     """
 
     def __init__(self, signals: int) -> None:
-        self._origin: float | None = None
-        self._of_time = np.zeros((signals, 3, 3))
-        self._of_signals = np.zeros((signals, 3))
+        self._count, self._total = np.zeros(signals), np.zeros(signals)
         self._first: list[list[float]] = [[] for _ in range(signals)]
         self._final: list[list[float]] = [[] for _ in range(signals)]
 
     def add(self, time: Array, signals: Sequence[Array]) -> None:
-        """Add rows; time in any unit, shapes (n,)."""
-        if self._origin is None:
-            finite_times = time[np.isfinite(time)]
-            if not len(finite_times):
-                return
-            self._origin = float(finite_times[0])
-        elapsed = time - self._origin
-        powers = _Powers(elapsed)
+        """Add rows, shapes (n,)."""
+        time_total = time.sum()
         for index, signal in enumerate(signals):
-            finite_rows, gram, sums = signal, powers.gram, powers.project(signal)
-            if not np.isfinite(sums).all():
-                finite_rows = signal[np.isfinite(signal)]
-                is_finite = np.isfinite(elapsed) & np.isfinite(signal)
-                finite_powers = _Powers(elapsed[is_finite])
-                gram, sums = finite_powers.gram, finite_powers.project(signal[is_finite])
-            self._of_time[index] += gram
-            self._of_signals[index] += sums
-            self._update_ends(index, finite_rows)
+            rows, total, count = signal, signal.sum(), len(signal)
+            if not np.isfinite(time_total + total):
+                rows = signal[np.isfinite(signal)]
+                timed_rows = signal[np.isfinite(signal) & np.isfinite(time)]
+                total, count = timed_rows.sum(), len(timed_rows)
+            self._total[index] += total
+            self._count[index] += count
+            first, last_rows = self._first[index], self._final[index]
+            first += rows[: 2 - len(first)].tolist()
+            self._final[index] = [*last_rows, *rows[-2:].tolist()][-2:]
 
-    def _update_ends(self, index: int, finite_rows: Array) -> None:
-        """Keep the first two rows and the last two that have a value."""
-        first, last_rows = self._first[index], self._final[index]
-        first += finite_rows[: 2 - len(first)].tolist()
-        self._final[index] = [*last_rows, *finite_rows[-2:].tolist()][-2:]
+    def coefficients(
+        self, index: int, noise: float, chunks: Iterable[tuple[Array, Array]]
+    ) -> Array:
+        """Return a signal's coefficients along 1, t and t^2, and the size of its ends, shape (4,).
+
+        Only where the mean was removed can more have been removed: otherwise the coefficients along
+        t and t^2 are infinite, and nothing is read again.
+
+        noise: Standard deviation of a row, in the unit of the signal.
+        chunks: Times and values of all rows, read again on demand.
+        """
+        mean = float(self._total[index] / math.sqrt(max(self._count[index], 1.0)))
+        mean_removed = abs(mean) < _ROUNDING * abs(noise)
+        moments = polynomial_coefficients(chunks) if mean_removed else [mean, math.inf, math.inf]
+        return np.append(moments, self.end_size(index))
 
     def end_size(self, index: int) -> float:
-        """Return the larger of a column's first and last row, in its unit.
+        """Return the larger of a signal's first and last row, in its unit.
 
         Infinite if they are not far below the rows beside them.
         """
@@ -373,19 +353,31 @@ class PolynomialMoments:
         next_size = min((abs(row) for row in (*second, *before)), default=0.0)
         return size if size < _ROW_ROUNDING * next_size else math.inf
 
-    def normalised_coefficients(self, index: int) -> Array:
-        """Return a column's parts along the polynomials made orthonormal, shape (3,).
 
-        In the column's unit; each is as large as the noise of one row where that is all there is.
-        """
-        gram = self._of_time[index]
-        squares = np.diagonal(gram)
-        scale = 1.0 / np.sqrt(np.where(squares > 0.0, squares, 1.0))
-        try:
-            root = np.linalg.cholesky(gram * np.outer(scale, scale))
-        except np.linalg.LinAlgError:  # fewer than three times
-            return np.full(3, math.inf)
-        return np.asarray(np.linalg.solve(root, self._of_signals[index] * scale))
+def polynomial_coefficients(chunks: Iterable[tuple[Array, Array]]) -> Array:
+    """Return a signal's parts along the polynomials 1, t and t^2 made orthonormal, shape (3,).
+
+    In the signal's unit; each is as large as the noise of one row where that is all there is.
+
+    chunks: Times in any unit and values of consecutive rows, shapes (n,).
+    """
+    origin, gram, sums = math.nan, np.zeros((3, 3)), np.zeros(3)
+    for time, signal in chunks:
+        is_finite = np.isfinite(time) & np.isfinite(signal)
+        if not is_finite.any():
+            continue
+        if math.isnan(origin):
+            origin = float(time[is_finite][0])
+        powers = np.vander(time[is_finite] - origin, 3, increasing=True)
+        gram += powers.T @ powers
+        sums += signal[is_finite] @ powers
+    squares = np.diagonal(gram)
+    scale = 1.0 / np.sqrt(np.where(squares > 0.0, squares, 1.0))
+    try:
+        root = np.linalg.cholesky(gram * np.outer(scale, scale))
+    except np.linalg.LinAlgError:  # fewer than three times
+        return np.full(3, math.inf)
+    return np.asarray(np.linalg.solve(root, sums * scale))
 
 
 def detrending_order(parts: Sequence[Array]) -> int:
@@ -397,8 +389,7 @@ def detrending_order(parts: Sequence[Array]) -> int:
     By chance, where noise is all that there is, the answer is wrong once in a million times; any
     part of an error along them makes it rarer.
 
-    parts: Of each record as of `PolynomialMoments`, over the noise of one row, shape (4,): along
-        the polynomials, and of the ends.
+    parts: Of each record as of `SignalSums.coefficients`, over the noise of one row, shape (4,).
     """
     sizes = np.abs(np.array(parts).reshape(-1, 4))
     if len(sizes) > 1 and float(sizes[:, 3].max()) < _ROUNDING:
