@@ -16,8 +16,8 @@ class ResidualState(ResultPart):
     """Residuals of one accelerometer in one run."""
 
     rms: float  #: Root mean square per sample, in `unit`.
-    stated: float | None  #: White noise stated in the campaign; None if it is to be estimated.
-    ratio: float  #: Whitened residuals divided by the value expected from the noise: near 1.
+    stated: float | None  #: White noise stated in the campaign; None if the fit estimates it.
+    ratio: float  #: Whitened residuals divided by the expected value; near 1 for a good fit.
     #: Probability of a larger ratio; None if the noise was estimated from the residuals.
     p: float | None
     unit: str  #: Unit of ``rms`` and ``stated``.
