@@ -14,7 +14,7 @@ class AppliedSource(ResultPart):
     """A source of uncertainty, the same at all levels."""
 
     name: str  #: Name of the source, such as ``radius`` or ``droop``.
-    symbol: str  #: Symbol of the term or input that states it.
+    symbol: str  #: Symbol of the corresponding term or input.
     words: str  #: Description.
     value: float  #: Value used, in `unit`.
     u: float  #: Standard uncertainty, in `unit`.
@@ -37,10 +37,10 @@ class MonteCarloCheck(ResultPart):
     mean: float  #: Mean of the draws, m/s^2.
     u: float  #: Standard deviation of the draws, m/s^2.
     low: float  #: Lower end of the symmetric 95 % interval, m/s^2.
-    high: float  #: Upper end of that interval, m/s^2.
-    distance: float  #: Largest difference between the ends and those of the GUM interval, m/s^2.
+    high: float  #: Upper end of the symmetric 95 % interval, m/s^2.
+    distance: float  #: Largest difference from the ends of the GUM interval, m/s^2.
     tolerance: float  #: Largest difference at which the GUM interval is validated, m/s^2.
-    #: Whether the GUM's interval is validated to two digits of u (JCGM 101, clause 8).
+    #: Whether the GUM interval is validated to two digits of u (JCGM 101, clause 8).
     validated: bool
 
 
@@ -70,7 +70,7 @@ class AppliedAcceleration(ReportableResult):
     title: str  #: Title of the campaign.
     version: str  #: Version of counterspin.
     gravity: float  #: Gravity of the site, m/s^2; also the unit g of the levels.
-    mounting: str | None  #: Mounting whose alignment is used; None: no alignment is stated.
+    mounting: str | None  #: Mounting whose alignment is used; None if none is stated.
     draws: int  #: Number of Monte Carlo draws.
     seed: int  #: Seed of the draws.
     applied_sources: list[AppliedSource]  #: Sources of uncertainty.
