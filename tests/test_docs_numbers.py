@@ -54,27 +54,28 @@ def default(function, name):
 
 ROWS = {
     "campaign": [
-        ("/g$, {} for {} m/s²", 1e-4 / 9.80665, 1e-4),
+        ("/g$, for example {} for {} m/s²", 1e-4 / 9.80665, 1e-4),
         ("at any height from {} to {} m", *gravity.HEIGHTS),
         (
-            "latitude of {} deg, 1 mg moves the displacement at right angles to it by {} m in {} s",
+            "latitude of {} deg, an error of 1 mg thus changes the displacement at right angles to "
+            "the error by {} m in {} s",
             45.0,
             round(motion.EARTH_RATE * math.sqrt(0.5) * 9.80665e-3 * 400.0**3 / 3.0),
             400.0,
         ),
         ("blocks of at most {} revolution", 1.0 / reduction.BLOCKS_PER_REVOLUTION),
-        ("Up to {} isolated rows at an end", reduction._MAX_ISOLATED_ROWS),
+        ("up to {} isolated rows at either end", reduction._MAX_ISOLATED_ROWS),
         ("a gap of at least one revolution and {} rows", reading._ISOLATION_STEPS),
         ("more than {} % empty cells", 100.0 * reading.MAX_EMPTY_FRACTION),
-        ("less than {} revolutions, a clock", reading.MIN_REVOLUTIONS),
+        ("less than {} revolutions -", reading.MIN_REVOLUTIONS),
         ("a gap of more than {} revolutions", clock._GAP_REVOLUTIONS),
-        ("more than {} revolutions unless", reading.ANY_REVOLUTIONS),
+        ("more than {} revolutions, unless", reading.ANY_REVOLUTIONS),
         ("unless there are {} rows for each", 1.0 / reading.MAX_REVOLUTIONS_PER_ROW_ANY_PHASE),
-        ("a record shorter than {} % of it", 100.0 * assembly.COMPLETE_FRACTION),
+        ("a record that is shorter than {} % of this duration", 100.0 * assembly.COMPLETE_FRACTION),
         ("the Allan deviation is {} B", math.sqrt(2.0 * math.log(2.0) / math.pi)),
         ("more than {} times the largest credible size", simulable.TRUTH_MARGIN),
-        ("a ripple above harmonic {},", simulable._MAX_RIPPLE_HARMONIC),
-        ("a rate that changes by {}.", simulable._MAX_RATE_CHANGE),
+        ("a ripple above harmonic {} -", simulable._MAX_RIPPLE_HARMONIC),
+        ("a rate that changes by {} ", simulable._MAX_RATE_CHANGE),
     ],
     "plan": [
         ("highest / {} |", 1.0 / plan_file._MIN_RATE_FRACTION),
@@ -95,7 +96,7 @@ ROWS = {
         ("because of heating ({} µg/g²)", 1e6 * terms.CONDITION_TERMS["K_F.heating"].typical),
         ("gain of a limit relaxed by {} %", 100.0 * limits.RELAXATION),
         (
-            "u would increase by {} %. If",
+            "alone would increase u by {} %. If",
             100.0 * (math.hypot(1.0, faults._TOLERABLE_FRACTION_OF_U) - 1.0),
         ),
     ],
