@@ -164,21 +164,21 @@ class Accelerometer(SettingsSection):
         "recorded displacement along the input axis",
         {"column": "east_m", "unit": "m"},
         None,
-        absent="exactly one of the three is required",
+        absent="exactly one recorded quantity is required",
         kind="column, m",
     )
     velocity: VelocityChannel | None = key_field(
         "recorded velocity along the input axis",
         {"column": "v", "unit": "m/s"},
         None,
-        absent="exactly one of the three is required",
+        absent="exactly one recorded quantity is required",
         kind="column, m/s",
     )
     specific_force: ForceChannel | None = key_field(
         "recorded specific force along the input axis",
         {"column": "f", "unit": "g"},
         None,
-        absent="exactly one of the three is required",
+        absent="exactly one recorded quantity is required",
         kind="column, m/s^2, g or `output`",
     )
 

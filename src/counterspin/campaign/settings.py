@@ -193,7 +193,7 @@ class Output(SettingsSection):
         "sensitivity divided by this value",
         "1.25 mA/g",
         None,
-        absent="exact for an output in g, `mg` and so on",
+        absent="exact if the output is in g, `mg` and so on",
         kind="text",
         validate_default=True,
     )
