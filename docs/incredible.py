@@ -26,7 +26,7 @@ WAYS: Final = {
     "tumble": "tumble",
     "arm": "readings on an arm",
     "force": "specific force",
-    "two-stage": "displacement, two stages",
+    "two-stage": "displacement, two-stage method",
 }
 
 #: g.
@@ -94,7 +94,7 @@ def _in_world(old: str, new: str) -> dict[str, str]:
 
 MISTAKES: Final = (
     Mistake(
-        "the sign of all that is read",
+        "wrong sign of all readings",
         change=lambda value: -value,
         records={'input_axis = "east"': 'input_axis = "west"'},
     ),
@@ -117,14 +117,16 @@ MISTAKES: Final = (
         records={},
     ),
     Mistake(
-        "m/s^2 for g",
+        "m/s^2 instead of g",
         change=lambda value: GRAVITY * value,
         records={'unit = "m/s^2"': 'unit = "g"', 'unit = "m"': 'unit = "mm"'},
     ),
-    Mistake("the zero of the head, 1 deg", zero=1.0),
-    Mistake("mirrored attitudes, input axis east at 0", sense=-1, upright=False),
+    Mistake("zero of the head wrong by 1 deg", zero=1.0),
     Mistake(
-        "mirrored attitudes, delta_O stated",
+        "attitudes in the opposite sense, input axis east at angle zero", sense=-1, upright=False
+    ),
+    Mistake(
+        "attitudes in the opposite sense, delta_O stated",
         sense=-1,
         stated='delta_O = "1e-3 ± 1e-6 rad"\n',
     ),

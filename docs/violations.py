@@ -233,10 +233,10 @@ def of_table() -> list[Violation]:
         if symbol in ACCELEROMETER_TERMS:
             world = {"[truth.Qx]\n": f'[truth.Qx]\n"{symbol}" = {value}\n'}
             if ".temperature" in symbol:
-                size += ", 1 K not recorded"
+                size += ", for an unrecorded change of 1 K"
                 world |= WARMING
             elif symbol == "K_F.hysteresis":
-                size += ", 3 K up and down not recorded"
+                size += ", for an unrecorded cycle of 3 K"
                 world |= UP_AND_DOWN
             rows.append(Violation(symbol, size, symbol, world))
         else:
@@ -284,14 +284,14 @@ def of_inputs() -> list[Violation]:
             {"[accelerometers.Qx]": 'timing_offset = "1e-5 s"\n\n[accelerometers.Qx]'},
         ),
         Violation(
-            "clock of the recorder, not stated",
+            "clock error of the recorder, not stated",
             "20 ppm",
             "records.clock",
             truth='[truth.records]\nclock = "20 ppm"\n',
         ),
         # The angle is as late as the force, so that the gain remains.
         Violation(
-            "gain of the sensor, not stated",
+            "sensor gain, not stated",
             "1e-5 lower at 1 Hz",
             "Qx",
             {
@@ -396,7 +396,7 @@ def lines_of(table: Sequence[Row]) -> str:
     for row in table:
         lines.setdefault((row.name, row.size), [row.name, row.size]).append(row.cell)
     shown = dict.fromkeys(row.observable.replace("_", " ") for row in table)
-    head = ["in the world", "size", *shown]
+    head = ["violation", "size", *shown]
     return table_of(dict.fromkeys(head, "---"), list(lines.values()))
 
 
@@ -408,8 +408,8 @@ def render(table: Sequence[Row]) -> str:
         f"{lines_of(table)}\n"
         f"If every term is fixed at its nominal value, findings report {len(found)} of these "
         f"{len(table)} violations.\n"
-        f"The first or the second cause that they name is right in {right} of them, the first in "
-        f"{first}.\n"
+        f"In {right} of these {len(found)} cases, the first or the second named cause is correct. "
+        f"In {first} cases, the first named cause is correct.\n"
     )
 
 

@@ -12,14 +12,14 @@ TABLE, MISTAKES, WAYS = STUDY["TABLE"], STUDY["MISTAKES"], STUDY["WAYS"]
 
 #: What the first of the findings is of; K_F is stated where two stages are used.
 SUBJECTS = {
-    "the sign of all that is read": "K_I",
+    "wrong sign of all readings": "K_I",
     "K_I = 1.3 g/g": "K_I",
     "K_F = 0.3 g": "K_F",
     "K_II = 500 ug/g^2": "K_II",
-    "m/s^2 for g": "K_I",
-    "the zero of the head, 1 deg": "delta_O",
-    "mirrored attitudes, input axis east at 0": "K_I",
-    "mirrored attitudes, delta_O stated": "A",
+    "m/s^2 instead of g": "K_I",
+    "zero of the head wrong by 1 deg": "delta_O",
+    "attitudes in the opposite sense, input axis east at angle zero": "K_I",
+    "attitudes in the opposite sense, delta_O stated": "A",
 }
 
 
@@ -48,11 +48,14 @@ def test_each_is_said_as_the_table_has_it(mistake, way):
 def test_what_is_likely_is_said():
     said = {row.name: row.text for row in TABLE.load() if row.way == "tumble"}
     sign = "Check the sign of the output, the sense of the input axis and of the attitudes."
-    assert sign in said["the sign of all that is read"]
-    assert sign in said["mirrored attitudes, input axis east at 0"]
-    assert "Check a unit, m/s^2 instead of g." in said["m/s^2 for g"]
-    assert "the attitudes: their zero" in said["the zero of the head, 1 deg"]
-    assert "the sense of rotation of the attitudes" in said["mirrored attitudes, delta_O stated"]
+    assert sign in said["wrong sign of all readings"]
+    assert sign in said["attitudes in the opposite sense, input axis east at angle zero"]
+    assert "Check a unit, m/s^2 instead of g." in said["m/s^2 instead of g"]
+    assert "the attitudes: their zero" in said["zero of the head wrong by 1 deg"]
+    assert (
+        "the sense of rotation of the attitudes"
+        in said["attitudes in the opposite sense, delta_O stated"]
+    )
 
 
 @pytest.mark.parametrize("way", WAYS)
