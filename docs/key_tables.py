@@ -1,7 +1,8 @@
 """Make the tables of keys and fields in these pages from the classes that read and write them.
 
 `python docs/key_tables.py` writes them anew, each below its `<!-- keys: CLASS -->` of a document or
-`<!-- fields: CLASS -->` of a result; a test compares.
+`<!-- fields: CLASS -->` of a result; the table of error codes below `<!-- codes: all -->`. A test
+compares.
 """
 
 import re
@@ -22,6 +23,7 @@ from counterspin.campaign.truth import AccelerometerTruthSettings
 from counterspin.campaign.validation import Section
 from counterspin.certificates.lab import Lab
 from counterspin.comparisons.result import Intercomparison, RepeatedCalibration, ResultComparison
+from counterspin.error_codes import CODES
 from counterspin.histories.result import History
 from counterspin.monitoring.result import CheckedRun, NoiseResult, WatchState
 from counterspin.operating_tests.result import OperatingTests
@@ -32,9 +34,10 @@ from counterspin.toml_text import write_value
 from counterspin.validation.page import Dossier
 
 HERE = Path(__file__).parent
-PLACE = re.compile(r"^<!-- (keys|fields): ([\w ]+) -->\n(?:\|.*\n)*", re.MULTILINE)
+PLACE = re.compile(r"^<!-- (keys|fields|codes): ([\w ]+) -->\n(?:\|.*\n)*", re.MULTILINE)
 HEAD = "| key | kind | default | example | meaning |\n|---|---|---|---|---|\n"
 FIELDS_HEAD = "| key | kind | meaning |\n|---|---|---|\n"
+CODES_HEAD = "| code | mistake |\n|---|---|\n"
 
 #: What has tables of keys.
 DOCUMENTS = (
@@ -104,10 +107,19 @@ def filled(page: str) -> str:
     anchors = _anchors(page)
 
     def made(place: re.Match[str]) -> str:
-        rows = table(place[2]) if place[1] == "keys" else fields_table(place[2], anchors)
+        if place[1] == "codes":
+            rows = codes_table()
+        else:
+            rows = table(place[2]) if place[1] == "keys" else fields_table(place[2], anchors)
         return f"{place[0].partition('|')[0]}{rows}"
 
     return PLACE.sub(made, page)
+
+
+def codes_table() -> str:
+    """Return the table of all error codes, in alphabetical order."""
+    rows = (f"| `{code}` | {mistake.rstrip('.')} |\n" for code, mistake in sorted(CODES.items()))
+    return CODES_HEAD + "".join(rows)
 
 
 def _anchors(page: str) -> dict[str, str]:

@@ -29,7 +29,7 @@ from counterspin.inference.distributions import normal_cdf
 from counterspin.monitoring import observer
 from counterspin.physics import gravity, motion, terms
 from counterspin.planning import design, faults, limits, plan_file
-from counterspin.records import clock, reading, reduction, table_files
+from counterspin.records import clock, reading, reduction, run_file, table_files
 from counterspin.reproduction import plan as paper
 from counterspin.simulation import simulable
 from counterspin.studies import description, engine_selection, result, study
@@ -67,10 +67,10 @@ ROWS = {
         ("up to {} isolated rows at either end", reduction._MAX_ISOLATED_ROWS),
         ("a gap of at least one revolution and {} rows", reading._ISOLATION_STEPS),
         ("more than {} % empty cells", 100.0 * reading.MAX_EMPTY_FRACTION),
-        ("less than {} revolutions -", reading.MIN_REVOLUTIONS),
+        ("less than {} revolutions -", run_file.MIN_REVOLUTIONS),
         ("a gap of more than {} revolutions", clock._GAP_REVOLUTIONS),
-        ("more than {} revolutions, unless", reading.ANY_REVOLUTIONS),
-        ("unless there are {} rows for each", 1.0 / reading.MAX_REVOLUTIONS_PER_ROW_ANY_PHASE),
+        ("more than {} revolutions, unless", run_file.ANY_REVOLUTIONS),
+        ("unless there are {} rows for each", 1.0 / run_file.MAX_REVOLUTIONS_PER_ROW_ANY_PHASE),
         ("a record that is shorter than {} % of this duration", 100.0 * assembly.COMPLETE_FRACTION),
         ("the Allan deviation is {} B", math.sqrt(2.0 * math.log(2.0) / math.pi)),
         ("more than {} times the largest credible size", simulable.TRUTH_MARGIN),

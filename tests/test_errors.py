@@ -1,10 +1,53 @@
-"""Messages of errors that several rooms share."""
+"""Codes of errors, and messages that several rooms share."""
 
-from counterspin.errors import describe_read_error
+import pickle
+
+import pytest
+
+from counterspin.campaign.validation import Problems
+from counterspin.errors import (
+    CampaignError,
+    CounterspinError,
+    InputError,
+    Problem,
+    RecordError,
+    UsageError,
+    describe_read_error,
+)
+from counterspin.units import unit_factor
 
 
-def test_a_missing_file_is_described_in_one_form():
-    assert (
-        describe_read_error(FileNotFoundError(2, "No such file or directory")) == "file not found"
-    )
-    assert describe_read_error(PermissionError(13, "denied")) == "cannot be read (denied)"
+def test_each_problem_of_a_campaign_has_its_code():
+    problems = Problems({})
+    problems.add(("site",), "is missing", "missing-key")
+    problems.add(("runs",), Problem("are two", "duplicate-entry"))
+    problems.collect(("site", "gravity"), unit_factor, "furlong", "m")
+    error = CampaignError("campaign.toml", problems.lines)
+    assert error.codes == ("missing-key", "duplicate-entry", "unknown-unit")
+    assert error.code == "missing-key"
+    assert len(error.problems) == 3
+    assert error.problems[0] == "site: is missing"
+
+
+def test_a_code_is_that_of_the_call_or_of_the_class():
+    assert RecordError("x", code="no-rows").code == "no-rows"
+    assert UsageError("plan", ["y"]).codes == ("wrong-usage",)
+    assert CampaignError("a", ["b", "c"], code=("x", "y")).codes == ("x", "y")
+    assert InputError("x").code == "invalid-value"
+    assert CounterspinError("x").code == "unspecified"
+
+
+def test_a_code_survives_the_way_between_processes():
+    error = pickle.loads(pickle.dumps(RecordError("a: b", code="no-rows")))
+    assert (str(error), error.code) == ("a: b", "no-rows")
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (FileNotFoundError(2, "No such file or directory"), "file not found"),
+        (PermissionError(13, "denied"), "cannot be read (denied)"),
+    ],
+)
+def test_a_missing_file_is_described_in_one_form(error, text):
+    assert describe_read_error(error) == text

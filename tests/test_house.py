@@ -17,6 +17,7 @@ from campaigns import SMALL, write
 from packaging.requirements import Requirement
 
 from counterspin._version import __version__
+from counterspin.error_codes import CODES
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 from counterspin.simulation.simulate import simulate
 
@@ -674,3 +675,91 @@ def test_no_file_names_a_path_of_somebody_s_machine():
     ]
     assert offenders == []
     assert MACHINE_PATH.search("see " + "/home" + "/somebody/records")
+
+
+# Codes of errors
+
+#: Function -> position of its argument that is a code.
+POSITIONS = {"InputError": 1, "Problem": 1, "code_of": 1, "add": 2, "_fail": 2}
+#: Classes of errors without a code of their own.
+GENERAL = {"CounterspinError", "RecordError", "CampaignError"}
+
+
+def name_of(call):
+    return ast.unparse(call.func).rpartition(".")[2]
+
+
+def constants(node):
+    if isinstance(node, ast.IfExp):
+        return [*constants(node.body), *constants(node.orelse)]
+    return [node.value] if isinstance(node, ast.Constant) and isinstance(node.value, str) else []
+
+
+def codes_in(source):
+    """Return all codes that a module gives to errors."""
+    codes = set()
+    for node in nodes_of(source):
+        if isinstance(node, ast.Call):
+            name, place = name_of(node), POSITIONS.get(name_of(node), 99)
+            of_problems = name != "add" or "problems" in ast.unparse(node.func)
+            codes |= (
+                set(constants(node.args[place]))
+                if len(node.args) > place and of_problems
+                else set()
+            )
+            if name.endswith(("Error", "Warning")):
+                codes |= {
+                    c for word in node.keywords if word.arg == "code" for c in constants(word.value)
+                }
+        elif isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+            codes |= set(constants(node.value)) if ast.unparse(target) == "code" else set()
+        elif isinstance(node, ast.Dict):
+            pairs = zip(node.keys, node.values, strict=True)
+            codes |= {
+                c
+                for key, value in pairs
+                if key and constants(key) == ["code"]
+                for c in constants(value)
+            }
+    return codes
+
+
+def without_code(_, source):
+    """Return the lines that raise or return a general error without a code."""
+    lines = []
+    for node in nodes_of(source):
+        call = getattr(node, "exc" if isinstance(node, ast.Raise) else "value", None)
+        if not (isinstance(node, ast.Raise | ast.Return) and isinstance(call, ast.Call)):
+            continue
+        if name_of(call) not in GENERAL or "code" in {word.arg for word in call.keywords}:
+            continue
+        # Problems that were collected have codes.
+        if name_of(call) != "CampaignError" or isinstance(call.args[1], ast.List):
+            lines.append(call.lineno)
+    return lines
+
+
+def test_every_code_is_described_and_used():
+    used = set().union(*(codes_in(s) for name, s in SOURCES.items() if name != "error_codes.py"))
+    assert used == set(CODES)
+    assert codes_in(
+        'raise RecordError("x", code="a")\nproblems.add(p, "x", "b" if c else "d")'
+    ) == {
+        "a",
+        "b",
+        "d",
+    }
+
+
+def test_codes_and_descriptions_have_one_form():
+    assert [code for code in CODES if not re.fullmatch(r"[a-z]+(-[a-z]+)*", code)] == []
+    assert [text for text in CODES.values() if not text.endswith(".") or len(text) > 80] == []
+    text = SOURCES["error_codes.py"]
+    assert [code for code in CODES if text.count(f'\n    "{code}":') != 1] == []
+
+
+def test_every_error_has_a_code():
+    assert offences(without_code) == {}
+    assert without_code("", 'raise RecordError("x")\nraise UsageError("x", ["y"])') == [1]
+    assert without_code("", 'return CampaignError("x", ["y"])\nraise CampaignError(a, b)') == [1]

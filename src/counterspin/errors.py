@@ -1,7 +1,9 @@
 """Errors in words that a user can act on.
 
 Every error that counterspin raises on purpose is a `CounterspinError`. The command line prints
-its message as one short paragraph and ends with `exit_status`; Python users catch the class.
+its message as one short paragraph and ends with `exit_status`; Python users catch the class. The
+`code` of an error names the kind of mistake. `error_codes.CODES` describes the codes, which do not
+change when a message is reworded.
 
 What a user should know though the work goes on is a `CounterspinWarning`; the command line prints
 it. `installing` says how a part is had that not everybody installs.
@@ -11,7 +13,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import zip_longest
 from typing import ClassVar, Final
 
@@ -62,10 +64,62 @@ def describe_read_error(error: OSError) -> str:
     return f"cannot be read ({error.strerror})"
 
 
+def read_error_code(error: OSError) -> str:
+    """Return the code of the error for a file that cannot be read."""
+    return "file-not-found" if isinstance(error, FileNotFoundError) else "file-not-readable"
+
+
+def code_of(mistake: object, default: str = "invalid-value") -> str:
+    """Return the code of an error or a `Problem`; `default` for other errors and texts."""
+    return getattr(mistake, "code", default)
+
+
+class Problem(str):
+    """The message of a mistake in an input, with the code of the mistake."""
+
+    code: str
+
+    def __new__(cls, message: str, code: str) -> Problem:
+        """Return the message with its code."""
+        problem = super().__new__(cls, message)
+        problem.code = code
+        return problem
+
+
+class InputError(ValueError):
+    """A `ValueError` with a code, for a mistake that its caller reports with a key."""
+
+    code: str = "invalid-value"
+
+    def __init__(self, message: str, code: str | None = None) -> None:
+        super().__init__(message)
+        self.code = code or self.code
+
+
+class OutOfRangeError(InputError):
+    """A value is not finite, or outside the range that is allowed or plausible."""
+
+    code = "value-out-of-range"
+
+
 class CounterspinError(Exception):
-    """The base of all errors that counterspin raises on purpose."""
+    """The base of all errors that counterspin raises on purpose.
+
+    Parameters
+    ----------
+    *args
+        The message.
+    code
+        The kind of mistake, a key of `error_codes.CODES`; None: that of the class.
+    """
 
     exit_status = 1
+    code: str = "unspecified"  #: The kind of mistake, such as ``file-not-found``.
+
+    def __init__(self, *args: object, code: str | None = None) -> None:
+        super().__init__(*args)
+        if code is not None:
+            self.code = code
 
     def __str__(self) -> str:
         """Return the message, with long values and long lists cut in the middle."""
@@ -94,15 +148,28 @@ class CampaignError(CounterspinError):
         One line per mistake, each beginning with the path of its key.
     lines
         Where each stands in the source, from 1, as far as that is known.
+    code
+        Code of all problems, or a code for each; None: the problems' own codes, or that of the
+        class.
     """
 
     exit_status = 2
+    code: str = "invalid-value"
     heading: ClassVar[str] = "mistakes"  #: Noun that follows the number of problems.
 
     def __init__(
-        self, source: str, problems: Iterable[str], lines: Iterable[int | None] = ()
+        self,
+        source: str,
+        problems: Iterable[str],
+        lines: Iterable[int | None] = (),
+        *,
+        code: str | Sequence[str] | None = None,
     ) -> None:
         self.source = source
+        problems = list(problems)
+        if code is None or isinstance(code, str):
+            code = [code or code_of(problem, self.code) for problem in problems]
+        self.codes = tuple(code)  #: The code of each problem.
         # A line end in a name that a file gave begins no further line.
         self.problems = tuple(problem.replace("\n", r"\n") for problem in problems)
         told = [
@@ -113,12 +180,19 @@ class CampaignError(CounterspinError):
             text = f"{source}: {told[0]}"
         else:
             text = f"{source}: {len(told)} {self.heading}\n" + "\n".join(f"  {one}" for one in told)
-        super().__init__(text)
+        super().__init__(text, code=next(iter(self.codes), None))
+
+
+class UsageError(CampaignError):
+    """The arguments of a command or of a function are missing, contradictory or not valid."""
+
+    code = "wrong-usage"
 
 
 class MissingAnswersError(CampaignError):
     """Questions about a file have no answer, or no valid one."""
 
+    code = "missing-answer"
     heading = "answers are still needed"
 
 
@@ -129,17 +203,48 @@ class RecordError(CounterspinError):
 class DamagedFileError(RecordError):
     """A file of which its reader could make nothing."""
 
+    code = "file-damaged"
+
+
+class ExistingFileError(CounterspinError):
+    """A file or folder exists where output is to be written, and is not overwritten."""
+
+    code = "file-exists"
+
+
+class WriteError(CounterspinError):
+    """A file or folder cannot be written."""
+
+    code = "file-not-writable"
+
+
+class MissingPackageError(CounterspinError):
+    """An optional package is not installed."""
+
+    code = "missing-package"
+
 
 class NotIdentifiableError(CounterspinError):
     """The data cannot determine the unknowns that are asked of them."""
+
+    code = "not-identifiable"
 
 
 class ConvergenceError(CounterspinError):
     """An iteration did not settle."""
 
+    code = "no-convergence"
+
 
 class CounterspinWarning(UserWarning):
-    """Something that a user should know, though the work goes on."""
+    """Something that a user should know, though the work goes on.
+
+    code: The kind of warning, a key of `error_codes.CODES`.
+    """
+
+    def __init__(self, message: str, *, code: str) -> None:
+        super().__init__(message)
+        self.code = code
 
 
 def require_thread_count() -> None:
@@ -150,7 +255,7 @@ def require_thread_count() -> None:
     value = os.environ.get(_THREADS)
     if value is None or (re.fullmatch("0*[1-9][0-9]{0,3}", value) and int(value) <= _MOST_THREADS):
         return
-    raise CampaignError(
+    raise UsageError(
         f"environment variable {_THREADS}",
         [f"{value!r} is not a whole number from 1 to {_MOST_THREADS}; correct or unset it"],
     )

@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from counterspin.errors import CounterspinError
+from counterspin.errors import CounterspinError, ExistingFileError, WriteError
 from counterspin.frozen import frozen
 from counterspin.input import open_file
 
@@ -58,13 +58,14 @@ def reserve(
         if not place.exists():
             if not place.parent.is_dir():
                 raise CounterspinError(
-                    f"{path} cannot be written: the folder {path.parent} does not exist"
+                    f"{path} cannot be written: the folder {path.parent} does not exist",
+                    code="file-not-found",
                 )
             return
     except OSError as error:
-        raise CounterspinError(_refusal(path, error)) from error
+        raise WriteError(_refusal(path, error)) from error
     if place.is_dir():
-        raise CounterspinError(_refusal(path, IsADirectoryError()))
+        raise WriteError(_refusal(path, IsADirectoryError()))
     if not place.is_file():
         return
     if kind is not None:
@@ -74,13 +75,13 @@ def reserve(
         except OSError:
             same = False
         if not same:
-            raise CounterspinError(
+            raise ExistingFileError(
                 f"{path} exists and is not {expected.words}, so it was not overwritten; choose "
                 "another file"
             )
     if not overwrite:
         advice = "" if kind is None else ", or give `overwrite=True`"
-        raise CounterspinError(f"{path} exists; choose another file{advice}")
+        raise ExistingFileError(f"{path} exists; choose another file{advice}")
 
 
 def mark(words: str) -> str:
@@ -128,7 +129,9 @@ def require_valid_name(path: Path) -> None:
             reason = "names must not end with a dot or a space on Windows"
         else:
             continue
-        raise CounterspinError(f"{path} cannot be written: {reason}; choose another name")
+        raise CounterspinError(
+            f"{path} cannot be written: {reason}; choose another name", code="invalid-name"
+        )
 
 
 def make_folder(folder: Path) -> None:
@@ -138,8 +141,8 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         if isinstance(error, FileExistsError):
-            raise CounterspinError(f"{folder} is a file, not a folder; give a folder") from error
-        raise CounterspinError(
+            raise ExistingFileError(f"{folder} is a file, not a folder; give a folder") from error
+        raise WriteError(
             f"{folder} cannot be created ({error.strerror}); choose another place"
         ) from error
 
@@ -168,7 +171,7 @@ def write_whole(
         write(part)
         finish(part, path, kind, overwrite=overwrite)
     except OSError as error:
-        raise CounterspinError(_refusal(path, error)) from error
+        raise WriteError(_refusal(path, error)) from error
     finally:
         with suppress(OSError):  # on Windows another program may have it open
             part.unlink(missing_ok=True)
@@ -199,7 +202,7 @@ def begin(path: Path) -> Path:
         # The system takes the process's umask from these rights: a result is an ordinary file.
         os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
     except OSError as error:
-        raise CounterspinError(_refusal(path, error)) from error
+        raise WriteError(_refusal(path, error)) from error
     return part
 
 
@@ -269,7 +272,7 @@ def _pour(path: Path, write: Callable[[Path], object]) -> None:
             write(part)
             path.write_bytes(part.read_bytes())
     except OSError as error:
-        raise CounterspinError(_refusal(path, error)) from error
+        raise WriteError(_refusal(path, error)) from error
 
 
 def _place(path: Path) -> Path:
@@ -281,9 +284,9 @@ def _place(path: Path) -> Path:
     except RuntimeError:  # of Python before 3.13
         around = True
     except OSError as error:
-        raise CounterspinError(_refusal(path, error)) from error
+        raise WriteError(_refusal(path, error)) from error
     if around:
-        raise CounterspinError(
+        raise WriteError(
             f"{path} cannot be written because the path contains a circular link; choose another "
             "file"
         )

@@ -16,7 +16,7 @@ import numpy
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, field_validator
 from pydantic_core import PydanticSerializationError
 
-from counterspin.errors import RecordError, describe_read_error
+from counterspin.errors import DamagedFileError, RecordError, describe_read_error, read_error_code
 from counterspin.input import looks_like, parse_json, path_of, read_file
 from counterspin.loading import load_name
 
@@ -195,12 +195,14 @@ class ResultFile(ResultPart):
             if _HALF.search(text) and document != _escape_surrogates(document):
                 raise ValueError("a string contains an incomplete character")
         except OSError as error:
-            raise RecordError(f"{path}: {describe_read_error(error)}; {wanted}") from error
+            raise RecordError(
+                f"{path}: {describe_read_error(error)}; {wanted}", code=read_error_code(error)
+            ) from error
         except ValueError as error:
             reason = str(error)
             if content.lstrip()[:1] not in (b"{", b"["):
                 reason = f"this is {looks_like(content) or 'not JSON'}"
-            raise RecordError(
+            raise DamagedFileError(
                 f"{path}: not a {cls.KIND} file, or damaged ({reason}); {wanted}, or write the "
                 "file again"
             ) from error
@@ -208,7 +210,8 @@ class ResultFile(ResultPart):
         if isinstance(schema, int) and schema > cls.newest_schema():
             raise RecordError(
                 f"{path} was written by a newer version of counterspin (schema {schema}; this "
-                f"version reads schemas up to {cls.newest_schema()}); update counterspin"
+                f"version reads schemas up to {cls.newest_schema()}); update counterspin",
+                code="newer-version",
             )
         try:
             result = cls.model_validate(document)
@@ -216,19 +219,21 @@ class ResultFile(ResultPart):
             first = error.errors()[0]
             where = "".join(f"{key}: " for key in first["loc"])
             raise RecordError(
-                f"{path}: not a {cls.KIND} file: {where}{first['msg']}; {wanted}"
+                f"{path}: not a {cls.KIND} file: {where}{first['msg']}; {wanted}",
+                code="wrong-document",
             ) from error
         seal = document.get("seal")
         if seal is not None and seal != _seal_of(text):
             raise RecordError(
                 f"{path} was changed after it was written: the seal does not match the content; "
-                "give the original file, or compute the result again"
+                "give the original file, or compute the result again",
+                code="result-altered",
             )
         for fault in (
             *result.validation_errors(),
             *_implausible_numbers(result.model_dump(by_alias=True), ""),
         ):
-            raise RecordError(f"{path}: a damaged {cls.KIND}: {fault}")
+            raise DamagedFileError(f"{path}: a damaged {cls.KIND}: {fault}")
         result._content, result._sealed = content, seal is not None
         return result
 

@@ -21,6 +21,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Final
 
+from counterspin.errors import InputError
 from counterspin.frozen import frozen
 
 #: Conventional gravity, m/s^2, where no site states its own.
@@ -145,14 +146,15 @@ def unit_factor(unit: str, wanted: str, *, gravity: float | None = None) -> floa
     names = _names(written, kind, accepted)
     if not names <= set(UNITS):
         unknown = ", ".join(sorted(repr(name) for name in names - set(UNITS)))
-        raise ValueError(f"unknown unit {unknown}; {kind} is required ({accepted})")
+        raise InputError(f"unknown unit {unknown}; {kind} is required ({accepted})", "unknown-unit")
     if names & {"Hz", "kHz"} and "Hz" not in wanted:
         if wanted == "rad/s":
-            raise ValueError(
+            raise InputError(
                 f"{unit!r} is ambiguous for an angular rate: write rev/s for revolutions a "
-                f"second, or rad/s ({accepted})"
+                f"second, or rad/s ({accepted})",
+                "wrong-unit",
             )
-        raise ValueError(f"{unit!r} is a frequency; {kind} is required ({accepted})")
+        raise InputError(f"{unit!r} is a frequency; {kind} is required ({accepted})", "wrong-unit")
     factor, dimension = _evaluate(written)
     wanted_factor, wanted_dimension = _evaluate(wanted)
     factor /= wanted_factor
@@ -162,7 +164,9 @@ def unit_factor(unit: str, wanted: str, *, gravity: float | None = None) -> floa
     of_gravity = dict.fromkeys(BASES, 0.0)
     of_gravity |= {"[length]": power, "[time]": -2.0 * power, "[gravity]": -power}
     if surplus != of_gravity or (power != 0.0 and gravity is None):
-        raise ValueError(f"{unit!r} is not a unit of {kind.split(' ', 1)[1]}; use {accepted}")
+        raise InputError(
+            f"{unit!r} is not a unit of {kind.split(' ', 1)[1]}; use {accepted}", "wrong-unit"
+        )
     if power != 0.0 and gravity is not None:
         factor *= gravity**-power
     return factor
@@ -220,12 +224,16 @@ def advice(wanted: str) -> tuple[str, str]:
 def _names(written: str, kind: str, accepted: str) -> set[str]:
     """Return the unit names in an expression, having checked that it is nothing but one."""
     if re.search(r"[*/]\s*[*/]", written):
-        raise ValueError(f"{written!r} is not a unit; {kind} is required ({accepted})")
+        raise InputError(
+            f"{written!r} is not a unit; {kind} is required ({accepted})", "unknown-unit"
+        )
     names, position = set(), 0
     while position < len(written):
         match = _FACTOR.match(written, position)
         if match is None:
-            raise ValueError(f"{written!r} is not a unit; {kind} is required ({accepted})")
+            raise InputError(
+                f"{written!r} is not a unit; {kind} is required ({accepted})", "unknown-unit"
+            )
         if match[1]:
             names.add(match[1])
         position = match.end()
@@ -277,7 +285,9 @@ def _unit(name: str) -> tuple[float, Mapping[str, float]]:
 
 
 def _incomplete(written: str) -> ValueError:
-    return ValueError(f"{written!r} is not a unit: a factor or a bracket is missing")
+    return InputError(
+        f"{written!r} is not a unit: a factor or a bracket is missing", "unknown-unit"
+    )
 
 
 # As SI units alone -----------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any, Final
 
-from counterspin.errors import CounterspinError, CounterspinWarning, installing
+from counterspin.errors import CounterspinError, CounterspinWarning, MissingPackageError, installing
 from counterspin.frozen import frozen
 from counterspin.threads import BLAS_THREADS
 
@@ -102,7 +102,7 @@ class Workers:
 
     def __post_init__(self) -> None:
         if self.processes < 1:
-            raise CounterspinError("`workers` must be at least 1")
+            raise CounterspinError("`workers` must be at least 1", code="wrong-usage")
 
     @property
     def alone(self) -> bool:
@@ -114,13 +114,12 @@ class Workers:
         most = _PROCESSES_PER_CORE * usable_cores()
         if self.cluster is not None or self.processes <= most:
             return self
-        warnings.warn(
+        text = (
             f"`workers`: {self.processes} were requested; more than {most} would not help on this "
             f"machine, which has {usable_cores()} processor cores available, so "
-            f"{most} are started",
-            CounterspinWarning,
-            stacklevel=3,
+            f"{most} are started"
         )
+        warnings.warn(CounterspinWarning(text, code="too-many-workers"), stacklevel=3)
         return replace(self, processes=most)
 
 
@@ -229,22 +228,23 @@ def _on_cluster(address: str) -> Iterator[WorkerPool]:
     try:
         from distributed import Client, KilledWorker
     except ImportError as error:
-        raise CounterspinError(f"`cluster` needs Dask: {installing('cluster')}") from error
+        raise MissingPackageError(f"`cluster` needs Dask: {installing('cluster')}") from error
     silent = f"{address}: no Dask scheduler answers there; start one with `dask scheduler`"
     try:
         client: Any = Client(address, timeout=_SCHEDULER_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise CounterspinError(silent) from error
+        raise CounterspinError(silent, code="cluster-unreachable") from error
     with _without_log("distributed.client"), client:
         try:
             client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT)
         except TimeoutError as error:
             raise CounterspinError(
                 f"{address}: no worker has joined that scheduler in {_FIRST_WORKER_TIMEOUT:.0f} s; "
-                f"start some with `dask worker {address}`"
+                f"start some with `dask worker {address}`",
+                code="cluster-unreachable",
             ) from error
         except OSError as error:
-            raise CounterspinError(silent) from error
+            raise CounterspinError(silent, code="cluster-unreachable") from error
 
         def count() -> int:
             try:
@@ -259,10 +259,12 @@ def _on_cluster(address: str) -> Iterator[WorkerPool]:
             raise CounterspinError(
                 f"{address}: the connection with the Dask scheduler was lost; restore it and "
                 "run the command again (a study with an `output` folder continues with "
-                "`resume=True`)"
+                "`resume=True`)",
+                code="cluster-unreachable",
             ) from error
         except ImportError as error:
             raise CounterspinError(
                 f"a worker of the cluster cannot load counterspin ({error}); every worker "
-                "needs the same versions of it and of Python as this computer"
+                "needs the same versions of it and of Python as this computer",
+                code="worker-failed",
             ) from error

@@ -36,7 +36,7 @@ EXTRAS = {
     "notebook": (("calibration/result_conversion.py",), set()),
     "formats": (
         (
-            *("records/array_files.py", "records/table_files.py"),
+            *("records/array_files.py", "records/tdms_file.py", "records/table_files.py"),
             *("records/reader_process.py", "records/reader_limits.py"),
         ),
         {"application", "ingest", "monitoring"},

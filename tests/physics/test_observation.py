@@ -25,7 +25,7 @@ from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import ORDERS, columns, reference
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
-from counterspin.records.reading import ANY_REVOLUTIONS
+from counterspin.records.run_file import ANY_REVOLUTIONS
 from counterspin.validation.cases import document
 
 FOLDER = Path(__file__).parents[1] / "reference"

@@ -7,7 +7,7 @@ import pytest
 
 from counterspin.errors import RecordError
 from counterspin.readings.means import mean_of_record, read_rows, stated_rotation, u_of_mean
-from counterspin.records.frames import memory_table
+from counterspin.records.memory import memory_table
 from counterspin.records.record import ColumnSpec, RecordColumns
 
 TIME, SIGNAL = ColumnSpec("t"), ColumnSpec("f", 2.0)

@@ -6,7 +6,7 @@ import pytest
 
 from counterspin.errors import RecordError
 from counterspin.records.formats import locate, read_numbers
-from counterspin.records.frames import memory_table
+from counterspin.records.memory import memory_table
 from counterspin.records.reading import read_record
 from counterspin.records.record import ColumnSpec, NominalMotion, RecordColumns
 

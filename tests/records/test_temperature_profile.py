@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 
 from counterspin.errors import RecordError
-from counterspin.records.frames import memory_table
+from counterspin.records.memory import memory_table
 from counterspin.records.record import ColumnSpec, RecordColumns
 from counterspin.records.temperature_profile import MAX_KNOTS, read_temperature_profile
 

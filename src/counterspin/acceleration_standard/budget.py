@@ -26,7 +26,7 @@ from counterspin.acceleration_standard.result import (
 from counterspin.calibration.model import resolve_prior
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.quantity import BARE, NUMBER, Quantity, parse
-from counterspin.errors import CampaignError
+from counterspin.errors import CampaignError, UsageError
 
 #: Levels without `levels` and without stated rates, g.
 DEFAULT_LEVELS: Final = (1.0, 10.0, 50.0, 100.0)
@@ -105,16 +105,15 @@ def applied(
         If the campaign has mistakes or no centrifuge, or if an argument is out of range.
     """
     if not DRAWS <= draws <= _MAX_DRAWS:
-        raise CampaignError(
-            "applied", [f"`draws`: must be from {DRAWS} to {_MAX_DRAWS}, not {draws}"]
-        )
+        raise UsageError("applied", [f"`draws`: must be from {DRAWS} to {_MAX_DRAWS}, not {draws}"])
     if seed < 0:
-        raise CampaignError("applied", [f"`seed`: must not be negative, not {seed}"])
+        raise UsageError("applied", [f"`seed`: must not be negative, not {seed}"])
     described = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
     if not described.radius.value > 0.0:
         raise CampaignError(
             str(described.path),
             ["centrifuge.radius: missing; the applied acceleration requires [centrifuge]"],
+            code="missing-key",
         )
     chosen = _choose_mounting(described, mounting)
     sources = _resolve_sources(described, chosen)
@@ -193,7 +192,7 @@ def _parse_levels(levels: str | Sequence[float], gravity: float) -> list[float]:
             )
         numbers.append(quantity.value)
     if problems or not numbers:
-        raise CampaignError(
+        raise UsageError(
             "applied", problems or ["`levels`: give one or more accelerations, such as 1,10g"]
         )
     return numbers
@@ -218,7 +217,9 @@ def _choose_mounting(campaign: Campaign, mounting: str | None) -> str | None:
         if mounting not in known:
             listed = ", ".join(filter(None, known)) or "none"
             raise CampaignError(
-                str(campaign.path), [f'`mounting`: unknown mounting "{mounting}"; known: {listed}']
+                str(campaign.path),
+                [f'`mounting`: unknown mounting "{mounting}"; known: {listed}'],
+                code="unknown-mounting",
             )
         return mounting
     alignments = {
@@ -228,7 +229,7 @@ def _choose_mounting(campaign: Campaign, mounting: str | None) -> str | None:
         for name in names
     }
     if len(alignments) > 1:
-        raise CampaignError(
+        raise UsageError(
             str(campaign.path),
             [f"the mountings {', '.join(names)} state different alignments: give `mounting`"],
         )

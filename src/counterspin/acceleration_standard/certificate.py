@@ -108,7 +108,7 @@ def certify_applied(
     require_evidence(assumed, data.evidence, source)
     missing = [*missing_administrative_data(data), *_missing_evidence(data, result)]
     if missing and signer is not None:
-        raise CampaignError(source, missing_lines(missing))
+        raise CampaignError(source, missing_lines(missing), code="certificate-incomplete")
     issue = replace(
         make_issue(data, result.content, None, (), draft=bool(missing)),
         signed=signer is not None,

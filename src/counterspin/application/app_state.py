@@ -137,7 +137,9 @@ class AppState:
             if not self.folder.contains_named(folder, name)
         ]
         if problems:
-            raise CampaignError(str(folder / DESCRIPTION_NAME), problems)
+            raise CampaignError(
+                str(folder / DESCRIPTION_NAME), problems, code="path-outside-folder"
+            )
 
 
 def _iter_strings(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -21,9 +21,14 @@ from counterspin.application.answers import (
 )
 from counterspin.application.app_state import AppState
 from counterspin.application.editing import parse_campaign_text, set_value
-from counterspin.application.served_folder import NotFoundError, PathForbiddenError, ServedFolder
+from counterspin.application.served_folder import (
+    NotFoundError,
+    PathForbiddenError,
+    RequestError,
+    ServedFolder,
+)
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
-from counterspin.errors import CounterspinError
+from counterspin.errors import CounterspinError, ExistingFileError, WriteError
 from counterspin.frozen import frozen
 from counterspin.ingest.description import further_runs
 from counterspin.output import finish, make_folder
@@ -67,7 +72,7 @@ def open_upload(app: AppState, name: str) -> Upload:
         temporary_path.touch()
     except OSError as error:
         cleanup.close()
-        raise CounterspinError(f"{name} cannot be written ({error.strerror})") from error
+        raise WriteError(f"{name} cannot be written ({error.strerror})") from error
     return Upload(path, temporary_path, cleanup, folders)
 
 
@@ -105,7 +110,7 @@ def copy_campaign(app: AppState, name: str, to: str) -> Named:
             )
             copied.rename(target)
     except OSError as error:
-        raise CounterspinError(f"{to} cannot be written ({error.strerror or error})") from error
+        raise WriteError(f"{to} cannot be written ({error.strerror or error})") from error
     return {"name": app.folder.name(target)}
 
 
@@ -135,7 +140,7 @@ def discard_uploads(app: AppState, folder: str, names: list[str]) -> TrashPlace:
     if source == app.folder.root or any(path.parent != source for path in paths):
         raise PathForbiddenError("only files in the folder of the import can be discarded")
     if (source / DESCRIPTION_NAME).exists():
-        raise CounterspinError(f"{folder} is a campaign, so its files were not discarded")
+        raise ExistingFileError(f"{folder} is a campaign, so its files were not discarded")
     files = [path for path in paths if path.is_file() and not path.is_symlink()]
     if not files:
         return {"place": None}
@@ -201,7 +206,7 @@ def add_records(app: AppState, name: str, files: list[str]) -> AddedRuns:
     app.require_inside(description.parent, document)
     runs = [run for run in document.get("runs", []) if isinstance(run, dict)]
     if not runs or "record" not in runs[0]:
-        raise CounterspinError(
+        raise RequestError(
             "this campaign uses readings, not records; add your readings to the readings table"
         )
     known_records = {(description.parent / str(run.get("record"))).resolve() for run in runs}
@@ -214,7 +219,7 @@ def add_records(app: AppState, name: str, files: list[str]) -> AddedRuns:
         text = set_value(text, ["runs", index], run)
     if added:
         if problems := parse_campaign_text(app, description, text).problems:
-            raise CounterspinError(": ".join(problems[0]))
+            raise CounterspinError(": ".join(problems[0]), code="invalid-value")
         app.folder.write(app.folder.name(description), text, description_text.version)
     return {"added": [f"{run['name']} at {run['rate']}" for run in added]}
 
@@ -223,7 +228,7 @@ def _campaign_folder(app: AppState, name: str) -> Path:
     """Return a campaign's folder; OutsideError if it is outside the served folder."""
     source = app.description(name).parent
     if source == app.folder.root:
-        raise CounterspinError(
+        raise RequestError(
             "this campaign is the served folder itself; use your file manager to copy or move "
             "the folder"
         )
@@ -244,7 +249,7 @@ def _idle_campaign_folder(app: AppState, name: str) -> Path:
     source = _campaign_folder(app, name)
     busy = [job for job in app.jobs.all() if job.state in ("waiting", "running")]
     if any(job.campaign == name or job.campaign.startswith(f"{name}/") for job in busy):
-        raise CounterspinError(
+        raise RequestError(
             f"{name}: a job is running in this campaign; stop the job or wait until the job ends"
         )
     return source
@@ -254,16 +259,16 @@ def _new_folder(app: AppState, name: str, to: str) -> Path:
     """Return a free folder for a campaign, from which its records can be found."""
     target = app.folder.path(to)
     if target == app.folder.root or target.exists():
-        raise CounterspinError(f"{to or 'this folder'} already exists; choose another name")
+        raise RequestError(f"{to or 'this folder'} already exists; choose another name")
     source = app.description(name).parent
     if target.is_relative_to(source):
-        raise CounterspinError(f"{to} is inside {name}; choose a folder outside {name}")
+        raise RequestError(f"{to} is inside {name}; choose a folder outside {name}")
     try:
         names_outside = ".." in str(load_document(source / DESCRIPTION_NAME))
     except CounterspinError:
         names_outside = True  # a description that cannot be read may name anything
     if names_outside and target.parent != source.parent:
-        raise CounterspinError(
+        raise RequestError(
             f"{name}: the description refers to files outside the campaign folder by relative "
             "path; choose a name in the same parent folder"
         )
@@ -275,4 +280,4 @@ def _move(source: Path, target: Path) -> None:
     try:
         source.rename(target)
     except OSError as error:
-        raise CounterspinError(f"{source.name} cannot be moved ({error.strerror})") from error
+        raise WriteError(f"{source.name} cannot be moved ({error.strerror})") from error

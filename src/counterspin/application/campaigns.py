@@ -28,6 +28,7 @@ from counterspin.application.commands import calibrate_command, demo_command, in
 from counterspin.application.jobs import Job, Progress, report_progress, run_calibration
 from counterspin.application.laboratory import PROFILE_NAME
 from counterspin.application.record_plots import STUDY_NAME
+from counterspin.application.served_folder import RequestError
 from counterspin.calibration.options import Method
 from counterspin.calibration.pages.accelerometer import to_field_units
 from counterspin.calibration.pages.card import STATE_WORDS
@@ -271,7 +272,7 @@ def begin_calibration(
     path = app.description(name)
     app.campaign(name)
     if "/" in output or not output.lower().endswith(".json"):
-        raise CounterspinError(
+        raise RequestError(
             f"{output!r} is not a valid result file; use a file name such as result.json"
         )
     target = app.folder.path(f"{name}/{output}" if name else output)
@@ -288,7 +289,7 @@ def begin_campaign(app: AppState, name: str, test: Test = "double-turntable") ->
     from counterspin.ingest.starter import init
 
     if not name:
-        raise CounterspinError("enter a folder name for the new campaign")
+        raise RequestError("enter a folder name for the new campaign")
     folder = app.target_path(name)
     init(folder, test)
     return {"name": name, "command": init_command(folder, test)}

@@ -12,7 +12,7 @@ from pydantic import Base64Bytes, BaseModel, ConfigDict, SecretStr
 from counterspin.application.answers import CheckedFile, Receipt
 from counterspin.application.app_state import AppState
 from counterspin.application.commands import certificate_command
-from counterspin.application.served_folder import PathForbiddenError
+from counterspin.application.served_folder import PathForbiddenError, RequestError
 from counterspin.campaign.documents import load_document
 from counterspin.certificates.amendment import Amendment
 from counterspin.certificates.issuing import (
@@ -24,7 +24,7 @@ from counterspin.certificates.issuing import (
 )
 from counterspin.certificates.ledger import checksum_of
 from counterspin.certificates.signers import KeyMaterial, PasswordNeededError, Signer, read_signer
-from counterspin.errors import CounterspinError, describe_read_error
+from counterspin.errors import CounterspinError, describe_read_error, read_error_code
 from counterspin.input import read_file
 
 #: Endings of what may be saved elsewhere: what this program writes.
@@ -58,7 +58,7 @@ class Signing(BaseModel):
         """Return the signer; CounterspinError if key, certificate and password do not fit."""
         if self.key is None:
             if app.signer is None:
-                raise CounterspinError(
+                raise RequestError(
                     "This server was started without a signing command; use a key file."
                 )
             return replace(app.signer, sign=partial(_sign_without_drawing_lock, app))
@@ -67,7 +67,9 @@ class Signing(BaseModel):
         try:
             return read_signer(self.key.read(), certificate_material, password)
         except PasswordNeededError as error:
-            raise CounterspinError(f"{self.key.name} is encrypted; enter the password") from error
+            raise CounterspinError(
+                f"{self.key.name} is encrypted; enter the password", code="password-needed"
+            ) from error
 
 
 def _sign_without_drawing_lock(app: AppState, data: bytes) -> bytes:
@@ -192,4 +194,6 @@ def download_file(app: AppState, name: str) -> tuple[str, bytes]:
     try:
         return path.name, read_file(path)
     except OSError as error:
-        raise CounterspinError(f"{name}: {describe_read_error(error)}") from error
+        raise CounterspinError(
+            f"{name}: {describe_read_error(error)}", code=read_error_code(error)
+        ) from error

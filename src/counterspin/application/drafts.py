@@ -326,7 +326,7 @@ def write_draft(
     target = app.target_path(folder)
     draft, found_test, _ = _make_draft(app, names, answers, test)
     if isinstance(draft, UndecidedDraft) or found_test is None:
-        raise CampaignError("init", [f"test: {draft.questions[0].text}"])
+        raise CampaignError("init", [f"test: {draft.questions[0].text}"], code="missing-answer")
     write_description(draft, target)
     files = [app.file(name) for name in names]
     command = import_command(target, files, dict(draft.answers), found_test)

@@ -23,7 +23,7 @@ from tomlkit.items import AoT, Comment, Table
 from counterspin.application.answers import EditedDocument, EditedFile, SavedDocument
 from counterspin.application.app_state import AppState
 from counterspin.application.form import campaign_form, plan_form, run_kinds
-from counterspin.application.served_folder import TEXT_MAX_BYTES, PathForbiddenError
+from counterspin.application.served_folder import TEXT_MAX_BYTES, PathForbiddenError, RequestError
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, parse_document
@@ -122,7 +122,9 @@ def parse_text(text: str, source: str = "the text") -> dict[str, Any]:
     """Return the document of an edited text; CampaignError if it is not TOML or too long."""
     content = text.encode("utf-8", "replace")
     if len(content) > TEXT_MAX_BYTES:
-        raise CampaignError(source, [f"has more than {TEXT_MAX_BYTES} bytes"])
+        raise CampaignError(
+            source, [f"has more than {TEXT_MAX_BYTES} bytes"], code="file-too-large"
+        )
     return parse_document(content, source)
 
 
@@ -142,12 +144,14 @@ def set_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
     value: The new value; None removes the key, or the list's entry.
     """
     if not path:
-        raise CounterspinError("the key is missing")
+        raise RequestError("the key is missing")
     if kind == "date" and value is not None:
         try:
             value = datetime.date.fromisoformat(value)
         except (TypeError, ValueError) as error:
-            raise CounterspinError(f"{value!r} is not a date; use the form 2026-03-01") from error
+            raise CounterspinError(
+                f"{value!r} is not a date; use the form 2026-03-01", code="invalid-date"
+            ) from error
     parsed = parse_text(text)
     try:
         expected = _expected_document(parsed, path, value)
@@ -156,9 +160,9 @@ def set_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
         changed_text = tomlkit.dumps(document)
         is_expected = parse_toml(changed_text) == expected
     except (TOMLKitError, LookupError, TypeError, ValueError, AttributeError) as error:
-        raise CounterspinError(_CANNOT_CHANGE) from error
+        raise RequestError(_CANNOT_CHANGE) from error
     if not is_expected:
-        raise CounterspinError(_CANNOT_CHANGE)
+        raise RequestError(_CANNOT_CHANGE)
     return changed_text
 
 
@@ -323,7 +327,7 @@ def save_text(
     """Write a text, even with mistakes, if the file has not changed since its editor read it."""
     path, content = _text_path(app, file), _parse_text_of(app, file, text, result)
     if result is None and path.name != DESCRIPTION_NAME and not is_plan(content.document):
-        raise CounterspinError(f"{file}: a plan requires [limits] and [goal]; nothing was saved")
+        raise RequestError(f"{file}: a plan requires [limits] and [goal]; nothing was saved")
     return {
         **content.to_dict(),
         "file": file,

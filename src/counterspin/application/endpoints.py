@@ -163,7 +163,8 @@ def handle_request(
 ) -> ApiResponse:
     """Answer one request, also if it fails."""
     if (method, name) not in ENDPOINTS:
-        return ApiResponse(404, {"error": "Unknown request: the server has no such endpoint."})
+        text = "Unknown request: the server has no such endpoint."
+        return ApiResponse(404, {"error": text, "code": "not-found"})
     handler = ENDPOINTS[method, name]
 
     def call_handler() -> Any:
@@ -181,10 +182,8 @@ def handle_ticket(app: AppState, ticket: str) -> ApiResponse:
     """Answer the request of a ticket; a ticket is valid once."""
     target = app.tickets.take(ticket)
     if target is None:
-        return ApiResponse(
-            404,
-            {"error": "This download link has been used. Click the download button again."},
-        )
+        text = "This download link has been used. Click the download button again."
+        return ApiResponse(404, {"error": text, "code": "not-found"})
     return handle_request(app, "GET", *target)
 
 
@@ -200,7 +199,8 @@ def call_or_error(app: AppState, function: Callable[[], T]) -> T | ApiResponse:
 
 def _user_error_response(app: AppState, error: CounterspinError) -> ApiResponse:
     """Return the answer for an error of a file or a request, in its words."""
-    content: dict[str, Any] = {"error": app.folder.relative_paths(str(error))}
+    text = app.folder.relative_paths(str(error))
+    content: dict[str, Any] = {"error": text, "code": error.code}
     status = next(
         (
             status
@@ -212,7 +212,7 @@ def _user_error_response(app: AppState, error: CounterspinError) -> ApiResponse:
     if isinstance(error, EditConflictError):
         content |= {"text": error.current.text, "version": error.current.version}
     if isinstance(error, CampaignError):
-        content["problems"] = list(error.problems)
+        content |= {"problems": list(error.problems), "codes": list(error.codes)}
     return ApiResponse(status, content)
 
 
@@ -221,11 +221,13 @@ def _unexpected_error_response(error: Exception) -> ApiResponse:
     match error:
         case ValidationError():
             first_error = error.errors(include_url=False)[0]
-            return ApiResponse(
-                400, {"error": f"{'.'.join(map(str, first_error['loc']))}: {first_error['msg']}"}
-            )
+            text = f"{'.'.join(map(str, first_error['loc']))}: {first_error['msg']}"
+            return ApiResponse(400, {"error": text, "code": "invalid-request"})
         case json.JSONDecodeError() | UnicodeDecodeError() | RecursionError():
-            return ApiResponse(400, {"error": "The request is not JSON."})
+            text = "The request is not JSON."
+            return ApiResponse(400, {"error": text, "code": "invalid-request"})
         case OSError():
-            return ApiResponse(422, {"error": f"The operating system reports: {error.strerror}"})
-    return ApiResponse(500, {"error": f"internal error ({type(error).__name__}: {error})"})
+            text = f"The operating system reports: {error.strerror}"
+            return ApiResponse(422, {"error": text, "code": "system-error"})
+    text = f"internal error ({type(error).__name__}: {error})"
+    return ApiResponse(500, {"error": text, "code": "internal-error"})

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from counterspin.application.answers import JobEntry, JobKind, JobState, LiveState, Reached
+from counterspin.application.served_folder import RequestError
 from counterspin.calibration.options import Method
 from counterspin.errors import CounterspinError, CounterspinWarning
 from counterspin.reports.numbers import field_unit
@@ -43,7 +44,9 @@ class Worker:
             self._process.start()
         except OSError as error:  # no memory, or too many processes
             self._connection.close()
-            raise CounterspinError(f"the process cannot be started ({error.strerror})") from error
+            raise CounterspinError(
+                f"the process cannot be started ({error.strerror})", code="worker-failed"
+            ) from error
         finally:
             connection.close()
 
@@ -166,7 +169,7 @@ class Jobs:
         """
         with self._lock:
             if self._closed:
-                raise CounterspinError("the server is shutting down")
+                raise RequestError("the server is shutting down")
             job = make_job(self._number + 1)
             for active_job in self._jobs.values():
                 if (
@@ -193,7 +196,7 @@ class Jobs:
         """End a job; CounterspinError if no job has the number."""
         with self._lock:
             if number not in self._jobs:
-                raise CounterspinError(f"job {number} does not exist")
+                raise RequestError(f"job {number} does not exist")
             job = self._jobs[number]
         job.stop.set()
         return job
@@ -316,7 +319,7 @@ class LiveViews:
         view = self._views.get(key)
         if view is None:
             if len(self._views) >= _MAX_VIEWS:
-                raise CounterspinError(
+                raise RequestError(
                     "too many campaigns are monitored at the same time; close another Live page"
                 )
             view = self._views[key] = _View(Worker(run_watch, *key))

@@ -22,6 +22,7 @@ from counterspin.application.answers import (
 from counterspin.application.app_state import AppState
 from counterspin.application.editing import parse_lab_text, parse_text, set_value
 from counterspin.application.form import lab_form
+from counterspin.application.served_folder import RequestError
 from counterspin.calibration.result import Result
 from counterspin.campaign.documents import KeyPath, key_path, table_of
 from counterspin.certificates.certificate_reader import read_certificate, read_document
@@ -96,7 +97,7 @@ def save_profile(app: AppState, file: str, text: str) -> ProfileFile:
     )
     _move_logo(profile, folder, app.folder.root)
     if not any(profile.values()):
-        raise CounterspinError("The profile would be empty. Fill in the Laboratory section first.")
+        raise RequestError("The profile would be empty. Fill in the Laboratory section first.")
     app.folder.write(PROFILE_NAME, write_document(profile), app.folder.read(PROFILE_NAME).version)
     return {"file": PROFILE_NAME}
 
@@ -116,7 +117,7 @@ def _initial_text(app: AppState, result: Result, folder: Path) -> str:
         try:
             text = set_value(text, path, value)
         except CounterspinError as error:
-            raise CounterspinError(
+            raise RequestError(
                 f"{PROFILE_NAME}: {key_path(path)} cannot be used; correct or remove this file"
             ) from error
     return text

@@ -16,9 +16,10 @@ from counterspin.application.app_state import AppState
 from counterspin.application.commands import plan_command
 from counterspin.application.editing import set_value
 from counterspin.application.jobs import Job, report_progress
+from counterspin.application.served_folder import RequestError
 from counterspin.campaign.documents import load_document, parse_document, table_of
 from counterspin.campaign.quantity import BARE
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.output import make_folder
 from counterspin.planning.page import plan_blocks
@@ -127,9 +128,7 @@ def begin_plan(app: AppState, name: str, example: Example = "records") -> Named:
     """Write an example of a plan; CounterspinError if the file exists already."""
     path = app.folder.path(name)
     if path.suffix.lower() != ".toml":
-        raise CounterspinError(
-            f"{name} is not a valid plan file; use a file name such as PLAN.toml"
-        )
+        raise RequestError(f"{name} is not a valid plan file; use a file name such as PLAN.toml")
     write_example(path, example)
     return {"name": name}
 
@@ -139,7 +138,9 @@ def _read_plan(app: AppState, file: Path) -> Plan | ReadingPlan:
         document = load_document(file)
         app.require_inside(file.parent, document)
         if not is_plan(document):
-            raise CampaignError(str(file), ["not a plan: [limits] and [goal] are missing"])
+            raise CampaignError(
+                str(file), ["not a plan: [limits] and [goal] are missing"], code="wrong-document"
+            )
         return read_any_plan(file)
 
     return app.cache.get(("plan", file), [file], read)
@@ -209,7 +210,7 @@ def _set_limits(app: AppState, name: str, text: str, moved: Mapping[str, float])
     limits = {limit.key: limit for limit in _sliders(_read_plan(app, file), load_document(file))}
     for key, value in moved.items():
         if key not in limits:
-            raise CounterspinError(f"{key} is not a limit of this plan")
+            raise RequestError(f"{key} is not a limit of this plan")
         if not math.isclose(value, limits[key].value, rel_tol=1e-9):
             text = set_value(text, ["limits", key], limits[key].format_value(value))
     return text
@@ -251,7 +252,7 @@ def begin_planned(
     file = app.file(name)
     target = app.target_path(folder)
     if not folder:
-        raise CounterspinError("enter a folder name for the campaign")
+        raise RequestError("enter a folder name for the campaign")
     require_no_campaign(target)
     plan_text = app.folder.read(name)
     text = _set_limits(app, name, plan_text.text, moved or {})

@@ -33,14 +33,14 @@ from counterspin.application.commands import (
     watch_command,
 )
 from counterspin.application.jobs import Job, Progress, report_progress
-from counterspin.application.served_folder import NotFoundError
+from counterspin.application.served_folder import NotFoundError, RequestError
 from counterspin.arrays import Array
 from counterspin.calibration.observed_runs import record_columns
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import OBSERVABLES
-from counterspin.errors import CounterspinError
+from counterspin.errors import CounterspinError, ExistingFileError
 from counterspin.frozen import frozen
 from counterspin.monitoring.check import check
 from counterspin.monitoring.run_state import resolve_goals
@@ -177,7 +177,7 @@ def _read_record(campaign: Campaign, run: Run) -> PlotColumns:
     time, *values = read_scaled(run.record, specs, dialect)
     valid_rows = np.flatnonzero(np.isfinite(time))
     if not len(valid_rows):
-        raise CounterspinError(f"{run.record}: no row contains a time")
+        raise CounterspinError(f"{run.record}: no row contains a time", code="no-rows")
     if len(valid_rows) < len(time) or np.any(np.diff(time) < 0.0):
         # What runs backwards is refused by a calibration; here it is shown in the order of time.
         valid_rows = valid_rows[np.argsort(time[valid_rows], kind="stable")]
@@ -387,9 +387,9 @@ def begin_simulation(app: AppState, name: str, folder: str) -> JobEntry:
     app.campaign(name)
     target = app.target_path(folder)
     if not folder:
-        raise CounterspinError("enter a folder name for the simulated records")
+        raise RequestError("enter a folder name for the simulated records")
     if (target / DESCRIPTION_NAME).exists():
-        raise CounterspinError(f"{folder} already contains a campaign; choose another folder")
+        raise ExistingFileError(f"{folder} already contains a campaign; choose another folder")
     app.require_inside(target, load_document(path))
     command = simulate_command(path.parent, target)
 

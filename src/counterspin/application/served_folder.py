@@ -14,7 +14,7 @@ from itertools import islice
 from pathlib import Path, PurePath, PurePosixPath
 from typing import Final
 
-from counterspin.errors import CounterspinError, describe_read_error
+from counterspin.errors import CounterspinError, describe_read_error, read_error_code
 from counterspin.frozen import frozen
 from counterspin.input import read_file
 from counterspin.output import make_folder, write_whole
@@ -33,16 +33,28 @@ TEXT_MAX_BYTES: Final = 1_000_000
 NO_FILE_VERSION: Final = ""
 
 
+class RequestError(CounterspinError):
+    """The application cannot do what the page requests."""
+
+    code = "request-refused"
+
+
 class PathForbiddenError(CounterspinError):
     """The error for a name that leads out of the folder, or is not a file's name."""
+
+    code = "path-forbidden"
 
 
 class NotFoundError(CounterspinError):
     """The error for a file that does not exist."""
 
+    code = "not-found"
+
 
 class EditConflictError(CounterspinError):
     """The error for a file that changed since its editor read it; `now` is its present content."""
+
+    code = "edit-conflict"
 
     def __init__(self, name: str, current: FileVersion) -> None:
         self.current = current
@@ -69,7 +81,10 @@ class ServedFolder:
     def __init__(self, root: Path) -> None:
         if not root.is_dir():
             kind = "is a file, not a folder" if root.exists() else "folder not found"
-            raise CounterspinError(f"{root}: {kind}; give the folder that contains the campaigns")
+            raise CounterspinError(
+                f"{root}: {kind}; give the folder that contains the campaigns",
+                code="file-not-found",
+            )
         self.root = root.resolve()
         self._write_lock = threading.Lock()
 
@@ -141,9 +156,11 @@ class ServedFolder:
         except FileNotFoundError:
             return FileVersion("", NO_FILE_VERSION)
         except UnicodeDecodeError as error:
-            raise CounterspinError(f"{name} is not UTF-8 text") from error
+            raise CounterspinError(f"{name} is not UTF-8 text", code="wrong-encoding") from error
         except OSError as error:
-            raise CounterspinError(f"{name}: {describe_read_error(error)}") from error
+            raise CounterspinError(
+                f"{name}: {describe_read_error(error)}", code=read_error_code(error)
+            ) from error
 
     def write(self, name: str, text: str, edited_version: str) -> FileVersion:
         """Write a text atomically if the file has not changed since its editor read it.
@@ -154,7 +171,9 @@ class ServedFolder:
         try:
             data = text.encode("utf-8")
         except UnicodeEncodeError as error:
-            raise CounterspinError(f"{name}: the content is not valid text") from error
+            raise CounterspinError(
+                f"{name}: the content is not valid text", code="wrong-encoding"
+            ) from error
         with self._write_lock:
             current = self.read(name)
             if current.version != edited_version:

@@ -181,7 +181,13 @@ def make_application(app: AppState, credentials: Credentials) -> Starlette:
             )
         except OSError as error:
             return _to_starlette(
-                ApiResponse(422, {"error": f"{name} cannot be written ({error.strerror})"})
+                ApiResponse(
+                    422,
+                    {
+                        "error": f"{name} cannot be written ({error.strerror})",
+                        "code": "file-not-writable",
+                    },
+                )
             )
         finally:
             upload.discard()
@@ -380,6 +386,7 @@ def open_listener(port: int) -> socket.socket:
         reason = getattr(error, "strerror", None) or str(error)
         raise CounterspinError(
             f"port {port} is in use or not permitted ({reason}); give another "
-            "`port`, or 0 for any free port"
+            "`port`, or 0 for any free port",
+            code="port-in-use",
         ) from error
     return listener

@@ -29,7 +29,7 @@ from counterspin.calibration.pages.uncertainty import IMPROVEMENT_FACTOR
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.campaign.documents import DESCRIPTION_NAME, key_path, load_document
-from counterspin.errors import CounterspinError
+from counterspin.errors import CounterspinError, code_of
 from counterspin.inference.joint.summary import WhatIf
 from counterspin.physics.terms import (
     ACCELEROMETER_TERMS,
@@ -63,7 +63,7 @@ def what_if(
     try:
         variances = update.parts(symbol, known or {})
     except ValueError as error:
-        raise CounterspinError(f"{accelerometer}: {error}") from error
+        raise CounterspinError(f"{accelerometer}: {error}", code=code_of(error)) from error
     u = math.sqrt(sum(variances.values()))
     sources = sorted(update.known, key=lambda source: -variances[source])
     if not known:
@@ -250,7 +250,7 @@ def apply_improvement(
         for index, run in enumerate(suggestion.runs):
             text = set_value(text, ["runs", run_count + index], run)
     if problems := parse_campaign_text(app, source, text).problems:
-        raise CounterspinError(": ".join(problems[0]))
+        raise CounterspinError(": ".join(problems[0]), code="invalid-value")
     copy = copy_campaign(app, name, free_name(app, f"{name}-{suffix}"))["name"]
     app.folder.write(f"{copy}/{DESCRIPTION_NAME}", text, description_text.version)
     return {"name": copy, "key": key}

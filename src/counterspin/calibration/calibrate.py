@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, get_args
 from counterspin.calibration.options import MONTE_CARLO, Method, TwoStageOptions, further_arguments
 from counterspin.campaign.checksums import checksums_of
 from counterspin.campaign.documents import DESCRIPTION_NAME
-from counterspin.errors import CampaignError, RecordError
+from counterspin.errors import CampaignError, RecordError, UsageError
 from counterspin.input import FileIdentity
 from counterspin.loading import load_name
 from counterspin.records.isolation import uses_reader_process
@@ -78,7 +78,7 @@ def calibrate(
     if monte_carlo:
         load_name(f"{MONTE_CARLO}:check_trials")(monte_carlo, method)
     if accept_misfit is not None and not accept_misfit.strip():
-        raise CampaignError("calibrate", ["accept_misfit: give the reason in words"])
+        raise UsageError("calibrate", ["accept_misfit: give the reason in words"])
     with checksums_of(where) as checksums, ThreadPoolExecutor(1) as loader:
         # Loaded only now: checksums need none of it, and are taken on another core meanwhile.
         from counterspin.calibration.observed_runs import with_recorded_conditions
@@ -126,7 +126,7 @@ def _exclude_runs(campaign: Campaign, without: Sequence[str]) -> Campaign:
         # The file is right: what is wrong with the rest is due to what is left out.
         prefix = f"`without`: with {_quote_names(without)} omitted, "
         raise CampaignError(
-            str(campaign.path), [prefix + problem for problem in error.problems]
+            str(campaign.path), [prefix + problem for problem in error.problems], code=error.codes
         ) from error
     assert campaign.source is not None
     return with_source(replace(changed, path=campaign.path, title=campaign.title), campaign.source)
@@ -153,7 +153,7 @@ def _check_excluded(campaign: Campaign, without: Sequence[str]) -> None:
     if not problems and not table_rows and set(runs) <= {*without, *campaign.skipped}:
         problems.append(f"`without`: no run would remain; the runs are {_quote_names(runs)}")
     if problems:
-        raise CampaignError(str(campaign.path), problems)
+        raise UsageError(str(campaign.path), problems)
 
 
 def _quote_names(names: Sequence[str]) -> str:
@@ -174,10 +174,10 @@ def _check_method(method: str, options: TwoStageOptions | None) -> None:
     """Refuse what would be passed over in silence: half of K_II is at stake."""
     if method not in get_args(Method):
         known = " or ".join(get_args(Method))
-        raise CampaignError("calibrate", [f"method: {method!r} is not {known}"])
+        raise UsageError("calibrate", [f"method: {method!r} is not {known}"])
     if method == "joint" and options not in (None, TwoStageOptions()):
         options_text = "model, sigma, bias, ripple and weights are options of the two-stage method"
-        raise CampaignError("calibrate", [f'{options_text}; with them give `method="two-stage"`'])
+        raise UsageError("calibrate", [f'{options_text}; with them give `method="two-stage"`'])
 
 
 def _observe_runs(
@@ -223,7 +223,8 @@ def _collect_inputs(
     if changed:
         raise RecordError(
             f"{changed[0]}: the file was changed during the calibration, so the result would "
-            "contain a wrong checksum. Wait until the file is complete."
+            "contain a wrong checksum. Wait until the file is complete.",
+            code="file-changed",
         )
     description, checksum, origin = _describe_source(campaign)
     inputs = {description: checksum}

@@ -57,7 +57,11 @@ def apply_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outcome:
     """Return the outcome of the two-stage method; CampaignError where it is not installed."""
     method = _load_optional(TWO_STAGE)
     if method is None:
-        raise CampaignError("calibrate", ["method: this installation has no two-stage method"])
+        raise CampaignError(
+            "calibrate",
+            ["method: this installation has no two-stage method"],
+            code="missing-package",
+        )
     if problem.campaign.model.correlations:
         raise CampaignError(
             str(problem.campaign.path),
@@ -65,6 +69,7 @@ def apply_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outcome:
                 "model.priors.correlation: the two-stage method takes priors as independent; "
                 "use the joint method, or remove the correlations"
             ],
+            code="conflicting-keys",
         )
     return cast(Outcome, method(problem, options))
 
@@ -84,7 +89,9 @@ def thin_residuals(view: AccelerometerView) -> dict[str, Trace]:
 def join_readings(problem: JointProblem) -> tuple[Estimate, ReadingData]:
     """Return the estimate from records, readings and poses, and the last two in it."""
     if (join := _load_optional(READINGS)) is None:
-        raise CampaignError("calibrate", ["this installation does not read readings"])
+        raise CampaignError(
+            "calibrate", ["this installation does not read readings"], code="missing-package"
+        )
     return cast("tuple[Estimate, ReadingData]", join(problem))
 
 

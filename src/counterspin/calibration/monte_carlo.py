@@ -20,7 +20,7 @@ from counterspin.calibration.model import stated_inputs
 from counterspin.calibration.result_parts import Coefficient, MonteCarloInterval
 from counterspin.campaign.distribution import standard_draws
 from counterspin.campaign.quantity import NORMAL, InputDistribution
-from counterspin.errors import CampaignError
+from counterspin.errors import UsageError
 from counterspin.inference.distributions import COVERAGE, numerical_tolerance
 from counterspin.inference.joint.summary import BudgetLine
 from counterspin.inference.mixture_distribution import estimated_part_dof
@@ -49,9 +49,9 @@ _SAME_LENGTH: Final = 1.01
 def check_trials(trials: int, method: str) -> None:
     """Refuse a number of trials that is too small for an interval, or too large for the memory."""
     if method != "joint":
-        raise CampaignError("calibrate", ["monte_carlo: requires the joint method"])
+        raise UsageError("calibrate", ["monte_carlo: requires the joint method"])
     if not MIN_TRIALS <= trials <= MAX_TRIALS:
-        raise CampaignError(
+        raise UsageError(
             "calibrate", [f"monte_carlo: give {MIN_TRIALS} to {MAX_TRIALS} trials, not {trials}"]
         )
 

@@ -125,7 +125,8 @@ def _reject_detrended(campaign: Campaign, name: str, moments_by_run: Mapping[str
         f"before the file was written: the rows are orthogonal to {powers}{end_condition} to the "
         "last digit, which does not happen in an original record. This also removed the effect of "
         f"K_F and K_II on {observable.replace('_', ' ')}. Switch this off in the recorder or in "
-        "the export (detrend, remove offset, zero mean), and record or export again."
+        "the export (detrend, remove offset, zero mean), and record or export again.",
+        code="detrended-record",
     )
 
 
@@ -142,7 +143,9 @@ def _check_files_exist(campaign: Campaign) -> None:
     if isinstance(rest, Path) and not rest.exists():
         missing.append(f"{rest} (noise.from): ")
     if missing:
-        raise RecordError("\n".join(f"{file}file not found" for file in missing))
+        raise RecordError(
+            "\n".join(f"{file}file not found" for file in missing), code="file-not-found"
+        )
 
 
 def read_run(campaign: Campaign, run: Run) -> Record:
@@ -164,7 +167,8 @@ def duplicate_record_error(
     first, second = (item.record and campaign.record_at(item.record) for item in (earlier, run))
     return RecordError(
         f"{second}: holds the same samples as {first} (runs {earlier.name} and {run.name}). Each "
-        "record may be used only once: remove one of the runs, or give it a different record."
+        "record may be used only once: remove one of the runs, or give it a different record.",
+        code="duplicate-record",
     )
 
 
@@ -356,7 +360,8 @@ def recorded_temperatures(
         raise RecordError(
             f"{source}: column '{column.name}' contains temperatures from {low} to {high} degC; "
             f'the temperature stated for "{item.name}" deviates by {deviation:.3g} K. Correct the '
-            "unit of the column or the stated temperature, or remove that temperature."
+            "unit of the column or the stated temperature, or remove that temperature.",
+            code="temperature-mismatch",
         )
     return profile
 

@@ -276,7 +276,8 @@ class Result(ReportableResult):
             raise CounterspinError(
                 "the result has no correlations between accelerometers: the two-stage method "
                 "estimates each accelerometer separately, and versions before 0.2 did not write "
-                "them"
+                "them",
+                code="missing-in-result",
             )
         return covariance
 
@@ -315,7 +316,7 @@ class Result(ReportableResult):
             If there are none of that name.
         """
         if not self._residuals:
-            raise CounterspinError(_NO_RESIDUALS)
+            raise CounterspinError(_NO_RESIDUALS, code="missing-in-result")
         frame: pl.DataFrame = load_name(f"{_CONVERSION}:residual_frame")(self._residuals)
         criteria = {"accelerometer": accelerometer, "run": run}
         filters = {column: name for column, name in criteria.items() if name is not None}
@@ -365,7 +366,9 @@ class Result(ReportableResult):
 
     def _draw(self, pictures: Sequence[Picture], axes: Any) -> list[Any]:
         if not pictures:
-            raise CounterspinError("the result does not contain the data for this plot")
+            raise CounterspinError(
+                "the result does not contain the data for this plot", code="missing-in-result"
+            )
         return draw_pictures(pictures, axes)
 
     def __repr__(self) -> str:

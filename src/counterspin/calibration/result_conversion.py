@@ -14,7 +14,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.characters import escape_controls
-from counterspin.errors import CounterspinError
+from counterspin.errors import MissingPackageError
 from counterspin.reports.numbers import field_unit
 from counterspin.reports.publication import MAX_LINES
 from counterspin.results import make_frame
@@ -107,7 +107,7 @@ def _import_package(name: str, distribution: str) -> Any:
     try:
         return import_module(name)
     except ModuleNotFoundError as error:
-        raise CounterspinError(
+        raise MissingPackageError(
             f"{distribution} is not installed: `pip install {distribution}`"
         ) from error
 

@@ -46,6 +46,7 @@ from counterspin.campaign.settings import (
     term_keys,
 )
 from counterspin.campaign.validation import Problems
+from counterspin.errors import InputError, Problem, code_of
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.frequency_response import RESPONSE_INPUTS, FrequencyResponse
 from counterspin.physics.terms import COMMON_NAMES, TERMS
@@ -74,7 +75,7 @@ def _sensitivity_as_prior(value: object, info: ValidationInfo) -> Quantity:
     output = info.data.get("output")
     if output is None:
         if "output" in info.data:
-            raise ValueError("also needs output = { unit = ..., sensitivity = ... }")
+            raise InputError("also needs output = { unit = ..., sensitivity = ... }", "missing-key")
         return Quantity(math.nan, 0.0, "g/g")  # since what is said of the output is a mistake
     stated = parse_prior(value, f"{output.unit}/g", gravity=None)
     u = stated.u / abs(output.sensitivity)
@@ -255,14 +256,14 @@ class Accelerometer(SettingsSection):
         try:
             assert self.mounting
         except ValueError as error:
-            yield (), str(error), *_AXES
+            yield (), Problem(str(error), "invalid-axes"), *_AXES
         if (self.natural_frequency is None) != (self.damping is None):
             key, missing = "natural_frequency", "damping"
             if self.natural_frequency is None:
                 key, missing = missing, key
-            yield (key,), f"requires {missing} as well", missing
+            yield (key,), Problem(f"requires {missing} as well", "missing-key"), missing
         elif self.damping is not None and not self.damping.value >= 0.0:
-            yield ("damping",), "must not be negative"
+            yield ("damping",), Problem("must not be negative", "value-out-of-range")
         if self.frequency_response is not None and self.natural_frequency is not None:
             yield ("frequency_response",), "is given with natural_frequency; keep one"
         for key, symbol in ({symbol: symbol for symbol in TERMS} | COMMON_NAMES).items():
@@ -270,7 +271,7 @@ class Accelerometer(SettingsSection):
                 try:
                     check_near_nominal(symbol, prior, self.grade)
                 except ValueError as error:
-                    yield (key,), str(error), "grade"
+                    yield (key,), Problem(str(error), code_of(error)), "grade"
         for key, symbol in COMMON_NAMES.items():
             alternative = getattr(self, symbol)
             if symbol == "K_I":
@@ -414,7 +415,9 @@ class AccelerometersReader:
         except ValueError as error:
             path = ("accelerometers", name, observable, "unit")
             if output is None:
-                self.problems.add(path, f"{error}; or give output =  {{ unit, sensitivity }}")
+                self.problems.add(
+                    path, f"{error}; or give output =  {{ unit, sensitivity }}", code_of(error)
+                )
                 return ColumnSpec("")
             factor = self.problems.collect(path, unit_factor, column.unit, output.unit) or 1.0
             factor *= self.gravity / output.sensitivity
@@ -434,6 +437,7 @@ class AccelerometersReader:
             self.problems.add(
                 ("accelerometers", name),
                 "has no specific_force, which names the column of its records on an arm or at rest",
+                "missing-key",
             )
             return None
         return self._recorded(name, table, "specific_force")

@@ -29,6 +29,7 @@ from counterspin.campaign.field_types import (
     unit_of,
 )
 from counterspin.campaign.quantity import Quantity
+from counterspin.errors import InputError
 from counterspin.frozen import frozen
 from counterspin.records.dialect import AUTODETECT, Dialect
 from counterspin.records.record import ColumnSpec
@@ -81,11 +82,12 @@ class TimeChannel(SettingsSection):
     @model_validator(mode="after")
     def _one_of_two(self) -> Self:
         if (self.column is None) == (self.sampling_rate is None):
-            raise ValueError("give a column or a sampling_rate")
+            raise InputError("give a column or a sampling_rate", "missing-key")
         if self.unit is not None and self.column is None:
-            raise ValueError(
+            raise InputError(
                 "a unit applies only to a column; remove the unit, or replace sampling_rate with "
-                "a column"
+                "a column",
+                "conflicting-keys",
             )
         return self
 
@@ -139,9 +141,13 @@ class AngleChannel(_Channel):
     def _counts(self) -> Self:
         counted = self.unit is not None and is_unit(self.unit, "count")
         if counted and self.per_revolution is None:
-            raise ValueError("counts need per_revolution, the number of counts per revolution")
+            raise InputError(
+                "counts need per_revolution, the number of counts per revolution", "missing-key"
+            )
         if self.per_revolution is not None and not (counted or self.pulses):
-            raise ValueError('per_revolution belongs to pulses, or to unit = "count"')
+            raise InputError(
+                'per_revolution belongs to pulses, or to unit = "count"', "conflicting-keys"
+            )
         return self
 
     @property

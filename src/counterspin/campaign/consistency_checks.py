@@ -24,6 +24,7 @@ from counterspin.campaign.runs import Run, is_reading
 from counterspin.campaign.settings import OBSERVABLES, CentrifugeSettings, NoiseSettings
 from counterspin.campaign.terms import TABLE_ERRORS, symbols_shown
 from counterspin.campaign.validation import Problems
+from counterspin.errors import Problem
 from counterspin.physics.effects import AttitudeError, TrajectoryError
 from counterspin.physics.terms import CONDITION_TERMS, LEVER_ARM, SHARED_TERMS, affects_readings
 
@@ -72,14 +73,15 @@ def _missing_sections(
     )
     for key, needed in (("centrifuge", turning), ("records", recorded)):
         if (needed or not (entries or "readings" in document)) and key not in document:
-            yield (key,), "is missing"
+            yield (key,), Problem("is missing", "missing-key")
 
 
 @check
 def _missing_runs(document: Mapping[str, Any], listed: Listed) -> Mistakes:
     if not listed and "readings" not in document:
         message = "must have at least one entry" if "runs" in document else "is missing"
-        yield ("runs",), "are all excluded by skip = true" if list_of(document, "runs") else message
+        message = "are all excluded by skip = true" if list_of(document, "runs") else message
+        yield ("runs",), Problem(message, "missing-key")
 
 
 @check
@@ -106,7 +108,8 @@ def _check_unique(value: Any, seen: dict[str, int], path: KeyPath) -> Mistakes:
     index = path[1]
     assert isinstance(index, int)
     if isinstance(value, str) and seen.setdefault(value, index) != index:
-        yield path, f'"{value}" is already used by runs[{seen[value]}]'
+        message = f'"{value}" is already used by runs[{seen[value]}]'
+        yield path, Problem(message, "duplicate-entry")
 
 
 def _files(entry: Mapping[str, Any]) -> list[tuple[str, Any]]:
@@ -260,7 +263,8 @@ def _names_of_accelerometers(tables: Mapping[str, Any]) -> Mistakes:
             message = (
                 "cannot be the name of an accelerometer; use letters, digits, - and _, but none of"
             )
-            yield ("accelerometers", name), f"{message} {', '.join(TRUTH_TABLES)}"
+            message += f" {', '.join(TRUTH_TABLES)}"
+            yield ("accelerometers", name), Problem(message, "invalid-name")
 
 
 @check
@@ -282,7 +286,8 @@ def _repeated_columns(
     }
     for key, column in columns_by_key.items():
         if column in seen:
-            yield tuple(key.split(".")), f'column "{column}" is already used by {seen[column]}'
+            message = f'column "{column}" is already used by {seen[column]}'
+            yield tuple(key.split(".")), Problem(message, "duplicate-entry")
         seen[column] = key
 
 
@@ -381,7 +386,7 @@ def _missing_conditions(
             if not is_stated:
                 example = '"23.4 degC"' if key == "temperature" else '"12 min"'
                 message = f"is missing: {reason}; write for example {key} = {example}"
-                yield ("runs", index, key), message
+                yield ("runs", index, key), Problem(message, "missing-key")
         if recorded_runs or reference is not None or not runs or not all(stated):
             continue
         if term_symbol and key == "temperature":

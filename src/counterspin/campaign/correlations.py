@@ -10,6 +10,7 @@ import numpy as np
 from counterspin.campaign.documents import KeyPath
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.validation import Problems, suggest_name
+from counterspin.errors import InputError, OutOfRangeError, code_of
 from counterspin.inference.priors import correlation_matrix
 from counterspin.physics.terms import ACCELEROMETER_TERMS
 
@@ -40,7 +41,7 @@ def read_correlations(
     held: Symbols of the terms in [model] hold.
     """
     if not isinstance(entries, list):
-        problems.add(_PATH, 'must be a list such as [["K_OO", "K_PP", 0.4]]')
+        problems.add(_PATH, 'must be a list such as [["K_OO", "K_PP", 0.4]]', "wrong-type")
         return {}
     correlations: dict[str, dict[str, float]] = {}
     for index, entry in enumerate(entries):
@@ -52,11 +53,13 @@ def read_correlations(
                     _check_term(name, priors, held)
                 first, second = pair
                 if second in correlations.get(first, {}):
-                    raise ValueError(f"the correlation of {first} and {second} is given twice")
+                    raise InputError(
+                        f"the correlation of {first} and {second} is given twice", "duplicate-entry"
+                    )
                 correlations.setdefault(first, {})[second] = r
                 correlations.setdefault(second, {})[first] = r
         except ValueError as error:
-            problems.add(path, str(error))
+            problems.add(path, str(error), code_of(error))
     for members in _find_indefinite(correlations):
         names = ", ".join(
             f"{first} and {second} {r:g}"
@@ -68,6 +71,7 @@ def read_correlations(
             _PATH,
             f"no quantities can have these correlations together: {names}. Their matrix is not "
             "positive definite; reduce a correlation, or check its sign",
+            "invalid-correlation",
         )
         return {}
     return correlations
@@ -83,7 +87,7 @@ def _read_entry(
         case _:
             raise ValueError('must be two terms and their correlation, as in ["K_OO", "K_PP", 0.4]')
     if not -1.0 < r < 1.0:
-        raise ValueError(f"a correlation is between -1 and 1; {r:g} is not")
+        raise OutOfRangeError(f"a correlation is between -1 and 1; {r:g} is not")
     owned = [_full_names(name, priors) for name in (first, second)]
     pairs = [
         (a, b)
@@ -104,8 +108,9 @@ def _full_names(name: str, priors: Mapping[str, Mapping[str, Quantity]]) -> list
         return [name]
     if name in ACCELEROMETER_TERMS:
         return [f"{owner}.{name}" for owner in priors]
-    raise ValueError(
-        f'"{name}" is not a term of an accelerometer' + suggest_name(name, ACCELEROMETER_TERMS)
+    raise InputError(
+        f'"{name}" is not a term of an accelerometer' + suggest_name(name, ACCELEROMETER_TERMS),
+        "unknown-term",
     )
 
 
@@ -119,14 +124,20 @@ def _check_term(
     prior = priors[owner].get(symbol)
     if prior is None or prior.u == 0.0:
         state = "has no stated prior" if prior is None else "is stated without an uncertainty"
-        raise ValueError(f"{name} {state}; a correlation is between priors with a stated ±")
+        raise InputError(
+            f"{name} {state}; a correlation is between priors with a stated ±", "missing-prior"
+        )
     if symbol in held:
-        raise ValueError(f"{symbol} is in model.hold; remove it there, so that the fit adjusts it")
+        raise InputError(
+            f"{symbol} is in model.hold; remove it there, so that the fit adjusts it",
+            "conflicting-keys",
+        )
     if (shape := prior.distribution.shape) != "normal":
-        raise ValueError(
+        raise InputError(
             f"the prior of {name} has a {shape} distribution; correlated "
             "priors are jointly normal (JCGM 101, 6.4.8). State it with value and u, or remove "
-            "its correlation"
+            "its correlation",
+            "invalid-correlation",
         )
 
 

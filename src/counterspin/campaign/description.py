@@ -304,6 +304,7 @@ class Campaign:
                     f"runs: {what} requires records of a double turntable; this campaign has "
                     "readings"
                 ],
+                code="method-not-applicable",
             )
 
 
@@ -328,6 +329,7 @@ def read_campaign(path: Path | str) -> Campaign:
         raise CampaignError(
             str(file),
             [f"a record, not a campaign; give the folder that contains {DESCRIPTION_NAME}"],
+            code="wrong-document",
         )
     raw, checksum = load_with_checksum(file, CAMPAIGN_ADVICE, "campaign")
     problems = Problems(raw)

@@ -10,6 +10,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.quantity import HALF_WIDTHS, InputDistribution, Quantity, parse
+from counterspin.errors import InputError, OutOfRangeError
 
 #: The keys with which a value is given, and what they mean.
 _FORMS: Final = (
@@ -58,17 +59,17 @@ def parse_prior(written: object, unit: str, *, gravity: float | None) -> Quantit
     if not isinstance(written, Mapping):
         return parse(written, unit, gravity=gravity)
     if set(written) not in _FORMS:
-        raise ValueError(f"has {', '.join(map(str, written))}; {_ADVICE}")
+        raise InputError(f"has {', '.join(map(str, written))}; {_ADVICE}", "conflicting-keys")
 
     def exact(key: str) -> float:
         quantity = parse(written[key], unit, gravity=gravity)
         if quantity.u != 0.0:
-            raise ValueError(f"{key} must not have an uncertainty (±)")
+            raise InputError(f"{key} must not have an uncertainty (±)", "wrong-uncertainty")
         return quantity.value
 
     def size(key: str) -> float:
         if (quantity := exact(key)) <= 0.0:
-            raise ValueError(f"{key} must be greater than zero")
+            raise OutOfRangeError(f"{key} must be greater than zero")
         return quantity
 
     value = exact("value")
@@ -76,7 +77,7 @@ def parse_prior(written: object, unit: str, *, gravity: float | None) -> Quantit
         named = written["distribution"]
         shape = next((name for name in HALF_WIDTHS if name == named), None)
         if shape is None:
-            raise ValueError(f"{named!r} is none of {', '.join(HALF_WIDTHS)}")
+            raise InputError(f"{named!r} is none of {', '.join(HALF_WIDTHS)}", "unknown-choice")
         u = size("half_width") / HALF_WIDTHS[shape]
         return Quantity(value, u, unit, InputDistribution(shape))
     if "U" in written:
@@ -84,7 +85,7 @@ def parse_prior(written: object, unit: str, *, gravity: float | None) -> Quantit
     if "dof" in written:
         dof = _positive_number(written, "dof")
         if not _MIN_DOF <= dof < math.inf:
-            raise ValueError(f"dof is {dof:g}; give a number from {_MIN_DOF:g}, or omit it")
+            raise OutOfRangeError(f"dof is {dof:g}; give a number from {_MIN_DOF:g}, or omit it")
         return Quantity(value, size("u"), unit, InputDistribution("t", dof))
     return Quantity(value, size("u"), unit)
 
@@ -108,5 +109,5 @@ def standard_draws(
 def _positive_number(written: Mapping[str, Any], key: str) -> float:
     number = written[key]
     if isinstance(number, bool) or not isinstance(number, int | float) or not number > 0.0:
-        raise ValueError(f"{key} must be a number greater than zero")
+        raise OutOfRangeError(f"{key} must be a number greater than zero")
     return float(number)

@@ -13,7 +13,12 @@ from functools import cached_property
 from pathlib import Path, PurePath
 from typing import Any, Final, Literal, Protocol, TypeVar
 
-from counterspin.errors import CampaignError, CounterspinError, describe_read_error
+from counterspin.errors import (
+    CampaignError,
+    CounterspinError,
+    describe_read_error,
+    read_error_code,
+)
 from counterspin.frozen import frozen
 from counterspin.input import looks_like, path_of, read_file
 from counterspin.toml_text import NestingError, parse_toml, write_document
@@ -128,20 +133,26 @@ def load_with_checksum(
     try:
         content = read_file(file, _TEXT_BYTES)
         if kind is not None and (file_type := _describe_other_file(file, content)):
-            raise CampaignError(str(file), [f"{file_type}, not {_KINDS[kind]}; {full_advice}"])
+            raise CampaignError(
+                str(file),
+                [f"{file_type}, not {_KINDS[kind]}; {full_advice}"],
+                code="wrong-document",
+            )
     except OSError as error:
-        problem = describe_read_error(error)
+        problem, code = describe_read_error(error), read_error_code(error)
         advised = isinstance(error, FileNotFoundError | IsADirectoryError)
         problem += f"; {advice}" if advised else ""
     except ValueError as error:
+        code = "invalid-name"
         problem = f"cannot be read: {error}".partition(";")[0]  # a name with NUL
     else:
         document = parse_document(content, str(file))
         document_kind = _kind_of(document)
         if kind in (None, document_kind) or document_kind is None:
             return document, f"sha256:{hashlib.sha256(content).hexdigest()}"
+        code = "wrong-document"
         problem = f"{_KINDS[document_kind]}, not {_KINDS[kind]}; {full_advice}"
-    raise CampaignError(str(file), [problem])
+    raise CampaignError(str(file), [problem], code=code)
 
 
 def _describe_other_file(file: Path, content: bytes) -> str:
@@ -177,14 +188,16 @@ def campaign_error(file: Path, problems: Sequence[str]) -> CampaignError:
 
 def parse_document(content: bytes, source: str) -> dict[str, Any]:
     """Return the TOML document that the bytes of a file hold; `source` is what messages call it."""
+    code = "invalid-toml"
     try:
         # Editors on Windows put a byte-order mark before the text; TOML knows none.
         document = parse_toml(content.decode("utf-8-sig"))
         faults = list(find_invalid_values(document, ""))
         if not faults:
             return document
-        raise CampaignError(source, faults)
+        raise CampaignError(source, faults, code="invalid-value")
     except UnicodeDecodeError:
+        code = "wrong-encoding"
         problem = "is not UTF-8 text; save it as UTF-8 (needed for the sign ±; +/- works too)"
     except NestingError as error:
         problem = str(error) if error.line is None else f"line {error.line}: {error}"
@@ -202,7 +215,7 @@ def parse_document(content: bytes, source: str) -> dict[str, Any]:
     except ValueError as error:
         # A number of thousands of digits, which Python reads no further.
         problem = f"cannot be read: {error}".partition(";")[0]
-    raise CampaignError(source, [problem])
+    raise CampaignError(source, [problem], code=code)
 
 
 def find_invalid_values(value: Any, path: str) -> Iterator[str]:
@@ -420,7 +433,8 @@ def require_source(campaign: HasSource) -> Source:
     if campaign.source is None:
         raise CounterspinError(
             f"{campaign.path}: the campaign was modified without `change`, so its description is "
-            "unknown; make all changes with `change`"
+            "unknown; make all changes with `change`",
+            code="unknown-description",
         )
     return campaign.source
 

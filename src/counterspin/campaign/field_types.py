@@ -42,6 +42,7 @@ from counterspin.campaign.quantity import (
     read_attitude,
     read_direction,
 )
+from counterspin.errors import InputError, OutOfRangeError, code_of
 from counterspin.physics.accelerometer import DIRECTIONS
 from counterspin.records.format_registry import RECORD_FORMATS
 from counterspin.units import TEMPERATURE_SCALES, WORKING_TEMPERATURES, ZERO_CELSIUS, unit_factor
@@ -71,7 +72,9 @@ def exact(text: object, unit: str, gravity: float | None = None, usual: str | No
     """Read a quantity that must have no uncertainty."""
     quantity = parse(text, unit, gravity=gravity, usual=usual)
     if quantity.u != 0.0:
-        raise ValueError(f"{text!r}: an uncertainty has no meaning here; remove the ±")
+        raise InputError(
+            f"{text!r}: an uncertainty has no meaning here; remove the ±", "wrong-uncertainty"
+        )
     return quantity.value
 
 
@@ -96,7 +99,7 @@ def _parse_noise(unit: str, text: object, info: ValidationInfo) -> float | str:
         return ESTIMATE
     size = exact(text, unit, _gravity(info))
     if size < 0.0:
-        raise ValueError('a standard deviation cannot be negative; give a value or "estimate"')
+        raise OutOfRangeError('a standard deviation cannot be negative; give a value or "estimate"')
     return size
 
 
@@ -177,7 +180,7 @@ def parse_fraction(text: object, info: ValidationInfo) -> Quantity:
 def check_clock_error(value: Quantity) -> Quantity:
     """Return the relative error of a clock's rate, if it is one."""
     if abs(value.value) > 0.01:
-        raise ValueError("a clock error above 1 % is implausible; check the unit of the time")
+        raise OutOfRangeError("a clock error above 1 % is implausible; check the unit of the time")
     return value
 
 
@@ -194,7 +197,7 @@ def coefficient(unit: str) -> PlainValidator:
 def positive(value: Any) -> Any:
     """Return a number or quantity that is greater than zero."""
     if (value.value if isinstance(value, Quantity) else value) <= 0.0:
-        raise ValueError("must be greater than zero")
+        raise OutOfRangeError("must be greater than zero")
     return value
 
 
@@ -203,7 +206,7 @@ def check_gravity(value: Any) -> Any:
     positive(value)
     size = value.value if isinstance(value, Quantity) else value
     if not _GRAVITY_RANGE[0] < size < _GRAVITY_RANGE[1]:
-        raise ValueError(
+        raise OutOfRangeError(
             f"{size:.6g} m/s^2 cannot be gravity on Earth, which is about 9.8 m/s^2; "
             "check the number and its unit"
         )
@@ -214,14 +217,16 @@ def check_latitude(value: Any) -> Any:
     """Return an angle, or a quantity that is one, that is a latitude."""
     size = value.value if isinstance(value, Quantity) else value
     if abs(size) > math.pi / 2.0 * (1.0 + 1e-12):
-        raise ValueError("a latitude must be between -90 deg and 90 deg")
+        raise OutOfRangeError("a latitude must be between -90 deg and 90 deg")
     return value
 
 
 def check_zero_mean(value: Quantity) -> Quantity:
     """Refuse what is not about zero, or has no uncertainty."""
     if value.value != 0.0 or not value.u > 0.0:
-        raise ValueError('must have the value zero and an uncertainty; write "0 ± 0.5 deg"')
+        raise InputError(
+            'must have the value zero and an uncertainty; write "0 ± 0.5 deg"', "wrong-uncertainty"
+        )
     return value
 
 
@@ -238,7 +243,7 @@ def check_normal(value: Quantity) -> Quantity:
 def check_nonzero(value: float) -> float:
     """Return a rate that is not zero."""
     if value == 0.0:
-        raise ValueError("the rate is zero, but the centrifuge must rotate")
+        raise OutOfRangeError("the rate is zero, but the centrifuge must rotate")
     return value
 
 
@@ -253,9 +258,9 @@ def parse_ratio(value: object) -> float:
     if isinstance(value, str):
         return exact(value, "1")
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError("must be a number")
+        raise InputError("must be a number", "not-numeric")
     if not math.isfinite(value):
-        raise ValueError("must be a finite number")
+        raise OutOfRangeError("must be a finite number")
     return float(value)
 
 
@@ -267,16 +272,18 @@ def parse_table_ratio(value: object) -> float:
         numerator, slash, denominator = str(value).partition("/")
         ratio = float(numerator) / (float(denominator) if slash else 1.0)
     except (ValueError, ZeroDivisionError):
-        raise ValueError("must be a number, or a fraction such as 1/2") from None
+        raise InputError("must be a number, or a fraction such as 1/2", "not-numeric") from None
     if not abs(ratio) <= _LARGEST_TABLE_RATIO:
-        raise ValueError(f"must be between -{_LARGEST_TABLE_RATIO} and {_LARGEST_TABLE_RATIO}")
+        raise OutOfRangeError(f"must be between -{_LARGEST_TABLE_RATIO} and {_LARGEST_TABLE_RATIO}")
     return ratio
 
 
 def small_rate_error(value: float) -> float:
     """Return an error of the rate that leaves it a rate."""
     if abs(value) >= 0.5:
-        raise ValueError("is relative to the nominal rate, and its magnitude must be below 0.5")
+        raise OutOfRangeError(
+            "is relative to the nominal rate, and its magnitude must be below 0.5"
+        )
     return value
 
 
@@ -318,16 +325,18 @@ def record_file(name: str) -> str:
     """Return the name of a record that can be read by its ending."""
     file_name(name)
     if PurePath(name).suffix.lower() not in RECORD_FORMATS:
-        raise ValueError(f'cannot read "{name}"; records end in {", ".join(RECORD_FORMATS)}')
+        raise InputError(
+            f'cannot read "{name}"; records end in {", ".join(RECORD_FORMATS)}', "wrong-file-ending"
+        )
     return name
 
 
 def _in_folder(name: object, info: ValidationInfo) -> Path:
     """Return a record's file, in the campaign's folder."""
     if not isinstance(name, str):
-        raise ValueError("must be a string")
+        raise InputError("must be a string", "wrong-type")
     if not name:
-        raise ValueError("must not be empty")
+        raise InputError("must not be empty", "missing-value")
     folder: Path = (info.context or {}).get("folder", Path())
     return folder / record_file(name)
 
@@ -337,7 +346,7 @@ def parse_temperature(value: object) -> float:
     if isinstance(value, Quantity):
         return _to_kelvin(value.value, value.unit)
     if not isinstance(value, str):
-        raise ValueError("must be a string")
+        raise InputError("must be a string", "wrong-type")
     match = _TEMPERATURE.fullmatch(value)
     if match is None:
         raise ValueError(f'{value!r} is not a temperature; write "23.4 degC" or "296.5 K"')
@@ -349,7 +358,7 @@ def _to_kelvin(value: float, scale: str) -> float:
     kelvin = value + TEMPERATURE_SCALES[scale]
     coldest, warmest = WORKING_TEMPERATURES
     if not coldest <= kelvin <= warmest:
-        raise ValueError(
+        raise OutOfRangeError(
             f"{value:g} {scale} is not plausible for an accelerometer; check the unit "
             f"({coldest - ZERO_CELSIUS:.5g} to {warmest - ZERO_CELSIUS:.5g} degC are accepted)"
         )
@@ -361,14 +370,14 @@ def parse_temperatures(value: object) -> tuple[float, ...]:
     if not isinstance(value, list):
         return (parse_temperature(value),)
     if not value:
-        raise ValueError("must have at least one temperature")
+        raise InputError("must have at least one temperature", "missing-value")
     return tuple(parse_temperature(item) for item in value)
 
 
 def temperature_scale(unit: str) -> str:
     """Return the scale of a column of temperatures."""
     if unit not in TEMPERATURE_SCALES:
-        raise ValueError(f"'{unit}' is not a temperature unit; use degC or K")
+        raise InputError(f"'{unit}' is not a temperature unit; use degC or K", "unknown-unit")
     return "K" if unit == "K" else "degC"
 
 
@@ -386,7 +395,7 @@ def date_or_text(value: object) -> str:
     if isinstance(value, datetime.date | datetime.datetime):
         return value.isoformat()
     if not isinstance(value, str):
-        raise ValueError("must be a date, or text")
+        raise InputError("must be a date, or text", "invalid-date")
     return value
 
 
@@ -454,7 +463,7 @@ def direction_of_zero(value: object) -> float:
     try:
         return exact(value, "rad", usual="deg")
     except ValueError as error:
-        raise ValueError(f"{error}; or give one of {', '.join(COMPASS)}") from None
+        raise InputError(f"{error}; or give one of {', '.join(COMPASS)}", code_of(error)) from None
 
 
 def check_encoding(name: str) -> str:
@@ -462,8 +471,8 @@ def check_encoding(name: str) -> str:
     try:
         codecs.lookup(name)
     except LookupError:
-        raise ValueError(
-            f'unknown encoding "{name}"; common ones: utf-8, latin-1, utf-16'
+        raise InputError(
+            f'unknown encoding "{name}"; common ones: utf-8, latin-1, utf-16', "unknown-choice"
         ) from None
     return name
 
@@ -481,8 +490,9 @@ def require_units(value: Any, info: ValidationInfo) -> Any:
             if isinstance(item, int | float) and not isinstance(item, bool):
                 unit = units.get(name, default_unit)
                 example = f'"{item!r} {unit}"'
-                raise ValueError(
-                    f"a number without a unit; write the quantity as text, such as {example}"
+                raise InputError(
+                    f"a number without a unit; write the quantity as text, such as {example}",
+                    "missing-unit",
                 )
     return value
 

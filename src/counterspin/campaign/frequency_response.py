@@ -12,6 +12,7 @@ import numpy as np
 
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.validation import Problems
+from counterspin.errors import InputError, OutOfRangeError
 from counterspin.loading import load_name
 from counterspin.physics.frequency_response import (
     CUTOFF,
@@ -74,9 +75,10 @@ class ResponseReader:
         table, places, self.checksums[file] = load_table(file)
         frame = table.frame
         if missing := [column for column in _COLUMNS if column not in frame.columns]:
-            raise ValueError(
+            raise InputError(
                 f"{file.name} has no column {', '.join(missing)}; a frequency response has the "
-                f"columns {', '.join(_COLUMNS)}, and optionally {', '.join(_UNCERTAINTIES)}"
+                f"columns {', '.join(_COLUMNS)}, and optionally {', '.join(_UNCERTAINTIES)}",
+                "missing-column",
             )
         columns = {}
         for column in (*_COLUMNS, *_UNCERTAINTIES):
@@ -85,17 +87,17 @@ class ResponseReader:
             values = frame[column].cast(float, strict=False).to_numpy()
             if not np.isfinite(values).all():
                 row = places[int(np.flatnonzero(~np.isfinite(values))[0])]
-                raise ValueError(f"{file.name}, {row}: {column} is not a number")
+                raise InputError(f"{file.name}, {row}: {column} is not a number", "not-numeric")
             columns[column] = values
         frequency, gain = columns["frequency_Hz"], columns["gain"]
         if not frequency.size or frequency[0] <= 0.0 or np.any(np.diff(frequency) <= 0.0):
-            raise ValueError(f"{file.name}: frequency_Hz must be positive and must increase")
+            raise OutOfRangeError(f"{file.name}: frequency_Hz must be positive and must increase")
         if np.any(gain <= 0.0) or np.any(gain > _MAX_GAIN):
-            raise ValueError(
+            raise OutOfRangeError(
                 f"{file.name}: gain must be a positive ratio to the static gain (not dB)"
             )
         if any(np.any(columns[name] < 0.0) for name in _UNCERTAINTIES if name in columns):
-            raise ValueError(f"{file.name}: a standard uncertainty is not negative")
+            raise OutOfRangeError(f"{file.name}: a standard uncertainty is not negative")
         scale = {name: math.radians(1.0) for name in columns if name.endswith("_deg")}
         values_of = {
             name: tuple((scale.get(name, 1.0) * values).tolist())

@@ -25,11 +25,10 @@ from counterspin.campaign.documents import (
     to_toml_value,
 )
 from counterspin.campaign.validation import Problems, suggest_name
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CampaignError, CounterspinError, ExistingFileError
 from counterspin.loading import load_name
 from counterspin.output import make_folder, write_open, write_text, write_whole
-from counterspin.records.frames import memory_table
-from counterspin.records.memory import MemoryTable
+from counterspin.records.memory import MemoryTable, memory_table
 from counterspin.toml_text import write_document
 
 if TYPE_CHECKING:
@@ -184,7 +183,9 @@ def attach_records(
             continue
         if name not in names:
             known = [known for known in names if isinstance(known, str)]
-            problems.add(("records",), f'no run is named "{name}"' + suggest_name(name, known))
+            problems.add(
+                ("records",), f'no run is named "{name}"' + suggest_name(name, known), "unknown-run"
+            )
             continue
         run = dict(given[names[name]])
         if isinstance(record, Path | str):
@@ -312,10 +313,10 @@ def _refuse_overwriting(targets: list[Path], campaign: Campaign, *, overwrite: b
     """Raise CounterspinError for a file that is in the way, or a record that is not there."""
     for target in targets:
         if target.exists() and not overwrite:
-            raise CounterspinError(
+            raise ExistingFileError(
                 f"{target} exists; choose another folder, or give `overwrite=True`"
             )
     for file in (*campaign.files, *filter(None, [campaign.rest])):
         record = campaign.record_at(file)
         if isinstance(record, Path) and not record.is_file():
-            raise CounterspinError(f"{record}: file not found")
+            raise CounterspinError(f"{record}: file not found", code="file-not-found")

@@ -24,6 +24,7 @@ from counterspin.campaign.terms import (
     symbols_shown,
 )
 from counterspin.campaign.validation import Problems, suggest_name
+from counterspin.errors import OutOfRangeError
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.grades import DEFAULT_GRADE, GRADES
@@ -204,7 +205,9 @@ def resolve_model(
                 ("model", key), f'"{symbol}" is also in model.terms; keep only one of them'
             )
     if not any(symbol in TERMS for symbol in terms):
-        problems.add(("model", "terms"), "contains no accelerometer term to estimate")
+        problems.add(
+            ("model", "terms"), "contains no accelerometer term to estimate", "missing-value"
+        )
     shared, accelerometer_priors = _resolve_priors(
         settings.priors, stated_priors, setup, problems, gravity
     )
@@ -219,6 +222,7 @@ def resolve_model(
             ("model", key),
             f'"{symbol}" is held, but no prior is stated for {missing}; '
             f'add "{symbol}" = "VALUE ± U {term(symbol).unit}" to [model.priors]',
+            "missing-prior",
         )
     for symbol in (*terms, *considered, *shared):
         if accelerometer_of(symbol) and same_for_all(symbol) in {*terms, *considered, *shared}:
@@ -264,7 +268,7 @@ def _resolve_assumed(names: Sequence[str], problems: Problems) -> tuple[str, ...
         if bare not in ("", ALL_TERMS) and bare not in families and not is_term(bare):
             known = [ALL_TERMS, *TABLE, *families]
             message = f'unknown term "{name}"' + suggest_name(bare, known)
-            problems.add(("model", "assume", place), message)
+            problems.add(("model", "assume", place), message, "unknown-term")
     return tuple(names)
 
 
@@ -277,12 +281,13 @@ def _resolve_names(
         path = ("model", key, index)
         resolved = _resolve_symbols(name, path, setup, problems)
         if resolved and set(resolved) <= set(symbols):
-            problems.add(path, f'"{name}" is listed twice')
+            problems.add(path, f'"{name}" is listed twice', "duplicate-entry")
         row = CONDITION_TERMS.get(name)
         if key == "terms" and row is not None and row.effect.condition == "force":
             problems.add(
                 path,
                 f'"{name}" cannot be separated from K_II; state a prior for it in [model.priors]',
+                "missing-prior",
             )
         symbols |= dict.fromkeys(resolved)
     return tuple(symbols)
@@ -309,6 +314,7 @@ def _resolve_symbols(
             path,
             f'no component of "{name}" affects these accelerometers to first order; omit it, or '
             f"give one component, such as {BARE_NAMES[name][0].symbol}",
+            "term-without-effect",
         )
     return symbols
 
@@ -320,7 +326,9 @@ def _observable_symbols(
     expanded = expand(name, setup.observable_terms)
     if not expanded and setup.is_complete:
         problems.add(
-            path, f'no reading depends on "{name}"' + suggest_name(name, setup.observable_terms)
+            path,
+            f'no reading depends on "{name}"' + suggest_name(name, setup.observable_terms),
+            "term-without-effect",
         )
     return expanded if name in expanded else _remove_duplicates(expanded)
 
@@ -340,7 +348,7 @@ def _report_unknown(name: str, path: KeyPath, problems: Problems) -> None:
     hint = suggest_name(name, known)
     if "known:" in hint:
         hint = f"; known: {', '.join([*ACCELEROMETER_TERMS, *BARE_NAMES])}"
-    problems.add(path, f'unknown term "{name}"' + hint)
+    problems.add(path, f'unknown term "{name}"' + hint, "unknown-term")
 
 
 def _widest_first(names: Iterable[str]) -> list[str]:
@@ -413,7 +421,7 @@ def check_near_nominal(symbol: str, prior: Quantity, grade: str = DEFAULT_GRADE)
     """Return a prior that is credible: a scale factor is given as its value, about 1."""
     row = term(symbol)
     if row.nominal and abs(prior.value - row.nominal) > row.sizes(grade).limit:
-        raise ValueError(
+        raise OutOfRangeError(
             f"{prior.value:.6g} {row.unit} is too far from the nominal {symbol}, {row.nominal:g}; "
             f"an error of 1000 ppm is written {1.001 * row.nominal:g} {row.unit}"
         )
@@ -448,7 +456,7 @@ def _resolve_sizes(
             continue
         size = problems.collect(path, exact, flat[key], term(symbols[0]).unit, gravity)
         if size is not None and size <= 0.0:
-            problems.add(path, "must be greater than zero")
+            problems.add(path, "must be greater than zero", "value-out-of-range")
         elif size is not None:
             sizes |= dict.fromkeys(symbols, size)
     return sizes

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.campaign.validation import suggest_name
+from counterspin.errors import InputError, OutOfRangeError
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import DIRECTIONS, direction
 from counterspin.units import advice, unit_factor
@@ -148,23 +149,32 @@ def parse(
         return _in_unit(text, unit, text.written, gravity)
     if not isinstance(text, str):
         if isinstance(text, bool) or not isinstance(text, int | float):
-            raise ValueError(f"must be {kind}, written as text with its unit ({accepted})")
+            raise InputError(
+                f"must be {kind}, written as text with its unit ({accepted})", "wrong-type"
+            )
         if not math.isfinite(text):
-            raise ValueError(f"{text!r} is not a finite number; {kind} is required ({accepted})")
+            raise OutOfRangeError(
+                f"{text!r} is not a finite number; {kind} is required ({accepted})"
+            )
         if unit == "1":
-            raise ValueError(f'a ratio is written as text, such as "{text!r}"')
+            raise InputError(f'a ratio is written as text, such as "{text!r}"', "wrong-type")
         example = _with_unit(repr(text), unit, usual)
-        raise ValueError(f"a number without a unit; write {example} ({kind}: {accepted})")
+        raise InputError(
+            f"a number without a unit; write {example} ({kind}: {accepted})", "missing-unit"
+        )
     if len(text) > _MAX_CHARACTERS:
         raise ValueError(
             f"a quantity has at most {_MAX_CHARACTERS} characters; this has {len(text)}"
         )
     clean = text.strip().replace("−", "-")
     if _NOT_FINITE.search(clean):
-        raise ValueError(f"{text!r} is not a finite number; {kind} is required ({accepted})")
+        raise OutOfRangeError(f"{text!r} is not a finite number; {kind} is required ({accepted})")
     if BARE.fullmatch(clean):
         example = _with_unit(clean, unit, usual)
-        raise ValueError(f"{text!r} has no unit; {kind} is required ({accepted}); write {example}")
+        raise InputError(
+            f"{text!r} has no unit; {kind} is required ({accepted}); write {example}",
+            "missing-unit",
+        )
     if re.match(r"[+-]?\d+,\d", clean):
         raise ValueError(f"{text!r} contains a comma; use a decimal point")
     match = _QUANTITY.fullmatch(clean)
@@ -198,12 +208,14 @@ def _in_unit(quantity: Quantity, unit: str, text: str, gravity: float | None) ->
     factor = unit_factor(quantity.unit, unit, gravity=gravity)
     value, u = quantity.value * factor, quantity.u * factor
     if not (math.isfinite(value) and math.isfinite(u)):
-        raise ValueError(f"{text!r} is not a finite number; {kind} is required ({accepted})")
+        raise OutOfRangeError(f"{text!r} is not a finite number; {kind} is required ({accepted})")
     if u < 0.0:
-        raise ValueError(f"{text!r} has a negative uncertainty")
+        raise InputError(f"{text!r} has a negative uncertainty", "wrong-uncertainty")
     largest = _LARGEST.get(unit, _SIZE_RANGE[1])
     if any(size and not _SIZE_RANGE[0] < size < largest for size in (abs(value), u)):
-        raise ValueError(f"{text!r} is implausibly large or small; {kind} is required ({accepted})")
+        raise OutOfRangeError(
+            f"{text!r} is implausibly large or small; {kind} is required ({accepted})"
+        )
     return Quantity(value, u, unit, quantity.distribution)
 
 
@@ -315,8 +327,10 @@ def platform_attitude(attitude: Attitude) -> Attitude:
     if attitude.unknown:
         raise ValueError(NO_ATTITUDE)
     if attitude.u != 0.0:
-        raise ValueError(
-            "an attitude must not have an uncertainty here; state a prior for platform.tilt instead"
+        raise InputError(
+            "an attitude must not have an uncertainty here; state a prior for platform.tilt "
+            "instead",
+            "wrong-uncertainty",
         )
     return attitude
 

@@ -258,7 +258,9 @@ class DescriptionReader:
         if not listed and not {"readings", "triad"} & self.raw.keys():
             return DescribedReadings()
         if not is_installed(_READINGS_READER):
-            self.problems.add(("runs",), "this installation does not read readings")
+            self.problems.add(
+                ("runs",), "this installation does not read readings", "missing-package"
+            )
             return DescribedReadings(whole=False)
         read: DescribedReadings = load_name(_READINGS_READER)(self, turns, has_records=has_records)
         return read

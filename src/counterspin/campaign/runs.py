@@ -35,6 +35,7 @@ from counterspin.campaign.field_types import (
 )
 from counterspin.campaign.quantity import UNKNOWN, Quantity, platform_attitude, read_attitude
 from counterspin.campaign.validation import Problems, Section
+from counterspin.errors import Problem, code_of
 from counterspin.loading import load_name
 from counterspin.physics.terms import MotionKind
 from counterspin.records.dialect import Dialect
@@ -373,24 +374,25 @@ class Run(SettingsSection):
 
     def _of_record(self) -> Iterator[Contradiction]:
         if self.file is None:
-            yield ("record",), "is missing", "motion", "reading"
+            yield ("record",), Problem("is missing", "missing-key"), "motion", "reading"
         if self.rate == 0.0:
             stated = "stated_rate" in self.model_fields_set
             message = "the rate is zero, but the centrifuge must rotate" if stated else "is missing"
-            yield ("rate",), message, "motion", "reading"
+            code = "value-out-of-range" if stated else "missing-key"
+            yield ("rate",), Problem(message, code), "motion", "reading"
         # The angle of a table, about up, may be uncertain.
         has_table_angle = self.turns_in_space and abs(self.stand.head[2]) == 1.0
         try:
             platform_attitude(replace(self.stand, u=0.0) if has_table_angle else self.stand)
         except ValueError as error:
-            yield ("attitude",), str(error), "motion", "reading"
+            yield ("attitude",), Problem(str(error), code_of(error)), "motion", "reading"
         for place, file in enumerate(self.continued_in if self.file else ()):
             if file.suffix.lower() != self.record.suffix.lower():
                 words = f"must end in {self.record.suffix.lower()}, like the record"
-                yield ("continued_in", place), words
+                yield ("continued_in", place), Problem(words, "wrong-file-ending")
         start, stop = self.part
         if not start < stop:
-            yield ("stop",), "must come after start", "start"
+            yield ("stop",), Problem("must come after start", "value-out-of-range"), "start"
 
 
 def is_reading(raw: object) -> bool:
@@ -465,7 +467,7 @@ def _own_recording(
         if key not in _OWN:
             problems.add((*path, key), f"cannot be set for one run; known: {', '.join(_OWN)}")
     if "angle" in run_section and "angle" not in section:
-        problems.add((*path, "angle"), "state an angle in [records], for all runs")
+        problems.add((*path, "angle"), "state an angle in [records], for all runs", "missing-key")
     settings = problems.check(RecordsSettings, merge_patch(section, run_section), path)
     if settings is None:
         return None
@@ -473,7 +475,9 @@ def _own_recording(
     if recording.recorder == (section.get("recorder") or ""):
         if "clock" in run_section:
             problems.add(
-                (*path, "clock"), 'give the recorder of this clock, such as recorder = "B"'
+                (*path, "clock"),
+                'give the recorder of this clock, such as recorder = "B"',
+                "missing-key",
             )
         return replace(recording, recorder="")
     return recording

@@ -40,6 +40,7 @@ from counterspin.campaign.field_types import (
     uncertain_quantity,
 )
 from counterspin.campaign.quantity import Quantity, latitude_text
+from counterspin.errors import InputError, OutOfRangeError
 from counterspin.physics.terms import Term
 from counterspin.units import check_unit, unit_factor
 
@@ -168,12 +169,12 @@ def _per_g(value: object, info: ValidationInfo) -> float:
         try:
             return unit_factor("g", unit)
         except ValueError:
-            raise ValueError(
-                f'is missing; give the nominal output, such as "1.25 {unit}/g"'
+            raise InputError(
+                f'is missing; give the nominal output, such as "1.25 {unit}/g"', "missing-key"
             ) from None
     sensitivity = exact(value, f"{unit}/g")
     if sensitivity == 0.0:
-        raise ValueError("must not be zero")
+        raise OutOfRangeError("must not be zero")
     return sensitivity
 
 

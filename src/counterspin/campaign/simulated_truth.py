@@ -146,7 +146,7 @@ class TruthReader:
     def _machine(self) -> dict[str, Any]:
         """Return the truth of the machine's terms that readings show."""
         if not isinstance(self.raw.get(_MACHINE, {}), Mapping):
-            self.problems.add(("truth", _MACHINE), "must be a table")
+            self.problems.add(("truth", _MACHINE), "must be a table", "wrong-type")
         return flatten_keys(table_of(self.raw, _MACHINE))
 
     def _take_stretch(self) -> None:
@@ -215,7 +215,7 @@ class TruthReader:
         known = [*self.names, *TRUTH_TABLES]
         for name in [name for name in self.raw if self.names and name not in known]:
             message = "is neither an accelerometer nor a known table" + suggest_name(name, known)
-            self.problems.add(("truth", name), message)
+            self.problems.add(("truth", name), message, "unknown-accelerometer")
         accelerometer_truths = {
             name: self._accelerometer(name, output) for name, output in outputs.items()
         }
@@ -274,7 +274,11 @@ class TruthReader:
                 message = "is a term of an accelerometer; write it in [truth.NAME]"
                 self.problems.add(path, message)
             elif not symbols:
-                self.problems.add(path, f'no reading depends on "{key}"' + suggest_name(key, known))
+                self.problems.add(
+                    path,
+                    f'no reading depends on "{key}"' + suggest_name(key, known),
+                    "term-without-effect",
+                )
             for symbol in symbols:
                 unit = term(symbol).unit
                 value = self.problems.collect(path, exact, text, unit)
@@ -307,14 +311,16 @@ class TruthReader:
             if name not in outputs:
                 if name not in self.names:
                     message = f'no accelerometer is named "{name}"' + suggest_name(name, self.names)
-                    self.problems.add(path, message)
+                    self.problems.add(path, message, "unknown-accelerometer")
                 continue
             output = outputs[name]
             unit, size = ("g", 1.0) if output is None else (output.unit, output.sensitivity)
             gravity = self.gravity if output is None else None
             value = self.problems.collect(path, exact, text, unit, gravity)
             if value is not None and value < 0.0:
-                self.problems.add(path, "a standard deviation cannot be negative")
+                self.problems.add(
+                    path, "a standard deviation cannot be negative", "value-out-of-range"
+                )
             elif value is not None:
                 sizes[name] = value / abs(size)
         return sizes
@@ -377,5 +383,6 @@ def _clock_by_recorder(
             path,
             f'no run names this recorder; write recorder = "{name}" in [records], '
             "or in the records of a run",
+            "unknown-choice",
         )
     return {(recorders[name], CLOCK): part for name, part in clocks.items() if name in recorders}

@@ -17,6 +17,7 @@ from counterspin.campaign.documents import KeyPath
 from counterspin.campaign.field_types import Contradiction, SettingsSection, exact, key_field
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
 from counterspin.campaign.validation import Problems, suggest_name
+from counterspin.errors import InputError, OutOfRangeError
 from counterspin.inference.conformity import DecisionRule, Specification
 from counterspin.inference.global_risk import Process
 from counterspin.inference.verdicts import RuleName
@@ -36,25 +37,29 @@ _TOLERANCE = re.compile(PLUS_MINUS)
 def _rule_name(value: object) -> object:
     known = get_args(RuleName)
     if value not in known:
-        raise ValueError(f"must be {', '.join(map(repr, known[:-1]))} or {known[-1]!r}")
+        raise InputError(
+            f"must be {', '.join(map(repr, known[:-1]))} or {known[-1]!r}", "unknown-choice"
+        )
     return value
 
 
 def _number(value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError("must be a number")
+        raise InputError("must be a number", "wrong-type")
     return float(value)
 
 
 def _factor(value: float) -> float:
     if value < 0.0:
-        raise ValueError("must not be negative: the guard band lies inside the tolerance limits")
+        raise OutOfRangeError(
+            "must not be negative: the guard band lies inside the tolerance limits"
+        )
     return value
 
 
 def _probability(value: float) -> float:
     if not 0.5 < value < 1.0:
-        raise ValueError("must be between 0.5 and 1")
+        raise OutOfRangeError("must be between 0.5 and 1")
     return value
 
 
@@ -122,7 +127,7 @@ def parse_specification(text: object, unit: str, *, gravity: float | None = None
     gravity: The site's, m/s^2, as in `counterspin.campaign.quantity.parse`.
     """
     if not isinstance(text, str):
-        raise ValueError(f"must be a string, such as {_FORMS}")
+        raise InputError(f"must be a string, such as {_FORMS}", "wrong-type")
     clean = " ".join(text.replace("−", "-").replace("≤", "<=").replace("≥", ">=").split())
     low: float | None
     high: float | None
@@ -175,11 +180,17 @@ def resolve_specifications(
             continue
         if name not in accelerometers:
             problems.add(
-                (*path, name), f'no accelerometer is named "{name}"' + _hint(name, accelerometers)
+                (*path, name),
+                f'no accelerometer is named "{name}"' + _hint(name, accelerometers),
+                "unknown-accelerometer",
             )
         by_accelerometer[name] = _terms(tables[name], (*path, name), list(TERMS), problems, gravity)
     if not shared and not any(by_accelerometer.values()) and len(problems.lines) == before:
-        problems.add(path, f"contains no term; write for example K_II = {_FORMS.split(',')[0]}")
+        problems.add(
+            path,
+            f"contains no term; write for example K_II = {_FORMS.split(',')[0]}",
+            "missing-value",
+        )
     if rule is None or len(problems.lines) > before:
         return None
     terms = {n: {**shared, **by_accelerometer.get(n, {})} for n in accelerometers}
@@ -210,11 +221,13 @@ def _processes(
     for symbol, text in raw.items():
         key = (*path, "process", symbol)
         if symbol not in specified:
-            problems.add(key, f'"{symbol}" has no limits in [specification]')
+            problems.add(key, f'"{symbol}" has no limits in [specification]', "missing-key")
             continue
         stated = problems.collect(key, parse, text, TERMS[symbol].unit, gravity=gravity)
         if stated is not None and stated.u <= 0.0:
-            problems.add(key, "needs a standard deviation, such as 0 ± 2.5e-5 g/g^2")
+            problems.add(
+                key, "needs a standard deviation, such as 0 ± 2.5e-5 g/g^2", "wrong-uncertainty"
+            )
         elif stated is not None:
             processes[symbol] = Process(stated.value, stated.u)
     return processes
@@ -234,7 +247,7 @@ def _terms(
                 message = _PLATFORM_TERM_REFUSAL
             else:
                 message = f'unknown term "{symbol}"' + suggest_name(symbol, known)
-            problems.add((*path, symbol), message)
+            problems.add((*path, symbol), message, "unknown-term")
             continue
         specification = problems.collect(
             (*path, symbol), parse_specification, text, TERMS[symbol].unit, gravity=gravity

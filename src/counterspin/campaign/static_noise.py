@@ -144,9 +144,9 @@ def _static_record_noise(campaign: Campaign) -> Mapping[str, StaticNoise]:
         identity = record.checksum if isinstance(record, MemoryTable) else FileIdentity.of(record)
         return _analyze_record(_NoiseRequest(identity, read, without_runs))
     except OSError as error:
-        raise RecordError(f"{key}: {file}: file not found") from error
+        raise RecordError(f"{key}: {file}: file not found", code="file-not-found") from error
     except RecordError as error:
-        raise RecordError(f"{key}: {error}") from error
+        raise RecordError(f"{key}: {error}", code=error.code) from error
 
 
 @lru_cache(maxsize=4)

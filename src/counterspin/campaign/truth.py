@@ -24,6 +24,7 @@ from counterspin.campaign.field_types import (
 )
 from counterspin.campaign.settings import StatedNoise, term_keys
 from counterspin.campaign.validation import Section, nested_models
+from counterspin.errors import OutOfRangeError
 from counterspin.physics.terms import ACCELEROMETER_TERMS, SHARED_TERMS
 
 #: Of all recorders, and the largest error of a clock.
@@ -38,7 +39,7 @@ def _clocks(value: object) -> dict[str, float]:
     named = value if isinstance(value, Mapping) else {ALL_RECORDERS: value}
     clocks = {str(name): parse_ratio(part) for name, part in named.items()}
     if any(abs(part) > _MOST_OF_A_CLOCK for part in clocks.values()):
-        raise ValueError("a clock error above 1 % is implausible")
+        raise OutOfRangeError("a clock error above 1 % is implausible")
     return clocks
 
 

@@ -11,6 +11,7 @@ from pydantic import BaseModel, GetJsonSchemaHandler, TypeAdapter, ValidationErr
 from pydantic_core import CoreSchema, core_schema
 
 from counterspin.campaign.documents import KeyPath, key_path
+from counterspin.errors import Problem, code_of
 from counterspin.loading import load_name
 
 M = TypeVar("M", bound=BaseModel)
@@ -34,6 +35,21 @@ _PLAIN_MESSAGES: Final[Mapping[str, str]] = {
     "date_type": "must be a date, such as 2026-03-02",
     "greater_than_equal": "must be at least {ge}",
     "less_than_equal": "must be at most {le}",
+}
+
+#: Pydantic's kinds of mistake -> code of the error; ``value_error`` has that of its error.
+_CODES: Final[Mapping[str, str]] = {
+    "missing": "missing-key",
+    "extra_forbidden": "unknown-key",
+    "literal_error": "unknown-choice",
+    "string_too_short": "missing-value",
+    "too_short": "missing-value",
+    "greater_than": "value-out-of-range",
+    "greater_than_equal": "value-out-of-range",
+    "less_than": "value-out-of-range",
+    "less_than_equal": "value-out-of-range",
+    "finite_number": "value-out-of-range",
+    "": "wrong-type",
 }
 
 #: How pydantic names the one of several types as which a value was read, in a mistake's place.
@@ -96,9 +112,10 @@ class Problems:
         self.lines: list[str] = []
         self._raw = raw
 
-    def add(self, path: KeyPath, message: str) -> None:
-        """Note a mistake at a key."""
-        line = f"{key_path(path)}: {message}{self._run_name(path)}"
+    def add(self, path: KeyPath, message: str, code: str = "conflicting-keys") -> None:
+        """Note a mistake at a key; a message that is a `Problem` has its own code."""
+        text = f"{key_path(path)}: {message}{self._run_name(path)}"
+        line = Problem(text, code_of(message, code))
         if line not in self.lines:
             self.lines.append(line)
 
@@ -136,7 +153,8 @@ class Problems:
             instance = model.model_validate(raw, context=context)
         except ValidationError as error:
             for error_path, mistake in _deduplicate(error.errors(include_url=False)):
-                self.add((*path, *error_path), _error_text(mistake, error_path, model))
+                text = _error_text(mistake, error_path, model)
+                self.add((*path, *error_path), text, _error_code(mistake))
                 invalid_keys.add(str(error_path[0]) if error_path else "")
             if isinstance(raw, Mapping) and "" not in invalid_keys:
                 instance = _validate_without(model, raw, invalid_keys, context)
@@ -150,7 +168,7 @@ class Problems:
         try:
             return make(*args, **kwargs)
         except ValueError as error:
-            self.add(path, str(error))
+            self.add(path, str(error), code_of(error))
             return None
 
     def _run_name(self, path: KeyPath) -> str:
@@ -176,6 +194,13 @@ def _error_text(mistake: Any, loc: KeyPath, model: type[BaseModel]) -> str:
         return f"must have at most {sizes['max_length']} entries"
     words: str = _PLAIN_MESSAGES.get(kind, "{}").format(mistake["msg"], **sizes)
     return words
+
+
+def _error_code(mistake: Any) -> str:
+    kind = mistake["type"]
+    if kind == "value_error":
+        return code_of(mistake["ctx"]["error"])
+    return _CODES.get(kind, "wrong-type" if kind.endswith("_type") else "invalid-value")
 
 
 def _contradictions(instance: Any) -> Iterator[Any]:

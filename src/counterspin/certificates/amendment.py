@@ -19,7 +19,7 @@ from counterspin.certificates.certificate_reader import (
 )
 from counterspin.certificates.certificate_text import coverage_factor
 from counterspin.certificates.schema import NAMESPACES, Element, parse
-from counterspin.errors import CampaignError, RecordError
+from counterspin.errors import CampaignError, RecordError, UsageError
 from counterspin.frozen import frozen
 from counterspin.reports.numbers import field_unit, format_estimate
 
@@ -75,14 +75,13 @@ class AmendedCertificate:
 def read_amended(amendment: Amendment) -> tuple[AmendedCertificate, bytes]:
     """Return the data of the replaced certificate, and its XML."""
     if not amendment.reason.strip():
-        raise CampaignError(
-            "certificate", ["`reason`: give the reason for replacing the certificate"]
-        )
+        raise UsageError("certificate", ["`reason`: give the reason for replacing the certificate"])
     data = read_document(amendment.path)
     numbers = read_certificate(data, str(amendment.path))
     if numbers.identifier.startswith("DRAFT-"):
         raise RecordError(
-            f"{amendment.path} is a draft, which was never issued and cannot be amended"
+            f"{amendment.path} is a draft, which was never issued and cannot be amended",
+            code="wrong-amendment",
         )
     checksum = hashlib.sha256(data).hexdigest()
     reason = " ".join(amendment.reason.split())
@@ -102,7 +101,9 @@ def check_new_identifier(identifier: str, amended: AmendedCertificate) -> None:
     else:
         return
     remedy = "each certificate needs a unique identifier"
-    raise CampaignError("certificate.identifier", [f'"{identifier}" {problem}; {remedy}'])
+    raise CampaignError(
+        "certificate.identifier", [f'"{identifier}" {problem}; {remedy}'], code="duplicate-entry"
+    )
 
 
 def _is_same_identifier(first: str, second: str) -> bool:
@@ -149,9 +150,12 @@ def verify_amended(new: bytes, old: Path, source: str) -> str:
     )
     data = read_document(old)
     if not previous:
-        raise RecordError(f"{source} does not amend a certificate")
+        raise RecordError(f"{source} does not amend a certificate", code="wrong-amendment")
     if previous[0].text != hashlib.sha256(data).hexdigest():
-        raise RecordError(f"{source} does not amend {old}, or {old} has been changed since then")
+        raise RecordError(
+            f"{source} does not amend {old}, or {old} has been changed since then",
+            code="wrong-amendment",
+        )
     before, after = read_certificate(data, str(old)), read_certificate(new, source)
     if any(
         _is_same_identifier(after.identifier, earlier)
@@ -159,7 +163,8 @@ def verify_amended(new: bytes, old: Path, source: str) -> str:
     ):
         raise RecordError(
             f"{source} has the identifier of {old} or of a certificate that {old} amends: the "
-            "amendments are circular; do not rely on any of these certificates"
+            "amendments are circular; do not rely on any of these certificates",
+            code="wrong-amendment",
         )
     return before.identifier
 

@@ -63,17 +63,19 @@ def check_certifiable(result: Result, names: Sequence[str]) -> None:
     if result.model == "as-printed":
         raise RecordError(
             "this result was computed with the paper's equations as printed, which give "
-            "half the true K_II; calibrate again with the exact model"
+            "half the true K_II; calibrate again with the exact model",
+            code="as-printed",
         )
     if (refused := refusal_reason(judge_result(result), names)) is not None:
-        raise RecordError(refused)
+        raise RecordError(refused, code="contradicted")
     by_accelerometer = (result.accelerometers[name].coefficients.values() for name in names)
     if not any(
         certificate_text.is_determined(c) for coefficients in by_accelerometer for c in coefficients
     ):
         raise RecordError(
             f"the records do not determine any coefficient of {', '.join(names)}: there is "
-            "nothing to certify"
+            "nothing to certify",
+            code="not-determined",
         )
 
 

@@ -19,9 +19,12 @@ from counterspin.certificates.signature import PdfSignatureStatus, verify_pdf_si
 from counterspin.errors import (
     REASON_LENGTH,
     CounterspinError,
+    DamagedFileError,
+    MissingPackageError,
     RecordError,
     describe_read_error,
     installing,
+    read_error_code,
 )
 from counterspin.frozen import frozen
 from counterspin.input import read_file
@@ -59,7 +62,8 @@ def _read_xml(path: Path) -> bytes:
         return read_file(path)
     except OSError as error:
         raise RecordError(
-            f"{path}: {describe_read_error(error)}; give the XML or PDF of a certificate"
+            f"{path}: {describe_read_error(error)}; give the XML or PDF of a certificate",
+            code=read_error_code(error),
         ) from error
 
 
@@ -68,7 +72,7 @@ def _attached_xml(path: Path) -> bytes:
     try:
         import pypdf
     except ImportError as error:
-        raise CounterspinError(_PYPDF_MISSING) from error
+        raise MissingPackageError(_PYPDF_MISSING) from error
     try:
         attachments = _xml_files(pypdf.PdfReader(io.BytesIO(content)))
     except MemoryError:
@@ -80,7 +84,8 @@ def _attached_xml(path: Path) -> bytes:
             "there is no XML file" if not attachments else f"there are {len(attachments)} XML files"
         )
         raise RecordError(
-            f"{path}: {own_data} attached to the PDF; the PDF of a certificate has exactly one"
+            f"{path}: {own_data} attached to the PDF; the PDF of a certificate has exactly one",
+            code="wrong-document",
         )
     return attachments[0]
 
@@ -97,7 +102,7 @@ def _pdf_signature_status(path: Path, public: bytes) -> PdfSignatureStatus:
 
 def _damage_error(path: Path, error: Exception) -> RecordError:
     reason = str(error)[:REASON_LENGTH] or type(error).__name__
-    return RecordError(f"{path} is not a PDF, or is damaged ({reason})")
+    return DamagedFileError(f"{path} is not a PDF, or is damaged ({reason})")
 
 
 def _xml_files(reader: Any) -> list[bytes]:
@@ -203,7 +208,8 @@ def read_certificate(document: bytes, source: str) -> CertificateNumbers:
         )
     except (ArithmeticError, KeyError, ValueError) as error:
         raise RecordError(
-            f"{source} is not a calibration certificate written by counterspin ({error})"
+            f"{source} is not a calibration certificate written by counterspin ({error})",
+            code="wrong-document",
         ) from error
 
 

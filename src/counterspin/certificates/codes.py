@@ -11,6 +11,8 @@ from functools import cache
 from importlib import resources
 from typing import Final, Literal
 
+from counterspin.errors import InputError
+
 CodeList = Literal["country", "language"]
 
 _ASSETS: Final[Mapping[CodeList, str]] = {"country": "countries.txt", "language": "languages.txt"}
@@ -39,7 +41,9 @@ def check_code(value: str, kind: CodeList) -> str:
         return value
     near = [f'"{code}" ({codes[code]})' for code in _close_codes(value, codes)]
     hint = f"; did you mean {' or '.join(near)}?" if near else ""
-    raise ValueError(f'"{value}" is not a current {kind} code of {_STANDARDS[kind]}{hint}')
+    raise InputError(
+        f'"{value}" is not a current {kind} code of {_STANDARDS[kind]}{hint}', "unknown-choice"
+    )
 
 
 def _close_codes(value: str, codes: Mapping[str, str]) -> list[str]:

@@ -62,7 +62,7 @@ def require_evidence(assumed: Sequence[str], evidence: Mapping[str, str], source
         "these terms; give evidence for the bound of each term in [evidence], such as a "
         f"measurement or a data sheet: {lines}; or calibrate without the assumption"
     )
-    raise CampaignError(source, [problem])
+    raise CampaignError(source, [problem], code="certificate-incomplete")
 
 
 def evidence_lines(assumed: Sequence[str], evidence: Mapping[str, str]) -> Iterator[str]:

@@ -52,7 +52,12 @@ from counterspin.certificates.signature import (
 )
 from counterspin.certificates.signers import KeyMaterial, Signer, certificates_in
 from counterspin.certificates.statements import Issue
-from counterspin.errors import CampaignError, CounterspinError, RecordError
+from counterspin.errors import (
+    CampaignError,
+    ExistingFileError,
+    RecordError,
+    UsageError,
+)
 from counterspin.frozen import frozen
 from counterspin.input import read_file
 from counterspin.output import reserve, write_whole
@@ -164,7 +169,7 @@ class Certificate:
         published_xml = read_document(xml)
         staged_pdf = self._staged_pdf_path(pdf, published_xml)
         if not (staged_pdf.is_file() and read_document(staged_pdf) == published_xml):
-            raise CounterspinError(
+            raise ExistingFileError(
                 f"{xml} exists, but its PDF was not begun by this command; a certificate never "
                 "overwrites a file: choose another name"
             )
@@ -202,9 +207,13 @@ class Certificate:
 def check_output_path(output: Path) -> None:
     """Refuse a name with another ending, and the name of an existing file."""
     if output.suffix.lower() not in FORMATS:
-        raise CampaignError("certificate", [f"{output}: end the name of the file in .xml or .pdf"])
+        raise CampaignError(
+            "certificate",
+            [f"{output}: end the name of the file in .xml or .pdf"],
+            code="wrong-file-ending",
+        )
     if output.is_file():
-        raise CounterspinError(
+        raise ExistingFileError(
             f"{output} exists; a certificate never replaces a file, which may be an issued "
             "certificate: choose another name"
         )
@@ -277,14 +286,14 @@ def certificate(
     """
     for name, reason in (("accept_misfit", accept_misfit), ("accept_unsealed", accept_unsealed)):
         if reason is not None and not reason.strip():
-            raise CampaignError("certificate", [f"`{name}`: give the reason in words"])
+            raise UsageError("certificate", [f"`{name}`: give the reason in words"])
     original = result if isinstance(result, Result) else Result.read(result)
     data, specifications = read_lab(lab, original)
     names = data.certified(original)
     judged = judge_result(original)
     if accept_misfit is not None:
         if judged.state != "contradicted":
-            raise CampaignError(
+            raise UsageError(
                 "certificate",
                 ["`accept_misfit`: the records do not contradict this result; omit this argument"],
             )
@@ -294,10 +303,10 @@ def certificate(
     except RecordError as error:
         if isinstance(result, Result):
             raise
-        raise RecordError(f"{result}: {error}") from error
+        raise RecordError(f"{result}: {error}", code=error.code) from error
     if (problem := _unsealed_error(original, accept_unsealed)) is not None:
         source = "the result" if isinstance(result, Result) else str(result)
-        raise RecordError(f"{source}: {problem}")
+        raise RecordError(f"{source}: {problem}", code="result-altered")
     source = "the laboratory's data" if isinstance(lab, Mapping) else str(lab)
     folder = Path() if isinstance(lab, Mapping) else Path(lab).parent
     require_evidence(original.assumed, data.evidence, source)
@@ -312,7 +321,7 @@ def certificate(
         logo=read_laboratory_logo(data, folder, source),
     )
     if issue.draft and signer is not None:
-        raise CampaignError(source, missing_lines(missing))
+        raise CampaignError(source, missing_lines(missing), code="certificate-incomplete")
     if callable(signer):
         signer = signer()
     certified = apply_cmc_floor(judged, data)
@@ -461,11 +470,13 @@ def _check_pages(path: Path, cert: Path | KeyMaterial) -> PdfSignatureStatus | N
     if status == "changed":
         raise RecordError(
             f"{path}: the signature is not valid: the pages were changed after the holder of "
-            f"{cert} had signed them; the attached XML was not changed"
+            f"{cert} had signed them; the attached XML was not changed",
+            code="invalid-signature",
         )
     if status == "invalid":
         raise RecordError(
-            f"{path}: the pages were not signed by the holder of {cert}; the attached XML was"
+            f"{path}: the pages were not signed by the holder of {cert}; the attached XML was",
+            code="invalid-signature",
         )
     return status
 

@@ -37,7 +37,7 @@ from counterspin.campaign.validation import Problems, Section, suggest_name
 from counterspin.certificates.codes import check_code
 from counterspin.certificates.evidence import ALL, names_terms
 from counterspin.certificates.schema import clean_text
-from counterspin.errors import CounterspinError
+from counterspin.errors import ExistingFileError, InputError, OutOfRangeError, Problem
 from counterspin.input import path_of
 from counterspin.output import write_text
 from counterspin.physics.terms import TABLE, TERMS
@@ -55,7 +55,7 @@ _CELSIUS: Final = re.compile(r"(.*?)\s*(?:degC|°C)")
 def _check_text(value: str) -> str:
     stripped = " ".join(value.split())
     if not stripped:
-        raise ValueError("must not be empty")
+        raise InputError("must not be empty", "missing-value")
     if clean_text(stripped) != stripped:
         raise ValueError("contains a control character, which is not allowed in a certificate")
     return stripped
@@ -159,14 +159,19 @@ class CertificateSettings(SettingsSection):
     def contradictions(self) -> Iterator[Contradiction]:
         """Yield dates that are not in order, and a ledger elsewhere."""
         if self.end < self.begin:
-            yield ("end",), "lies before certificate.begin", "begin"
+            yield ("end",), Problem("lies before certificate.begin", "conflicting-values"), "begin"
         if self.received is not None and self.received > self.begin:
-            yield ("received",), "lies after certificate.begin", "begin"
+            yield (
+                ("received",),
+                Problem("lies after certificate.begin", "conflicting-values"),
+                "begin",
+            )
         place = Path(self.ledger or ".")
         if place.is_absolute() or ".." in place.parts:
-            yield ("ledger",), "must be a file in the folder of this one, or below it"
+            message = "must be a file in the folder of this one, or below it"
+            yield ("ledger",), Problem(message, "path-outside-folder")
         if self.issued is not None and self.issued < self.end:
-            yield ("issued",), "lies before certificate.end", "end"
+            yield ("issued",), Problem("lies before certificate.end", "conflicting-values"), "end"
 
 
 class Contact(SettingsSection):
@@ -355,11 +360,13 @@ class Lab(SettingsSection):
         if symbol not in self.cmc:
             return None
         if symbol not in TERMS and symbol != APPLIED:
-            raise ValueError(f'unknown term "{symbol}"{suggest_name(symbol, [*TERMS, APPLIED])}')
+            raise InputError(
+                f'unknown term "{symbol}"{suggest_name(symbol, [*TERMS, APPLIED])}', "unknown-term"
+            )
         unit = "1" if symbol == APPLIED else TERMS[symbol].unit
         stated = parse(self.cmc[symbol], unit, gravity=gravity)
         if stated.value <= 0.0 or stated.u:
-            raise ValueError("must be one positive number, the expanded uncertainty for 95 %")
+            raise OutOfRangeError("must be one positive number, the expanded uncertainty for 95 %")
         return stated.value
 
     def serial_number(self, name: str, result: Result) -> str | None:
@@ -435,7 +442,7 @@ def _check_terms(
     for key in lab.evidence:
         if not names_terms(key, accelerometers):
             hint = suggest_name(key, [ALL, *TABLE])
-            problems.add(("evidence", key), f'unknown term "{key}"{hint}')
+            problems.add(("evidence", key), f'unknown term "{key}"{hint}', "unknown-term")
 
 
 def _check_accelerometers(raw: Mapping[str, Any], result: Result, problems: Problems) -> None:
@@ -444,7 +451,9 @@ def _check_accelerometers(raw: Mapping[str, Any], result: Result, problems: Prob
     settings, parts = table_of(raw, "certificate"), table_of(raw, "accelerometers")
     chosen = settings.get("accelerometers")
     if chosen == []:
-        problems.add(("certificate", "accelerometers"), "must have at least one entry")
+        problems.add(
+            ("certificate", "accelerometers"), "must have at least one entry", "missing-value"
+        )
     indices: list[tuple[KeyPath, object]] = [
         *(
             (("certificate", "accelerometers", place), name)
@@ -454,7 +463,11 @@ def _check_accelerometers(raw: Mapping[str, Any], result: Result, problems: Prob
     ]
     for place, name in indices:
         if isinstance(name, str) and name not in result_names:
-            problems.add(place, f'the result has no "{name}"' + suggest_name(name, result_names))
+            problems.add(
+                place,
+                f'the result has no "{name}"' + suggest_name(name, result_names),
+                "unknown-accelerometer",
+            )
     for name, part in parts.items():
         stated = result_names[name].serial_number if name in result_names else None
         lab_serial_number = part.get("serial_number") if isinstance(part, dict) else None
@@ -462,6 +475,7 @@ def _check_accelerometers(raw: Mapping[str, Any], result: Result, problems: Prob
             problems.add(
                 ("accelerometers", name, "serial_number"),
                 f'is "{lab_serial_number}", but the result is for "{stated}"',
+                "conflicting-values",
             )
 
 
@@ -472,7 +486,7 @@ def write_example(path: Path | str) -> Path:
     """Write a commented example; CounterspinError if the file exists or cannot be written."""
     path = Path(path)
     if path.exists():
-        raise CounterspinError(f"{path} exists; edit it, or choose another name")
+        raise ExistingFileError(f"{path} exists; edit it, or choose another name")
     write_text(path, example_text())
     return path
 

@@ -20,7 +20,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from counterspin.calibration.result import Result
-from counterspin.errors import CounterspinError, RecordError, describe_read_error
+from counterspin.errors import (
+    CounterspinError,
+    RecordError,
+    WriteError,
+    describe_read_error,
+    read_error_code,
+)
 from counterspin.frozen import frozen
 from counterspin.input import DOCUMENT_BYTES, parse_json, read_file, require_file
 from counterspin.output import finish, require_valid_name, reserve, write_whole
@@ -79,7 +85,9 @@ def verify_ledger(path: Path) -> VerifiedLedger:
     try:
         return _verify_content(read_file(path), str(path))
     except OSError as error:
-        raise RecordError(f"{path}: {describe_read_error(error)}") from error
+        raise RecordError(
+            f"{path}: {describe_read_error(error)}", code=read_error_code(error)
+        ) from error
 
 
 def append(path: Path, what: str, of: Mapping[str, str], *, who: str, why: str, when: str) -> Entry:
@@ -106,7 +114,10 @@ class OpenLedger:
         self._path, self._file = path, file
         self._size = os.fstat(file).st_size
         if self._size > DOCUMENT_BYTES:
-            raise RecordError(f"{path} has more than {DOCUMENT_BYTES} bytes; start a new ledger")
+            raise RecordError(
+                f"{path} has more than {DOCUMENT_BYTES} bytes; start a new ledger",
+                code="file-too-large",
+            )
         complete = b""
         while partial_entry := os.read(file, self._size + 1):
             complete += partial_entry
@@ -212,7 +223,7 @@ def _lock(file: int) -> None:
 
 def _write_error(path: Path, error: OSError) -> CounterspinError:
     reason = error.strerror or str(error)
-    return CounterspinError(f"{path}: the ledger cannot be written ({reason})")
+    return WriteError(f"{path}: the ledger cannot be written ({reason})")
 
 
 # Lines
@@ -236,16 +247,17 @@ def _verify_content(content_bytes: bytes, source: str) -> VerifiedLedger:
             problem, which = "was altered after it was written, or removed", number - 1
         if problem is not None or content is None:
             if content is None and number == 1:
-                raise RecordError(f"{source}: {_NO_LEDGER}")
+                raise RecordError(f"{source}: {_NO_LEDGER}", code="wrong-document")
             what = f"entry {which}" if which else "the beginning"
             raise RecordError(
-                f"{source}: {what} {problem}; do not rely on the entries from there on"
+                f"{source}: {what} {problem}; do not rely on the entries from there on",
+                code="ledger-altered",
             )
         entries.append(_entry(content))
         previous = content["hash"]
     if unfinished and not entries and not _begins_entry(unfinished):
         # Bytes that do not begin an entry show that the file is not a ledger.
-        raise RecordError(f"{source}: {_NO_LEDGER}")
+        raise RecordError(f"{source}: {_NO_LEDGER}", code="wrong-document")
     return VerifiedLedger(tuple(entries), unfinished)
 
 
@@ -346,7 +358,8 @@ def record_certificate(
             raise RecordError(
                 f"{ledger_path} already contains certificate {of['identifier']} (entry "
                 f"{earlier[-1].number}), with different content; issue an amendment (`amends`), "
-                "or choose another certificate.identifier"
+                "or choose another certificate.identifier",
+                code="ledger-conflict",
             )
         _check_amended(ledger, ledger_path, of)
         staged = _staging_path(path, checksum)
@@ -367,7 +380,8 @@ def _check_amended(ledger: OpenLedger, ledger_path: Path, of: Mapping[str, str])
         raise RecordError(
             f"{ledger_path}: entry {amended[-1].number} records certificate {of['amends']} with "
             "different content: the file to be amended was changed after it was issued; give the "
-            "issued file"
+            "issued file",
+            code="ledger-conflict",
         )
 
 
@@ -411,7 +425,7 @@ def _publish(path: Path, checksum: str) -> None:
     try:
         finish(_staging_path(path, checksum), path)
     except OSError as error:
-        raise CounterspinError(f"{path} cannot be written ({error.strerror})") from error
+        raise WriteError(f"{path} cannot be written ({error.strerror})") from error
 
 
 def ledger_blocks(verified: VerifiedLedger) -> Iterator[Block]:
@@ -449,7 +463,9 @@ def _checksum(file: Path) -> str:
     try:
         return checksum_of(read_file(file))
     except OSError as error:
-        raise RecordError(f"{file}: {describe_read_error(error)}") from error
+        raise RecordError(
+            f"{file}: {describe_read_error(error)}", code=read_error_code(error)
+        ) from error
 
 
 def _utc_text(date: datetime) -> str:

@@ -9,7 +9,7 @@ from typing import Any, Final
 from lxml import etree
 
 from counterspin.certificates.schema import parser
-from counterspin.errors import describe_read_error
+from counterspin.errors import InputError, describe_read_error, read_error_code
 from counterspin.input import read_file
 from counterspin.reports.pdf import is_image
 
@@ -33,7 +33,7 @@ def read_logo(folder: Path, name: str) -> bytes:
     try:
         data = read_file(folder / name, MAX_BYTES)
     except OSError as error:
-        raise ValueError(f"{name}: {describe_read_error(error)}") from error
+        raise InputError(f"{name}: {describe_read_error(error)}", read_error_code(error)) from error
     if not data.startswith(_PNG):
         _check_svg(name, data)
     if not is_image(data):

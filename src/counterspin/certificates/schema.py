@@ -15,7 +15,7 @@ from urllib.parse import urljoin
 from lxml import etree
 
 from counterspin.characters import escape_controls
-from counterspin.errors import CounterspinError, RecordError
+from counterspin.errors import CounterspinError, DamagedFileError, RecordError
 from counterspin.input import looks_like
 
 DCC: Final = "https://ptb.de/dcc"
@@ -61,7 +61,8 @@ def check_schema(document: bytes, schema: Path, source: str) -> None:
     raise RecordError(
         f"{source} does not conform to the schema in {schema}\n  "
         + "\n  ".join(lines)
-        + remaining_count
+        + remaining_count,
+        code="wrong-document",
     )
 
 
@@ -76,13 +77,14 @@ def parse(document: bytes, source: str, *, comments: bool = False) -> Any:
     except etree.LxmlError as error:
         seen = "" if document.lstrip()[:1] == b"<" else looks_like(document) or "other text"
         reason = f"it is {seen}" if seen else str(error)
-        raise RecordError(
+        raise DamagedFileError(
             f"{source} is not XML, or is damaged ({reason}); give the XML or PDF of a certificate"
         ) from error
     if root.getroottree().docinfo.doctype:
         # Entities could hide content, and no certificate needs them.
         raise RecordError(
-            f"{source}: has a document type declaration, which a certificate must not have"
+            f"{source}: has a document type declaration, which a certificate must not have",
+            code="wrong-document",
         )
     return root
 
@@ -104,7 +106,8 @@ def load_schema(schema: Path) -> Any:
     except (etree.LxmlError, OSError) as error:
         raise CounterspinError(
             f"{main} is not a schema, or files that it imports are not in the folder ({error}); "
-            "download dcc.xsd, the D-SI schema, the QUDT schema and xmldsig-core-schema.xsd"
+            "download dcc.xsd, the D-SI schema, the QUDT schema and xmldsig-core-schema.xsd",
+            code="wrong-document",
         ) from error
 
 
@@ -112,12 +115,12 @@ def _main_file(schema: Path) -> Path:
     if schema.is_file():
         return schema
     if not schema.is_dir():
-        raise CounterspinError(f"{schema}: file not found")
+        raise CounterspinError(f"{schema}: file not found", code="file-not-found")
     schemas = [path for path in _schema_files(schema) if _target_namespace(path) == DCC]
     if len(schemas) == 1:
         return schemas[0]
     description = "several DCC schemas; name one of them" if schemas else "no DCC schema (dcc.xsd)"
-    raise CounterspinError(f"{schema}: holds {description}")
+    raise CounterspinError(f"{schema}: holds {description}", code="wrong-document")
 
 
 class _LocalResolver(etree.Resolver):  # type: ignore[misc]  # lxml has no type annotations

@@ -17,7 +17,12 @@ from typing import Any, Final, Literal
 
 from counterspin.certificates.schema import NAMESPACES, Element, parse
 from counterspin.certificates.signers import KeyMaterial, Signer, certificates_in
-from counterspin.errors import REASON_LENGTH, CounterspinError, RecordError, installing
+from counterspin.errors import (
+    REASON_LENGTH,
+    MissingPackageError,
+    RecordError,
+    installing,
+)
 from counterspin.frozen import frozen
 
 _NAMESPACE: Final = "{http://www.w3.org/2000/09/xmldsig#}"
@@ -75,21 +80,25 @@ def verify(document: bytes, certificate: Path | KeyMaterial, source: str) -> Sig
     trusted = certificates_in(KeyMaterial.read(certificate))[0]
     root = parse(document, source, comments=True)  # the signature may cover the comments
     if root.find(_SIGNATURE) is None:
-        raise RecordError(f"{source} is not signed")
+        raise RecordError(f"{source} is not signed", code="invalid-signature")
     try:
         verified = _signed_part(root, trusted.public_key())
     except InvalidDigest as error:
         raise RecordError(
             f"{source}: the signature is not valid: the document was changed after the holder of "
-            f"{certificate} had signed it"
+            f"{certificate} had signed it",
+            code="invalid-signature",
         ) from error
     except Exception as error:  # any error of signxml, lxml and cryptography
         raise RecordError(
-            f"{source}: the signature is not valid: {_describe_signer(root, certificate)}"
+            f"{source}: the signature is not valid: {_describe_signer(root, certificate)}",
+            code="invalid-signature",
         ) from error
     covered: Any = verified.signed_xml
     if covered is None or covered.tag != root.tag:
-        raise RecordError(f"{source}: the signature does not cover the whole document")
+        raise RecordError(
+            f"{source}: the signature does not cover the whole document", code="invalid-signature"
+        )
     return SignatureCheck(
         bytes(verified.signed_data), _expiry(trusted, _issue_date(covered), certificate, source)
     )
@@ -169,7 +178,8 @@ def _expiry(
     begin, end = trusted.not_valid_before_utc, trusted.not_valid_after_utc
     if begin > now:
         raise RecordError(
-            f"{source}: {certificate} is valid only from {begin:%Y-%m-%d}; check the clock"
+            f"{source}: {certificate} is valid only from {begin:%Y-%m-%d}; check the clock",
+            code="certificate-expired",
         )
     if now <= end:
         return None
@@ -178,7 +188,8 @@ def _expiry(
         raise RecordError(
             f"{source}: {certificate} was valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, and the "
             f"document states {day}: there is no evidence that the document was signed within "
-            "this period"
+            "this period",
+            code="certificate-expired",
         )
     last_day: date = end.date()
     return last_day
@@ -188,7 +199,7 @@ def _signxml() -> Any:
     try:
         import signxml
     except ImportError as error:
-        raise CounterspinError(_SIGNXML_MISSING) from error
+        raise MissingPackageError(_SIGNXML_MISSING) from error
     return signxml
 
 
@@ -345,4 +356,4 @@ def _require_pyhanko() -> None:
     try:
         import pyhanko.sign  # noqa: F401
     except ImportError as error:
-        raise CounterspinError(_MISSING) from error
+        raise MissingPackageError(_MISSING) from error

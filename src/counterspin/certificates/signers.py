@@ -9,7 +9,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.errors import REASON_LENGTH, CounterspinError, describe_read_error, installing
+from counterspin.errors import (
+    REASON_LENGTH,
+    CounterspinError,
+    MissingPackageError,
+    describe_read_error,
+    installing,
+    read_error_code,
+)
 from counterspin.frozen import frozen
 from counterspin.input import read_file
 from counterspin.shell import find_program, join_command, split_command
@@ -26,8 +33,16 @@ _MISSING: Final = (
 )
 
 
+class KeyFileError(CounterspinError):
+    """A key or its certificate cannot be used to sign."""
+
+    code = "unusable-key"
+
+
 class PasswordNeededError(CounterspinError):
     """The error for an encrypted key without a password."""
+
+    code = "password-needed"
 
 
 @frozen(eq=False)
@@ -87,7 +102,9 @@ class KeyMaterial:
         try:
             return cls(str(path), read_file(path))
         except OSError as error:
-            raise CounterspinError(f"{path}: {describe_read_error(error)}") from error
+            raise CounterspinError(
+                f"{path}: {describe_read_error(error)}", code=read_error_code(error)
+            ) from error
 
 
 def read_signer(
@@ -113,7 +130,7 @@ def read_signer(
         certificates = certificates_in(certificate_material or key_material)
     source = (certificate_material or key_material).name
     if certificates[0].public_key() != private.public_key():
-        raise CounterspinError(f"{source} is not the certificate of the key {key_material.name}")
+        raise KeyFileError(f"{source} is not the certificate of the key {key_material.name}")
     signer = signer_from_key(private, certificates)
     _check_signer(signer, key_material.name, source)
     return signer
@@ -136,9 +153,11 @@ def command_signer(command: str, certificate: Path) -> Signer:
     try:
         words = split_command(command)
     except ValueError as error:
-        raise CounterspinError(f"`signer`: {command!r} is not a command ({error})") from error
+        raise CounterspinError(
+            f"`signer`: {command!r} is not a command ({error})", code="wrong-usage"
+        ) from error
     if not words:
-        raise CounterspinError("`signer`: give the signing command")
+        raise CounterspinError("`signer`: give the signing command", code="wrong-usage")
     certificates = certificates_in(KeyMaterial.read(certificate))
     signer = Signer(
         certificates, lambda data: _sign_with_command(words, data, certificates[0].public_key())
@@ -152,7 +171,9 @@ def _sign_with_command(words: Sequence[str], data: bytes, public: Any) -> bytes:
     from cryptography.exceptions import InvalidSignature
 
     def failed(why: str) -> CounterspinError:
-        return CounterspinError(f"the signer's command {join_command(words)} {why}")
+        return CounterspinError(
+            f"the signer's command {join_command(words)} {why}", code="signer-failed"
+        )
 
     try:
         process = subprocess.run(
@@ -200,7 +221,7 @@ def certificates_in(file: KeyMaterial) -> list[Any]:
     try:
         return load_pem_x509_certificates(file.content)
     except ValueError as error:
-        raise CounterspinError(f"{file.name} is not an X.509 certificate in PEM format") from error
+        raise KeyFileError(f"{file.name} is not an X.509 certificate in PEM format") from error
 
 
 def _read_pem_key(file: KeyMaterial, password: bytes | None) -> Any:
@@ -217,9 +238,10 @@ def _read_pem_key(file: KeyMaterial, password: bytes | None) -> Any:
         if password is not None:
             raise CounterspinError(
                 f"{file.name} cannot be read with this password, or is not a private key in PEM "
-                "format"
+                "format",
+                code="wrong-password",
             ) from error
-        raise CounterspinError(f"{file.name} is not a private key in PEM format") from error
+        raise KeyFileError(f"{file.name} is not a private key in PEM format") from error
 
 
 def _read_pkcs12(file: KeyMaterial, password: bytes | None) -> tuple[Any, list[Any]]:
@@ -230,16 +252,17 @@ def _read_pkcs12(file: KeyMaterial, password: bytes | None) -> tuple[Any, list[A
         content = load_pkcs12(file.content, password)
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:
         if not file.content.startswith(b"\x30"):
-            raise CounterspinError(
+            raise KeyFileError(
                 f"{file.name} is neither a private key in PEM format nor a PKCS #12 file"
             ) from error
         if password is None:
             raise PasswordNeededError(f"{file.name} is encrypted; give the password") from error
         raise CounterspinError(
-            f"{file.name} cannot be read with this password, or is not a PKCS #12 file"
+            f"{file.name} cannot be read with this password, or is not a PKCS #12 file",
+            code="wrong-password",
         ) from error
     if content.key is None or content.cert is None:
-        raise CounterspinError(f"{file.name} does not contain both a key and its certificate")
+        raise KeyFileError(f"{file.name} does not contain both a key and its certificate")
     return content.key, [
         content.cert.certificate,
         *(extra.certificate for extra in content.additional_certs),
@@ -251,17 +274,17 @@ def _check_signer(signer: Signer, key: str, certificate: str) -> None:
     from cryptography.x509 import ExtensionNotFound, KeyUsage
 
     if not _signature_scheme(signer.public_key):
-        raise CounterspinError(f"{key} must be an RSA or an elliptic-curve key")
+        raise KeyFileError(f"{key} must be an RSA or an elliptic-curve key")
     min_bits, size = _RSA_BITS if signer.uses_rsa else _CURVE_BITS, signer.public_key.key_size
     if size < min_bits:
-        raise CounterspinError(f"{key} has {size} bits; at least {min_bits} are required")
+        raise KeyFileError(f"{key} has {size} bits; at least {min_bits} are required")
     certificate_of_signer = signer.certificates[0]
     begin, end = (
         certificate_of_signer.not_valid_before_utc,
         certificate_of_signer.not_valid_after_utc,
     )
     if not begin <= datetime.now(UTC) <= end:
-        raise CounterspinError(
+        raise KeyFileError(
             f"{certificate} is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d} only, so it is not "
             "valid today"
         )
@@ -270,13 +293,13 @@ def _check_signer(signer: Signer, key: str, certificate: str) -> None:
     except ExtensionNotFound:
         return
     except ValueError as error:
-        raise CounterspinError(f"{certificate}: the extensions are damaged") from error
+        raise KeyFileError(f"{certificate}: the extensions are damaged") from error
     if not (usage.digital_signature or usage.content_commitment):
-        raise CounterspinError(f"{certificate}: the key is not intended for signatures (key usage)")
+        raise KeyFileError(f"{certificate}: the key is not intended for signatures (key usage)")
 
 
 def _require_cryptography() -> None:
     try:
         import cryptography  # noqa: F401
     except ImportError as error:
-        raise CounterspinError(_MISSING) from error
+        raise MissingPackageError(_MISSING) from error

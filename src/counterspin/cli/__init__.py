@@ -40,6 +40,7 @@ from counterspin.errors import (
     CampaignError,
     CounterspinError,
     CounterspinWarning,
+    UsageError,
     describe_read_error,
     require_thread_count,
 )
@@ -147,7 +148,7 @@ def _run(words: list[str]) -> int:
     try:
         require_thread_count()
         if any("\0" in word for word in words):
-            raise CampaignError("the arguments of the command", ["contain a NUL character"])
+            raise UsageError("the arguments of the command", ["contain a NUL character"])
         app(words, exit_on_error=False, print_error=False, result_action="return_value")
         if sys.stdout is not None:
             sys.stdout.flush()

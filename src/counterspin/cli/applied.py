@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from counterspin.cli.certificate import UNSIGNED, SigningOptions
 from counterspin.cli.common import NOT_SAVED, SaveOptions, option_group, print_output
-from counterspin.errors import CampaignError
+from counterspin.errors import UsageError
 from counterspin.frozen import frozen
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class CertificateOptions:
     def check(self) -> None:
         """Refuse incomplete options and existing files."""
         if (self.lab is None) != (self.certificate is None):
-            raise CampaignError("applied", ["give both `certificate` and `lab`, or neither"])
+            raise UsageError("applied", ["give both `certificate` and `lab`, or neither"])
         if self.certificate is not None:
             self.signing.check_output(self.certificate)
 

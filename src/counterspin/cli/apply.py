@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from counterspin.cli.common import OnOff, OutputFolder, option_group
-from counterspin.errors import CampaignError
+from counterspin.errors import UsageError
 from counterspin.frozen import frozen
 
 
@@ -153,7 +153,7 @@ def parse_others(text: str | None) -> dict[str, str]:
     for item in text.split(",") if text else []:
         name, mark, column = (part.strip() for part in item.partition("="))
         if not (name and mark and column) or name in pairs:
-            raise CampaignError(
+            raise UsageError(
                 "apply", [f"--others: {text!r} is not of the form Qy=COLUMN,Qz=COLUMN"]
             )
         pairs[name] = column

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 from cyclopts import Parameter
 
 from counterspin.cli.common import NOT_SAVED, OnOff, SaveOptions, option_group
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CounterspinError, UsageError
 from counterspin.frozen import frozen
 
 if TYPE_CHECKING:
@@ -121,16 +121,16 @@ class LedgerOptions:
         """Refuse what cannot be entered, before there is a result."""
         if self.ledger is None:
             if self.who or self.why:
-                raise CampaignError("calibrate", ["--who and --why need --ledger FILE"])
+                raise UsageError("calibrate", ["--who and --why need --ledger FILE"])
             return
         if campaigns > 1:
-            raise CampaignError("calibrate", ["--ledger accepts the result of only one campaign"])
+            raise UsageError("calibrate", ["--ledger accepts the result of only one campaign"])
         if json is None or not self.who or not self.why:
-            raise CampaignError(
+            raise UsageError(
                 "calibrate", ["with --ledger, give --json FILE, --who NAME and --why REASON"]
             )
         if json.resolve() == self.ledger.resolve():
-            raise CampaignError("calibrate", ["--ledger and --json name the same file"])
+            raise UsageError("calibrate", ["--ledger and --json name the same file"])
         from counterspin.certificates.ledger import check_ledger
 
         check_ledger(self.ledger)
@@ -179,7 +179,7 @@ def calibrate(
     )
     ledger_options.check(1 + len(more), save_options.json)
     if more and estimation.monte_carlo:
-        raise CampaignError("calibrate", ["--monte-carlo accepts only one campaign"])
+        raise UsageError("calibrate", ["--monte-carlo accepts only one campaign"])
     if more:
         calibrate_several(
             (directory, *more),
@@ -211,10 +211,14 @@ def calibrate(
         )
     ledger_options.add_result(save_options.json)
     if result.state == "contradicted" and result.accepted_misfit is None:
-        raise CounterspinError(f"{_CONTRADICTED}: {result.findings[0].text} {_REMEDY}")
+        raise CounterspinError(
+            f"{_CONTRADICTED}: {result.findings[0].text} {_REMEDY}", code="contradicted"
+        )
     if result.state == "not-determined":
         first = result.findings[0]
-        raise CounterspinError(f"{first.subject} is not determined: {first.text}")
+        raise CounterspinError(
+            f"{first.subject} is not determined: {first.text}", code="not-determined"
+        )
 
 
 def _result_file_type() -> FileType:
@@ -251,13 +255,17 @@ def calibrate_several(
         report_console().print(batch)
     if batch.failed:
         raise CounterspinError(
-            f"{len(batch.failed)} of {len(batch.campaigns)} campaigns could not be calibrated"
+            f"{len(batch.failed)} of {len(batch.campaigns)} campaigns could not be calibrated",
+            code="batch-failed",
         )
     if batch.contradicted:
-        raise CounterspinError(f"{_CONTRADICTED} of {len(batch.contradicted)}. {_REMEDY}")
+        raise CounterspinError(
+            f"{_CONTRADICTED} of {len(batch.contradicted)}. {_REMEDY}", code="contradicted"
+        )
     if batch.not_determined:
         names = ", ".join(batch.not_determined)
         raise CounterspinError(
             f"the data of {len(batch.not_determined)} of {len(batch.campaigns)} campaigns do not "
-            f"determine all requested terms: {names}"
+            f"determine all requested terms: {names}",
+            code="not-determined",
         )

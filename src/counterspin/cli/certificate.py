@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from counterspin.cli.common import OutputFile, option_group, print_output
-from counterspin.errors import CampaignError
+from counterspin.errors import CampaignError, UsageError
 from counterspin.frozen import frozen
 
 if TYPE_CHECKING:
@@ -67,14 +67,14 @@ class SigningOptions:
 
         key, command, cert = self.key, self.signer, self.cert
         if command is not None and key is not None:
-            raise CampaignError("certificate", ["give --key or --signer, not both"])
+            raise UsageError("certificate", ["give --key or --signer, not both"])
         if command is not None:
             if cert is None:
-                raise CampaignError("certificate", ["give both --signer and --cert"])
+                raise UsageError("certificate", ["give both --signer and --cert"])
             return lambda: command_signer(command, cert)
         if key is None:
             if cert is not None:
-                raise CampaignError("certificate", ["--cert: also give --key or --signer"])
+                raise UsageError("certificate", ["--cert: also give --key or --signer"])
             return None
         return lambda: _read_signer(key, cert)
 
@@ -92,7 +92,9 @@ def _read_signer(key: Path, cert: Path | None) -> Signer:
 def _password(key: Path) -> str:
     if sys.stdin is None:
         raise CampaignError(
-            "certificate", [f"{key}: is encrypted; give its password on standard input"]
+            "certificate",
+            [f"{key}: is encrypted; give its password on standard input"],
+            code="password-needed",
         )
     if sys.stdin.isatty():
         return getpass(f"Password of {key}: ")
@@ -173,7 +175,7 @@ def certificate(
     from counterspin.reports.text import Report, report_console
 
     if sum(given is not None for given in (result, init, verify)) != 1:
-        raise CampaignError(
+        raise UsageError(
             "certificate", ["give RESULT and LAB.toml, or --init LAB.toml, or --verify FILE"]
         )
     if init is not None:
@@ -203,9 +205,9 @@ def certificate(
             print_output(_PAGES[checked.pages])
         return
     if result is None or lab is None or output is None:
-        raise CampaignError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])
+        raise UsageError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])
     if (issue.amends is None) != (issue.reason is None):
-        raise CampaignError("certificate", ["give both --amends OLD.xml and --reason WHY"])
+        raise UsageError("certificate", ["give both --amends OLD.xml and --reason WHY"])
     signing.check_output(output)
     done = make(
         result,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 from cyclopts import Parameter
 
 from counterspin.cli.common import print_output, shell_word
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CampaignError, CounterspinError, UsageError
 from counterspin.ingest.starter import Test
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def init(
         _import_files(directory, from_, answer or [], test, asks_questions=not yes)
         return
     if yes or answer:
-        raise CampaignError("init", ["give the recorder files: --from FILE ..."])
+        raise UsageError("init", ["give the recorder files: --from FILE ..."])
     from counterspin.ingest.starter import init as run
 
     written = run(directory, test or "double-turntable")
@@ -96,7 +96,7 @@ def _import_files(
         if not asks_questions:
             example = f'"select={question.example}"'
             text = f"{question.text} Give the answer with `answer`, such as {example}."
-            raise CampaignError("init", [f"select: {text}"])
+            raise CampaignError("init", [f"select: {text}"], code="missing-answer")
         answers["select"] = _ask(question)
         all_contents = read_files(files, answers)
     answers.pop("select", None)
@@ -120,7 +120,8 @@ def _import_files(
         written = write_description(detected_test, directory)
     except CampaignError as error:
         questions = {f"{question.key}: ": question for question in detected_test.open_questions}
-        raise type(error)("init", map(partial(_name_option, questions), error.problems)) from None
+        problems = map(partial(_name_option, questions), error.problems)
+        raise type(error)("init", problems, code=error.codes) from None
     print_output(
         f"Wrote {written}. Check it, then:",
         f"  counterspin calibrate {shell_word(directory)}",
@@ -150,7 +151,7 @@ def _choose_test(all_contents: Sequence[FileContents], *, asks: bool) -> Test:
             f"{question.text} Choose with `test`. The test cannot be detected from the files: "
             f"{'; '.join(reasons)}"
         )
-        raise CampaignError("init", [f"test: {text}"])
+        raise CampaignError("init", [f"test: {text}"], code="missing-answer")
     return likely
 
 
@@ -159,7 +160,7 @@ def _parse_answers(given: list[str]) -> dict[str, str]:
     for words in given:
         key, mark, value = words.partition("=")
         if not mark or not value.strip():
-            raise CampaignError("init", [f'answer: "{words}" is not of the form KEY=VALUE'])
+            raise UsageError("init", [f'answer: "{words}" is not of the form KEY=VALUE'])
         answers[key.strip()] = value.strip()
     return answers
 
@@ -173,7 +174,9 @@ def _ask(question: FileQuestion) -> str:
         try:
             answer = input("> ").strip() or question.guess or ""
         except EOFError:
-            raise CounterspinError("no answer was given; nothing is written") from None
+            raise CounterspinError(
+                "no answer was given; nothing is written", code="missing-answer"
+            ) from None
         try:
             return question.judged(answer)
         except ValueError as error:

@@ -13,7 +13,7 @@ from counterspin.cli.common import (
     print_output,
     shell_word,
 )
-from counterspin.errors import CampaignError
+from counterspin.errors import CampaignError, UsageError, code_of
 from counterspin.frozen import frozen
 
 
@@ -85,7 +85,7 @@ def plan(
     from counterspin.reports.text import progress, report_console
 
     if sum(given is not None for given in (file, check, start.init)) != 1:
-        raise CampaignError("plan", ["give a plan file, --check DIR, or --init FILE"])
+        raise UsageError("plan", ["give a plan file, --check DIR, or --init FILE"])
     if start.init is not None:
         print_output(f"Wrote {write_example(start.init, start.example)}. Edit it, or try it:")
         print_output(f"  counterspin plan {shell_word(start.init)}")
@@ -95,12 +95,12 @@ def plan(
         require_no_campaign(output)
     if check is not None:
         if output is not None:
-            raise CampaignError("plan", ["--output needs a plan, not --check"])
+            raise UsageError("plan", ["--output needs a plan, not --check"])
         try:
             typed = recording_details.sampling_rate
             rate = None if typed is None else exact(typed, "Hz")
         except ValueError as error:
-            raise CampaignError("--sampling-rate", [str(error)]) from error
+            raise CampaignError("--sampling-rate", [str(error)], code=code_of(error)) from error
         result = forecast(check, sampling_rate=rate, revolutions=recording_details.revolutions)
     else:
         assert file is not None  # one of the three is

@@ -13,7 +13,12 @@ from counterspin.cli.common import (
     print_output,
     shell_word,
 )
-from counterspin.errors import CampaignError, CounterspinError, installing
+from counterspin.errors import (
+    CounterspinError,
+    MissingPackageError,
+    UsageError,
+    installing,
+)
 
 
 def schema(document: Literal["campaign", "plan", "study", "lab", "result", "noise"], /) -> None:
@@ -60,13 +65,13 @@ def serve(
         X.509 certificate (PEM) of the key that the command uses.
     """
     if (signer is None) != (cert is None):
-        raise CampaignError("serve", ["give both --signer and --cert"])
+        raise UsageError("serve", ["give both --signer and --cert"])
     try:
         from counterspin.application.server import serve as run
     except ModuleNotFoundError as error:
         if error.name not in ("starlette", "uvicorn", "tomlkit"):
             raise
-        raise CounterspinError(
+        raise MissingPackageError(
             f"the web interface needs Starlette and uvicorn: {installing('application')}"
         ) from error
     signing = None if signer is None or cert is None else (signer, cert)
@@ -149,10 +154,13 @@ def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: boo
     report_console().print(dossier)
     print_output(f"Wrote {shell_word(output)}")
     if dossier.failed:
-        raise CounterspinError(f"reference cases failed: {'; '.join(dossier.failed)}")
+        raise CounterspinError(
+            f"reference cases failed: {'; '.join(dossier.failed)}", code="validation-failed"
+        )
     if not dossier.passed:
         installation = dossier.installation
         named = ", ".join([*installation.altered, *installation.missing])
         raise CounterspinError(
-            f"files of the installation are altered or missing: {named}; reinstall counterspin"
+            f"files of the installation are altered or missing: {named}; reinstall counterspin",
+            code="installation-altered",
         )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from counterspin.cli.common import NOT_SAVED, OutputFolder, SaveOptions, option_group, print_output
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CounterspinError, UsageError
 from counterspin.frozen import frozen
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def check(
     with save_options.writing(checked):
         report_console().print(checked)
     if not checked.good:
-        raise CounterspinError("the run has faults and should be repeated")
+        raise CounterspinError("the run has faults and should be repeated", code="run-faulty")
 
 
 def watch(
@@ -110,7 +110,7 @@ def watch(
     from counterspin.monitoring.watch import watch as follow
 
     if plan is not None and goal:
-        raise CampaignError("watch", ["give `goal` or `plan`, not both"])
+        raise UsageError("watch", ["give `goal` or `plan`, not both"])
     states = follow(directory, goals=goal if plan is None else plan, pace=Pace(interval), once=once)
     if json:
         for state in states:

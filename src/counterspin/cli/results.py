@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 from counterspin.cli.common import NOT_SAVED, OutputFile, OutputFolder, SaveOptions, print_output
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CounterspinError, UsageError
 
 if TYPE_CHECKING:
     from counterspin.results import ReportableResult
@@ -127,7 +127,7 @@ def history(
     from counterspin.reports.text import report_console
 
     if not paths:
-        raise CampaignError("history", ["give result files, or folders that contain them"])
+        raise UsageError("history", ["give result files, or folders that contain them"])
     if figure is not None:
         check_format(figure)
         reserve(figure, lambda: marked(FILE_DESCRIPTION), overwrite=save_options.overwrite)
@@ -142,7 +142,8 @@ def history(
     if result.damaged:
         raise CounterspinError(
             f"{len(result.damaged)} of the result files cannot be read; the history omits these "
-            "files"
+            "files",
+            code="batch-failed",
         )
 
 
@@ -250,7 +251,7 @@ def rerun(
     with save_options.writing(repeated):
         report_console().print(repeated)
     if not repeated.same:
-        raise CounterspinError(f"{result}: the repeated calibration differs")
+        raise CounterspinError(f"{result}: the repeated calibration differs", code="results-differ")
 
 
 def export(
@@ -327,19 +328,20 @@ def ledger(
 
     if action == "add":
         if not results or not who or not why:
-            raise CampaignError("ledger", ["give RESULT.json, --who NAME and --why REASON"])
+            raise UsageError("ledger", ["give RESULT.json, --who NAME and --why REASON"])
         for file in results:
             add_to_ledger(ledger, file, who=who, why=why)
         return
     if results or who or why:
-        raise CampaignError("ledger", ["with verify, give only the ledger"])
+        raise UsageError("ledger", ["with verify, give only the ledger"])
     verified = verify_ledger(ledger)
     report_console().print(Report(list(ledger_blocks(verified))))
     if verified.partial_entry:
         raise RecordError(
             f"{ledger}: entry {len(verified.entries)} is followed by an incomplete line of "
             f"{len(verified.partial_entry)} bytes, left by an interrupted command or altered at "
-            "the end; the preceding entries are intact, and the next entry will preserve this line"
+            "the end; the preceding entries are intact, and the next entry will preserve this line",
+            code="ledger-altered",
         )
 
 

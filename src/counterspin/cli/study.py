@@ -82,7 +82,9 @@ def study(
 
     if output is None and (keep_trials or resume):
         option = "`keep_trials`" if keep_trials else "`resume`"
-        raise CounterspinError(f"{option} needs the folder of the study (`output`)")
+        raise CounterspinError(
+            f"{option} needs the folder of the study (`output`)", code="wrong-usage"
+        )
     save_options.reserve(StudyResult.file_kind)
     folder = output and StudyFolder(output, keep_trials, resume, save_options.overwrite)
     with work_progress("Trials") as advance:

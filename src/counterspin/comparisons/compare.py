@@ -27,7 +27,7 @@ from counterspin.comparisons.result import (
     ComparedResult,
     ResultComparison,
 )
-from counterspin.errors import CampaignError
+from counterspin.errors import CampaignError, UsageError
 
 #: Part of the sum of variances below which the variance of a difference is rounding.
 _NO_VARIANCE: Final = 1e-9
@@ -60,9 +60,9 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
         If a file is not a result.
     """
     if len(results) < 2:
-        raise CampaignError("compare", ["give two or more results, or their files"])
+        raise UsageError("compare", ["give two or more results, or their files"])
     if names is not None and len(names) != len(results):
-        raise CampaignError(
+        raise UsageError(
             "compare",
             [
                 f"{len(results)} results and {len(names)} `names` were given; give one name for "
@@ -80,7 +80,9 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
             f"{n}: {', '.join(r.accelerometers)}" for n, r in zip(result_names, loaded, strict=True)
         )
         raise CampaignError(
-            "compare", [f"the results have no accelerometer in common ({available})"]
+            "compare",
+            [f"the results have no accelerometer in common ({available})"],
+            code="results-not-comparable",
         )
     coefficients, agreements = [], []
     for name in shared:

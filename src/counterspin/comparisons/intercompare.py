@@ -106,7 +106,7 @@ def intercompare(
 
 
 def _error(text: str) -> CampaignError:
-    return CampaignError("intercompare", [text])
+    return CampaignError("intercompare", [text], code="results-not-comparable")
 
 
 def _names(given: Sequence[Result | Path | str], results: Sequence[Result]) -> list[str]:

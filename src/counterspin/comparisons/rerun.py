@@ -163,12 +163,15 @@ def rerun(
     before = judge_result(result if isinstance(result, Result) else Result.read(result))
     result_name = before.title or "the result" if isinstance(result, Result) else str(result)
     if folder is None and isinstance(result, Result):
-        raise RecordError(f"{result_name}: give the folder of the campaign (`folder`)")
+        raise RecordError(
+            f"{result_name}: give the folder of the campaign (`folder`)", code="wrong-usage"
+        )
     campaign_folder = Path(result).parent if folder is None else Path(folder)  # type: ignore[arg-type]
     if before.provenance.in_memory or not before.provenance.inputs:
         raise RecordError(
             f"{result_name}: computed from data in memory; only results from the files of a "
-            "campaign can be repeated"
+            "campaign can be repeated",
+            code="missing-in-result",
         )
     method, options, without = parse_options(before.provenance.options)
     with ExitStack() as stack:
@@ -218,7 +221,8 @@ def _locate_inputs(
         elif name in changed and actual[name] == "unreadable":
             raise RecordError(
                 f"{result_name}: its input {name} ({checksum}) is not in {folder}, under this or "
-                "any other name; give the folder of the campaign"
+                "any other name; give the folder of the campaign",
+                code="file-not-found",
             )
         else:
             paths[name] = named_paths[name]
@@ -242,7 +246,8 @@ def _refuse_renamed(result_name: str, moved: dict[str, str]) -> dict[str, str]:
     name, new_path = next(iter(moved.items()))
     raise RecordError(
         f"{result_name}: its input {name} is now {new_path}; rename it to the earlier name, "
-        "because other inputs are outside the folder of the campaign"
+        "because other inputs are outside the folder of the campaign",
+        code="path-outside-folder",
     )
 
 

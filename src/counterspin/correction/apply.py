@@ -31,7 +31,7 @@ from counterspin.correction.related import (
     temperature_offset,
     temperature_warnings,
 )
-from counterspin.errors import CampaignError, RecordError
+from counterspin.errors import CampaignError, RecordError, UsageError, code_of
 from counterspin.frozen import frozen
 from counterspin.physics.correction import (
     CalibratedAccelerometer,
@@ -163,10 +163,11 @@ def apply(
                 "the result was computed with the equations as printed, which return half the "
                 "true K_II; calibrate again with the exact model, or give `force=True`"
             ],
+            code="as-printed",
         )
     indications = {accelerometer: indicated, **options.others}
     if accelerometer in options.others:
-        raise CampaignError(
+        raise UsageError(
             _SOURCE,
             [f"`others`: {accelerometer} is the accelerometer to be corrected; omit it here"],
         )
@@ -186,7 +187,7 @@ def apply(
     ]
     judged_result = judge_result(result)
     if (refused := refusal_reason(judged_result, indications)) is not None:
-        raise RecordError(refused)
+        raise RecordError(refused, code="contradicted")
     _require_determined(judged_result, indications)
     mounting = instruments[0].mounting
     known = [
@@ -199,9 +200,11 @@ def apply(
     try:
         missing = missing_axes(instruments, known)
     except ValueError as error:
-        raise CampaignError(_SOURCE, [str(error)]) from error
+        raise CampaignError(_SOURCE, [str(error)], code=code_of(error)) from error
     if missing:
-        raise CampaignError(_SOURCE, _missing_force_errors(accelerometer, missing))
+        raise CampaignError(
+            _SOURCE, _missing_force_errors(accelerometer, missing), code="missing-input"
+        )
     warmth = temperature_offset(result, instruments, options.temperature)
     columns = [
         np.asarray(values, dtype=np.float64) * scales[name].factor - scales[name].zero
@@ -271,7 +274,8 @@ def _require_determined(result: Result, names: Iterable[str]) -> None:
         if needed := [symbol for symbol in findings if acts(symbol)]:
             raise RecordError(
                 f"{name}: the correction needs {', '.join(needed)}, which the result does not "
-                f"determine. {findings[needed[0]]}"
+                f"determine. {findings[needed[0]]}",
+                code="not-determined",
             )
 
 
@@ -305,7 +309,7 @@ def _column_scales(
             text = f"`unit`: {error}"
             if nominal is None:
                 text += f"; the result does not state another output of {name}"
-            raise CampaignError(_SOURCE, [text]) from error
+            raise CampaignError(_SOURCE, [text], code=code_of(error)) from error
         scales[name] = _ColumnScale(
             factor / nominal.sensitivity, nominal.zero / nominal.sensitivity
         )
@@ -371,7 +375,7 @@ def _make_known_force(
         try:
             quantity = parse(force, "g", gravity=gravity)
         except ValueError as error:
-            raise CampaignError(_SOURCE, [f"`{option}`: {error}"]) from error
+            raise CampaignError(_SOURCE, [f"`{option}`: {error}"], code=code_of(error)) from error
         return KnownForce(direction, quantity.value, quantity.u)
     return KnownForce(direction, np.asarray(force, dtype=np.float64) * factor)
 

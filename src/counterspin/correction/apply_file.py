@@ -15,7 +15,7 @@ from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.correction.apply import ApplyOptions, Correction, apply
 from counterspin.correction.instrument import instrument_of
-from counterspin.errors import CampaignError, CounterspinError, RecordError
+from counterspin.errors import CampaignError, CounterspinError, RecordError, UsageError
 from counterspin.frozen import frozen
 from counterspin.output import FileType, holds, reserve, write_open, write_whole
 from counterspin.physics.correction import NotInvertibleError
@@ -116,9 +116,13 @@ def apply_file(
     source, output = Path(source), Path(output)
     suffix = output.suffix.lower()
     if suffix not in _SEPARATORS:
-        raise CampaignError(str(output), [f"must end in one of {', '.join(_SEPARATORS)}"])
+        raise CampaignError(
+            str(output), [f"must end in one of {', '.join(_SEPARATORS)}"], code="wrong-file-ending"
+        )
     if output.exists() and source.exists() and output.samefile(source):
-        raise CampaignError(str(output), ["is the input, which is never overwritten"])
+        raise CampaignError(
+            str(output), ["is the input, which is never overwritten"], code="file-exists"
+        )
     reserve(output, lambda: _CORRECTED, overwrite=overwrite)
     options = options or ApplyOptions()
     others: dict[str, Any] = dict(options.others)
@@ -128,7 +132,7 @@ def apply_file(
             others = {name: name for name in result.triad.accelerometers}
         accelerometer = next(iter(others), None)
         if accelerometer is None or column is not None:
-            raise CampaignError(
+            raise UsageError(
                 "apply", ["select the accelerometer to be corrected with `accelerometer`"]
             )
         column = others.pop(accelerometer)
@@ -160,7 +164,9 @@ def apply_file(
     ):
         if name in frame.columns:
             raise CampaignError(
-                str(source), [f"already has a column '{name}'; was the file corrected before?"]
+                str(source),
+                [f"already has a column '{name}'; was the file corrected before?"],
+                code="duplicate-entry",
             )
     forces: dict[str, Any] = {
         name: values[text] if text in values else _check_constant(name, text, frame.columns)
@@ -173,7 +179,9 @@ def apply_file(
         )
     except NotInvertibleError as error:
         location = locate(source, error.row, options.dialect)
-        raise CounterspinError(f"{source}, {location}: the indication {error.reason}") from error
+        raise CounterspinError(
+            f"{source}, {location}: the indication {error.reason}", code="not-invertible"
+        ) from error
     added, reports = [], []
     for name, corrected_column in corrected.items():
         column_correction = correction.others.get(name, correction)
@@ -202,7 +210,8 @@ def _check_units(source: Path, units: Mapping[str, str], stated: str) -> None:
             raise RecordError(
                 f"{source}: column '{name}' is in '{file_unit}' according to the units row of the "
                 f"file, but in '{stated}' according to `unit`; all forces must be in one unit, "
-                "stated with `unit`."
+                "stated with `unit`.",
+                code="unit-mismatch",
             )
 
 
@@ -214,7 +223,8 @@ def _in_celsius(source: Path, column: str, values: Array, unit: str) -> Array:
         return values
     raise RecordError(
         f"{source}: column '{column}' is in '{unit}' according to the units row of the file; a "
-        "temperature must be in degC or K."
+        "temperature must be in degC or K.",
+        code="unit-mismatch",
     )
 
 
@@ -230,6 +240,7 @@ def _guess_column(source: Path, table: pl.DataFrame, accelerometer: str, used: l
             f"which column contains the indication of {accelerometer}? Select it with `column`; "
             f"the file has {', '.join(table.columns)}"
         ],
+        code="ambiguous-selection",
     )
 
 
@@ -242,6 +253,7 @@ def _check_constant(name: str, text: str, columns: list[str]) -> str:
                 f"`{name}`: {text!r} is neither a column of the file ({', '.join(columns)}) nor a "
                 f'constant with its unit such as "{_EXAMPLES[name]}"'
             ],
+            code="missing-column",
         )
     return text
 
@@ -250,7 +262,9 @@ def _summarise(output: Path, column: str, correction: Correction, gravity: float
     indicated = correction.indicated
     valid = np.flatnonzero(np.isfinite(correction.corrected))
     if valid.size == 0:
-        raise RecordError(f"{output} was not written: no row has all required numbers.")
+        raise RecordError(
+            f"{output} was not written: no row has all required numbers.", code="no-rows"
+        )
     values, corrected = indicated[valid], correction.corrected[valid]
     one_g = 1.0 / unit_factor(correction.unit, "g", gravity=gravity)
 

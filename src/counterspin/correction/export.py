@@ -19,7 +19,7 @@ from counterspin.characters import escape_controls
 from counterspin.correction.instrument import instrument_of, terms_of, with_unstated
 from counterspin.correction.related import cross_covariances
 from counterspin.correction.workbook import Cell, workbook
-from counterspin.errors import CampaignError, RecordError
+from counterspin.errors import CampaignError, RecordError, UsageError
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import finite_dof
 from counterspin.output import FileType, holds, mark, marked, reserve, write_whole
@@ -106,11 +106,13 @@ def export(
     suffix = output.suffix.lower()
     endings = {"coefficients": _COEFFICIENT_FILES, "psins": (".mat",)}.get(form, (".yaml", ".yml"))
     if suffix not in endings:
-        raise CampaignError(str(output), [f"must end in one of {', '.join(endings)}"])
-    if normalisation == "ieee" and form != "coefficients":
-        raise CampaignError("export", [f"`normalisation` does not apply to the format {form}"])
-    if (noise is not None) != (form == "kalibr"):
         raise CampaignError(
+            str(output), [f"must end in one of {', '.join(endings)}"], code="wrong-file-ending"
+        )
+    if normalisation == "ieee" and form != "coefficients":
+        raise UsageError("export", [f"`normalisation` does not apply to the format {form}"])
+    if (noise is not None) != (form == "kalibr"):
+        raise UsageError(
             "export", ["give `noise` only with the format kalibr, where it is required"]
         )
     if result.model == "as-printed":
@@ -120,9 +122,10 @@ def export(
                 "the result was computed with the equations as printed, which return half the "
                 "true K_II; calibrate again with the exact model"
             ],
+            code="as-printed",
         )
     if (reason := refusal_reason(judge_result(result), result.accelerometers)) is not None:
-        raise RecordError(reason)
+        raise RecordError(reason, code="contradicted")
     reserve(output, lambda: _KIND, overwrite=overwrite)
     if form == "coefficients":
         table = coefficient_table(result)
@@ -298,10 +301,14 @@ _COEFFICIENT_FILES: Final[dict[str, Callable[[CoefficientTable, Result], bytes]]
 def _determined_triad(result: Result) -> TriadResult:
     triad = result.triad
     if triad is None:
-        raise CampaignError("export", ["this format requires a triad, and the result has none"])
+        raise CampaignError(
+            "export",
+            ["this format requires a triad, and the result has none"],
+            code="missing-in-result",
+        )
     if triad.matrix is None or triad.bias is None:
         why = triad.why_no_matrix or "The result has no matrix."
-        raise RecordError(f"the triad has no matrix: {why}")
+        raise RecordError(f"the triad has no matrix: {why}", code="missing-in-result")
     return triad
 
 

@@ -91,7 +91,11 @@ def instrument_of(result: Result, name: str, *, placed: bool = False) -> Calibra
     """
     if name not in result.accelerometers:
         there = ", ".join(result.accelerometers)
-        raise CampaignError("apply", [f"the result has no accelerometer {name!r}; it has {there}"])
+        raise CampaignError(
+            "apply",
+            [f"the result has no accelerometer {name!r}; it has {there}"],
+            code="unknown-accelerometer",
+        )
     accelerometer = result.accelerometers[name]
     if placed and accelerometer.axes is None:
         raise CampaignError(
@@ -100,12 +104,17 @@ def instrument_of(result: Result, name: str, *, placed: bool = False) -> Calibra
                 "the result was written by an earlier version and does not state the axes of "
                 f"{name}. Calibrate again, or give the force along the axes"
             ],
+            code="missing-in-result",
         )
     mounting = Mounting(tuple(accelerometer.axes)) if placed and accelerometer.axes else _ALONE
     terms = determined_terms(accelerometer)
     values = {s: float(c.value) for s, c in terms.items() if c.value is not None}
     if not values:
-        raise CampaignError("apply", [f"the result has no value for any coefficient of {name}"])
+        raise CampaignError(
+            "apply",
+            [f"the result has no value for any coefficient of {name}"],
+            code="not-determined",
+        )
     covariance = covariance_of(accelerometer, terms)
     way = {**accelerometer.known, **accelerometer.coefficients}.get(HYSTERESIS)
     if way is not None and "K_F" in values:

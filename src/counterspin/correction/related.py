@@ -12,7 +12,7 @@ import numpy.typing as npt
 from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.campaign.field_types import parse_uncertain_temperature
-from counterspin.errors import CampaignError
+from counterspin.errors import CampaignError, code_of
 from counterspin.physics.correction import CalibratedAccelerometer, TemperatureOffset
 from counterspin.units import ZERO_CELSIUS
 
@@ -44,7 +44,9 @@ def temperature_offset(
             else "the result does not state the calibration temperature: calibrate again"
         )
         raise CampaignError(
-            "apply", [f"{', '.join(needed)} with the temperature of the record; {words}"]
+            "apply",
+            [f"{', '.join(needed)} with the temperature of the record; {words}"],
+            code="missing-input",
         )
     return TemperatureOffset()
 
@@ -70,7 +72,9 @@ def _parse_temperature(
         try:
             known = parse_uncertain_temperature(temperature)
         except ValueError as error:
-            raise CampaignError("apply", [f"`temperature`: {error}"]) from error
+            raise CampaignError(
+                "apply", [f"`temperature`: {error}"], code=code_of(error)
+            ) from error
         return known.value, known.u
     if temperature is None:
         return None, 0.0

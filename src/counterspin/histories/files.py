@@ -137,7 +137,7 @@ def collect_results(inputs: Sequence[Path | Result], term: str) -> ResultSet:
     paths = [path for path in inputs if isinstance(path, Path)]
     missing = [f"{path}: file not found" for path in paths if not path.exists()]
     if missing:
-        raise CampaignError("history", missing)
+        raise CampaignError("history", missing, code="file-not-found")
     collected, seen = ResultSet(), dict[str, str]()
     for file, is_named in _iter_files(paths):
         if not is_named and file.name.startswith("."):

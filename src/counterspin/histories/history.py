@@ -15,7 +15,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.campaign.validation import suggest_name
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CampaignError, CounterspinError, UsageError
 from counterspin.histories.consistency import (
     MAX_YEARS,
     YEAR,
@@ -89,9 +89,9 @@ def history(
         If no result can be used; the reasons are given.
     """
     if not 0.5 < reliability < 1.0:
-        raise CampaignError("`reliability`", [f"{reliability} is not between 0.5 and 1"])
+        raise UsageError("`reliability`", [f"{reliability} is not between 0.5 and 1"])
     if term not in TERMS and term not in TRIAD_QUANTITIES:
-        raise CampaignError("`term`", [_unknown_term_message(term)])
+        raise CampaignError("`term`", [_unknown_term_message(term)], code="unknown-term")
     if isinstance(paths, str | os.PathLike | Result) or not isinstance(paths, Iterable):
         raise TypeError(
             f"give a list of results, their files or folders, not {describe_argument(paths)}"
@@ -102,7 +102,7 @@ def history(
     collected = collect_results(inputs, term)
     _remove_duplicates(collected)
     if not collected.records:
-        raise CounterspinError(_no_results_message(paths, collected))
+        raise CounterspinError(_no_results_message(paths, collected), code="no-results")
     gravity = max(collected.records, key=lambda record: (record.date, record.file)).gravity
     by_serial: dict[str, list[DatedResult]] = {}
     for record in sorted(collected.records, key=lambda record: (record.date, record.file)):
@@ -116,6 +116,7 @@ def history(
                 f"no result has the serial number "
                 f'"{serial}"{suggest_name(str(serial), sorted(known))}'
             ],
+            code="no-results",
         )
     return History(
         term=term,

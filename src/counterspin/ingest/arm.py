@@ -20,7 +20,7 @@ import numpy.typing as npt
 from counterspin.arrays import Array
 from counterspin.campaign.model import TERMS_ON_A_MACHINE
 from counterspin.campaign.quantity import parse
-from counterspin.errors import CampaignError
+from counterspin.errors import CampaignError, UsageError
 from counterspin.frozen import frozen
 from counterspin.ingest.contents import FileColumn, FileContents
 from counterspin.ingest.questions import (
@@ -270,7 +270,7 @@ def _radius_and_model(table: ArmTable, values: Mapping[str, str]) -> tuple[str, 
                 f"readings of one mounting have {len(sizes)} radii{f' ({word})' if word else ''}; "
                 "give each a separate name in a column of mountings of the table"
             )
-            raise CampaignError("init", [text])
+            raise CampaignError("init", [text], code="conflicting-values")
     stated = [values["radius"]] if "radius" in values else list(radii.values())
     model: dict[str, Any] = {}
     if len(table.turning) > 1 and all(parse(text, "m").u > 0.0 for text in stated):
@@ -289,7 +289,7 @@ def arm_draft(
     answers: By the keys of questions; they take precedence over guesses.
     """
     if len(all_contents) != 1:
-        raise CampaignError("init", ["readings on an arm must be in one table: name one file"])
+        raise UsageError("init", ["readings on an arm must be in one table: name one file"])
     (contents,) = all_contents
 
     def ask(taken: Mapping[str, str]) -> tuple[FileQuestion, ...]:

@@ -363,11 +363,11 @@ def common_guess(guesses: Sequence[FileGuess]) -> FileGuess:
     for guess in guesses[1:]:
         names = {column.name for column in guess.contents.columns}
         asked = [p.column for p in (first.time, first.angle, *first.signals) if p and p.column]
-        missing = [name for name in asked if name not in names]
-        if missing:
+        if missing := [name for name in asked if name not in names]:
             raise RecordError(
                 f"{guess.contents.path} has no column '{missing[0]}', unlike "
-                f"{first.contents.path.name}. Give only files with the same layout."
+                f"{first.contents.path.name}. Give only files with the same layout.",
+                code="missing-column",
             )
     rate = first.rate if all(guess.rate for guess in guesses) else None
     return replace(first, rate=rate)

@@ -200,9 +200,11 @@ def _read_contents(
             lines = f"First lines of the file:\n{seen}\n{_WANTED}" if seen else _WANTED
             if reasons and len(reasons) == len(names):
                 more = "" if "each run" in reasons[0] else f" {_ANOTHER_RUN}"
-                raise RecordError(f"{reasons[0]}{more}")
+                raise RecordError(f"{reasons[0]}{more}", code="not-numeric")
             shown = f"no column contains only numbers. {lines}"
-            raise RecordError(f"{path}: {shown}" if seen or not first else first)
+            raise RecordError(
+                f"{path}: {shown}" if seen or not first else first, code="not-numeric"
+            )
         return FileContents(
             path,
             tuple(columns),

@@ -15,7 +15,7 @@ from counterspin.campaign.field_types import COMPASS
 from counterspin.campaign.memory import record_name
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.campaign.validation import Problems
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CampaignError, CounterspinError, ExistingFileError, UsageError
 from counterspin.frozen import frozen
 from counterspin.ingest.arm import ArmDraft, arm_draft
 from counterspin.ingest.column_roles import NONE, FileGuess, common_guess, guess_file
@@ -88,7 +88,7 @@ def draft(all_contents: Sequence[FileContents], answers: Mapping[str, str] | Non
     answers: By the keys of questions; they take precedence over guesses.
     """
     if not all_contents:
-        raise CampaignError("init", ["give the files of the runs"])
+        raise UsageError("init", ["give the files of the runs"])
 
     def seen(taken: Mapping[str, str]) -> tuple[tuple[FileGuess, ...], FileGuess]:
         guesses = tuple(guess_file(contents, taken) for contents in all_contents)
@@ -158,7 +158,7 @@ def write_description(draft: AnyDraft, folder: Path) -> Path:
     """Write the description into the campaign's folder, with the guesses as comments."""
     target = folder / DESCRIPTION_NAME
     if target.exists():
-        raise CounterspinError(f"{target} exists; edit it, or choose another folder")
+        raise ExistingFileError(f"{target} exists; edit it, or choose another folder")
     document = draft.document(folder)
     problems = Problems(document)
     new = not folder.exists()
@@ -207,7 +207,8 @@ def further_runs(
         if guess.rate is None or not (guess.time or guess.sampling):
             raise CounterspinError(
                 f"{guess.contents.path}: the rate of the centrifuge cannot be detected from the "
-                "file; add the run to the description"
+                "file; add the run to the description",
+                code="missing-answer",
             )
     names = [run["name"] for run in runs]
     return list(_runs(guesses, {}, sense, folder.resolve(), names))

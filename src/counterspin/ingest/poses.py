@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from counterspin.campaign.memory import record_name
-from counterspin.errors import CampaignError
+from counterspin.errors import CampaignError, UsageError
 from counterspin.frozen import frozen
 from counterspin.ingest.column_roles import FileGuess
 from counterspin.ingest.contents import FileContents
@@ -76,7 +76,7 @@ class PosesDraft(AnsweredDraft):
         columns = [said[axis] for axis in AXES]
         if len(set(columns)) < len(columns):
             text = f"each axis needs a separate column, not {', '.join(columns)}"
-            raise CampaignError("init", [text])
+            raise CampaignError("init", [text], code="duplicate-entry")
         in_table = self.found is not None and self.found.in_table
         instruments = {}
         for column, (name, (input_axis, pendulous)) in zip(columns, AXES.items(), strict=True):
@@ -150,7 +150,7 @@ def poses_draft(
     answers: By the keys of questions; they take precedence over guesses.
     """
     if not all_contents:
-        raise CampaignError("init", ["give the record of the poses"])
+        raise UsageError("init", ["give the record of the poses"])
     guesses: tuple[FileGuess, ...] = ()
     questions: tuple[FileQuestion, ...] = ()
     found: TriadColumns | None = None

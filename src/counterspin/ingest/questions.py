@@ -19,7 +19,7 @@ from typing import Final
 from counterspin.campaign.field_types import COMPASS
 from counterspin.campaign.quantity import BARE, latitude_text, parse
 from counterspin.campaign.settings import OBSERVABLES
-from counterspin.errors import CampaignError, MissingAnswersError
+from counterspin.errors import CampaignError, InputError, MissingAnswersError, Problem, code_of
 from counterspin.frozen import frozen
 from counterspin.ingest.column_roles import (
     NONE,
@@ -110,8 +110,9 @@ class FileQuestion:
                 raise ValueError(errors[0])
             return unit
         if not BARE.fullmatch(clean) or not 0.0 < float(clean) < math.inf:
-            raise ValueError(
-                f"{answer!r} is not a positive number; enter, for example, {self.example}"
+            raise InputError(
+                f"{answer!r} is not a positive number; enter, for example, {self.example}",
+                "not-numeric",
             )
         return clean
 
@@ -123,7 +124,9 @@ class FileQuestion:
             return known[word]
         close = get_close_matches(word, known, n=1)
         hint = f"; did you mean {known[close[0]]!r}?" if close else ""
-        raise ValueError(f"{answer!r} is not one of {', '.join(self.choices)}{hint}")
+        raise InputError(
+            f"{answer!r} is not one of {', '.join(self.choices)}{hint}", "unknown-choice"
+        )
 
 
 @frozen
@@ -148,7 +151,7 @@ class AnsweredDraft:
         """Return guesses, overruled by answers; CampaignError if one is missing or wrong."""
         # Nothing is asked about files that have to be exported anew.
         if unfit := [line for line in self.problems if line.startswith(f"{UNFIT}: ")]:
-            raise CampaignError("init", unfit)
+            raise CampaignError("init", unfit, code="wrong-file-type")
         missing = [
             f"{q.key}: {q.text} No answer was given."
             for q in self.open_questions
@@ -309,18 +312,18 @@ def judged_answers(
 ) -> tuple[dict[str, str], list[str]]:
     """Return answers in the words of a description, and the errors of the others."""
     known = {question.key: question for question in questions}
-    taken, problems = {}, []
+    taken: dict[str, str] = {}
+    problems: list[str] = []
     for key, answer in answers.items():
         if key not in known:
             needed = [question.key for question in questions if question.guess is None]
-            problems.append(
-                f"{key}: is not one of the questions; questions: {', '.join(needed) or 'none'}"
-            )
+            text = f"{key}: is not one of the questions; questions: {', '.join(needed) or 'none'}"
+            problems.append(Problem(text, "unknown-key"))
             continue
         try:
             taken[key] = known[key].judged(answer)
         except ValueError as error:
-            problems.append(f"{key}: {error}")
+            problems.append(Problem(f"{key}: {error}", code_of(error)))
     return taken, problems
 
 

@@ -103,7 +103,7 @@ class ReadingsDraft(AnsweredDraft):
         if not readings:
             known = ", ".join(column.name for column in self.contents.columns)
             text = f'no readings column was found (columns: {known}); answer "COLUMN is=reading"'
-            raise CampaignError("init", [text])
+            raise CampaignError("init", [text], code="missing-column")
         few = len(readings) <= len(ascii_uppercase)
         names = [ascii_uppercase[n] if few else f"A{n + 1}" for n in range(len(readings))]
         written = (

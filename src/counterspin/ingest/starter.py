@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from counterspin.campaign.documents import DESCRIPTION_NAME
-from counterspin.errors import CounterspinError
+from counterspin.errors import CounterspinError, ExistingFileError
 from counterspin.input import path_of
 from counterspin.output import make_folder, write_text
 
@@ -54,16 +54,19 @@ def init(folder: Path | str, test: Test = "double-turntable") -> Path:
     if test == "poses":
         raise CounterspinError(
             "there is no example with poses; create a campaign from a log of your sensor by naming "
-            "that file"
+            "that file",
+            code="wrong-usage",
         )
     if test not in _EXAMPLES:
-        raise CounterspinError(f"`test` is one of {', '.join(_EXAMPLES)}, not {test!r}")
+        raise CounterspinError(
+            f"`test` is one of {', '.join(_EXAMPLES)}, not {test!r}", code="wrong-usage"
+        )
     folder = path_of(folder, "the folder of the new campaign")
     description, table = _EXAMPLES[test]
     written = {DESCRIPTION_NAME: description} | ({_TABLE: table} if table else {})
     for name in written:
         if (folder / name).exists():
-            raise CounterspinError(f"{folder / name} exists; edit it, or choose another folder")
+            raise ExistingFileError(f"{folder / name} exists; edit it, or choose another folder")
     make_folder(folder)
     for name, example in written.items():
         text = (files("counterspin.ingest") / example).read_text("utf-8")

@@ -312,7 +312,9 @@ def _refuse_unsigned(columns: Sequence[FileColumn], values: Array) -> None:
             raise RecordError(
                 f"the columns {names} jump between 0 and {most - 1:.0f}: they are signed numbers "
                 f"of {bits} bits (two's complement) that were written as unsigned numbers. Export "
-                f"them with their sign, or subtract {most:.0f} from each of {most / 2:.0f} or more."
+                f"them with their sign, or subtract {most:.0f} from each of {most / 2:.0f} or "
+                "more.",
+                code="unsigned-numbers",
             )
 
 

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.errors import CampaignError
+from counterspin.errors import UsageError
 from counterspin.frozen import frozen
 from counterspin.ingest.contents import FileColumn, FileContents, wave
 from counterspin.ingest.questions import FileQuestion, place_questions, validate_answers
@@ -91,9 +91,7 @@ def tumble_draft(
     answers: By the keys of questions; they take precedence over guesses.
     """
     if len(all_contents) != 1:
-        raise CampaignError(
-            "init", ["the readings of a tumble must be in one table: give one file"]
-        )
+        raise UsageError("init", ["the readings of a tumble must be in one table: give one file"])
     (contents,) = all_contents
 
     def asked(taken: Mapping[str, str]) -> tuple[FileQuestion, ...]:

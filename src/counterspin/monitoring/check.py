@@ -11,7 +11,7 @@ from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.runs import Run
 from counterspin.campaign.validation import suggest_name
-from counterspin.errors import CampaignError, CounterspinError, RecordError
+from counterspin.errors import CampaignError, CounterspinError, RecordError, UsageError
 from counterspin.frozen import frozen
 from counterspin.monitoring.mean_run import MeanRun, check_mean, mean_runs
 from counterspin.monitoring.observer import Observer, Recorded, recordings
@@ -30,8 +30,7 @@ from counterspin.monitoring.run_state import (
 from counterspin.planning.forecast import forecast
 from counterspin.planning.recorded import add_pose_noise, apply_observations, fitted_noise
 from counterspin.records.formats import find_opener
-from counterspin.records.frames import memory_table
-from counterspin.records.memory import MemoryTable
+from counterspin.records.memory import MemoryTable, memory_table
 from counterspin.threads import one_blas_thread
 
 
@@ -72,7 +71,7 @@ def _check_record(record: object, campaign: Campaign, name: str | None) -> Check
     file = Path(record).absolute() if isinstance(record, Path | str) else None
     if file is not None:
         if not file.exists():
-            raise RecordError(f"{record}: file not found")
+            raise RecordError(f"{record}: file not found", code="file-not-found")
         find_opener(file)  # checked first: it does not depend on the run
     selected_run = _select_run(campaign, file, name)
     if file is None:
@@ -136,7 +135,9 @@ def _select_run(campaign: Campaign, file: Path | None, name: str | None) -> Reco
     if name is not None:
         if name not in by_name:
             raise CampaignError(
-                "`run`", [f'no run is named "{name}"{suggest_name(name, list(by_name))}']
+                "`run`",
+                [f'no run is named "{name}"{suggest_name(name, list(by_name))}'],
+                code="unknown-run",
             )
         return by_name[name]
     if file is not None:
@@ -150,7 +151,7 @@ def _select_run(campaign: Campaign, file: Path | None, name: str | None) -> Reco
                 return run
     if len(recorded) == 1:
         return recorded[0]
-    raise CampaignError(
+    raise UsageError(
         "`run`", [f"give the name of a run: {', '.join(by_name) or 'no run has a record'}"]
     )
 

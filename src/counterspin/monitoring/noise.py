@@ -16,7 +16,7 @@ from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.field_types import exact
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.campaign.static_noise import SI_UNITS, static_signals
-from counterspin.errors import CampaignError, RecordError
+from counterspin.errors import CampaignError, RecordError, UsageError, code_of
 from counterspin.inference.noise.model import COMPONENTS
 from counterspin.inference.noise.spectrum import SpectralLine, allan_values, spectrum
 from counterspin.inference.noise.static_noise import (
@@ -35,8 +35,7 @@ from counterspin.monitoring.result import (
 )
 from counterspin.physics import observation
 from counterspin.records.column_file import format_names
-from counterspin.records.frames import memory_table
-from counterspin.records.memory import MemoryTable
+from counterspin.records.memory import MemoryTable, memory_table
 from counterspin.records.unit_notation import unit_in_name
 from counterspin.reports.numbers import format_number
 from counterspin.threads import one_blas_thread
@@ -115,7 +114,7 @@ def noise(
     """
     file = Path(record).absolute() if isinstance(record, Path | str) else None
     if file is not None and not file.exists():
-        raise RecordError(f"{record}: file not found")
+        raise RecordError(f"{record}: file not found", code="file-not-found")
     source = file if file is not None else memory_table("record in memory", record)
     g = _parse_quantity("gravity", gravity, "m/s^2") or STANDARD_GRAVITY
     turning = _parse_quantity("rate", rate, "rad/s")
@@ -124,10 +123,16 @@ def noise(
         if campaign is not None:
             full_campaign = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
             if gravity is not None:
-                raise CampaignError("noise", ["`gravity`: already stated in the campaign; omit it"])
+                raise CampaignError(
+                    "noise",
+                    ["`gravity`: already stated in the campaign; omit it"],
+                    code="conflicting-keys",
+                )
             if select is not None:
                 raise CampaignError(
-                    "noise", ["`select`: already stated in [records] of the campaign; omit it"]
+                    "noise",
+                    ["`select`: already stated in [records] of the campaign; omit it"],
+                    code="conflicting-keys",
                 )
             g = full_campaign.gravity.value
             signals = _select_signals(static_signals(full_campaign, source), columns)
@@ -155,14 +160,18 @@ def _parse_quantity(name: str, text: str | None, unit: str) -> float | None:
     try:
         return abs(exact(text, unit))
     except ValueError as error:
-        raise CampaignError("noise", [f"`{name}`: {error}"]) from error
+        raise CampaignError("noise", [f"`{name}`: {error}"], code=code_of(error)) from error
 
 
 def _select_signals(signals: list[StaticSignal], columns: Sequence[str]) -> list[StaticSignal]:
     chosen = [s for s in signals if not columns or s.column in columns or s.name in columns]
     if not chosen:
         available = ", ".join(signal.column for signal in signals)
-        raise CampaignError("noise", [f"`columns`: the campaign's accelerometers have {available}"])
+        raise CampaignError(
+            "noise",
+            [f"`columns`: the campaign's accelerometers have {available}"],
+            code="missing-column",
+        )
     return chosen
 
 
@@ -184,7 +193,7 @@ def _guess_signals(
         problem = f"`columns`: there is no {missing[0]!r} among {available}"
         problem += f". The file was read as follows: {samples.found}" if samples.found else ""
         problem += "".join(f". Not read: {reason.removesuffix('.')}" for reason in samples.spoilt)
-        raise CampaignError("noise", [problem])
+        raise CampaignError("noise", [problem], code="missing-column")
     time = _row_times(
         source, guess, samples.columns, _parse_quantity("sampling_rate", sampling_rate, "Hz")
     )
@@ -203,7 +212,9 @@ def _guess_signals(
             if columns:
                 reason = f"is in {known!r}" if known else "has no unit; give `unit`"
                 requested = "a length, a velocity or a specific force is required"
-                raise CampaignError("noise", [f"column {column.name!r} {reason}; {requested}"])
+                raise CampaignError(
+                    "noise", [f"column {column.name!r} {reason}; {requested}"], code="wrong-unit"
+                )
             unused.append(column.name)
             continue
         factor = unit_factor(known, OBSERVABLES[observable], gravity=gravity)
@@ -215,12 +226,13 @@ def _guess_signals(
         )
     if unit is not None and not any(converts(unit, si) for si in OBSERVABLES.values()):
         requested = "a unit of length, velocity or specific force is required, such as m/s^2"
-        raise CampaignError("noise", [f"`unit`: {unit!r}: {requested}"])
+        raise CampaignError("noise", [f"`unit`: {unit!r}: {requested}"], code="wrong-unit")
     if not used_columns:
         raise RecordError(
             f"{source}: no column has a unit of length, velocity or specific force "
             f"({', '.join(unused) or 'only the time'}). Select the column with `columns`, and "
-            "give its unit with `unit`."
+            "give its unit with `unit`.",
+            code="missing-unit",
         )
     varying = [signal for signal in used_columns if np.unique(signal.values).size > 1]
     if varying and not columns:
@@ -238,7 +250,7 @@ def _read_source(source: Path | MemoryTable, select: str | None) -> FileContents
             "`select`: write COLUMN=VALUE, such as device=A. `select` applies to the rows of a "
             "file; filter data frames before the call"
         )
-        raise CampaignError("noise", [problem])
+        raise UsageError("noise", [problem])
     if isinstance(source, MemoryTable):
         file_columns = tuple(
             FileColumn(name, "", values) for name, values in source.columns.items()
@@ -250,7 +262,8 @@ def _read_source(source: Path | MemoryTable, select: str | None) -> FileContents
         raise RecordError(
             f"{source}: column '{key}' takes {len(sensors)} values ({format_names(sensors, 8)}): "
             "the rows come from several sensors. Select the rows of one sensor with `select`, "
-            f'such as "{key}={sensors[0]}".'
+            f'such as "{key}={sensors[0]}".',
+            code="several-sensors",
         )
     return contents
 
@@ -271,7 +284,8 @@ def _row_times(
             raise RecordError(
                 f"{source}: column '{guess.time.column}' seems to be the time, but its unit "
                 "is unknown; rename it, for example to 'time_s', or give `sampling_rate` or "
-                "`campaign`."
+                "`campaign`.",
+                code="missing-unit",
             )
         column = next(c for c in columns if c.name == guess.time.column)
         seconds = np.asarray(column.values * guess.time.factor)
@@ -284,7 +298,7 @@ def _row_times(
         problem = f"{source}: {why_no_time(guess.contents)}. Give `sampling_rate`, such as"
         problem += ' "100 Hz".'
         unread = [f"Not read: {reason}" for reason in guess.contents.spoilt]
-        raise RecordError(" ".join([problem, *unread]))
+        raise RecordError(" ".join([problem, *unread]), code="missing-column")
     return rows / guess.sampling
 
 

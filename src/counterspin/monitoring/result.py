@@ -221,7 +221,8 @@ class NoiseResult(ReportableResult):
             known = [value for value in values if value is not None]
             if not known or len(known) < len(sizes):
                 raise RecordError(
-                    f"{self.record}: the record gives no upper limit of {name} for every column"
+                    f"{self.record}: the record gives no upper limit of {name} for every column",
+                    code="missing-in-result",
                 )
             found.append(max(known))
         return found[0], found[1]

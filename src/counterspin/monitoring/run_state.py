@@ -195,7 +195,9 @@ def resolve_goals(
         goal = read_plan(wanted).goal
         if goal.kind != "target":
             raise CampaignError(
-                str(wanted), ["goal.target: missing; the plan does not state the required u"]
+                str(wanted),
+                ["goal.target: missing; the plan does not state the required u"],
+                code="missing-key",
             )
         target: dict[str, float | str] = dict(goal.sizes)
     elif isinstance(wanted, Mapping):

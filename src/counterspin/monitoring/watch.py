@@ -12,7 +12,7 @@ from counterspin.calibration.observed_runs import ObservedRun
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.runs import Run
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CampaignError, CounterspinError, UsageError
 from counterspin.frozen import frozen
 from counterspin.monitoring.observer import Observer, recordings
 from counterspin.monitoring.result import CurrentEstimate, RunState, WatchState
@@ -43,7 +43,7 @@ class Pace:
 
     def __post_init__(self) -> None:
         if not (0.0 < self.interval < 1e6 and 0.0 < self.share <= 1.0):
-            raise CampaignError(
+            raise UsageError(
                 "watch", ["the interval must be above 0 s, and the share of a core between 0 and 1"]
             )
 
@@ -87,7 +87,11 @@ def watch(
     """
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
     if not recordings(campaign):
-        raise CampaignError("watch", ["the campaign has no runs with a record to follow"])
+        raise CampaignError(
+            "watch",
+            ["the campaign has no runs with a record to follow"],
+            code="method-not-applicable",
+        )
     targets = resolve_goals(campaign, goals)
     return _iter_states(campaign, targets, pace, once=once)
 

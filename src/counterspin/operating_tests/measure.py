@@ -12,7 +12,7 @@ import numpy as np
 
 from counterspin._version import __version__
 from counterspin.arrays import Array
-from counterspin.errors import CampaignError, RecordError
+from counterspin.errors import CampaignError, RecordError, UsageError
 from counterspin.input import path_of, read_file
 from counterspin.operating_tests import model
 from counterspin.operating_tests.model import Line, OperatingEstimate
@@ -70,12 +70,12 @@ def operating(
     """
     path = path_of(file, "the file of a table")
     if (input is None) == (time is None):
-        raise CampaignError("operating", ["give an input column, or a time column (warm-up)"])
+        raise UsageError("operating", ["give an input column, or a time column (warm-up)"])
     if output in (input, time):
         problem = f'"{output}" is named for both columns; name two different columns'
-        raise CampaignError("operating", [problem])
+        raise UsageError("operating", [problem])
     if full_scale is not None and not 0.0 < full_scale < math.inf:
-        raise CampaignError("operating", ["full_scale: must be greater than zero"])
+        raise UsageError("operating", ["full_scale: must be greater than zero"])
     first, outputs, digest = _read_columns(path, str(input or time), output)
     try:
         if input is not None:
@@ -91,7 +91,7 @@ def operating(
             dof = float(outputs.size - 3)
             noise = math.sqrt(float(residuals @ residuals) / dof), dof, False
     except ValueError as error:
-        raise CampaignError(path.name, [str(error)]) from error
+        raise CampaignError(path.name, [str(error)], code="not-evaluable") from error
     kept = np.unique(np.linspace(0, first.size - 1, min(first.size, _KEPT_ROWS)).astype(int))
     columns = first[kept].tolist()
     return OperatingTests(
@@ -120,7 +120,9 @@ def _read_columns(path: Path, first: str, output: str) -> tuple[Array, Array, st
     )
     pair = pair[np.isfinite(pair).all(axis=1)]
     if not 0 < len(pair) <= _MAX_ROWS:
-        raise RecordError(f"{path}: {len(pair)} rows with numbers; 1 to {_MAX_ROWS} are allowed")
+        raise RecordError(
+            f"{path}: {len(pair)} rows with numbers; 1 to {_MAX_ROWS} are allowed", code="no-rows"
+        )
     return pair[:, 0].copy(), pair[:, 1].copy(), hashlib.sha256(content).hexdigest()
 
 

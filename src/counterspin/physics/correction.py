@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array, semidefinite_root
-from counterspin.errors import ConvergenceError
+from counterspin.errors import ConvergenceError, InputError
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import Slope, SpecificForceProduct
@@ -38,6 +38,8 @@ _MAX_FORCE: Final = 1e9
 
 class NotInvertibleError(ConvergenceError):
     """With this model no specific force gives a sample's indication."""
+
+    code = "not-invertible"
 
     def __init__(self, row: int, reason: str) -> None:
         self.row, self.reason = row, reason
@@ -478,10 +480,11 @@ def _projections(
     rows = [instrument.mounting.input_axis for instrument in instruments]
     directions = np.stack([*rows, *(item.direction for item in known)])
     if np.linalg.matrix_rank(directions, tol=_PROJECTION_ROUNDING) < directions.shape[0]:
-        raise ValueError(
+        raise InputError(
             f"the specific force along a direction is given more than once: by {len(rows)} "
             f"accelerometers ({', '.join(i.name for i in instruments)}) and {len(known)} known "
-            "forces, with linearly dependent directions"
+            "forces, with linearly dependent directions",
+            "conflicting-values",
         )
     targets = np.stack([instrument.mounting.matrix[1:] for instrument in instruments])
     weights = targets @ np.linalg.pinv(directions)

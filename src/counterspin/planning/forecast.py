@@ -181,7 +181,7 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
         if sizes == [0.0, 0.0]:
             problems.append(f"noise: no noise is given for {name}; give {accelerometer.observable}")
     if problems:
-        raise CampaignError(str(campaign.path), dict.fromkeys(problems))
+        raise CampaignError(str(campaign.path), dict.fromkeys(problems), code="missing-key")
 
 
 def _resolved_noise(campaign: Campaign, name: str) -> Mapping[str, float | str]:

@@ -326,7 +326,8 @@ class InformationTable:
             raise CounterspinError(
                 f"limits: a run may have {revolutions[1]:.3g} revolutions; with a random walk or "
                 f"time-stamp jitter, the search is limited to runs of at most {most:.3g}: give a "
-                "shorter longest_run or total_time, or a lower highest_rate"
+                "shorter longest_run or total_time, or a lower highest_rate",
+                code="value-out-of-range",
             )
         self._counts = _integer_grid(revolutions)
         self._nodes = _log_nodes(*rates)

@@ -56,7 +56,8 @@ def optimise(
     if not limits.is_feasible:
         raise NotIdentifiableError(
             f"no run fits into {limits.total_time:.6g} s: the shortest run takes "
-            f"{limits.shortest_time:.6g} s with spin-up and settling"
+            f"{limits.shortest_time:.6g} s with spin-up and settling",
+            code="plan-infeasible",
         )
     choices = [
         (*relax(relaxing or predictor, allowed, criterion), allowed) for allowed in _subsets(limits)
@@ -79,7 +80,8 @@ def optimise(
     if best is None:
         raise NotIdentifiableError(
             f"no plan of at most {limits.runs} runs was found that fits into "
-            f"{limits.total_time:.6g} s; allow more time"
+            f"{limits.total_time:.6g} s; allow more time",
+            code="plan-infeasible",
         )
     value, design = _order_runs(predictor, criterion, *best)
     return Optimum(design, value, min(choices[0][1].bound, value))

@@ -13,7 +13,7 @@ from typing import Any, Final, Literal
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.campaign.quantity import attitude_words
-from counterspin.errors import CounterspinError, NotIdentifiableError
+from counterspin.errors import ExistingFileError, NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.input import path_of
 from counterspin.output import make_folder, write_text
@@ -272,7 +272,7 @@ def require_no_campaign(folder: Path) -> Path:
     """Return the description's path in a folder; raise CounterspinError if it exists already."""
     target = folder / DESCRIPTION_NAME
     if target.exists():
-        raise CounterspinError(f"{target} exists; choose another folder")
+        raise ExistingFileError(f"{target} exists; choose another folder")
     return target
 
 
@@ -291,7 +291,7 @@ Example = Literal["records", "poses"]
 def write_example(file: Path, example: Example = "records") -> Path:
     """Write a commented plan to start from; raises as `write_campaign` does."""
     if file.exists():
-        raise CounterspinError(f"{file} exists; edit it, or choose another name")
+        raise ExistingFileError(f"{file} exists; edit it, or choose another name")
     starter = "starter.toml" if example == "records" else f"starter_{example}.toml"
     write_text(file, (files("counterspin.planning") / starter).read_text("utf-8"))
     return file

@@ -218,7 +218,9 @@ def _named_attitudes(attitudes: Sequence[Any], problems: Problems) -> dict[str, 
             else ", ".join(f"{axis} {where}" for axis, where in attitude.items())
         )
         if name in named:
-            problems.add(("limits", "attitudes", index), f'"{name}" is listed twice')
+            problems.add(
+                ("limits", "attitudes", index), f'"{name}" is listed twice', "duplicate-entry"
+            )
         named[name] = attitude
     return named
 
@@ -240,7 +242,9 @@ def _stated_sizes(noise: Mapping[str, Any], problems: Problems) -> dict[str, Any
     """Return [noise] without noise to be estimated, and report that: no record exists yet."""
     unknown = [key for key, size in noise.items() if size == ESTIMATE]
     for key in unknown:
-        problems.add(("noise", key), "state a number: a plan cannot estimate the noise")
+        problems.add(
+            ("noise", key), "state a number: a plan cannot estimate the noise", "missing-value"
+        )
     return {key: size for key, size in noise.items() if key not in unknown}
 
 
@@ -272,7 +276,9 @@ def _check_noise(campaign: Campaign, problems: Problems) -> None:
     for name, accelerometer in campaign.accelerometers.items():
         sizes = (getattr(noise, accelerometer.observable), noise.acceleration, noise.quantisation)
         if sizes == (0.0, 0.0, 0.0):
-            problems.add(("noise",), f"{name} has no noise; give {accelerometer.observable}")
+            problems.add(
+                ("noise",), f"{name} has no noise; give {accelerometer.observable}", "missing-value"
+            )
 
 
 def _resolve_limits(
@@ -296,6 +302,7 @@ def _resolve_limits(
             ("limits", "longest_run"),
             f"{fewest:g} revolutions take {fewest * 2.0 * math.pi / high:.4g} s even at the "
             "highest rate; allow longer runs or fewer revolutions",
+            "plan-infeasible",
         )
     samples = fewest * 2.0 * math.pi / high * settings.sampling_rate
     if samples < _MIN_SAMPLES:
@@ -304,12 +311,14 @@ def _resolve_limits(
             f"{fewest:g} revolutions at {high:.6g} rad/s have {samples:.3g} samples at "
             f"{settings.sampling_rate:.6g} Hz; give a higher sampling rate, or a lower "
             "highest_rate",
+            "plan-infeasible",
         )
     if longest * high > 2.0 * math.pi * _MAX_REVOLUTIONS:
         problems.add(
             ("limits", "total_time"),
             f"a run of {longest:.4g} s at {high:.6g} rad/s is longer than the longest possible "
             f"record",
+            "plan-infeasible",
         )
     limits = Limits(
         types=tuple(RunType(name, sense) for name in attitudes for sense in senses),
@@ -327,7 +336,7 @@ def _resolve_limits(
     if settings.fewest_rates is None and (_rate_shortage(limits) or not limits.is_feasible):
         limits = replace(limits, fewest_rates=1)
     if reason := _rate_shortage(limits):
-        problems.add(("limits", "fewest_rates"), reason)
+        problems.add(("limits", "fewest_rates"), reason, "plan-infeasible")
     if limits.total_time < limits.shortest_time:
         problems.add(
             ("limits", "total_time"),
@@ -336,6 +345,7 @@ def _resolve_limits(
             if limits.fewest_rates == 1
             else f"{limits.fewest_rates} runs at different rates do not fit: the shortest take "
             f"{limits.shortest_time:.4g} s with spin-up, settling and {fewest:g} revolutions each",
+            "plan-infeasible",
         )
     return limits if len(problems.lines) == error_count else None
 
@@ -374,7 +384,7 @@ def _resolve_rates(
     if settings.rates is not None:
         bounds["rates"] = max(settings.rates)
     if not bounds:
-        problems.add(("limits",), "give highest_rate, specific_force or rates")
+        problems.add(("limits",), "give highest_rate, specific_force or rates", "missing-key")
         return None
     key, high = min(bounds.items(), key=lambda item: item[1])
     low = settings.lowest_rate
@@ -382,6 +392,7 @@ def _resolve_rates(
         problems.add(
             ("limits", "lowest_rate"),
             f"{low:.6g} rad/s is above the {high:.6g} rad/s that {key} allows",
+            "plan-infeasible",
         )
         return None
     if settings.rates is None:
@@ -390,7 +401,11 @@ def _resolve_rates(
         sorted({w for w in settings.rates if (low or 0.0) <= w <= high * (1.0 + 1e-12)})
     )
     if not available:
-        problems.add(("limits", "rates"), f"no rate is between lowest_rate and the limit of {key}")
+        problems.add(
+            ("limits", "rates"),
+            f"no rate is between lowest_rate and the limit of {key}",
+            "plan-infeasible",
+        )
         return None
     return (available[0], available[-1]), available
 
@@ -414,13 +429,15 @@ def resolve_goal(
     units: set[str] = set()
     names = list(settings_path)
     if not names:
-        problems.add(("goal", key), "does not name a coefficient")
+        problems.add(("goal", key), "does not name a coefficient", "unknown-term")
     for index, name in enumerate(names):
         path = ("goal", key, name if isinstance(settings_path, Mapping) else index)
         chosen = [u for u in shared if name in (u.name, u.symbol)]
         if not chosen:
             known_names = dict.fromkeys(n for u in shared for n in (u.symbol, u.name))
-            problems.add(path, f'"{name}" is not estimated' + suggest_name(name, known_names))
+            problems.add(
+                path, f'"{name}" is not estimated' + suggest_name(name, known_names), "unknown-term"
+            )
             continue
         size: float | None = 1.0
         if isinstance(settings_path, Mapping):
@@ -432,6 +449,7 @@ def resolve_goal(
             ("goal", key),
             "the coefficients have different units; give the u that counts as 1 for each "
             'coefficient, such as minimise = { K_II = "1e-8 g/g^2" }',
+            "missing-value",
         )
     if len(problems.lines) > error_count:
         return None
@@ -446,7 +464,11 @@ def _resolve_size(
     if quantity is None:
         return None
     if quantity.value <= 0.0 or quantity.u != 0.0:
-        problems.add(path, "a target uncertainty must be a single number greater than zero")
+        problems.add(
+            path,
+            "a target uncertainty must be a single number greater than zero",
+            "value-out-of-range",
+        )
         return None
     return quantity.value
 

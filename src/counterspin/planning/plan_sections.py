@@ -33,6 +33,7 @@ from counterspin.campaign.settings import (
 )
 from counterspin.campaign.truth import TruthSettings
 from counterspin.campaign.validation import Section
+from counterspin.errors import OutOfRangeError
 from counterspin.readings.entries import MOST_READINGS, MOST_RECORDS
 from counterspin.readings.section import ReadingsSettings
 from counterspin.triads.section import TriadSettings
@@ -43,14 +44,14 @@ MAX_ATTITUDES: Final = 24
 
 def _check_not_negative(value: float) -> float:
     if value < 0.0:
-        raise ValueError("must not be negative")
+        raise OutOfRangeError("must not be negative")
     return value
 
 
 def _check_positive_count(value: float) -> float:
     # The functions of the angle are hardly separable within less than a revolution.
     if value < 1.0:
-        raise ValueError("must be at least one revolution")
+        raise OutOfRangeError("must be at least one revolution")
     return value
 
 

@@ -258,7 +258,8 @@ class ReadingSearch:
             raise CounterspinError(
                 f"{self.plan.path}: limits.total_time leaves time for {counts.sum():.3g} "
                 f"readings, but a campaign may have at most {MOST_READINGS}; give "
-                "limits.readings, or reduce the time"
+                "limits.readings, or reduce the time",
+                code="too-many-rows",
             )
         return [self.plan.candidates[index] for index in measurement_order(counts, self.plan.order)]
 
@@ -296,7 +297,7 @@ class ReadingSearch:
             "no choice of readings within the limits",
             f"The best choice, {best_numbers.sum()} readings,",
         )
-        raise CounterspinError(text + ".")
+        raise CounterspinError(text + ".", code="goal-not-reached")
 
     def _comparison_plans(self, optimum: Optimum[Counts], prediction: Forecast) -> list[OtherPlan]:
         """Return the plan that takes every possible reading equally often, or nearly."""

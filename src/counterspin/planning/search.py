@@ -378,7 +378,7 @@ def unreachable(search: Search) -> CounterspinError:
         f"The best plan, in {search.limits.time(best.design):.4g} s,",
     )
     if len(goal) > 1:
-        return CounterspinError(text + ".")
+        return CounterspinError(text + ".", code="goal-not-reached")
     ((name, size),) = goal.items()
     unit = term(symbol_of(name)).unit
     if search.bounded:
@@ -395,4 +395,4 @@ def unreachable(search: Search) -> CounterspinError:
         both = search.smallest(allow_both_senses(search.limits), best.design)
         u = search.predictor.u(both.design)[search.predictor.names.index(name)]
         text += f", with both senses of rotation {format_distinct(u, size)} {unit}"
-    return CounterspinError(text + ".")
+    return CounterspinError(text + ".", code="goal-not-reached")

@@ -19,6 +19,7 @@ from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.documents import KeyPath, campaign_error, list_of, table_of
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.validation import Problems, suggest_name
+from counterspin.errors import InputError
 from counterspin.frozen import frozen
 from counterspin.planning.plan_file import (
     Plan,
@@ -213,13 +214,13 @@ def read_reading_plan(
     for reading in candidates:
         if reading.name in seen:
             text = f'two have the name "{reading.name}"; give each entry a different name'
-            problems.add(("stations",), text)
+            problems.add(("stations",), text, "duplicate-entry")
         seen.add(reading.name)
     if len(candidates) > _MAX_CANDIDATES:
         words = (
             f"make {len(candidates)} possible readings, more than the limit of {_MAX_CANDIDATES}"
         )
-        problems.add(("stations",), words)
+        problems.add(("stations",), words, "too-many-rows")
     runs = [_with_value(reading.run, "0") for reading in candidates]
     campaign = None
     if runs and not problems.lines:
@@ -237,12 +238,18 @@ def read_reading_plan(
         document = {**document, "model": model}
     sought = resolve_goal(goal, campaign, problems) if goal and campaign else None
     if limits is not None and limits.readings is None and limits.total_time is None:
-        problems.add(("limits",), "give readings or total_time")
+        problems.add(("limits",), "give readings or total_time", "missing-key")
     if limits is not None and limits.total_time is not None and not all(r.time for r in candidates):
-        problems.add(("limits", "total_time"), "requires the time of a reading at every station")
+        problems.add(
+            ("limits", "total_time"),
+            "requires the time of a reading at every station",
+            "missing-key",
+        )
     if limits is not None and campaign is not None and campaign.runs and not limits.sampling_rate:
         problems.add(
-            ("limits", "sampling_rate"), "is missing: the sampling rate of the records in [[runs]]"
+            ("limits", "sampling_rate"),
+            "is missing: the sampling rate of the records in [[runs]]",
+            "missing-key",
         )
     if problems.lines or campaign is None or sought is None or limits is None:
         raise campaign_error(
@@ -315,7 +322,7 @@ def _candidate_readings(
         if len(problems.lines) == before:
             if "triad" in raw:
                 return _poses(settings, {**shared, "reading": reading}, names, path, problems)
-            problems.add((*path, "attitude"), 'is "unknown", which needs [triad]')
+            problems.add((*path, "attitude"), 'is "unknown", which needs [triad]', "missing-key")
         return []
     if len(problems.lines) > before:
         return []
@@ -363,14 +370,17 @@ def _up(text: str, names: Sequence[str]) -> dict[str, float]:
         if part in "+-":
             sign = -1.0 if part == "-" else 1.0
         elif part in up:
-            raise ValueError(f'"{part}" is listed twice')
+            raise InputError(f'"{part}" is listed twice', "duplicate-entry")
         elif part not in names:
             suggestion = suggest_name(part, names)
-            raise ValueError(f'"{part}" is not an accelerometer of the triad{suggestion}')
+            raise InputError(
+                f'"{part}" is not an accelerometer of the triad{suggestion}',
+                "unknown-accelerometer",
+            )
         else:
             up[part], sign = sign, 1.0
     if not up:
-        raise ValueError("does not name an accelerometer")
+        raise InputError("does not name an accelerometer", "unknown-accelerometer")
     return up
 
 

@@ -11,6 +11,7 @@ from typing import Any, Final, Protocol
 from counterspin.campaign.columns import Sense
 from counterspin.campaign.field_types import exact
 from counterspin.campaign.quantity import parse
+from counterspin.errors import OutOfRangeError
 from counterspin.frozen import frozen
 from counterspin.units import unit_factor
 
@@ -111,7 +112,7 @@ class RateColumn:
         u: Standard uncertainty of the number, in its unit; None: that of the section, if any.
         """
         if u is not None and u < 0.0:
-            raise ValueError("a standard uncertainty cannot be negative")
+            raise OutOfRangeError("a standard uncertainty cannot be negative")
         rate, unit, power = self._exact(number)
         stated = self.settings.u_rate
         if u is None and stated is not None:
@@ -128,7 +129,7 @@ class RateColumn:
             unit_factor(unit, "rad/s")
             return number, unit, 1.0
         if number < 0.0:
-            raise ValueError(
+            raise OutOfRangeError(
                 "a centripetal acceleration must be positive; the mounting determines the sign"
             )
         acceleration = number * unit_factor(unit, "m/s^2", gravity=gravity)

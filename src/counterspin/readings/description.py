@@ -120,7 +120,7 @@ def _resolve_triad(
     if section is None and not pose_entries:
         return None
     if not is_installed(TRIAD):
-        reader.problems.add(("triad",), "this installation has no triads")
+        reader.problems.add(("triad",), "this installation has no triads", "missing-package")
         return None
     folder, problems = reader.file.parent, reader.problems
     resolve = load_name(TRIAD)

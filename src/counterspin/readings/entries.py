@@ -22,6 +22,7 @@ from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import Output
 from counterspin.campaign.validation import Problems, suggest_name
+from counterspin.errors import Problem
 from counterspin.frozen import copy_with, frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import FRAMES
@@ -66,7 +67,7 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
         ),
         (
             vibrates and run.amplitude is None,
-            "is missing: a vibration needs a peak acceleration",
+            Problem("is missing: a vibration needs a peak acceleration", "missing-key"),
             "amplitude motion",
         ),
         (
@@ -96,12 +97,12 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
         ),
         (
             not static and not vibrates and not rotates,
-            f"is missing: a run with motion {run.motion} rotates",
+            Problem(f"is missing: a run with motion {run.motion} rotates", "missing-key"),
             "rate motion",
         ),
         (
             (static or vibrates) and no_axes and not has_attitude,
-            "is missing: a reading at rest needs a position",
+            Problem("is missing: a reading at rest needs a position", "missing-key"),
             "attitude axes motion",
         ),
         (no_axes and not is_pose and run.motion == "arm", arm, " axes motion"),
@@ -117,7 +118,7 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
         ),
         (
             run.revolutions is not None and run.duration is None and not rotates,
-            "a run at rest needs a duration",
+            Problem("a run at rest needs a duration", "missing-key"),
             "revolutions duration rate",
         ),
         (
@@ -173,7 +174,9 @@ def add_blank_problem(paths: Sequence[KeyPath], problems: Problems) -> None:
     """Note readings without a value."""
     others_text = f", and neither have {len(paths) - 1} others" if len(paths) > 1 else ""
     problems.add(
-        paths[0], f"has no value yet{others_text}; enter the reading, or [truth] to simulate it"
+        paths[0],
+        f"has no value yet{others_text}; enter the reading, or [truth] to simulate it",
+        "missing-value",
     )
 
 
@@ -258,6 +261,7 @@ def _accelerometer_readings(
             problems.add(
                 path_of_reading,
                 "the campaign has several accelerometers; write reading = { NAME = ... }",
+                "missing-value",
             )
             return
         values = dict.fromkeys(names, values or [])
@@ -267,7 +271,9 @@ def _accelerometer_readings(
             yield name, texts if isinstance(texts, list) else [texts], value_path
         elif names:
             hint = suggest_name(name, names)
-            problems.add(value_path, f'no accelerometer is named "{name}"{hint}')
+            problems.add(
+                value_path, f'no accelerometer is named "{name}"{hint}', "unknown-accelerometer"
+            )
 
 
 def _make_reading(run: Run, name: str, parsed: _ParsedValue, axes: Mounting) -> Reading:

@@ -186,7 +186,9 @@ def make_triad(campaign: Campaign) -> TriadData | None:
     if campaign.triad is None:
         return None
     if not is_installed(TRIAD):
-        raise CampaignError(str(campaign.path), ["triad: this installation has no triads"])
+        raise CampaignError(
+            str(campaign.path), ["triad: this installation has no triads"], code="missing-package"
+        )
     triad: TriadData = load_name(TRIAD)(campaign)
     return triad
 
@@ -328,4 +330,5 @@ def _check_values(campaign: Campaign) -> None:
                 f'"{empty[0]}" and {len(empty) - 1} other readings have no value yet: enter '
                 "the readings, or simulate them from [truth] with `counterspin simulate`"
             ],
+            code="missing-value",
         )

@@ -121,7 +121,7 @@ def _rotation(campaign: Campaign, reading: Reading, record: Record) -> SpindleFi
             campaign, blocks.time, blocks.angle, reading.rate, blocks.count, blocks.time_sd
         )
     except (NotIdentifiableError, ConvergenceError) as error:
-        raise RecordError(f"{record.report.path}: {error}") from None
+        raise RecordError(f"{record.report.path}: {error}", code=error.code) from None
 
 
 def _angle_blocks(record: Record, rate: float) -> BlockMeans:

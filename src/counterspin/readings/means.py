@@ -131,7 +131,9 @@ def mean_of_record(
         rows = rows[angles < turns * 2.0 * math.pi * (1.0 + 1e-12)]
     if rows.size < MIN_SAMPLES:
         raise RecordError(
-            f"{record.report.path}: {rows.size} samples are too few for a mean and its uncertainty."
+            f"{record.report.path}: {rows.size} samples are too few for a mean and its "
+            "uncertainty.",
+            code="record-too-short",
         )
     burst = _burst_mask(record.time[rows], signal[rows], rotation[rows])
     rows = rows[~burst]

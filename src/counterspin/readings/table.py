@@ -16,7 +16,7 @@ from counterspin.campaign.quantity import HeadTurn, Quantity
 from counterspin.campaign.runs import ReadingAxes
 from counterspin.campaign.settings import Output
 from counterspin.campaign.validation import Problems, suggest_name
-from counterspin.errors import RecordError
+from counterspin.errors import InputError, RecordError, code_of
 from counterspin.frozen import frozen
 from counterspin.readings.cells import (
     BLANK,
@@ -33,7 +33,7 @@ from counterspin.readings.cells import (
 from counterspin.readings.entries import MOST_READINGS
 from counterspin.readings.section import COLUMNS, TABLE_ENDINGS, MountingSettings, ReadingsSettings
 from counterspin.records.dialect import Dialect
-from counterspin.records.frames import iter_columns
+from counterspin.records.memory import iter_columns
 from counterspin.units import same_unit, unit_factor
 
 if TYPE_CHECKING:
@@ -71,12 +71,15 @@ def read_table(
     table, places, checksums[folder / settings.file] = loaded
     frame = table.frame
     if frame.is_empty():
-        problems.add(("readings", "file"), f"{settings.file} has no rows below the header row")
+        problems.add(
+            ("readings", "file"), f"{settings.file} has no rows below the header row", "no-rows"
+        )
         return
     if settings.decimal is None and table.decimal == ",":
         problems.add(
             ("readings", "decimal"),
             f'is missing: {settings.file} has decimal commas; write decimal = ","',
+            "missing-key",
         )
         return
     rows = ReadingsTable(settings, accelerometers, problems, document)
@@ -93,18 +96,20 @@ def load_table(path: Path, dialect: Dialect) -> tuple[StoredTable, list[str], st
     from counterspin.records.formats import is_workbook, read_small_table
 
     if path.suffix.lower() not in TABLE_ENDINGS:
-        raise ValueError(
-            f"{path.name}: the name of a readings table must end in {', '.join(TABLE_ENDINGS)}"
+        raise InputError(
+            f"{path.name}: the name of a readings table must end in {', '.join(TABLE_ENDINGS)}",
+            "wrong-file-ending",
         )
     if dialect.sheet is not None and not is_workbook(path):
-        raise ValueError(f"{path.name}: only a workbook (.xlsx) has sheets")
+        raise InputError(f"{path.name}: only a workbook (.xlsx) has sheets", "conflicting-keys")
     try:
         table, places, checksum = read_small_table(path, dialect)
     except RecordError as error:
-        raise ValueError(str(error).rstrip(".")) from error
+        raise InputError(str(error).rstrip("."), code_of(error)) from error
     if (rows := table.frame.height) > MOST_READINGS:
-        raise ValueError(
-            f"{path.name} has {rows} rows; a table of readings has at most {MOST_READINGS}"
+        raise InputError(
+            f"{path.name} has {rows} rows; a table of readings has at most {MOST_READINGS}",
+            "too-many-rows",
         )
     if dialect.decimal == ",":
         table = replace(table, frame=with_points(table.frame))
@@ -132,6 +137,7 @@ def insert_readings(document: dict[str, Any], frame: Any, problems: Problems) ->
         problems.add(
             ("readings",),
             "the columns of the data frame differ in length, or the data frame has no columns",
+            "wrong-shape",
         )
         return
     tables = table_of(document, "accelerometers")
@@ -189,7 +195,9 @@ class ReadingsTable:
             path: KeyPath = ("readings", f"{self.settings.file} {location}")
             error_count = len(problems.lines)
             if any(isinstance(cell, str) and len(cell) > _MAX_CHARACTERS for cell in row.values()):
-                problems.add(path, f"a cell has more than {_MAX_CHARACTERS} characters")
+                problems.add(
+                    path, f"a cell has more than {_MAX_CHARACTERS} characters", "file-too-large"
+                )
                 continue
             if mounting is not None and not is_empty(row[mounting]):
                 last_mounting = row[mounting]
@@ -269,28 +277,34 @@ class ReadingsTable:
         for key, value in stated_columns.items():
             if key not in (*COLUMNS, "reading", "u"):
                 known = (*COLUMNS, "reading", "u")
-                problems.add((*path, key), "unknown key" + suggest_name(key, known))
+                problems.add((*path, key), "unknown key" + suggest_name(key, known), "unknown-key")
             elif key in COLUMNS and not isinstance(value, str):
-                problems.add((*path, key), "must be the name of one column")
+                problems.add((*path, key), "must be the name of one column", "wrong-type")
         if not stated_columns.get("reading"):
-            problems.add(path, "reading is missing; give the column with the values")
+            problems.add(path, "reading is missing; give the column with the values", "missing-key")
             return
         self._check_quantities()
         if self.settings.mountings and not (self.settings.mounting or "mounting" in stated_columns):
             problems.add(
-                path, "mounting is missing; give the column with the mounting of each reading"
+                path,
+                "mounting is missing; give the column with the mounting of each reading",
+                "missing-key",
             )
         is_static = self.settings.motion == "static" and "motion" not in stated_columns
         for key, motions in (("rate", ("arm", "counter-rotating")), ("amplitude", ("vibration",))):
             stated_motion = self.settings.motion if "motion" not in stated_columns else ""
             if stated_motion in motions and key not in stated_columns:
                 problems.add(
-                    path, f"{key} is missing; give the column with the {key} of each reading"
+                    path,
+                    f"{key} is missing; give the column with the {key} of each reading",
+                    "missing-key",
                 )
         stated = self.settings.axes is not None or self.settings.attitude is not None
         if is_static and not {"attitude", "input"} & set(stated_columns) and not stated:
             problems.add(
-                path, "attitude is missing; give the column with the position of each reading"
+                path,
+                "attitude is missing; give the column with the position of each reading",
+                "missing-key",
             )
         required = [*self.columns.values()]
         for key in ("reading", "u"):
@@ -298,7 +312,11 @@ class ReadingsTable:
                 required += columns
                 if owner not in self.accelerometers:
                     hint = suggest_name(owner, self.accelerometers)
-                    problems.add((*path, key), f'no accelerometer is named "{owner}"' + hint)
+                    problems.add(
+                        (*path, key),
+                        f'no accelerometer is named "{owner}"' + hint,
+                        "unknown-accelerometer",
+                    )
         self._check_existence(required, names)
 
     def _check_mounting_columns(self, names: Sequence[str]) -> None:
@@ -329,7 +347,9 @@ class ReadingsTable:
         for column in dict.fromkeys(required):
             if column not in names:
                 message = f'{self.settings.file} has no column "{column}"'
-                self.problems.add(("readings", "columns"), message + suggest_name(column, names))
+                self.problems.add(
+                    ("readings", "columns"), message + suggest_name(column, names), "missing-column"
+                )
 
     def _check_quantities(self) -> None:
         """Note what is wrong with quantities and units of the section."""
@@ -369,6 +389,7 @@ class ReadingsTable:
                     ("readings", "columns"),
                     f'{self.settings.file}: column "{column}" is in {unit_in_table} according to '
                     f"the units row, but in {unit} according to the description",
+                    "unit-mismatch",
                 )
 
     def make_run(self, row: Mapping[str, Any], index: int, path: KeyPath) -> dict[str, Any]:
@@ -397,7 +418,9 @@ class ReadingsTable:
             run["axes"] = stated.model_dump(include={"input", "pendulous"})
         elif settings.mountings and motion != "static":
             hint = suggest_name(mounting, settings.mountings)
-            self.problems.add(path, f'readings.mountings does not contain "{mounting}"{hint}')
+            self.problems.add(
+                path, f'readings.mountings does not contain "{mounting}"{hint}', "unknown-mounting"
+            )
         attitude = settings.attitude if cell("attitude") is None else cell("attitude")
         if "axes" in run or attitude is None:
             pass
@@ -424,7 +447,7 @@ class ReadingsTable:
             sense = words_of(cell("sense")).lower() or self.settings.sense
             if sense not in SENSE_WORDS:
                 message = f"'{sense}' is not one of {', '.join(SENSE_WORDS)}"
-                self.problems.add((*path[:-1], "sense"), message)
+                self.problems.add((*path[:-1], "sense"), message, "unknown-choice")
                 return motion, None
             u = self._parse_number(cell("u_rate"), (*path[:-1], "u_rate"))
             return motion, self.problems.collect(
@@ -434,7 +457,7 @@ class ReadingsTable:
             return motion, None
         if stated is None:
             message = "is missing: an arm rotates; write 0 for readings at rest"
-            self.problems.add(path, message)
+            self.problems.add(path, message, "missing-value")
         return "static", None
 
     def _vibration(self, cell: Callable[[str], Any], path: KeyPath) -> dict[str, Quantity]:
@@ -495,7 +518,7 @@ class ReadingsTable:
     def _parse_number(self, value: Any, path: KeyPath) -> float | None:
         number = None if value is None else as_number(value)
         if value is not None and number is None and not self._check_decimal_comma(value, path):
-            self.problems.add(path, f"{value!r} is not a number")
+            self.problems.add(path, f"{value!r} is not a number", "not-numeric")
         return number
 
     def _check_decimal_comma(self, value: Any, path: KeyPath) -> bool:
@@ -503,7 +526,7 @@ class ReadingsTable:
         has_comma = isinstance(value, str) and re.match(WITH_COMMA, value) is not None
         if has_comma:
             message = 'has a decimal comma; write decimal = "," in [readings]'
-            self.problems.add(path, f"{value!r} {message}")
+            self.problems.add(path, f"{value!r} {message}", "missing-key")
         return has_comma
 
 

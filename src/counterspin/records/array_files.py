@@ -1,4 +1,4 @@
-"""Record files of named arrays: HDF5, MATLAB in either of its formats, and TDMS of LabVIEW.
+"""Record files of named arrays: HDF5, and MATLAB in either of its formats.
 
 A column is an array with one dimension larger than 1; MATLAB keeps it as a column or a row. A
 matrix is as many columns as its shorter dimension: `pos` of 12001 x 2 is `pos.1` and `pos.2`, in
@@ -7,8 +7,6 @@ HDF5 `pos/1` and `pos/2`. A single number is no column.
 
 from __future__ import annotations
 
-import io
-import os
 import re
 import struct
 import zlib
@@ -20,13 +18,12 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from counterspin.errors import RecordError, installing
+from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.column_file import ColumnFile, Columns, concatenate_batches, format_names
 from counterspin.records.csv_file import CsvFile
 from counterspin.records.dialect import Dialect
 from counterspin.records.header_metadata import parse_interval
-from counterspin.records.unit_notation import parse_file_unit
 
 if TYPE_CHECKING:
     import polars as pl
@@ -97,7 +94,9 @@ class ArrayFile(ColumnFile):
             path[len(prefix) :].replace(path_separator, separator): path for path in paths_in_group
         }
         if group is not None and not short_names:
-            raise RecordError(f"{self.path}: no group '{group}' contains columns.")
+            raise RecordError(
+                f"{self.path}: no group '{group}' contains columns.", code="missing-column"
+            )
         # The whole path does as well.
         self._paths = {
             path.replace(path_separator, separator): path for path in paths
@@ -142,12 +141,15 @@ class ArrayFile(ColumnFile):
                 ]
                 hint = f": {format_names(columns)}" if columns else ""
                 raise RecordError(
-                    f"{self.path}: '{name}' has the shape {shape}; one column is needed{hint}."
+                    f"{self.path}: '{name}' has the shape {shape}; one column is needed{hint}.",
+                    code="wrong-shape",
                 )
             lengths[name] = size
         if len(set(lengths.values())) > 1:
             name_list = ", ".join(f"'{name}' {length}" for name, length in lengths.items())
-            raise RecordError(f"{self.path}: the columns differ in length: {name_list}.")
+            raise RecordError(
+                f"{self.path}: the columns differ in length: {name_list}.", code="wrong-shape"
+            )
         self._check_size(8 * sum(lengths.values()))
 
     def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
@@ -156,10 +158,13 @@ class ArrayFile(ColumnFile):
                 if name in self.timestamp_columns and array.dtype.kind != "M":
                     raise RecordError(
                         f"{self.path}: '{name}' contains no readable time stamps; "
-                        "export the time in seconds."
+                        "export the time in seconds.",
+                        code="not-numeric",
                     )
                 if name not in self.timestamp_columns and array.dtype.kind not in "fiub":
-                    raise RecordError(f"{self.path}: '{name}' does not contain numbers.")
+                    raise RecordError(
+                        f"{self.path}: '{name}' does not contain numbers.", code="not-numeric"
+                    )
             length = max((max(array.shape, default=1) for array in arrays.values()), default=0)
             for start in range(0, length, _BATCH_ROWS):
                 stop = min(start + _BATCH_ROWS, length)
@@ -193,7 +198,7 @@ class Hdf5File(ArrayFile):
 
         super().__init__(path, stream)
         if not h5py.is_hdf5(path):
-            raise RecordError(f"{path}: this is not an HDF5 file.")
+            raise RecordError(f"{path}: this is not an HDF5 file.", code="file-damaged")
         with h5py.File(path, "r") as file:
             found: dict[str, Any] = {}
             # Links are not followed, neither in the file nor out of it.
@@ -225,7 +230,8 @@ class Hdf5File(ArrayFile):
             if dataset.is_virtual or dataset.external:
                 raise RecordError(
                     f"{self.path}: the values of '{name}' are in another file. Write a file that "
-                    "contains them."
+                    "contains them.",
+                    code="missing-column",
                 )
             if field:
                 array = _FieldArray(dataset, field)
@@ -234,7 +240,9 @@ class Hdf5File(ArrayFile):
                 kind = dataset.id.get_type().get_class()
                 has_numbers, shape = kind in (h5py.h5t.INTEGER, h5py.h5t.FLOAT), dataset.shape
             if not has_numbers:
-                raise RecordError(f"{self.path}: '{name}' does not contain numbers.")
+                raise RecordError(
+                    f"{self.path}: '{name}' does not contain numbers.", code="not-numeric"
+                )
             return shape
 
     @contextmanager
@@ -321,7 +329,8 @@ class MatlabFile(ArrayFile):
         except (ValueError, TypeError, NotImplementedError) as error:
             raise RecordError(
                 f"{path}: this is not a MATLAB file of version 4 to 7, or it is damaged. Save it "
-                "again."
+                "again.",
+                code="file-damaged",
             ) from error
         self._variables = {name: (tuple(shape), kind) for name, shape, kind in variables}
         self._loaded: dict[str, np.ndarray] = {}
@@ -363,7 +372,9 @@ class MatlabFile(ArrayFile):
     def _shape(self, name: str) -> tuple[int, ...]:
         shape, kind = self._variables[self._paths[name]]
         if kind not in _MATLAB_NUMBERS:
-            raise RecordError(f"{self.path}: '{name}' does not contain numbers.")
+            raise RecordError(
+                f"{self.path}: '{name}' does not contain numbers.", code="not-numeric"
+            )
         return shape
 
     @contextmanager
@@ -452,149 +463,3 @@ def _slice(array: Any, start: int, stop: int, column: int) -> np.ndarray:
         for axis, size in enumerate(array.shape)
     )
     return np.atleast_1d(np.asarray(array[index], dtype=float))
-
-
-#: Part of a step by which channels may begin apart, and samples, or a part of them, by which
-#: channels may end apart, to be cut to the shortest.
-_MAX_START_DEVIATION = 0.1
-_MAX_CUT_ROWS = 16
-_MAX_CUT_FRACTION = 0.01
-#: Properties by which channels state their unit.
-_UNITS = ("unit_string", "NI_UnitDescription", "Unit", "unit")
-
-
-@frozen(eq=False)
-class _ChannelArray:
-    """A channel as an array of one dimension."""
-
-    channel: Any
-    start: int  #: Its first sample that is read.
-    length: int
-
-    @property
-    def dtype(self) -> Any:
-        return self.channel.dtype
-
-    @property
-    def shape(self) -> tuple[int]:
-        return (self.length,)
-
-    @property
-    def size(self) -> int:
-        return self.length
-
-    def __getitem__(self, index: Any) -> Any:
-        part = index[0] if isinstance(index, tuple) else index
-        start, stop, _ = part.indices(self.length)
-        return self.channel[self.start + start : self.start + stop]
-
-
-class TdmsFile(ArrayFile):
-    """Channels of a TDMS file."""
-
-    def __init__(self, path: Path, stream: BinaryIO, dialect: Dialect) -> None:
-        super().__init__(path, stream)
-        with self._open() as file:
-            channels = {
-                f"{group.name}/{channel.name}": (group.name, channel)
-                for group in file.groups()
-                for channel in group.channels()
-            }
-            self._places = {path: (group, c.name) for path, (group, c) in channels.items()}
-            self._parts_read = self._align_channels({path: c for path, (_, c) in channels.items()})
-            self._shapes = {path: (length,) for path, (_, length) in self._parts_read.items()}
-            units = {
-                path: _channel_unit(channel.properties) for path, (_, channel) in channels.items()
-            }
-            steps = {_sampling_interval(channel.properties) for _, channel in channels.values()}
-            self.interval = steps.pop() if len(steps) == 1 else None
-        self._name_columns(self._shapes, dialect.group, separator="/")
-        self.units = {name: units[path] for name, path in self._paths.items()}
-
-    @contextmanager
-    def _open(self) -> Iterator[Any]:
-        try:
-            import nptdms
-        except ModuleNotFoundError:
-            raise RecordError(
-                f"{self.path}: TDMS files need the package npTDMS. Export the table as CSV, or "
-                f"install it: {installing('tdms')}."
-            ) from None
-        # Of a stream no index file beside it is read, whose checksum nobody takes.
-        with os.fdopen(os.dup(self._stream.fileno()), "rb") as stream:
-            stream.seek(0, io.SEEK_SET)
-            with nptdms.TdmsFile.open(stream) as file:
-                yield file
-
-    def _shape(self, name: str) -> tuple[int, ...]:
-        return self._shapes[self._paths[name]]
-
-    @contextmanager
-    def _arrays(self, wanted: Sequence[str]) -> Iterator[Mapping[str, Any]]:
-        with self._open() as file:
-            arrays = {}
-            for name in wanted:
-                group, channel = self._places[self._paths[name]]
-                start, length = self._parts_read[self._paths[name]]
-                arrays[name] = _ChannelArray(file[group][channel], start, length)
-            yield arrays
-
-    def _align_channels(self, channels: Mapping[str, Any]) -> dict[str, tuple[int, int]]:
-        """Return the first sample and the number of samples of each channel.
-
-        Waveforms that began at different times, or ended a few samples apart, are cut to the time
-        that all of them have.
-        """
-        full_channels = {path: (0, len(channel)) for path, channel in channels.items()}
-        steps = {_sampling_interval(channel.properties) for channel in channels.values()}
-        step = steps.pop() if len(steps) == 1 else None
-        starts = [channel.properties.get("wf_start_time") for channel in channels.values()]
-        if step is None or any(start is None for start in starts):
-            return full_channels
-        latest_start = max(starts)
-        late_rows = [
-            float((latest_start - start) / np.timedelta64(1, "ns")) * 1e-9 / step
-            for start in starts
-        ]
-        skipped_rows = [round(rows) for rows in late_rows]
-        row_counts = [
-            len(c) - skipped_count
-            for c, skipped_count in zip(channels.values(), skipped_rows, strict=True)
-        ]
-        common_rows = min(row_counts)
-        if any(
-            abs(rows - skipped_count) > _MAX_START_DEVIATION
-            for rows, skipped_count in zip(late_rows, skipped_rows, strict=True)
-        ):
-            raise RecordError(
-                f"{self.path}: the start times of the channels do not differ by whole steps of the "
-                f"waveform. Export them with a common start."
-            )
-        if (
-            max(row_counts) - common_rows > max(_MAX_CUT_ROWS, _MAX_CUT_FRACTION * common_rows)
-            or common_rows < 1
-        ):
-            return full_channels
-        notes = []
-        if any(skipped_rows):
-            notes.append(
-                f"channels aligned by start time, up to {max(skipped_rows)} samples omitted"
-            )
-        if max(row_counts) > common_rows:
-            notes.append(f"channels truncated to the shortest, {common_rows} samples")
-        self.format_description = ", ".join(notes)
-        return {
-            path: (skipped_count, common_rows)
-            for path, skipped_count in zip(channels, skipped_rows, strict=True)
-        }
-
-
-def _sampling_interval(properties: Mapping[str, Any]) -> float | None:
-    """Return the time between samples of a waveform, s; None: the channel states none."""
-    step = properties.get("wf_increment")
-    return float(step) if isinstance(step, int | float) and step > 0.0 else None
-
-
-def _channel_unit(properties: Mapping[str, Any]) -> str:
-    values = (properties.get(key) for key in _UNITS)
-    return next((unit for text in values if text and (unit := parse_file_unit(str(text)))), "")

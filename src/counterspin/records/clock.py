@@ -108,8 +108,8 @@ class Clock:
         self._lost_time = math.nan
         self._lost_words = ""
 
-    def _fail(self, row: int, words: str) -> RecordError:
-        return RecordError(f"{self._path}, {self._locate(row)}: {words}")
+    def _fail(self, row: int, words: str, code: str) -> RecordError:
+        return RecordError(f"{self._path}, {self._locate(row)}: {words}", code=code)
 
     def start(self, time: np.ndarray, angle: np.ndarray | None) -> None:
         """Take the spacing and the rate from the first chunk; refuse a wrong rate or unit."""
@@ -119,8 +119,10 @@ class Clock:
         if not (steps > 0).any():
             if (steps < 0).any():
                 row = int(np.flatnonzero(is_valid)[np.flatnonzero(steps < 0)[0] + 1])
-                raise self._fail(row, "time runs backwards.")
-            raise RecordError(f"{self._path}: fewer than two rows have different times.")
+                raise self._fail(row, "time runs backwards.", "time-backwards")
+            raise RecordError(
+                f"{self._path}: fewer than two rows have different times.", code="no-rows"
+            )
         self.step = median(steps[steps > 0])
         if angle is None:
             return
@@ -135,7 +137,10 @@ class Clock:
         measured_rate = median(angle_steps / spans)
         ratio = measured_rate / nominal
         if abs(ratio - 1) > 0.05:
-            raise RecordError(f"{self._path}: {_rate_mismatch_message(measured_rate, nominal)}")
+            raise RecordError(
+                f"{self._path}: {_rate_mismatch_message(measured_rate, nominal)}",
+                code="rate-mismatch",
+            )
         rate_deviation = _wrap(angle_steps - nominal * spans)
         self.rate = nominal + median(rate_deviation / spans)
 
@@ -221,7 +226,7 @@ class Clock:
         for column, label in ((time, "time"), (chunk.angle, "angle")):
             if column is not None and np.isinf(column).any():
                 row = first_row + int(np.flatnonzero(np.isinf(column))[0])
-                raise self._fail(row, f"the {label} is infinite.")
+                raise self._fail(row, f"the {label} is infinite.", "value-out-of-range")
         has_time = ~np.isnan(time)
         self.findings.empty_time += int((~has_time).sum())
         rows = np.flatnonzero(has_time)
@@ -234,6 +239,7 @@ class Clock:
                 first_row + int(rows[index]),
                 f"time runs backwards, from {previous:.9g} s to {time[rows[index]]:.9g} s "
                 "after the record's start.",
+                "time-backwards",
             )
         rows = self._drop_repeats(chunk, rows, steps)
         self._note_gaps(first_row + rows, time[rows], before)
@@ -287,6 +293,7 @@ class Clock:
                     int(rows[index]),
                     f"there are no rows for {length:.6g} s, {revolutions:.4g} revolutions; the "
                     "rotation cannot be tracked over such a gap. Cut the record here.",
+                    "time-gap",
                 )
             self.findings.gap_count += 1
             if len(self.findings.gaps) < LISTED:
@@ -391,7 +398,7 @@ class Clock:
         self._lost_words = _jump_message(elapsed, self.step, misfit, self.rate)
 
     def _jump_error(self) -> RecordError:
-        return self._fail(self._lost or 0, self._lost_words)
+        return self._fail(self._lost or 0, self._lost_words, "time-jump")
 
     def _open_rows(self) -> int:
         return sum(row >= (self._lost or 0) for row in self.findings.outlier_rows)

@@ -142,16 +142,20 @@ def record_errors(path: Path, where: Callable[[], str] = str) -> Iterator[None]:
     except (CounterspinError, KeyboardInterrupt, SystemExit, GeneratorExit):
         raise
     except PermissionError:
-        raise RecordError(f"{path}: the file cannot be read; check its permissions.") from None
+        raise RecordError(
+            f"{path}: the file cannot be read; check its permissions.", code="file-not-readable"
+        ) from None
     except FileNotFoundError:
-        raise RecordError(f"{path}: file not found") from None
+        raise RecordError(f"{path}: file not found", code="file-not-found") from None
     except OSError as error:
         if error.errno is None:  # a library's
             raise DamagedFileError(_damage_message(path, where())) from error
-        raise RecordError(f"{path}: the file cannot be read{where()}: {error.strerror}.") from None
+        raise RecordError(
+            f"{path}: the file cannot be read{where()}: {error.strerror}.", code="file-not-readable"
+        ) from None
     except MemoryError:
         raise DamagedFileError(
-            f"{path}: the file needs more memory than is available{where()}."
+            f"{path}: the file needs more memory than is available{where()}.", code="out-of-memory"
         ) from None
     # Polars turns a panic into an exception that is no `Exception`.
     except BaseException as error:
@@ -167,6 +171,8 @@ def _damage_message(path: Path, where: str) -> str:
 
 class NoRowsError(RecordError):
     """No rows of numbers stand below names in a sheet."""
+
+    code = "no-rows"
 
 
 class ColumnFile(ABC):
@@ -218,7 +224,8 @@ class ColumnFile(ABC):
                 if FileIdentity.of(self.path) != self.identity:
                     raise RecordError(
                         f"{self.path}: the file was changed while counterspin was reading it. "
-                        "Wait until the file is complete."
+                        "Wait until the file is complete.",
+                        code="file-changed",
                     )
 
     def require(self, wanted: Sequence[str]) -> None:
@@ -226,7 +233,9 @@ class ColumnFile(ABC):
         wanted = self._columns_in_file(wanted)
         missing = [name for name in wanted if not self.has_column(name)]
         if missing:
-            raise RecordError(f"{self.path}: {self._missing_columns_message(missing)}")
+            raise RecordError(
+                f"{self.path}: {self._missing_columns_message(missing)}", code="missing-column"
+            )
         with record_errors(self.path):
             self._require(wanted)
 
@@ -276,7 +285,7 @@ class ColumnFile(ABC):
                 raise
             batches = list(self.batches(wanted))
         if not batches:
-            raise RecordError(f"{self.path}: the file has no rows.")
+            raise RecordError(f"{self.path}: the file has no rows.", code="no-rows")
         return concatenate_batches(batches)
 
     def table(self) -> pl.DataFrame:
@@ -290,7 +299,10 @@ class ColumnFile(ABC):
         import numpy as np
 
         if not self.has_column(column):
-            raise RecordError(f"{self.path}: select: {self._missing_columns_message([column])}")
+            raise RecordError(
+                f"{self.path}: select: {self._missing_columns_message([column])}",
+                code="missing-column",
+            )
         cells = [cell.strip() for cell in self.all_cells(column)]
         mask = np.array([_same_cell(cell, value) for cell in cells])
         if not mask.any():
@@ -298,7 +310,8 @@ class ColumnFile(ABC):
             raise RecordError(
                 f"{self.path}: select: column '{column}' does not contain the value '{value}'; it "
                 f""
-                f"has {values}."
+                f"has {values}.",
+                code="no-rows",
             )
         self.selection = mask
         note = f"rows with {value} in column '{column}'"
@@ -466,7 +479,9 @@ def plain_path(path: Path) -> str:
         text.encode()
     except UnicodeEncodeError:
         shown = text.encode(errors="replace").decode()
-        raise RecordError(f"{shown}: the path is not valid UTF-8; rename the folder.") from None
+        raise RecordError(
+            f"{shown}: the path is not valid UTF-8; rename the folder.", code="invalid-name"
+        ) from None
     return text
 
 

@@ -85,7 +85,8 @@ class CsvFile(ColumnFile):
                 if len(line) > _LINE_BYTES:
                     raise RecordError(
                         f"{self.path}, line {number}: the line has more than {_LINE_BYTES} bytes. "
-                        f"{_FORM}"
+                        f"{_FORM}",
+                        code="malformed-table",
                     )
                 if not line:
                     return
@@ -112,7 +113,9 @@ class CsvFile(ColumnFile):
             # What is in no known form may be no text at all.
             self._check_is_text(head)
         if layout is None:
-            raise RecordError(f"{self.path}: the file has no header row and no rows of numbers.")
+            raise RecordError(
+                f"{self.path}: the file has no header row and no rows of numbers.", code="no-rows"
+            )
         numbers = [cell for cell in layout.names if _is_number(cell)]
         mixed_cell = next((cell for cell in layout.names if _MIXED_CELL.search(cell)), None)
         if len(numbers) == len(layout.names) or (
@@ -122,7 +125,8 @@ class CsvFile(ColumnFile):
             mixed_text = f" and the text '{mixed_cell[:40]}'" if mixed_cell else ""
             raise RecordError(
                 f"{self.path}, line {layout.header}: the first line must contain the column "
-                f"names, but it contains numbers{mixed_text}: {line[:60]}"
+                f"names, but it contains numbers{mixed_text}: {line[:60]}",
+                code="malformed-table",
             )
         self.delimiter, self.decimal = layout.delimiter, layout.decimal
         self._named = layout.header > 0
@@ -214,14 +218,16 @@ class CsvFile(ColumnFile):
         try:
             wide_codec = "a,;\t1\n".encode(self._encoding) != b"a,;\t1\n"
         except LookupError:
-            raise RecordError(f"{self.path}: unknown encoding '{self._encoding}'.") from None
+            raise RecordError(
+                f"{self.path}: unknown encoding '{self._encoding}'.", code="unknown-choice"
+            ) from None
         if wide_codec and self._encoding != "utf-8-sig":
             try:
                 self._content = self.content().decode(self._encoding).encode()
                 self._is_utf8 = True
             except UnicodeError:
                 raise RecordError(
-                    f"{self.path}: the file is not text in {self._encoding}."
+                    f"{self.path}: the file is not text in {self._encoding}.", code="wrong-encoding"
                 ) from None
         if self._content is not None:
             first_bytes = self._content[:_LINE_BYTES]
@@ -244,7 +250,8 @@ class CsvFile(ColumnFile):
             line = raw.decode("utf-8-sig", errors="replace").strip("\r\n")
             if "\ufffd" in line or any(c < " " and c != "\t" for c in line):
                 raise RecordError(
-                    f"{self.path}, line {number}: the file is not text in UTF-8. {_FORM}"
+                    f"{self.path}, line {number}: the file is not text in UTF-8. {_FORM}",
+                    code="wrong-encoding",
                 )
             if line.strip() and not line.startswith("#"):
                 return
@@ -350,7 +357,9 @@ class CsvFile(ColumnFile):
         except pl.exceptions.NoDataError:
             return
         except pl.exceptions.PolarsError as error:
-            raise RecordError(f"{self.path}: a cell is not a number.") from error
+            raise RecordError(
+                f"{self.path}: a cell is not a number.", code="not-numeric"
+            ) from error
 
     def _check_cells(self, wanted: Sequence[str]) -> None:
         import polars as pl
@@ -373,7 +382,8 @@ class CsvFile(ColumnFile):
         if column in self.timestamp_columns:
             raise RecordError(
                 f"{self.path}, {self.locate(row)}: column '{column}' contains the text "
-                f"'{cell[:40]}' instead of a time, such as 2026-03-01T12:00:00.020."
+                f"'{cell[:40]}' instead of a time, such as 2026-03-01T12:00:00.020.",
+                code="not-numeric",
             )
         hint = ""
         if cell.strip() == column:
@@ -384,7 +394,8 @@ class CsvFile(ColumnFile):
             hint = ' Write numbers with a decimal point, or give `decimal=","`.'
         raise RecordError(
             f"{self.path}, {self.locate(row)}: column '{column}' contains the text '{cell[:40]}' "
-            f"instead of a number.{hint}"
+            f"instead of a number.{hint}",
+            code="not-numeric",
         )
 
     def _number_text(self, name: str) -> pl.Expr:
@@ -410,7 +421,7 @@ class CsvFile(ColumnFile):
 
         for name in stamps:
             if frame.select(self._is_invalid(name)).to_series().any():
-                raise RecordError(f"{self.path}: a cell is not a time.")
+                raise RecordError(f"{self.path}: a cell is not a time.", code="not-numeric")
             times = frame.select(nanoseconds(name)).to_series()
             frame = frame.with_columns(pl.Series(name, self.seconds(times)))
         return frame
@@ -456,7 +467,8 @@ class CsvFile(ColumnFile):
             elif open_line and number > open_line + _CELL_LINE_ENDS:
                 raise RecordError(
                     f"{self.path}, line {open_line}: a quotation mark is not closed within "
-                    f"{_CELL_LINE_ENDS} lines."
+                    f"{_CELL_LINE_ENDS} lines.",
+                    code="malformed-table",
                 )
             elif not open_line and line.count(self.delimiter) >= len(self.names):
                 width = len(split_cells(line, self.delimiter))
@@ -469,10 +481,14 @@ class CsvFile(ColumnFile):
                         )
                     raise RecordError(
                         f"{self.path}, line {number}: the line has {width} cells, but the header "
-                        f"row has {len(self.names)} names.{hint}"
+                        f"row has {len(self.names)} names.{hint}",
+                        code="malformed-table",
                     )
         if open_line:
-            raise RecordError(f"{self.path}, line {open_line}: a quotation mark is not closed.")
+            raise RecordError(
+                f"{self.path}, line {open_line}: a quotation mark is not closed.",
+                code="malformed-table",
+            )
 
     def locate(self, row: int) -> str:
         """Say on which line, as a text editor counts them, data row `row` stands."""
@@ -496,10 +512,14 @@ def open_text_named_excel(path: Path, stream: BinaryIO, dialect: Dialect) -> Col
     head = stream.read(_PREVIEW_BYTES)
     stream.seek(0)
     if head.startswith((b"\xd0\xcf\x11\xe0", b"PK")):
-        raise RecordError(f"{path}: this is a workbook; save it as .xlsx without a password.")
+        raise RecordError(
+            f"{path}: this is a workbook; save it as .xlsx without a password.",
+            code="wrong-file-type",
+        )
     if head.lstrip().startswith(b"<"):
         raise RecordError(
-            f"{path}: this is a web page or XML for Excel; open it in Excel and save it as .xlsx."
+            f"{path}: this is a web page or XML for Excel; open it in Excel and save it as .xlsx.",
+            code="wrong-file-type",
         )
     return CsvFile(path, stream, dialect)
 

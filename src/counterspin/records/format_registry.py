@@ -46,7 +46,7 @@ RECORD_FORMATS: Final[Mapping[str, RecordFormat]] = {
     ".hdf5": RecordFormat(f"{_ARRAYS}:Hdf5File", ("h5py",), holds_readings=True),
     ".mat": RecordFormat(f"{_ARRAYS}:open_matlab", ("h5py", "scipy.io"), holds_readings=True),
     ".xlsx": RecordFormat(f"{_TABLES}:ExcelFile", ("fastexcel", "polars"), holds_readings=True),
-    ".tdms": RecordFormat(f"{_ARRAYS}:TdmsFile", ("nptdms", "polars")),
+    ".tdms": RecordFormat("counterspin.records.tdms_file:TdmsFile", ("nptdms", "polars")),
 }
 
 #: Endings of files that hold other files, made small.

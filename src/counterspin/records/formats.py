@@ -45,7 +45,7 @@ Opener = Callable[[Path, BinaryIO, Dialect], ColumnFile]
 def find_opener(path: Path) -> Opener:
     """Return the opener of a file; RecordError for an unknown ending or a folder."""
     if problem := suffix_problem(path):
-        raise RecordError(f"{path}: {problem}")
+        raise RecordError(f"{path}: {problem}", code="wrong-file-type")
     return cast("Opener", load_name(RECORD_FORMATS[path.suffix.lower()].opener))
 
 
@@ -58,7 +58,7 @@ def open_columns(path: Path | MemoryTable, dialect: Dialect = AUTODETECT) -> Col
     with record_errors(path), ExitStack() as stack:
         stream = stack.enter_context(open_file(path))
         if FileIdentity.of(stream.fileno()).size == 0:
-            raise RecordError(f"{path}: the file is empty.")
+            raise RecordError(f"{path}: the file is empty.", code="no-rows")
         file = opener(path, stream, dialect)
         if dialect.select is not None:
             file.select(*dialect.select)

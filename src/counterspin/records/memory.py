@@ -1,4 +1,4 @@
-"""Records in memory: columns that a program holds, read like those of a file."""
+"""Records in memory: columns and frames that a program holds, read like those of a file."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from counterspin.records.column_file import ColumnFile, Columns
 
 if TYPE_CHECKING:
     import polars as pl
+
+#: Kinds of NumPy's numbers: truth values, integers, floating point.
+_NUMBERS: Final = "biuf"
 
 
 @frozen(eq=False)
@@ -74,10 +77,92 @@ class MemoryFile(ColumnFile):
     def _require(self, wanted: Sequence[str]) -> None:
         for name in wanted:
             if name in self._table_in_memory.others:
-                raise RecordError(f"{self.path}: column '{name}' contains no numbers.")
+                raise RecordError(
+                    f"{self.path}: column '{name}' contains no numbers.", code="not-numeric"
+                )
 
     def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         yield {name: self._table_in_memory.columns[name] for name in wanted}
 
     def _table(self) -> pl.DataFrame:
         return self._table_in_memory.frame()
+
+
+# Columns of frames and arrays, copied to a table in memory
+
+
+def memory_table(name: str, frame: Any) -> MemoryTable:
+    """Copy the columns of a frame."""
+    columns: dict[str, np.ndarray] = {}
+    skipped = []
+    for key, values in iter_columns(name, frame):
+        numbers = _numbers(values)
+        if numbers is None:
+            skipped.append(key)
+            continue
+        if numbers.ndim != 1:
+            raise RecordError(
+                f"{name}: column '{key}' has the shape {numbers.shape}; a column needs one value "
+                "per row.",
+                code="wrong-shape",
+            )
+        columns[key] = numbers
+    lengths = {key: len(values) for key, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        listing = ", ".join(f"'{key}' {length}" for key, length in lengths.items())
+        raise RecordError(f"{name}: the columns differ in length: {listing}.", code="wrong-shape")
+    if not any(lengths.values()):
+        raise RecordError(f"{name}: the file has no rows of numbers.", code="no-rows")
+    return MemoryTable(name, columns, tuple(skipped))
+
+
+def iter_columns(name: str, frame: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the names and values of a frame's columns."""
+    if isinstance(frame, Mapping):
+        yield from ((str(key), values) for key, values in frame.items())
+    elif isinstance(frame, np.ndarray) and frame.dtype.names:
+        yield from ((key, frame[key]) for key in frame.dtype.names)
+    elif hasattr(frame, "columns") and hasattr(frame, "__getitem__"):
+        # Of pandas, polars and their like.
+        yield from ((str(key), frame[key]) for key in frame.columns)
+    elif hasattr(frame, "__arrow_c_stream__") or hasattr(frame, "__dataframe__"):
+        import polars as pl
+
+        arrow = hasattr(frame, "__arrow_c_stream__")
+        polars_frame = pl.DataFrame(frame) if arrow else pl.from_dataframe(frame)
+        yield from ((column.name, column) for column in polars_frame.get_columns())
+    else:
+        raise RecordError(
+            f"{name}: a {type(frame).__name__} has no named columns. Give a mapping of arrays, a "
+            "polars or pandas data frame, or a file.",
+            code="wrong-type",
+        )
+
+
+def _numbers(values: Any) -> np.ndarray | None:
+    """Return a read-only copy of a column as float64, None if it does not hold numbers."""
+    array = values.to_numpy() if hasattr(values, "to_numpy") else values
+    if isinstance(array, np.ma.MaskedArray) and array.dtype.kind in _NUMBERS:
+        array = np.ma.filled(array.astype(float), np.nan)
+    array = np.asarray(array)
+    if array.dtype == object:
+        # Numbers with gaps; a missing value of pandas is equal to nothing, not even to itself.
+        cells = array.ravel()
+        if any(isinstance(cell, str | bytes) for cell in cells):
+            return None
+        try:
+            gaps = [np.nan if cell is None or _is_missing(cell) else float(cell) for cell in cells]
+        except (TypeError, ValueError):
+            return None
+        array = np.array(gaps).reshape(array.shape)
+    if array.dtype.kind not in _NUMBERS:
+        return None
+    copied = np.array(array, dtype=np.float64)
+    if copied.ndim == 2 and 1 in copied.shape:
+        copied = copied.ravel()
+    copied.flags.writeable = False
+    return copied
+
+
+def _is_missing(cell: Any) -> bool:
+    return type(cell).__name__ in ("NAType", "NaTType")

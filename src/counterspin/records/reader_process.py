@@ -96,7 +96,7 @@ class _ReaderProcess:
                     if reply is not None:
                         return reply
                     if not in_time:
-                        return DamagedFileError(f"{path}: {_TIMEOUT_STATUS}")
+                        return DamagedFileError(f"{path}: {_TIMEOUT_STATUS}", code="time-limit")
                     if not self._ready:
                         self._kill()
                         self._startable = False
@@ -327,7 +327,9 @@ def _answer(message: bytes) -> tuple[Any] | BaseException:
     except CounterspinError as error:
         return error
     except MemoryError:
-        return DamagedFileError(f"{path}: the file needs more memory than allowed.")
+        return DamagedFileError(
+            f"{path}: the file needs more memory than allowed.", code="out-of-memory"
+        )
     except BaseException as error:
         error.add_note(traceback.format_exc())
         return error

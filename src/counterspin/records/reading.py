@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from counterspin.arrays import median
-from counterspin.errors import RecordError
+from counterspin.errors import RecordError, code_of
 from counterspin.input import FileIdentity
 from counterspin.records.clock import LISTED, MAX_ANGLE, Clock
 from counterspin.records.column_file import (
@@ -42,7 +42,7 @@ from counterspin.records.record import (
     RecordReport,
 )
 from counterspin.records.reduction import BlockAverager, BlockMeans, block_size, main_segment
-from counterspin.records.run_file import RunFile, is_derived, pulse_angle
+from counterspin.records.run_file import RunFile, check_length, is_derived, pulse_angle
 from counterspin.records.sampling import MAX_REPEATED_TIMES, RepeatedValues
 from counterspin.records.several_sensors import refuse_several_sensors
 from counterspin.records.signals import (
@@ -59,15 +59,6 @@ from counterspin.records.signals import (
 
 #: More empty cells than this part of a run's rows refuse the record.
 MAX_EMPTY_FRACTION = 0.05
-#: Fewest revolutions of a record, and of one whose mean is a reading.
-MIN_REVOLUTIONS = 3.0
-MIN_REVOLUTIONS_OF_MEAN = 1.0
-#: Most revolutions from one row to the next, in the mean.
-MAX_REVOLUTIONS_PER_ROW = 20.0
-#: Revolutions that any record may have, and further ones for each of its rows: the motion is
-#: integrated through all of them, which takes some 0.03 MB for each.
-ANY_REVOLUTIONS = 5000.0
-MAX_REVOLUTIONS_PER_ROW_ANY_PHASE = 1.0 / 16.0
 #: No record holds larger values, in SI units; their squares would be beyond all numbers.
 MAX_MAGNITUDE = 1e100
 #: Rows that stand alone do so beyond a gap of as many steps, and of a revolution.
@@ -99,7 +90,9 @@ def read_record(
         try:
             pulse_angle(pulses[0], pulses[0][:0], motion.rate, columns.angle.per_revolution)
         except ValueError as error:
-            raise RecordError(f"{source}: column '{columns.angle.name}': {error}.") from None
+            raise RecordError(
+                f"{source}: column '{columns.angle.name}': {error}.", code=code_of(error)
+            ) from None
     return run_isolated(_read_file, record, columns, motion, block, pulses)
 
 
@@ -267,12 +260,13 @@ class _RecordReader:
             raise RecordError(
                 f"{self._file.path}: none of the {self._rows} rows is in the part to be used."
                 if self._rows
-                else f"{self._file.path}: the file has column names, but no rows."
+                else f"{self._file.path}: the file has column names, but no rows.",
+                code="no-rows",
             )
         self._clock.finish()
         self._check_empty_rows()
         if not chunks:
-            raise RecordError(f"{self._file.path}: the record has no usable rows.")
+            raise RecordError(f"{self._file.path}: the record has no usable rows.", code="no-rows")
         return BlockMeans.concatenate(chunks)
 
     def main_segment(self, blocks: BlockMeans) -> tuple[float, float] | None:
@@ -306,7 +300,8 @@ class _RecordReader:
         if not len(finite):
             raise RecordError(
                 f"{self._file.path}: column '{self._columns.time.name}' does not start with "
-                "numbers."
+                "numbers.",
+                code="not-numeric",
             )
         return float(finite[0])
 
@@ -348,7 +343,8 @@ class _RecordReader:
                 mask = self._file.locate_row(first_row + int(infinite[0]))
                 raise RecordError(
                     f"{self._file.path}, {mask}: column '{self._signals[place].name}' contains an "
-                    "infinite value."
+                    "infinite value.",
+                    code="value-out-of-range",
                 )
 
     def _note_outliers(
@@ -373,20 +369,23 @@ class _RecordReader:
             if count > MAX_EMPTY_FRACTION * self._rows:
                 raise RecordError(
                     f"{self._file.path}: column '{name}' has {count} empty cells in "
-                    f"{self._rows} rows; at most {MAX_EMPTY_FRACTION:.0%} may be empty."
+                    f"{self._rows} rows; at most {MAX_EMPTY_FRACTION:.0%} may be empty.",
+                    code="empty-cells",
                 )
         large = self._clock.findings.implausible_angles
         if self._columns.angle is not None and large > MAX_EMPTY_FRACTION * self._rows:
             raise RecordError(
                 f"{self._file.path}: column '{self._columns.angle.name}' has {large} angles above "
                 f"{MAX_ANGLE:g} rad in {self._rows} rows; at most {MAX_EMPTY_FRACTION:.0%} are "
-                "allowed. Check the unit of the column, or subtract the first value."
+                "allowed. Check the unit of the column, or subtract the first value.",
+                code="value-out-of-range",
             )
         differing_count = self._clock.findings.differing
         if differing_count > MAX_REPEATED_TIMES * self._rows:
             raise RecordError(
                 f"{self._file.path}: {differing_count} of {self._rows} rows repeat the time of "
-                "the row before with other values. If no row is lost, state `sampling_rate`."
+                "the row before with other values. If no row is lost, state `sampling_rate`.",
+                code="repeated-times",
             )
 
     def _empty_counts(self) -> dict[str, int]:
@@ -400,7 +399,8 @@ class _RecordReader:
 
     def record(self, blocks: BlockMeans) -> Record:
         """Check the record as a whole and assemble it."""
-        self._check_length(blocks)
+        duration = float(blocks.time[-1] - blocks.time[0])
+        check_length(self._file.path, self._rows, duration, self._motion)
         if blocks.angle is not None and self._columns.angle is not None:
             self._check_magnitude(self._columns.angle, blocks.angle)
         phase = self._motion.signal_phase(blocks.time, blocks.angle)
@@ -432,37 +432,13 @@ class _RecordReader:
             angle_sd=blocks.angle_sd,
         )
 
-    def _check_length(self, blocks: BlockMeans) -> None:
-        duration = float(blocks.time[-1] - blocks.time[0])
-        revolutions = duration * abs(self._motion.rate) / (2 * np.pi)
-        is_constant = self._motion.constant_input
-        min_revolutions = MIN_REVOLUTIONS_OF_MEAN if is_constant else MIN_REVOLUTIONS
-        if self._motion.rate and revolutions < min_revolutions * (1.0 - 1e-9):
-            required = f"{min_revolutions:g} are" if min_revolutions > 1.0 else "1 is"
-            raise RecordError(
-                f"{self._file.path}: the record lasts {duration:.6g} s, {revolutions:.3g} "
-                f"revolutions at the stated rate; at least {required} needed. Check the unit of "
-                "the time column."
-            )
-        if revolutions > MAX_REVOLUTIONS_PER_ROW * self._rows:
-            raise RecordError(
-                f"{self._file.path}: the record has {self._rows} rows in {revolutions:.4g} "
-                "revolutions, too few to follow the rotation. Check the unit of the time column."
-            )
-        max_revolutions = ANY_REVOLUTIONS + MAX_REVOLUTIONS_PER_ROW_ANY_PHASE * self._rows
-        if revolutions > max_revolutions and not is_constant:
-            raise RecordError(
-                f"{self._file.path}: the record has {self._rows} rows in {revolutions:.6g} "
-                f"revolutions. Beyond {ANY_REVOLUTIONS:g} revolutions, 16 rows are needed for each "
-                "further one. Check the unit of the time column, or cut the record."
-            )
-
     def _check_magnitude(self, spec: ColumnSpec, values: np.ndarray) -> None:
         largest = float(np.abs(values[~np.isnan(values)]).max(initial=0.0))
         if not largest < MAX_MAGNITUDE:
             raise RecordError(
                 f"{self._file.path}: column '{spec.name}' contains values up to {largest:.3g} in "
-                "SI units, which is implausible."
+                "SI units, which is implausible.",
+                code="value-out-of-range",
             )
 
     def _check_amplitude(
@@ -488,7 +464,8 @@ class _RecordReader:
                 f"follow the rotation for {len(dropout) / len(signal):.2g} of the record, between "
                 f"{start:.6g} s and {end:.6g} s after its start, and follows it again afterwards, "
                 f"as when a channel fails for a while; at most {MAX_EMPTY_FRACTION:.0%} may be "
-                f"affected. Cut the record here."
+                f"affected. Cut the record here.",
+                code="signal-dropout",
             )
         if len(dropout):
             dropout = dropout[~np.isnan(signal[dropout])]  # what is empty or out already is counted
@@ -503,7 +480,9 @@ class _RecordReader:
             problem = check_first_harmonic(fitted, expected, self._columns.angle is not None)
             if problem is not None:
                 column = self._columns.signals[accelerometer].name
-                raise RecordError(f"{self._file.path}: column '{column}' {problem}.")
+                raise RecordError(
+                    f"{self._file.path}: column '{column}' {problem}.", code="wrong-scale"
+                )
         return signal, fitted
 
     def _unit_change_error(
@@ -537,7 +516,8 @@ class _RecordReader:
         location = self._file.locate_row(int(np.concatenate(rows)[row_index]))
         return RecordError(
             f"{self._file.path}, {location}: column '{spec.name}' changes unit or scale: "
-            f"{change.description}. Cut the record here or correct the column."
+            f"{change.description}. Cut the record here or correct the column.",
+            code="unit-change",
         )
 
     def _reject_outlying_blocks(

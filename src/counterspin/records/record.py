@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.errors import RecordError
+from counterspin.errors import RecordError, code_of
 from counterspin.frozen import frozen
 from counterspin.input import FileIdentity
 from counterspin.records.dialect import AUTODETECT, Dialect
@@ -169,7 +169,8 @@ class ColumnSpec:
         if self.unit is None:
             if not file_unit:
                 raise RecordError(
-                    f"{place} has no unit in the file; state the unit in the campaign."
+                    f"{place} has no unit in the file; state the unit in the campaign.",
+                    code="missing-unit",
                 )
             if self.kind == "temperature" and file_unit in TEMPERATURE_SCALES:
                 return replace(self, unit=file_unit).resolve_unit(file)
@@ -177,7 +178,8 @@ class ColumnSpec:
                 factor = unit_factor(file_unit, self.target_unit, gravity=self.gravity)
             except ValueError as error:
                 raise RecordError(
-                    f"{place} is in '{file_unit}' according to the file: {error}."
+                    f"{place} is in '{file_unit}' according to the file: {error}.",
+                    code=code_of(error),
                 ) from None
             # Beside the unit there may be a sense, or a clock that is known to be fast.
             return replace(self, factor=factor * self.factor, unit=file_unit)
@@ -185,7 +187,8 @@ class ColumnSpec:
         if file_unit and file.units_row and not is_same:
             raise RecordError(
                 f"{place} is in '{file_unit}' according to the units row of the file, but in "
-                f"'{self.unit}' according to the campaign."
+                f"'{self.unit}' according to the campaign.",
+                code="unit-mismatch",
             )
         if self.kind == "temperature":
             return replace(self, offset=TEMPERATURE_SCALES[self.unit])

@@ -9,9 +9,20 @@ from pathlib import Path
 import numpy as np
 
 from counterspin.arrays import Array, median
+from counterspin.errors import InputError, RecordError
 from counterspin.input import FileIdentity
 from counterspin.records.column_file import ColumnFile, Columns, row_count
-from counterspin.records.record import RecordColumns
+from counterspin.records.record import NominalMotion, RecordColumns
+
+#: Fewest revolutions of a record, and of one whose mean is a reading.
+MIN_REVOLUTIONS = 3.0
+MIN_REVOLUTIONS_OF_MEAN = 1.0
+#: Most revolutions from one row to the next, in the mean.
+MAX_REVOLUTIONS_PER_ROW = 20.0
+#: Revolutions that any record may have, and further ones for each of its rows: the motion is
+#: integrated through all of them, which takes some 0.03 MB for each.
+ANY_REVOLUTIONS = 5000.0
+MAX_REVOLUTIONS_PER_ROW_ANY_PHASE = 1.0 / 16.0
 
 #: How far a pulse may stand from its place, in parts of the interval.
 _MAX_PULSE_DEVIATION = 0.2
@@ -104,26 +115,28 @@ def pulse_angle(pulses: Array, time: Array, rate: float, per_revolution: float) 
     rate: Stated, rad/s, signed.
     """
     if len(pulses) < 3:
-        raise ValueError(f"{len(pulses)} pulses are too few to follow the rotation")
+        raise InputError(f"{len(pulses)} pulses are too few to follow the rotation", "too-few-rows")
     steps = np.diff(pulses)
     if (steps <= 0).any():
         index = int(np.flatnonzero(steps <= 0)[0]) + 2
-        raise ValueError(f"pulse {index} is not later than the preceding pulse")
+        raise InputError(f"pulse {index} is not later than the preceding pulse", "time-backwards")
     interval = median(steps)
     expected_interval = 2 * math.pi / abs(rate) / per_revolution
     if abs(interval / expected_interval - 1) > 0.05:
-        raise ValueError(
+        raise InputError(
             f"the pulses are {interval:.6g} s apart; at the stated rate, with {per_revolution:g} "
-            f"pulses per revolution, the interval should be {expected_interval:.6g} s"
+            f"pulses per revolution, the interval should be {expected_interval:.6g} s",
+            "rate-mismatch",
         )
     # A pulse that is missing leaves an interval of two.
     revolutions = np.round(steps / interval)
     offset = np.abs(steps / interval - revolutions) > _MAX_PULSE_DEVIATION
     if offset.any() or (revolutions < 1).any():
         index = int(np.flatnonzero(offset | (revolutions < 1))[0]) + 2
-        raise ValueError(
+        raise InputError(
             f"pulse {index} comes {steps[index - 2]:.6g} s after the preceding pulse, instead of "
-            f"{interval:.6g} s"
+            f"{interval:.6g} s",
+            "irregular-time",
         )
     unit = math.copysign(2 * math.pi / per_revolution, rate)
     angles = unit * np.concatenate([[0.0], np.cumsum(revolutions)])
@@ -149,3 +162,34 @@ def _interpolate_parabola(x: Array, y: Array, index: np.ndarray, position: Array
     second = ((y[index + 1] - y[index]) / (x2 - x1) - first) / (x2 - x0)
     result: Array = y[index - 1] + (position - x0) * (first + (position - x1) * second)
     return result
+
+
+def check_length(path: object, rows: int, duration: float, motion: NominalMotion) -> None:
+    """Refuse a record that is too short, or has too few rows for its revolutions.
+
+    duration: Time from the first to the last row, s.
+    """
+    revolutions = duration * abs(motion.rate) / (2.0 * math.pi)
+    is_constant = motion.constant_input
+    min_revolutions = MIN_REVOLUTIONS_OF_MEAN if is_constant else MIN_REVOLUTIONS
+    if motion.rate and revolutions < min_revolutions * (1.0 - 1e-9):
+        required = f"{min_revolutions:g} are" if min_revolutions > 1.0 else "1 is"
+        raise RecordError(
+            f"{path}: the record lasts {duration:.6g} s, {revolutions:.3g} revolutions at the "
+            f"stated rate; at least {required} needed. Check the unit of the time column.",
+            code="record-too-short",
+        )
+    if revolutions > MAX_REVOLUTIONS_PER_ROW * rows:
+        raise RecordError(
+            f"{path}: the record has {rows} rows in {revolutions:.4g} revolutions, too few to "
+            "follow the rotation. Check the unit of the time column.",
+            code="too-few-rows",
+        )
+    max_revolutions = ANY_REVOLUTIONS + MAX_REVOLUTIONS_PER_ROW_ANY_PHASE * rows
+    if revolutions > max_revolutions and not is_constant:
+        raise RecordError(
+            f"{path}: the record has {rows} rows in {revolutions:.6g} revolutions. Beyond "
+            f"{ANY_REVOLUTIONS:g} revolutions, 16 rows are needed for each further one. Check the "
+            "unit of the time column, or cut the record.",
+            code="too-few-rows",
+        )

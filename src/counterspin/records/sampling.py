@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array, median
-from counterspin.errors import RecordError
+from counterspin.errors import InputError, RecordError, code_of
 from counterspin.frozen import frozen
 from counterspin.records.outliers import resolution
 from counterspin.records.unit_notation import bracketed_unit
@@ -108,10 +108,11 @@ class ValueHolding:
             return cls(float(period), period, int(change_indices[0]) % period)
         rows = 1.0 / (1.0 - repeated)
         if chance_repeats > _MAX_CHANCE_FRACTION:
-            raise ValueError(
+            raise InputError(
                 f"it repeats {100.0 * repeated:.2g} % of its values at irregular distances, as "
                 "when the log is faster than the sensor, and its resolution is too coarse to tell "
-                "a repeat from an equal sample; export the sensor's own samples"
+                "a repeat from an equal sample; export the sensor's own samples",
+                "irregular-time",
             )
         return cls(rows, 0, 0)
 
@@ -152,7 +153,9 @@ class RepeatedValues:
                 repeats = is_later.all() or ValueHolding.detect(signal[is_later]) is not None
                 self._holding.append(ValueHolding.detect(signal) if repeats else None)
             except ValueError as error:
-                raise RecordError(f"{path}: column '{name}': {error}.") from None
+                raise RecordError(
+                    f"{path}: column '{name}': {error}.", code=code_of(error)
+                ) from None
 
     def fill(self, first_row: int, signals: Sequence[Array], interpolates: bool) -> list[Array]:
         """Return the signals of a chunk with repeated values replaced.
@@ -237,9 +240,10 @@ def row_rate(time: Array) -> float:
     stamps = join_bursts(time)
     steps = np.diff(count_times(stamps, int(np.sum(np.diff(stamps) == 0.0))))
     if np.ptp(steps) > 0.5 * median(steps):
-        raise ValueError(
+        raise InputError(
             "samples are missing among rows with equal time stamps; export time stamps with a "
-            "finer resolution"
+            "finer resolution",
+            "irregular-time",
         )
     return 1.0 / median(steps)
 
@@ -269,11 +273,12 @@ def count_times(time: Array, restamped: int) -> Array:
         step = float(duration / count)
     for segment, last in zip(segments, last_rows, strict=True):
         if _lacks_rows(segment[last] / step - last, segment.size):
-            raise ValueError(
+            raise InputError(
                 f"{restamped} of {time.size} rows repeat the time of the previous row with "
                 "different values, and samples are missing among them or have too long delays, so "
                 "the rows cannot be counted; export the times of the sensor with a finer "
-                "resolution, or, if no sample is missing, give `sampling_rate`"
+                "resolution, or, if no sample is missing, give `sampling_rate`",
+                "irregular-time",
             )
     delays = [segment - step * np.arange(segment.size) for segment in segments]
     places = [round(float(delay.min() - delays[0].min()) / step) for delay in delays]

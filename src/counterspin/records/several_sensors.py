@@ -138,7 +138,7 @@ def refuse_several_sensors(file: ColumnFile, wanted: Sequence[str]) -> None:
         return
     named = [name for name in file.names if name and name not in wanted]
     for name, values in sensor_columns(file.first_cells(named, SHOWING_ROWS)):
-        raise RecordError(f"{file.path}: {sensors_message(name, values)}")
+        raise RecordError(f"{file.path}: {sensors_message(name, values)}", code="several-sensors")
 
 
 def sensors_message(name: str, values: Sequence[str]) -> str:

@@ -43,7 +43,9 @@ class ParquetFile(ColumnFile):
         try:
             self._schema = self._scan().collect_schema()
         except pl.exceptions.PolarsError:
-            raise RecordError(f"{path}: this is not a readable Parquet file.") from None
+            raise RecordError(
+                f"{path}: this is not a readable Parquet file.", code="file-damaged"
+            ) from None
         self.names = self._schema.names()
 
     def _scan(self) -> pl.LazyFrame:
@@ -58,7 +60,8 @@ class ParquetFile(ColumnFile):
             if name not in self.timestamp_columns and not self._schema[name].is_numeric():
                 raise RecordError(
                     f"{self.path}: column '{name}' is of type {self._schema[name]}; numbers are "
-                    "required."
+                    "required.",
+                    code="not-numeric",
                 )
         rows = int(self._scan().select(pl.len()).collect().item())
         self._check_size(8 * rows * len(wanted))
@@ -98,7 +101,9 @@ class ParquetFile(ColumnFile):
         if kind == pl.String():
             return nanoseconds(name)
         if not isinstance(kind, pl.Datetime):
-            raise RecordError(f"{self.path}: column '{name}' contains no time stamps.")
+            raise RecordError(
+                f"{self.path}: column '{name}' contains no time stamps.", code="not-numeric"
+            )
         return pl.col(name).dt.cast_time_unit("ns").to_physical()
 
 
@@ -146,7 +151,8 @@ def _open_workbook(path: Path, content: bytes) -> Any:
     except ModuleNotFoundError:
         raise RecordError(
             f"{path}: Excel files need the package fastexcel. Save the table as CSV, or install "
-            f"it: {installing('excel')}."
+            f"it: {installing('excel')}.",
+            code="missing-package",
         ) from None
     _require_size(path, content)
     return fastexcel.read_excel(content)
@@ -158,7 +164,10 @@ def _find_sheet(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str
     names = book.sheet_names
     if sheet is not None:
         if sheet not in names:
-            raise RecordError(f"{path}: no sheet is named '{sheet}'; it has {format_names(names)}.")
+            raise RecordError(
+                f"{path}: no sheet is named '{sheet}'; it has {format_names(names)}.",
+                code="unknown-sheet",
+            )
         return book, sheet
     # A workbook may come with empty sheets, and with one of remarks.
     filled_sheets = [name for name in names if book.load_sheet(name).height > 0]
@@ -170,7 +179,9 @@ def _find_sheet(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str
             if filled_sheets
             else "the workbook has no sheets with rows"
         )
-        raise RecordError(f"{path}: the sheet with the table is not known: {text}.")
+        raise RecordError(
+            f"{path}: the sheet with the table is not known: {text}.", code="ambiguous-selection"
+        )
     return book, matches[0]
 
 
@@ -277,7 +288,8 @@ class ExcelFile(ColumnFile):
                 noun = "time" if name in self.timestamp_columns else "number"
                 raise RecordError(
                     f"{self.path}, {self.locate(row)}: column '{name}' contains the text "
-                    f"'{str(stated[row])[:40]}' instead of a {noun}."
+                    f"'{str(stated[row])[:40]}' instead of a {noun}.",
+                    code="not-numeric",
                 )
         yield columns
 
@@ -308,5 +320,6 @@ def _require_size(path: Path, content: bytes) -> None:
     if size > max_bytes:
         raise DamagedFileError(
             f"{path}: the workbook unpacks to {size / 1e6:.0f} MB, more than the "
-            f"{max_bytes / 1e6:.0f} MB allowed for a file of this size; save the table as CSV."
+            f"{max_bytes / 1e6:.0f} MB allowed for a file of this size; save the table as CSV.",
+            code="file-too-large",
         )

@@ -69,7 +69,9 @@ def _temperature_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> 
         infinite = np.flatnonzero(np.isinf(time))
         if len(infinite):
             row_location = file.locate_row(rows + int(infinite[0]))
-            raise RecordError(f"{file.path}, {row_location}: the time is infinite.")
+            raise RecordError(
+                f"{file.path}, {row_location}: the time is infinite.", code="value-out-of-range"
+            )
         coldest, warmest = WORKING_TEMPERATURES
         impossible = np.flatnonzero((temperatures < coldest) | (temperatures > warmest))
         if len(impossible):
@@ -80,7 +82,8 @@ def _temperature_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> 
             raise RecordError(
                 f"{file.path}, {row_location}: column '{spec.name}' holds {implausible:.6g} K "
                 f"({implausible - ZERO_CELSIUS:.6g} degC), outside the operating range of any "
-                "accelerometer. Check the unit of the column."
+                "accelerometer. Check the unit of the column.",
+                code="value-out-of-range",
             )
         rows += len(time)
         is_used = (time >= columns.time_range[0]) & (time <= columns.time_range[1])
@@ -100,12 +103,13 @@ def _temperature_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> 
         last = float(t[-1])
         segments.append(_segment_means(np.stack([t, x, np.ones(len(t))]), _SEGMENTS_PER_PIECE))
     if not segments:
-        raise RecordError(f"{location} has no number in the part that is used.")
+        raise RecordError(f"{location} has no number in the part that is used.", code="no-rows")
     gap = max(gap, (span[1] - last, last, span[1]))
     if gap[0] > _MAX_GAP_FRACTION * (span[1] - span[0]):
         raise RecordError(
             f"{location} has no number from {gap[1]:.6g} s to {gap[2]:.6g} s, more than a quarter "
-            "of the record. State the temperature of the run (`temperature`) instead of a column."
+            "of the record. State the temperature of the run (`temperature`) instead of a column.",
+            code="empty-cells",
         )
     values = np.concatenate(segments, axis=1)
     low, high = float(values[1].min()), float(values[1].max())

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, cast, overload
 
 from counterspin._version import __version__
-from counterspin.errors import CampaignError
+from counterspin.errors import CampaignError, UsageError
 from counterspin.frozen import frozen
 from counterspin.loading import load_name
 from counterspin.output import mark, marked, reserve, write_whole
@@ -27,7 +27,9 @@ def check_format(path: Path) -> str:
     """Return the format of a file name; CampaignError if it is not supported."""
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
-        raise CampaignError("report", [f"{path}: name the file .html, .pdf or .md"])
+        raise CampaignError(
+            "report", [f"{path}: name the file .html, .pdf or .md"], code="wrong-file-ending"
+        )
     return suffix
 
 
@@ -129,7 +131,9 @@ def issue_date(text: str | None = None) -> datetime:
     except (ValueError, OverflowError, OSError) as error:
         source, given_text = ("`date`", text) if text is not None else ("SOURCE_DATE_EPOCH", epoch)
         raise CampaignError(
-            source, [f"{given_text!r} is not a date: write 2026-03-01 or 2026-03-01T14:30:00+01:00"]
+            source,
+            [f"{given_text!r} is not a date: write 2026-03-01 or 2026-03-01T14:30:00+01:00"],
+            code="invalid-date",
         ) from error
     return datetime.now(UTC).replace(microsecond=0)
 
@@ -237,7 +241,7 @@ def report(
     if kind == "pdf":
         return page.pdf(made)
     if kind not in ("html", "md"):
-        raise CampaignError("report", [f"kind: {kind!r} is not html, md or pdf"])
+        raise UsageError("report", [f"kind: {kind!r} is not html, md or pdf"])
     return page.text(f".{kind}", made)
 
 

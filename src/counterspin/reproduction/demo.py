@@ -15,7 +15,7 @@ from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.calibration.two_stage.method import TwoStageOutcome, calibrate_accelerometer
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME
-from counterspin.errors import CounterspinError
+from counterspin.errors import ExistingFileError, WriteError
 from counterspin.frozen import frozen
 from counterspin.input import read_file
 from counterspin.output import write_text
@@ -90,7 +90,7 @@ def write_description(folder: Path) -> None:
     target = folder / DESCRIPTION_NAME
     try:
         if target.exists() and read_file(target) != text.encode():
-            raise CounterspinError(
+            raise ExistingFileError(
                 f"{target} belongs to another campaign, or to an earlier or edited demonstration; "
                 "remove it, or choose another folder"
             )
@@ -98,11 +98,11 @@ def write_description(folder: Path) -> None:
             place for run in parse_toml(text)["runs"] if (place := folder / run["record"]).exists()
         ]
         if taken and not target.exists():
-            raise CounterspinError(
+            raise ExistingFileError(
                 f"{taken[0]} does not belong to a demonstration; choose another folder"
             )
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise CounterspinError(f"{folder} cannot be used ({error.strerror})") from error
+        raise WriteError(f"{folder} cannot be used ({error.strerror})") from error
     if not target.exists():
         write_text(target, text)

@@ -409,6 +409,7 @@ def fill_table(
         raise CampaignError(
             str(campaign.path),
             [f"readings.{key}: a simulated table has no such key; omit it" for key in stated_names],
+            code="conflicting-keys",
         )
     frame = load_table(path, settings.dialect)[0].frame
     outputs = {name: a.output for name, a in campaign.accelerometers.items()}

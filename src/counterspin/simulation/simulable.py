@@ -171,7 +171,7 @@ def refuse_unsupported(campaign: Campaign) -> None:
         if len(run.files) > 1:
             problems.append(f'run "{run.name}": a simulated record is a single file')
     if problems:
-        raise CampaignError(str(campaign.path), problems)
+        raise CampaignError(str(campaign.path), problems, code="not-simulable")
 
 
 def _missing_temperatures(campaign: Campaign) -> Iterator[str]:
@@ -253,7 +253,7 @@ def check_size(
     records = len(campaign.runs) * len(campaign.accelerometers)
     if purpose != "simulation" and records > MOST_RECORDS:
         text = f"runs: {records} records are too many; a {purpose} can have at most {MOST_RECORDS}"
-        raise CampaignError(str(campaign.path), [text])
+        raise CampaignError(str(campaign.path), [text], code="too-many-rows")
     max_rows = MOST_SIMULATED_ROWS if purpose == "simulation" else MOST_ROWS
     advice = (
         f"rows to compute, and a {purpose} has room for {max_rows:.2g}; choose fewer "
@@ -267,7 +267,7 @@ def check_size(
     else:
         problems = []
     if problems:
-        raise CampaignError(str(campaign.path), problems)
+        raise CampaignError(str(campaign.path), problems, code="too-many-rows")
 
 
 def apply_true_inputs(campaign: Campaign) -> Campaign:

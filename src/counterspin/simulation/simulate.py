@@ -24,13 +24,12 @@ from counterspin.campaign.runs import Run, sample_count
 from counterspin.campaign.settings import StatedNoise
 from counterspin.campaign.simulated_truth import SimulatedTruth
 from counterspin.campaign.static_noise import simulated_noise
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CampaignError, ExistingFileError, UsageError
 from counterspin.output import make_folder, write_text, write_whole
 from counterspin.physics import observation, simulation
 from counterspin.physics.motion import Trajectory, encoder_error, perturbed_trajectory
 from counterspin.physics.own_velocity import AxisError, own_velocity_errors
-from counterspin.records.frames import memory_table
-from counterspin.records.memory import MemoryTable
+from counterspin.records.memory import MemoryTable, memory_table
 from counterspin.records.record import ColumnSpec
 from counterspin.simulation.pose_record import indicated_forces, simulate_forces
 from counterspin.simulation.readings import (
@@ -123,7 +122,7 @@ def simulate(
     read_from = campaign.source.file if campaign.source else campaign.path
     own = description.exists() and read_from is not None and description.samefile(read_from)
     if description.exists() and not own and not _is_simulated(description):
-        raise CounterspinError(
+        raise ExistingFileError(
             f"{description} does not belong to a simulated campaign, so its files were not "
             "overwritten: simulate into another folder"
         )
@@ -158,12 +157,12 @@ def _check_targets(paths: Sequence[Path], description: Path, *, overwrite: bool)
     """Raise CounterspinError for files that would be replaced, if they may not be."""
     existing = [path for path in paths if path.exists()]
     if existing and not description.exists():
-        raise CounterspinError(
+        raise ExistingFileError(
             f"{existing[0]} exists, and no {DESCRIPTION_NAME} in its folder describes it as "
             "simulated, so it was not overwritten. Simulate into another folder"
         )
     if existing and not overwrite:
-        raise CounterspinError(
+        raise ExistingFileError(
             f"{existing[0]} exists; simulate into another folder, or give `overwrite=True`"
         )
 
@@ -174,17 +173,18 @@ def _check_simulable(campaign: Campaign) -> None:
         raise CampaignError(
             str(campaign.path),
             ["truth: missing; `simulate` needs [truth.NAME] tables with the true coefficients"],
+            code="missing-key",
         )
     check_size(campaign, campaign.simulation.sampling_rate, "simulation")
     if problems := [*simulation_problems(campaign), *reading_problems(campaign)]:
-        raise CampaignError(str(campaign.path), problems)
+        raise CampaignError(str(campaign.path), problems, code="not-simulable")
 
 
 def _simulate_in_memory(campaign: Campaign) -> Campaign:
     """Return a campaign with simulated records and readings."""
     source = require_source(campaign)
     if "readings" in source.document:
-        raise CampaignError(
+        raise UsageError(
             str(campaign.path), ["readings: a readings table can only be simulated into a folder"]
         )
     readings, head_errors = true_readings(campaign)
@@ -309,7 +309,9 @@ def _static_record_copy(campaign: Campaign, folder: Path) -> dict[Path, Path | M
         return {}
     if ".." in place.parts:
         words = "is outside the campaign's folder; choose a file next to the description"
-        raise CampaignError(str(campaign.path), [f"noise.from: {named} {words}"])
+        raise CampaignError(
+            str(campaign.path), [f"noise.from: {named} {words}"], code="path-outside-folder"
+        )
     target, rest = folder / named, campaign.record_at(place)
     same_file = isinstance(rest, Path) and target.exists() and target.samefile(rest)
     return {} if same_file else {target: rest}
@@ -331,7 +333,7 @@ def _targets_in_folder(
         else:
             targets.append(folder / file.relative_to(campaign.folder))
     if problems:
-        raise CampaignError(str(campaign.path), problems)
+        raise CampaignError(str(campaign.path), problems, code="not-simulable")
     return tuple(targets)
 
 

@@ -387,7 +387,8 @@ def _run_in_pool(
             if crashes >= _MAX_CONSECUTIVE_CRASHES:
                 raise CounterspinError(
                     "the worker processes end immediately; try fewer `workers`, or check whether "
-                    "memory runs out"
+                    "memory runs out",
+                    code="worker-failed",
                 ) from error
 
 

@@ -41,6 +41,7 @@ from counterspin.campaign.resolution import CampaignDocument
 from counterspin.campaign.runs import recorders_of
 from counterspin.campaign.terms import BARE_NAMES, expand, rows_of, symbols_shown
 from counterspin.campaign.validation import Problems, Section, suggest_name
+from counterspin.errors import OutOfRangeError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import CLOCK
 from counterspin.inference.joint.unknowns import unit_of
@@ -236,7 +237,11 @@ def parse_study(
     if campaign is None or settings is None:
         raise campaign_error(file, problems.lines)
     if campaign.simulation is None:
-        problems.add(("truth",), "missing; a study needs [truth.NAME] with the true coefficients")
+        problems.add(
+            ("truth",),
+            "missing; a study needs [truth.NAME] with the true coefficients",
+            "missing-key",
+        )
     else:
         check_size(campaign, campaign.simulation.sampling_rate, "study")
     problems.lines += [*simulation_problems(campaign), *reading_problems(campaign)]
@@ -253,7 +258,7 @@ def parse_study(
         varying += _varied_quantities(key, entry_path, entry, campaign, recorders, problems)
     for index, quantity in enumerate(varying):
         if any(_is_same_quantity(quantity, earlier) for earlier in varying[:index]):
-            problems.add(("study", "vary"), f"{quantity.symbol} is listed twice")
+            problems.add(("study", "vary"), f"{quantity.symbol} is listed twice", "duplicate-entry")
     analyses = []
     has_readings = campaign.readings or campaign.posed
     only_displacement = {a.observable for a in campaign.accelerometers.values()} == {"displacement"}
@@ -270,6 +275,7 @@ def parse_study(
                 ("study", "analyses", name, "method"),
                 "the two-stage method requires records of displacement on a double turntable; "
                 f"this campaign has {data}, which require the joint method",
+                "method-not-applicable",
             )
             continue
         analysis = _parse_analysis(name, table, document, source, problems)
@@ -334,9 +340,9 @@ def _campaign_document(
     known = ("schema", "campaign", "study")
     for key in raw:
         if key not in known:
-            problems.add((key,), "unknown key" + suggest_name(key, known))
+            problems.add((key,), "unknown key" + suggest_name(key, known), "unknown-key")
     if type(raw.get("schema")) is not int or raw["schema"] != 1:
-        problems.add(("schema",), "this version of counterspin reads schema = 1")
+        problems.add(("schema",), "this version of counterspin reads schema = 1", "unknown-choice")
     return load_document(base, CAMPAIGN_ADVICE, "campaign"), base
 
 
@@ -384,7 +390,7 @@ def _varied_quantities(
         return []
     distributions = [name for name in _DISTRIBUTIONS if getattr(settings, name) is not None]
     if len(distributions) != 1:
-        problems.add(path, "give one of normal, uniform and fixed")
+        problems.add(path, "give one of normal, uniform and fixed", "unknown-choice")
         return []
     (distribution,) = distributions
     symbol = names[0][1]
@@ -404,16 +410,18 @@ def _varied_quantities(
         return []
     first, second = parameters
     if symbol == WHITE and first <= 0.0:
-        problems.add(path, "must be greater than zero")
+        problems.add(path, "must be greater than zero", "value-out-of-range")
     if symbol in INPUTS:
         low, high = term(symbol).effect.bounds
         if not all(
             low <= value <= high
             for value in (first, second if distribution == "uniform" else first)
         ):
-            problems.add(path, f"must be between {low:.4g} and {high:.4g} {unit}")
+            problems.add(
+                path, f"must be between {low:.4g} and {high:.4g} {unit}", "value-out-of-range"
+            )
     if symbol in NOISE_LEVELS and first < 0.0:
-        problems.add(path, "must not be less than zero")
+        problems.add(path, "must not be less than zero", "value-out-of-range")
     return [
         VariedQuantity(owner, name, distribution, first, second, per_run)  # type: ignore[arg-type]
         for owner, name in names
@@ -455,7 +463,7 @@ def _resolve_names(
     hint = suggest_name(key, candidates)
     if "known:" in hint:
         hint = f"; known: {', '.join([*OTHER_QUANTITIES, *ACCELEROMETER_TERMS, *BARE_NAMES])}"
-    problems.add(path, "cannot be varied in a study" + hint)
+    problems.add(path, "cannot be varied in a study" + hint, "unknown-term")
     return []
 
 
@@ -491,7 +499,7 @@ def _parse_distribution(
         raise ValueError('a uniform distribution is written ["LEAST UNIT", "GREATEST UNIT"]')
     low, high = (exact(_as_quantity(bound, unit), unit, gravity) for bound in value)
     if not low < high:
-        raise ValueError("the least value must be below the greatest")
+        raise OutOfRangeError("the least value must be below the greatest")
     return low, high
 
 

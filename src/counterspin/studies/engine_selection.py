@@ -15,7 +15,7 @@ from counterspin.arrays import Array
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.two_stage.method import make_request
 from counterspin.campaign.description import Campaign
-from counterspin.errors import NotIdentifiableError
+from counterspin.errors import NotIdentifiableError, code_of
 from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import RIPPLE, Unknown, Unknowns
 from counterspin.inference.two_stage.model import TwoStageRequest
@@ -79,7 +79,8 @@ def list_analyses(study: StudyDescription) -> tuple[Analysis, ...]:
         if campaign.angle is None:
             raise NotIdentifiableError(
                 f"{name}: a study of the two-stage method needs a recorded angle ([records] "
-                "angle); without an angle, study only the joint fit ([study.analyses])"
+                "angle); without an angle, study only the joint fit ([study.analyses])",
+                code="method-not-applicable",
             )
         for owner, accelerometer in campaign.accelerometers.items():
             request = make_request(problem, accelerometer, options)
@@ -103,7 +104,8 @@ def prepare_study(study: StudyDescription, seed: int, engine: EngineName = "auto
             engines.append(choose_engine(setup, truth, analysis, engine))
         if not engines[-1].coefficients:
             raise NotIdentifiableError(
-                f"{analysis.name}: the records do not determine any coefficient"
+                f"{analysis.name}: the records do not determine any coefficient",
+                code="not-determined",
             )
     return StudyEngine(truth, seed, tuple(engines), TrialAccumulator(_bias_covariates(truth)))
 
@@ -137,7 +139,8 @@ def choose_engine(
     if obstacles and engine == "linear":
         raise NotIdentifiableError(
             f'{analysis.name}: `engine="linear"` is not valid here: {"; ".join(obstacles)}; '
-            'use `engine="full"`, or omit `engine`'
+            'use `engine="full"`, or omit `engine`',
+            code="method-not-applicable",
         )
     if obstacles or selected is None:
         return _full_engine(setup, truth, analysis, f"full records ({obstacles[0]})")
@@ -155,12 +158,13 @@ def _engine_with_readings(
     if engine == "linear":
         raise NotIdentifiableError(
             f'{analysis.name}: `engine="linear"` is not valid here: there are readings; '
-            'use `engine="full"`, or omit `engine`'
+            'use `engine="full"`, or omit `engine`',
+            code="method-not-applicable",
         )
     try:
         readings = TrialReadings.from_campaign(campaign)
     except ValueError as error:
-        raise NotIdentifiableError(f"{analysis.name}: {error}") from error
+        raise NotIdentifiableError(f"{analysis.name}: {error}", code=code_of(error)) from error
     description = "readings" if setup is None else "full records and readings"
     return _full_joint_engine(setup, truth, analysis, analysis.joint_request, description, readings)
 

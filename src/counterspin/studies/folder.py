@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from counterspin.arrays import Array
-from counterspin.errors import CounterspinError, CounterspinWarning
+from counterspin.errors import CounterspinError, CounterspinWarning, ExistingFileError
 from counterspin.frozen import frozen
 from counterspin.output import FileType, make_folder, reserve, write_whole
 from counterspin.studies.batch_runner import BatchResults
@@ -85,7 +85,8 @@ class StudyFolder:
         if has_progress:
             raise CounterspinError(
                 f"{self.directory}: contains an unfinished study; continue it with `resume=True`, "
-                "choose another folder, or discard it with `overwrite=True`"
+                "choose another folder, or discard it with `overwrite=True`",
+                code="study-unfinished",
             )
         for path in (trials, self.directory / _PARTS, *figures):
             if path.exists():
@@ -109,7 +110,7 @@ class StudyFolder:
 
 
 def _foreign_file_error(path: Path) -> CounterspinError:
-    return CounterspinError(
+    return ExistingFileError(
         f"{path} exists and was not written by a study, so it is not replaced: name another folder"
     )
 
@@ -192,13 +193,15 @@ class StudyProgress:
         if not self._file.exists():
             raise CounterspinError(
                 f"{self.folder}: contains no study to resume; omit `resume`, or give the folder "
-                "of the study as `output`"
+                "of the study as `output`",
+                code="study-not-found",
             )
         arrays = _load_arrays(self._file)
         if arrays is not None and str(arrays.get("fingerprint")) != self._fingerprint:
             raise CounterspinError(
                 f"{self.folder}: the study started there differs (in its description, "
-                "engine or `keep_trials`); use another folder"
+                "engine or `keep_trials`); use another folder",
+                code="study-differs",
             )
         try:
             saved_trials, batches, sums = self._check_sums(arrays)
@@ -276,4 +279,4 @@ def _load_arrays(path: Path) -> dict[str, Array] | None:
 
 
 def _warn(text: str) -> None:
-    warnings.warn(text, CounterspinWarning, stacklevel=4)
+    warnings.warn(CounterspinWarning(text, code="trials-repeated"), stacklevel=4)

@@ -169,7 +169,7 @@ def make_setup(campaign: Campaign) -> SimulationSetup:
         if symbol in RESPONSE_INPUTS and (owner, symbol) not in stated
     ]
     if errors:
-        raise CampaignError(str(campaign.path), errors)
+        raise CampaignError(str(campaign.path), errors, code="not-simulable")
     noise = simulated_noise(campaign)
     return SimulationSetup(
         runs=tuple(run.name for run in campaign.runs),

@@ -104,9 +104,11 @@ def study(
     description = where if isinstance(where, StudyDescription) else read_study(where)
     trials = description.trials if trials is None else trials
     if not 2 <= trials <= _MAX_TRIALS:
-        raise CounterspinError(f"`trials` must be at least 2 and at most {_MAX_TRIALS:.0e}")
+        raise CounterspinError(
+            f"`trials` must be at least 2 and at most {_MAX_TRIALS:.0e}", code="wrong-usage"
+        )
     if seed is not None and seed < 0:
-        raise CounterspinError("`seed` must not be negative")
+        raise CounterspinError("`seed` must not be negative", code="wrong-usage")
     folder = StudyFolder(output) if isinstance(output, Path | str) else output
     if folder is not None:
         folder.reserve()
@@ -149,7 +151,8 @@ def _check_memory(engine: StudyEngine, trials: int) -> None:
     if trials > max_trials:
         raise CounterspinError(
             f"{trials:.3g} `trials` need too much memory; this study may have at most "
-            f"{max_trials:.3g}"
+            f"{max_trials:.3g}",
+            code="too-many-rows",
         )
 
 
@@ -158,14 +161,13 @@ def _warn_of_duration(engine: StudyEngine, trials: int, workers: int) -> None:
     if seconds < _WARNING_DURATION:
         return
     reason = _slow_analyses(engine)
-    warnings.warn(
+    text = (
         f"{trials} trials will take about {_format_duration(seconds)}"
         + (f" ({reason})" if reason else "")
         + "; use fewer `trials`, more `workers` or a `cluster` to reduce this time; Ctrl-C "
-        "stops the study with a valid result for the completed trials",
-        CounterspinWarning,
-        stacklevel=4,
+        "stops the study with a valid result for the completed trials"
     )
+    warnings.warn(CounterspinWarning(text, code="long-study"), stacklevel=4)
 
 
 def _slow_analyses(engine: StudyEngine) -> str:
@@ -214,7 +216,7 @@ def _make_result(
 ) -> StudyResult:
     if not batch_results.done.any():
         raise CounterspinError(
-            "the study was stopped before the first batch of trials was complete"
+            "the study was stopped before the first batch of trials was complete", code="stopped"
         )
     sums = batch_results.sums[batch_results.done]
     coefficients: dict[str, dict[str, CoefficientResult]] = {}

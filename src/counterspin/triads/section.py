@@ -84,6 +84,7 @@ def resolve_triad(
                 (*path, "attitude"),
                 'is "unknown", which needs three accelerometers; write [triad] accelerometers = '
                 '["X", "Y", "Z"]',
+                "missing-key",
             )
         return None
     settings = problems.check(TriadSettings, raw, ("triad",))
@@ -116,15 +117,23 @@ def _axes_of(
         if name not in mountings:
             said = suggest_name(name, mountings)
             problems.add(
-                ("triad", "accelerometers", place), f'no accelerometer is named "{name}"{said}'
+                ("triad", "accelerometers", place),
+                f'no accelerometer is named "{name}"{said}',
+                "unknown-accelerometer",
             )
         elif name in names[:place]:
-            problems.add(("triad", "accelerometers", place), f'"{name}" is listed twice')
+            problems.add(
+                ("triad", "accelerometers", place), f'"{name}" is listed twice', "duplicate-entry"
+            )
     axes = [own for own in map(mountings.get, names) if own is not None]
     if len(problems.lines) > before or len(axes) < len(names):
         return []
     if names and abs(np.linalg.det([own.input_axis for own in axes])) < _LEAST_VOLUME:
-        problems.add(("triad", "accelerometers"), "their input axes lie (nearly) in one plane")
+        problems.add(
+            ("triad", "accelerometers"),
+            "their input axes lie (nearly) in one plane",
+            "invalid-axes",
+        )
         return []
     return axes
 
@@ -145,6 +154,7 @@ def _frame_misalignments(
             ("accelerometers", names[1], "pendulous_axis"),
             f"must lie in the plane of the input axes of {names[0]} and {names[1]}, or at right "
             "angles to it, so that one misalignment is perpendicular to it",
+            "invalid-axes",
         )
         return ()
     return (
@@ -185,10 +195,10 @@ def _resolve_pose(
     readings = next(pose_readings)
     if names and readings and set(readings) != set(names):
         message = f"at an unknown attitude, exactly {', '.join(names)} must have readings"
-        problems.add((*path, "reading"), message)
+        problems.add((*path, "reading"), message, "missing-value")
     stated = [reading.u is not None for reading in readings.values()]
     if any(stated) and not all(stated):
         message = "state the uncertainty for all three readings of a pose, or for none"
-        problems.add((*path, "reading"), message)
+        problems.add((*path, "reading"), message, "wrong-uncertainty")
     if readings.keys() >= set(names) > set() and len(problems.lines) == error_count:
         yield tuple(readings[name] for name in names)

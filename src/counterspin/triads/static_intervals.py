@@ -122,7 +122,7 @@ def read_poses(
     try:
         poses = find_poses(record.time + record.start_time, values, rest, threshold)
     except RecordError as error:
-        raise RecordError(f"{path}: {error}") from None
+        raise RecordError(f"{path}: {error}", code=error.code) from None
     names = [spec.name for spec in columns.signals.values()]
     outliers = dict(zip(names, map(int, poses.spikes), strict=True))
     return poses, replace(record, report=replace(record.report, outliers=outliers))
@@ -153,7 +153,9 @@ def find_poses(
     used_threshold = _default_threshold(level, resolutions) if threshold is None else threshold
     starts, ends = _find_intervals(t, level, used_threshold, rest, window, step)
     if not len(starts):
-        raise RecordError(_no_interval_message(t, level, used_threshold, rest, window, step))
+        raise RecordError(
+            _no_interval_message(t, level, used_threshold, rest, window, step), code="no-rest"
+        )
     contrast = _contrast(level, used_threshold, starts, ends)
     faults = _interval_faults(x, starts, ends, resolutions)
     left_out = tuple(
@@ -162,7 +164,7 @@ def find_poses(
         for index, reason in faults.items()
     )
     if len(faults) == len(starts):
-        raise RecordError("all rests were rejected. " + " ".join(left_out))
+        raise RecordError("all rests were rejected. " + " ".join(left_out), code="no-rest")
     starts, ends = np.delete(starts, list(faults)), np.delete(ends, list(faults))
     rows = [x[first:last] for first, last in zip(starts, ends, strict=True)]
     interval = np.searchsorted(t[starts], spike_times) - 1
@@ -190,28 +192,36 @@ def _sampling_step(time: Array, rest: float) -> float:
     Rows with the same time, as a coarse clock writes them, have no step.
     """
     if not rest > 0.0:
-        raise RecordError(f"the duration of a rest must be positive, not {rest:g} s.")
+        raise RecordError(
+            f"the duration of a rest must be positive, not {rest:g} s.", code="wrong-usage"
+        )
     if len(time) < _FEWEST_ROWS:
         raise RecordError(
-            f"{len(time)} rows have all three values, which is too few to detect a pose."
+            f"{len(time)} rows have all three values, which is too few to detect a pose.",
+            code="record-too-short",
         )
     steps = np.diff(time)
     if (steps < 0.0).any():
-        raise RecordError(f"time runs backwards after {time[np.argmax(steps < 0.0)]:.6g} s.")
+        raise RecordError(
+            f"time runs backwards after {time[np.argmax(steps < 0.0)]:.6g} s.",
+            code="time-backwards",
+        )
     if not steps.any():
-        raise RecordError("all rows have the same time.")
+        raise RecordError("all rows have the same time.", code="no-rows")
     length, step = float(time[-1] - time[0]), median(steps[steps > 0.0])
     if length + step < rest * (1.0 - 1e-9):
         raise RecordError(
             f"the record lasts {length:.4g} s, less than one rest of {rest:g} s. Check the unit "
             "of the time or the sampling rate, or specify a shorter "
-            "rest interval."
+            "rest interval.",
+            code="record-too-short",
         )
     if not _FEWEST_ROWS * step <= rest * (1.0 + 1e-9):
         raise RecordError(
             f"the rows are {step:.4g} s apart, so that a rest of {rest:g} s has less than "
             f"{_FEWEST_ROWS} of them. Check the unit of the time or the sampling rate, or specify "
-            "a longer rest interval."
+            "a longer rest interval.",
+            code="too-few-rows",
         )
     return step
 

@@ -120,7 +120,8 @@ def _integrals(given: Mapping[str, Any]) -> dict[str, Any]:
                 raise CounterspinError(
                     f"{given['file']} does not contain the integral of {symbol} along {mounting} "
                     f'for the motion "{given["label"]}"; generate it with the script in '
-                    "tests/reference"
+                    "tests/reference",
+                    code="validation-failed",
                 )
             sign = -1.0 if symbol == "delta_P" else 1.0
             values = np.array(table[mounting][key], np.float64)

@@ -38,6 +38,8 @@ _ALTERATIONS: Final = (
 class NotAvailableError(CounterspinError):
     """Error of a case that needs a missing optional package or third-party file."""
 
+    code = "missing-package"
+
 
 def read_record(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return rows of a record's time, angle and signal."""

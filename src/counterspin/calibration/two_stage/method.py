@@ -342,13 +342,15 @@ def make_request(
     if accelerometer.observable != "displacement":
         raise NotIdentifiableError(
             f"{accelerometer.name}: the two-stage method needs the displacement, and this record "
-            f"is of {accelerometer.observable.replace('_', ' ')}; use the joint method"
+            f"is of {accelerometer.observable.replace('_', ' ')}; use the joint method",
+            code="method-not-applicable",
         )
     stated = resolve_noise(campaign)[accelerometer.name].sizes
     if stated is not None and stated.wanders:
         raise NotIdentifiableError(
             f"{accelerometer.name}: the two-stage method cannot model a drifting bias "
-            "(noise.flicker, noise.bias_walk); use the joint method"
+            "(noise.flicker, noise.bias_walk); use the joint method",
+            code="method-not-applicable",
         )
     for run in campaign.runs:
         strobe_angle(accelerometer.mounting.turned(run.attitude).input_axis)

@@ -139,7 +139,9 @@ def analyse_static_record(record: object, signal: StaticSignal) -> StaticRecord:
             raise ValueError("all samples are equal: no signal was recorded")
         analysis = analyse(stretches, signal.order)
     except (ValueError, NotIdentifiableError) as error:
-        raise RecordError(f"{record}: column '{signal.column}': {error}.") from error
+        raise RecordError(
+            f"{record}: column '{signal.column}': {error}.", code="not-evaluable"
+        ) from error
     return StaticRecord(signal, stretches, analysis)
 
 

@@ -63,7 +63,8 @@ def strobe_angle(input_axis: Array) -> float:
     if abs(float(input_axis[2])) > 1e-3:
         raise NotIdentifiableError(
             "strobes require a horizontal input axis; this axis is "
-            f"{math.degrees(math.asin(float(input_axis[2]))):.3f} deg above the horizontal"
+            f"{math.degrees(math.asin(float(input_axis[2]))):.3f} deg above the horizontal",
+            code="method-not-applicable",
         )
     return (math.atan2(float(input_axis[1]), float(input_axis[0])) + math.pi / 2) % TURN
 
@@ -145,7 +146,8 @@ def _interpolate(
     if np.count_nonzero(keep) < FEWEST_STROBES:
         raise RecordError(
             f"only {np.count_nonzero(keep)} of the {FEWEST_STROBES} strobes required for the "
-            "parabola of the first stage could be read: record more revolutions, or fill the gaps"
+            "parabola of the first stage could be read: record more revolutions, or fill the gaps",
+            code="strobes-lost",
         )
     at = time[row_before] + share * spacing[row_before]
     return Strobes(at[keep], value[keep], np.sqrt(variance[keep]), int(np.sum(~keep)))
