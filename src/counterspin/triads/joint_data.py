@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -51,7 +51,16 @@ class TriadInFit:
 
     def findings(self, fit: JointFit, posed: Sequence[FittedReadings]) -> list[Finding]:
         """Return the findings of tests of the residuals of poses."""
-        return pose_findings(fit, posed)
+        # All accelerometers usually share the fit and the groups.
+        key = (id(fit), *map(id, posed))
+        if key not in self._tested:
+            self._tested[key] = fit, posed, pose_findings(fit, posed)
+        return self._tested[key][2]
+
+    @cached_property
+    def _tested(self) -> dict[tuple[int, ...], tuple[JointFit, Any, list[Finding]]]:
+        """Fits and groups that were tested, by identity, with their findings."""
+        return {}
 
     def advice(self, view: AccelerometerView) -> str:
         """Return the poses that would determine more of an accelerometer with poses only."""

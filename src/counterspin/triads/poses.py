@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Final, Self
+from functools import cached_property
+from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +24,7 @@ from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.effects import SIGN_WIDTH
+from counterspin.physics.effects import SIGN_WIDTH, SpecificForceProduct
 from counterspin.physics.terms import CONDITION_TERMS, LINEAR, TERMS
 from counterspin.readings.linear import MIN_RELATIVE_NOISE, LinearReadings
 from counterspin.triads.determinability import default_candidates, undetermined_parameters
@@ -141,7 +142,9 @@ class TriadPoses:
         moves: Of the unknowns from the estimate, shape (p, m).
         """
         point = self.at(model, estimate)
-        _, slopes = _products_and_slopes(self.axes, point.direction, point.effective)
+        _, slopes = _indications_and_slopes(
+            self.axes, point.direction, _active_terms(point.effective)
+        )
         columns = self._columns(point)[:, :, : len(moves)]
         change = np.linalg.solve(slopes, columns @ moves)
         radial = np.einsum("nj,njm->nm", point.direction, change)
@@ -157,10 +160,21 @@ class TriadPoses:
         unknowns = (*model.unknowns, *model.considered)
         assumed_values = [parameter.prior_mean for parameter in unknowns[len(estimate) :]]
         values = np.append(estimate, assumed_values)
-        effective = np.tile([row.nominal for row in TERMS.values()], (self.size, 3, 1))
-        for index, axis_index, term, factor in design_factors(self, unknowns):
-            effective[:, axis_index, term] += values[index] * factor
-        return SolvedPoses.solve_directions(self, unknowns, values, effective)
+        # A fit and the tests of its residuals need the poses at the same values.
+        key = tuple((unknown.owner, unknown.symbol) for unknown in unknowns), values.tobytes()
+        if self._last_solved.get("key") != key:
+            effective = np.tile([row.nominal for row in TERMS.values()], (self.size, 3, 1))
+            for index, axis_index, term, factor in design_factors(self, unknowns):
+                effective[:, axis_index, term] += values[index] * factor
+            solved = SolvedPoses.solve_directions(self, unknowns, values, effective)
+            self._last_solved.update(key=key, solved=solved)
+        last: SolvedPoses = self._last_solved["solved"]
+        return replace(last, unknowns=unknowns)
+
+    @cached_property
+    def _last_solved(self) -> dict[str, Any]:
+        """The last values that `at` received, and the poses at them."""
+        return {}
 
     def start(self, unknowns: Sequence[Unknown], point: Array) -> Array:
         """Return a place to begin at without a guess: of biases, sensitivities and angles."""
@@ -244,10 +258,10 @@ class SolvedPoses:
     ) -> Self:
         """Return the poses with the directions that fit their indications best."""
         weight = np.ones((poses.size, 3)) if poses.u is None else 1.0 / poses.u
-        direction = _initial_directions(poses, effective)
+        direction, terms = _initial_directions(poses, effective), _active_terms(effective)
         for _ in range(_ROUNDS):
-            products, slopes = _products_and_slopes(poses.axes, direction, effective)
-            residuals = weight * (poses.value - np.sum(products * effective, axis=2))
+            indicated, slopes = _indications_and_slopes(poses.axes, direction, terms)
+            residuals = weight * (poses.value - indicated)
             basis = _tangent_basis(direction)
             tangent_slopes = weight[:, :, None] * (slopes @ basis)
             gram = np.swapaxes(tangent_slopes, 1, 2) @ tangent_slopes
@@ -256,7 +270,8 @@ class SolvedPoses:
             direction = updated / np.linalg.norm(updated, axis=1)[:, None]
             if np.max(np.abs(step), initial=0.0) < _CONVERGED:
                 break
-        products, slopes = _products_and_slopes(poses.axes, direction, effective)
+        products = _products(poses.axes, direction)
+        indicated, slopes = _indications_and_slopes(poses.axes, direction, terms)
         tangent_slopes = slopes @ _tangent_basis(direction)
         projection = np.cross(tangent_slopes[:, :, 0], tangent_slopes[:, :, 1])
         projection /= np.linalg.norm(projection, axis=1)[:, None]
@@ -268,7 +283,7 @@ class SolvedPoses:
             effective,
             direction,
             products,
-            np.sum(products * effective, axis=2),
+            indicated,
             projection * sign[:, None],
             gain * sign,
         )
@@ -290,8 +305,7 @@ def predict_indications(
                 effective[:, index, _SYMBOLS.index(symbol)] += value - TERMS[symbol].nominal
             elif (factor := design_factor(poses, symbol)) is not None:
                 effective[:, index, _term_index(symbol)] += value * factor
-    products, _ = _products_and_slopes(poses.axes, direction, effective)
-    return np.asarray(np.sum(products * effective, axis=2), np.float64)
+    return _indications_and_slopes(poses.axes, direction, _active_terms(effective))[0]
 
 
 def design_factor(poses: TriadPoses, symbol: str) -> Array | None:
@@ -324,21 +338,37 @@ def design_factors(
                 yield index, axis_index, _term_index(symbol), factor
 
 
-def _products_and_slopes(axes: Array, direction: Array, effective: Array) -> tuple[Array, Array]:
-    """Return every term's product, and the slopes of the indications by the direction, at poses.
+def _products(axes: Array, direction: Array) -> Array:
+    """Return every term's product at poses, shape (n, 3, number of `TERMS`)."""
+    a_ipo = np.einsum("kij,nj->ink", axes, direction)
+    effects = (row.effect for row in TERMS.values())
+    return np.stack([effect.evaluate(a_ipo, sign_width=SIGN_WIDTH) for effect in effects], axis=-1)
 
-    Returns: shapes (n, 3, number of `TERMS`) and (n, 3, 3).
+
+_ActiveTerms = list[tuple[SpecificForceProduct, Array]]
+
+
+def _active_terms(effective: Array) -> _ActiveTerms:
+    """Return the products with coefficients that are not all zero, which have shape (n, 3)."""
+    columns = zip(TERMS.values(), np.moveaxis(effective, 2, 0), strict=True)
+    return [(row.effect, column.copy()) for row, column in columns if column.any()]
+
+
+def _indications_and_slopes(
+    axes: Array, direction: Array, terms: _ActiveTerms
+) -> tuple[Array, Array]:
+    """Return the indications at poses, g, and their slopes by the direction.
+
+    Returns: shapes (n, 3) and (n, 3, 3).
     """
     a_ipo = np.einsum("kij,nj->ink", axes, direction)
-    rows = [row.effect for row in TERMS.values()]
-    products = np.stack([effect.evaluate(a_ipo, sign_width=SIGN_WIDTH) for effect in rows], axis=-1)
-    by_axis = np.zeros((*a_ipo.shape[1:], 3))
-    for index, effect in enumerate(rows):
-        if not effective[:, :, index].any():
-            continue
+    indicated, by_axis = np.zeros(a_ipo.shape[1:]), np.zeros((3, *a_ipo.shape[1:]))
+    for effect, coefficient in terms:
+        indicated += coefficient * effect.evaluate(a_ipo, sign_width=SIGN_WIDTH)
         for axis, name in enumerate("IPO"):
-            by_axis[:, :, axis] += effective[:, :, index] * effect.slope(a_ipo, name)
-    return products, np.einsum("nki,kij->nkj", by_axis, axes)
+            if not {name, f"|{name}|"}.isdisjoint(effect.factors):
+                by_axis[axis] += coefficient * effect.slope(a_ipo, name)
+    return indicated, np.einsum("ink,kij->nkj", by_axis, axes)
 
 
 def _tangent_basis(direction: Array) -> Array:
