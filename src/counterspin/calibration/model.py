@@ -8,7 +8,7 @@ perfect is left out.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Final
@@ -50,6 +50,9 @@ _ROTATION_LIMITS: Final = (math.pi, 1.0, 1e-2)
 
 #: Products of components of unit vectors that are smaller are zero.
 _ROUNDING: Final = 1e-9
+
+#: Condition of slopes with a temperature that is assumed to change.
+_ASSUMED_TEMPERATURE: Final = "assumed temperature"
 
 #: At 1 g their sum with K_II is that of the squares of the specific forces, a constant.
 SQUARES: Final = ("K_PP", "K_OO")
@@ -223,11 +226,12 @@ def _acting_terms(campaign: Campaign, accelerometer: str = "") -> list[tuple[str
     names = [accelerometer] if accelerometer else list(campaign.accelerometers)
     frame_terms = campaign.triad.of_frame if campaign.triad else ()
     named = {*campaign.model.terms, *campaign.model.considered, *campaign.model.priors}
+    changing = set(_changing_conditions(campaign))
     accelerometer_terms = [
         (name, symbol)
         for name in names
         for symbol, row in ACCELEROMETER_TERMS.items()
-        if symbol in campaign.model.terms or _is_active(campaign, row)
+        if symbol in campaign.model.terms or _is_active(campaign, row, changing)
         if (name, symbol) not in frame_terms
     ]
     readings = tuple(reading for reading in campaign.readings if reading.accelerometer in names)
@@ -245,8 +249,10 @@ def _acting_terms(campaign: Campaign, accelerometer: str = "") -> list[tuple[str
     )
 
 
-def _is_active(campaign: Campaign, row: Term[SpecificForceProduct | Slope]) -> bool:
-    """Return whether what a coefficient changes with has changed."""
+def _is_active(
+    campaign: Campaign, row: Term[SpecificForceProduct | Slope], changing: Collection[str]
+) -> bool:
+    """Return whether a coefficient acts; changing: conditions of `_changing_conditions`."""
     if isinstance(row.effect, SpecificForceProduct):
         arm_axes = (reading.axes for reading in campaign.readings if reading.motion == "arm")
         table_axes = (
@@ -258,24 +264,31 @@ def _is_active(campaign: Campaign, row: Term[SpecificForceProduct | Slope]) -> b
         return not row.effect.requires_rotation or any(
             _has_mean_product(row.effect, axes) for axes in (*arm_axes, *table_axes)
         )
-    if row.effect.condition == "force":
-        return bool(campaign.runs) or any(reading.rate for reading in campaign.readings)
+    # An assumed change of temperature is small: only the first power acts.
+    is_assumed = row.effect.condition == "temperature" and row.effect.power == 1
+    return row.effect.condition in changing or (is_assumed and _ASSUMED_TEMPERATURE in changing)
+
+
+def _changing_conditions(campaign: Campaign) -> Iterator[str]:
+    """Yield the conditions of slopes that change, and `_ASSUMED_TEMPERATURE`."""
+    if campaign.runs or any(reading.rate for reading in campaign.readings):
+        yield "force"
     origin = reference_point(campaign)
-    if row.effect.condition == "time":
-        recorded = bool(campaign.runs) or bool(campaign.triad and campaign.triad.records)
-        return recorded or any(
-            item.time not in (None, origin.time) for item in timed_items(campaign)
-        )
-    if row.effect.condition == "direction":
-        return bool(temperature_directions(campaign))
+    has_records = bool(campaign.runs) or bool(campaign.triad and campaign.triad.records)
+    times = (item.time for item in timed_items(campaign))
+    if has_records or any(time not in (None, origin.time) for time in times):
+        yield "time"
+    if temperature_directions(campaign):
+        yield "direction"
     temperatures = set(temperatures_of(campaign))
     if any(run.temperature for run in campaign.runs):
         temperatures |= {
             origin.temperature + run.temperature_offset for run in run_conditions(campaign).values()
         }
-    # An assumed change of temperature is small: only the first power acts.
-    assumed = row.effect.power == 1 and has_assumed_warming(campaign)
-    return assumed or any(temperature != origin.temperature for temperature in temperatures)
+    if temperatures - {origin.temperature}:
+        yield "temperature"
+    if has_assumed_warming(campaign):
+        yield _ASSUMED_TEMPERATURE
 
 
 def _has_mean_product(product: SpecificForceProduct, axes: Mounting) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -289,7 +290,7 @@ class Campaign:
         """True if there are poses of unknown attitude."""
         return self.triad is not None and self.triad.posed
 
-    @property
+    @cached_property
     def all_readings(self) -> tuple[Reading, ...]:
         """All readings, those of poses at unknown attitudes behind the others."""
         posed = self.triad.poses if self.triad else ()

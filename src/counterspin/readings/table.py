@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -215,12 +216,17 @@ class ReadingsTable:
 
         Many tables end with empty rows or remarks.
         """
-        stations = {self.columns[key] for key in _STATIONS & self.columns.keys()}
-        views = self.mounting_views(row)
-        names = (name for view in views for name in view.value_columns("reading").values())
-        readings = {column for columns in names for column in columns}
-        required = stations | readings if stations else row.keys()
+        required = set(row)
+        if _STATIONS & self.columns.keys():
+            required = set().union(*(view.required_columns for view in self.mounting_views(row)))
         return not all(is_empty(row[column]) for column in required)
+
+    @cached_property
+    def required_columns(self) -> set[str]:
+        """Columns of which a row with a reading fills at least one."""
+        readings = self.value_columns("reading").values()
+        stations = {self.columns[key] for key in _STATIONS & self.columns.keys()}
+        return stations.union(*readings)
 
     def mounting_views(self, row: Mapping[str, Any]) -> list[ReadingsTable]:
         """Return the table as each mounting reads a row, where each has a column of its own."""
@@ -245,7 +251,7 @@ class ReadingsTable:
             if name in read or not read
         ] or [self]
 
-    @property
+    @cached_property
     def columns(self) -> dict[str, str]:
         """Key -> name, of what a row says once."""
         columns = self.settings.columns
@@ -255,6 +261,16 @@ class ReadingsTable:
 
     def value_columns(self, key: str) -> dict[str, list[str]]:
         """Return accelerometer -> columns, of ``reading`` or of ``u``."""
+        if key not in self._value_columns:
+            self._value_columns[key] = self._resolve_columns(key)
+        return self._value_columns[key]
+
+    @cached_property
+    def _value_columns(self) -> dict[str, dict[str, list[str]]]:
+        """The columns that `value_columns` returned."""
+        return {}
+
+    def _resolve_columns(self, key: str) -> dict[str, list[str]]:
         columns = self.settings.columns.get(key)
         if columns is None:
             return {}
@@ -483,9 +499,15 @@ class ReadingsTable:
 
     def _head_turn(self, angle: float) -> HeadTurn:
         """Return the turn that an angle of the head is."""
+        return HeadTurn(
+            Quantity(angle, self._u_attitude, self.settings.attitude_unit), self.settings.about
+        )
+
+    @cached_property
+    def _u_attitude(self) -> float:
+        """Standard uncertainty of an angle of the head, in its unit."""
         unit, stated = self.settings.attitude_unit, self.settings.u_attitude
-        u = 0.0 if stated is None else exact(stated, "rad") / unit_factor(unit, "rad")
-        return HeadTurn(Quantity(angle, u, unit), self.settings.about)
+        return 0.0 if stated is None else exact(stated, "rad") / unit_factor(unit, "rad")
 
     def _reading(self, row: Mapping[str, Any], name: str, path: KeyPath) -> Any:
         """Return the readings of an accelerometer: quantities, and text where there is text."""
