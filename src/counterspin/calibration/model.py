@@ -16,13 +16,9 @@ from typing import Final
 import numpy as np
 
 from counterspin.campaign.conditions import (
-    has_assumed_warming,
+    ASSUMED_TEMPERATURE,
+    changing_conditions,
     rate_clock_input,
-    reference_point,
-    run_conditions,
-    temperature_directions,
-    temperatures_of,
-    timed_items,
 )
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.model import ALL_TERMS
@@ -50,9 +46,6 @@ _ROTATION_LIMITS: Final = (math.pi, 1.0, 1e-2)
 
 #: Products of components of unit vectors that are smaller are zero.
 _ROUNDING: Final = 1e-9
-
-#: Condition of slopes with a temperature that is assumed to change.
-_ASSUMED_TEMPERATURE: Final = "assumed temperature"
 
 #: At 1 g their sum with K_II is that of the squares of the specific forces, a constant.
 SQUARES: Final = ("K_PP", "K_OO")
@@ -226,7 +219,7 @@ def _acting_terms(campaign: Campaign, accelerometer: str = "") -> list[tuple[str
     names = [accelerometer] if accelerometer else list(campaign.accelerometers)
     frame_terms = campaign.triad.of_frame if campaign.triad else ()
     named = {*campaign.model.terms, *campaign.model.considered, *campaign.model.priors}
-    changing = set(_changing_conditions(campaign))
+    changing = set(changing_conditions(campaign))
     accelerometer_terms = [
         (name, symbol)
         for name in names
@@ -252,7 +245,7 @@ def _acting_terms(campaign: Campaign, accelerometer: str = "") -> list[tuple[str
 def _is_active(
     campaign: Campaign, row: Term[SpecificForceProduct | Slope], changing: Collection[str]
 ) -> bool:
-    """Return whether a coefficient acts; changing: conditions of `_changing_conditions`."""
+    """Return whether a coefficient acts; changing: as of `changing_conditions`."""
     if isinstance(row.effect, SpecificForceProduct):
         arm_axes = (reading.axes for reading in campaign.readings if reading.motion == "arm")
         table_axes = (
@@ -266,29 +259,7 @@ def _is_active(
         )
     # An assumed change of temperature is small: only the first power acts.
     is_assumed = row.effect.condition == "temperature" and row.effect.power == 1
-    return row.effect.condition in changing or (is_assumed and _ASSUMED_TEMPERATURE in changing)
-
-
-def _changing_conditions(campaign: Campaign) -> Iterator[str]:
-    """Yield the conditions of slopes that change, and `_ASSUMED_TEMPERATURE`."""
-    if campaign.runs or any(reading.rate for reading in campaign.readings):
-        yield "force"
-    origin = reference_point(campaign)
-    has_records = bool(campaign.runs) or bool(campaign.triad and campaign.triad.records)
-    times = (item.time for item in timed_items(campaign))
-    if has_records or any(time not in (None, origin.time) for time in times):
-        yield "time"
-    if temperature_directions(campaign):
-        yield "direction"
-    temperatures = set(temperatures_of(campaign))
-    if any(run.temperature for run in campaign.runs):
-        temperatures |= {
-            origin.temperature + run.temperature_offset for run in run_conditions(campaign).values()
-        }
-    if temperatures - {origin.temperature}:
-        yield "temperature"
-    if has_assumed_warming(campaign):
-        yield _ASSUMED_TEMPERATURE
+    return row.effect.condition in changing or (is_assumed and ASSUMED_TEMPERATURE in changing)
 
 
 def _has_mean_product(product: SpecificForceProduct, axes: Mounting) -> bool:

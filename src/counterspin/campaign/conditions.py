@@ -20,6 +20,8 @@ from counterspin.physics.effects import RunConditions
 #: Assumed rise of the temperature during a series of runs, readings or poses that states none, K.
 DEFAULT_WARMING: Final = 1.0
 
+#: Condition of slopes with a temperature that is assumed to change.
+ASSUMED_TEMPERATURE: Final = "assumed temperature"
 
 #: A change of temperature back by less than this is none, K.
 REVERSAL: Final = 2.0
@@ -229,6 +231,28 @@ def has_assumed_warming(campaign: Campaign) -> bool:
     series = (campaign.runs, [pose[0] for pose in poses])
     warming = any(assumed_temperatures(members) for members in series)
     return warming or any(True for _ in assumed_reading_temperatures(campaign, campaign.readings))
+
+
+def changing_conditions(campaign: Campaign) -> Iterator[str]:
+    """Yield the conditions of slopes that change, and `ASSUMED_TEMPERATURE`."""
+    if campaign.runs or any(reading.rate for reading in campaign.readings):
+        yield "force"
+    origin = reference_point(campaign)
+    has_records = bool(campaign.runs) or bool(campaign.triad and campaign.triad.records)
+    times = (item.time for item in timed_items(campaign))
+    if has_records or any(time not in (None, origin.time) for time in times):
+        yield "time"
+    if temperature_directions(campaign):
+        yield "direction"
+    temperatures = set(temperatures_of(campaign))
+    if any(run.temperature for run in campaign.runs):
+        temperatures |= {
+            origin.temperature + run.temperature_offset for run in run_conditions(campaign).values()
+        }
+    if temperatures - {origin.temperature}:
+        yield "temperature"
+    if has_assumed_warming(campaign):
+        yield ASSUMED_TEMPERATURE
 
 
 def rate_clock_input(campaign: Campaign, reading: Reading) -> tuple[str, str]:

@@ -313,12 +313,16 @@ def term_mistakes(fit: JointFit, terms: Mapping[Considered, float]) -> Iterator[
     terms: Term -> typical size.
     """
     together: dict[str, list[Alternative]] = {}
+    columns_by_term: dict[Considered, dict[int, Array]] = {key: {} for key in terms}
+    for i, part in enumerate(fit.design_blocks):
+        # The terms of a record share its motion and its integrals.
+        acting = [key for key in terms if key.affects(part.series)]
+        symbols = list(dict.fromkeys(key.symbol for key in acting))
+        matrix = part.series.columns(symbols, part.scale_factor)
+        for key in acting:
+            columns_by_term[key][i] = matrix[:, symbols.index(key.symbol)]
     for alternative_term, typical in terms.items():
-        columns = {
-            i: part.series.columns([alternative_term.symbol], part.scale_factor)[:, 0]
-            for i, part in enumerate(fit.design_blocks)
-            if alternative_term.affects(part.series)
-        }
+        columns = columns_by_term[alternative_term]
         between = -alternative_term.limit, alternative_term.limit
         alternative = Alternative(
             "term",
