@@ -266,7 +266,7 @@ def render(rows: Sequence[Row]) -> str:
     """Return the table as Markdown."""
     head = {"Campaigns": "---", "Number": "---:"}
     head |= {f"z rms of {symbol}": "---:" for symbol in TERMS}
-    head |= {"95 % intervals that hold": "---:", "not called good": "---:"}
+    head |= {"95 % intervals with the true value": "---:", "state other than good": "---:"}
     return table_of(
         head,
         [
@@ -285,9 +285,9 @@ def render(rows: Sequence[Row]) -> str:
 TABLE: Final = KeptTable("varied", DOCS / "trust.md", Row, render)
 
 KINDS: Final = {
-    "nothing assumed, every unstated error drawn at its typical size": Kind(True),
-    'perfect machines, `assume = "all"`, noise stated': Kind(False, "stated", 110_000),
-    'perfect machines, `assume = "all"`, noise found': Kind(False, "found", 110_000),
+    "no term fixed, all unstated errors drawn from their defaults": Kind(True),
+    'perfect machines, `assume = "all"`, stated noise': Kind(False, "stated", 110_000),
+    'perfect machines, `assume = "all"`, noise not stated': Kind(False, "found", 110_000),
     'perfect machines, `assume = "all"`, noise = "estimate"': Kind(False, "estimate", 110_000),
 }
 

@@ -395,9 +395,9 @@ def test_the_campaign_of_the_violations_is_the_one_that_is_described():
     assert agrees(most, study["SILENT_UP_TO"])
     assert agrees(least, study["SHOWN_FROM"])
     campaign = tomllib.loads(study["description"]("velocity", study["FULL"]))
-    words = "three rates ({}, {} and {} rev/s) of {} revolutions each, at {} Hz and {} m; "
-    words += "noise per sample of {} m, {} mm/s or {} m/s^2; "
-    words += "standard uncertainties of {} µg for the bias and {} ppm for the scale factor"
+    words = "three rates ({}, {} and {} rev/s) of {} revolutions each, at {} Hz and {} m. "
+    words += "The noise per sample is {} m, {} mm/s or {} m/s^2. "
+    words += "The standard uncertainties are {} µg for the bias and {} ppm for the scale factor"
     *rates, turns, sampling, radius, place, speed, force, bias, scale = map(
         value_of, told("violations", words)
     )
