@@ -39,7 +39,7 @@ class PosesState(ResultPart):
 class MeanState(ResultPart):
     """The mean of a record over whole revolutions, or at rest."""
 
-    value: float  #: Reading converted by the nominal sensitivity, g.
+    value: float  #: Mean reading in g, by the nominal sensitivity.
     u: float  #: Standard uncertainty of the mean, g.
     revolutions: int  #: Number of whole revolutions; 0 at rest.
 
@@ -57,7 +57,7 @@ class RunState(ResultPart):
     seconds: float = 0.0  #: Recorded time, s.
     stated_seconds: float | None = None  #: Duration stated in the campaign, s; None if not stated.
     sampling_rate: float | None = None  #: Sampling rate, Hz.
-    repeated: int = 0  #: Number of rows with a repeated time.
+    repeated: int = 0  #: Number of rows that repeat a time.
     empty: int = 0  #: Number of empty cells.
     outliers: int = 0  #: Number of rejected samples.
     gaps: int = 0  #: Number of gaps (intervals without rows).
