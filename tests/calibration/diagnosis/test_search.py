@@ -3,6 +3,7 @@
 import math
 import os
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -197,3 +198,16 @@ def test_a_latitude_far_from_the_stated_one_stands_behind_a_term_that_explains_a
     found = ranking._rank_rivals(every, 0, True)
     assert found.alternative.symbol == first
     assert len(found.rivals) == 1
+
+
+@pytest.mark.parametrize(("records", "shift", "suspicious"), [(3, 3.1, True), (3, 2.9, False)])
+@pytest.mark.parametrize(("more", "extra"), [(0, 0.0), (297, 1.2)])
+def test_the_largest_of_many_shifts_may_be_large_by_chance(
+    monkeypatch, records, shift, suspicious, more, extra
+):
+    """Of 3 shifts one above 3 is suspicious; of 300, one above 4.15: 0.01/300 to both sides."""
+    monkeypatch.setattr(search, "_check_view_statistics", lambda *_: ())
+    view = SimpleNamespace(name="A", has_records=False, records=lambda: range(records + more))
+    line = SimpleNamespace(z=shift + extra, dof=math.inf)
+    result = SimpleNamespace(findings=[], jackknife=[line], two_stage=None)
+    assert search._is_suspicious([view], {"A": result}) is suspicious

@@ -72,8 +72,9 @@ from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS
 #: Probability by chance below which the alternatives are tried.
 _SUSPICION_P: Final = 0.01
 
-#: Shift of a run left out, or of the two-stage method, above which they are tried.
-_SUSPICION_SHIFT: Final = 3.0
+#: Probability of a shift by chance below which they are tried, for a run that is left out or the
+#: two-stage method; with many records, all shifts share `_SUSPICION_P`. That of 3 sigma.
+_SUSPICION_SHIFT_P: Final = math.erfc(3.0 / math.sqrt(2.0))
 
 #: Causes that are looked for, one after the other.
 _MAX_CAUSES: Final = 3
@@ -241,7 +242,8 @@ def _is_suspicious(
             return True
         shifts = [normal_equivalent(line.z, line.dof) for line in result.jackknife if line.z]
         shifts += [abs(result.two_stage.z)] if result.two_stage else []
-        if any(z > _SUSPICION_SHIFT for z in shifts):
+        shift_p = min(_SUSPICION_SHIFT_P, _SUSPICION_P / max(records, 1))
+        if any(math.erfc(z / math.sqrt(2.0)) < shift_p for z in shifts):
             return True
         if view.has_records and any(p < _SUSPICION_P / records for p in _run_p_values(view)):
             return True
