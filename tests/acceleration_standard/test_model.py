@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from stations import Station
 
 from counterspin.acceleration_standard.model import (
     UNITS,
@@ -14,7 +15,7 @@ from counterspin.acceleration_standard.model import (
 from counterspin.campaign.quantity import InputDistribution
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Site
-from counterspin.physics.station import FRAMES, Station
+from counterspin.physics.station import FRAMES
 
 ARCSEC = math.radians(1.0) / 3600.0
 G = 9.80665

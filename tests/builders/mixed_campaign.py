@@ -5,10 +5,10 @@ import math
 import numpy as np
 from reading_campaigns import SITE, TRUTH, arm, simulated
 from reading_descriptions import at_rest, on_arm
+from stations import Station
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.station import Station
 from counterspin.simulation.simulate import simulate
 
 RATES = (3.0, 6.0, 9.9)

@@ -3,13 +3,14 @@
 import math
 
 import numpy as np
+from stations import Station, from_stations
 
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Site
 from counterspin.physics.simulation import coefficients_in_run
-from counterspin.physics.station import FRAMES, Station, Stations, mean_products
+from counterspin.physics.station import FRAMES, mean_products
 from counterspin.physics.terms import TERMS, term
 from counterspin.readings.known_attitudes import Readings
 
@@ -58,7 +59,7 @@ def readings(test, value, u, u_head=0.0, temperature=None):
         motion=stations[0].motion,
         names=tuple(f"position {i}" for i in range(n)),
         site=SITE,
-        stations=Stations.from_stations(stations),
+        stations=from_stations(stations),
         mountings=tuple(mountings),
         head=np.asarray(head, dtype=float),
         u_head=np.full(n, u_head),

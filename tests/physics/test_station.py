@@ -6,12 +6,13 @@ from decimal import Decimal
 
 import numpy as np
 import pytest
+from stations import Station, from_stations
 
 from counterspin.physics.accelerometer import QX, Mounting, direction
 from counterspin.physics.motion import Site, Trajectory, trajectory_sensitivity
 from counterspin.physics.observation import columns
 from counterspin.physics.spindle import Spindle
-from counterspin.physics.station import FRAMES, Station, Stations, mean_products
+from counterspin.physics.station import FRAMES, mean_products
 from counterspin.physics.terms import TERMS
 from counterspin.validation.cases import document
 
@@ -22,7 +23,7 @@ SYMBOLS = list(TERMS)
 
 
 def means_at(station, site, symbols):
-    means = mean_products(Stations.from_stations([station]), site)[0]
+    means = mean_products(from_stations([station]), site)[0]
     return means[[SYMBOLS.index(symbol) for symbol in symbols]]
 
 

@@ -166,7 +166,7 @@ def test_an_encoder_error_moves_the_force_and_the_table(ratio, quadrature):
 
 def test_a_table_of_ratio_zero_is_an_arm():
     """The input axis keeps pointing outwards: Station("arm") has the same force, and K_spin."""
-    from counterspin.physics.station import Station
+    from stations import Station
 
     trajectory = Trajectory(Spindle(4.0), 2.5, SITE, table_ratio=0.0)
     force = trajectory.specific_force(TIMES)

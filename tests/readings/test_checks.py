@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from reading_campaigns import arm, simulated, tumble
 from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
+from stations import Station
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.station import Station
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 SIGMA = 2e-6

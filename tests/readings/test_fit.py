@@ -18,6 +18,7 @@ from reading_campaigns import (
 )
 from scipy import stats
 from scipy.special import stdtrit
+from stations import Station
 
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.inference.identifiability import assess
@@ -25,7 +26,6 @@ from counterspin.inference.noise.likelihood import RecordData
 from counterspin.inference.noise.model import ESTIMATE, Noise
 from counterspin.inference.noise.search import estimate_noise
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.station import Station
 from counterspin.physics.terms import TERMS
 from counterspin.readings.fit import solve_readings
 

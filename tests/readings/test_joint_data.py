@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from reading_campaigns import SITE, TRUTH, arm, simulated, tumble
 from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
+from stations import Station
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.options import TwoStageOptions
@@ -16,7 +17,6 @@ from counterspin.calibration.result import Result
 from counterspin.cli import main
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError, RecordError
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.station import Station
 from counterspin.readings.means import read_rows
 
 SIGMA = 2e-6

@@ -9,11 +9,12 @@ import pytest
 from reading_campaigns import SITE, considered, model, readings
 from reading_descriptions import ACCELEROMETER, place
 from scipy.integrate import quad
+from stations import Station, from_stations
 
 from counterspin import calibrate, simulate
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.station import Station, Stations, mean_products
+from counterspin.physics.station import mean_products
 from counterspin.physics.terms import TERMS
 from counterspin.readings.fit import solve_readings
 
@@ -32,7 +33,7 @@ def means(mounting=UP, amplitude=5.0, bias=0.0):
         amplitude=amplitude * SITE.gravity,
         bias_acceleration=bias * SITE.gravity,
     )
-    return dict(zip(TERMS, mean_products(Stations.from_stations([station]), SITE)[0], strict=True))
+    return dict(zip(TERMS, mean_products(from_stations([station]), SITE)[0], strict=True))
 
 
 @pytest.mark.parametrize(("amplitude", "bias"), [(5.0, 0.0), (0.7, 0.0), (3.0, -1.0), (20.0, 9.0)])

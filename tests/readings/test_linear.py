@@ -9,10 +9,10 @@ import pytest
 from reading_campaigns import SITE, considered, readings, tumble, unknown
 from scipy import stats
 from scipy.spatial.transform import Rotation
+from stations import Station, from_stations
 
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.station import Station, Stations
 from counterspin.readings.fit import solve_readings
 from counterspin.readings.known_attitudes import Readings, linearize
 
@@ -46,7 +46,7 @@ def faces(values, sigma, repeats=1):
             motion="static",
             names=tuple(map(str, range(n))),
             site=SITE,
-            stations=Stations.from_stations(
+            stations=from_stations(
                 [
                     Station("static", Mounting.from_axes(*(np.array(axes) @ face)))
                     for face in FACES

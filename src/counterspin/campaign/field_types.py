@@ -240,13 +240,6 @@ def check_normal(value: Quantity) -> Quantity:
     return value
 
 
-def check_nonzero(value: float) -> float:
-    """Return a rate that is not zero."""
-    if value == 0.0:
-        raise OutOfRangeError("the rate is zero, but the centrifuge must rotate")
-    return value
-
-
 def noise_size(unit: str) -> PlainValidator:
     """Return the validator of a standard deviation, or of the wish to have it estimated."""
     written = _written_form(unit) | Literal["estimate"]

@@ -12,7 +12,7 @@ right-handed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, Final
@@ -23,7 +23,7 @@ import numpy.typing as npt
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.physics import quadrature
-from counterspin.physics.accelerometer import DIRECTIONS, Mounting
+from counterspin.physics.accelerometer import DIRECTIONS
 from counterspin.physics.effects import (
     SIGN_WIDTH,
     AttitudeError,
@@ -67,113 +67,41 @@ _ANGLES: Final = 16
 
 
 @frozen
-class Station:
-    """Position, attitude and motion of the instrument during one reading."""
-
-    motion: MotionKind  #: ``counter-rotating``, ``arm``, ``static`` or ``vibration``.
-    mounting: Mounting  #: The accelerometer's axes in the station's frame.
-    rate: float = 0.0  #: rad/s; its sign is the sense, right-handed about up. 0 at rest.
-    radius: float = 0.0  #: From the spindle's axis to the proof mass when the arm is unloaded, m.
-    #: Relative growth of the radius per m/s^2 of centripetal acceleration, s^2/m.
-    stretch: float = 0.0
-    #: Turn of the instrument about forward per squared rate, rad s^2: a positive one lowers the
-    #: outer end of the arm. Of the arm only.
-    droop: float = 0.0
-    #: Small right-handed turns of the spindle's axis about east and north, rad.
-    axis_tilt: tuple[float, float] = (0.0, 0.0)
-    #: Small right-handed turn of the instrument about the axes of the frame, rad, shape (3,).
-    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    #: (n, c, s): the counter-rotating table, and the instrument on it, is turned about up by
-    #: c cos n theta + s sin n theta, rad.
-    table: tuple[tuple[int, float, float], ...] = ()
-    #: Of a vibration along the input axis: peak value and mean beside gravity, m/s^2.
-    amplitude: float = 0.0
-    bias_acceleration: float = 0.0
-
-    def force(
-        self,
-        site: Site,
-        angle: Array,
-        rate: Array | None = None,
-        acceleration: Array | float = 0.0,
-    ) -> Array:
-        """Return the specific force in the station's frame.
-
-        site: Gravity, latitude and the Earth's rotation.
-        angle: Of the spindle, from east towards north, rad, shape (n,).
-        rate: There, rad/s, shape (n,); None: that of the station.
-        acceleration: Of the angle there, rad/s^2, shape (n,), on an arm.
-        Returns: m/s^2, shape (n, 3).
-
-        Neglected are the square of the Earth's rate times the radius (1.3e-8 m/s^2 at 2.5 m) and
-        the turn of the plumb line across the radius.
-        """
-        force: Array = Stations.from_stations([self]).forces(site, angle, rate, acceleration)[0]
-        return force
-
-    def products(self, site: Site, force: Array) -> Array:
-        """Return the signed products of specific forces, shape (number of `TERMS`, n).
-
-        force: In the station's frame, m/s^2, shape (n, 3).
-        """
-        products: Array = Stations.from_stations([self]).products(site, force[None])[:, 0]
-        return products
-
-    def axes_under_load(self) -> Array:
-        """Return the axes I, P, O with droop and turn, rows, shape (3, 3)."""
-        axes: Array = Stations.from_stations([self]).axes_under_load()[0]
-        return axes
-
-    def indicated(self, site: Site, coefficients: Mapping[str, float]) -> float:
-        """Return the mean indication in g; coefficients that are not named are nominal."""
-        values = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
-        return float(mean_products(Stations.from_stations([self]), site)[0] @ values)
-
-
-@frozen
 class Stations:
     """Positions, attitudes and motions of the instrument during n readings of one motion."""
 
-    motion: MotionKind  #: As of `Station`, like all fields.
+    motion: MotionKind  #: ``counter-rotating``, ``arm``, ``static`` or ``vibration``.
     axes: Array  #: I, P, O in the stations' frame, rows, shape (n, 3, 3).
-    rate: Array  #: Shape (n,).
-    radius: Array  #: Shape (n,).
-    stretch: Array  #: Shape (n,).
-    droop: Array  #: Shape (n,).
-    axis_tilt: Array  #: Shape (n, 2).
-    turn: Array  #: Shape (n, 3).
-    amplitude: Array  #: Shape (n,).
-    bias_acceleration: Array  #: Shape (n,).
-    #: Harmonic -> components c and s of the counter-rotating table, shape (n, 2).
+    rate: Array  #: rad/s; its sign is the sense, right-handed about up. 0 at rest. Shape (n,).
+    radius: Array  #: From the spindle's axis to the proof mass when the arm is unloaded, m, (n,).
+    #: Relative growth of the radius per m/s^2 of centripetal acceleration, s^2/m, shape (n,).
+    stretch: Array
+    #: Turn of the instrument about forward per squared rate, rad s^2: a positive one lowers the
+    #: outer end of the arm. Of the arm only, shape (n,).
+    droop: Array
+    axis_tilt: Array  #: Small right-handed turns of the spindle about east and north, rad, (n, 2).
+    turn: Array  #: Small right-handed turn of the instrument about the frame's axes, rad, (n, 3).
+    #: Of a vibration along the input axis: peak value and mean beside gravity, m/s^2, shape (n,).
+    amplitude: Array
+    bias_acceleration: Array
+    #: n -> (c, s), shape (n, 2): the counter-rotating table, and the instrument on it, is turned
+    #: about up by c cos n theta + s sin n theta, rad.
     table: Mapping[int, Array]
 
     @classmethod
-    def from_stations(cls, stations: Sequence[Station]) -> Stations:
-        """Return several stations of one motion as arrays."""
-        harmonics = sorted({n for station in stations for n, _, _ in station.table})
-        table = {harmonic: np.zeros((len(stations), 2)) for harmonic in harmonics}
-        for k, station in enumerate(stations):
-            for n, c, s in station.table:
-                table[n][k] += (c, s)
-        (motion,) = {station.motion for station in stations}
-        rows = [
-            (s.rate, s.radius, s.stretch, s.droop, s.amplitude, s.bias_acceleration)
-            for s in stations
-        ]
-        rate, radius, stretch, droop, amplitude, bias_acceleration = np.array(rows).T
-        return cls(
-            motion,
-            axes=np.array([station.mounting.axes for station in stations]),
-            rate=rate,
-            radius=radius,
-            stretch=stretch,
-            droop=droop,
-            axis_tilt=np.array([s.axis_tilt for s in stations]),
-            turn=np.array([s.turn for s in stations]),
-            amplitude=amplitude,
-            bias_acceleration=bias_acceleration,
-            table=table,
-        )
+    def at(cls, motion: MotionKind, axes: Array, **settings: npt.ArrayLike) -> Stations:
+        """Return stations of one motion; axes and settings as of the fields, which are zero else.
+
+        axes: Shape (n, 3, 3).
+        """
+        widths = {"axis_tilt": (2,), "turn": (3,)}
+        names = ("rate", "radius", "stretch", "droop", *widths, "amplitude", "bias_acceleration")
+        shapes = {name: (len(axes), *widths.get(name, ())) for name in names}
+        arrays: dict[str, Any] = {
+            name: np.zeros(shape) + np.asarray(settings.get(name, 0.0), np.float64)
+            for name, shape in shapes.items()
+        }
+        return cls(motion, axes, table={}, **arrays)
 
     def take(self, rows: npt.NDArray[np.intp]) -> Stations:
         """Return some of the stations."""
@@ -192,8 +120,13 @@ class Stations:
         rates: Array | None = None,
         acceleration: Array | float = 0.0,
     ) -> Array:
-        """Return `Station.force` of each, shape (n, angles, 3).
+        """Return the specific force in the stations' frame, m/s^2, shape (n, angles, 3).
 
+        Neglected are the square of the Earth's rate times the radius (1.3e-8 m/s^2 at 2.5 m) and
+        the turn of the plumb line across the radius.
+
+        site: Gravity, latitude and the Earth's rotation.
+        angles: Of the spindle, from east towards north, rad.
         rates: At the angles, rad/s, shape (angles,); None: those of the stations.
         acceleration: Of the angle there, rad/s^2, shape (angles,), on an arm.
         """

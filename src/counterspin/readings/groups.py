@@ -16,7 +16,7 @@ from counterspin.campaign.conditions import (
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.reading import Reading
 from counterspin.inference.joint.series import RATE
-from counterspin.physics.station import Station, Stations
+from counterspin.physics.station import Stations
 from counterspin.readings.known_attitudes import Readings
 
 
@@ -59,18 +59,16 @@ def _make_group(
         motion=first_reading.motion,
         names=tuple(r.name for r in readings),
         site=campaign.site,
-        stations=Stations.from_stations(
-            [
-                Station(
-                    r.motion,
-                    r.axes,
-                    rate=r.measured.value if r.measured else r.rate * _rate_factor(campaign, r),
-                    radius=campaign.radius.value if r.rate else 0.0,
-                    amplitude=r.amplitude,
-                    bias_acceleration=r.bias_acceleration,
-                )
+        stations=Stations.at(
+            first_reading.motion,
+            np.array([r.axes.axes for r in readings]),
+            rate=[
+                r.measured.value if r.measured else r.rate * _rate_factor(campaign, r)
                 for r in readings
-            ]
+            ],
+            radius=[campaign.radius.value if r.rate else 0.0 for r in readings],
+            amplitude=[r.amplitude for r in readings],
+            bias_acceleration=[r.bias_acceleration for r in readings],
         ),
         mountings=tuple(r.mounting for r in readings),
         head=np.array([r.head for r in readings]),

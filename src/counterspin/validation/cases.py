@@ -163,7 +163,7 @@ def _script_values(given: Mapping[str, Any]) -> Any:
 _REFERENCES: Final = {
     "columns": _integrals,
     "Spindle.angle": _angles,
-    "Station.force": _forces,
+    "Stations.forces": _forces,
     "read_certificate": _certified_values,
     "calibrate": _fitted_values,
     "certificate": _script_values,

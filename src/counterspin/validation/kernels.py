@@ -83,15 +83,15 @@ def _force(module: Any, given: Given) -> Values:
     forces = []
     for position in compared_forces(given):
         tilt = tuple(float(position.get(axis, 0.0)) for axis in ("east", "north"))
-        station = module.Station(
+        station = module.Stations.at(
             "arm",
-            mounting,
+            mounting.matrix[None],
             rate=float(position["rate"]),
             radius=float(position["radius"]),
             axis_tilt=tilt,
         )
         site = Site(float(data["gravity"]), float(position["latitude"]))
-        forces.append(station.force(site, np.array([float(position["angle"])]))[0])
+        forces.append(station.forces(site, np.array([float(position["angle"])]))[0, 0])
     return {"force": forces}
 
 
@@ -351,7 +351,7 @@ _KERNELS: Final[Mapping[str, Callable[[Any, Given], Values]]] = {
     "columns": _columns,
     "Spindle.angle": _angle,
     "fit_spindle": _fit_spindle,
-    "Station.force": _force,
+    "Stations.forces": _force,
     "normal_gravity": _normal_gravity,
     "indicated": _indicated,
     "parabola": _parabola,

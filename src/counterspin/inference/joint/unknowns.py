@@ -158,11 +158,6 @@ class Unknowns:
         )
 
     @property
-    def considered_names(self) -> tuple[str, ...]:
-        """Names of the solution's considered columns."""
-        return tuple(term.name for term in self.considered)
-
-    @property
     def considered_means(self) -> list[float]:
         """Assumed values of the solution's considered columns, less nominal."""
         return [term.prior_mean for term in self.considered]
