@@ -308,6 +308,8 @@ def with_recorded_conditions(campaign: Campaign) -> Campaign:
             temperature=recorded_temperatures(campaign, item, profiles),
             by_clock=item.by_clock and _has_angle(campaign, item),
         )
+        if item.record is not None
+        else item
         for item in campaign.readings
     )
     triad = campaign.triad

@@ -206,17 +206,9 @@ def reading_results(
     group = part.readings
     assert isinstance(group, Readings)
     stations = group.stations
-    columns = (
-        stations.axes,
-        stations.rate,
-        stations.amplitude,
-        group.value,
-        part.sigma,
-        part.residuals,
-    )
-    rows = zip(
-        group.names, group.mountings, part.single, *(c.tolist() for c in columns), strict=True
-    )
+    columns = (stations.axes, stations.rate, stations.amplitude, group.value)
+    lists = (column.tolist() for column in (*columns, part.sigma, part.residuals))
+    rows = zip(group.names, group.mountings, part.single, *lists, strict=True)
     return [
         ReadingResult(
             name=name,

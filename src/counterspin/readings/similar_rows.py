@@ -8,20 +8,13 @@ model of a run, which words the error.
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.campaign.quantity import (
-    HeadTurn,
-    Quantity,
-    last_digit,
-    read_direction,
-    rotate_axes,
-    within_limits,
-)
+from counterspin.campaign import quantity
+from counterspin.campaign.quantity import HeadTurn, Quantity
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.settings import Output
 from counterspin.frozen import copy_with
@@ -34,24 +27,23 @@ _NUMBERS: Final = {"rate", "temperature", "time"}
 
 def row_pattern(row: Mapping[str, Any]) -> Hashable:
     """Return the key that similar rows share; None for a row whose readings are not numbers."""
-    readings, name = row.get("reading"), row.get("name")
-    if not (isinstance(readings, dict) and isinstance(name, str) and name):
+    readings = row.get("reading")
+    if not isinstance(readings, dict) or not row.get("name"):
         return None
     if not all(isinstance(reading, Quantity) for reading in readings.values()):
         return None
-    pattern: list[Hashable] = [(key, *_quantity_pattern(q)) for key, q in readings.items()]
-    for key, value in row.items():
-        if key in _NUMBERS and isinstance(value, Quantity):
-            pattern.append((key, *_quantity_pattern(value)))
-        elif isinstance(value, HeadTurn):
-            pattern.append((key, value.angle.unit, value.angle.u, value.about))
-        elif key not in ("name", "reading"):
-            pattern.append((key, repr(value)))
-    return tuple(pattern)
+    cells = ((key, _cell_pattern(key, value)) for key, value in row.items() if key != "name")
+    return tuple(cells)
 
 
-def _quantity_pattern(quantity: Quantity) -> tuple[Hashable, ...]:
-    return quantity.unit, quantity.value == 0.0, quantity.u > 0.0, quantity.distribution
+def _cell_pattern(key: str, value: Any) -> Hashable:
+    if key == "reading":
+        return tuple((name, _cell_pattern("time", number)) for name, number in value.items())
+    if isinstance(value, Quantity) and key in _NUMBERS:
+        return value.unit, value.value == 0.0, value.u > 0.0, value.distribution
+    if isinstance(value, HeadTurn):
+        return value.angle.unit, value.angle.u, value.about
+    return repr(value)
 
 
 def convert_rows(
@@ -96,18 +88,14 @@ class _RowColumns:
 
     def common_fields(self) -> dict[str, list[Any]]:
         """Return the fields that all accelerometers share."""
-        fields: dict[str, list[Any]] = {"name": [row["name"] for row in self._rows]}
+        first, fields = self._rows[0], {"name": [row["name"] for row in self._rows]}
         for key, unit in (("rate", "rad/s"), ("time", "s")):
-            quantities = self._quantities(key)
-            if quantities:
-                value, u = self._convert(quantities, unit)
-                fields[key] = value.tolist()
-                if u[0] > 0.0:
-                    fields[f"u_{key}"] = u.tolist()
-        temperatures = self._quantities("temperature")
-        if temperatures:
-            kelvin = np.array([t.value for t in temperatures])
-            kelvin += TEMPERATURE_SCALES[temperatures[0].unit]
+            if isinstance(first.get(key), Quantity):
+                value, u = self._convert([row[key] for row in self._rows], unit)
+                fields |= {key: value.tolist()} | ({f"u_{key}": u.tolist()} if u[0] > 0.0 else {})
+        if isinstance(first.get("temperature"), Quantity):
+            kelvin = np.array([row["temperature"].value for row in self._rows])
+            kelvin += TEMPERATURE_SCALES[first["temperature"].unit]
             coldest, warmest = WORKING_TEMPERATURES
             self.valid &= (kelvin >= coldest) & (kelvin <= warmest)
             fields["temperature"] = [(temperature,) for temperature in kelvin.tolist()]
@@ -121,51 +109,39 @@ class _RowColumns:
         if output is not None:
             unit, zero, sensitivity = output.unit, output.zero, output.sensitivity
         conversion = gravity if output is None else None
-        quantities = [row["reading"][name] for row in self._rows]
-        value, u = self._convert(quantities, unit, conversion)
+        numbers = [row["reading"][name] for row in self._rows]
+        value, u = self._convert(numbers, unit, conversion)
         fields = {"value": ((value - zero) / sensitivity).tolist()}
         if u[0] > 0.0:
             return fields | {"u": (u / abs(sensitivity)).tolist()}
-        digits = [Quantity(float(last_digit(repr(q.value))), 0.0, q.unit) for q in quantities]
+        digits = [Quantity(float(quantity.last_digit(repr(q.value))), 0.0, q.unit) for q in numbers]
         resolution, _ = self._convert(digits, unit, conversion)
         return fields | {"resolution": (resolution / abs(sensitivity)).tolist()}
 
     def axes_fields(self, checked: Reading, mounting: Mounting | None) -> dict[str, list[Any]]:
         """Return the fields that follow from the angle of the dividing head; none without it."""
-        if mounting is None or not isinstance(self._rows[0].get("attitude"), HeadTurn):
+        first = self._rows[0]
+        if mounting is None or not isinstance(turn := first.get("attitude"), HeadTurn):
             return {}
-        angles, attitudes = self._attitudes
+        angles, _ = self._convert([row["attitude"].angle for row in self._rows], "rad")
+        axis = np.array(quantity.read_direction(turn.about))
+        attitudes = quantity.rotate_axes(np.where(self.valid, angles, 0.0), axis)
+        axes = (mounting.matrix @ attitudes).tolist()
         fields: dict[str, list[Any]] = {
-            "axes": [
-                Mounting(tuple(map(tuple, axes)), mounting.response)
-                for axes in (mounting.matrix @ attitudes).tolist()
-            ]
+            "axes": [Mounting(tuple(map(tuple, rows)), mounting.response) for rows in axes]
         }
-        if "head" not in self._rows[0]:
+        if "head" not in first:
             fields["head_angle"] = angles.tolist()
         if checked.position:
-            fields["position"] = attitude_keys(self._rows[0].get("mounting", ""), attitudes)
+            fields["position"] = attitude_keys(first.get("mounting", ""), attitudes)
         return fields
 
-    @cached_property
-    def _attitudes(self) -> tuple[Array, Array]:
-        """Angles of the dividing head, rad, and attitudes, shapes (n,) and (n, 3, 3)."""
-        turns = [row["attitude"] for row in self._rows]
-        angles, _ = self._convert([turn.angle for turn in turns], "rad")
-        axis = np.array(read_direction(turns[0].about))
-        return angles, rotate_axes(np.where(self.valid, angles, 0.0), axis)
-
-    def _quantities(self, key: str) -> list[Quantity]:
-        """Return the quantities of a key; none if the rows do not have them."""
-        if not isinstance(self._rows[0].get(key), Quantity):
-            return []
-        return [row[key] for row in self._rows]
-
     def _convert(
-        self, quantities: Sequence[Quantity], unit: str, gravity: float | None = None
+        self, numbers: Sequence[Quantity], unit: str, gravity: float | None = None
     ) -> tuple[Array, Array]:
         """Return values and standard uncertainties in a unit; mark rows outside the limits."""
-        factor = unit_factor(quantities[0].unit, unit, gravity=gravity)
-        value, u = factor * np.array([(quantity.value, quantity.u) for quantity in quantities]).T
-        self.valid &= within_limits(value, unit) & within_limits(u, unit) & (u >= 0.0)
+        factor = unit_factor(numbers[0].unit, unit, gravity=gravity)
+        value, u = factor * np.array([(number.value, number.u) for number in numbers]).T
+        within = quantity.within_limits
+        self.valid &= within(value, unit) & within(u, unit) & (u >= 0.0)
         return value, u

@@ -261,26 +261,22 @@ class ReadingsTable:
 
     def value_columns(self, key: str) -> dict[str, list[str]]:
         """Return accelerometer -> columns, of ``reading`` or of ``u``."""
-        if key not in self._value_columns:
-            self._value_columns[key] = self._resolve_columns(key)
-        return self._value_columns[key]
+        return self._reading_columns if key == "reading" else self._u_columns
 
     @cached_property
-    def _value_columns(self) -> dict[str, dict[str, list[str]]]:
-        """The columns that `value_columns` returned."""
-        return {}
+    def _reading_columns(self) -> dict[str, list[str]]:
+        # Where no accelerometer is described, that is the mistake.
+        return self._resolve_columns("reading", islice(self.accelerometers, 1))
 
-    def _resolve_columns(self, key: str) -> dict[str, list[str]]:
+    @cached_property
+    def _u_columns(self) -> dict[str, list[str]]:
+        return self._resolve_columns("u", self._reading_columns)
+
+    def _resolve_columns(self, key: str, owners: Iterable[str]) -> dict[str, list[str]]:
         columns = self.settings.columns.get(key)
         if columns is None:
             return {}
         if not isinstance(columns, dict):
-            # Where no accelerometer is described, that is the mistake.
-            owners = (
-                islice(self.accelerometers, 1)
-                if key == "reading"
-                else self.value_columns("reading")
-            )
             columns = dict.fromkeys(owners, columns)
         return {
             name: [value] if isinstance(value, str) else value for name, value in columns.items()
@@ -478,6 +474,8 @@ class ReadingsTable:
 
     def _vibration(self, cell: Callable[[str], Any], path: KeyPath) -> dict[str, Quantity]:
         """Return amplitude and bias acceleration of a row that has them."""
+        if {"amplitude", "u_amplitude", "bias_acceleration"}.isdisjoint(self.columns):
+            return {}
         unit = self.settings.amplitude_unit
         u = self._parse_number(cell("u_amplitude"), (*path, "u_amplitude")) or 0.0
         return {
