@@ -27,6 +27,7 @@ from counterspin.records.layout import (
     BLANKS,
     EMPTY_CELL_TEXTS,
     HEAD_LINES,
+    MAX_FOOTER_LINES,
     Line,
     describe_lines,
     detect_format,
@@ -165,11 +166,13 @@ class CsvFile(ColumnFile):
         start = max(0, self._stream.tell() - _TAIL_BYTES)
         self._stream.seek(start)
         tail = self._stream.read() if self._content is None else self._content[-_TAIL_BYTES:]
-        tail_lines = [self._decode(line) for line in tail.splitlines()]
+        self._decode(tail)  # finds the encoding
+        tail_lines = tail.splitlines()
         body = [line for number, line in self._head if number > self._before_rows]
         is_complete = start == 0 and self._content is None
         remaining = tail_lines[self._before_rows + _BODY_LINES :] if is_complete else tail_lines[1:]
-        lines = [*body[:_BODY_LINES], *remaining]
+        last_lines = [self._decode(line) for line in remaining[-MAX_FOOTER_LINES:]]
+        lines = [*body[:_BODY_LINES], *last_lines]
         count = footer_lines([split_cells(line, self.delimiter) for line in lines], self.decimal)
         return tuple(lines[len(lines) - count :])
 

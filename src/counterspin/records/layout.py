@@ -82,7 +82,7 @@ _RESULT_LABEL: Final = re.compile(
 #: Part of the cells of a column of numbers that are numbers; lines below the rows have others.
 _NUMERIC_PART: Final = 0.6
 #: Most lines below the rows that are no rows.
-_MAX_FOOTER_LINES: Final = 40
+MAX_FOOTER_LINES: Final = 40
 #: Delimiter -> how it is called.
 _DELIMITER_WORDS: Final = {
     ";": "semicolon-separated",
@@ -476,7 +476,7 @@ def footer_lines(split_lines: Sequence[Sequence[str]], decimal: str) -> int:
     if not numeric:
         return 0
     count = 0
-    for index, cells in enumerate(reversed(split_lines[-_MAX_FOOTER_LINES:]), 1):
+    for index, cells in enumerate(reversed(split_lines[-MAX_FOOTER_LINES:]), 1):
         if not any(cells) or cells[0].startswith("#"):
             count += index == count + 1 and count > 0
             continue

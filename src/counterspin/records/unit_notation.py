@@ -17,6 +17,7 @@ _GROUPED: Final = {
     ",": r"\.",
 }
 #: A number of double precision, 1.25D-03, up to the letter, and its exponent.
+_FORTRAN_EXPONENT: Final = re.compile(r"[dD][-+\d]")
 _FORTRAN_NUMBER: Final = re.compile(r"(?<![\w.,])([-+]?(?:\d+[.,]\d*|[.,]\d+))[dD]([-+]?\d{1,3})\b")
 #: A unit in brackets at the end of a name.
 _IN_BRACKETS: Final = re.compile(r".*?[\[(]([^\[\]()]+)[\])]")
@@ -131,7 +132,7 @@ def number_rewriters(text: str) -> Iterator[Callable[[str], str]]:
 
     text: The first lines of the file.
     """
-    if _FORTRAN_NUMBER.search(text):
+    if _FORTRAN_EXPONENT.search(text) and _FORTRAN_NUMBER.search(text):
         yield partial(_FORTRAN_NUMBER.sub, r"\1E\2")
     if (separator := find_thousands_separator(text)) is not None:
         yield partial(strip_thousands, separator=separator)
@@ -142,7 +143,7 @@ def find_thousands_separator(text: str) -> str | None:
     for separator, decimal in _GROUPED.items():
         edge = '"' if separator == "," else r'["\t;\n]'
         cell = rf"{edge}[-+]?\d{{1,3}}(?:{re.escape(separator)}\d{{3}})+{decimal}\d+(?={edge})"
-        if re.search(cell, f"\n{text}\n"):
+        if separator in text and re.search(cell, f"\n{text}\n"):
             return separator
     return None
 
