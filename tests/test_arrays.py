@@ -7,6 +7,7 @@ from counterspin.arrays import (
     QR_ROWS,
     aligned,
     in_parts,
+    quantile,
     semidefinite_root,
     triangle_of,
     triangular_root,
@@ -56,3 +57,12 @@ def test_working_arrays_begin_with_a_cache_line(shape):
     assert array.shape == shape
     rows = array.reshape(-1, shape[-1]) if array.flags.c_contiguous else array
     assert all(row.ctypes.data % 64 == 0 for row in rows)
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 10, 1001])
+def test_the_quantile_is_that_of_numpy(size):
+    values = np.random.default_rng(size).normal(size=size)
+    for fraction in (0.0, 0.01, 0.5, 0.999, 1.0):
+        assert quantile(values, fraction) == pytest.approx(np.quantile(values, fraction), rel=1e-12)
+    values[0] = np.nan
+    assert np.isnan([quantile(values, 0.5), quantile(values[:0], 0.5)]).all()

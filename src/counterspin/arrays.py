@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +47,19 @@ def median(values: Array) -> float:
     if math.isnan(last):
         return float(last)  # it is sorted last
     return float(high if len(values) % 2 else (low + high) / 2)
+
+
+def quantile(values: npt.NDArray[Any], fraction: float) -> float:
+    """Return a quantile of values (n,), linearly interpolated; NaN of none, or where one is NaN.
+
+    `np.quantile` loads the masked arrays at its first call, and so does `np.unique`.
+    """
+    if not len(values):
+        return math.nan
+    position = fraction * (len(values) - 1)
+    low, high = math.floor(position), math.ceil(position)
+    below, above, last = np.partition(values, (low, high, -1))[[low, high, -1]].tolist()
+    return float(last if math.isnan(last) else below + (above - below) * (position - low))
 
 
 def triangle_of(matrix: Array) -> Array:

@@ -190,9 +190,12 @@ def _screen(
 
 def resolution(signal: np.ndarray) -> float:
     """Return the step of a quantised signal: noise below it shows as rare whole steps."""
-    part = np.unique(signal[:4096])
+    part = np.sort(signal[:4096])
+    part = part[np.diff(part, prepend=-math.inf) > 0.0]
+    if not len(part):
+        return 0.0
     # A few huge outliers must not determine the rounding.
-    usual_size = float(np.quantile(np.abs(part), 0.99, method="lower"))
+    usual_size = float(np.sort(np.abs(part))[int(0.99 * (len(part) - 1))])
     rounding = 64 * np.finfo(float).eps * usual_size
     steps = np.diff(part)
     steps = steps[steps > rounding]

@@ -223,8 +223,7 @@ class _RecordReader:
         for columns in iter_chunks(self._file.batches(self._columns.names), self._choose_rows):
             rows = row_count(columns)
             if not self._motion.constant_input:
-                signals = [columns[spec.name] for spec in self._signals]
-                self._sums.add(columns[self._columns.time.name], signals)
+                self._sums.add([columns[spec.name] for spec in self._signals])
             first, last = self._row_range(columns, time_range)
             excluded_rows = rows - (last - first)
             out_of_range = (

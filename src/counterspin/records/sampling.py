@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import Array, median
+from counterspin.arrays import Array, median, quantile
 from counterspin.errors import InputError, RecordError, code_of
 from counterspin.frozen import frozen
 from counterspin.records.outliers import resolution
@@ -99,7 +99,7 @@ class ValueHolding:
         has_few_changes = lengths.size < _MIN_CHANGES or step < _COARSE_STEPS * resolution(
             finite_values
         )
-        alternate = has_few_changes or np.quantile(lengths, 0.01) < 2.0
+        alternate = has_few_changes or quantile(lengths, 0.01) < 2.0
         if (repeated <= limit and alternate) or _is_constant_stretch(
             lengths, 1.0 / (1.0 - repeated)
         ):
@@ -257,7 +257,7 @@ def count_times(time: Array, restamped: int) -> Array:
     restamped: Number of rows with the time of the row before, for the message.
     """
     bounds = np.append(np.flatnonzero(np.append(True, np.diff(time) > 0.0)), time.size)
-    burst = float(np.quantile(np.diff(bounds), 0.999)) + 1.0
+    burst = quantile(np.diff(bounds), 0.999) + 1.0
     lag = min(time.size - 1, max(64, round(16 * burst)))
     step = median(time[lag:] - time[:-lag]) / lag
     segments: list[Array] = np.split(time, _gap_indices(time, step, burst, lag))
@@ -348,7 +348,7 @@ def _lacks_rows(delay: Array, rows: int) -> bool:
 def _is_constant_stretch(lengths: npt.NDArray[np.int_], rows: float) -> bool:
     """Return whether values stand still in places, as of a dead channel or beyond a range."""
     long_stretches = lengths[lengths > 1]
-    return bool(long_stretches.size == 0 or np.quantile(long_stretches, 0.95) > 3.0 * rows + 2.0)
+    return bool(long_stretches.size == 0 or quantile(long_stretches, 0.95) > 3.0 * rows + 2.0)
 
 
 def _change_period(change_indices: npt.NDArray[np.int_]) -> int:
@@ -356,7 +356,7 @@ def _change_period(change_indices: npt.NDArray[np.int_]) -> int:
     lengths = np.diff(change_indices)
     if (
         lengths.size < _MIN_CHANGES
-        or not 1 < (shortest := int(np.quantile(lengths, 0.01))) < _MAX_ROWS
+        or not 1 < (shortest := int(quantile(lengths, 0.01))) < _MAX_ROWS
     ):
         return 0
     for period in range(shortest, 1, -1):

@@ -312,17 +312,15 @@ class SignalSums:
         self._first: list[list[float]] = [[] for _ in range(signals)]
         self._final: list[list[float]] = [[] for _ in range(signals)]
 
-    def add(self, time: Array, signals: Sequence[Array]) -> None:
+    def add(self, signals: Sequence[Array]) -> None:
         """Add rows, shapes (n,)."""
-        time_total = time.sum()
         for index, signal in enumerate(signals):
-            rows, total, count = signal, signal.sum(), len(signal)
-            if not np.isfinite(time_total + total):
+            rows, total = signal, signal.sum()
+            if not np.isfinite(total):
                 rows = signal[np.isfinite(signal)]
-                timed_rows = signal[np.isfinite(signal) & np.isfinite(time)]
-                total, count = timed_rows.sum(), len(timed_rows)
+                total = rows.sum()
             self._total[index] += total
-            self._count[index] += count
+            self._count[index] += len(rows)
             first, last_rows = self._first[index], self._final[index]
             first += rows[: 2 - len(first)].tolist()
             self._final[index] = [*last_rows, *rows[-2:].tolist()][-2:]
