@@ -6,6 +6,7 @@ import datetime
 import math
 import re
 from collections.abc import Mapping
+from functools import cached_property, lru_cache
 from typing import Any, Final, Protocol
 
 from counterspin.campaign.columns import Sense
@@ -124,7 +125,7 @@ class RateColumn:
         unit = _REVOLUTIONS.get(self.settings.rate_unit, self.settings.rate_unit)
         if _converts(unit, "s"):
             return 1.0 / (number * unit_factor(unit, "s")), "rev/s", -1.0
-        gravity = self._stated("site", "gravity", "m/s^2")
+        gravity = self._gravity
         if not _converts(unit, "m/s^2", gravity=gravity):
             unit_factor(unit, "rad/s")
             return number, unit, 1.0
@@ -136,6 +137,10 @@ class RateColumn:
         radius = self._stated("centrifuge", "radius", "m")
         return math.sqrt(acceleration / radius), "rad/s", 0.5
 
+    @cached_property
+    def _gravity(self) -> float:
+        return self._stated("site", "gravity", "m/s^2")
+
     def _stated(self, section: str, key: str, unit: str) -> float:
         """Return a quantity of another section; its errors are reported there."""
         try:
@@ -144,6 +149,7 @@ class RateColumn:
             return 1.0
 
 
+@lru_cache(maxsize=64)
 def _converts(unit: str, wanted: str, *, gravity: float | None = None) -> bool:
     try:
         return unit_factor(unit, wanted, gravity=gravity) > 0.0

@@ -492,8 +492,12 @@ class ReadingsTable:
 
     def _parse_rate(self, number: float, sense: Sense, u: float | None = None) -> Quantity:
         """Return a rate from its cell and that of its uncertainty; ValueError if it is not one."""
-        size, u_rate, unit = RateColumn(self.settings, self.document).read(number, u)
+        size, u_rate, unit = self._rate_column.read(number, u)
         return Quantity(-size if sense == "clockwise" else size, u_rate, unit)
+
+    @cached_property
+    def _rate_column(self) -> RateColumn:
+        return RateColumn(self.settings, self.document)
 
     def _head_turn(self, angle: float) -> HeadTurn:
         """Return the turn that an angle of the head is."""

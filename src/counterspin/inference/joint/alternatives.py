@@ -27,7 +27,7 @@ from counterspin.inference.distributions import student_cdf
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.fit import JointFit, augment_block, solve_blocks
 from counterspin.inference.joint.unknowns import Unknown
-from counterspin.inference.least_squares import Block, Solution, reduce_rows
+from counterspin.inference.least_squares import Block, Solution
 from counterspin.physics.terms import INPUTS, mounting_of
 
 #: Of the centrifuge, and behind a point each mounting's.
@@ -198,10 +198,8 @@ def run_score_tests(
         groups.setdefault(frozenset(alternative.columns), []).append(index)
     value, u, z = np.zeros((3, len(alternatives)))
     dof = max(fit.solution.dof - 1.0, 1.0)
-    # Beside a few observations among many, the information of the others stays the same.
-    chunks = _merge_blocks(fit, max(math.isqrt(len(fit.blocks) // 4), 1))
     for group in groups.values():
-        projected = project_columns(fit, [alternatives[index] for index in group], chunks)
+        projected = project_columns(fit, [alternatives[index] for index in group])
         columns, residual = projected.columns, projected.residual
         norms = np.sum(columns**2, axis=0)
         is_testable = norms > MIN_RESIDUAL_FRACTION * projected.squared_norms
@@ -232,40 +230,9 @@ class ProjectedColumns:
     row_slices: tuple[slice, ...]  #: Which rows are those of each observation.
 
 
-#: Places of neighbouring observations, with their information as one block.
-_Chunks = Mapping[range, Block]
-
-
-def _merge_blocks(fit: JointFit, size: int) -> _Chunks:
-    """Return the blocks of a fit in chunks of so many neighbours."""
-    count = len(fit.blocks)
-    ranges = (range(start, min(start + size, count)) for start in range(0, count, size))
-    return {places: _merge(fit.blocks[places.start : places.stop]) for places in ranges}
-
-
-def _merge(blocks: Sequence[Block]) -> Block:
-    if len(blocks) == 1:
-        return blocks[0]
-    rows = [np.column_stack([block.factor, block.considered, block.target]) for block in blocks]
-    merged = reduce_rows(np.vstack(rows), 0, blocks[0].factor.shape[1])
-    return replace(
-        merged,
-        rss=merged.rss + sum(block.rss for block in blocks),
-        rows=sum(block.rows for block in blocks),
-        nuisance=sum(block.nuisance for block in blocks),
-    )
-
-
-def project_columns(
-    fit: JointFit, alternatives: Sequence[Alternative], chunks: _Chunks | None = None
-) -> ProjectedColumns:
-    """Project alternatives off a fit; arguments as of `run_score_tests`.
-
-    chunks: Blocks of neighbouring observations, which share rows where none has a column; None:
-        each observation has its rows.
-    """
-    with_columns = [alternative for alternative in alternatives if alternative.columns]
-    blocks, solution, augmented = _augment_rows(fit, with_columns, chunks or _merge_blocks(fit, 1))
+def project_columns(fit: JointFit, alternatives: Sequence[Alternative]) -> ProjectedColumns:
+    """Project alternatives off a fit; arguments as of `run_score_tests`."""
+    blocks, solution, augmented = _augment_rows(fit, [a for a in alternatives if a.columns])
     data, priors = _columns(alternatives, blocks, solution, augmented)
     target = np.concatenate([block.target for block in blocks])
     known = solution.prior_sd == 0.0
@@ -290,8 +257,7 @@ def undetected_effects(fit: JointFit, alternatives: Sequence[Alternative]) -> tu
     Returns: the size of what it leaves in the residuals, in standard deviations, shape (m,), and by
         how much it moves the unknowns, shape (p, m).
     """
-    with_columns = [alternative for alternative in alternatives if alternative.columns]
-    blocks, solution, augmented = _augment_rows(fit, with_columns, _merge_blocks(fit, 1))
+    blocks, solution, augmented = _augment_rows(fit, [a for a in alternatives if a.columns])
     data, priors = _columns(alternatives, blocks, solution, augmented)
     effects = np.linalg.norm(solution.project_out(data, priors), axis=0)
     return effects, solution.undetected_shifts(data, priors)
@@ -303,25 +269,19 @@ def _row_slices(blocks: Sequence[Block]) -> tuple[slice, ...]:
 
 
 def _augment_rows(
-    fit: JointFit, with_columns: Sequence[Alternative], chunks: _Chunks
+    fit: JointFit, with_columns: Sequence[Alternative]
 ) -> tuple[Sequence[Block], Solution, Array]:
     """Return blocks and solution of a fit in rows that hold further columns, and these columns."""
     if not with_columns:
         return fit.blocks, fit.solution, np.empty((0, 0))
     p = len(fit.model.unknowns)
     columns = [alternative.columns for alternative in with_columns]
-    with_column = {place for column in columns for place in column}
-    blocks, augmented = [], []
-    for places, merged in chunks.items():
-        is_merged = with_column.isdisjoint(places)
-        for place in places[:1] if is_merged else places:
-            block = merged if is_merged else fit.blocks[place]
-            added = np.zeros((block.factor.shape[0], len(columns)))
-            if place in with_column:
-                _, wide = augment_block(fit, place, columns)
-                block, added = replace(wide, factor=wide.factor[:, :p]), wide.factor[:, p:]
-            blocks.append(block)
-            augmented.append(added)
+    blocks = list(fit.blocks)
+    augmented = [np.zeros((block.factor.shape[0], len(columns))) for block in blocks]
+    for index in {place for column in columns for place in column}:
+        _, wide = augment_block(fit, index, columns)
+        blocks[index] = replace(wide, factor=wide.factor[:, :p])
+        augmented[index] = wide.factor[:, p:]
     return blocks, solve_blocks(blocks, fit.model), np.vstack(augmented)
 
 
