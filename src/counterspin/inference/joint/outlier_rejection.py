@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -31,6 +32,7 @@ from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import Noise
+from counterspin.physics.spindle import Spindle
 
 #: Expected number of good samples of a whole series that Gaussian noise loses.
 FALSE_ALARMS: Final = 0.01
@@ -376,18 +378,29 @@ def remove_harmonics(series: ResidualSeries, residuals: Array) -> Array:
     residuals: Of a series' last n rows, more than there are shapes of these.
     """
     times = series.time[-residuals.shape[-1] :]
-    # A harmonic at or beyond half the sampling rate would follow the errors of the time stamps.
-    turn = abs(series.trajectory.spindle.rate) * median(np.diff(times))
-    highest = min(_HARMONICS, int(math.pi / turn) - 1)
-    first = np.exp(1j * series.trajectory.spindle.angle(times))
-    waves = np.cumprod(np.broadcast_to(first, (max(highest, 0), times.size)), axis=0)
-    trend = np.vander(times / times[-1], _POLYNOMIAL_TERMS).T
-    regressors = np.concatenate([trend, waves.real, waves.imag])
+    regressors, inverse = _harmonic_regressors(series.trajectory.spindle, times.tobytes())
     removed, count = regressors.shape
-    # Ten times as fast as a decomposition of the regressors, which are few and of similar size.
-    inverse = np.linalg.pinv(regressors @ regressors.T, rcond=_MIN_EIGENVALUE, hermitian=True)
     fitted = (inverse @ (regressors @ residuals.T)).T @ regressors
     return np.asarray((residuals - fitted) * math.sqrt(count / (count - removed)))
+
+
+@lru_cache(maxsize=1)
+def _harmonic_regressors(spindle: Spindle, time_bytes: bytes) -> tuple[Array, Array]:
+    """Return trend and harmonics at times, rows, and the inverse of their Gram matrix.
+
+    Accelerometers of a run usually share the times.
+    """
+    times = np.frombuffer(time_bytes)
+    # A harmonic at or beyond half the sampling rate would follow the errors of the time stamps.
+    turn = abs(spindle.rate) * median(np.diff(times))
+    highest = min(_HARMONICS, int(math.pi / turn) - 1)
+    first = np.exp(1j * spindle.angle(times))
+    waves = np.cumprod(np.broadcast_to(first, (max(highest, 0), times.size)), axis=0)
+    powers = np.cumprod(np.broadcast_to(times / times[-1], (_POLYNOMIAL_TERMS - 1, times.size)), 0)
+    regressors = np.concatenate([np.ones((1, times.size)), powers, waves.real, waves.imag])
+    # Ten times as fast as a decomposition of the regressors, which are few and of similar size.
+    inverse = np.linalg.pinv(regressors @ regressors.T, rcond=_MIN_EIGENVALUE, hermitian=True)
+    return regressors, inverse
 
 
 def _correlation_time(residuals: Mapping[int, Array], spacing: Mapping[int, float]) -> float:
