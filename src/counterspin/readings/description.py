@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -15,8 +15,7 @@ from counterspin.campaign.settings import FixtureSettings
 from counterspin.campaign.validation import Problems
 from counterspin.loading import is_installed, load_name
 from counterspin.readings.entries import (
-    add_blank_problem,
-    iter_readings,
+    collect_readings,
     number_positions,
     resolve_readings,
     with_recorded_angles,
@@ -44,17 +43,19 @@ def read_readings(
     folder, error_count = reader.file.parent, len(problems.lines)
     checksums: dict[Path, str] = {}
     entries = _reading_entries(reader, checksums)
-    context: dict[str, Any] = {
-        "mountings": mountings,
-        "outputs": accelerometers.outputs,
-        "folder": folder,
-        "problems": problems,
-        "gravity": reader.gravity,
-        "turns": turns,
-    }
+    resolve = partial(
+        resolve_readings,
+        mountings=mountings,
+        outputs=accelerometers.outputs,
+        folder=folder,
+        problems=problems,
+        gravity=reader.gravity,
+        turns=turns,
+    )
     fixture = reader.parts.get("fixture") or FixtureSettings()
     attitude_entries = [entry for entry in entries if not is_pose(entry[0])]
-    readings = number_positions(resolve_readings(attitude_entries, **context), fixture.position)
+    readings = collect_readings(resolve(attitude_entries), problems, turns)
+    readings = number_positions(readings, fixture.position)
     records = reader.parts.get("records")
     if records and records.recording.angle is not None:
         readings = with_recorded_angles(readings)
@@ -66,7 +67,11 @@ def read_readings(
         if is_pose(raw)
     ]
     default_priors = None if readings or has_records else accelerometers.own_priors
-    triad = _resolve_triad(reader, pose_entries, context, default_priors)
+    pose_readings = (
+        {reading.accelerometer: reading for reading in collect_readings([run], problems, turns)}
+        for run in resolve([entry for entry in pose_entries if "record" not in entry[0]])
+    )
+    triad = _resolve_triad(reader, pose_entries, mountings, pose_readings, default_priors)
     truths = {
         str(raw["name"]): (raw["truth"], (*path, "truth"))
         for raw, path in entries
@@ -109,13 +114,11 @@ def _with_common_records(
 def _resolve_triad(
     reader: DescriptionReader,
     pose_entries: _Entries,
-    context: Mapping[str, Any],
+    mountings: Mapping[str, Any],
+    pose_readings: Iterator[Mapping[str, Reading]],
     default_priors: Mapping[str, Any] | None,
 ) -> Triad | None:
-    """Return the triad with its poses; None without them.
-
-    context: Arguments of `resolve_readings`.
-    """
+    """Return the triad with its poses; None without them."""
     section = reader.raw.get("triad")
     if section is None and not pose_entries:
         return None
@@ -126,25 +129,14 @@ def _resolve_triad(
     resolve = load_name(TRIAD)
     triad = resolve(
         section,
-        context["mountings"],
+        mountings,
         pose_entries,
         folder,
-        _iter_poses(pose_entries, context),
+        pose_readings,
         given=default_priors,
         problems=problems,
     )
     return cast("Triad | None", triad)
-
-
-def _iter_poses(
-    pose_entries: _Entries, context: Mapping[str, Any]
-) -> Iterator[Mapping[str, Reading]]:
-    """Yield the readings of each pose with values, by accelerometer, and note its mistakes."""
-    entries = [(raw, path) for raw, path in pose_entries if "record" not in raw]
-    for path, readings in iter_readings(entries, **context):
-        if context["turns"] is None and any(math.isnan(reading.value) for reading in readings):
-            add_blank_problem([(*path, "reading")], context["problems"])
-        yield {reading.accelerometer: reading for reading in readings}
 
 
 def _reading_files(reader: DescriptionReader) -> tuple[Path, ...]:

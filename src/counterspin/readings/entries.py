@@ -143,44 +143,25 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
             yield ((key,) if key else ()), message, *related
 
 
-def resolve_readings(
-    runs: Sequence[tuple[Any, KeyPath]],
-    *,
-    problems: Problems,
-    turns: float | None,
-    **context: Any,
+def collect_readings(
+    resolved: Iterable[tuple[KeyPath, Sequence[Reading]]], problems: Problems, turns: float | None
 ) -> tuple[Reading, ...]:
-    """Return the readings of runs, one for each accelerometer that was read.
-
-    runs: With their places.
-    mountings: Accelerometer -> its axes in the level attitude; None where they are a mistake.
-    outputs: Accelerometer -> unit of its readings, None: g; absent where that is a mistake.
-    gravity: Of the site, m/s^2.
-    turns: Revolutions of a record that is simulated on a machine; None without a simulation, in
-        which case every reading has its value.
-    """
+    """Return the readings that `resolve_readings` yields; note those without a value."""
     blank_paths: list[KeyPath] = []
     readings: list[Reading] = []
-    for path, run_readings in iter_readings(runs, problems=problems, turns=turns, **context):
+    for path, run_readings in resolved:
         readings += run_readings
         if any(math.isnan(reading.value) for reading in run_readings):
             blank_paths.append((*path, "reading"))
     if blank_paths and turns is None:
-        add_blank_problem(blank_paths, problems)
+        others = len(blank_paths) - 1
+        others_text = f", and neither have {others} others" if others else ""
+        message = f"has no value yet{others_text}; enter the reading, or [truth] to simulate it"
+        problems.add(blank_paths[0], message, "missing-value")
     return tuple(readings)
 
 
-def add_blank_problem(paths: Sequence[KeyPath], problems: Problems) -> None:
-    """Note readings without a value."""
-    others_text = f", and neither have {len(paths) - 1} others" if len(paths) > 1 else ""
-    problems.add(
-        paths[0],
-        f"has no value yet{others_text}; enter the reading, or [truth] to simulate it",
-        "missing-value",
-    )
-
-
-def iter_readings(
+def resolve_readings(
     runs: Sequence[tuple[Any, KeyPath]],
     *,
     mountings: Mapping[str, Mounting | None],
@@ -190,9 +171,16 @@ def iter_readings(
     gravity: float,
     turns: float | None,
 ) -> Iterator[tuple[KeyPath, Sequence[Reading]]]:
-    """Yield the place of each run with its readings, of which a run with a mistake has none.
+    """Yield the place of each run and its readings, one for each accelerometer that was read.
 
-    Parameters as of `resolve_readings`.
+    A run with a mistake has none.
+
+    runs: With their places.
+    mountings: Accelerometer -> its axes in the level attitude; None where they are a mistake.
+    outputs: Accelerometer -> unit of its readings, None: g; absent where that is a mistake.
+    gravity: Of the site, m/s^2.
+    turns: Revolutions of a record that is simulated on a machine; None without a simulation, in
+        which case every reading has its value.
     """
     patterns = [row_pattern(raw) for raw, _ in runs]
     similar: dict[Hashable, list[int]] = {}
