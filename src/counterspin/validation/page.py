@@ -36,12 +36,12 @@ class CheckedCase(ResultPart):
     state: Literal["passed", "failed", "not run"]
     numbers: int  #: Number of compared values.
     quantity: str  #: Name of the value that is closest to its limit.
-    expected: float | None  #: Expected value of this quantity.
-    found: float | None  #: Value of this quantity on this installation.
-    #: Number of correct digits of this value, -log10 of the relative difference, at most 16; null
-    #: if the expected value is 0 or no value was found.
+    expected: float | None  #: Expected value of `quantity`.
+    found: float | None  #: Value of `quantity` on this installation.
+    #: Number of correct digits of the found value, -log10 of the relative difference, at most 16;
+    #: null if the expected value is 0 or no value was found.
     digits: float | None
-    limit: float | None  #: Largest permitted difference of this value.
+    limit: float | None  #: Largest permitted difference between the expected and the found value.
     note: str = ""  #: Reason why no value could be compared.
 
 
