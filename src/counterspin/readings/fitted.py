@@ -12,6 +12,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.inference.distributions import normal_quantile
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
@@ -45,10 +46,18 @@ class Position:
     #: The mean residual over its own standard deviation, with leverages and considered terms
     #: counted; NaN where the fit follows these readings wholly.
     standardized: float
-    #: The same with an estimated noise as the others tell it (externally studentised), and the
-    #: probability of as much by chance, to either side.
+    #: The same with an estimated noise as the others tell it (externally studentised), the part of
+    #: its variance from that noise, and the noise's degrees of freedom.
     studentized: float
-    p: float
+    noise_fraction: float
+    noise_dof: float
+
+    @property
+    def p(self) -> float:
+        """Probability of as large a deviation by chance, to either side; NaN if undetermined."""
+        if math.isnan(self.studentized):
+            return math.nan
+        return 2.0 * mixture_tail(self.noise_fraction, self.noise_dof, abs(self.studentized))
 
 
 @frozen
@@ -161,11 +170,13 @@ class FittedReadings:
         if self.noise_dof < MIN_DOF:
             return []
         tested = [*self.positions, *self.single]
-        z = [item.studentized for item in tested]
-        p = [item.p for item in tested]
+        z, level = [item.studentized for item in tested], _SINGLE_LEVEL / len(tested)
         outliers: list[OutlyingReadings] = []
         reported: dict[int, float] = {}
-        for i in np.flatnonzero(np.array(p) < _SINGLE_LEVEL / len(tested)):
+        # The tails of the distributions of the tests are not below those of the normal one.
+        for i in np.flatnonzero(np.abs(z) > -normal_quantile(0.5 * level)).tolist():
+            if tested[i].p >= level:
+                continue
             indices, size = tested[i].indices, abs(z[i])
             # A reading is named beside its position only where it alone is the worse.
             if any(size <= reported.get(index, 0.0) for index in indices):
@@ -318,14 +329,9 @@ def evaluate_positions(
         scale, dof = _deleted_noise(*noise, members, combined)
         ratio = 1.0 - fraction + fraction * scale
         studentized, share = z / np.sqrt(ratio), fraction * scale / ratio
-    positions = []
-    for k, indices in enumerate(sets):
-        values = (math.nan, math.nan, math.nan)
-        if not undetermined[k]:
-            p = 2.0 * mixture_tail(float(share[k]), float(dof[k]), abs(float(studentized[k])))
-            values = (float(z[k]), float(studentized[k]), p)
-        positions.append(Position(tuple(indices), float(residual[k]), *values))
-    return positions
+    z[undetermined] = studentized[undetermined] = math.nan
+    columns = (column.tolist() for column in (residual, z, studentized, share, dof))
+    return [Position(tuple(s), *row) for s, *row in zip(sets, *columns, strict=True)]
 
 
 def _deleted_noise(
