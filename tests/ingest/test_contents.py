@@ -2,6 +2,7 @@
 
 import re
 
+import h5py
 import numpy as np
 import pytest
 from prose import ROOT
@@ -67,6 +68,21 @@ def test_numbers_that_a_library_could_not_write_are_empty_cells(tmp_path):
     (tmp_path / "a.csv").write_text("\n".join(["time_s,a_m", *rows, ""]))
     values = read_contents(tmp_path / "a.csv").columns[1].values
     assert np.flatnonzero(np.isnan(values)).tolist() == [40, 41, 42]
+
+
+def test_words_and_repeated_names_do_not_hide_the_numbers(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["time_s"], file["status"] = np.arange(60) * 0.02, np.array([b"ok"] * 60)
+    contents = read_contents(tmp_path / "a.h5")
+    assert ([column.name for column in contents.columns], contents.others) == (
+        ["time_s"],
+        ("status",),
+    )
+    rows = [f"0x68,{0.02 * n:.2f},{n % 7}.5" for n in range(60)]
+    rows[30] = "sensor,time_s,a_m"
+    (tmp_path / "a.csv").write_text("\n".join([rows[30], *rows, ""]))
+    with pytest.raises(RecordError, match=r"a\.csv, line 32: .* The column names are repeated"):
+        read_contents(tmp_path / "a.csv")
 
 
 def test_a_sheet_is_chosen_or_each_is_a_run(tmp_path):

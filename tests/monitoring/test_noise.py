@@ -190,7 +190,11 @@ def test_unreadable_time_cell_is_located(tmp_path):
     ("frame", "words", "message"),
     [
         ({"a": np.arange(100.0) % 7}, {}, "There is no time column"),
-        ({"time_s": [0.0, 2.0, 1.0] * 33, "a_m": np.arange(99.0) % 7}, {}, "it falls 65 times"),
+        (
+            {"time_s": [0.0, 2.0, 1.0] * 33, "a_m": np.arange(99.0) % 7},
+            {},
+            "it falls 65 times, first in row 3",
+        ),
         ({"time_s": np.arange(100.0), "a": np.arange(100.0) % 7}, {}, "no column has a unit"),
         ({"time_s": np.arange(100.0), "a_m": np.zeros(100)}, {}, "all samples are equal"),
         ({"time_s": np.arange(9.0), "a_m": np.arange(9.0) % 4}, {}, "too few"),

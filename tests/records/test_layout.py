@@ -8,6 +8,7 @@ from counterspin.records.layout import (
     detect_format,
     footer_lines,
     is_plain_format,
+    join_quoted_lines,
     plain_format,
     split_cells,
 )
@@ -114,6 +115,8 @@ def test_names_may_be_fewer_than_columns():
         ["* t ax ay"],
         ["// t ax ay"],
         ["## log of today", "# t ax ay"],
+        ["# cols: t ax ay", "# note: quiet lab"],
+        ["| t | ax | ay |", "|---|---|---|"],
         ["# t ax ay", "# s m/s^2 m/s^2"],
         ["#  t  ax  ay", "#  (s)  (m/s^2)  (m/s^2)"],
         ["# t ax ay", "#"],
@@ -127,8 +130,10 @@ def test_names_may_be_fewer_than_columns():
 )
 def test_names_stand_above_their_columns_however_the_line_is_written(head):
     rows = ["0.00 0.1 0.2", "0.01 0.1 0.3", "0.02 0.2 0.2", "0.03 0.1 0.2"]
+    if head[0].startswith("|"):
+        rows = [f"| {row.replace(' ', ' | ')} |" for row in rows]
     layout = found([*head, *rows])
-    assert layout.names == ("t", "ax", "ay")
+    assert tuple(filter(None, layout.names)) == ("t", "ax", "ay")
     if len(head) > 1 and "s" in head[1]:
         assert layout.units == ("s", "m/s^2", "m/s^2")
 
@@ -146,6 +151,20 @@ def test_names_are_never_shifted_against_columns(head, rows, told):
     layout = found([head, *rows])
     assert layout.names == ("column 1", "column 2", "column 3", "column 4")
     assert told in layout.describe("utf-8")
+
+
+def test_signs_of_comments_within_names_are_kept():
+    for name in ("RH %", "no #", "a [m*s^-2]"):
+        assert plain_format([(1, f"t,{name}"), (2, "0,1")], Dialect()).names == ("t", name)
+
+
+def test_quoted_names_may_have_several_lines():
+    lines = ['"t', '(s)","ax', '(g)"', "0.00,0.1", "0.01,0.1", "0.02,0.2"]
+    numbered = list(enumerate(lines, 1))
+    layout = detect_format(join_quoted_lines(numbered), Dialect())
+    assert (layout.names, layout.units, layout.before_rows) == (("t (s)", "ax (g)"), ("s", "g"), 3)
+    open_mark = [*numbered, (7, '0.03,"0.1')]
+    assert join_quoted_lines(open_mark) == open_mark
 
 
 def test_names_of_rows_have_no_name_above_them():
@@ -168,6 +187,7 @@ def test_names_may_have_a_blank_within_them():
         (["", "End of data"], 2),
         (["0,3;;4"], 0),
         (["Std;0,1;0,2"], 1),
+        (["Mittelw.;1,25;1", "Abweichung;0,1;0,2"], 2),
     ],
 )
 def test_lines_below_the_rows_are_counted(below, count):

@@ -27,7 +27,7 @@ from counterspin.records.unit_notation import unit_in_name
 from counterspin.units import converts, unit_factor
 
 _TIME: Final = re.compile(
-    r"(?i)(t|time|zeit|temps|elapsed|stamp|x_value|seconds)([^a-z]|stamp|$)"
+    r"(?i)(t|time|zeit|temps|elapsed|stamp|x_value|seconds|millis|micros)([^a-z]|stamp|$)"
     r"|(.*[^a-z])?i?(tow|sow|time|timestamp|stamp|(time|seconds?).of.week)([^a-z].*)?$"
 )
 _ANGLE: Final = re.compile(
@@ -409,11 +409,7 @@ def _shared_times(columns: Sequence[FileColumn]) -> FileColumn | None:
     """Return the times, s, that several rows share or that come in bursts; None without such."""
     for column in columns:
         unit = "s" if column.stamps else _unit_of(column, "s")
-        if (
-            unit
-            and (column.stamps or _is_named_time(column.name))
-            and has_shared_times(column.values, [c.values for c in columns])
-        ):
+        if unit and has_shared_times(column.values, [c.values for c in columns]):
             return replace(column, values=column.values * unit_factor(unit, "s"))
     return None
 
@@ -427,11 +423,15 @@ def why_no_time(contents: FileContents) -> str:
     """Return why a file has no time: one that is not read, one that falls, or no column."""
     for name, cells in contents.first_words.items():
         if _is_named_time(name) and (stamp := next(filter(None, cells), "")):
-            return f"Column '{name}' is not read as a time: '{stamp}'"
+            spoilt = (reason for reason in contents.spoilt if f"column '{name}'" in reason)
+            return next(spoilt, f"Column '{name}' is not read as a time: '{stamp}'").rstrip(".")
     for column in contents.columns:
-        falls = int(np.sum(np.diff(column.values) < 0.0))
-        if falls and _is_named_time(column.name):
-            return f"Column '{column.name}' is not used as the time: it falls {falls} times"
+        falls = np.flatnonzero(np.diff(column.values) < 0.0)
+        if falls.size and _is_named_time(column.name):
+            return (
+                f"Column '{column.name}' is not used as the time: it falls {falls.size} times, "
+                f"first in row {falls[0] + 2}"
+            )
     return "There is no time column"
 
 

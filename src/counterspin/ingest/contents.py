@@ -198,7 +198,7 @@ def _read_contents(
         if not columns:
             seen = file.preview()
             lines = f"First lines of the file:\n{seen}\n{_WANTED}" if seen else _WANTED
-            if reasons and len(reasons) == len(names):
+            if reasons:
                 more = "" if "each run" in reasons[0] else f" {_ANOTHER_RUN}"
                 raise RecordError(f"{reasons[0]}{more}", code="not-numeric")
             shown = f"no column contains only numbers. {lines}"
@@ -264,7 +264,10 @@ def _read_text_columns(file: ColumnFile, names: Sequence[str], rows: int) -> dic
     """Return columns of words of a table that is small enough to be one of readings."""
     if not names or rows > MOST_READINGS:
         return {}
-    frame = file.table()
+    try:
+        frame = file.table()
+    except RecordError:  # arrays of words, or of other lengths
+        return {}
     known = [name for name in names if name in frame.columns]
     return {name: ["" if c is None else str(c).strip() for c in frame[name]] for name in known}
 

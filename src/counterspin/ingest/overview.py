@@ -53,7 +53,7 @@ def _lines(contents: FileContents) -> Iterator[str]:
     said = [f"{contents.rows} rows", *filter(None, [contents.found, rate])]
     yield f"{contents.path.name}{place}: {', '.join(said)}"
     for column in contents.columns[:_SHOWN]:
-        unit = f" [{column.unit}]" if column.unit else ""
+        unit = f" [{column.unit}]" if column.unit and f"[{column.unit}]" not in column.name else ""
         yield f"  {column.name}{unit}: {_appearance(column, guess)}"
     for name in contents.others[:_SHOWN]:
         yield f"  {name}: {_column_words(contents, name)}"

@@ -289,15 +289,28 @@ def _row_times(
             )
         column = next(c for c in columns if c.name == guess.time.column)
         seconds = np.asarray(column.values * guess.time.factor)
+        falls = np.flatnonzero(np.diff(seconds) < 0.0)
+        if falls.size and rate is None:
+            before, after = seconds[falls[0] : falls[0] + 2]
+            raise RecordError(
+                f"{source}: column '{column.name}': time runs backwards in row {falls[0] + 2}, "
+                f"from {before:.9g} s to {after:.9g} s. Cut the record there.",
+                code="time-backwards",
+            )
         places = np.diff(seconds[np.isfinite(seconds)]) * (rate or 0.0)
-        is_even = bool((np.abs(places - np.round(places)) < _MAX_STEP_DEVIATION).all())
+        deviation = np.abs(places - np.round(places))
+        is_even = bool((deviation < _MAX_STEP_DEVIATION).all() and (places >= 0.0).all())
         return seconds if rate is None or (guess.time.unit and is_even) else rows / rate
     if guess.shared is not None and rate is None:
         return guess.shared.values
     if guess.sampling is None:
         problem = f"{source}: {why_no_time(guess.contents)}. Give `sampling_rate`, such as"
         problem += ' "100 Hz".'
-        unread = [f"Not read: {reason}" for reason in guess.contents.spoilt]
+        unread = [
+            f"Not read: {reason}"
+            for reason in guess.contents.spoilt
+            if reason.rstrip(".") not in problem
+        ]
         raise RecordError(" ".join([problem, *unread]), code="missing-column")
     return rows / guess.sampling
 

@@ -33,6 +33,7 @@ from counterspin.records.layout import (
     detect_format,
     footer_lines,
     is_plain_format,
+    join_quoted_lines,
     plain_format,
     split_cells,
 )
@@ -96,14 +97,15 @@ class CsvFile(ColumnFile):
     def _detect_format(self, dialect: Dialect) -> None:
         self._transcode(dialect)
         head = list(islice(self._lines(), HEAD_LINES + (dialect.skip_lines or 0)))
-        lines = self._head = [(number, self._decode(raw_line)) for number, raw_line in head]
+        lines = [(number, self._decode(raw_line)) for number, raw_line in head]
         for rewrite in number_rewriters("\n".join(text for _, text in lines)):
             encoding = "utf-8" if self._is_utf8 else self._encoding
             text = self._rows_content().decode(encoding, errors="replace")
             self._content = rewrite(text).encode()
             self._is_utf8 = True
             head = list(islice(self._lines(), len(head)))
-            lines = self._head = [(number, self._decode(raw_line)) for number, raw_line in head]
+            lines = [(number, self._decode(raw_line)) for number, raw_line in head]
+        lines = self._head = join_quoted_lines(lines)
         layout, is_plain = None, is_plain_format(lines)
         if dialect.delimiter is None and dialect.decimal is None:
             unstated = dialect.skip_lines is None and not dialect.units_row

@@ -19,7 +19,7 @@ from counterspin.records.dialect import Dialect
 from counterspin.records.unit_notation import bracketed_unit, parse_file_unit
 
 #: Marks that may part the cells, the usual first.
-SINGLE_DELIMITERS: Final = (",", ";", "\t")
+SINGLE_DELIMITERS: Final = (",", ";", "\t", "|")
 #: Blanks, any number of them, as one delimiter.
 BLANKS: Final = " "
 #: What may part the cells, the usual first.
@@ -68,12 +68,17 @@ _BETWEEN_BLANKS: Final = re.compile(
 )
 #: Blanks that part names which have blanks within them.
 _WIDE_BLANKS: Final = re.compile(r"\s{2,}|\t")
-#: A mark of a comment at the beginning of a line, and the blanks behind it.
-_COMMENT: Final = re.compile(r"\s*(?:#+|%+|//+|!+|\*(?=[\sA-Za-z]))\s*")
+#: A mark of a comment at the beginning of a line, and the blanks or the label behind it.
+_COMMENT: Final = re.compile(
+    r"^\s*(?:#+|%+|//+|!+|\*(?=[\sA-Za-z]))\s*(?:(?:col(?:umn)?s?|fields|names|header)\s*[:=]\s*)?",
+    re.IGNORECASE,
+)
 #: A line that is drawn between the names and the rows.
 _RULE: Final = re.compile(r"[\s|+]*(?:[-=_]{2,}[\s|+,;]*)+")
 #: Lines of comments above the rows in which names may stand.
 _COMMENT_LINES: Final = 4
+#: Lines of a quoted cell, at most.
+_QUOTED_LINES: Final = 30
 #: Words that label a row of results below a table.
 _RESULT_LABEL: Final = re.compile(
     r"(?i)(mean|average|avg|mittel(wert)?|std|sd|stdev|sigma|sum|summe|min(imum)?|max(imum)?|median|"
@@ -87,6 +92,7 @@ MAX_FOOTER_LINES: Final = 40
 _DELIMITER_WORDS: Final = {
     ";": "semicolon-separated",
     "\t": "tab-separated",
+    "|": "separated by vertical bars",
     BLANKS: "separated by spaces",
 }
 #: Between a name that several columns have, and which of them one is.
@@ -144,6 +150,23 @@ def detect_format(lines: Sequence[Line], dialect: Dialect) -> TableFormat | None
             if candidate is not None and (best is None or candidate[0] > best[0]):
                 best = candidate
     return best and best[1]
+
+
+def join_quoted_lines(lines: Sequence[Line]) -> list[Line]:
+    """Return lines in which a quoted cell of several lines is in one, with the number of the last.
+
+    Lines with a quotation mark that is not closed are returned as they are.
+    """
+    joined: list[Line] = []
+    text, count = "", 0
+    for number, line in lines:
+        text, count = (f"{text} {line}", count + 1) if count else (line, 1)
+        if text.count('"') % 2 == 0:
+            joined.append((number, text))
+            count = 0
+        elif count > _QUOTED_LINES:
+            return list(lines)
+    return list(lines) if count else joined
 
 
 def _split_comment(line: str, delimiter: str) -> list[str]:
@@ -346,6 +369,8 @@ def _has_miscounted_names(above: Sequence[tuple[int, list[str]]], width: int, de
     if len(cells) < 2 or any(_is_number(cell, decimal) for cell in cells):
         return False
     # A comment may say anything.
+    if cells[0].startswith("#") and cells[0].endswith(":"):
+        return False
     max_cells = 1 if cells[0].startswith("#") else width
     return 0 < abs(len(cells) - width) <= max_cells
 
@@ -421,8 +446,8 @@ def _header_in_comment(
         stated = [name for name in names if name]
         if len(names) != width or len(stated) != width or width < 2:
             continue
-        if any(_is_number(name, decimal) for name in stated):
-            continue
+        if names[0].endswith(":") or any(_is_number(name, decimal) for name in stated):
+            continue  # a remark, such as "note: at rest"
         if not units and all(parse_file_unit(name) or name.lower() in _NO_UNITS for name in stated):
             units = names
             continue
@@ -475,6 +500,12 @@ def footer_lines(split_lines: Sequence[Sequence[str]], decimal: str) -> int:
     numeric = [n for n in numeric if max_lines[n] >= _NUMERIC_PART * len(full_rows)]
     if not numeric:
         return 0
+    is_time = [_is_number(cells[0], decimal) for cells in full_rows]
+    last = max((index for index, number in enumerate(is_time) if number), default=0)
+    times = [cells[0].replace(decimal, ".") for cells in full_rows[: last + 1]]
+    first_rises = all(is_time[: last + 1]) and all(
+        float(before) < float(after) for before, after in pairwise(times)
+    )
     count = 0
     for index, cells in enumerate(reversed(split_lines[-MAX_FOOTER_LINES:]), 1):
         if not any(cells) or cells[0].startswith("#"):
@@ -482,8 +513,9 @@ def footer_lines(split_lines: Sequence[Sequence[str]], decimal: str) -> int:
             continue
         fits = all(_is_row_cell(cells[n], decimal) for n in numeric if n < len(cells))
         fits = fits and any(n < len(cells) and _is_number(cells[n], decimal) for n in numeric)
-        # A row may have a word where most have a number, such as `up` among `+1` and `-1`.
-        adjacent = [n for n in numeric if n > 0]
+        # A row may have a word where most have a number, such as `up` among `+1` and `-1`, but not
+        # in place of a time.
+        adjacent = [] if first_rises else [n for n in numeric if n > 0]
         fits = fits or bool(
             adjacent
             and len(cells) == width

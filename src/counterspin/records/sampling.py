@@ -225,7 +225,7 @@ def has_shared_times(time: Array, columns: Sequence[Array]) -> bool:
     """
     steps = np.diff(time)
     is_repeated = steps == 0.0
-    if is_bursty(steps) or (steps < 0.0).any() or not is_repeated.any():
+    if is_bursty(steps) or (steps < 0.0).any() or not is_repeated.any() or is_repeated.all():
         return is_bursty(steps)
     changes = [change for column in columns if ((change := np.diff(column)) < 0.0).any()]
     differs = np.any([np.abs(change[is_repeated]) > 0.0 for change in changes], axis=0)
@@ -271,6 +271,8 @@ def count_times(time: Array, restamped: int) -> Array:
     if spans:
         count, duration = np.sum(spans, axis=0)
         step = float(duration / count)
+    if step == 0.0:
+        raise ValueError("the times differ in too few rows, so the rows cannot be counted")
     for segment, last in zip(segments, last_rows, strict=True):
         if _lacks_rows(segment[last] / step - last, segment.size):
             raise InputError(

@@ -31,6 +31,8 @@ _WORDS: Final = {
     "second": "s",
     "seconds": "s",
     "msec": "ms",
+    **dict.fromkeys(("millis", "millis()"), "ms"),
+    **dict.fromkeys(("micros", "micros()"), "us"),
     "deg": "deg",
     "Grad": "deg",  # lower-case grad is 0.9 of it
     "degree": "deg",
@@ -70,6 +72,9 @@ _WORDS: Final = {
     "m s-2": "m/s^2",
     "m.s-2": "m/s^2",
     "m*s-2": "m/s^2",
+    "m*s^-2": "m/s^2",
+    "m s^-2": "m/s^2",
+    "m·s^-2": "m/s^2",
     "m/sec^2": "m/s^2",
     "m/s/s": "m/s^2",
     "ft/s2": "ft/s^2",

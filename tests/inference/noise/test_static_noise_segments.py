@@ -37,6 +37,15 @@ def test_spikes_and_lone_gaps_are_filled_and_long_ones_cut():
     assert found.segments[0][1][500] == pytest.approx(between)
 
 
+def test_rows_of_other_sensors_are_no_samples():
+    """A log of two sensors with a row, and an empty cell, for each sample of the other."""
+    time, values = record()
+    rows = np.sort(np.append(time, time + 0.4 * STEP))
+    found = split_segments(rows, np.column_stack([values, np.full(4000, np.nan)]).ravel())
+    assert (found.filled, found.gaps) == (0, 0)
+    assert found.sample_interval == pytest.approx(STEP, rel=1e-9)
+
+
 def test_repeated_rows_count_once():
     time, values = record()
     again = np.insert(np.arange(4000), 100, 100)

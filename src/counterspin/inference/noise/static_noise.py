@@ -155,6 +155,10 @@ def split_segments(time: Array, values: Array) -> Segments:
     time, values = time[is_finite], values[is_finite]
     if (np.diff(time) < 0.0).any():
         raise ValueError("time runs backwards")
+    has_value = np.isfinite(values)
+    if has_value.sum() > 1 and median(np.diff(time[has_value])) > 1.5 * median(np.diff(time)):
+        # Rows of other sensors stand between those of this one.
+        time, values = time[has_value], values[has_value]
     samples = SensorSamples.of(time, values)
     time, values = samples.time, samples.values
     if time.size < _MIN_SAMPLES:
