@@ -73,12 +73,13 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     sizes = {".csv": 1e7, ".parquet": 1e8} if full else {".csv": 1e6, ".parquet": 1e7}
     found = [_column(suffix, int(size), repeats or 5) for suffix, size in sizes.items()]
     remark = (
-        "Time, angle and displacement of 400 s at each of three rates, 0.01 m of noise. Whole "
-        "processes, files in the system's cache, each the fastest of the repetitions, which take "
-        "turns; the peer once. It is `benchmarks/peer.py`, a script of NumPy and pandas. The "
-        "parser in C++ is `benchmarks/csv_limit.cpp`: with SHA-256 it is the lower limit for "
-        "these files, on one core, without checks. Targets: calibrate in at most 1.7 times the "
-        "time of polars, and below 1000 MB."
+        "The records contain time, angle and displacement for 400 s at each of three rates, "
+        "with 0.01 m of noise. Each time is the time of a whole process, with the files in the "
+        "cache of the system. Repetitions of different processes alternate, and the table gives "
+        "the fastest repetition. The peer, `benchmarks/peer.py`, is a script of NumPy and "
+        "pandas that runs only once. The parser in C++, `benchmarks/csv_limit.cpp`, together "
+        "with SHA-256 gives the lower limit for these files on one core, without checks. The "
+        "targets for calibrate are at most 1.7 times the time of polars, and less than 1000 MB."
     )
     columns = ["", *(f"{size:.0e} rows, {suffix[1:]}" for suffix, size in sizes.items())]
     rows = [[label, *(column[label] for column in found)] for label in found[0]]

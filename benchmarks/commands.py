@@ -133,10 +133,12 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
         for job, (_, target, ratio, other) in jobs.items()
     ]
     remark = (
-        "Three rates, 100 revolutions each at 50 Hz, two accelerometers. Whole processes that take "
-        "turns, start of Python included. The first line is the cost of the start alone. Ratios "
-        "are to that line, of the fastest and of processor time. The ratio of estimated noise is "
-        "to the same campaign with stated noise. `assume` is `all` unless stated otherwise."
+        "The campaign has three rates of 100 revolutions each at 50 Hz, and two accelerometers. "
+        "Each time is the time of a whole process, including the start of Python. Repetitions "
+        "of different processes alternate. The first row gives the time of the start alone. The "
+        "two ratios divide the fastest time and the processor time by the values of the first "
+        "row. The row with estimated noise is compared with the same campaign with stated "
+        "noise. `assume` is `all` unless the row states something else."
     )
     columns = [
         "process",

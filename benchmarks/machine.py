@@ -86,7 +86,7 @@ def _machine() -> str:
         name = models[0].partition(":")[2].strip() if models else name
     return (
         f"{name}, {os.cpu_count()} cores, Python {platform.python_version()}, "
-        f"{platform.system()}; load {os.getloadavg()[0]:.1f} when the benchmarks began. "
+        f"{platform.system()}. The load was {os.getloadavg()[0]:.1f} when the benchmarks began. "
         "Each value is the best of several passes."
     )
 

@@ -102,9 +102,10 @@ def main(keep: bool) -> None:
         thread.join()
     measured = Table(
         "Records in the application",
-        "Seconds from a click on a campaign's records to their last curve, three columns of them, "
-        "in Chromium; the fastest of three, by `benchmarks/page.py`.",
-        ["rows", "first look, the file being read", "later look", "zoom"],
+        "Each time, in seconds, is the time from a click on the records of a campaign until the "
+        "last of three curves is drawn in Chromium. The table gives the fastest of three "
+        "measurements by `benchmarks/page.py`.",
+        ["rows", "first view, with reading of the file", "later view", "zoom"],
         [[f"{rows:,}", *times] for rows, times in found.items()],
     )
     print(render([measured]))

@@ -38,17 +38,17 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     return [
         Table(
             "A plan of eight runs",
-            "Rates, durations and senses of rotation are optimised; all disturbances are enabled. "
-            "Each time is that of a whole process, including the start of Python. The output "
-            "includes the limits of the plan and alternative plans.",
+            "The plan optimises rates, durations and senses of rotation, with all disturbances "
+            "enabled. Each time is the time of a whole process, including the start of Python. "
+            "The output includes the limits of the plan and alternative plans.",
             ["process", "median (s)", "fastest (s)", "target (s)", "peak MB"],
             [["counterspin plan", found.median, found.fastest, 3.0, found.peak]],
         ),
         Table(
             "Predictions of u",
-            f"Each prediction is for {RUNS} runs with random rates and durations. "
-            "Each value is that of the fastest of several batches.",
-            ["predictions", "a second", "target"],
+            f"Each prediction is for {RUNS} runs with random rates and durations. Each value is "
+            "the rate of the fastest of several batches.",
+            ["predictions", "per second", "target"],
             [[f"in batches of {BATCH}", rate, 10000.0], ["one by one", single, None]],
         ),
     ]

@@ -39,8 +39,9 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
         _examples(found["examples"]),
         Table(
             "Cost against trials",
-            "Each time is that of one method within one process, the fastest of three repetitions.",
-            ["way", "trials", "seconds"],
+            "Each time is the time of one method within a single process, the fastest of three "
+            "repetitions.",
+            ["method", "trials", "seconds"],
             [[row["way"], row["trials"], row["seconds"]] for row in found["against trials"]],
         ),
     ]
@@ -57,7 +58,7 @@ def _paper(found: dict[str, Any], full: bool) -> Table:
 
     def row(name: str, way: str, target: Cell, ratio: Cell) -> list[Cell]:
         wall, cpu = a_million[way]
-        note = "" if sizes[way] == MILLION else f", from {sizes[way]:.0e}"
+        note = "" if sizes[way] == MILLION else f", scaled from {sizes[way]:.0e}"
         return [name + note, wall, cpu, target, None if way == "given" else wall / ours, ratio]
 
     rows = [
@@ -65,24 +66,35 @@ def _paper(found: dict[str, Any], full: bool) -> Table:
         row("counterspin study, sigma from the residuals", "residuals", None, None),
         row("NumPy, all readings, chunks in cache", "brute force", None, 8.0),
         row("loop of numpy.linalg.lstsq", "lstsq", None, 100.0),
-        row("uncertainties, one analysis after the other", "uncertainties", None, None),
+        row("uncertainties package, one analysis at a time", "uncertainties", None, None),
     ]
     samples = 100_000 if full else 10_000
     theirs = _suncal(found["linear"], samples, paper["u"])
     if theirs is None:
-        remark = "suncal is not in the table: it is under the GPL and was not there (SUNCAL_PYTHON)"
+        remark = "suncal was not installed (SUNCAL_PYTHON), so the table does not contain it"
     else:
         wall = MILLION / samples * theirs["seconds"]
-        name = f"suncal {theirs['version']}, Monte Carlo, from {samples:.0e}"
+        name = f"suncal {theirs['version']}, Monte Carlo, scaled from {samples:.0e}"
         rows.append([name, wall, None, None, wall / ours, None])
-        remark = "suncal draws the 300 readings of one analysis, model and start left out"
+        remark = (
+            "suncal draws the 300 readings of one analysis; "
+            "its time does not include the model and the start"
+        )
     return Table(
         "A million trials of the paper's plan",
-        "Three rates of 100 strobes each, two stages, on one core, within a process; medians of "
-        "repetitions that take turns. All find the same K_II and u. The `uncertainties` package "
-        "propagates to first order, which is one analysis and no trial of it; each time is that of "
-        f"as many analyses. {remark}.",
-        ["way", "median (s)", "processor (s)", "target (s)", "times ours", "target"],
+        "The plan has three rates of 100 strobes each, and is analysed by the two-stage method "
+        "on one core, within a single process. Each time is the median of several repetitions "
+        "that alternate between the methods. All methods find the same K_II and u. The "
+        "`uncertainties` package propagates uncertainties to first order and makes no trials, "
+        f"so its time is the time of the same number of analyses. {remark}.",
+        [
+            "method",
+            "median (s)",
+            "processor (s)",
+            "target (s)",
+            "ratio to counterspin study",
+            "target",
+        ],
         rows,
     )
 

@@ -86,7 +86,8 @@ def main(seconds, keep):
         }
         measured = Table(
             "Watched campaign",
-            "A second process writes its third run during the watch, by `benchmarks/watching.py`.",
+            "The script `benchmarks/watching.py` measures `counterspin watch` while a second "
+            "process writes the third run of the campaign.",
             ["", "measured"],
             [[name, figure] for name, figure in figures.items()],
         )

@@ -44,16 +44,23 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     rows: list[list[Cell]] = [
         ["1e+06 trials of the paper's plan", *_times(found["paper"]), None, None],
         [f"{many:.1e} trials of exact physics, one worker", *_times(one), None, None],
-        ["the same, two workers", *_times(two), one.median / two.median, 1.7],
+        [
+            f"{many:.1e} trials of exact physics, two workers",
+            *_times(two),
+            one.median / two.median,
+            1.7,
+        ],
     ]
     return [
         Table(
             "Whole studies",
-            "Whole processes that take turns: start of Python and of the workers, preparation, "
-            "trials, report. Processor time is that of all processes together. Two workers can be "
-            "no better than the machine's two cores at once (above), and other work on the "
-            f"machine counts against them; load {load:.1f} before.",
-            ["process", "median (s)", "fastest (s)", "processor (s)", "faster by", "target"],
+            "Each time is the time of a whole process, which starts Python and the workers, "
+            "prepares and performs the trials, and writes the report. Repetitions of different "
+            "processes alternate. The processor time is the sum over all processes. Two workers "
+            "cannot be faster than two cores at once (see the limits of the machine), and other "
+            f"work on the machine slows them down. The load was {load:.1f} before the "
+            "measurement.",
+            ["process", "median (s)", "fastest (s)", "processor (s)", "speed-up", "target"],
             rows,
         )
     ]

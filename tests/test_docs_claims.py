@@ -222,8 +222,8 @@ NUMBERS = [
     ),
     (
         "benchmarks",
-        "One pass over each chunk of {} rows: the smallest and the largest step of time and angle, "
-        "the residuals among {} neighbours",
+        "One pass over each chunk of {} rows calculates the smallest and the largest step of time "
+        "and angle, the residuals among {} neighbours",
         [column_file._CHUNK_ROWS, outliers.WINDOW_SAMPLES],
     ),
     ("physics", "the temperature rose evenly by {} K from", [conditions.DEFAULT_WARMING]),
@@ -475,9 +475,9 @@ def test_what_takes_the_time(benches):
     csv, parquet = (
         {name: row[column] for name, row in long.items()} for column in next(iter(long.values()))
     )
-    assert "That does not grow with a Parquet file" in text
+    assert "This memory does not grow with the length of a Parquet file" in text
     assert parquet["calibrate, peak memory (MB)"] < 1.25 * whole["peak MB"]
-    assert "less than half of its size" in text
+    assert "less than half of the size of the file" in text
     more = csv["calibrate, peak memory (MB)"] - whole["peak MB"]
     assert more < 0.5 * csv["three files (MB)"]
 
