@@ -519,3 +519,6 @@ def test_a_terminal_shows_the_first_200_rows_of_a_table():
     assert "run 199" in text
     assert "run 200" not in text
     assert "3 of 203 rows are not shown" in text
+    shown = Table((Column("name"),), rows[:200], omitted=7).without_empty_columns()
+    report_console(stream).print(Report([shown]))
+    assert "7 of 207 rows are not shown" in stream.getvalue()

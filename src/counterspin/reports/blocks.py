@@ -20,6 +20,9 @@ Style = Literal[
     "plain", "answer", "reserved", "undetermined", "warning", "quiet", "equation", "command"
 ]
 
+#: Rows of a table that a terminal shows; JSON, Markdown and HTML have all.
+TERMINAL_ROWS: Final = 200
+
 #: Styles of a requested value: unconditional, and with reservations.
 ANSWER_STYLES: Final[tuple[Style, ...]] = ("answer", "reserved")
 
@@ -79,6 +82,7 @@ class Table(_TextBlock):
     columns: tuple[Column, ...]
     rows: tuple[tuple[str, ...], ...]
     quiet: frozenset[int] = frozenset()
+    omitted: int = 0  #: Number of further rows that a terminal does not show.
 
     def without_empty_columns(self) -> Table:
         """Return the table without empty columns."""
@@ -87,6 +91,7 @@ class Table(_TextBlock):
             tuple(self.columns[k] for k in full),
             tuple(tuple(row[k] for k in full) for row in self.rows),
             self.quiet,
+            self.omitted,
         )
 
 

@@ -19,7 +19,15 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from counterspin.characters import encodable
-from counterspin.reports.blocks import Block, Heading, Paragraph, Style, Table, text_blocks
+from counterspin.reports.blocks import (
+    TERMINAL_ROWS,
+    Block,
+    Heading,
+    Paragraph,
+    Style,
+    Table,
+    text_blocks,
+)
 from counterspin.reports.typography import typeset_block
 
 if TYPE_CHECKING:
@@ -137,9 +145,6 @@ _MIN_WIDTH: Final = 10
 #: Gap between columns, in characters.
 _COLUMN_GAP: Final = 2
 
-#: Rows of a table that a terminal shows; JSON, Markdown and HTML have all.
-_MAX_ROWS: Final = 200
-
 _STYLES: Final[dict[Style, str]] = {
     "plain": "",
     "answer": "bold green",
@@ -210,7 +215,7 @@ def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
     Numbers are broken only if a single column next to the names is too wide.
     """
     titles = [encodable(column.title, options.encoding) for column in block.columns]
-    shown = block.rows[:_MAX_ROWS]
+    shown, count = block.rows[:TERMINAL_ROWS], len(block.rows) + block.omitted
     rows = [[encodable(cell, options.encoding) for cell in row] for row in shown]
     for number, (chosen, widths) in enumerate(
         _split_columns(block, [titles, *rows], options.max_width)
@@ -231,9 +236,9 @@ def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
         if number:
             yield ""
         yield table
-    if len(block.rows) > len(shown):
+    if count > len(shown):
         yield Text(
-            f"{len(block.rows) - len(shown)} of {len(block.rows)} rows are not shown; the JSON "
+            f"{count - len(shown)} of {count} rows are not shown; the JSON "
             "file and the HTML report contain all rows.",
             _STYLES["quiet"],
         )

@@ -20,7 +20,7 @@ from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.summary import Jackknife
 from counterspin.physics.terms import description_of, is_term, term
 from counterspin.records.record import rejected_count
-from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+from counterspin.reports.blocks import TERMINAL_ROWS, Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
     field_unit,
@@ -82,7 +82,9 @@ def _output_units_text(accelerometer: AccelerometerResult) -> str:
 def _reading_table(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[Block]:
     if not readings:
         return
+    shown = readings if details else readings[:TERMINAL_ROWS]
     yield Table(
+        omitted=len(readings) - len(shown),
         columns=(
             Column("Reading", wraps=True),
             Column("Motion"),
@@ -103,7 +105,7 @@ def _reading_table(readings: Sequence[ReadingResult], *, details: bool) -> Itera
                 "-" if line.z is None else f"{line.z:.2f}",
                 *_sample_cells(line),
             )
-            for line in readings
+            for line in shown
         ),
     ).without_empty_columns()
     for line in (line for line in readings if line.samples is not None):
