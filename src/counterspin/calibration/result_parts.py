@@ -45,9 +45,9 @@ class MonteCarloInterval(ResultPart):
     #: Whether both ends agree with the GUM interval, `Coefficient.interval`, within `tolerance`
     #: (JCGM 101, 8.2); null if there are too few trials to decide.
     gum_validated: bool | None = None
-    #: Largest difference between full fits with a source at ±2 u and the linear prediction.
+    #: Largest difference between the linear prediction and full fits with a source at ±2 u.
     linear_difference: float | None = None
-    #: Sources drawn with a second-order response, because their difference exceeds `tolerance`.
+    #: Sources whose difference exceeds `tolerance`, drawn with a second-order response.
     second_order: list[str] = []
     #: Largest difference with all sources shifted together; null for fewer than two sources.
     joint_difference: float | None = None
@@ -60,12 +60,12 @@ class Coefficient(ResultPart):
     #: the coefficient and it has no prior.
     value: float | None
     u: float | None  #: Combined standard uncertainty; u^2 = u_noise^2 + u_stated^2 + u_unstated^2.
-    #: Contribution of the noise of the records and the encoder to u, including noise that the
+    #: Contribution to u from the noise of the records and the encoder, including noise that the
     #: records may not reveal.
     u_noise: float | None = None
-    #: Contribution of stated uncertainties to u: priors, inputs and fixed (held) terms.
+    #: Contribution to u from stated uncertainties: priors, inputs and fixed (held) terms.
     u_stated: float | None = None
-    #: Contribution of the default standard uncertainties of unstated terms and inputs to u.
+    #: Contribution to u from the default standard uncertainties of unstated terms and inputs.
     u_unstated: float | None = None
     #: Effective degrees of freedom of u (Student's t); null means infinite or more than 1e9.
     dof: float | None = None
@@ -301,7 +301,7 @@ class ReadingResult(ResultPart):
     name: str  #: Name of the run or of the table row.
     motion: str  #: Type of motion: ``static``, ``vibration``, ``arm`` or ``counter-rotating``.
     mounting: str = ""  #: Mounting of the instrument on the arm; empty if no mounting is named.
-    #: Direction of the input axis in east-north-up (on an arm outward-forward-up) coordinates.
+    #: Direction of the input axis in east-north-up coordinates (outward-forward-up on an arm).
     input_axis: tuple[float, ...] = ()
     pendulous_axis: tuple[float, ...] = ()  #: Direction of the pendulous axis, in the same frame.
     rate: float  #: Rate of the spindle, rad/s.
@@ -316,7 +316,7 @@ class ReadingResult(ResultPart):
     #: Number of rows that are ``repeated``, ``empty`` or ``outliers``, and number of ``gaps``;
     #: empty if the reading is not the mean of a record.
     counts: dict[str, int] = {}
-    notes: list[str] = []  #: Remarks from the reading of the record.
+    notes: list[str] = []  #: Remarks on how the record was read.
 
 
 class PoseResult(ResultPart):
@@ -346,7 +346,7 @@ class PosesInRecord(ResultPart):
     #: no motion.
     contrast: float | None
     notes: list[str] = []  #: Remarks on rejected rest periods and on the threshold.
-    #: Start times of the intervals of the record, s, for plots of the detection of rest.
+    #: Start times of the intervals of the record, s, for a plot of the detected rest periods.
     time: list[float] = []
     #: Largest combined scatter of the three outputs in each interval, m/s^2, for comparison with
     #: the threshold.
@@ -545,7 +545,7 @@ class RunResult(ResultPart):
     rejected: int  #: Number of rejected samples, which are repeated rows, empty cells and outliers.
     #: Number of rejected samples of each kind; ``block`` is the number of rows averaged.
     counts: dict[str, int] = {}
-    notes: list[str] = []  #: Remarks from the reading of the record.
+    notes: list[str] = []  #: Remarks on how the record was read.
     terms: dict[str, Coefficient] = {}  #: Terms of this run, such as its tilt.
     parabolas: dict[str, ParabolaResult] = {}  #: Parabola of each accelerometer (two-stage method).
     #: Residual tests of each accelerometer: chi-square, sign test and largest peak of the spectrum.
