@@ -159,7 +159,7 @@ NUMBERS = [
     ("diagnosis", "| each record, at {} times, and", [ranking.STEPS]),
     (
         "diagnosis",
-        "velocity is 1 within {} %",
+        "velocity must be 1 within {} %",
         [100 * (mistakes._WHOLE_VELOCITY[1] - 1)],
     ),
     (
