@@ -235,6 +235,12 @@ def _(frame, path):
     _put(path, ["Zeit (ms);Winkel (°);Ost (mm);Nord (mm)"], _grouped(frame, "'", "."), ";")
 
 
+@_file("blanks between thousands, and Unicode's minus")
+def _(frame, path):
+    rows = [[cell.replace("-", "\u2212") for cell in row] for row in _grouped(frame, " ", ",")]
+    _put(path, ["Temps (ms);Angle (°);Est (mm);Nord (mm)"], rows, ";")
+
+
 @_file("points between thousands")
 def _(frame, path):
     _put(path, ["Zeit (ms);Winkel (°);Ost (mm);Nord (mm)"], _grouped(frame, ".", ","), ";")

@@ -276,6 +276,22 @@ def test_rows_may_be_counted():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("sizes_alone")
+def test_a_stuck_sensor_is_reported_and_left_out():
+    time, values = columns(3000)
+    stuck = values.copy()
+    stuck[1000:1300] = stuck[999]
+    (signal,) = cs.noise({"time_s": time, "Qx_g": stuck / G}).signals
+    assert any(remark.startswith("300 of 3000 rows repeat one value") for remark in signal.remarks)
+    expected = size(cs.noise({"time_s": time, "Qx_g": values / G}).signals[0], "acceleration")
+    assert size(signal, "acceleration").value == pytest.approx(expected.value, rel=0.02)
+    for resolution in (1.0, 4.0):  # standard deviations of the samples
+        step = resolution * np.std(values)
+        coarse = {"time_s": time, "Qx_g": np.round(values / step) * step / G}
+        (signal,) = cs.noise(coarse).signals
+        assert not any("repeat one value" in remark for remark in signal.remarks)
+
+
+@pytest.mark.usefixtures("sizes_alone")
 @pytest.mark.parametrize("name", ["time_s", "time"])
 def test_a_stated_rate_counts_rows_whose_times_do_not_show_it(name):
     time, values = columns(2000)

@@ -191,6 +191,10 @@ def _guess_signals(
     if missing:
         available = ", ".join(column.name for column in samples.columns)
         problem = f"`columns`: there is no {missing[0]!r} among {available}"
+        if cell := next(iter(samples.first_words.get(missing[0], ())), ""):
+            problem = (
+                f"`columns`: column {missing[0]!r} contains the text {cell[:40]!r}, not numbers"
+            )
         problem += f". The file was read as follows: {samples.found}" if samples.found else ""
         problem += "".join(f". Not read: {reason.removesuffix('.')}" for reason in samples.spoilt)
         raise CampaignError("noise", [problem], code="missing-column")
@@ -455,6 +459,11 @@ def _sampling_remarks(record: StaticRecord) -> Iterator[str]:
             f"{stretches.repeated} of {stretches.rows} rows repeat the previous value, as when the "
             "logging rate exceeds the output rate of the sensor. Only new values are used, at "
             f"{1.0 / stretches.sample_interval:.4g} Hz."
+        )
+    if stretches.stuck:
+        yield (
+            f"{stretches.stuck} of {stretches.rows} rows repeat one value in long stretches, as of "
+            "a sensor that stopped. They are not used."
         )
     if stretches.restamped:
         yield (

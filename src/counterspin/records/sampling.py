@@ -272,7 +272,9 @@ def count_times(time: Array, restamped: int) -> Array:
         count, duration = np.sum(spans, axis=0)
         step = float(duration / count)
     if step == 0.0:
-        raise ValueError("the times differ in too few rows, so the rows cannot be counted")
+        raise InputError(
+            "the times differ in too few rows, so the rows cannot be counted", "irregular-time"
+        )
     for segment, last in zip(segments, last_rows, strict=True):
         if _lacks_rows(segment[last] / step - last, segment.size):
             raise InputError(

@@ -15,6 +15,7 @@ _GROUPED: Final = {
     **dict.fromkeys(("\u202f", "\u2009", "\xa0", "'", "’"), r"[.,]"),
     ".": ",",
     ",": r"\.",
+    " ": r"[.,]",
 }
 #: A number of double precision, 1.25D-03, up to the letter, and its exponent.
 _FORTRAN_EXPONENT: Final = re.compile(r"[dD][-+\d]")
@@ -78,6 +79,7 @@ _WORDS: Final = {
     "m/sec^2": "m/s^2",
     "m/s/s": "m/s^2",
     "ft/s2": "ft/s^2",
+    "inch/s^2": "in/s^2",
     "ft/sec^2": "ft/s^2",
     "ft/s/s": "ft/s^2",
     "m.s⁻²": "m/s^2",
@@ -139,6 +141,8 @@ def number_rewriters(text: str) -> Iterator[Callable[[str], str]]:
     """
     if _FORTRAN_EXPONENT.search(text) and _FORTRAN_NUMBER.search(text):
         yield partial(_FORTRAN_NUMBER.sub, r"\1E\2")
+    if "\u2212" in text:
+        yield lambda whole: whole.replace("\u2212", "-")
     if (separator := find_thousands_separator(text)) is not None:
         yield partial(strip_thousands, separator=separator)
 
@@ -147,7 +151,9 @@ def find_thousands_separator(text: str) -> str | None:
     """Return the thousands separator of cells that have decimals too; None without one."""
     for separator, decimal in _GROUPED.items():
         edge = '"' if separator == "," else r'["\t;\n]'
-        cell = rf"{edge}[-+]?\d{{1,3}}(?:{re.escape(separator)}\d{{3}})+{decimal}\d+(?={edge})"
+        # Blanks at the beginning of a line may separate columns.
+        start = edge.replace(r"\n", "") if separator == " " else edge
+        cell = rf"{start}[-+]?\d{{1,3}}(?:{re.escape(separator)}\d{{3}})+{decimal}\d+(?={edge})"
         if separator in text and re.search(cell, f"\n{text}\n"):
             return separator
     return None

@@ -6,6 +6,7 @@ import math
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from counterspin.arrays import Array, median
 from counterspin.frozen import frozen
@@ -15,6 +16,9 @@ from counterspin.records.sampling import ValueHolding, count_times, is_bursty, j
 _DIFFERING_PART: Final = 1e-3
 #: Part of the rows with the time of the row before that have its value too where rows are doubled.
 _TWICE_PART: Final = 0.9
+#: Fewest rows of one value that are stuck, and the probability that a record has so many by chance.
+_MIN_STUCK_ROWS: Final = 10
+_STUCK_PROBABILITY: Final = 1e-6
 #: Samples on either side of a long step whose mean times show how many samples it lacks.
 _ADJACENT_SAMPLES: Final = 16
 
@@ -27,6 +31,7 @@ class SensorSamples:
     values: Array  #: Shape (m,), NaN where a cell is empty.
     repeated: int  #: Rows that repeat the value of the sample before.
     restamped: int  #: Rows that repeat the time of the row before with another value.
+    stuck: int = 0  #: Rows in long stretches of one value, whose values are NaN.
 
     @classmethod
     def of(cls, time: Array, values: Array) -> SensorSamples:
@@ -49,7 +54,8 @@ class SensorSamples:
             time, values = time[keep], values[keep]
         holding = ValueHolding.detect(values)
         if holding is None:
-            return cls(time, values, 0, restamped)
+            stuck = _stuck_rows(values)
+            return cls(time, np.where(stuck, math.nan, values), 0, restamped, int(stuck.sum()))
         row = median(np.diff(time))
         new = holding.is_new(values) & np.isfinite(values)
         repeated = int(np.isfinite(values).sum() - new.sum())
@@ -60,6 +66,20 @@ class SensorSamples:
         if not holding.period:
             time = _times_at_even_steps(time, rows, row)
         return cls(time, values, repeated, restamped)
+
+
+def _stuck_rows(values: Array) -> npt.NDArray[np.bool_]:
+    """Return the rows that repeat a value more often than equal samples do by chance."""
+    is_equal = np.append(False, np.diff(values) == 0.0)
+    lengths = np.diff(np.append(np.flatnonzero(~is_equal), values.size))
+    repeats = lengths[lengths > 1] - 1
+    if repeats.size in (0, lengths.size):
+        return np.zeros(values.size, bool)
+    # The median stretch has as many equal samples as chance makes, unless there are few stretches.
+    typical = median(repeats.astype(float)) if repeats.size >= _MIN_STUCK_ROWS else 1.0
+    chance = max(repeats.size / lengths.size, 0.5 ** (1.0 / typical))
+    longest = max(_MIN_STUCK_ROWS, math.log(_STUCK_PROBABILITY / values.size) / math.log(chance))
+    return np.asarray(is_equal & np.repeat(lengths > longest, lengths))
 
 
 def _times_at_even_steps(time: Array, rows: float, row: float) -> Array:

@@ -82,6 +82,7 @@ class Segments:
     resolution: float  #: Least step between different samples, SI.
     repeated: int = 0  #: Rows that repeat the value before, as of a log faster than the sensor.
     restamped: int = 0  #: Rows that repeat the time of the row before with another value.
+    stuck: int = 0  #: Rows in long stretches of one value, which are not used.
 
     @property
     def sample_interval(self) -> float:
@@ -231,6 +232,7 @@ def split_segments(time: Array, values: Array) -> Segments:
         resolution=resolution,
         repeated=samples.repeated,
         restamped=samples.restamped,
+        stuck=samples.stuck,
     )
 
 
