@@ -428,10 +428,9 @@ def why_no_time(contents: FileContents) -> str:
     for column in contents.columns:
         falls = np.flatnonzero(np.diff(column.values) < 0.0)
         if falls.size and _is_named_time(column.name):
-            return (
-                f"Column '{column.name}' is not used as the time: it falls {falls.size} times, "
-                f"first in row {falls[0] + 2}"
-            )
+            count = f"{falls.size} times, first " if falls.size > 1 else ""
+            where = f"{count}in row {falls[0] + 2}"
+            return f"Column '{column.name}' is not used as the time: it falls {where}"
     return "There is no time column"
 
 

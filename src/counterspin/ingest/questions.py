@@ -233,12 +233,10 @@ def time_questions(common: FileGuess, names: tuple[str, ...]) -> Iterator[FileQu
         text = f"What is the unit of the time column '{time.column}'?"
         yield FileQuestion("time unit", text, "s", USUAL_UNITS["s"], time.unit, unit="s")
     if time is None:
-        text = f"{why_no_time(common.contents)}. What is the sampling rate?"
+        reason = why_no_time(common.contents)
         if common.shared is not None and common.uncounted:
-            text += (
-                f" Column '{common.shared.name}' does not show the sampling rate: "
-                f"{common.uncounted}."
-            )
+            reason = f"Column '{common.shared.name}' is not used as the time: {common.uncounted}"
+        text = f"{reason}. What is the sampling rate?"
         guess = f"{common.sampling:.12g} Hz" if common.sampling else None
         yield FileQuestion("sampling_rate", text, "50 Hz", guess=guess, quantity="Hz")
 
