@@ -193,8 +193,10 @@ def test_unreadable_time_cell_is_located(tmp_path):
         (
             {"time_s": [0.0, 2.0, 1.0] * 33, "a_m": np.arange(99.0) % 7},
             {},
-            "it falls 65 times, first in row 3",
+            r"it falls in row 3 \(rows in which it falls: 65\)",
         ),
+        ({"time_s": np.zeros(99), "a_m": np.arange(99.0) % 7}, {}, "it is equal in most rows"),
+        ({"time_s": np.arange(99) // 66, "a_m": np.arange(99.0) % 7}, {}, "differ in too few rows"),
         ({"time_s": np.arange(100.0), "a": np.arange(100.0) % 7}, {}, "no column has a unit"),
         ({"time_s": np.arange(100.0), "a_m": np.zeros(100)}, {}, "all samples are equal"),
         ({"time_s": np.arange(9.0), "a_m": np.arange(9.0) % 4}, {}, "too few"),

@@ -427,10 +427,11 @@ def why_no_time(contents: FileContents) -> str:
             return next(spoilt, f"Column '{name}' is not read as a time: '{stamp}'").rstrip(".")
     for column in contents.columns:
         falls = np.flatnonzero(np.diff(column.values) < 0.0)
-        if falls.size and _is_named_time(column.name):
-            count = f"{falls.size} times, first " if falls.size > 1 else ""
-            where = f"{count}in row {falls[0] + 2}"
-            return f"Column '{column.name}' is not used as the time: it falls {where}"
+        reason = "it is equal in most rows"
+        if falls.size:
+            reason = f"it falls in row {falls[0] + 2} (rows in which it falls: {falls.size})"
+        if _is_named_time(column.name) and (falls.size or not is_fine(column.values)):
+            return f"Column '{column.name}' is not used as the time: {reason}"
     return "There is no time column"
 
 

@@ -517,7 +517,7 @@ def nanoseconds(name: str) -> pl.Expr:
     text = text.str.replace(r"^(1[3-9]|[23]\d)/(\d\d?)/(\d{4})", "${3}-${2}-${1}")
     text = text.str.replace(r"^(\d\d?)/(\d\d?)/(\d{4})", "${3}-${1}-${2}")
     text = text.str.replace(r" ?([AaPp][Mm])$", "${1}")
-    text = text.str.replace(" ", "T", literal=True).str.replace(r"Z$", "+00:00")
+    text = text.str.replace(" ", "T", literal=True).str.replace(r"(Z| ?UTC| ?GMT)$", "+00:00")
     dated = pl.when(text.str.contains(r"^\d{4}-")).then(text)
     text = dated.otherwise(pl.concat_str([pl.lit("1970-01-01T"), text]))
     zoned = text.str.contains(r"[+-]\d\d:?\d\d$")

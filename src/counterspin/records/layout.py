@@ -40,7 +40,7 @@ EMPTY_CELL_TEXTS: Final = (
 STAMP: Final = re.compile(
     r"(?:\d{4}[-/]\d\d?[-/]\d\d?[T ]|\d\d?[./]\d\d?[./]\d{4} "
     r"|(?:[A-Z][a-z]{2},? )?\d\d?[- ][A-Z][a-z]{2}[a-z]*[- ]\d{4} |[A-Z][a-z]{2,} \d\d?,? \d{4} )?"
-    r"\d\d?:\d\d:\d\d(?:[.,:]\d+)?(?: ?[AaPp][Mm]|Z|[+-]\d\d:?\d\d)?"
+    r"\d\d?:\d\d:\d\d(?:[.,:]\d+)?(?: ?[AaPp][Mm]|Z| ?UTC| ?GMT|[+-]\d\d:?\d\d)?"
     r"|\d{1,3}:\d\d[.,]\d+|\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)? ?(?:[mu]?s|[mu]?secs?|min|hr)"
     r"|(?:[A-Z][a-z]{2} )?[A-Z][a-z]{2}  ?\d\d? \d\d:\d\d:\d\d(?:\.\d+)? \d{4}"
     r"|\d{8}[T ]\d{6}(?:[.,]\d+)?Z?"

@@ -268,13 +268,12 @@ def count_times(time: Array, restamped: int) -> Array:
         for segment, last in zip(segments, last_rows, strict=True)
         if last.size > 1
     ]
-    if spans:
-        count, duration = np.sum(spans, axis=0)
-        step = float(duration / count)
-    if step == 0.0:
+    if not spans:
         raise InputError(
             "the times differ in too few rows, so the rows cannot be counted", "irregular-time"
         )
+    count, duration = np.sum(spans, axis=0)
+    step = float(duration / count)
     for segment, last in zip(segments, last_rows, strict=True):
         if _lacks_rows(segment[last] / step - last, segment.size):
             raise InputError(
