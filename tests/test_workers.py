@@ -38,7 +38,7 @@ def test_command_says_that_it_has_capped_them(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(workers, "usable_cores", lambda: 1)
     main(["calibrate", str(tmp_path / "a"), str(tmp_path / "b"), "--workers", "5000"])
     error = capsys.readouterr().err
-    assert error.count("counterspin: --workers: 5000 were requested; more than 2") == 1
+    assert error.count("--workers: 5000 were requested") == 1
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ import math
 
 import pytest
 from arm_centrifuge import DESCRIPTION, STATED
+from raising import raises
 
 import counterspin as cs
 from counterspin.acceleration_standard.page import applied_blocks, relative_plot
@@ -101,7 +102,7 @@ def test_different_alignments_need_the_name_of_a_mounting(folder):
     second = DESCRIPTION[DESCRIPTION.index("[[runs]]") :].replace('"in"', '"out"', 2)
     priors = STATED + '"fixture.misalignment.out" = "0 ± 5 arcsec"\n'
     path = folder(DESCRIPTION + second + priors)
-    with pytest.raises(CampaignError, match="in, out state different alignments: give `mounting`"):
+    with raises("wrong-usage", "in, out", "`mounting`"):
         cs.applied(path)
     result = cs.applied(path, mounting="out")
     assert result.source("azimuth").u == pytest.approx(math.radians(5.0 / 3600.0))

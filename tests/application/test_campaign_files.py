@@ -3,6 +3,7 @@
 import numpy as np
 import polars as pl
 import pytest
+from raising import raises
 
 from counterspin.application.campaign_files import (
     TRASH,
@@ -142,7 +143,7 @@ def test_links_are_left_alone(app, folder, tmp_path_factory):
             act()
     (folder / "three" / "more").unlink()
     (folder / "linked").symlink_to(folder / "three")
-    with pytest.raises(CounterspinError, match="linked is a link to a folder"):
+    with raises("path-forbidden", "linked"):
         move_to_trash(app, "linked")
     assert (folder / "three" / "campaign.toml").is_file()
 
@@ -151,7 +152,7 @@ def test_a_campaign_that_names_files_beside_its_folder_stays_beside_them(app, fo
     (folder / "three" / "slow.csv").rename(folder / "slow.csv")
     file = folder / "three" / "campaign.toml"
     file.write_text(file.read_text().replace('"slow.csv"', '"../slow.csv"'))
-    with pytest.raises(CounterspinError, match="refers to files outside the campaign folder"):
+    with raises("request-refused"):
         rename_campaign(app, "three", "lab/three")
     rename_campaign(app, "three", "third")
     assert app.campaign("third").runs
@@ -163,7 +164,7 @@ def test_nothing_moves_while_a_job_is_at_work(app, folder, page):
         for name, said in (("rename", {"to": "third"}), ("put-away", {})):
             told = page.post(f"/api/{name}", json={"name": "three"} | said)
             assert told.status_code == 422
-            assert "a job is running in this campaign" in told.json()["error"]
+            assert told.json()["code"] == "request-refused"
         app.jobs.stop(app.jobs.all()[-1].number)
     assert (folder / "three").is_dir()
 
@@ -197,7 +198,7 @@ def test_a_record_becomes_a_run_at_the_rate_that_it_shows(app, folder):
 def test_a_record_without_a_wave_is_no_run(app, folder):
     still = dict.fromkeys(("angle_rad", "east_m", "north_m"), np.zeros(800))
     before = (folder / "three" / "campaign.toml").read_bytes()
-    with pytest.raises(CounterspinError, match=r"a.csv: the rate of the centrifuge"):
+    with raises("missing-answer", "a.csv:"):
         add_records(app, "three", [further(folder, "a.csv", 1.0, **still)])
     assert (folder / "three" / "campaign.toml").read_bytes() == before
 

@@ -64,7 +64,8 @@ def test_the_page_is_the_command_s_plan_within_the_changed_limits(planned, folde
 @pytest.mark.usefixtures("inline_jobs")
 def test_a_search_that_fails_states_the_cause(planned, folder):
     refusal = planned.post("/api/plan-page", json={"name": "PLAN.toml", "moved": {"colour": 1.0}})
-    assert "is not a limit of this plan" in refusal.json()["error"]
+    assert refusal.json()["code"] == "request-refused"
+    assert refusal.json()["error"].startswith("colour ")
     asked = {"name": "PLAN.toml", "moved": {"total_time": 1e8}}
     file = folder / "PLAN.toml"
     walk = 'displacement = "0.01 m"\nacceleration = "3e-6 g/Hz^0.5"'

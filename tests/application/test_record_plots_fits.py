@@ -47,7 +47,7 @@ def test_readings_have_no_such_picture(page):
     page.post("/api/campaign", json={"name": "rest", "test": "tumble"})
     refused = page.post("/api/fit", json={"name": "rest"})
     assert refused.status_code == 422
-    assert "requires records of a double turntable" in refused.json()["error"]
+    assert refused.json()["code"] == "method-not-applicable"
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2])

@@ -7,6 +7,7 @@ from dataclasses import replace
 import frames
 import polars as pl
 import pytest
+from raising import raises
 
 from counterspin import cli
 from counterspin.calibration.calibrate import calibrate
@@ -14,7 +15,6 @@ from counterspin.calibration.pages.document import document
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.memory import make_campaign
-from counterspin.errors import RecordError
 
 
 @pytest.fixture(scope="module")
@@ -112,5 +112,5 @@ def test_the_same_record_twice_is_told_by_its_runs(records):
     twice = {**records, "fast": records["slow"]}
     description = frames.untrue()
     description["runs"][2]["rate"] = description["runs"][0]["rate"]
-    with pytest.raises(RecordError, match="fast in memory: holds the same samples as slow in"):
+    with raises("duplicate-record", "fast", "slow"):
         calibrate(make_campaign(description, twice))

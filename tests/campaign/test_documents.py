@@ -15,6 +15,7 @@ import pytest
 import results
 from campaigns import SMALL as BASE
 from campaigns import write
+from raising import raises
 
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.documents import (
@@ -151,7 +152,7 @@ def test_mistakes_are_told_in_the_order_of_the_file(tmp_path):
 def test_plans_and_laboratories_tell_theirs_too(tmp_path):
     plan = tmp_path / "PLAN.toml"
     plan.write_text('schema = 1\n[goal]\nminimise = ["K_II"]\ntarget = 3\n', encoding="utf-8")
-    with pytest.raises(CampaignError, match=r"line 4: goal.target: must be a table"):
+    with raises("wrong-type", "line 4", "goal.target:"):
         read_plan(plan)
     assert key_lines(write_example(tmp_path / "LAB.toml").read_text("utf-8"))["laboratory.name"] > 1
 
@@ -168,7 +169,8 @@ def test_keys_of_many_parts_are_refused_with_file_and_line(tmp_path, name):
     ):
         with pytest.raises(CampaignError) as raised:
             read(file)
-        assert str(raised.value) == f"{file}: line 2: a key has more than 16 parts"
+        assert raised.value.code == "invalid-toml"
+        assert str(raised.value).startswith(f"{file}: line 2: ")
 
 
 def test_what_python_has_becomes_what_toml_has():

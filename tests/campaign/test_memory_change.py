@@ -88,7 +88,7 @@ def test_all_mistakes_are_reported(campaign):
         )
     problems = wrong.value.problems
     assert [line.partition(": ")[0] for line in problems] == ["records"]
-    assert problems[0].endswith('no run is named "slwo"; did you mean "slow"?')
+    assert problems[0].endswith('"slwo"; did you mean "slow"?')
     with pytest.raises(CampaignError) as wrong:
         campaign.change(
             {"centrifuge": {"radius": "2.5 s"}, "model": {"terms": ["K_2"]}, "nois": {}}

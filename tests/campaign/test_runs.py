@@ -4,6 +4,7 @@ import math
 
 import pytest
 from campaigns import SMALL, changed, write
+from raising import raises
 
 from counterspin.campaign import consistency_checks
 from counterspin.campaign.description import read_campaign
@@ -76,7 +77,7 @@ def test_one_file_may_have_several_runs_one_after_the_other(tmp_path):
     for second in ('start = "39 s"', "", 'start = "x"'):
         told = problems(tmp_path, *parts('stop = "40 s"', second))
         assert any("is already used by runs[0]" in line or "start" in line for line in told)
-    with pytest.raises(CampaignError, match="a simulated record belongs to one run"):
+    with raises("not-simulable"):
         simulate(read, tmp_path / "out")
 
 
@@ -172,7 +173,7 @@ def test_each_recorder_has_one_clock(tmp_path):
     (nameless,) = problems(tmp_path, ('name = "slow"', 'name = "slow"\nrecords = { clock = "0" }'))
     assert "give the recorder of this clock" in nameless
     (slow,) = problems(tmp_path, (ANGLE, f'{ANGLE}\nclock = "0.02 ± 1e-7"'))
-    assert "a clock error above 1 % is implausible" in slow
+    assert "above 1 %" in slow
 
 
 def test_a_run_is_compared_with_the_runs_of_its_record_alone(monkeypatch):

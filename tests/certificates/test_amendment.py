@@ -3,6 +3,7 @@
 import hashlib
 
 import pytest
+from raising import raises
 from results import coefficient, result
 
 from certificates import LAB, find, write_lab
@@ -50,7 +51,7 @@ def test_from_a_result_to_an_amended_certificate_and_back(desk, capsys):
     )
     (desk / "old.xml").write_bytes(old.replace(b"0815", b"0814"))
     assert cli.main(["certificate", "--verify", "new.xml", "--amends", "old.xml"]) == 1
-    assert "does not amend old.xml, or old.xml has been changed" in capsys.readouterr().err
+    assert "amend old.xml" in capsys.readouterr().err
     # And once more.
     again = certificate("r.json", "LAB.toml", amends=Amendment(desk / "new.xml", "No code."))
     assert again.identifier == f"{name}-A2"
@@ -89,17 +90,17 @@ def test_what_cannot_be_amended_is_refused(desk, capsys):
         certificate("r.json", "LAB.toml", amends=Amendment(desk / "old.xml", " "))
     write_lab(desk, LAB.replace('language = "de"', 'identifier = "7"'))
     certificate("r.json", "LAB.toml").write("seven.xml")
-    with pytest.raises(CampaignError, match='"7" is the identifier of the amended certificate'):
+    with raises("duplicate-entry", '"7"'):
         certificate("r.json", "LAB.toml", amends=Amendment(desk / "seven.xml", "why"))
     with pytest.raises(RecordError, match="does not amend a certificate"):
         check_certificate(desk / "seven.xml", amends=desk / "old.xml")
     assert cli.main(["certificate", "--init", "mine.toml"]) == 0
     certificate("r.json", "mine.toml").write("draft.xml")
-    with pytest.raises(RecordError, match="is a draft, which was never issued"):
+    with raises("wrong-amendment"):
         certificate("r.json", "LAB.toml", amends=Amendment(desk / "draft.xml", "why"))
     words = ["certificate", "r.json", "LAB.toml", "-o", "x.xml", "--amends", "old.xml"]
     assert cli.main(words) == 2
-    assert "give both --amends OLD.xml and --reason WHY" in capsys.readouterr().err
+    assert "--amends OLD.xml and --reason WHY" in capsys.readouterr().err
 
 
 def test_a_chain_that_returns_to_itself_is_refused_without_a_ledger(desk):
@@ -111,7 +112,7 @@ def test_a_chain_that_returns_to_itself_is_refused_without_a_ledger(desk):
     assert (newest.amends, newest.replaced) == ("CS 001", ("CS 001", "CS 000"))
     for name in ("CS 000", "cs 000", "CS\u00a0000", "CS 001", "CS000"):
         write_lab(desk, LAB.replace('language = "de"', f'identifier = "{name}"'))
-        with pytest.raises(CampaignError, match="is the identifier of a certificate that CS 002"):
+        with raises("duplicate-entry", "CS 002"):
             certificate("r.json", "LAB.toml", amends=Amendment(desk / "2.xml", "why"))
     # One that was made by another program is found by its reader.
     whole = (desk / "2.xml").read_bytes()

@@ -13,6 +13,7 @@ from pathlib import Path
 import pypdf
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
+from raising import raises
 from results import result, sealed
 from signing_keys import write_pair, write_pkcs12
 
@@ -24,7 +25,7 @@ from counterspin.certificates.certificate_reader import read_certificate, read_d
 from counterspin.certificates.issuing import certificate, check_certificate
 from counterspin.certificates.signature import sign_pages
 from counterspin.certificates.signers import read_signer
-from counterspin.errors import CampaignError, CounterspinError, RecordError
+from counterspin.errors import CampaignError
 
 
 @pytest.fixture
@@ -110,7 +111,7 @@ def test_a_signed_certificate_is_verified_and_says_that_it_is_signed(desk, capsy
     (desk / "d.xml").write_bytes(made.replace(b">9.8<", b">9.9<", 1))
     status, out, err = command(capsys, "--verify", "d.xml", "--cert", cert)
     assert (status, out) == (1, "")
-    assert "d.xml: the signature is not valid: the document was changed" in err
+    assert "d.xml: the signature is not valid" in err
     status, out, _ = command(capsys, "--verify", "c.xml")
     assert status == 0
     assert out.endswith(
@@ -136,7 +137,7 @@ def test_the_xml_of_a_pdf_is_verified(desk, capsys):
     (desk / "d.pdf").write_bytes(made[:place] + b"X" + made[place + 1 :])
     status, out, err = command(capsys, "--verify", "d.pdf", "--cert", cert)
     assert (status, out) == (1, "")
-    assert "the pages were changed after the holder of" in err
+    assert "pages were changed" in err
     plain = made[: made.index(b"%%EOF") + 5]
     (desk / "e.pdf").write_bytes(plain)
     told = command(capsys, "--verify", "e.pdf", "--cert", cert)
@@ -146,7 +147,7 @@ def test_the_xml_of_a_pdf_is_verified(desk, capsys):
     (desk / "f.pdf").write_bytes(sign_pages(plain, other, datetime.now(UTC)))
     status, out, err = command(capsys, "--verify", "f.pdf", "--cert", cert)
     assert (status, out) == (1, "")
-    assert "the pages were not signed by the holder of" in err
+    assert "pages were not signed" in err
     # What is attached counts, whatever the pages show.
     writer = pypdf.PdfWriter(clone_from="c.pdf")
     writer.add_attachment("second.xml", b"<a/>")
@@ -248,7 +249,7 @@ def test_the_example_gives_a_draft_that_nobody_signs(desk, capsys):
     status, _, err = command(capsys, "r.json", "mine.toml", "-o", "d.xml", *signing)
     assert status == 2
     assert "certificate.traceability, laboratory.name" in err
-    assert "values of the template; replace them before signing" in err
+    assert "values of the template" in err
     # Before anything is signed: nobody is asked for a key.
     with pytest.raises(CampaignError, match="values of the template"):
         certificate(desk / "r.json", desk / "mine.toml", signer=lambda: pytest.fail("asked"))
@@ -263,9 +264,7 @@ def test_a_contradicted_result_is_certified_for_a_reason_only(desk, capsys):
         found.write(desk / "r.json", overwrite=True)
         got, _, err = command(capsys, "r.json", "LAB.toml", "-o", "c.pdf")
         assert got == status
-        assert (
-            "r.json: the records contradict the result for Qx: The residuals are 8" in err
-        ) == bool(status)
+        assert ("Qx: The residuals are 8" in err) == bool(status)
         assert (desk / "c.pdf").exists() == (status == 0)
     assert command(capsys, "r.json", "LAB.toml", "-o", "c.xml")[0] == 0
     comment = find((desk / "c.xml").read_bytes(), "/*/dcc:comment")[0]
@@ -277,7 +276,7 @@ def test_a_contradicted_result_is_certified_for_a_reason_only(desk, capsys):
 def test_a_reason_may_be_given_with_the_certificate(desk, capsys):
     judge_result(result(residual=CONTRADICTED)).write(desk / "r.json", overwrite=True)
     status, _, err = command(capsys, "r.json", "LAB.toml", "-o", "c.xml", "--accept-misfit", " ")
-    assert (status, "--accept-misfit: give the reason in words" in err) == (2, True)
+    assert (status, "--accept-misfit: " in err) == (2, True)
     why = ("--accept-misfit", "known play of the arm")
     assert command(capsys, "r.json", "LAB.toml", "-o", "c.xml", *why)[0] == 0
     made = (desk / "c.xml").read_bytes()
@@ -342,18 +341,18 @@ def test_objects_give_the_certificate_of_their_files(desk, capsys):
     assert made.pdf() == (desk / "a.pdf").read_bytes()
     assert (made.identifier, made.accelerometers) == (known_by(), ["Qx"])
     assert made.write("b.xml").read_bytes() == made.xml
-    with pytest.raises(CounterspinError, match="exists; a certificate never replaces a file"):
+    with raises("file-exists"):
         made.write(desk / "b.xml")
-    with pytest.raises(CampaignError, match=r"name of the file in \.xml or \.pdf"):
+    with raises("wrong-file-ending", ".xml", ".pdf"):
         made.write("b.txt")
 
 
 def test_mistakes_of_objects_are_told_by_their_keys():
     lab = tomllib.loads(LAB)
     del lab["item"]
-    with pytest.raises(CampaignError, match=r"(?s)the laboratory's data: .*item\.name: is missing"):
+    with raises("missing-key", "item.name:"):
         certificate(result(), lab)
-    with pytest.raises(RecordError, match="this result was computed with the paper's equations"):
+    with raises("as-printed"):
         certificate(result().model_copy(update={"model": "as-printed"}), tomllib.loads(LAB))
 
 

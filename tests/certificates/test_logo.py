@@ -4,12 +4,12 @@ import struct
 import zlib
 
 import pytest
+from raising import raises
 from results import result
 
 from certificates import LAB, write_lab
 from counterspin.certificates.issuing import certificate, draft_pages
 from counterspin.certificates.logo import MAX_BYTES, read_logo
-from counterspin.errors import CampaignError
 from counterspin.toml_text import parse_toml
 
 HEAD = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:x="http://www.w3.org/1999/xlink" width="9" '
@@ -75,5 +75,5 @@ def test_the_logo_is_on_the_first_page_only(tmp_path, data):
 
 def test_a_logo_that_is_missing_is_named_by_its_key(tmp_path):
     path = write_lab(tmp_path, LAB.replace('code = "D-K-1"', 'logo = "nowhere.png"'))
-    with pytest.raises(CampaignError, match=r"laboratory\.logo: nowhere\.png: file not found"):
+    with raises("file-not-found", "laboratory.logo:", "nowhere.png:"):
         certificate(result(), path)

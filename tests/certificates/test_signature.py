@@ -10,6 +10,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.x509 import load_pem_x509_certificates
 from lxml import etree
+from raising import raises
 from results import result
 from signing_keys import write_pair
 
@@ -83,7 +84,7 @@ def test_one_changed_digit_is_noticed(tmp_path, pairs):
     made = signed(tmp_path, pairs["rsa"])
     changed = made.replace(b"<si:value>9.8</si:value>", b"<si:value>9.9</si:value>", 1)
     assert changed != made
-    with pytest.raises(RecordError, match="the document was changed after the holder of"):
+    with raises("invalid-signature", "changed"):
         verify(changed, pairs["rsa"][1], "x.xml")
 
 
@@ -131,9 +132,9 @@ def test_a_certificate_that_expired_after_the_day_of_issue_counts(tmp_path):
         return verify(to_bytes(sign(root, signer)), cert, "x.xml")
 
     assert made_and_verified(since - 10, -1).expired == today - timedelta(days=1)
-    with pytest.raises(RecordError, match=r"cert\.pem was valid from .*, and the document states"):
+    with raises("certificate-expired", "cert.pem"):
         made_and_verified(since + 1, -1)
-    with pytest.raises(RecordError, match=r"is valid only from .*; check the clock"):
+    with raises("certificate-expired"):
         made_and_verified(2, 10)
 
 

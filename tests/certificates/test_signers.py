@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519, padding, rsa
 from cryptography.hazmat.primitives.hashes import SHA256
+from raising import raises
 from signing_keys import write_pair, write_pkcs12
 
 from counterspin.certificates.signers import (
@@ -62,7 +63,7 @@ def test_a_password_is_asked_for_and_a_wrong_one_is_refused(tmp_path, keys, writ
     key, cert = write(tmp_path / "k", keys["rsa"], SECRET.encode())
     with pytest.raises(PasswordNeededError, match="is encrypted; give the password"):
         read_signer(key, cert)
-    with pytest.raises(CounterspinError, match="cannot be read with this password") as raised:
+    with raises("wrong-password") as raised:
         read_signer(key, cert, "wrong words")
     assert not isinstance(raised.value, PasswordNeededError)
     assert "wrong words" not in str(raised.value)
@@ -101,21 +102,19 @@ def test_a_signer_s_certificate_is_checked_at_issue(tmp_path, made, more, words)
 def test_a_key_that_cannot_sign_is_told(tmp_path, keys):
     key, cert = write_pair(tmp_path / "rsa", keys["rsa"])
     odd = write_pair(tmp_path / "odd", ed25519.Ed25519PrivateKey.generate())
-    with pytest.raises(CounterspinError, match="must be an RSA or an elliptic-curve key"):
+    with raises("unusable-key", "RSA"):
         read_signer(*odd)
-    with pytest.raises(CounterspinError, match="is not a private key in PEM form"):
+    with raises("unusable-key", "PEM"):
         read_signer(cert, cert)
-    with pytest.raises(CounterspinError, match=r"is not an X\.509 certificate in PEM form"):
+    with raises("unusable-key", "X.509", "PEM"):
         read_signer(key, key)
-    with pytest.raises(CounterspinError, match=r"is not an X\.509 certificate in PEM form"):
+    with raises("unusable-key", "X.509", "PEM"):
         read_signer(key)
-    with pytest.raises(
-        CounterspinError, match=r"neither a private key in PEM format nor a PKCS #12"
-    ):
+    with raises("unusable-key", "PEM", "PKCS #12"):
         read_signer(KeyMaterial("x", b"words"))
-    with pytest.raises(CounterspinError, match=r"cannot be read with this password, or is not a"):
+    with raises("wrong-password"):
         read_signer(KeyMaterial("x", b"\x30\x82words"), None, "x")
-    with pytest.raises(CounterspinError, match="is not the certificate of the key"):
+    with raises("unusable-key", "certificate", "key"):
         read_signer(key, write_pair(tmp_path / "ec", keys["ec"])[1])
     with pytest.raises(CounterspinError, match=r"none\.pem: file not found"):
         read_signer(tmp_path / "none.pem", cert)
@@ -157,10 +156,10 @@ def test_a_command_of_windows_keeps_its_backslashes(tmp_path, keys, monkeypatch)
     monkeypatch.setattr("sys.platform", "win32")
     monkeypatch.setattr("subprocess.run", run)
     signer = command_signer(r'"C:\my tools\sign.exe" --slot 1', cert)
-    with pytest.raises(CounterspinError, match=r'command "C:\\my tools\\sign.exe" --slot 1 failed'):
+    with raises("signer-failed", '"C:\\my tools\\sign.exe" --slot 1'):
         signer.sign(b"x")
     assert started == [[r"C:\my tools\sign.exe", "--slot", "1"]]
-    with pytest.raises(CounterspinError, match=r"cannot be run \(program not found in PATH\)"):
+    with raises("signer-failed", "(program not found in PATH)"):
         command_signer("no-such-signer", cert).sign(b"x")
 
 
@@ -194,7 +193,7 @@ def test_what_is_no_command_is_told(tmp_path, keys, command, words):
     with pytest.raises(CounterspinError, match=words):
         command_signer(command, cert).sign(b"words")
     _, odd = write_pair(tmp_path / "odd", ed25519.Ed25519PrivateKey.generate())
-    with pytest.raises(CounterspinError, match="must be an RSA or an elliptic-curve key"):
+    with raises("unusable-key", "RSA"):
         command_signer("sign", odd)
 
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 from campaigns import SMALL, changed, write
+from raising import raises
 from results import result
 
 from certificates import write_lab
 from counterspin import cli
 from counterspin.calibration.calibrate import calibrate
-from counterspin.errors import CounterspinError
 from counterspin.simulation.simulate import simulate
 from counterspin.validation.validate import validate, write_dossier
 
@@ -141,12 +141,12 @@ def test_a_demonstration_and_its_figure_are_known_again(figure, here, capsys):
     words = ["demo", "-o", "shown", "--figure", figure]
     assert cli.main(words) == 0
     assert cli.main(words) == 1
-    assert "exists; choose another file, or give --overwrite" in capsys.readouterr().err
+    assert "--overwrite" in capsys.readouterr().err
     assert cli.main([*words, "--overwrite"]) == 0
     drawn = here / "shown" / f"displacement.{figure}"
     drawn.write_bytes(b"not counterspin's")
     assert cli.main([*words, "--overwrite"]) == 1
-    assert "is not a figure of the demonstration written by counterspin" in capsys.readouterr().err
+    assert "figure of the demonstration" in capsys.readouterr().err
 
 
 def test_the_input_is_not_replaced_by_its_correction(here, capsys):
@@ -166,7 +166,7 @@ def test_the_input_is_not_replaced_by_its_correction(here, capsys):
 def test_a_folder_that_is_not_there_is_told_before_the_work(here, capsys):
     assert cli.main(["calibrate", "camp", "--json", "none/r.json"]) == 1
     told = capsys.readouterr()
-    assert "none/r.json cannot be written: the folder none does not exist" in told.err
+    assert "none/r.json cannot be written: " in told.err
     assert told.out == ""
 
 
@@ -238,10 +238,9 @@ def test_an_output_that_is_a_link_to_itself_is_told(words, here, capsys):
     write_lab(here)
     (here / words[-1]).symlink_to(words[-1])
     assert cli.main(words) == 1
-    assert (
-        f"{words[-1]} cannot be written because the path contains a circular link"
-        in capsys.readouterr().err
-    )
+    error = capsys.readouterr().err
+    assert f"{words[-1]} cannot be written" in error
+    assert "circular link" in error
 
 
 #: Commands that write a page or a figure.
@@ -268,7 +267,7 @@ def test_no_page_takes_the_place_of_one_of_another_kind(first, second, name, her
     assert cli.main([*PAGES[first], name]) == 0
     before = contents(here)
     assert cli.main([*PAGES[second], name, "--overwrite"]) == 1
-    assert "written by counterspin, so it was not overwritten" in capsys.readouterr().err
+    assert "not overwritten" in capsys.readouterr().err
     assert contents(here) == before
     assert cli.main([*PAGES[first], name, "--overwrite"]) == 0
 
@@ -278,10 +277,10 @@ def test_a_report_does_not_take_the_place_of_a_dossier(name, here, capsys):
     write_dossier(validate(chosen=()), "dossier")
     before = contents(here / "dossier")
     assert cli.main(["report", "r.json", "-o", f"dossier/{name}", "--overwrite"]) == 1
-    assert "is not a calibration report written by counterspin" in capsys.readouterr().err
+    assert "not a calibration report" in capsys.readouterr().err
     assert contents(here / "dossier") == before
     write_dossier(validate(chosen=()), "dossier", overwrite=True)
     assert cli.main(["report", "r.json", "-o", name]) == 0
     (here / name).replace(here / "dossier" / name)
-    with pytest.raises(CounterspinError, match="not a validation dossier written by"):
+    with raises("file-exists", "validation dossier"):
         write_dossier(validate(chosen=()), "dossier", overwrite=True)

@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 import polars as pl
 import pytest
+from raising import raises
 from results import accelerometer as found_of
 from results import bare_result, remove_seal
 from results import run as moved
@@ -30,7 +31,7 @@ from counterspin.calibration.result_parts import (
 from counterspin.correction.apply import ApplyOptions, apply
 from counterspin.correction.apply_file import apply_file
 from counterspin.correction.instrument import instrument_of
-from counterspin.errors import CampaignError, ConvergenceError, RecordError
+from counterspin.errors import CampaignError, ConvergenceError
 from counterspin.inference.joint.summary import BudgetLine, Jackknife
 from counterspin.physics.accelerometer import QX, QY, QZ, indicated
 from counterspin.physics.terms import TERMS
@@ -231,10 +232,7 @@ def test_a_german_table_is_corrected_and_stays_one(folder, capsys):
         for line, value in zip(lines[1:], expected, strict=True):
             assert float(line.split(";")[2].replace(",", ".")) == pytest.approx(value, abs=1e-15)
     assert run(*words, "--unit=mg", "-o", "out.csv") == 1
-    assert (
-        "is in 'g' according to the units row of the file, but in 'mg' according to --unit"
-        in capsys.readouterr().err
-    )
+    assert "'mg' according to --unit" in capsys.readouterr().err
 
 
 def test_lines_to_skip_are_not_negative(folder, capsys):
@@ -262,7 +260,7 @@ def test_a_missing_number_leaves_its_row_empty(folder, capsys):
     assert "2 of these rows lack a number" in capsys.readouterr().out
     written("Qx,\nnan,\n", "none.csv")
     assert run("result.json", "none.csv", "--accelerometer", "Qx", "-o", "no.csv") == 1
-    assert "no row has all required numbers" in capsys.readouterr().err
+    assert "no row " in capsys.readouterr().err
     assert not Path("no.csv").exists()
 
 
@@ -347,7 +345,7 @@ def test_which_column_is_asked_only_where_it_is_open(folder, capsys):
     written("east,north\n1.0,2.0\n")
     words = ["result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv"]
     assert run(*words) == 2
-    assert "Select it with --input; the file has east, north" in capsys.readouterr().err
+    assert "--input; the file has east, north" in capsys.readouterr().err
     assert run(*words, "--output-axis", "north") == 0
     assert pl.read_csv("out.csv").columns[-1] == "east_corrected_u"
     assert run("result.json", "out.csv", *words[2:4], "--input", "east", "-o", "o.csv") == 2
@@ -400,7 +398,7 @@ def test_a_result_that_does_not_determine_what_is_needed_is_not_applied():
         finding = not_determined_finding(f"Qx.{symbol}", symbol, more=" Add a run.", requested=True)
         return result({"Qx": accelerometer({}, coefficients=terms, findings=[finding])})
 
-    with pytest.raises(RecordError, match=r"needs K_III, which .* not determine\. .* Add a run\."):
+    with raises("not-determined", "K_III", "Add a run."):
         apply(found("K_III"), "Qx", [1.0])
     # A drift over the calibration is no part of the correction.
     assert apply(found("K_F.trend"), "Qx", [1.0]).corrected[0] == pytest.approx(1.0)
@@ -541,7 +539,7 @@ def test_results_of_earlier_versions_have_no_axes():
     found = found.model_copy(update={"accelerometers": old})
     level = ApplyOptions(pendulous="-1 g", output_axis=0.0)
     assert apply(found, "Qx", [1.0], level).corrected.shape == (1,)
-    with pytest.raises(CampaignError, match="does not state the axes of Qx"):
+    with raises("missing-in-result", "Qx"):
         apply(found, "Qx", [1.0], ApplyOptions(others={"Qy": [0.0], "Qz": [1.0]}))
 
 

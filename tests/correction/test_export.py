@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import results as by_hand
 import yaml
+from raising import raises
 from scipy.io import loadmat
 
 import counterspin as cs
@@ -164,7 +165,7 @@ def test_requests_that_do_not_fit_are_refused(given, name, options, message, tmp
 
 def test_results_that_must_not_be_used_are_refused(tmp_path):
     contradicted = result(state="contradicted", accelerometer={"state": "contradicted"})
-    with pytest.raises(RecordError, match="the records contradict the result for Qx"):
+    with raises("contradicted", "Qx"):
         cs.export(contradicted, tmp_path / "a.csv")
     open_ = triad_result(matrix=None, bias=None, why_no_matrix="The poses do not determine angle.")
     with pytest.raises(RecordError, match="do not determine angle"):
@@ -181,7 +182,7 @@ def test_only_an_export_is_replaced(ending, tmp_path):
     cs.export(triad_result(), path, overwrite=True, **options)
     assert path.read_bytes() == content
     path.write_text("a record")
-    with pytest.raises(CounterspinError, match="not an export of a result"):
+    with raises("file-exists", "export"):
         cs.export(triad_result(), path, overwrite=True, **options)
 
 
@@ -209,7 +210,7 @@ def test_the_command_takes_the_largest_noise_and_upper_limits(tmp_path, monkeypa
     triad_result().write("triad.json")
     words = ["export", "triad.json", "-o", "imu.yaml", "--form", "kalibr"]
     assert main(words) == 2
-    assert "give --noise only with the format kalibr" in capsys.readouterr().err
+    assert "--noise only" in capsys.readouterr().err
     assert main([*words, "--noise", "noise.json"]) == 0
     assert capsys.readouterr().out == "Wrote imu.yaml.\n"
     kalibr = yaml.safe_load((tmp_path / "imu.yaml").read_text())

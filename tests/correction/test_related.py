@@ -5,11 +5,11 @@ import math
 import numpy as np
 import polars as pl
 import pytest
+from raising import raises
 
 import counterspin as cs
 import triads
 from counterspin.correction.apply_file import apply_file
-from counterspin.errors import CampaignError
 
 FORCES = np.array([[0.0, 0.0, 1.0], [0.6, -0.8, 0.0], [0.3, 0.5, -0.7], [-1.0, 0.1, 0.2]])
 
@@ -115,11 +115,7 @@ def test_a_file_has_all_three_corrected(tmp_path, result):
 def test_which_accelerometer_is_asked_where_there_is_no_triad(tmp_path, result):
     pl.DataFrame({"X": [1.0]}).write_csv(tmp_path / "in.csv")
     plain = result.model_copy(update={"triad": None})
-    with pytest.raises(
-        CampaignError, match="select the accelerometer to be corrected with `accelerometer`"
-    ):
+    with raises("wrong-usage", "`accelerometer`"):
         apply_file(plain, None, tmp_path / "in.csv", tmp_path / "out.csv")
-    with pytest.raises(
-        CampaignError, match="select the accelerometer to be corrected with `accelerometer`"
-    ):
+    with raises("wrong-usage", "`accelerometer`"):
         apply_file(result, None, tmp_path / "in.csv", tmp_path / "out.csv", column="X")

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from raising import raises
 from results import accelerometer as found_of
 from results import bare_result
 
@@ -168,11 +169,11 @@ def test_known_slopes_need_a_temperature():
         apply(result(MODEL | {"K_F.temperature": 3e-5}), "A", [1.0])
     (said,) = refused.value.problems
     assert said.startswith("K_F.temperature of A changes with the temperature of the record; give")
-    with pytest.raises(CampaignError, match="does not state the calibration temperature"):
+    with raises("missing-input"):
         apply(
             result(MODEL | SLOPES, reference=None), "A", [1.0], ApplyOptions(temperature="20 degC")
         )
-    with pytest.raises(CampaignError, match=r"`temperature`: '20 g' is not a temperature"):
+    with raises("invalid-value", "`temperature`", "'20 g'"):
         apply(result(MODEL | SLOPES), "A", [1.0], ApplyOptions(temperature="20 g"))
 
 
@@ -246,10 +247,7 @@ def test_a_column_of_temperatures_in_a_file(folder, capsys):
     np.testing.assert_allclose(pl.read_csv("out.csv")["y_corrected"], FORCE, atol=1e-12)
     Path("in.csv").write_text("y,T\ng,V\n" + rows, encoding="utf-8")
     assert run(*words, "T") == 1
-    assert (
-        "is in 'V' according to the units row of the file; a temperature must be"
-        in capsys.readouterr().err
-    )
+    assert "is in 'V' according to" in capsys.readouterr().err
     Path("in.csv").write_text("y,T\n1.0,20\n1.0,\n", encoding="utf-8")
     assert run(*words, "T") == 0
     assert pl.read_csv("out.csv")["y_corrected"].is_null().to_list() == [False, True]
@@ -257,7 +255,7 @@ def test_a_column_of_temperatures_in_a_file(folder, capsys):
     said = " ".join(capsys.readouterr().err.split())
     assert "of A change with the temperature of the record; give --temperature: a column" in said
     assert run(*words, "degC") == 2
-    assert 'nor a constant with its unit such as "23 degC"' in capsys.readouterr().err
+    assert 'such as "23 degC"' in capsys.readouterr().err
 
 
 # --- from a calibration ---------------------------------------------------------------------

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises
 from results import FROZEN as FROZEN_RESULT
 from results import dated, sealed
 
@@ -157,7 +158,7 @@ def test_instruments_are_kept_apart(tmp_path):
     assert [(i.serial_number, len(i.points)) for i in found.instruments] == [("A", 2), ("B", 3)]
     assert only(history([tmp_path], serial="B")).mean == pytest.approx(3.1e-5)
     assert only(history([tmp_path / "a", tmp_path / "a" / "r0.json"])).serial_number == "A"
-    with pytest.raises(CampaignError, match='no result has the serial number "C"; known: A, B'):
+    with raises("no-results", '"C"', "A, B"):
         history([tmp_path], serial="C")
 
 
@@ -287,7 +288,7 @@ def test_a_damaged_file_stops_no_other(tmp_path, text, words, capsys):
     told = capsys.readouterr()
     assert "Q-104" in told.out
     assert "bad.json" in told.out.replace("\n", "")
-    assert told.err.startswith("counterspin: 1 of the result files cannot be read")
+    assert told.err.startswith("counterspin: 1 of the result files")
     assert History.read(kept).damaged[0].file.endswith("bad.json")
 
 
@@ -295,7 +296,7 @@ def test_nothing_to_show_says_why(tmp_path):
     with pytest.raises(CounterspinError, match=r"no results in .*`write_result`"):
         history([tmp_path])
     stored(tmp_path, a=dated(date=None))
-    with pytest.raises(CounterspinError, match=r"Qx of .*a\.json: has no date"):
+    with raises("no-results", "Qx of", "a.json:"):
         history([tmp_path])
 
 
@@ -530,5 +531,5 @@ def test_results_count_as_their_files(tmp_path):
     assert [p.file for p in other.points] == [f"result {n} ({title})" for n in (1, 2, 3)]
     mixed = history([folder, results[0].model_copy(update={"title": "again"})])
     assert [unused.file for unused in mixed.left_out] == ["result 2 (again)"]
-    with pytest.raises(CounterspinError, match=r"no usable results: Qx of result 1"):
+    with raises("no-results", "Qx of result 1"):
         history([results[0].model_copy(update={"details": {}})])

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from raising import raises
 from scipy.stats import chi2
 from workbooks import write_workbook
 
@@ -289,7 +290,7 @@ def test_a_rate_in_any_form_gives_the_same_campaign(tmp_path, head, number, unit
 
 def test_what_cannot_be_described_is_told(tmp_path):
     path = write_table(tmp_path / "t.csv", table())
-    with pytest.raises(CampaignError, match="must be in one table: name one file"):
+    with raises("wrong-usage", "name one file"):
         make_draft(read_files([path, path]), {}, "arm")
     rows = [["in", 30.0 + n, 1.0 + n, reading(felt(30.0))] for n in range(2)]
     path = write_table(tmp_path / "r.csv", rows, "side,n_rpm,radius_m,out_mA")
@@ -298,7 +299,7 @@ def test_what_cannot_be_described_is_told(tmp_path):
         arm_draft(read_files([path]), answers).document(tmp_path)
     rows = [*table()[:5], ["in", "", reading(felt(42.0))]]
     found = read(write_table(tmp_path / "e.csv", rows), u="2e-6")
-    with pytest.raises(CampaignError, match=r"line 7.*write 0 for readings at rest"):
+    with raises("missing-value", "line 7", "write 0"):
         write_description(found, tmp_path / "camp")
 
 

@@ -2,6 +2,7 @@
 
 import polars as pl
 import pytest
+from raising import raises
 
 import counterspin as cs
 from counterspin.cli import main
@@ -99,7 +100,7 @@ def test_frames_and_other_files_are_judged_too(folder, tmp_path):
     frame.write_csv(tmp_path / "slow.csv")
     assert cs.check(tmp_path / "slow.csv", folder).run.rate == by_file.run.rate
     frame.write_csv(tmp_path / "other.csv")
-    with pytest.raises(CampaignError, match="give the name of a run: slow, middle, fast"):
+    with raises("wrong-usage", "slow, middle, fast"):
         cs.check(tmp_path / "other.csv", folder)
     with pytest.raises(CampaignError, match='no run is named "sloww"'):
         cs.check(tmp_path / "other.csv", folder, run="sloww")
@@ -129,4 +130,4 @@ def test_the_command_says_all_of_it(folder, tmp_path, capsys):
     assert cs.CheckedRun.read(tmp_path / "c.json") == cs.check(folder / "slow.csv", folder)
     (folder / "slow.csv").write_text("")
     assert main(words) == 1
-    assert "has faults and should be repeated" in capsys.readouterr().err
+    assert "has faults" in capsys.readouterr().err

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import posed_records
 import pytest
+from raising import raises
 
 import counterspin as cs
 import triads
@@ -117,7 +118,7 @@ def test_a_record_shorter_than_a_rest_should_not_be_kept(tmp_path, capsys):
     assert (checked.good, checked.run.state, checked.run.poses) == (False, "failed", None)
     assert "all.log: the record lasts 0.99 s, less than one rest" in checked.run.why
     assert main(["check", str(tmp_path / "all.log"), "--campaign", str(tmp_path)]) == 1
-    assert "has faults and should be repeated" in capsys.readouterr().err
+    assert "has faults" in capsys.readouterr().err
     (state,) = cs.watch(tmp_path, once=True)
     assert (state.runs[0].state, state.runs[0].why) == ("waiting", "1.0 s at rest out of 1.5 s")
 
@@ -171,5 +172,5 @@ def test_a_run_that_is_none_and_a_campaign_without_records_are_told(tmp_path):
         cs.check(tmp_path / "all.log", tmp_path, run="al")
     values = triads.indications(triads.directions(20, np.random.default_rng(1)))
     folder = triads.table(tmp_path / "table", values)
-    with pytest.raises(CampaignError, match="has no runs with a record"):
+    with raises("method-not-applicable"):
         next(iter(cs.watch(folder, once=True)))

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from campaigns import PLACE, changed, without
+from raising import raises
 
 from counterspin import cli
 from counterspin.calibration.calibrate import calibrate
@@ -282,7 +283,7 @@ def test_a_target_with_noise_of_the_time_stamps_is_reached(starter, capsys):
     found = plan(starter(*changes, (GOAL, f'target = {{ K_II = "{1.02 * u!r} g/g^2" }}'))).result
     assert 0.99 < found.accelerometers["Qx"].coefficients["K_II"].u / (1.02 * u) <= 1.0
     assert found.total_time < best.total_time
-    with pytest.raises(CounterspinError, match="no plan that was found reaches"):
+    with raises("goal-not-reached"):
         plan(starter(*changes, (GOAL, f'target = {{ K_II = "{0.9 * u!r} g/g^2" }}')))
 
 
@@ -493,7 +494,7 @@ def test_init_writes_an_example_once(tmp_path, capsys):
 @pytest.mark.parametrize("arguments", [[], ["a.toml", "--check", "b"]])
 def test_one_thing_at_a_time(arguments, capsys):
     assert cli.main(["plan", *arguments]) == 2
-    assert "give a plan file, --check DIR, or --init FILE" in capsys.readouterr().err
+    assert "--check DIR, or --init FILE" in capsys.readouterr().err
 
 
 # Bad input
@@ -654,8 +655,8 @@ def test_a_mapping_is_planned_as_its_file(starter, plan_of):
     assert in_memory.result.runs == of_file.result.runs
     assert in_memory.result.goal == of_file.result.goal
     document["limits"]["runs"] = 1j
-    with pytest.raises(CampaignError, match=r"plan in memory: limits\.runs: a complex is not"):
+    with raises("wrong-type", "plan in memory:", "limits.runs:", "complex"):
         plan(document)
     document["limits"]["runs"] = "many"
-    with pytest.raises(CampaignError, match=r"memory: limits\.runs: must be a whole number"):
+    with raises("wrong-type", "memory:", "limits.runs:"):
         plan(document)

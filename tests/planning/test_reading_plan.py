@@ -8,10 +8,11 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
+from raising import raises
 
 from counterspin import calibrate, cli
 from counterspin.campaign.description import read_campaign
-from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
+from counterspin.errors import CampaignError, CounterspinError
 from counterspin.planning.faults import fault_sensitivities, possible_faults
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import check, plan, write_campaign
@@ -125,7 +126,7 @@ def test_a_target_takes_the_fewest_readings(written):
     result = plan(written(ARM, target)).result
     assert u_of(result, "K_II") <= 1e-8
     fewer = (target, ("readings = 24", f"readings = {len(result.readings) - 1}"))
-    with pytest.raises(CounterspinError, match=r"reaches u\(A.K_II\) = 1e-08 g/g\^2. The best"):
+    with raises("goal-not-reached", "u(A.K_II) = 1e-08 g/g^2"):
         plan(written(ARM, *fewer))
 
 
@@ -213,7 +214,7 @@ def test_calibration_says_what_the_plan_has_promised(written, tmp_path):
     planned = plan(written(ARM, ("[limits]", REST)))
     folder = tmp_path / "planned"
     file = write_campaign(planned, folder)
-    with pytest.raises(CampaignError, match="reading: has no value yet, and neither have 23"):
+    with raises("missing-value", "reading:", "23"):
         read_campaign(file)
     blank = file.read_text(encoding="utf-8")
     lines = iter(planned.result.readings)
@@ -244,7 +245,7 @@ def test_forecast_of_readings_needs_their_uncertainty(written, tmp_path):
     file = write_campaign(plan(written(TUMBLE)), tmp_path / "planned")
     text = file.read_text(encoding="utf-8").replace("? ± 1e-6 g", "0 g")
     file.write_text(text, encoding="utf-8")
-    with pytest.raises(CampaignError, match="needs the standard uncertainty of the reading"):
+    with raises("missing-key"):
         forecast(file)
 
 
@@ -354,7 +355,7 @@ def test_k_ii_at_one_g_is_not_determined(written):
     quadratic = ('terms = ["K_F", "K_I", "delta_O"]', 'terms = ["K_F", "K_I", "K_II"]')
     goal = (SOUGHT, 'minimise = ["K_II"]')
     file = written(TUMBLE, quadratic, goal, ('criterion = "determinant"', ""))
-    with pytest.raises(NotIdentifiableError, match=r"A.K_II is not determined by any number of"):
+    with raises("not-identifiable", "A.K_II"):
         plan(file)
 
 

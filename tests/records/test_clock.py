@@ -137,7 +137,7 @@ def test_an_angle_column_of_implausible_values_is_refused(tmp_path):
     columns = table()
     columns[ANGLE][900:951] = 1e18
     message = refusal(write(tmp_path / "run.csv", columns))
-    assert f"'{ANGLE}' has 51 angles above 1e+09 rad in 1000 rows" in message
+    assert f"'{ANGLE}' has 51 angles above 1e+09 rad" in message
     columns[ANGLE] = table()[ANGLE] + 2e9
     assert "1000 angles above" in refusal(write(tmp_path / "run.csv", columns))
 
@@ -187,4 +187,5 @@ def test_a_gap_across_which_no_rotation_can_be_followed(tmp_path, angle):
     columns[ANGLE] = RATE * columns[TIME]
     options = {} if angle else {"angle": None}
     message = refusal(write(tmp_path / "run.csv", columns), **options)
-    assert "line 1001: there are no rows for 99980 s, 4.999e+04 revolutions" in message
+    assert "line 1001: " in message
+    assert "99980 s, 4.999e+04 revolutions" in message

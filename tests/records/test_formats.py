@@ -7,10 +7,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from raising import raises
 from record_files import ANGLE, SIGNAL, TIME, read, refusal, table, write
 from scipy.io import savemat
 
-from counterspin.errors import CampaignError, DamagedFileError, RecordError
+from counterspin.errors import DamagedFileError, RecordError
 from counterspin.records.column_file import ColumnFile
 from counterspin.records.formats import open_columns
 from counterspin.records.record import ColumnSpec
@@ -152,7 +153,7 @@ def test_a_file_that_changes_while_it_is_read(tmp_path, suffix, how):
         other.replace(path)
     else:
         path.write_bytes(other.read_bytes())
-    with pytest.raises(RecordError, match="changed while counterspin was reading it"), file:
+    with raises("file-changed"), file:
         pass
 
 
@@ -201,7 +202,7 @@ def test_whatever_a_reader_raises_names_the_file_and_how_far_it_came(tmp_path, e
         for call in (lambda: file.require(["a"]), file.table):
             with pytest.raises(DamagedFileError, match=r"run\.csv: the file"):
                 call()
-        with pytest.raises(DamagedFileError, match=r"run\.csv: the file.* after row 12"):
+        with pytest.raises(DamagedFileError, match=r"run\.csv: .* after row 12"):
             list(file.batches(["a"]))
 
 
@@ -212,7 +213,7 @@ def test_a_file_is_not_opened_with_a_number_of_threads_that_polars_cannot_use(
     path = tmp_path / name
     path.write_bytes(b"")
     monkeypatch.setenv("POLARS_MAX_THREADS", "0")
-    with pytest.raises(CampaignError, match="POLARS_MAX_THREADS: '0' is not a whole number"):
+    with raises("wrong-usage", "POLARS_MAX_THREADS:", "'0'"):
         open_columns(path)
     monkeypatch.setenv("POLARS_MAX_THREADS", "04")
     with pytest.raises(RecordError, match="the file is empty"):

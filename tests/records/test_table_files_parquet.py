@@ -18,9 +18,7 @@ def test_columns_that_no_file_of_this_size_holds(tmp_path):
         tmp_path / "run.parquet"
     )
     message = refusal(tmp_path / "run.parquet")
-    assert re.search(
-        r"it has \d+ bytes, but its header announces 120000000 bytes of numbers", message
-    )
+    assert re.search(r"\d+ bytes, .* 120000000 bytes", message)
 
 
 def test_columns_of_other_types_beside_do_not_matter(tmp_path):

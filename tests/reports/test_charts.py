@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.text import Text
+from raising import raises
 
 from counterspin.errors import CounterspinError
 from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries, Sphere
@@ -385,10 +386,7 @@ def test_file_has_titles_and_one_axis_for_those_that_share_it(tmp_path):
 
 
 def test_other_endings_are_refused(tmp_path):
-    with pytest.raises(
-        CounterspinError,
-        match=r"figure\.gif: unsupported file type for a figure; end the name in \.svg, \.png",
-    ):
+    with raises("wrong-file-ending", "figure.gif:", ".svg, .png"):
         save_figure(PICTURES, tmp_path / "figure.gif")
     assert list(tmp_path.iterdir()) == []
 
@@ -403,9 +401,7 @@ def test_only_an_earlier_figure_is_replaced_and_only_where_that_is_asked_for(tmp
     assert file.read_bytes() != before
     foreign.write_text("<svg>drawn by hand</svg>")
     for overwrite in (False, True):
-        with pytest.raises(
-            CounterspinError, match=r"own\.svg exists and is not a figure written by c"
-        ):
+        with raises("file-exists", "own.svg", "figure"):
             save_figure(PICTURES, foreign, overwrite=overwrite)
     assert foreign.read_text() == "<svg>drawn by hand</svg>"
 

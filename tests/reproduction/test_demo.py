@@ -4,6 +4,7 @@ import math
 import re
 
 import pytest
+from raising import raises
 
 from counterspin import cli
 from counterspin.errors import CounterspinError
@@ -93,10 +94,7 @@ def test_command_writes_what_it_says_and_may_be_repeated(tmp_path, monkeypatch, 
     value = r"(19\.9|20\.0)\d+ ± \S+"
     assert re.search(rf"^K_II +20 +{value} +{value} +(9\.9|10\.0)\d+ ± ", first, re.M)
     assert cli.main(["demo"]) == 1
-    assert (
-        "displacement.svg exists; choose another file, or give --overwrite"
-        in capsys.readouterr().err
-    )
+    assert "displacement.svg exists; " in capsys.readouterr().err
     assert cli.main(["demo", "--overwrite"]) == 0
     assert capsys.readouterr().out == first
 
@@ -108,16 +106,14 @@ def test_figure_as_png(tmp_path):
 
 def test_another_campaign_is_left_alone(tmp_path):
     (tmp_path / "campaign.toml").write_text("schema = 1\n")
-    with pytest.raises(
-        CounterspinError, match=r"belongs to another campaign, .* choose another folder"
-    ):
+    with raises("file-exists"):
         demo(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["campaign.toml"]
 
 
 def test_records_of_somebody_else_are_left_alone(tmp_path):
     (tmp_path / "run1.csv").write_text("measured")
-    with pytest.raises(CounterspinError, match=r"run1\.csv does not belong to a demonstration"):
+    with raises("file-exists", "run1.csv"):
         demo(tmp_path, overwrite=True)
     assert [path.read_text() for path in tmp_path.iterdir()] == ["measured"]
 

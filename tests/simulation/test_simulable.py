@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 from campaigns import SMALL, changed, write
+from raising import raises
 
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.runs import MOST_ROWS, MOST_SIMULATED_ROWS
@@ -143,7 +144,5 @@ def test_runs_that_nobody_forecasts(tmp_path):
         f'\n[[runs]]\nname = "r{i}"\nrate = "1 rev/s"\nrecord = "r{i}.csv"\n' for i in range(31)
     )
     campaign = write(tmp_path, f"{head}{many}{simulation}{tail}")
-    with pytest.raises(
-        CampaignError, match="62 records are too many; a forecast can have at most 60"
-    ):
+    with raises("too-many-rows", "62 records", "60"):
         forecast(campaign)

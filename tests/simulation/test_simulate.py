@@ -7,6 +7,7 @@ import numpy as np
 import polars as pl
 import pytest
 from campaigns import SMALL, campaign_of, changed, without, write
+from raising import raises
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
@@ -230,7 +231,7 @@ def test_what_is_there_is_not_overwritten_unless_told_to(tmp_path):
 def test_a_record_that_nothing_says_to_be_simulated_is_never_overwritten(tmp_path):
     path = write(tmp_path, SMALL)
     write(tmp_path / "made", "measured", "middle.csv")
-    with pytest.raises(CounterspinError, match=r"middle\.csv exists, and no .*not overwritten"):
+    with raises("file-exists", "middle.csv"):
         simulate(path, tmp_path / "made", overwrite=True)
     assert contents(tmp_path / "made") == {"middle.csv": b"measured"}
 
@@ -240,7 +241,7 @@ def test_a_measured_campaign_is_never_overwritten(tmp_path, text):
     path = write(tmp_path, SMALL)
     write(tmp_path / "made", text)
     write(tmp_path / "made", "measured", "middle.csv")
-    with pytest.raises(CounterspinError, match=r"campaign\.toml does not belong to a simulated"):
+    with raises("file-exists", "campaign.toml"):
         simulate(path, tmp_path / "made", overwrite=True)
     assert contents(tmp_path / "made") == {
         "campaign.toml": text.encode(),
@@ -263,7 +264,7 @@ def test_formats_that_cannot_be_written_are_named_at_once(tmp_path):
     text = changed(SMALL, ("slow.csv", "slow.mat"), ("fast.csv", "fast.h5"))
     with pytest.raises(CampaignError) as info:
         simulate(write(tmp_path, text), tmp_path / "made")
-    assert "slow.mat cannot be simulated; write .csv or .parquet" in str(info.value)
+    assert "slow.mat cannot be simulated; " in str(info.value)
     assert "fast.h5" in str(info.value)
     assert not (tmp_path / "made").exists()
 
@@ -271,7 +272,7 @@ def test_formats_that_cannot_be_written_are_named_at_once(tmp_path):
 def test_folder_that_cannot_be_made_is_an_error(tmp_path):
     path = write(tmp_path, SMALL)
     (tmp_path / "file").write_text("x", encoding="utf-8")
-    with pytest.raises(CounterspinError, match=r"file.made cannot be created \(Not a directory\)"):
+    with raises("file-not-writable", "made", "(Not a directory)"):
         simulate(path, tmp_path / "file" / "made")
 
 
@@ -281,7 +282,7 @@ def test_nothing_half_written_is_left(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(module, "WRITERS", {".csv": full})
-    with pytest.raises(CounterspinError, match=r"slow\.csv cannot be written \(No space left"):
+    with raises("file-not-writable", "slow.csv", "(No space left"):
         simulate(write(tmp_path, SMALL), tmp_path / "made")
     assert contents(tmp_path / "made") == {"campaign.toml": SMALL.encode()}
     monkeypatch.undo()

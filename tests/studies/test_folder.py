@@ -9,6 +9,7 @@ from importlib.resources import files
 import numpy as np
 import polars as pl
 import pytest
+from raising import raises
 
 from counterspin.cli import main
 from counterspin.errors import CounterspinError, CounterspinWarning
@@ -202,7 +203,7 @@ def test_what_is_whole_is_not_done_again(campaign, begun, whole):
 def test_begun_study_is_not_begun_anew_by_a_slip(campaign, begun, whole, capsys):
     (begun / "study.json").unlink()
     before = {path: path.read_bytes() for path in begun.rglob("*") if path.is_file()}
-    with pytest.raises(CounterspinError, match="contains an unfinished study; continue it"):
+    with raises("study-unfinished"):
         study(campaign, trials=TRIALS, output=begun)
     assert main(["study", str(campaign), "-o", str(begun)]) == 1
     assert "discard it with --overwrite" in " ".join(capsys.readouterr().err.split())
@@ -240,9 +241,7 @@ def test_trials_of_somebody_else_beside_a_study_are_not_replaced(campaign, tmp_p
     for mine in (b"mine", pl.DataFrame({"time_s": [0.0]}).write_parquet):
         trials.write_bytes(mine) if isinstance(mine, bytes) else mine(trials)
         before = trials.read_bytes()
-        with pytest.raises(
-            CounterspinError, match=r"trials\.parquet exists and was not written by a study"
-        ):
+        with raises("file-exists", "trials.parquet"):
             study(campaign, trials=100, output=folder)
         assert trials.read_bytes() == before
 
@@ -250,7 +249,7 @@ def test_trials_of_somebody_else_beside_a_study_are_not_replaced(campaign, tmp_p
 @pytest.mark.parametrize("name", ["z.svg", "bias-platform.svg"])
 def test_a_study_is_not_gone_on_with_over_somebody_elses_figure(campaign, begun, name):
     (begun / name).write_text("mine")
-    with pytest.raises(CounterspinError, match="is not a figure of a study written by counterspin"):
+    with raises("file-exists", "figure of a study"):
         resumed(campaign, begun)
     assert (begun / name).read_text() == "mine"
 
@@ -258,7 +257,7 @@ def test_a_study_is_not_gone_on_with_over_somebody_elses_figure(campaign, begun,
 def test_options_of_the_folder_need_one(campaign, capsys):
     for option in ("--keep-trials", "--resume"):
         assert main(["study", str(campaign), option]) == 1
-        assert f"{option} needs the folder of the study (--output)" in capsys.readouterr().err
+        assert f"{option} needs the folder " in capsys.readouterr().err
 
 
 # Patience
@@ -275,8 +274,8 @@ def test_study_that_takes_long_says_so_first(campaign, monkeypatch, capsys):
         study(campaign, trials=40_000)
     main(["study", str(campaign), "--trials", "40000"])
     error = " ".join(capsys.readouterr().err.split())
-    assert "counterspin: 40000 trials will take about 9 h" in error
-    assert "fewer --trials, more --workers or a --cluster" in error
+    assert "40000 trials will take about 9 h" in error
+    assert all(option in error for option in ("--trials", "--workers", "--cluster"))
     with (
         pytest.warns(CounterspinWarning, match=r"2000 trials will take about 27 min"),
         pytest.raises(ZeroDivisionError),

@@ -11,6 +11,7 @@ import numpy as np
 import polars as pl
 import pytest
 from clusters import dask_cluster
+from raising import raises
 from scipy import stats
 
 from counterspin import workers
@@ -184,9 +185,7 @@ def test_records_of_specific_force_are_studied(tmp_path, unit, noise):
 def test_the_two_stage_method_needs_records_of_displacement(tmp_path):
     text = with_observable(SHORT, "velocity", "m/s", "0.01 m/s")
     text += '[study.analyses.old]\nmethod = "two-stage"\n'
-    with pytest.raises(
-        CampaignError, match="requires records of displacement on a double turntable"
-    ):
+    with raises("method-not-applicable"):
         read_study(write(tmp_path / "a", text))
 
 
@@ -694,7 +693,7 @@ def test_campaign_without_truth_is_refused(tmp_path):
 
 def test_records_that_no_study_can_make_are_refused(tmp_path):
     text = PAPER.replace('angle = { column = "angle_rad", unit = "rad" }', "")
-    with pytest.raises(NotIdentifiableError, match="two-stage method needs a recorded angle"):
+    with raises("method-not-applicable"):
         study(write(tmp_path / "angle", text))
 
 
@@ -737,7 +736,7 @@ def test_a_campaign_in_memory_is_studied_as_its_file(tmp_path):
     assert in_memory.analyses == of_file.analyses
     changed = campaign.change({"study": {"vary": {"Qx.K_II": {"fixed": "5e-5 g/g^2"}}}})
     assert len(study(changed, trials=50, seed=2).varying) == 1
-    with pytest.raises(CampaignError, match=r"campaign.toml, changed in memory: study\.trails"):
+    with raises("unknown-key", "campaign.toml", "study.trails"):
         study(campaign.change({"study": {"trails": 5}}))
     with pytest.raises(CounterspinError, match="its description is unknown"):
         study(replace(campaign, title="other"))

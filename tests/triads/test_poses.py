@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 import pytest
+from raising import raises
 from scipy import stats
 from scipy.optimize import least_squares
 
@@ -94,10 +95,7 @@ def test_nine_poses_without_noise_determine_nine_parameters():
 
 def test_fewer_poses_cannot_tell_their_noise():
     along = np.vstack([np.eye(3), -np.eye(3)])
-    with pytest.raises(
-        NotIdentifiableError,
-        match=r"6 poses .* 9 unknowns .*determine .*Y.delta_P.*Z.delta_O, Z.delta_P",
-    ):
+    with raises("not-identifiable", "6 poses", "9 unknowns", "Y.delta_P", "Z.delta_O, Z.delta_P"):
         solve_readings([triads.group(triads.indications(along))], triads.unknowns())
     # Nine could tell biases and scale factors alone, six not even those.
     noisy = triads.indications(triads.directions(9, np.random.default_rng(3)))

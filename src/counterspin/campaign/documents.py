@@ -16,6 +16,7 @@ from typing import Any, Final, Literal, Protocol, TypeVar
 from counterspin.errors import (
     CampaignError,
     CounterspinError,
+    Problem,
     describe_read_error,
     read_error_code,
 )
@@ -325,7 +326,7 @@ def to_toml_value(value: Any, path: KeyPath, note: Callable[[KeyPath, str], None
     if isinstance(value, Mapping):
         for key in value:
             if not isinstance(key, str):
-                note(path, f"the key {key!r} must be a string")
+                note(path, Problem(f"the key {key!r} must be a string", "wrong-type"))
         return {
             key: to_toml_value(inner, (*path, key), note)
             for key, inner in value.items()
@@ -340,7 +341,8 @@ def to_toml_value(value: Any, path: KeyPath, note: Callable[[KeyPath, str], None
     if isinstance(value, PurePath):
         return str(value)
     if not isinstance(value, str | bool | int | float | datetime.date | datetime.time):
-        note(path, f"a {type(value).__name__} is not allowed here; write text or a number")
+        message = f"a {type(value).__name__} is not allowed here; write text or a number"
+        note(path, Problem(message, "wrong-type"))
     return value
 
 

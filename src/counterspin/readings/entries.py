@@ -58,7 +58,11 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
         (is_pose and not no_axes, no_meaning, "axes attitude"),
         (is_pose and run.mounting, no_meaning, "mounting attitude"),
         # Terms of the machine have it between dots: centrifuge.radius.MOUNTING.
-        ("." in run.mounting, f'"{run.mounting}" contains a dot; remove it', "mounting"),
+        (
+            "." in run.mounting,
+            Problem(f'"{run.mounting}" contains a dot; remove it', "invalid-name"),
+            "mounting",
+        ),
         (static and rotates, "a static run does not rotate; omit the rate", "rate motion"),
         (
             vibrates and rotates,

@@ -9,6 +9,7 @@ from dataclasses import fields
 import polars as pl
 import pytest
 from campaigns import SMALL, campaign_of, changed, without, write
+from raising import raises
 from scipy.special import chdtrc, stdtrit
 
 from counterspin.calibration.calibrate import calibrate
@@ -477,7 +478,7 @@ def test_fewer_rates_than_unknowns_are_refused(tmp_path, capsys):
     assert main(["calibrate", str(folder), "--method", "two-stage"]) == 1
     error = capsys.readouterr().err
     assert "K_II, K_F" in error
-    assert "different rates, in either sense; the campaign has only 1" in error
+    assert "only 1" in error
     assert "Traceback" not in error
 
 
@@ -486,7 +487,7 @@ def test_only_horizontal_displacement_has_strobes(tmp_path):
         'displacement = { column = "north_m", unit = "m" }',
         'specific_force = { column = "f", unit = "g" }',
     )
-    with pytest.raises(NotIdentifiableError, match=r"Qy: .* specific force; use the joint method"):
+    with raises("method-not-applicable", "Qy:", "specific force"):
         result_of(tmp_path / "a", force)
     up = (
         'input_axis = "north"\npendulous_axis = "down"',

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from raising import raises
 from scipy.special import stdtrit
 
 from counterspin.errors import NotIdentifiableError
@@ -319,10 +320,7 @@ def test_misfit_is_in_standard_uncertainties_of_each_run():
 
 
 def test_fewer_rates_than_unknowns_are_refused():
-    with pytest.raises(
-        NotIdentifiableError,
-        match=r"2 unknowns without a prior \(K_II, K_F\) need at least 2 different rates.*only 1",
-    ):
+    with raises("not-identifiable", "2 unknowns", "K_II, K_F", "2 different", "1"):
         second_stage(plan([2.0, 2.0005]))
     with pytest.raises(NotIdentifiableError, match=r"3 unknowns .*K_II, K_F, spindle.drift"):
         second_stage(plan([2.0, 4.0]), nominal_angle=True)
