@@ -14,6 +14,7 @@ from counterspin.errors import (
     UsageError,
     describe_read_error,
 )
+from counterspin.physics.correction import NotInvertibleError
 from counterspin.units import unit_factor
 
 
@@ -37,9 +38,18 @@ def test_a_code_is_that_of_the_call_or_of_the_class():
     assert CounterspinError("x").code == "unspecified"
 
 
-def test_a_code_survives_the_way_between_processes():
-    error = pickle.loads(pickle.dumps(RecordError("a: b", code="no-rows")))
-    assert (str(error), error.code) == ("a: b", "no-rows")
+@pytest.mark.parametrize(
+    "error",
+    [
+        RecordError("a: b", code="no-rows"),
+        UsageError("plan", ["a: b", "c"]),
+        CampaignError("a", ["b", "c"], [None, 3], code=("x", "y")),
+        NotInvertibleError(7, "has not converged"),
+    ],
+)
+def test_an_error_passes_between_processes(error):
+    copy = pickle.loads(pickle.dumps(error))
+    assert (type(copy), str(copy), vars(copy)) == (type(error), str(error), vars(error))
 
 
 @pytest.mark.parametrize(

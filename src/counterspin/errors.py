@@ -11,11 +11,12 @@ it. `installing` says how a part is had that not everybody installs.
 
 from __future__ import annotations
 
+import copyreg
 import os
 import re
 from collections.abc import Iterable, Sequence
 from itertools import zip_longest
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 
 from counterspin._version import __version__
 
@@ -120,6 +121,10 @@ class CounterspinError(Exception):
         super().__init__(*args)
         if code is not None:
             self.code = code
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return the parts of the error for another process: its class, message and attributes."""
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
     def __str__(self) -> str:
         """Return the message, with long values and long lists cut in the middle."""
