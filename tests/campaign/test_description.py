@@ -248,19 +248,19 @@ EXACT_PATHS = [
     (
         '"1.002 ± 5e-6 g/g"',
         '"1000 ppm"',
-        "accelerometers.Qx.scale_factor: 0.001 g/g is nominal K_I, 1; an "
+        "accelerometers.Qx.scale_factor: 0.001 g/g is too far from the nominal K_I, 1; an "
         "error of 1000 ppm is written 1.001 g/g",
     ),
     (
         "K_III =",
         'K_I = "0 ± 1e-3 g/g"\nK_III =',
-        "accelerometers.Qy.K_I: 0 g/g is nominal K_I, 1",
+        "accelerometers.Qy.K_I: 0 g/g is too far from the nominal K_I, 1",
     ),
     ("[model.priors]", '[model.priors]\n"Qx.K_I" = "1.2 g/g"', 'model.priors."Qx.K_I": 1.2 g/g is'),
     (
         "[model.priors]",
         '[model.priors]\nK_I = "-1 g/g"',
-        "model.priors.K_I: -1 g/g is nominal K_I, 1",
+        "model.priors.K_I: -1 g/g is too far from the nominal K_I, 1",
     ),
     ("bias =", 'K_F = "0 g"\nbias =', "accelerometers.Qx.bias: duplicates the prior of K_F"),
     (QX_DISPLACEMENT, "", "accelerometers.Qx: has no recorded signal; give one of displacement,"),
