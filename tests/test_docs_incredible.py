@@ -47,11 +47,13 @@ def test_each_is_said_as_the_table_has_it(mistake, way):
 
 def test_what_is_likely_is_said():
     said = {row.name: row.text for row in TABLE.load() if row.way == "tumble"}
-    sign = "Check the sign of the output, the sense of the input axis and of the attitudes."
+    sign = "Check the sign of the output, and the senses of the input axis and of the attitudes."
     assert sign in said["wrong sign of all readings"]
     assert sign in said["attitudes in the opposite sense, input axis east at angle zero"]
-    assert "Check a unit, m/s^2 instead of g." in said["m/s^2 instead of g"]
-    assert "the attitudes: their zero" in said["zero of the head wrong by 1 deg"]
+    assert "may be in m/s^2 instead of g." in said["m/s^2 instead of g"]
+    assert (
+        "the zero and the sense of the attitude angles" in said["zero of the head wrong by 1 deg"]
+    )
     assert (
         "the sense of rotation of the attitudes"
         in said["attitudes in the opposite sense, delta_O stated"]

@@ -51,7 +51,7 @@ def test_noise_that_no_record_shows_is_no_blame():
     errors, result = STUDY["tried"](40094, Kind(unstated=False))
     assert result.state == "good"
     assert [
-        remark for remark in result.warnings if "of u^2 of K_II comes from white noise" in remark
+        remark for remark in result.warnings if "comes from accelerometer white noise" in remark
     ]
     assert all(covered for symbol, _, covered in errors if symbol == "K_II")
 

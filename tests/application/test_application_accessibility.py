@@ -69,7 +69,7 @@ def states(tab, app):
     go(tab, "/compare")
     for name in ("three/result.json", "b.json"):
         tab.get_by_role("checkbox", name=name).check()
-    tab.get_by_text("Differences are from").wait_for()
+    tab.get_by_text("Differences are relative to").wait_for()
     yield "a comparison"
     go(tab, "/certificate/three%2Fresult.json")
     tab.get_by_label("Certificate type").select_option("Amendment to CS-1")

@@ -39,5 +39,5 @@ def test_bias_and_noise_that_are_not_stated_come_from_the_data(tmp_path):
     text = before + after[after.index("\n[") :] if after else before
     found = entries(tmp_path, text)
     assert (found["Bias"]["stated"], found["Scale factor"]["stated"]) == (False, True)
-    assert found["Bias"]["effect"] == "not stated for Qx, Qy; determined only by the data"
+    assert found["Bias"]["effect"] == "not stated for Qx, Qy; the data alone determine the value"
     assert found["Noise"]["effect"] == "estimated from the residuals (Type A)"

@@ -123,10 +123,10 @@ def test_an_unused_column_has_a_reason(page, folder):
     _, columns = columns_of(page, [name], answers=COUNTED)
     reasons = {name: columns[name]["reason"] for name in ("index", "status", "marker", "note")}
     assert reasons == {
-        "index": "Contains row numbers.",
-        "status": "Constant: 7 in every row.",
-        "marker": "Empty in every row.",
-        "note": "Text, not numbers: ok",
+        "index": "The column contains row numbers.",
+        "status": "The value is 7 in every row.",
+        "marker": "The column is empty in every row.",
+        "note": "The column contains text, not numbers: ok",
     }
     assert columns["count"]["reason"].startswith("The column does not vary with the rotation")
     assert columns["note"]["curve"] is None
@@ -184,7 +184,7 @@ def test_columns_of_words_are_shown_where_they_are_asked_for(page):
 @pytest.mark.parametrize(
     ("name", "write", "note"),
     [
-        ("a.h5", compound, "a sensor with three axes: columns 'ax', 'ay', 'az'"),
+        ("a.h5", compound, "three-axis sensor: columns 'ax', 'ay', 'az'"),
         ("a.tdms", partial(waveforms, ends=(0, 1, 2)), "channels truncated to the shortest"),
         ("b.tdms", partial(waveforms, late=(0, 0, 200)), "channels aligned by start"),
     ],

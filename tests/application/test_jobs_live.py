@@ -54,7 +54,7 @@ def test_what_happened_is_told_once(monkeypatch):
     (_, told), *_ = told_inline(jobs.run_watch, None, "")
     assert told["events"] == [event]
     assert event not in told["html"]
-    assert told["html"].count("Every run has the length stated in the campaign.") == 1
+    assert told["html"].count("Every run has reached the duration stated in the campaign.") == 1
 
 
 def test_nobody_is_followed_whom_nobody_looks_at(app, page, monkeypatch):

@@ -47,7 +47,7 @@ def test_it_tells_its_progress_and_what_it_made():
     [
         (wrong, (CounterspinError,), "in words"),
         (wrong, (ValueError,), "internal error (ValueError: in words)"),
-        (exit, (), "the process ended unexpectedly, possibly because memory ran out"),
+        (exit, (), "the process ended unexpectedly, possibly because the memory was exhausted"),
     ],
 )
 def test_that_it_failed_is_told(work, words, told):

@@ -46,7 +46,7 @@ def test_results_are_compared_and_followed(page, folder):
     history = {"kind": "history", "names": "three/result.json", "term": "K_II"}
     told = page.get("/api/page", params=history).json()
     assert told["title"] == "History of K_II"
-    assert "only one result; a comparison needs two" in told["html"]
+    assert "There is only one result; a comparison requires at least two" in told["html"]
     assert "three/result.json" in told["html"]
     assert str(folder) not in told["html"]
 
@@ -56,7 +56,7 @@ def test_that_no_result_can_be_followed_is_an_answer_and_no_failure(page):
     told = page.get("/api/page", params=asked)
     assert told.status_code == 200
     assert told.json()["empty"] is True
-    assert ": has no K" in told.json()["html"]
+    assert ": the result has no K" in told.json()["html"]
     assert not page.get("/api/page", params=PAGE).json()["empty"]
 
 

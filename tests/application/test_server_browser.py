@@ -221,7 +221,7 @@ def test_from_a_table_of_readings_to_a_result(opened, folder, tmp_path):
     tab.route("**/api/draft", lambda route: held.append(route) if holding else route.continue_())
     for question, said in (*PLACE[:2], ("What is the nominal sensitivity", "1.25 mA/g")):
         answer_field(tab, question).fill(said)
-    assert tab.get_by_label("Where does the input axis point").input_value() == "up"
+    assert tab.get_by_label("In which direction does the input axis point").input_value() == "up"
     # What is guessed of one file is none of another.
     kind = tab.get_by_label("Kind of test")
     assert kind.input_value() == "tumble"
@@ -252,7 +252,7 @@ def test_from_a_pasted_table_of_an_arm_to_a_result(opened, folder):
     tab = opened()
     tab.get_by_label("Folder for the new campaign").fill("arm")
     tab.get_by_text("Paste a table").click()
-    tab.get_by_label("Table with a header row").fill("\n".join([*rows, rows[1], rows[2]]))
+    tab.get_by_label("Table copied from a spreadsheet").fill("\n".join([*rows, rows[1], rows[2]]))
     tab.get_by_role("button", name="Use this table").click()
     tab.get_by_label("Sense of rotation").select_option("clockwise")
     known = (*PLACE[:2], ("Radius", "1.0 ± 1e-3 m"))
@@ -354,7 +354,7 @@ def test_a_table_of_readings_is_pasted_and_becomes_a_campaign(opened, folder):
     rows = [(angle, 1.25 * (0.002 + math.cos(math.radians(angle)))) for angle in range(0, 360, 30)]
     # As a spreadsheet gives it where numbers have a decimal comma.
     lines = ["position_deg\treading_mA", *(f"{a}\t{v:.6f}".replace(".", ",") for a, v in rows)]
-    tab.get_by_label("Table with a header row").fill("\r\n".join(lines))
+    tab.get_by_label("Table copied from a spreadsheet").fill("\r\n".join(lines))
     tab.get_by_role("button", name="Use this table").click()
     circle = tab.get_by_role("img", name="Input-axis direction at 12 positions")
     circle.wait_for()
@@ -636,9 +636,9 @@ def test_results_are_compared_with_the_one_that_is_chosen(opened, app):
     tab = opened("/compare")
     for name in ("three/result.json", "b.json", "c.json"):
         tab.get_by_role("checkbox", name=name).check()
-    tab.get_by_text("Differences are from three/result.json").wait_for()
+    tab.get_by_text("Differences are relative to three/result.json").wait_for()
     tab.get_by_label("Reference result").select_option("c.json")
-    tab.get_by_text("Differences are from c.json").wait_for()
+    tab.get_by_text("Differences are relative to c.json").wait_for()
     command = tab.locator("pre.command").first.text_content()
     files = [app.folder.root / name for name in ("c.json", "three/result.json", "b.json")]
     assert command == f"counterspin compare {' '.join(map(str, files))}"
@@ -656,11 +656,11 @@ def test_a_late_answer_does_not_replace_a_newer_comparison(opened, app):
     for name in ("three/result.json", "b.json", "c.json"):
         tab.get_by_role("checkbox", name=name).check()
     tab.get_by_label("Reference result").select_option("c.json")
-    tab.get_by_text("Differences are from c.json").wait_for()
+    tab.get_by_text("Differences are relative to c.json").wait_for()
     with tab.expect_response(held[0].request.url):
         held[0].continue_()
     tab.wait_for_timeout(200)
-    assert tab.get_by_text("Differences are from c.json").is_visible()
+    assert tab.get_by_text("Differences are relative to c.json").is_visible()
 
 
 def test_the_value_that_a_click_prepares_is_ready_to_be_typed_over(opened, folder):

@@ -80,7 +80,7 @@ def test_a_record_shorter_than_stated_is_a_finding(folder):
         f for f in calibrate(campaign_of(folder, short)).findings if f.code == "short-record"
     )
     assert finding.subject == "slow"
-    assert "the record lasts 80 s instead of the 160 s that the campaign states" in finding.text
+    assert "the record lasts 80 s instead of the 160 s stated in the campaign" in finding.text
 
 
 def test_a_row_that_stands_alone_is_a_finding_and_bends_nothing(folder):

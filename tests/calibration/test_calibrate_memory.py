@@ -71,7 +71,9 @@ def test_a_result_says_what_was_in_memory(found, made, written, records):
         digest.update(name.encode() + b"\0" + values.tobytes())
     assert provenance.inputs["slow.parquet"] == f"sha256:{digest.hexdigest()}"
     said = " ".join(texts(found))
-    assert "Not from files: campaign.toml (made in Python); slow.parquet (arrays)" in said
+    assert (
+        "Some inputs are not files: campaign.toml (made in Python); slow.parquet (arrays)" in said
+    )
     assert "counterspin calibrate" not in said
 
 

@@ -34,9 +34,9 @@ def test_calibrate_writes_the_result_and_exits_with_1(folder, tmp_path, capsys):
     assert status == 1
     assert err == (
         "counterspin: Qx.K_II is not determined: The records do not determine K_II, and no prior "
-        "is stated for it. The data contain only one rate; add a run at another rate."
+        "is stated for K_II. All runs have the same rate; add a run at another rate."
     )
-    assert "The result for Qx is not fully determined by its data: " in out
+    assert "The result for Qx is not fully determined by the data: " in out
     assert "Passed checks" not in out
     document = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))
     assert document["state"] == document["accelerometers"]["Qy"]["state"] == "not-determined"

@@ -39,7 +39,7 @@ def seen(observable: str, angle: object | None) -> AccelerometerView:
 def test_a_ripple_that_nobody_recorded_is_a_warning():
     (finding,) = check_unrecorded_ripple(seen("specific_force", None))
     # At 10 g a ripple of 1e-8 of the rate is 1e-9 g/g^2.
-    assert "a ripple of 1e-08 of the rate" in finding.text
+    assert "relative rate ripple of 1e-08" in finding.text
 
 
 @pytest.mark.parametrize(

@@ -227,8 +227,8 @@ def test_own_velocity_is_told_where_it_is_not_stated(own_velocity):
     assert result.findings[0] == found
     assert found.contradicts
     assert {"lack-of-fit"} <= {f.code for f in found.explains}
-    assert "a computer that uses its own velocity" in found.text
-    assert 'state reference = "own velocity"' in found.text
+    assert "the computer uses its own velocity" in found.text
+    assert 'enter reference = "own velocity"' in found.text
 
 
 def test_own_velocity_that_is_stated_wrongly_is_told(own_velocity, tmp_path):
@@ -236,7 +236,7 @@ def test_own_velocity_that_is_stated_wrongly_is_told(own_velocity, tmp_path):
     simulate(campaign_of(tmp_path / "given", changed(text, (REFERENCE, ""))), tmp_path)
     result = calibrate(campaign_of(tmp_path, text))
     (found,) = (f for f in result.findings if f.code == "own-velocity")
-    assert 'state reference = "platform"' in found.text
+    assert 'enter reference = "platform"' in found.text
     assert far_off(calibrate(campaign_of(tmp_path, changed(text, (REFERENCE, ""))))) == set()
 
 

@@ -245,7 +245,7 @@ def test_residuals_stay_with_the_calibration_and_not_with_its_file(result, tmp_p
     again = read_result(tmp_path / "result.json")
     assert again == result
     assert again.coefficient("Qx.K_F").to_si() == result.coefficient("Qx.K_F").to_si()
-    with pytest.raises(CounterspinError, match="files do not contain them"):
+    with pytest.raises(CounterspinError, match="result files do not store residuals"):
         again.residuals()
     pickled = pickle.dumps(result)
     assert len(pickled) < 2 * len(pickle.dumps(again))

@@ -68,11 +68,13 @@ def test_changed_numbers_are_told_and_nothing_else(desk):
     made = [certificate(given, "LAB.toml").xml for given in (result(), other)]
     told = describe_changes(*made)
     assert told[:2] == [
-        "K_F of Qx: was 5000.0 ± 2.0 ug, is now not certified.",
-        "K_II of Qx: was 27.0000 ± 0.0020 ug/g^2, is now 27.1000 ± 0.0020 ug/g^2.",
+        "K_F of Qx was 5000.0 ± 2.0 ug and is now not certified.",
+        "K_II of Qx was 27.0000 ± 0.0020 ug/g^2 and is now 27.1000 ± 0.0020 ug/g^2.",
     ]
     assert told[2:] == ['the statement "Not determined, accelerometer Qx" is new.']
-    assert describe_changes(made[0], made[0]) == ["Only the identifier and the date of issue."]
+    assert describe_changes(made[0], made[0]) == [
+        "The amendment changes only the identifier and the date of issue."
+    ]
 
 
 def test_statements_that_come_and_go_are_told(desk):

@@ -132,7 +132,7 @@ def test_own_units_are_numbers_where_si_has_them(tmp_path):
     )
     made = document(tmp_path, plain.model_copy(update={"accelerometers": {"Qx": odd}}))
     assert not find(made, f"{QUANTITY}[dcc:name/dcc:content='Bias']")
-    assert b"In the unit of the readings: bias" in made
+    assert b"In the unit of the readings, the bias" in made
 
 
 def test_a_coefficient_in_si_by_hand(tmp_path):
@@ -222,9 +222,9 @@ def test_what_is_not_determined_is_left_out_and_said(tmp_path):
     assert [e.text for e in find(made, f"{QUANTITY}/dcc:name/dcc:content")] == ["K_II"]
     statements = find(made, "//dcc:statement/dcc:declaration/dcc:content")
     said = [line for e in statements for line in e.text.splitlines()]
-    assert "K_III of Qx: not determined by the records; no value is certified." in said
+    assert "K_III of Qx is not certified: the records do not determine this coefficient." in said
     (known,) = [line for line in said if line.startswith("K_I of Qx")]
-    assert "the prior, 1.0020000 ± 0.0000098 g/g (U, k = 1.96), was used" in known
+    assert "used the prior 1.0020000 ± 0.0000098 g/g (U, k = 1.96)" in known
     assert not find(made, "//si:realListXMLList")  # one coefficient has no covariance
 
 
@@ -250,11 +250,11 @@ def test_what_the_result_rests_on_is_stated(tmp_path):
     (content,) = statement.xpath(path, namespaces=NAMESPACES)
     apart, unknown = content.text.splitlines()
     # ± precedes U alone.
-    assert apart.endswith("the records determine K_II + K_OO = 27.0000, u = 0.0010 ug/g^2.")
+    assert apart.endswith("the records determine only K_II + K_OO = 27.0000, u = 0.0010 ug/g^2.")
     assert unknown == (
         "Default prior: K_OO (second-order output-axis coefficient), standard uncertainty "
         "2.0 ug/g^2 (a third of K_IP in the paper's Table 1 (6e-6 g/g²); same value for the "
-        "other terms); contributes at most 36 % of the variance."
+        "other terms); contribution to the variance at most 36 %."
     )
 
 
@@ -397,7 +397,7 @@ def test_what_the_procedure_is_and_what_the_customer_supplied(tmp_path):
     assert [e.text for e in find(made, f"{method}/dcc:reference")] == ["AP-17, edition 3"]
     assert not find(made, f"{method}/dcc:norm")  # IEEE Std 1293 is departed from
     (described,) = find(made, f"{method}/dcc:description/dcc:content")
-    assert described.text.startswith("Based on the terms of IEEE Std 1293")
+    assert described.text.startswith("The coefficients are based on the terms of IEEE Std 1293")
     assert described.text.endswith("Deviation: Two rates in place of three.")
     (state,) = find(made, "//dcc:influenceCondition[dcc:status='beforeAdjustment']/dcc:data")
     assert "".join(state.itertext()).strip() == "The item was calibrated as received."
@@ -409,7 +409,7 @@ def test_what_the_procedure_is_and_what_the_customer_supplied(tmp_path):
         "Prior for Qx: K_I (scale factor), standard uncertainty 5.0e-6 g/g, supplied by the "
         "customer."
     )
-    assert "the laboratory is not responsible for them" in supplied[0].text
+    assert "The laboratory is not responsible for these data" in supplied[0].text
 
 
 def test_no_uncertainty_is_below_the_laboratory_s_capability(tmp_path):
@@ -424,7 +424,7 @@ def test_no_uncertainty_is_below_the_laboratory_s_capability(tmp_path):
     assert found.covariance[0, 1] == pytest.approx(0.25 * 1e-6 * 1e-9, rel=1e-14)
     said = find(made, "//dcc:statement[dcc:norm='ILAC-P14:09/2020']/dcc:declaration/dcc:content")
     assert said[0].text.startswith(
-        "K_II of Qx: the evaluated uncertainty is U = 0.0020 ug/g^2; the certificate states"
+        "K_II of Qx: the evaluated uncertainty is U = 0.0020 ug/g^2. The certificate states"
     )
     assert "K_F" not in said[0].text
     # The attached result is as it was calibrated.

@@ -107,7 +107,7 @@ def test_verify_shows_them_and_names_a_matrix_that_is_another(tmp_path, poses, c
         "sensitivity of Z",
         "angle between Y and Z minus 90 deg",
         "M ± U",
-        "follow from these parameters",
+        "calculated from these parameters",
     ):
         assert words in told
     first = f"{poses.triad.matrix[2][2]!r}".encode()
@@ -122,8 +122,8 @@ def test_an_amendment_names_changed_parameters(tmp_path, poses):
     other = one.replace(b">angle.X.Y<", b">angle.Y.X<")
     shown = shown_of(poses.triad.parameters["angle.X.Y"])
     assert [line for line in describe_changes(one, other) if "triad" in line] == [
-        f"angle.X.Y of the triad: was {shown}, is now not certified.",
-        f"angle.Y.X of the triad: was not certified, is now {shown}.",
+        f"angle.X.Y of the triad was {shown} and is now not certified.",
+        f"angle.Y.X of the triad was not certified and is now {shown}.",
     ]
 
 
@@ -157,7 +157,7 @@ def test_pages_and_xml_say_the_same(tmp_path, poses):
     (said,) = (
         one for one in statements(lab, poses, poses, ISSUE, {}) if one.name == "Triad X, Y, Z"
     )
-    assert "25 poses whose attitudes were unknown" in " ".join(said.lines)
+    assert "25 poses of unknown attitude" in " ".join(said.lines)
     declared = find(
         document(tmp_path, poses, text=OWN),
         "//dcc:statement[dcc:name/dcc:content='Triad X, Y, Z']/dcc:declaration/dcc:content",
@@ -178,7 +178,7 @@ def test_pages_and_xml_say_the_same(tmp_path, poses):
 def test_the_method_is_that_of_poses(tmp_path, poses):
     method = find(document(tmp_path, poses, text=OWN), "//dcc:usedMethod[1]/dcc:description")
     words = "".join(method[0].itertext())
-    assert "At rest in 25 poses of unknown attitude." in words
+    assert "Readings at rest in 25 poses of unknown attitude." in words
     assert "turntable" not in words
     assert "spindle" not in words
 
@@ -205,7 +205,7 @@ def test_what_the_poses_do_not_determine_has_no_value(tmp_path):
     labels = [one.text for one in find(made, f"{PART}//si:real/si:label")]
     assert labels == [f"{kind}.{name}" for kind in ("offset", "sensitivity") for name in "XYZ"]
     said = "".join(find(made, "//dcc:statements")[0].itertext())
-    assert "angle between X and Y: not determined by the records" in said
+    assert 'The parameter "angle between X and Y" is not certified' in said
 
 
 def test_no_uncertainty_of_a_parameter_is_below_the_capability(tmp_path, poses):

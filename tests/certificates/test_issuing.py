@@ -65,7 +65,7 @@ def test_a_certificate_without_the_conditions_is_a_draft(desk, capsys):
     write_lab(desk, LAB.partition("[conditions]")[0])
     _, out, _ = command(capsys, "r.json", "LAB.toml", "-o", "a.xml")
     assert "certificate DRAFT-CS-" in out
-    assert "conditions.temperature: is missing" in out
+    assert "conditions.temperature: this entry is missing" in out
 
 
 def test_the_pdf_holds_the_xml_byte_for_byte(desk, capsys):
@@ -115,7 +115,7 @@ def test_a_signed_certificate_is_verified_and_says_that_it_is_signed(desk, capsy
     status, out, _ = command(capsys, "--verify", "c.xml")
     assert status == 0
     assert out.endswith(
-        "The document is signed, but the signature was not checked: give --cert CERT.pem.\n"
+        "the signature was not checked. To check the signature, give --cert CERT.pem.\n"
     )
 
 
@@ -130,7 +130,7 @@ def test_the_xml_of_a_pdf_is_verified(desk, capsys):
     assert "27.0000 ± 0.0020 ug/g^2" in out
     pages = "The pages carry a valid signature of the same signer.\n"
     assert out.endswith(f"The signature is valid.\n{pages}")
-    assert "the visible pages were not checked" in command(capsys, "--verify", "c.pdf")[1]
+    assert "The visible pages were not checked" in command(capsys, "--verify", "c.pdf")[1]
     # Pages that show something else, and those of nobody or somebody else, with the same XML.
     made = (desk / "c.pdf").read_bytes()
     place = made.index(b"/StructParents") + 4
@@ -142,7 +142,7 @@ def test_the_xml_of_a_pdf_is_verified(desk, capsys):
     (desk / "e.pdf").write_bytes(plain)
     told = command(capsys, "--verify", "e.pdf", "--cert", cert)
     assert told[0] == 0
-    assert told[1].endswith("the visible pages are not signed.\n")
+    assert told[1].endswith("The visible pages are not signed.\n")
     other = read_signer(*write_pair(desk / "o", ec.generate_private_key(ec.SECP256R1())))
     (desk / "f.pdf").write_bytes(sign_pages(plain, other, datetime.now(UTC)))
     status, out, err = command(capsys, "--verify", "f.pdf", "--cert", cert)
@@ -218,21 +218,21 @@ def test_only_those_chosen_are_certified(desk, capsys):
     write_lab(desk, LAB.replace('language = "de"', 'accelerometers = ["Qy"]'))
     status, out, _ = command(capsys, "r.json", "LAB.toml", "-o", "c.xml")
     assert status == 0
-    assert out.endswith("Not certified (see certificate.accelerometers): Qx.\n")
+    assert out.endswith("are not certified (see certificate.accelerometers): Qx.\n")
     assert list(read_certificate((desk / "c.xml").read_bytes(), "").accelerometers) == ["Qy"]
 
 
 def test_a_day_of_issue_before_the_end_is_told(desk, capsys, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     _, out, _ = command(capsys, "r.json", "LAB.toml", "-o", "c.xml")
-    assert "The day of issue, 2023-11-14, is before certificate.end, 2026-01-14." in out
+    assert "The day of issue, 2023-11-14, is earlier than certificate.end, 2026-01-14." in out
 
 
 def test_the_example_gives_a_draft_that_nobody_signs(desk, capsys):
     assert command(capsys, "--init", "mine.toml")[0] == 0
     status, out, _ = command(capsys, "r.json", "mine.toml", "-o", "c.pdf")
     assert status == 0
-    assert "This is a draft" in out
+    assert "This document is a draft" in out
     assert "certificate.begin, certificate.end, certificate.traceability, laboratory.name" in out
     assert "item.model, item.serial_number, persons[0].name" in out
     pages = [page.extract_text() for page in pypdf.PdfReader(desk / "c.pdf").pages]
@@ -268,9 +268,16 @@ def test_a_contradicted_result_is_certified_for_a_reason_only(desk, capsys):
         assert (desk / "c.pdf").exists() == (status == 0)
     assert command(capsys, "r.json", "LAB.toml", "-o", "c.xml")[0] == 0
     comment = find((desk / "c.xml").read_bytes(), "/*/dcc:comment")[0]
-    assert "The misfit was accepted: known play of the arm" in "".join(comment.itertext())
+    assert "The misfit was accepted for this reason: known play of the arm" in "".join(
+        comment.itertext()
+    )
     text = "".join(page.extract_text() for page in pypdf.PdfReader(desk / "c.pdf").pages)
-    assert " ".join(text.split()).count("The misfit was accepted: known play of the arm") == 1
+    assert (
+        " ".join(text.split()).count(
+            "The misfit was accepted for this reason: known play of the arm"
+        )
+        == 1
+    )
 
 
 def test_a_reason_may_be_given_with_the_certificate(desk, capsys):
@@ -284,8 +291,8 @@ def test_a_reason_may_be_given_with_the_certificate(desk, capsys):
     (said,) = find(
         made, f"//dcc:statement[dcc:name/dcc:content='{name}']/dcc:declaration/dcc:content"
     )
-    assert said.text.startswith("The result failed its checks. Qx: The residuals are 8")
-    assert said.text.endswith("The misfit was accepted: known play of the arm")
+    assert said.text.startswith("The result failed the quality checks. Qx: The residuals are 8")
+    assert said.text.endswith("The misfit was accepted for this reason: known play of the arm")
     judge_result(result()).write(desk / "r.json", overwrite=True)
     status, _, err = command(capsys, "r.json", "LAB.toml", "-o", "d.xml", *why)
     assert (status, "do not contradict this result" in err) == (2, True)
@@ -382,7 +389,7 @@ def test_a_result_without_a_seal_is_certified_for_a_stated_reason_only(desk, cap
     reason = ("--accept-unsealed", "Compared with the printed report.")
     for name in ("a.xml", "a.pdf"):
         assert command(capsys, "r.json", "LAB.toml", "-o", name, *reason)[0] == 0
-    said = "was accepted: Compared with the printed report."
+    said = "was accepted for this reason: Compared with the printed report."
     assert said.encode() in (desk / "a.xml").read_bytes()
     pages = "".join(page.extract_text() for page in pypdf.PdfReader(desk / "a.pdf").pages)
     assert said in " ".join(pages.split())

@@ -130,7 +130,7 @@ def test_one_entered_on_another_day_is_found_and_told(desk, killed, monkeypatch,
     killed("finish", *words)
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800086400")  # the day after
     assert run(*words) == 0
-    assert "An interrupted command already entered certificate" in capsys.readouterr().out
+    assert "by a command that was then interrupted" in capsys.readouterr().out
     found = verify_ledger(desk / "ledger.jsonl").entries
     assert [entry.of["file_sha256"] for entry in found[1:]] == [digest(desk / "a.xml")]
     assert b"2027-01-15" in (desk / "a.xml").read_bytes()

@@ -112,7 +112,7 @@ def test_a_changed_signature_is_told_from_a_changed_document(tmp_path, pairs):
     stated = root.find(".//{http://www.w3.org/2000/09/xmldsig#}KeyInfo")
     stated.getparent().remove(stated)
     with pytest.raises(
-        RecordError, match=r"the document was changed, or not .* does not name a signer"
+        RecordError, match=r"the document was changed, or the holder .* does not name a signer"
     ):
         verify(etree.tostring(root), pairs["ec"][1], "x.xml")
 

@@ -175,7 +175,7 @@ def test_an_interrupted_study_is_told_once_and_how_to_go_on(hostile, monkeypatch
     assert cli.main(["study", str(hostile)]) == 130
     assert capsys.readouterr().err == "counterspin: stopped\n"
     assert cli.main(["study", str(hostile), "-o", str(hostile)]) == 130
-    told = "counterspin: stopped; continue with the same command and --resume\n"
+    told = "counterspin: stopped; to continue, repeat the command with --resume\n"
     assert capsys.readouterr().err == told
 
 

@@ -145,7 +145,7 @@ WANTED = (
     (("certificate", "--verify", "X"), ("c.xml",), "give the XML or PDF of a certificate"),
     (("compare", "r.json", "X"), ("r.json",), "give the JSON file of a result"),
     (("rerun", "X"), ("r.json",), "give the JSON file of a result"),
-    (("ledger", "verify", "X"), ("empty", "."), "Give the ledger, or a new file"),
+    (("ledger", "verify", "X"), ("empty", "."), "Give the ledger, or the name of a new file"),
 )
 
 
@@ -182,7 +182,7 @@ def test_another_s_file_of_one_line_is_no_unfinished_ledger(told, tmp_path):
     words = ("ledger", "add", "notes", "r.json", "--who", "A. Erste", "--why", "yearly")
     status, complaint = told(*words)
     assert (status, (tmp_path / "notes").read_bytes()) == (1, b"mine")
-    assert "or this is not a ledger" in complaint
+    assert "or this file is not a ledger" in complaint
 
 
 @pytest.mark.parametrize(

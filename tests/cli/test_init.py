@@ -70,7 +70,7 @@ def test_from_a_table_of_an_arm_to_a_result(tmp_path, monkeypatch, capsys):
     told = capsys.readouterr().out
     assert "4 readings at rest (rate 0)" in told
     assert "'left' is not one of counterclockwise, clockwise. Try again:" in told
-    assert "The data show about 1 V/g. (such as 1.25 V/g)" in told
+    assert "The data suggest about 1 V/g. (for example 1.25 V/g)" in told
     assert main(["calibrate", str(tmp_path / "a"), "--json", str(tmp_path / "r.json")]) == 0
     found = Result.read(tmp_path / "r.json").accelerometers["A"].coefficients
     assert found["K_F"].value == pytest.approx(0.003, abs=1e-4)
@@ -81,7 +81,7 @@ def test_what_is_not_known_is_told_or_asked(tmp_path, plain, monkeypatch, capsys
     words = ["init", str(tmp_path), "--from", str(plain / "slow.csv"), *PLACE]
     assert main([*words, "--yes"]) == 2
     told = capsys.readouterr().err
-    assert 'Give the answer with --answer, such as "radius=2.5' in told
+    assert 'Give this value with --answer, such as "radius=2.5' in told
     assert "sense: In which sense does the angle increase" in told
     assert not (tmp_path / "campaign.toml").exists()
     assert main(words) == 2  # nobody is there to be asked

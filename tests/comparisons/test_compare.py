@@ -145,7 +145,9 @@ def test_the_two_methods_are_as_the_joint_fit_has_them(one):
     check = joint.accelerometers["Qx"].two_stage
     assert k_ii(compared).u_difference == pytest.approx(check.u_difference, rel=1e-12)
     assert k_ii(compared).z == pytest.approx(check.z, rel=1e-9)
-    assert any("joint method is assumed" in text for text in compared.agreements[0].assumed)
+    assert any(
+        "joint method gives the best estimate" in text for text in compared.agreements[0].assumed
+    )
     method = next(c for c in compared.changes if c.subject == "method")
     assert method.values == ["joint", "two-stage"]
 
@@ -171,7 +173,7 @@ def test_a_changed_input_differs_by_no_chance(one):
     assert (k_ii(other).u_difference, k_ii(other).z) == (0.0, None)
     assert other.agreements[0].p is None
     assert {c.subject for c in other.changes} == {"radius", "campaign.toml"}
-    assert "the difference is caused by the changes" in comparison_text(other)
+    assert "The changes listed below cause the difference" in comparison_text(other)
     again = cs.compare(cs.calibrate(exact), cs.calibrate(exact))
     assert again.agreements[0].p is None
     assert "are equal (the same records)" in comparison_text(again)
@@ -286,9 +288,9 @@ def test_other_places_are_converted_to_the_first_one_s_gravity():
 def test_a_conversion_is_told_with_its_amount():
     here, there = independent(), independent(gravity=9.9)
     told = comparison_text(cs.compare(here, there, names=["here", "there"]))
-    assert "there was calibrated where gravity is 9.9 m/s^2" in told
-    assert "the g-units of here (9.8 m/s^2), which changes K_F by +1 %; K_II by -1 %." in told
-    assert "calibrated where" not in comparison_text(cs.compare(here, independent()))
+    assert "there was calibrated at a gravity of 9.9 m/s^2" in told
+    assert "here (9.8 m/s^2). The conversion changes K_F by +1 %; K_II by -1 %." in told
+    assert "calibrated at" not in comparison_text(cs.compare(here, independent()))
 
 
 def with_qy(result):
@@ -307,7 +309,7 @@ def test_an_accelerometer_that_the_first_result_lacks_has_another_reference():
     assert "Qx: two and one agree" in told
     assert "Qy: three and two agree" in told
     assert "Qy: three and one" not in told
-    assert "Differences are from one (Qx) and two (Qy)" in told
+    assert "Differences are relative to one (Qx) and two (Qy)" in told
     tables = [block for block in comparison_blocks(compared) if isinstance(block, Table)]
     assert {row[1] for row in tables[0].rows} == {"one", "two", "three"}
     assert {row[1] for row in tables[1].rows} == {"two", "three"}

@@ -50,7 +50,7 @@ def test_the_outlier_is_named(laboratories):
     assert degree.e_n == pytest.approx(degree.zeta / 2)
     assert k_ii.pairs[2].d == pytest.approx(1.2e-6)
     assert k_ii.pairs[2].e_n == pytest.approx(12 / 8**0.5)
-    assert "Outside the subset: D" in reference_sentence(k_ii)
+    assert "Results outside the subset: D" in reference_sentence(k_ii)
     assert [plot.title.split()[0] for plot in pictures(cs.intercompare(*laboratories))] == [
         *("Degrees", "Degrees", "Youden")
     ]
@@ -138,6 +138,6 @@ def test_the_command_writes_its_files(laboratories, tmp_path, monkeypatch, capsy
     document = json.loads((tmp_path / "o.json").read_text())
     weights = np.array([d["u"] ** -2 for d in document["references"][0]["degrees"].values()])
     assert document["references"][0]["dof"] == weights.size - 1
-    assert "Outside the subset: D" in (tmp_path / "o.md").read_text()
+    assert "Results outside the subset: D" in (tmp_path / "o.md").read_text()
     assert (tmp_path / "o.svg").stat().st_size > 1000
     assert main(["report", "o.json", "-o", "p.html"]) == 0

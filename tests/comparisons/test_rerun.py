@@ -38,7 +38,7 @@ def camp(archive, tmp_path):
 
 def test_the_same_files_give_the_same_numbers(camp, capsys, tmp_path):
     assert main(["rerun", str(camp / "result.json"), "--json", str(tmp_path / "again.json")]) == 0
-    assert "the same within 1e-12" in " ".join(capsys.readouterr().out.split())
+    assert "equals the original within 1e-12" in " ".join(capsys.readouterr().out.split())
     repeated = RepeatedCalibration.read(tmp_path / "again.json")
     assert repeated.same
     assert repeated.largest <= repeated.limit

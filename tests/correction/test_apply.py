@@ -387,7 +387,7 @@ def test_a_contradicted_result_is_applied_for_a_reason_only(folder, capsys):
     judge_result(found, "run1 was on the old motor").write(folder / "result.json", overwrite=True)
     assert run(*words) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "The misfit was accepted: run1 was on the old motor" in said
+    assert "The misfit was accepted for this reason: run1 was on the old motor" in said
 
 
 def test_a_result_that_does_not_determine_what_is_needed_is_not_applied():
@@ -415,12 +415,12 @@ def test_what_is_not_determined_is_not_applied_and_said():
     done = apply(result({"Qx": accelerometer({}, coefficients=terms)}), "Qx", [1.005])
     assert done.corrected[0] == pytest.approx(1.0, abs=1e-15)
     assert done.u[0] == 0.0
-    assert done.notes == ("Qx: applied as estimated: K_F.",)
-    assert "not determined by the result: K_III, K_I" in done.warnings[0]
-    assert "no value for K_I (scale factor); 1 g/g is used" in done.warnings[1]
+    assert done.notes == ("Qx: coefficients applied as estimated: K_F.",)
+    assert "the result does not determine K_III, K_I" in done.warnings[0]
+    assert "no value for K_I (scale factor). The correction uses 1 g/g" in done.warnings[1]
     # Where the campaign never asked for K_I the same is true.
     (warning,) = apply(result({"Qx": found}), "Qx", [1.005]).warnings
-    assert "1 g/g is used" in warning
+    assert "The correction uses 1 g/g" in warning
 
 
 def test_prior_knowledge_is_applied_with_its_uncertainty():
@@ -429,7 +429,7 @@ def test_prior_knowledge_is_applied_with_its_uncertainty():
     done = apply(found, "Qx", [10.0 + 3e-3])
     assert done.corrected[0] == pytest.approx(10.0, abs=1e-12)
     assert done.u[0] == pytest.approx(1e-4 / (1 + 3 * 3e-6 * 100), rel=1e-9)
-    assert done.notes == ("Qx: applied as estimated: K_I; from priors: K_III.",)
+    assert done.notes == ("Qx: coefficients applied as estimated: K_I; from priors: K_III.",)
 
 
 def test_results_repeat_what_the_campaign_knows_beforehand(tmp_path):
@@ -598,7 +598,7 @@ def test_the_output_that_was_calibrated_is_corrected_as_it_is(tmp_path):
     # The unit of another output, or of an output that the result does not state, is refused.
     for one, unit, said in (
         (counting, "V", "'V' is not a unit of quantity in count"),
-        (ready, "count", "the result does not state another output of Qx"),
+        (ready, "count", "the result does not state a different output for Qx"),
     ):
         with pytest.raises(CampaignError, match=said):
             apply(one, "Qx", force, ApplyOptions(unit=unit))

@@ -78,7 +78,7 @@ def test_what_nothing_states_counts_with_all_three(tmp_path, result):
     texts = [
         text
         for text in found[0].warnings
-        if "uncertainty of these terms is not included in u" in text
+        if "u does not include the uncertainty of these terms" in text
     ]
     assert all("temperature" in text for text in texts), texts
     u = np.column_stack([one.u for one in found])

@@ -212,13 +212,13 @@ def test_what_lies_beyond_the_calibration_is_said():
     assert not inside.warnings
     (said,) = apply(found, "A", [1.0, 1.0], ApplyOptions(temperature=[25.0, 40.0])).warnings
     assert said.startswith(
-        "The temperature is 25 to 40 degC, and the calibration temperature was 10 "
+        "The temperature is 25 to 40 degC, but the calibration temperature was 10 "
     )
     other = result(MODEL | {"K_F.trend": 1e-9, "K_F.heating": 1e-7})
     (said,) = apply(other, "A", [1.0]).warnings
-    assert "not applied: K_F.trend, K_F.heating" in said
+    assert "the correction does not apply K_F.trend, K_F.heating" in said
     (note,) = apply(result(MODEL), "A", [1.0], ApplyOptions(temperature=25.0)).notes[1:]
-    assert note == "The result has no temperature slope: the temperature has no effect."
+    assert note == "The result contains no temperature slope, so the temperature has no effect."
 
 
 # --- files ----------------------------------------------------------------------------------

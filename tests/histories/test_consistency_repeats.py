@@ -133,7 +133,10 @@ def test_the_page_states_each_with_its_interval_and_says_that_few_tell_little(tm
     assert float(rows["another turn-on"][0]) == pytest.approx(own.value * 1e6, rel=0.05)
     assert rows["another day"][1].startswith("0 to ")
     told = " ".join(getattr(block, "text", "") for block in blocks)
-    assert "With few days and mountings the estimates are unreliable: use the intervals." in told
+    assert (
+        "With few days and mountings, the estimates are unreliable. Use the intervals instead."
+        in told
+    )
     path = tmp_path / "history.json"
     found.write(path)
     assert History.read(path) == found

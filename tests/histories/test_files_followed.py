@@ -96,8 +96,8 @@ def test_what_cannot_be_followed_is_said(tmp_path):
     result = cs.read_result(tmp_path / f"{DATES[0]}.json")
     alone = result.model_copy(update={"triad": None, "details": {"date": DATES[1]}})
     (left, *_) = cs.history([tmp_path, alone], term="angle").left_out
-    assert (left.accelerometer, left.reason) == ("X", "has no angle")
-    with pytest.raises(CounterspinError, match="has no angle"):
+    assert (left.accelerometer, left.reason) == ("X", "the result has no angle")
+    with pytest.raises(CounterspinError, match="the result has no angle"):
         cs.history([alone], term="angle")
 
 

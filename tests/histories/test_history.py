@@ -83,13 +83,13 @@ def test_drift_is_per_year(tmp_path):
 @pytest.mark.parametrize(
     ("shifts", "verdict", "words"),
     [
-        ([0], "single", "only one result; a comparison needs two"),
-        ([0, 1], "constant", "2 results agree with"),
-        ([0, 6], "differ", "Two results cannot distinguish a drift from a jump"),
+        ([0], "single", "There is only one result; a comparison requires at least two"),
+        ([0, 1], "constant", "2 results are consistent with"),
+        ([0, 6], "differ", "With two results, a drift cannot be distinguished from a jump"),
         ([0, 0.5, -0.5, 0.5, 0], "constant", "No significant drift"),
-        ([0, 2, 4, 6, 8], "drifts", "better than with a constant"),
-        ([0, 0, 0, 0, 8], "disagree", "The largest deviation is that of"),
-        ([0, 6, 0, 6, 0], "disagree", "not as a steady drift"),
+        ([0, 2, 4, 6, 8], "drifts", "but not with a constant"),
+        ([0, 0, 0, 0, 8], "disagree", "deviates most"),
+        ([0, 6, 0, 6, 0], "disagree", "a steady drift does not explain the scatter"),
     ],
 )
 def test_verdicts(tmp_path, shifts, verdict, words):
@@ -195,9 +195,9 @@ def test_a_misfit_that_was_accepted_has_its_place(tmp_path):
 @pytest.mark.parametrize(
     ("document", "reason"),
     [
-        (contradicted(), "is contradicted by its records: The residuals are 8 times"),
-        (dated(date=None), "has no date"),
-        (dated(date="last spring"), 'has the unreadable date "last spring"'),
+        (contradicted(), "the records contradict the result: The residuals are 8 times"),
+        (dated(date=None), "the result has no date"),
+        (dated(date="last spring"), 'the date of the result, "last spring", is not valid'),
         (dated(serial=None), "has no serial number"),
         (dated(model="as-printed"), "which return half the true K_II"),
         (without_estimate(), "does not determine K_II"),
@@ -229,7 +229,7 @@ def test_copies_count_once(tmp_path):
     found = history([folder, folder / "a.json"])
     assert len(only(found).points) == 1
     (left,) = found.left_out
-    assert left.reason == f"is the same file as {folder / 'a.json'}"
+    assert left.reason == f"this file is the same as {folder / 'a.json'}"
 
 
 def test_shared_records_are_told(tmp_path):
@@ -239,7 +239,7 @@ def test_shared_records_are_told(tmp_path):
     found = history([stored(tmp_path, first=sealed(first), second=sealed(second))])
     assert len(only(found).points) == 2
     (note,) = found.notes
-    assert "second.json shares 1 of its 2 records with" in note
+    assert "second.json shares 1 of 2 records with" in note
 
 
 def test_missing_seals_are_reported(tmp_path):
@@ -310,8 +310,8 @@ def test_wrong_usage(tmp_path, capsys):
     stored(tmp_path, a=dated())
     for term, words in (
         ("K_IV", "unknown term"),
-        ("platform.tilt.up", "of the machine"),
-        ("offset.X", '"offset" tracks all its accelerometers'),
+        ("platform.tilt.up", "is a machine term"),
+        ("offset.X", '"offset" tracks this parameter for all accelerometers'),
     ):
         assert main(["history", str(tmp_path), "--term", term]) == 2
         assert words in capsys.readouterr().err
@@ -395,8 +395,8 @@ def test_a_drift_to_the_limit_sets_the_due_date(tmp_path):
     assert longer < instrument.due.date
     told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
     assert (
-        f"Due on {instrument.due.date}: until then, the straight line through the results stays "
-        "within specification with 95.0 %" in told
+        f"is due on {instrument.due.date}. Until this date, the straight line through the results "
+        "stays within the specification with 95.0 %" in told
     )
     lines = [one.label for one in control_plot(found, instrument).series]
     assert lines.count("specification") == 1
@@ -405,7 +405,10 @@ def test_a_drift_to_the_limit_sets_the_due_date(tmp_path):
 
 
 def test_without_a_specification_or_with_a_jump_there_is_no_due_date(tmp_path):
-    assert "no result has a spec" in only(history([series(tmp_path / "a", [2.7e-5])])).due.reason
+    assert (
+        "none of the results states a spec"
+        in only(history([series(tmp_path / "a", [2.7e-5])])).due.reason
+    )
     jump = {
         f"r{i}": with_limits(dated(2.70e-5 + shift * U, date))
         for i, (shift, date) in enumerate(zip([0, 0, 0, 0, 8], DATES, strict=True))
@@ -427,7 +430,7 @@ def test_laboratories_are_compared(tmp_path):
     # Each mean has u over the root of two: U of the difference is 1.96 u (ISO 13528:2015, 9.7).
     assert pair.e_n == pytest.approx(3e-7 / (1.959964 * U), rel=1e-6)
     told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
-    assert "B minus A: 0.3 ug/g^2, E_n = 3.06: the results differ significantly." in told
+    assert "B minus A = 0.3 ug/g^2, E_n = 3.06; the results differ significantly." in told
 
 
 def test_what_is_beyond_the_limits_is_named(tmp_path):
@@ -437,7 +440,7 @@ def test_what_is_beyond_the_limits_is_named(tmp_path):
     (beyond,) = only(found).control.beyond
     assert beyond.endswith("r16.json")
     told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
-    assert f"Out of control: {beyond} is outside the action limits;" in told
+    assert f"The process is out of control: {beyond} is outside the action limits;" in told
 
 
 def test_figure_has_a_chart_for_each_instrument_and_repeats_itself(tmp_path):
@@ -473,7 +476,7 @@ def test_command_writes_what_it_shows(tmp_path, capsys):
     words = ["history", str(folder), "--figure", str(chart), "--json", str(kept)]
     assert main(words) == 0
     shown = capsys.readouterr().out
-    assert "K_II is constant: 3 results agree with 27.000 ± 0.029 ug/g^2" in shown.replace(
+    assert "K_II is constant: 3 results are consistent with 27.000 ± 0.029 ug/g^2" in shown.replace(
         "\n", " "
     )
     assert chart.read_text("utf-8").startswith("<?xml")
@@ -512,7 +515,7 @@ def test_hidden_files_and_pipes_are_no_results(tmp_path):
     assert len(only(found).points) == 1
     (hidden,) = found.left_out
     assert hidden.file.endswith(".tmpx1y2.json")
-    assert "is a hidden file left by an interrupted command" in hidden.reason
+    assert "hidden file is a remainder of an interrupted command" in hidden.reason
     (pipe,) = found.damaged
     assert "this is a pipe, not a file" in pipe.reason
     # One that is named is meant as a result.

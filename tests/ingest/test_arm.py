@@ -130,7 +130,7 @@ def test_what_the_readings_show_where_nothing_is_named(tmp_path):
     assert guesses["axis"] == "inward"
     assert guesses["axis at rest"] == "up"
     # K_I, and what K_II adds to the readings of one side.
-    assert "The data show about 1.251 mA/g." in next(
+    assert "The data suggest about 1.251 mA/g." in next(
         question.text for question in found.questions if "sensitivity" in question.key
     )
     readings = found.document(tmp_path)["readings"]
@@ -177,7 +177,10 @@ def test_the_sense_may_stand_in_a_column(tmp_path):
 def test_few_digits_of_a_rate_are_told(tmp_path):
     rows = [["in", 30.0, 1.0], ["out", 67.0, -1.0]]
     told = " ".join(read(write_table(tmp_path / "t.csv", rows)).statements)
-    assert "column 'n_rpm' has so few digits that the last digit changes the force by 7 %" in told
+    assert (
+        "column 'n_rpm' has so few digits that a change of the last digit changes the "
+        "acceleration by 7 %" in told
+    )
     rows[0][1] = 30.00012
     assert "few digits" not in " ".join(read(write_table(tmp_path / "f.csv", rows)).statements)
 
@@ -196,16 +199,15 @@ def test_an_output_with_a_zero(tmp_path):
     guesses = {question.key: question.guess for question in found.questions}
     assert guesses["axis at rest"] == "up"
     assert guesses["out_V zero"] == "2.5 V"
-    assert "The data show about 0.1251 V/g." in " ".join(
+    assert "The data suggest about 0.1251 V/g." in " ".join(
         question.text for question in found.questions
     )
 
 
 def test_a_name_that_the_readings_contradict_is_said(tmp_path):
     path = write_table(tmp_path / "t.csv", table(inward="out", outward="in"))
-    said = (
-        "mounting 'out': outward according to its name, but inward if the sensitivity is positive"
-    )
+    said = "mounting 'out': outward according to the name, but inward according to the readings"
+    said += " if the sensitivity is positive"
     assert said in read(path).statements
 
 
@@ -261,7 +263,7 @@ def test_u_is_asked_where_readings_are_too_few_to_show_it(
         calibrate(tmp_path / "camp")  # which refuses readings that are too few
         return
     assert found.open_questions[0].text.endswith(
-        "There are too few readings to estimate their noise."
+        "The noise cannot be estimated from so few readings."
     )
     found = read(tmp_path / "t.csv", u="2e-6")
     campaign = read_campaign(write_description(found, tmp_path / "camp"))
@@ -282,7 +284,7 @@ def test_a_rate_in_any_form_gives_the_same_campaign(tmp_path, head, number, unit
     assert likely_test(looks) == "arm"
     found = arm_draft(looks, SAID | {"out_mA sensitivity": "1.25"})
     assert found.document(tmp_path)["readings"]["rate_unit"] == unit
-    assert "The data show about 1.25 mA/g." in " ".join(q.text for q in found.questions)
+    assert "The data suggest about 1.25 mA/g." in " ".join(q.text for q in found.questions)
     campaign = read_campaign(write_description(found, tmp_path / "camp"))
     rates = [one.rate for one in campaign.readings if one.rate]
     assert rates == pytest.approx([-rpm * math.pi / 30.0 for _, rpm, _ in table() if rpm])

@@ -77,7 +77,7 @@ def lines(path, head, rows):
         (
             ["VarName;Time_s;VarValue"],
             "Angle;{t};{a}\nEast;{t};{e}",
-            "several quantities share a column: column 'VarName' has Angle, East in turn",
+            "the values in column 'VarName' alternate between Angle, East",
         ),
     ],
 )
@@ -102,7 +102,7 @@ def test_lines_below_the_rows_are_ignored_and_told(tmp_path, frame, below):
     path.write_text(f"{rows}{below}\n")
     contents = read_files([path])
     count = below.count("\n") + 1
-    assert any(f"ignored: the last {count} lines" in line for line in overview(contents))
+    assert any(f"the last {count} lines were ignored" in line for line in overview(contents))
     document = draft(contents, KNOWN).document(tmp_path)
     assert document["runs"][0]["records"] == {"skip_footer": count}
     path.write_text(rows)
@@ -125,7 +125,7 @@ def test_rows_are_counted_where_a_clock_has_whole_seconds(tmp_path, frame):
     assert asked.guess == "20 Hz"
     statements = " ".join(draft(read_files([path])).statements)
     assert (
-        "20 rows per second, by counting rows, because several rows have the same time in "
+        "20 rows per second, from the row count, because several rows have the same time in "
         "column 'time_s'" in statements
     )
 

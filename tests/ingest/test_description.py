@@ -105,7 +105,7 @@ def test_guesses_may_be_overruled(tmp_path):
     assert document["records"]["angle"]["zero"] == "west"
     alone = drafted(files, angle="none", rate="30 deg/s", **{"temp_m is": "unused"})
     assert alone.problems == (
-        "rate: is not one of the questions; questions: gravity, latitude, radius, sense",
+        "rate: this is not one of the questions: gravity, latitude, radius, sense",
     )
 
 

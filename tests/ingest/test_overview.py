@@ -41,7 +41,7 @@ def test_columns_are_shown_with_range_unit_and_looks():
     )
     assert lines[0] == "log.csv: 400 rows, about 20 rows per second"
     assert lines[1] == "  t [s]: 0 to 19.95, the time"
-    assert lines[2] == "  th [deg]: 0 to 351, advances evenly, like an angle"
+    assert lines[2] == "  th [deg]: 0 to 351, advances at a steady rate, like an angle"
     assert lines[3].endswith("oscillates at a steady frequency")
     assert lines[4:] == ["  k: always 3", "  mode: words, a, b"]
 
@@ -53,7 +53,7 @@ def test_nominal_orientations_are_no_measurements():
     columns = {f"n{axis}": faces[:, k] for k, axis in enumerate("xyz")}
     columns |= {f"a{axis}": read[:, k] for k, axis in enumerate("xyz")}
     contents = contents_of(columns)
-    assert "nominal orientations, not measurements" in overview([contents])[1]
+    assert "nominal orientations (values -1, 0 and 1 only)" in overview([contents])[1]
     assert likely_test([contents]) == "poses"
     assert likely_test([contents_of(dict(list(columns.items())[:3]))]) is None
 
@@ -85,7 +85,7 @@ def test_a_file_of_no_known_kind_is_never_asked_for_a_radius(tmp_path, capsys):
     assert main(["init", str(tmp_path / "c"), "--yes", "--from", str(tmp_path / "log.csv")]) == 2
     told = capsys.readouterr()
     assert "Found in the files:" in told.out
-    assert "Which type of test is it?" in told.err
+    assert "What is the test type?" in told.err
     assert "radius" not in told.out + told.err.replace("radius of a centrifuge", "")
 
 
@@ -98,7 +98,7 @@ def test_the_rate_of_alternating_sensors_is_that_of_all_rows(tmp_path):
     ]
     (tmp_path / "log.csv").write_text("\n".join(["timestamp;sensor;x", *rows]) + "\n")
     contents = read_files([tmp_path / "log.csv"])
-    assert "about 100.1 rows per second for all sensors together" in overview(contents)[0]
+    assert "about 100.1 rows per second, all sensors together" in overview(contents)[0]
     assert "swings" not in " ".join(overview(contents))
 
 
@@ -129,7 +129,7 @@ def test_lost_samples_and_bursts_are_reported(tmp_path):
     time = np.arange(2000) * 0.01
     keep = np.append(rng.random(1999) > 0.2, True)
     lost = contents_of({"time_s": time[keep], "a": rng.normal(size=int(keep.sum()))})
-    assert f"missing samples: about {2000 - keep.sum()}," in " ".join(overview([lost]))
+    assert f"missing samples: about {2000 - keep.sum()} (" in " ".join(overview([lost]))
     packet = np.arange(2000) // 8
     stamps = 0.01 * (8 * packet + rng.random(250)[packet])
     burst = contents_of({"time_s": stamps, "a": rng.normal(size=2000)})

@@ -43,7 +43,10 @@ def test_a_log_without_names_and_times(tmp_path, values):
     found = make_draft(looks, ANSWERS, "poses")
     assert found.open_questions == []
     assert found.triad == ("column 1", "column 2", "column 3")
-    assert any(one.startswith("12 poses in imu.log: rests of at least") for one in found.statements)
+    assert any(
+        one.startswith("12 poses in imu.log: rest intervals of at least")
+        for one in found.statements
+    )
     document = found.document(tmp_path / "camp")
     assert document["records"] == {"time": {"sampling_rate": "100 Hz"}}
     assert document["triad"] == {"accelerometers": ["X", "Y", "Z"]}
@@ -217,7 +220,7 @@ def test_a_file_for_each_pose(tmp_path):
     looks = read_files(files)
     assert likely_test(looks) == "poses"
     found = make_draft(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
-    assert any(one.startswith("16 poses in 16 files: rests") for one in found.statements)
+    assert any(one.startswith("16 poses in 16 files: rest intervals") for one in found.statements)
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
     assert len(result.triad.poses) == 16
     for name, bias in zip("XYZ", BIAS, strict=True):
@@ -361,7 +364,8 @@ def test_rests_of_a_second_are_found(tmp_path):
     truth = posed(1.0, 0.6, 20)
     found = make_draft(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")
     assert any(
-        one.startswith("20 poses in log.csv: rests of at least 0.5 s") for one in found.statements
+        one.startswith("20 poses in log.csv: rest intervals of at least 0.5 s")
+        for one in found.statements
     )
     assert found.document(tmp_path)["runs"][0]["poses"] == {"rest": "0.5 s"}
 
@@ -435,7 +439,7 @@ def test_forces_without_gravity_are_told(tmp_path):
     looks = write_rows(tmp_path, truth.time, values, ",".join(["Time (s)", *axes]))
     assert likely_test(looks) is None
     reasons = no_test_reasons(looks)
-    assert any("are nearly zero at rest: a filter removed gravity" in s for s in reasons)
+    assert any("are nearly zero at rest, so a filter removed gravity" in s for s in reasons)
 
 
 def faces(count, tilt=0.005, seed=6):
@@ -495,7 +499,7 @@ def test_six_faces_need_a_stated_uncertainty(tmp_path, in_table):
         looks = write_rows(tmp_path, np.arange(1, 7), means, "pose,x,y,z")
     (asked,) = make_draft(looks, PLACE, "poses").open_questions
     assert asked.key == "u"
-    assert "6 poses are too few to estimate their noise" in asked.text
+    assert "cannot be estimated from only 6 poses" in asked.text
     found = make_draft(looks, PLACE | {"u": "0.003 m/s^2", "grade": "consumer"}, "poses")
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
     for name, bias in zip("XYZ", BIAS, strict=True):
@@ -525,8 +529,8 @@ def test_a_second_sensor_in_the_file_is_said(tmp_path, values):
     found = make_draft(looks, PLACE, "poses")
     assert found.triad == ("a1", "a2", "a3")
     assert (
-        "three more axes rest at the same times, as those of a second sensor, and are not used; "
-        "to calibrate that one, answer X=b1, Y=b2, Z=b3"
+        "three more axes rest at the same times and are not used, because they belong to a second "
+        "sensor; to calibrate the second sensor, answer X=b1, Y=b2, Z=b3"
     ) in found.statements
     other = make_draft(looks, PLACE | {"X": "b1", "Y": "b2", "Z": "b3"}, "poses")
     assert other.triad == ("b1", "b2", "b3")
@@ -534,7 +538,7 @@ def test_a_second_sensor_in_the_file_is_said(tmp_path, values):
 
 def test_words_between_numbers_have_to_go(tmp_path):
     (tmp_path / "log.txt").write_text("AcX = -8272 | AcY = -14018 | AcZ = -2056\n" * 40)
-    with pytest.raises(RecordError, match="Remove words between the numbers of its rows"):
+    with pytest.raises(RecordError, match="Remove words between the numeric cells"):
         read_files([tmp_path / "log.txt"])
 
 

@@ -53,4 +53,4 @@ def test_answers_that_are_none(question, answer, told):
 def test_what_is_not_asked_is_a_mistake():
     taken, problems = judged_answers([GRAVITY, AXIS], {"axis": "e", "gravty": "9.8"})
     assert taken == {"axis": "east"}
-    assert problems == ["gravty: is not one of the questions; questions: gravity, axis"]
+    assert problems == ["gravty: this is not one of the questions: gravity, axis"]

@@ -44,8 +44,9 @@ def test_the_radius_shows_the_unit_of_a_displacement(tmp_path, unit, factor):
     found, needed = asked(path, radius="2.5 m", **told)
     assert {"a unit", "b unit"}.isdisjoint(needed)
     assert [signal.unit for signal in found.common.signals] == [unit, unit]
-    assert f"column 'a': displacement in {unit} (according to the radius), axis not detected" in (
-        found.statements
+    assert (
+        f"column 'a': displacement in {unit} (determined from the radius), axis not detected"
+        in (found.statements)
     )
 
 

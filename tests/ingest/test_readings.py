@@ -138,7 +138,7 @@ def test_the_sensitivity_is_shown_and_a_zero_is_asked_where_it_is_no_bias():
         return list(output_questions(column("A", "V"), {}, sensed))[1:]
 
     (sensitivity,) = questions(2.0, 0.5)
-    assert sensitivity.text.endswith("of column 'A'? The data show about 2 V/g.")
+    assert sensitivity.text.endswith("of column 'A'? The data suggest about 2 V/g.")
     sensitivity, zero = questions(-2.0, 2.5)
     assert sensitivity.guess is None
     assert (zero.key, zero.guess) == ("A zero", "2.5 V")

@@ -40,10 +40,10 @@ def test_starter_says_what_each_table_is_for(tmp_path):
 
 #: What a certificate says of the test.
 SAID = {
-    "tumble": "Readings at rest in 24 positions, 24 readings",
+    "tumble": "Readings at rest in 24 positions: 24 readings",
     "arm": "Readings on the arm of a centrifuge (IEEE Std 836) at 6 rates, 3.132 to "
     "14.01 rad/s, one sense of rotation, 2 mountings (in, out): 24 readings",
-    "double-turntable": "The item was mounted on a double turntable centrifuge and",
+    "double-turntable": "The item was mounted on a double-turntable centrifuge and",
 }
 
 
@@ -76,7 +76,7 @@ def test_each_example_goes_the_whole_way(tmp_path, test, capsys):
     written = certificate.read_text("utf-8")
     assert SAID[test] in written
     of_records = test == "double-turntable"
-    assert ("double turntable" in written) == of_records
+    assert ("double-turntable" in written) == of_records
     assert ("In the unit of the readings" in written) == (not of_records)
     assert ("(IEEE Std 836)" in page.read_text("utf-8")) == (test == "arm")
     if found.readings:

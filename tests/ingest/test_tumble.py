@@ -121,7 +121,7 @@ def test_what_a_table_does_not_say_is_asked(tmp_path):
     found = make_draft(read_files([path]), answers, "tumble")
     (last,) = found.open_questions
     assert last.key == "b sensitivity"
-    assert "The data show about 1.25 mA/g." in last.text
+    assert "The data suggest about 1.25 mA/g." in last.text
     with raises("missing-answer", "b sensitivity:"):
         found.document(tmp_path)
 

@@ -70,7 +70,8 @@ def test_another_rate_is_told_in_the_words_of_the_double_turntable(folder):
     assert not checked.good
     rate = math.sqrt(4.0 * GRAVITY / RADIUS)
     said = (
-        f"The spindle turned at {checked.run.rate:.6f} rad/s, not at the nominal {rate:.6f} rad/s"
+        f"The spindle turned at {checked.run.rate:.6f} rad/s instead of the nominal "
+        f"{rate:.6f} rad/s"
     )
     assert any(remark.startswith(said) for remark in checked.remarks)
 

@@ -147,7 +147,7 @@ def test_gaps_spikes_and_rounding_are_told():
     assert (signal.outliers, signal.gaps) == (1, 1)
     assert signal.resolution == pytest.approx(2e-3)
     told = " ".join(signal.remarks)
-    for words in ("outliers: 1 sample.", "split at 1 gap:", "multiples of 0.002"):
+    for words in ("outliers: 1 sample.", "split at 1 gap.", "multiples of 0.002"):
         assert words in told
 
 
@@ -162,7 +162,7 @@ def test_a_sensor_that_is_moved_meanwhile_is_told():
     (remark,) = [
         r for r in cs.noise({"t_s": time, "Q_g": moved}).signals[0].remarks if "quiet" in r
     ]
-    assert remark.startswith("From 118.8 s to 125 s the scatter is ")
+    assert remark.startswith("From 118.8 s to 125 s, the scatter is ")
     assert "moved during part of the record" in remark
     # Nor white noise nor the widest walk of a bias is a motion.
     for own in (values, 1.0 + 1e-3 * rng.standard_normal(time.size).cumsum()):
@@ -182,7 +182,9 @@ def test_unreadable_time_cell_is_located(tmp_path):
     rows = [f"17,{n * 10_000_000},{n % 7}" for n in range(99)]
     rows[40] = "17,late,5"
     (tmp_path / "a.csv").write_text("\n".join(["sec,nanosec,a_m", *rows, ""]))
-    message = r"There is no time column.*a\.csv, line 42: column 'nanosec' contains the text 'late'"
+    message = (
+        r"The file has no time column.*a\.csv, line 42: column 'nanosec' contains the text 'late'"
+    )
     with pytest.raises(RecordError, match=message):
         cs.noise(tmp_path / "a.csv")
 
@@ -190,7 +192,7 @@ def test_unreadable_time_cell_is_located(tmp_path):
 @pytest.mark.parametrize(
     ("frame", "words", "message"),
     [
-        ({"a": np.arange(100.0) % 7}, {}, "There is no time column"),
+        ({"a": np.arange(100.0) % 7}, {}, "The file has no time column"),
         (
             {"time_s": [0.0, 2.0, 1.0] * 33, "a_m": np.arange(99.0) % 7},
             {},
@@ -211,7 +213,7 @@ def test_what_cannot_be_used_is_refused(frame, words, message):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ({"columns": ["Qy"]}, "there is no 'Qy'"),
+        ({"columns": ["Qy"]}, "column 'Qy' does not exist"),
         ({"columns": ["temp"]}, "has no unit"),
         ({"columns": ["temp"], "unit": "degC"}, "is in 'degC'"),
         ({"unit": "kg"}, "`unit`: 'kg': a unit of length, velocity"),

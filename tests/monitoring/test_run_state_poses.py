@@ -120,7 +120,10 @@ def test_a_record_shorter_than_a_rest_should_not_be_kept(tmp_path, capsys):
     assert main(["check", str(tmp_path / "all.log"), "--campaign", str(tmp_path)]) == 1
     assert "has faults" in capsys.readouterr().err
     (state,) = cs.watch(tmp_path, once=True)
-    assert (state.runs[0].state, state.runs[0].why) == ("waiting", "1.0 s at rest out of 1.5 s")
+    assert (state.runs[0].state, state.runs[0].why) == (
+        "waiting",
+        "only 1.0 of 1.5 s at rest so far",
+    )
 
 
 def test_the_page_says_all_of_it(tmp_path, capsys):
@@ -156,7 +159,7 @@ def test_poses_are_followed_while_they_are_recorded(tmp_path, suffix):
         counts.append(run.poses.count if run.poses else run.why)
         assert state.goals[0].met == (part > 5000)
     states.close()
-    assert counts[0] == "0.6 s at rest out of 1.5 s"
+    assert counts[0] == "only 0.6 of 1.5 s at rest so far"
     assert counts[1:] == [sum(MANY.start + 1.5 < n / 100.0) for n in (900, 6000, len(lines))]
     result = cs.calibrate(tmp_path)
     assert [(c.value, c.u) for c in state.coefficients] == [

@@ -73,7 +73,7 @@ def test_what_happens_to_files_is_told(folder):
     (folder / "middle.csv").write_bytes(content[: len(content) // 2])
     state = next(states)
     assert state.events == [
-        "middle.csv has become shorter; counterspin now reads it again from the start."
+        "middle.csv became shorter; counterspin now reads the file again from the start."
     ]
     (folder / "middle.csv").unlink()
     state = next(states)

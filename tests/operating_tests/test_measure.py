@@ -129,7 +129,7 @@ def test_what_the_rows_do_not_show_is_not_determined(tmp_path):
         ({"input": "input_g", "time": "input_g"}, "give an input column, or a time column"),
         ({"input": "input_g", "full_scale": 0.0}, "greater than zero"),
         ({"input": "force"}, "no column 'force'"),
-        ({"input": "output_mA"}, "named for both columns"),
+        ({"input": "output_mA"}, "was given for both columns"),
         ({"time": "input_g"}, "increasing times"),
     ],
 )

@@ -33,7 +33,7 @@ def test_poses_have_the_uncertainties_that_were_forecast(tmp_path):
     # A forecast takes derivatives at nominal coefficients: these are off by a percent or less.
     for name in ("X.K_F", "Y.K_I", "Z.delta_O"):
         assert told.u[name] == pytest.approx(result.coefficient(name).u, rel=0.05)
-    with pytest.raises(CampaignError, match="needs the standard uncertainty"):
+    with pytest.raises(CampaignError, match="requires the standard uncertainty"):
         forecast(triads.table(tmp_path / "unstated", values))
 
 

@@ -53,10 +53,10 @@ def test_the_first_lines_say_what_decides_u_and_what_is_assumed(tmp_path):
     _, answer, decides = sentences(honest)[:3]
     assert answer.startswith("u(K_II of Qx) = 2.")
     assert "K_OO (second-order output-axis coefficient) contributes" in decides
-    assert "not stated, so the default of 2 ug/g^2 was used" in decides
-    assert any("No effect is assumed perfect" in text for text in sentences(honest))
-    assert sentences(taken)[2].startswith("Assumed perfect, so not included in u: ")
-    assert not any("was not stated" in text for text in sentences(taken))
+    assert "No uncertainty was stated for this term, so the default of 2 ug/g^2" in decides
+    assert any("The plan does not fix any effect" in text for text in sentences(honest))
+    assert sentences(taken)[2].startswith("These terms are fixed at their nominal values")
+    assert not any("No uncertainty was stated" in text for text in sentences(taken))
 
 
 READ = """schema = 1

@@ -135,7 +135,7 @@ def test_hysteresis_shows_in_one_turn_too(tmp_path, u, count):
     result = calibrated(tmp_path, even(count), values, u=u, terms=terms)
     assert result.state != "good"
     assert (
-        "whether the force along the input axis had increased or decreased"
+        "the sense in which the specific force along the input axis changed before the reading"
         in misfits(result)[0].text
     )
 
@@ -187,7 +187,7 @@ def test_a_swing_of_the_room_s_temperature_is_named(tmp_path, u):
     values = simulated(test, np.random.default_rng(18), SIGMA, truth=LEVEL)
     values += 12.0 * SIGMA * np.sin(2.0 * math.pi * 2.4 * np.linspace(0.0, 1.0, 24) + 0.5)
     (found,) = misfits(calibrated(tmp_path, angles.tolist(), values, u=u))
-    assert "swing 2.5 times with the order of the readings" in found.text
+    assert "oscillate 2.5 times with the order of the readings" in found.text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
@@ -207,7 +207,7 @@ def test_a_bias_that_is_another_for_negative_forces_is_named(tmp_path, u):
     values = simulated(tumble(24), np.random.default_rng(20), SIGMA, truth=LEVEL)
     values += 2e-5 * np.sign(np.round(np.cos(np.radians(angles)), 9))
     (found,) = misfits(calibrated(tmp_path, angles, values, u=u, terms=(*LEVEL, "K_II")))
-    assert "have the pattern of a bias that differs for negative forces" in found.text
+    assert "have the pattern of a bias that differs for negative specific forces" in found.text
 
 
 def test_as_many_readings_as_coefficients_judge_nothing(tmp_path):
@@ -224,7 +224,7 @@ def test_a_warm_up_is_named(tmp_path):
     values = simulated(tumble(24), np.random.default_rng(5), SIGMA, truth=LEVEL)
     values += 20.0 * SIGMA * np.exp(-np.arange(24) / 2.3)
     (found,) = misfits(calibrated(tmp_path, even(24), values))
-    assert "settle with the order of the readings, as during warm-up" in found.text
+    assert "settle with the order of the readings, as during a warm-up" in found.text
 
 
 def test_one_reading_that_is_off_is_no_pattern(tmp_path):

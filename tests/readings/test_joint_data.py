@@ -156,7 +156,7 @@ def test_a_prior_of_a_tumble_is_held_to_its_readings(tmp_path, u, state):
     result = calibrated(tmp_path, model(*LEVEL_TERMS, more=known), tumble_runs(values, u))
     first = result.findings[0]
     assert (first.code, first.subject) == ("prior-conflict", "A.K_F")
-    assert "A.K_F is stated as 2016.0 ± 2.0 ug; the records and all other priors" in first.text
+    assert "A.K_F is stated as 2016.0 ± 2.0 ug, but the records and all other priors" in first.text
     # 16 ug over the u of the difference, 2 ug and that of twelve readings.
     exact = 16.0 / math.hypot(2.0, 1e6 * SIGMA / math.sqrt(12.0))
     assert first.size == pytest.approx(exact, abs=1.0 if u else 2.5)
@@ -178,7 +178,7 @@ def test_an_input_of_the_arm_is_held_to_its_readings(tmp_path):
     result = calibrated(tmp_path, model(*TRUTH, more=known), arm_runs(test, values))
     first = result.findings[0]
     assert (first.code, first.subject) == ("wrong-input", "centrifuge.radius")
-    assert "A radius of the centrifuge of 1.0002" in first.text
+    assert "a radius of the centrifuge of 1.0002" in first.text
     assert first.as_well[0] == "A.K_I"
     assert result.state == "contradicted"
 
@@ -352,7 +352,7 @@ def test_positions_that_differ_more_than_repeats_are_a_lack_of_fit(tmp_path):
     table = as_table(tmp_path, values)
     result = calibrated(tmp_path, model(*LEVEL_TERMS), table)
     (misfit,) = [f for f in result.findings if f.code == "lack-of-fit"]
-    assert "deviate more from the model than repeats of one position" in misfit.text
+    assert "deviate more from the model than repeated readings of one position" in misfit.text
     fitting = calibrated(tmp_path, model(*LEVEL_TERMS, "K_III"), table)
     assert all(f.code != "lack-of-fit" for f in fitting.findings)
 

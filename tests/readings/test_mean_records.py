@@ -93,7 +93,7 @@ def test_runs_at_another_rate_are_named_as_those_of_the_double_turntable():
     assert finding.code == "other-rate"
     assert finding.text == (
         f"in 9: the spindle turned at {next(r.rate for r in read(result) if r.name == 'in 9'):.6f} "
-        "rad/s, not at the nominal 9.300000 rad/s; the recorded angle is used."
+        "rad/s instead of the nominal 9.300000 rad/s. The fit uses the recorded angle."
     )
     assert next(r.rate for r in read(result) if r.name == "in 9") == pytest.approx(rate, rel=1e-3)
     assert cs.calibrate(one).state == "good"

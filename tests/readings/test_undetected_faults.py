@@ -72,7 +72,7 @@ def gaining(size, where):
     [
         (r"a meter gain change of ([\d.]+) ppm above ([\d.]+ g)", ranging),
         (r'a bias step of ([\d.]+) ug starting at "(p\d+)"', stepping),
-        (r"a head error that grows by ([\d.]+) arcsec a (turn)", gaining),
+        (r"a head error that grows by ([\d.]+) arcsec per (revolution)", gaining),
     ],
 )
 def test_a_fault_moves_a_coefficient_by_as_much_as_is_stated_and_is_not_seen(
@@ -103,7 +103,7 @@ def test_a_result_with_unseen_faults_is_good_with_a_qualification(tmp_path):
     a = result.accelerometers["A"]
     assert (result.state, result.findings) == ("good", [])
     assert verdict_sentence("A", a).startswith(
-        "The result for A passed all checks, but its readings test only part"
+        "The result for A passed all checks, but the readings test only part"
     )
     assert "gain" in a.unseen_faults[0]
     (remark,) = (

@@ -16,7 +16,7 @@ def test_too_few_trials_are_not_judged(tmp_path, trials):
     first, *numbers = result.verdict
     assert first.startswith(f"{trials} trials are too few for a verdict")
     assert len(numbers) == len(result.analyses)
-    assert all("95 % intervals contain the true value in" in line for line in numbers)
+    assert all("% of the 95 % intervals contain the true value" in line for line in numbers)
     assert "trustworthy" not in " ".join(result.verdict)
     # Kept, read and shown, nothing of it is green.
     result.write(tmp_path / "study.json")

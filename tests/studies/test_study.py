@@ -290,9 +290,9 @@ def two_stage_part(folder, noise):
 @pytest.mark.parametrize(
     ("noise", "reason"),
     [
-        ('acceleration = "1e-5 g/Hz^0.5"', "the noise that the analysis assumes is not white"),
-        ('acceleration = "estimate"', "the accelerometer's noise has to be estimated"),
-        ('timing = "1e-3 s"', "recorded time that the analysis assumes"),
+        ('acceleration = "1e-5 g/Hz^0.5"', "the noise assumed in the analysis is not white"),
+        ('acceleration = "estimate"', "the noise of the accelerometer must be estimated"),
+        ('timing = "1e-3 s"', "recorded time assumed in the analysis"),
     ],
 )
 def test_analysis_that_assumes_other_noise_than_white_needs_whole_records(tmp_path, noise, reason):

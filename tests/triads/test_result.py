@@ -146,7 +146,7 @@ def test_an_error_of_setting_that_acts_on_nothing_is_told(tmp_path):
     values = _values(20, 3)
     result = cs.calibrate(triads.table(tmp_path / "poses", values, description=triads.head(stated)))
     (warning,) = (text for text in result.warnings if "[fixture]" in text)
-    assert "all attitudes of this campaign are estimated" in warning
+    assert "this campaign estimates all attitudes" in warning
     folder = triads.table(tmp_path / "both", values, u=3e-4, description=triads.head(stated))
     level = '[[runs]]\nname = "level"\nmotion = "static"\nattitude = "level"\n'
     level += 'reading = { X = "0.01 ± 3e-4 g", Y = "-0.01 ± 3e-4 g", Z = "1.04 ± 3e-4 g" }\n'

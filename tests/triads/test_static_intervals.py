@@ -77,7 +77,7 @@ def test_a_stated_threshold_and_rest_decide() -> None:
     one = find_poses(truth.time, truth.values, threshold=50.0)
     assert len(one.start) == 1
     assert one.threshold == 50.0
-    assert "The record contains no motion:" in one.warnings[0]
+    assert "The record contains no motion," in one.warnings[0]
     with raises("no-rest", "5 s", "threshold"):
         find_poses(truth.time, truth.values, rest=5.0)
     with raises("no-rest", "1.5 s", "0.01"):
@@ -88,7 +88,7 @@ def test_the_threshold_that_an_error_names_takes_the_quietest_stretch() -> None:
     truth = posed(4.0, 1.5)
     with pytest.raises(RecordError) as error:
         find_poses(truth.time, truth.values, threshold=0.01)
-    named = float(str(error.value).split("stays below ")[1].split(":")[0])
+    named = float(str(error.value).split("stays below ")[1].split(". ")[0])
     assert len(find_poses(truth.time, truth.values, threshold=1.002 * named).start) >= 1
 
 
@@ -160,7 +160,7 @@ def test_a_drift_within_a_pose_is_no_motion_but_a_slow_turn_is_doubtful() -> Non
     turned = np.array([9.81 * np.sin(0.01 * truth.time), 0.0 * truth.time, 0.0 * truth.time]).T
     noise = NOISE * np.random.default_rng(5).normal(size=turned.shape)
     found = find_poses(truth.time, turned + noise)
-    assert any("turned slowly" in doubt for doubt in found.warnings)
+    assert any("rotated slowly" in doubt for doubt in found.warnings)
 
 
 @pytest.mark.parametrize("digit", [0.005, 0.05, 0.2])
@@ -187,7 +187,7 @@ def test_saturated_and_held_rests_are_left_out_and_said() -> None:
     held[first : first + 400] = held[first]
     found = find_poses(truth.time, held)
     assert len(found.start) == 11
-    assert "do not change at all" in found.rejected[0]
+    assert "all values are identical" in found.rejected[0]
     # One axis hangs, from within one rest to within another: both are left out, and those between.
     hung = truth.values.copy()
     last = round(truth.start[7] / STEP) + 400
@@ -195,7 +195,7 @@ def test_saturated_and_held_rests_are_left_out_and_said() -> None:
     found = find_poses(truth.time, hung)
     assert len(found.start) == 9
     assert len(found.rejected) == 3
-    assert "axis 2 does not change at all" in found.rejected[0]
+    assert "axis 2 does not change" in found.rejected[0]
 
 
 def test_a_record_without_a_clear_gap_says_so() -> None:
@@ -206,7 +206,7 @@ def test_a_record_without_a_clear_gap_says_so() -> None:
     assert any("not clearly separated" in doubt for doubt in found.warnings)
     still = find_poses(time, NOISE * rng.normal(size=(6000, 3)))
     assert len(still.start) == 1
-    assert "The record contains no motion:" in still.warnings[0]
+    assert "The record contains no motion, " in still.warnings[0]
 
 
 @pytest.mark.parametrize(

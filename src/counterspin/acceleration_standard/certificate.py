@@ -62,10 +62,10 @@ from counterspin.reports.numbers import (
 from counterspin.reports.typography import typeset, typeset_block
 
 _METHOD: Final = (
-    "The acceleration follows from radius, rotation rate, alignment and gravity: a = R (1 + s c) "
-    "w^2 cos(beta) cos(lambda) + g sin(lambda) + 2 w Omega R sin(L), with c = R w^2 and lambda = "
-    "lambda_0 + d w^2 (IEEE Std 836, Annex B). The stated value is the mean over a revolution "
-    "along an input axis that points inward."
+    "The acceleration is calculated from radius, rotation rate, alignment and gravity: a = R "
+    "(1 + s c) w^2 cos(beta) cos(lambda) + g sin(lambda) + 2 w Omega R sin(L), with c = R w^2 "
+    "and lambda = lambda_0 + d w^2 (IEEE Std 836, Annex B). The stated value is the mean over "
+    "one revolution along an input axis that points inward."
 )
 
 #: Statements of a certificate: name, sentences, standards.
@@ -176,10 +176,10 @@ def _sections(
     """Return the statements of XML and pages, in the order of reading."""
     settings, quality = lab.certificate, ("ISO/IEC 17025:2017",)
     raised = [
-        f"{level_words(level)}: the evaluated uncertainty is U = "
-        f"{format_uncertainty(coverage_factor(None) * _evaluated_u(level))} m/s^2; the "
-        "certificate states the calibration and measurement capability, which is the smallest "
-        "uncertainty that the laboratory may state."
+        f"At {level_words(level)}, the evaluated uncertainty is U = "
+        f"{format_uncertainty(coverage_factor(None) * _evaluated_u(level))} m/s^2. The "
+        "certificate states the calibration and measurement capability instead, because this "
+        "is the smallest uncertainty that the laboratory may state."
         for level, u in stated
         if u > _evaluated_u(level)
     ]
@@ -200,18 +200,21 @@ def _uncertainty_lines(result: AppliedAcceleration) -> list[str]:
     k = coverage_factor(None)
     defaults = [s.symbol for s in result.applied_sources if s.origin == "default"]
     lines = [
-        "The number after ± is the expanded uncertainty U: the combined standard uncertainty "
-        "according to the GUM (JCGM 100), multiplied by the coverage factor "
-        f"k = {format_decimal(k)} of the normal distribution for a coverage probability of "
+        "The number after ± is the expanded uncertainty U. U is the combined standard "
+        "uncertainty according to the GUM (JCGM 100), multiplied by the coverage factor k = "
+        f"{format_decimal(k)} of the normal distribution for a coverage probability of "
         f"{format_share(COVERAGE)}.",
         validation_sentence(result),
     ]
     if not all(level.monte_carlo.validated for level in result.levels):
-        lines.append("If Monte Carlo does not validate it, U covers the Monte Carlo interval.")
+        lines.append(
+            "If the Monte Carlo method does not validate the GUM interval, U covers "
+            "the Monte Carlo interval."
+        )
     if defaults:
         lines.append(
-            f"No uncertainty was stated for {', '.join(defaults)}; the default uncertainty was "
-            "used."
+            f"No uncertainty was stated for {', '.join(defaults)}, so the default standard "
+            "uncertainty was used."
         )
     return lines
 
@@ -266,8 +269,8 @@ def _page_blocks(
     if issue.draft:
         yield Paragraph(certificate_text.DRAFT, "warning")
     yield Paragraph(
-        f"{issue.identifier}. The Digital Calibration Certificate (DCC, XML) with this identifier "
-        "contains the same values in machine-readable form.",
+        f"{issue.identifier}. The Digital Calibration Certificate (DCC, XML) with this "
+        "identifier contains the same values in machine-readable form.",
         "quiet",
     )
     yield two_columns_table(administrative_rows(lab, issue))

@@ -37,23 +37,25 @@ def applied_blocks(result: AppliedAcceleration) -> Iterator[Block]:
         if not level.monte_carlo.validated:
             low, high = level.monte_carlo.low, level.monte_carlo.high
             yield Paragraph(
-                f"{level_words(level)}: use the 95 % Monte Carlo interval, "
+                f"At {level_words(level)}, use the 95 % Monte Carlo interval, "
                 f"{format_number(low, 9)} to {format_number(high, 9)} m/s^2.",
                 "warning",
             )
     yield relative_plot(result)
-    yield Heading("Sources of uncertainty")
+    yield Heading("Uncertainty sources")
     yield _sources_table(result)
     defaults = [source for source in result.applied_sources if source.origin == "default"]
     if defaults:
         named = ", ".join(source.symbol for source in defaults)
         yield Paragraph(
-            f"No uncertainty was stated for {named}; the default uncertainty of the term was used.",
+            f"No uncertainty was stated for {named}, so the default standard uncertainty of "
+            "the term was used.",
             "warning",
         )
     yield Paragraph(
-        "± is one standard uncertainty (k = 1). The acceleration is the mean over a revolution "
-        f"along an input axis that points inward. 1 g = {format_number(result.gravity, 9)} m/s^2.",
+        "The number after ± is one standard uncertainty (k = 1). The acceleration is the mean "
+        "over one revolution along an input axis that points inward. 1 g = "
+        f"{format_number(result.gravity, 9)} m/s^2.",
         "quiet",
     )
 
@@ -169,7 +171,7 @@ def budget_table(result: AppliedAcceleration, level: AppliedLevel) -> Table:
     return Table(
         (
             Column("Source", wraps=True, narrowest=16),
-            Column("u of the source", "right"),
+            Column("standard uncertainty of the source", "right"),
             Column("Sensitivity", "right"),
             Column("Unit"),
             Column("Contribution, m/s^2", "right"),

@@ -64,8 +64,8 @@ _HOST_NAMES: Final = ("127.0.0.1", "localhost", "[::1]")
 
 #: What is told to who asks for something of the folder without the key.
 NO_KEY_MESSAGE: Final = (
-    "This window does not have the server's key. Open the newest link in the terminal in "
-    "which `counterspin serve` runs; each link works once."
+    "This window does not have the key of the server. Open the newest link in the terminal in "
+    "which `counterspin serve` runs. Each link works only once."
 )
 
 #: What the page may load: its own modules, styles and data; pictures have styles of their own.
@@ -198,12 +198,12 @@ class AccessControl:
         origins = headers.getlist("origin")
         same_site = headers.get("sec-fetch-site", "same-origin") in ("same-origin", "none")
         if any(origin.lower() != f"http://{hosts[0]}" for origin in origins):
-            yield 403, "The request was refused because another page sent it."
+            yield 403, "The request was refused because it came from another web page."
         if scope["method"] not in _SAFE_METHODS and not origins:
             yield 403, "The request has no Origin header."
         if path.startswith("/api/"):
             if not same_site:
-                yield 403, "The request was refused because another page sent it."
+                yield 403, "The request was refused because it came from another web page."
             if not (is_authorized or path == SESSION_PATH or path.startswith(TICKET_PATH)):
                 yield 401, NO_KEY_MESSAGE
         length = headers.get("content-length", "0")
@@ -249,7 +249,7 @@ class AccessControl:
                 await JSONResponse({"error": reason}, 413)(scope, receive, send)
         except _RequestTimeoutError:
             if not has_begun:
-                reason = f"The request did not arrive within {seconds:g} s."
+                reason = f"The request did not arrive completely within {seconds:g} s."
                 answer = JSONResponse({"error": reason}, 408, {"Connection": "close"})
                 await answer(scope, receive, send)
         except Exception as error:  # no traceback for a user

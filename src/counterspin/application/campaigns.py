@@ -51,7 +51,7 @@ _STATE_LABELS: Final[Mapping[str, str]] = {
     "mistakes": "Mistakes in the description",
     "records missing": "Records missing",
     "not calibrated": "Not calibrated yet",
-    "changed": "Changed since calibration",
+    "changed": "Changed since the last calibration",
     **{str(state): words for state, words in STATE_WORDS.items()},
 }
 

@@ -22,7 +22,10 @@ def _entries(campaign: Campaign) -> Iterator[ChecklistEntry]:
         effect = "stated (Type B)" if stated else "estimated from the residuals (Type A)"
         yield {"words": "Noise", "stated": stated, "effect": effect, "key": "noise"}
     unnumbered = [n for n, a in campaign.accelerometers.items() if not a.serial_number]
-    effect = f"not stated for {', '.join(unnumbered)}; required for the history and the certificate"
+    effect = (
+        f"not stated for {', '.join(unnumbered)}; the history and the certificate require this "
+        "value"
+    )
     first = next(iter([*unnumbered, *campaign.accelerometers]), "")
     yield {
         "words": "Serial number",
@@ -31,7 +34,7 @@ def _entries(campaign: Campaign) -> Iterator[ChecklistEntry]:
         "key": f"accelerometers.{first}.serial_number",
     }
     dated = "date" in campaign.details
-    effect = "stated" if dated else "not stated; required for the history"
+    effect = "stated" if dated else "not stated; the history requires this value"
     yield {"words": "Date", "stated": dated, "effect": effect, "key": "campaign.date"}
 
 
@@ -41,7 +44,7 @@ def _prior_entry(campaign: Campaign, key: str, symbol: str) -> ChecklistEntry:
     owner = next(iter([*unstated, *campaign.accelerometers]), "")
     effect = "stated prior (Type B)"
     if unstated:
-        effect = f"not stated for {', '.join(unstated)}; determined only by the data"
+        effect = f"not stated for {', '.join(unstated)}; the data alone determine the value"
     words = TERMS[symbol].words
     return {
         "words": f"{words[:1].upper()}{words[1:]}",

@@ -127,10 +127,10 @@ def _text_column(contents: FileContents, name: str) -> ColumnEntry:
     """Return the first cells of a column without numbers, and why it is unused."""
     cells = contents.words.get(name) or contents.first_words.get(name, ())
     words = list(dict.fromkeys(cell[:_MAX_CELL_LENGTH] for cell in cells if cell))
-    reason = "Empty in every row."
+    reason = "The column is empty in every row."
     if words:
         ellipsis = " ..." if len(words) > _MAX_CELLS else ""
-        reason = f"Text, not numbers: {', '.join(words[:_MAX_CELLS])}{ellipsis}"
+        reason = f"The column contains text, not numbers: {', '.join(words[:_MAX_CELLS])}{ellipsis}"
     spoilt_reason = next((text for text in contents.spoilt if f"'{name}'" in text), None)
     return {
         "name": name,
@@ -154,11 +154,11 @@ def _unused_reason(column: FileColumn, guess: FileGuess | None) -> str:
     """Return why a column of numbers is unused, if it is."""
     values = column.values[np.isfinite(column.values)]
     if column.stamps:
-        return "Contains timestamps; the time is read from another column."
+        return "The column contains timestamps, but the time is read from another column."
     if values.min() == values.max():
-        return f"Constant: {values[0]:.6g} in every row."
+        return f"The value is {values[0]:.6g} in every row."
     if counts_rows(column):
-        return "Contains row numbers."
+        return "The column contains row numbers."
     if column.unit and not any(converts(column.unit, si) for si in OBSERVABLES.values()):
         return f"The unit {column.unit} does not match a known signal."
     if guess is not None:
@@ -166,7 +166,7 @@ def _unused_reason(column: FileColumn, guess: FileGuess | None) -> str:
             "The column does not vary with the rotation, and the column name does not match a "
             "known signal."
         )
-    return "Neither the name nor the unit identifies the quantity."
+    return "Neither the name nor the unit of the column identifies the quantity."
 
 
 def detrended_curve(column: FileColumn, guess: FileGuess | None) -> Curve:

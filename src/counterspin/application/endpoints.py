@@ -182,7 +182,7 @@ def handle_ticket(app: AppState, ticket: str) -> ApiResponse:
     """Answer the request of a ticket; a ticket is valid once."""
     target = app.tickets.take(ticket)
     if target is None:
-        text = "This download link has been used. Click the download button again."
+        text = "This download link has already been used. Click the download button again."
         return ApiResponse(404, {"error": text, "code": "not-found"})
     return handle_request(app, "GET", *target)
 
@@ -224,7 +224,7 @@ def _unexpected_error_response(error: Exception) -> ApiResponse:
             text = f"{'.'.join(map(str, first_error['loc']))}: {first_error['msg']}"
             return ApiResponse(400, {"error": text, "code": "invalid-request"})
         case json.JSONDecodeError() | UnicodeDecodeError() | RecursionError():
-            text = "The request is not JSON."
+            text = "The body of the request is not JSON."
             return ApiResponse(400, {"error": text, "code": "invalid-request"})
         case OSError():
             text = f"The operating system reports: {error.strerror}"

@@ -182,7 +182,9 @@ def _form_field(key: str, field: FieldInfo, page: str) -> FormField:
     extra = extra_of(field)
     if_absent = extra.get("x-absent")
     meaning = (
-        "" if key in ACCELEROMETER_TERMS else (field.description or "").removesuffix("; see below")
+        ""
+        if key in ACCELEROMETER_TERMS
+        else (field.description or "").removesuffix("; see the following table")
     )
     help_text = "; ".join(filter(None, [meaning, f"default: {if_absent}" if if_absent else ""]))
     result: FormField = {
@@ -235,7 +237,7 @@ def _term_rows() -> tuple[TermRow, ...]:
     rows = {symbol: row.words for symbol, row in ACCELEROMETER_TERMS.items()}
     for family, members in BARE_NAMES.items():
         if family.count(".") == 1:
-            rows[family] = f"{members[0].words}, and similar terms"
+            rows[family] = f"{members[0].words} (and similar terms)"
     for symbol, row in (*SHARED_TERMS.items(), *READING_TERMS.items()):
         if symbol.count(".") == 1:
             rows.setdefault(symbol, row.words)

@@ -65,7 +65,10 @@ class Worker:
                 self._connection.recv() if self._connection.poll(seconds) else None
             )
         except (EOFError, OSError):
-            return "failed", "the process ended unexpectedly, possibly because memory ran out"
+            return (
+                "failed",
+                "the process ended unexpectedly, possibly because the memory was exhausted",
+            )
         return message
 
     def terminate(self) -> None:

@@ -314,8 +314,8 @@ def _certificate_refusal(result: Result) -> str:
             return ""
     if result.state == "contradicted":
         return (
-            "The records contradict this result. Find the cause and calibrate again, or state the "
-            "reason for accepting the misfit."
+            "The records contradict this result. Find the cause and calibrate again, or state "
+            "the reason for accepting the misfit."
         )
     return reasons[0] if reasons else ""
 

@@ -70,7 +70,7 @@ READING_PLAN_SLIDERS: Final[Mapping[str, SliderSpec]] = {
     "readings": SliderSpec(
         "Maximum number of readings", "", 0.25, 4.0, is_integer=True, minimum=1.0
     ),
-    "total_time": SliderSpec("Total time of all readings", "s", 0.25, 4.0),
+    "total_time": SliderSpec("Total time for all readings", "s", 0.25, 4.0),
 }
 
 

@@ -140,8 +140,8 @@ def make_application(app: AppState, credentials: Credentials) -> Starlette:
             key = None
         if key is None:
             why = (
-                "This link has been used or belongs to another server. Open the newest link in "
-                "the terminal."
+                "This link has already been used, or it belongs to another server. Open the "
+                "newest link in the terminal."
             )
             return JSONResponse({"error": why}, 403)
         if credentials.on_token_used is not None:
@@ -279,11 +279,14 @@ def serve(
     with open_listener(port) as listener, temporary_folder(_PREFIX, private) as link_folder:
 
         def print_link(link: str) -> None:
-            say("The link has been used; each link works once. For another browser or window:")
+            say(
+                "This link has been used; each link works only once. Link for another browser "
+                "or window:"
+            )
             say(f"  {link}")
 
         credentials = Credentials(listener.getsockname()[1], on_token_used=print_link)
-        say(f"Serving {folder} to this machine only. Ctrl-C stops the server.")
+        say(f"The folder {folder} is served to this machine only. Ctrl-C stops the server.")
         say(f"  {credentials.link}")
         if browser:
             opening = threading.Timer(

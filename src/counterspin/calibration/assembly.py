@@ -130,8 +130,8 @@ def _rate_findings(rates: Mapping[str, tuple[float, float]]) -> list[Finding]:
         deviations.append(deviation)
         if abs(deviation) > MAX_RATE_DEVIATION:
             text = (
-                f"{name}: the spindle turned at {rate:.6f} rad/s, not at the nominal "
-                f"{stated:.6f} rad/s; the recorded angle is used."
+                f"{name}: the spindle turned at {rate:.6f} rad/s instead of the nominal "
+                f"{stated:.6f} rad/s. The fit uses the recorded angle."
             )
             findings.append(
                 Finding(code="other-rate", subject=name, text=text, size=abs(deviation))
@@ -144,9 +144,10 @@ def _rate_findings(rates: Mapping[str, tuple[float, float]]) -> list[Finding]:
     ):
         return findings
     text = (
-        f"The spindle turned {abs(largest):.3%} {'faster' if largest > 0.0 else 'slower'} than "
-        "stated, by the same ratio in every run: the recording clock or the stated rates are "
-        "wrong by this amount. Times and rates are used as recorded."
+        f"In every run, the spindle turned {abs(largest):.3%} "
+        f"{'faster' if largest > 0.0 else 'slower'} than stated. Because all runs agree on "
+        "this ratio, either the recording clock or the stated rates are wrong by this amount. "
+        "The fit uses the recorded times and rates."
     )
     size = abs(largest)
     return [Finding(code="time-base", subject="records.time", text=text, size=size)]
@@ -162,9 +163,8 @@ def _record_end_findings(observed: Sequence[ObservedRun]) -> list[Finding]:
         duration = float(run.record.time[-1] - run.record.time[0])
         if nominal is not None and duration < COMPLETE_FRACTION * nominal:
             text = (
-                f"{name}: the record lasts {duration:.4g} s instead of the {nominal:.4g} s that "
-                "the "
-                "campaign states. Is the record complete?"
+                f"{name}: the record lasts {duration:.4g} s instead of the {nominal:.4g} s "
+                "stated in the campaign. Check that the record is complete."
             )
             findings.append(
                 Finding(code="short-record", subject=name, text=text, size=nominal / duration)
@@ -172,8 +172,8 @@ def _record_end_findings(observed: Sequence[ObservedRun]) -> list[Finding]:
         if isolated := run.record.report.isolated:
             rows = "1 row" if isolated == 1 else f"{isolated} rows"
             text = (
-                f"{name}: {rows} omitted at an end of the record, separated from the other rows "
-                "by a gap. Inspect the record."
+                f"{name}: {rows} at an end of the record omitted, because a gap separates the "
+                "omitted rows from the rest of the record. Inspect the record."
             )
             findings.append(Finding(code="lone-rows", subject=name, text=text, size=isolated))
     return findings
@@ -196,8 +196,9 @@ def _detrending_remarks(campaign: Campaign, observed: Sequence[ObservedRun]) -> 
         if count:
             remarks.append(
                 f"A {REMOVED[count]} was removed from column '{accelerometer.channel.name}' "
-                f"({name}) before the file was written ({', '.join(runs)}). This is harmless, "
-                "because the start offset and start velocity of each record are estimated."
+                f"({name}) before the file was written ({', '.join(runs)}). The removal does "
+                "not affect the result, because the fit estimates the start offset and start "
+                "velocity of each record."
             )
     return remarks
 
@@ -210,35 +211,35 @@ def _campaign_remarks(campaign: Campaign) -> list[str]:
         remarks.append(f"Omitted on request: {names}.")
     if campaign.model.setting is not None and not any(r.position for r in campaign.readings):
         remarks.append(
-            "[fixture] position is not used: it describes the setting error of known attitudes, "
-            "and all attitudes of this campaign are estimated."
+            "[fixture] position was not used. The entry describes the setting error of known "
+            "attitudes, but this campaign estimates all attitudes."
         )
     rated = [run.name for run in campaign.runs if run.u_rate]
     rated += [reading.name for reading in campaign.readings if reading.by_clock and reading.u_rate]
     if rated:
         names = ", ".join(dict.fromkeys(rated))
         remarks.append(
-            f"The stated uncertainty of the rate is not used for {names}: the rate is identified "
-            "from the record, and the stated rate is its nominal value."
+            f"The stated rate uncertainty of {names} was not used, because the fit estimates "
+            "the rate from the record. The stated rate serves only as the nominal value."
         )
     if campaign.rate_clock is None and campaign.clock is not None:
         count = sum(1 for reading in campaign.readings if reading.rate and not reading.by_clock)
         if count:
             remarks.append(
-                f"[records] clock also applies to the stated rates of {count} readings, because "
-                "[centrifuge] clock is not given. Give [centrifuge] clock if a different clock "
-                "measured these rates."
+                f"[records] clock also applies to the stated rates of {count} readings, "
+                "because [centrifuge] clock is absent. Enter [centrifuge] clock if a different "
+                "clock measured these rates."
             )
     recordings = [campaign.recording_of(run) for run in campaign.runs]
     if any(recording.angle and recording.angle.kind == "pulses" for recording in recordings):
         remarks.append(
-            "The angle is known only at the pulses: changes of the rate between pulses, such as "
-            "ripple, are neither detected nor included in the uncertainty."
+            "The records give the angle only at the pulses. Rate changes between pulses, such "
+            "as ripple, are neither detected nor included in the uncertainty."
         )
     if campaign.angle is not None or not campaign.runs:
         return remarks
     return [
         *remarks,
-        "The records contain no angle: the rotation is calculated from the nominal rates, and the "
-        "rate drift is estimated.",
+        "The records contain no angle, so counterspin calculates the rotation from the nominal "
+        "rates and estimates the rate drift.",
     ]

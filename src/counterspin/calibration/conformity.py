@@ -11,8 +11,10 @@ from counterspin.campaign.specification import Specifications
 from counterspin.inference.conformity import DecisionRule, Specification, decide, undecided
 from counterspin.inference.verdicts import Conformity
 
-_AS_PRINTED: Final = "the equations as printed return half the true K_II and support no verdict"
-_REJECTED: Final = "the records contradict the result, which supports no verdict"
+_AS_PRINTED: Final = (
+    "the equations as printed return half the true K_II, so conformity cannot be decided"
+)
+_REJECTED: Final = "the records contradict the result, so conformity cannot be decided"
 
 
 def judge_conformity(result: Result, specifications: Specifications) -> Result:

@@ -216,7 +216,8 @@ def refusal_reason(result: Result, names: Iterable[str]) -> str | None:
             why = "".join(f"{finding.text} " for finding in accelerometer.findings[:1])
             return (
                 f"the records contradict the result for {name}: {why}Find the cause and "
-                "calibrate again, or state why the misfit is accepted (accept_misfit of calibrate)"
+                "calibrate again, or state the reason for accepting the misfit (accept_misfit "
+                "of calibrate)"
             )
     return None
 
@@ -232,12 +233,12 @@ def _check_model(
         yield Finding(
             code="as-printed",
             subject=name,
-            text="The equations as printed return half the true K_II.",
+            text="The equations as printed in the paper return half the true K_II.",
         )
     k_ii, subject = accelerometer.coefficients.get("K_II"), f"{name}.K_II"
     if k_ii is not None and not k_ii.estimated and ("not-determined", subject) not in known:
         yield Finding(
-            code="not-determined", subject=subject, text="These records do not determine K_II."
+            code="not-determined", subject=subject, text="The records do not determine K_II."
         )
 
 
@@ -284,8 +285,8 @@ def check_statistics(
         yield Finding(
             code="methods-disagree",
             subject=f"{name}.K_II",
-            text="The two-stage method disagrees: the two values of K_II differ by "
-            f"{format_number(z)} standard uncertainties of the difference.",
+            text="The result of the two-stage method differs: the two estimates of K_II differ "
+            f"by {format_number(z)} standard uncertainties of the difference.",
             size=z,
         )
 
@@ -311,7 +312,7 @@ def not_determined_finding(
 
     requested: Whether the state follows from it; see `counterspin.calibration.model.is_requested`.
     """
-    text = f"The {data} do not determine {symbol}, and no prior is stated for it.{more}"
+    text = f"The {data} do not determine {symbol}, and no prior is stated for {symbol}.{more}"
     return Finding(code="not-determined", subject=subject, text=text, undetermined=requested)
 
 
@@ -319,7 +320,7 @@ def lack_of_fit_finding(name: str, sentences: Sequence[str], residual: Residual)
     """Return the finding that the residuals of an accelerometer are not its noise."""
     more = len(sentences) - 1
     text = sentences[0] + (
-        f" ({more} more findings of this kind for other runs.)" if more > 1 else ""
+        f" ({more} more findings of this type concern other runs.)" if more > 1 else ""
     )
     p, ratio = residual.lack_of_fit_p, _noise_ratio(residual)
     # A few residuals, such as two readings, are as large by chance now and then.
@@ -367,10 +368,10 @@ def _check_noise(
         yield Finding(
             code="noise-implausible",
             subject=name,
-            text=f"The accelerometer's noise was estimated as {1e6 * size * LARGEST_WALK:.0f} "
-            f"ug/Hz^0.5; more than {1e6 * LARGEST_WALK:.0f} ug/Hz^0.5 is not credible. Such "
-            "an estimate conceals a misfit, for example from a mistake in the description or "
-            "a few outlying rows.",
+            text=f"The estimated accelerometer noise, {1e6 * size * LARGEST_WALK:.0f} "
+            f"ug/Hz^0.5, exceeds the largest credible value, {1e6 * LARGEST_WALK:.0f} "
+            "ug/Hz^0.5. Such an estimate conceals a misfit, for example from a mistake in "
+            "the description or from a few outliers.",
             size=size,
             contradicts=True,
         )
@@ -392,8 +393,8 @@ def _check_jackknife(
         code="run-disagrees",
         subject=f"{name}.K_II",
         text=f"Omitting {worst.run} shifts K_II by {format_number(worst.shift * factor, 2)} "
-        f"{unit}, {z:.1f} times the standard uncertainty of the shift: this run disagrees "
-        "with the others.",
+        f"{unit}, {z:.1f} times the standard uncertainty of the shift. Therefore, this "
+        "run is not consistent with the others.",
         size=size,
         contradicts=size > CONTRADICTION_SIGMAS,
     )
@@ -432,7 +433,7 @@ def supporting_evidence(accelerometer: AccelerometerResult) -> Iterator[tuple[st
     if worst is not None and _significance(worst) <= AGREEMENT:
         yield "leave-one-run-out", "no single run dominates the result"
     if accelerometer.two_stage is not None and methods_agree(accelerometer.two_stage):
-        yield "another method", "the two-stage method agrees"
+        yield "another method", "the two-stage method is consistent with the result"
 
 
 # Causes, and what they account for

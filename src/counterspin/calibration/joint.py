@@ -64,7 +64,7 @@ from counterspin.physics.terms import TERMS
 _SAME_RATE: Final = 1.05
 
 #: What determines a term of which nothing more is known.
-_PRIOR: Final = " State a prior for it in [model.priors], or remove it from model.terms."
+_PRIOR: Final = " State a prior in [model.priors], or remove the term from model.terms."
 
 
 def _as_deviation(unknown: Unknown, c: Coefficient) -> Coefficient:
@@ -238,7 +238,7 @@ def _suggest_data(view: AccelerometerView, symbol: str) -> str:
     rates = [abs(run.rate) for run in campaign.runs]
     rates += [abs(reading.rate) for reading in campaign.readings if reading.rate]
     if symbol in TERMS and rates and max(rates) < _SAME_RATE * min(rates):
-        return " The data contain only one rate; add a run at another rate."
+        return " All runs have the same rate; add a run at another rate."
     return _PRIOR
 
 
@@ -284,8 +284,8 @@ def check_unrecorded_ripple(view: AccelerometerView) -> list[Finding]:
     force = campaign.radius.value * fastest**2 / campaign.gravity.value
     u = float(view.fit.solution.u[index])
     text = (
-        "Without a recorded angle the ripple of the rate is unknown. In this observable, a ripple "
-        f"of {0.5 * u * force:.1g} of the rate moves K_II by about half of its uncertainty, which "
-        "does not include it. Record the angle, or calibrate with displacement."
+        "The rate ripple is unknown, because the records contain no angle. A relative rate ripple "
+        f"of {0.5 * u * force:.1g} would shift K_II by about u/2, and u does not include this "
+        "shift. Record the angle, or calibrate with displacement records."
     )
     return [Finding(code="unseen-ripple", subject=f"{view.name}.K_II", text=text)]

@@ -406,7 +406,7 @@ def check_outlier_share(
         return []
     text = (
         f"{subject}: {counts['outliers']} of {samples} samples were rejected as outliers. Find "
-        "the cause, because the remaining samples may be affected too."
+        "the cause, because the remaining samples may also be affected."
     )
     return [Finding(code="many-outliers", subject=subject, text=text, size=share)]
 

@@ -57,8 +57,8 @@ _CONVERSION: Final = "counterspin.calibration.result_conversion"
 
 #: Why a result has no frame of residuals: its file holds those that the pictures show.
 _NO_RESIDUALS = (
-    "the result has no residuals of records, because files do not contain them; calibrate a "
-    "campaign with records again with the joint method"
+    "the result contains no residuals of records, because result files do not store residuals; "
+    "to obtain residuals, calibrate a campaign with records again by the joint method"
 )
 
 

@@ -99,7 +99,9 @@ def summarize(result: Result) -> str:
         remarks += [f"... {more} more findings"] if more > 0 else []
     room = MAX_LINES - 1 - len(remarks)
     if len(lines) > room:
-        lines[room - 1 :] = [f"... {len(lines) - room + 1} more coefficients: .table() has all"]
+        lines[room - 1 :] = [
+            (f"... {len(lines) - room + 1} more coefficients; .table() returns all of them")
+        ]
     return "\n".join([escape_controls(head), *map(escape_controls, lines), *remarks])
 
 

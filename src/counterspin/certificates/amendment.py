@@ -122,7 +122,7 @@ def describe_changes(old: bytes, new: bytes) -> list[str]:
     return [
         *_number_changes(before, after),
         *_text_changes(parse(old, "the certificate"), parse(new, "the certificate")),
-    ] or ["Only the identifier and the date of issue."]
+    ] or ["The amendment changes only the identifier and the date of issue."]
 
 
 def amendment_lines(amended: AmendedCertificate | None) -> list[str]:
@@ -179,7 +179,7 @@ def _number_changes(before: CertificateNumbers, after: CertificateNumbers) -> It
         for symbol in dict.fromkeys([*versions[0], *versions[1]]):
             old_text, new_text = (_format_coefficient(values.get(symbol)) for values in versions)
             if versions[0].get(symbol) != versions[1].get(symbol):
-                yield f"{symbol} of {name}: was {old_text}, is now {new_text}."
+                yield f"{symbol} of {name} was {old_text} and is now {new_text}."
 
 
 def _certified_values(certified: CertificateNumbers) -> dict[str, CertifiedAccelerometer]:

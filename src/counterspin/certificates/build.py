@@ -261,7 +261,7 @@ def _warnings(result: Result, names: Sequence[str]) -> list[str]:
     """Return all warnings of the calibration, which the certificate must state."""
     lines = list(result.warnings)
     if result.accepted_misfit is not None:
-        lines.append(f"The misfit was accepted: {result.accepted_misfit}")
+        lines.append(f"The misfit was accepted for this reason: {result.accepted_misfit}")
     for name in names:
         lines += [
             warning if warning.startswith(name) else f"{name}: {warning}"

@@ -81,7 +81,9 @@ def _attached_xml(path: Path) -> bytes:
         raise _damage_error(path, error) from error
     if len(attachments) != 1:
         own_data = (
-            "there is no XML file" if not attachments else f"there are {len(attachments)} XML files"
+            "there is no XML file"
+            if not attachments
+            else (f"there are {len(attachments)} XML files")
         )
         raise RecordError(
             f"{path}: {own_data} attached to the PDF; the PDF of a certificate has exactly one",

@@ -67,30 +67,34 @@ _METHODS: Final = {
 }
 
 _RULES: Final = {
-    "simple": "simple acceptance: pass if the estimate lies within the tolerance limits, else fail",
-    "guarded": "guarded acceptance: pass if the estimate lies within the tolerance limits by at "
-    "least the guard band, fail if it lies outside by more than that, else undecided",
-    "probability": "by probability: pass if the probability of conformity is at least the "
-    "required value, fail if the probability of non-conformity is at least that value, else "
-    "undecided",
+    "simple": (
+        "simple acceptance: the verdict is pass if the estimate lies within the tolerance "
+        "limits, and fail otherwise"
+    ),
+    "guarded": "guarded acceptance: the verdict is pass if the estimate lies inside the "
+    "tolerance limits by at least the guard band, fail if the estimate lies outside "
+    "by more than the guard band, and undecided otherwise",
+    "probability": "acceptance by probability: the verdict is pass if the probability of "
+    "conformity is at least the required value, fail if the probability of "
+    "non-conformity is at least this value, and undecided otherwise",
 }
 
 #: Statement of a certificate that lacks data of the laboratory, or is not issued yet.
 DRAFT: Final = (
-    "DRAFT. The laboratory's data are incomplete. This document is not a certificate and "
+    "DRAFT. The data of the laboratory are incomplete. This document is not a certificate and "
     "certifies nothing."
 )
 
 #: Relation of the method to the standard.
 BASED_ON: Final = (
-    "Based on the terms of IEEE Std 1293 but not in accordance with it: the coefficients are not "
-    "normalised by K_I (IEEE Std 1293: K2 = K_II/K_I)."
+    "The coefficients are based on the terms of IEEE Std 1293, but they do not follow this "
+    "standard, because they are not normalised by K_I (IEEE Std 1293: K2 = K_II/K_I)."
 )
 
 #: Disclaimer required by ISO/IEC 17025:2017, 7.8.2.2.
 CUSTOMER_DISCLAIMER: Final = (
-    "The customer supplied these data. These data can affect the validity of the results; the "
-    "laboratory is not responsible for them."
+    "The customer supplied these data, which can affect the validity of the results. The "
+    "laboratory is not responsible for these data."
 )
 
 # Headings of the statements, in the XML and on the pages.
@@ -101,7 +105,7 @@ EQUIPMENT: Final = "Equipment and traceability"
 CAPABILITY: Final = "Calibration and measurement capability"
 BASIS: Final = "Basis of the result"
 PRIOR_KNOWLEDGE: Final = "Prior information"
-ASSUMED: Final = "Terms assumed perfect, with evidence"
+ASSUMED: Final = "Terms fixed at nominal values, with evidence"
 DEFAULTS: Final = "Evidence for default uncertainties"
 SUPPLIED: Final = "Data supplied by the customer"
 CONFORMITY: Final = "Conformity"
@@ -128,21 +132,15 @@ def is_determined(coefficient: Coefficient) -> bool:
 def uncertainty_statement() -> str:
     """Return the definition of the expanded uncertainties."""
     return (
-        "The number after ± is the expanded uncertainty U: the combined standard uncertainty, "
-        "evaluated according to the GUM (JCGM 100), multiplied by the stated coverage factor k. k "
-        "is that of Student's t-distribution for the effective degrees of freedom "
-        "(Welch-Satterthwaite), or of the normal distribution where these are infinite, for a "
-        f"coverage probability of {format_share(COVERAGE)}. Quantities that the campaign does "
-        f"not state contribute to U and to probabilities of conformity with their default "
-        f"uncertainty; "
-        f"those assumed "
-        f'perfect contribute to neither, and are named under "{ASSUMED}". In the XML, numbers '
-        f"have all "
-        "digits of the computation; significantDigit is the power of ten of the last digit that "
-        "the uncertainty supports. "
-        "The ellipsoidal region is the set of all d with d' V^-1 d <= k^2 about the estimates, V "
-        "being the covariance matrix of the standard uncertainties, for the same probability of "
-        "all quantities together."
+        "The number after ± is the expanded uncertainty U. U is the combined standard "
+        "uncertainty, evaluated according to the GUM (JCGM 100), multiplied by the stated "
+        f"coverage factor k. The coverage probability is {format_share(COVERAGE)}. The factor "
+        "k is the quantile of Student's t-distribution for the effective degrees of freedom "
+        "(Welch-Satterthwaite), or of the normal distribution if the degrees of freedom are "
+        "infinite. Quantities without a value in the campaign contribute to U, and to "
+        "probabilities of conformity, with their default standard uncertainties. Terms fixed "
+        f'at nominal values contribute to neither; they are listed under "{ASSUMED}". The '
+        "numbers in the XML have all digits of the computation."
     )
 
 
@@ -150,12 +148,12 @@ def unit_statement(gravity: float) -> str:
     """Return the value of g, and the conversion between g-units and SI."""
     g = format_number(gravity, 12)
     return (
-        f"g is the local gravity of the site, g = {g} m/s^2. A coefficient that multiplies the "
-        "n-th power of specific force is g^(1-n) times as large in SI units as in g-units. To "
-        "convert to SI units, multiply K_F by g (result in m/s^2), and divide K_II by g (result in "
-        "s^2/m). If the campaign "
-        "states an uncertainty of g, the uncertainties of the coefficients include this "
-        "contribution. In SI units most of this contribution cancels."
+        f"g is the local gravity of the calibration site, g = {g} m/s^2. A coefficient that "
+        "multiplies the n-th power of the specific force is g^(1-n) times as large in SI units "
+        "as in g-units. To convert coefficients to SI units, multiply K_F by g (result in "
+        "m/s^2), and divide K_II by g (result in s^2/m). If the campaign states an uncertainty "
+        "of g, the uncertainties of the coefficients include this contribution. In SI units, "
+        "most of this contribution cancels."
     )
 
 
@@ -171,7 +169,9 @@ def scope_statement() -> str:
 def replace_plus_minus(sentence: str) -> str:
     """Return a sentence with "u =" for "±", which precedes only U in a certificate."""
     separated = _TIMES_POWER.sub(r"\1 \3, u = \2 \3", sentence)
-    return separated.replace(" ± ", ", u = ").replace("and so not in u;", "and so not in U:")
+    return separated.replace(" ± ", ", u = ").replace(
+        "and therefore not in u;", "and therefore not in U:"
+    )
 
 
 # The method
@@ -187,7 +187,7 @@ def test_lines(result: Result) -> list[str]:
     if readings_of(result) or poses_of(result):
         return list(describe_tests(result))
     return [
-        "The item was mounted on a double turntable centrifuge and rotated at the stated rates."
+        "The item was mounted on a double-turntable centrifuge and rotated at the stated rates."
     ]
 
 
@@ -260,8 +260,8 @@ def assumption_lines(name: str, result: Result) -> list[str]:
             size = f"{format_uncertainty(line.u * scale)} {unit}"
             sizes[line.source] = (
                 f"Default prior: {name_with_words(line.source)}, standard uncertainty "
-                f"{size}{_source_of_default(line.source, line.u)}; contributes at most "
-                f"{format_share(line.share)} of the variance."
+                f"{size}{_source_of_default(line.source, line.u)}; contribution to the "
+                f"variance at most {format_share(line.share)}."
             )
     return [*sentences, *reversed(sizes.values())]
 
@@ -281,9 +281,14 @@ def seal_lines(result: Result, accepted: str | None) -> list[str]:
     if result.sealed:
         return []
     return [
-        "The result file has no seal: changes after it was written cannot be excluded. The state "
-        "of the result was re-evaluated from the numbers in the file.",
-        *([] if accepted is None else [f"The missing seal was accepted: {accepted}"]),
+        "The result file has no seal, so changes after the file was written cannot be "
+        "excluded. counterspin re-evaluated the state of the result from the numbers in the "
+        "file.",
+        *(
+            []
+            if accepted is None
+            else [(f"The missing seal was accepted for this reason: {accepted}")]
+        ),
     ]
 
 
@@ -297,8 +302,8 @@ def misfit_lines(result: Result, names: Sequence[str]) -> list[str]:
         if result.accelerometers[name].state == "contradicted"
     ]
     return [
-        *(f"The result failed its checks. {line}" for line in failed),
-        f"The misfit was accepted: {result.accepted_misfit}",
+        *(f"The result failed the quality checks. {line}" for line in failed),
+        f"The misfit was accepted for this reason: {result.accepted_misfit}",
     ]
 
 
@@ -317,13 +322,17 @@ def output_lines(accelerometer: AccelerometerResult) -> dict[str, str]:
         name = {"bias": "bias (K0 times K1 of IEEE Std 1293)", "scale_factor": "scale factor K1"}[
             key
         ]
-        lines[key] = f"In the unit of the readings: {name}: {label} (U, k = {format_decimal(k)})."
+        lines[key] = (
+            f"In the unit of the readings, the {name} is {label} (U, k = {format_decimal(k)})."
+        )
     return lines
 
 
 def unit_remark(unit: SiUnit) -> str:
     """Return a remark on the unit of a quantity, for the end of its description."""
-    return "given here " + ("as a pure number." if unit == SiUnit() else f"in {unit.words}.")
+    return "given here " + (
+        ("as a dimensionless number.") if unit == SiUnit() else f"in {unit.words}."
+    )
 
 
 def coefficient_line(symbol: str, coefficient: Coefficient) -> str:
@@ -350,7 +359,7 @@ def format_in_g_units(coefficient: Coefficient, k: float) -> str:
 def undetermined_lines(name: str, accelerometer: AccelerometerResult) -> list[str]:
     """Return a sentence for each coefficient that is not certified, with the reason."""
     return [
-        f"{symbol} of {name}: {undetermined_reason(c)}; no value is certified."
+        f"{symbol} of {name} is not certified: {undetermined_reason(c)}."
         for symbol, c in accelerometer.coefficients.items()
         if not is_determined(c)
     ]
@@ -359,11 +368,11 @@ def undetermined_lines(name: str, accelerometer: AccelerometerResult) -> list[st
 def undetermined_reason(coefficient: Coefficient) -> str:
     """Return the reason why a coefficient is not certified."""
     if coefficient.value is None:
-        return "not determined by the records"
+        return "the records do not determine this coefficient"
     assert coefficient.u is not None
     k = coverage_factor(None)
     known = f"{format_in_g_units(coefficient, k)} (U, k = {format_decimal(k)})"
-    return f"not determined by the records; the prior, {known}, was used"
+    return f"the records do not determine this coefficient, and the fit used the prior {known}"
 
 
 # Conformity

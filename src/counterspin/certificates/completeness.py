@@ -21,7 +21,7 @@ from counterspin.reports.numbers import format_share
 #: smaller by more than 5 %.
 EVIDENCE_SHARE: Final = 0.1
 
-_TEMPLATE: Final = "still has the value of the template; replace it"
+_TEMPLATE: Final = "this entry still has the value of the template; replace the value"
 
 
 @frozen
@@ -47,9 +47,10 @@ def missing_evidence(source: str, share: float, quantity: str) -> MissingEntry:
     """Return the entry for a default uncertainty that causes a share of a variance."""
     return MissingEntry(
         f"evidence.{source}",
-        f"is missing; the default uncertainty of {name_with_words(source)} contributes "
-        f"{format_share(share)} of the variance of {quantity}: give evidence for its bound, such "
-        "as a data sheet, or state a prior for the term in the campaign",
+        f"this entry is missing; the default standard uncertainty of {name_with_words(source)} "
+        f"contributes {format_share(share)} of the variance of {quantity}. Give evidence for "
+        "the bound of this term, such as a data sheet, or state a prior for the term in the "
+        "campaign",
     )
 
 
@@ -85,8 +86,8 @@ def missing_lines(entries: Sequence[MissingEntry]) -> list[str]:
     keys = [entry.key for entry in entries if entry.words == _TEMPLATE]
     lines = (
         [
-            f"{', '.join(keys)}: these keys still have the values of the template; replace them "
-            "before signing"
+            f"{', '.join(keys)}: these entries still have the values of the template; replace "
+            "the values before signing"
         ]
         if keys
         else []
@@ -98,8 +99,9 @@ def _missing_conditions(lab: Lab) -> Iterator[MissingEntry]:
     if lab.conditions.temperature is None:
         yield MissingEntry(
             "conditions.temperature",
-            "is missing; a certificate must state the environmental conditions that influence the "
-            'results (ISO/IEC 17025, 7.8.4.1 b), such as temperature = "20.0 ± 0.3 degC"',
+            "this entry is missing; a certificate must state the environmental conditions that "
+            'influence the results (ISO/IEC 17025, 7.8.4.1 b), such as temperature = "20.0 ± '
+            '0.3 degC"',
         )
 
 
@@ -107,7 +109,8 @@ def _missing_evidence(lab: Lab, result: Result) -> Iterator[MissingEntry]:
     for term in terms_without_evidence(result.assumed, lab.evidence):
         yield MissingEntry(
             f"evidence.{term}",
-            "is missing; the result assumes this term to be perfect: give evidence for its bound",
+            "this entry is missing; the result fixes this term at the nominal value. Give "
+            "evidence for the bound of this term",
         )
     lacking = dict[str, tuple[float, str]]()
     for name, source, share, symbol in _default_shares(lab, result):

@@ -161,25 +161,30 @@ def triad_lines(triad: TriadResult) -> list[str]:
     """Return sentences on the triad: the method, its parameters, and those without a value."""
     names = ", ".join(triad.accelerometers)
     lines = [
-        f"{names} form one sensor. In addition to the coefficients, the certificate gives "
-        "parameters that do not depend on the frame of the sensor: offsets, sensitivities, and "
-        "the angles between the sensitive axes (Geist, Gaitan et al., J. Res. NIST 122 (2017) 32)."
+        f"The accelerometers {names} form one sensor. In addition to their coefficients, the "
+        "certificate gives parameters that do not depend on the frame of the sensor: offsets, "
+        "sensitivities, and the angles between the sensitive axes (Geist, Gaitan et al., J. "
+        "Res. NIST 122 (2017) 32)."
     ]
     if triad.poses:
         rms = ""
         if triad.rms_before is not None:
             before = format_number(triad.rms_before, 3)
-            rms = f" The magnitude of f minus g has an rms of {before} m/s^2"
+            rms = f" The difference between |f| and g has an rms of {before} m/s^2"
             after = triad.rms_after
-            rms += "." if after is None else f", corrected {format_number(after, 3)} m/s^2."
+            rms += (
+                "."
+                if after is None
+                else (f"before and {format_number(after, 3)} m/s^2 after correction.")
+            )
         lines.append(
-            f"The sensor was at rest in {len(triad.poses)} poses whose attitudes were unknown: "
-            "the attitude in each pose was estimated together with the coefficients; only the "
-            f"magnitude of the specific force, the local gravity, was taken as known.{rms}"
+            f"The sensor was at rest in {len(triad.poses)} poses of unknown attitude. The fit "
+            "estimated the attitude in each pose together with the coefficients. Only the "
+            f"magnitude of the specific force, the local gravity, was known.{rms}"
         )
     lines += [
-        f"{parameter_words(name)}: {certificate_text.undetermined_reason(c)}; "
-        "no value is certified."
+        f'The parameter "{parameter_words(name)}" is not certified: '
+        f"{certificate_text.undetermined_reason(c)}."
         for name, c in triad.parameters.items()
         if not certificate_text.is_determined(c)
     ]
@@ -228,11 +233,11 @@ def output_lines(result: Result, triad: TriadResult) -> list[str]:
     other_terms = [name for name in triad.parameters if name.split(".")[0] in triad.accelerometers]
     reduced = f", minus the contributions of {', '.join(other_terms)}" if other_terms else ""
     return [
-        f"Corrected output: f = M (y - b), where y are the indications of {names} divided by "
+        f"Corrected output: f = M (y - b). Here, y are the indications of {names} divided by "
         f"their nominal sensitivities{by}{reduced}, and b are the offsets. The components of f "
         "are along the axes x, y, z in which the campaign states the directions of the "
-        "accelerometers: east, north and up while the sensor is level. Misalignments that are not "
-        "listed above have their stated values, or zero."
+        "accelerometers: east, north and up while the sensor is level. Misalignments that are "
+        "not listed above have their stated values or, without a stated value, zero."
     ]
 
 
@@ -343,9 +348,9 @@ def cmc_lines(result: Result, certified: Result, lab: Lab) -> list[str]:
             unit, factor = field_unit(c.unit)
             evaluated = format_uncertainty(coverage_factor(c.dof) * c.u * factor)
             lines.append(
-                f"{words}: the evaluated uncertainty is U = {evaluated} {unit}; the certificate "
-                "states the calibration and measurement capability, which is the smallest "
-                "uncertainty that the laboratory may state."
+                f"{words}: the evaluated uncertainty is U = {evaluated} {unit}. The "
+                "certificate states the calibration and measurement capability instead, "
+                "because this is the smallest uncertainty that the laboratory may state."
             )
     return lines
 

@@ -58,9 +58,9 @@ def require_evidence(assumed: Sequence[str], evidence: Mapping[str, str], source
     lacking = list(dict.fromkeys(".".join(name.split(".")[:2]) for name in lacking))
     lines = " ".join(f'"{name}" = "..."' for name in lacking)
     problem = (
-        f"evidence: the result assumes {', '.join(lacking)} to be perfect, so u does not include "
-        "these terms; give evidence for the bound of each term in [evidence], such as a "
-        f"measurement or a data sheet: {lines}; or calibrate without the assumption"
+        f"evidence: the result fixes {', '.join(lacking)} at nominal values, so u does not "
+        "include these terms; give evidence for the bound of each term in [evidence], such as "
+        f"a measurement or a data sheet: {lines}; or calibrate without fixing these terms"
     )
     raise CampaignError(source, [problem], code="certificate-incomplete")
 

@@ -48,17 +48,17 @@ def ledger_path(data: Lab, lab: Mapping[str, Any] | Path | str) -> Path | None:
 def issue_notes(lab: Lab, issue: Issue, missing: Sequence[MissingEntry]) -> Iterator[str]:
     """Yield notes on dates and missing data, which the laboratory should check."""
     if (day := issue.date.date()) < lab.certificate.end:
-        yield f"The day of issue, {day}, is before certificate.end, {lab.certificate.end}."
+        yield f"The day of issue, {day}, is earlier than certificate.end, {lab.certificate.end}."
     for equipment in lab.equipment:
         if equipment.due is not None and equipment.due < lab.certificate.begin:
             yield (
-                f"The calibration of {equipment.name} was due on {equipment.due}, before "
+                f"The calibration of {equipment.name} was due on {equipment.due}, earlier than "
                 f"certificate.begin, {lab.certificate.begin}."
             )
     if missing:
         yield (
-            "This is a draft, which cannot be signed and is not entered in a ledger. Missing "
-            "entries:"
+            "This document is a draft, so it cannot be signed or entered in a ledger. These "
+            "entries are missing:"
         )
         yield from missing_lines(missing)
 
@@ -72,7 +72,8 @@ def signer_notes(signer: Signer | None, issue: Issue) -> Iterator[str]:
     if not begin <= issue.date.date() <= end:
         yield (
             f"The day of issue, {issue.date.date()}, is outside the validity of the signer's "
-            f"certificate ({begin} to {end}): after {end} the signature will not be accepted."
+            f"certificate ({begin} to {end}). After {end}, verifiers will not accept the "
+            "signature."
         )
 
 

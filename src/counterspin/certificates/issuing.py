@@ -198,8 +198,8 @@ class Certificate:
         earlier_entry = record_certificate(ledger_path, path, data, entry, details)
         if earlier_entry is not None:
             self.notes.append(
-                f"An interrupted command already entered certificate {self.identifier} on "
-                f"{earlier_entry.when}: {path} is the certificate of that entry "
+                f"Certificate {self.identifier} was already entered on {earlier_entry.when} by "
+                f"a command that was then interrupted. {path} is the certificate of that entry "
                 f"({earlier_entry.number})."
             )
 
@@ -391,9 +391,9 @@ def _reason(issue: Issue, result: Result) -> str:
     """Return the reason of issue, with the reasons of all exceptions."""
     reason = "issued" if issue.amended is None else issue.amended.reason
     if result.accepted_misfit is not None:
-        reason += f"; the misfit was accepted: {result.accepted_misfit}"
+        reason += f"; the misfit was accepted for this reason: {result.accepted_misfit}"
     if issue.accepted_unsealed is not None:
-        reason += f"; the missing seal was accepted: {issue.accepted_unsealed}"
+        reason += f"; the missing seal was accepted for this reason: {issue.accepted_unsealed}"
     return reason
 
 
@@ -401,9 +401,9 @@ def _unsealed_error(result: Result, accept_unsealed: str | None) -> str | None:
     """Return the error of a result whose file must not be certified; None if it may be."""
     if not result.sealed and accept_unsealed is None:
         return (
-            "the file has no seal, so changes after writing cannot be excluded; give the original "
-            "file, calibrate again, or state in `accept_unsealed` why the result is certified "
-            "nevertheless"
+            "the file has no seal, so changes after the file was written cannot be excluded; "
+            "give the original file, calibrate again, or state in `accept_unsealed` why the "
+            "result is certified nevertheless"
         )
     if result.sealed and accept_unsealed is not None:
         return "the file has a valid seal; omit `accept_unsealed`"
@@ -413,7 +413,10 @@ def _unsealed_error(result: Result, accept_unsealed: str | None) -> str | None:
 def _omission_notes(lab: Lab, result: Result) -> Iterator[str]:
     names = lab.certified(result)
     if excluded := [name for name in result.accelerometers if name not in names]:
-        yield f"Not certified (see certificate.accelerometers): {', '.join(excluded)}."
+        yield (
+            "These accelerometers are not certified (see certificate.accelerometers): "
+            f"{', '.join(excluded)}."
+        )
 
 
 # Reading and checking
@@ -494,9 +497,11 @@ def certificate_blocks(certified: CertificateNumbers) -> Iterator[Block]:
         if triad.matrix is not None and triad.expanded is not None and triad.factor is not None:
             matrix, expanded = triad.matrix.tolist(), triad.expanded.tolist()
             yield output_table(triad.accelerometers, matrix, expanded, triad.factor)
-            yield Paragraph("The matrix and the offsets follow from these parameters.", "quiet")
+            yield Paragraph(
+                "The matrix and the offsets are calculated from these parameters.", "quiet"
+            )
     yield Paragraph(
-        f"g = {format_number(certified.gravity, 9)} m/s^2, assumed exact for the values in "
+        f"g = {format_number(certified.gravity, 9)} m/s^2, taken as exact for the values in "
         "g-units.",
         "quiet",
     )

@@ -41,8 +41,8 @@ _LOCKED_BYTE: Final = 0x7FFF_0000
 _LOCK_PAUSE: Final = 0.05
 
 _NO_LEDGER: Final = (
-    "entry 1 was altered, or this is not a ledger; do not rely on this file. Give the ledger, or "
-    "a new file"
+    "entry 1 was altered, or this file is not a ledger; do not rely on this file. Give the "
+    "ledger, or the name of a new file"
 )
 
 #: Keys of an entry, in the order in which they are written; `hash` is last.
@@ -453,9 +453,9 @@ def ledger_blocks(verified: VerifiedLedger) -> Iterator[Block]:
         ),
     )
     yield Paragraph(
-        f"{len(verified.entries)} entries, none altered. Hash of the last entry: {verified.head}. "
-        "Keep a copy of this hash elsewhere: it reveals whether entries were removed at the end, "
-        "or the whole ledger was rewritten."
+        f"{len(verified.entries)} entries, none of them altered. Hash of the last entry: "
+        f"{verified.head}. Keep a copy of this hash in a different place. The copy reveals "
+        "whether the last entries were removed or the whole ledger was rewritten."
     )
 
 

@@ -61,8 +61,8 @@ def page_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> I
     if issue.draft:
         yield Paragraph(certificate_text.DRAFT, "warning")
     yield Paragraph(
-        f"{issue.identifier}. The Digital Calibration Certificate (DCC, XML) with this identifier "
-        "contains the same values in machine-readable form.",
+        f"{issue.identifier}. The Digital Calibration Certificate (DCC, XML) with this "
+        "identifier contains the same values in machine-readable form.",
         "quiet",
     )
     for line in amendment_lines(issue.amended):
@@ -173,7 +173,7 @@ def _result_blocks(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
     yield Paragraph(
         "The XML contains the covariances of these coefficients"
         + (
-            ", including those between accelerometers."
+            ", including covariances between accelerometers."
             if len(names) > 1 and stated.correlation
             else "."
         ),

@@ -148,8 +148,8 @@ def _describe_signer(root: Any, certificate: Path | KeyMaterial) -> str:
         stated = load_der_x509_certificate(b64decode(root.findtext(_STATED_CERTIFICATE)))
     except (TypeError, ValueError):
         return (
-            f"the document was changed, or not signed by the holder of {certificate}; it does not "
-            "name a signer"
+            f"the document was changed, or the holder of {certificate} did not sign it; the "
+            "document does not name a signer"
         )
     try:
         _signed_part(root, stated.public_key())

@@ -110,12 +110,12 @@ def _unexpected_error_message(error: Exception) -> str:
     if isinstance(error, ImportError):
         return (
             f"part of the installation cannot be loaded ({CounterspinError(str(error))}); "
-            "reinstall counterspin, or check whether memory is short"
+            "reinstall counterspin, or check whether enough memory is free"
         )
     what = str(CounterspinError(f"{type(error).__name__}: {error}"))
     return (
-        f"internal error ({what}). This is a fault of counterspin, not of your files. "
-        "The output with COUNTERSPIN_DEBUG=1 helps the maintainers to fix it."
+        f"internal error ({what}). The error is in counterspin, not in your files. To help the "
+        "maintainers, repeat the command with COUNTERSPIN_DEBUG=1 and send them the output."
     )
 
 

@@ -133,8 +133,14 @@ _ISSUED_AS_IS = IssueOptions()
 
 #: What is said of a PDF's pages.
 _PAGES = {
-    None: "This applies only to the XML attached to the PDF; the visible pages were not checked.",
-    "none": "This applies only to the XML attached to the PDF; the visible pages are not signed.",
+    None: (
+        "This statement applies only to the XML attached to the PDF. The visible pages were "
+        "not checked."
+    ),
+    "none": (
+        "This statement applies only to the XML attached to the PDF. The visible pages are not "
+        "signed."
+    ),
     "valid": "The pages carry a valid signature of the same signer.",
 }
 
@@ -188,8 +194,8 @@ def certificate(
         report_console().print(Report(list(certificate_blocks(checked.certified))))
         said = {
             "none": "The document is not signed.",
-            "unchecked": "The document is signed, but the signature was not checked: give --cert "
-            "CERT.pem.",
+            "unchecked": "The document is signed, but the signature was not checked. To check "
+            "the signature, give --cert CERT.pem.",
             "valid": "The signature is valid.",
         }
         print_output("", said[checked.signature])

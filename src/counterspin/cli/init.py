@@ -57,7 +57,7 @@ def init(
     written = run(directory, test or "double-turntable")
     _write_schema(directory)
     print_output(
-        f"Wrote {written}. Edit it, or try it:",
+        f"Wrote {written}. Edit this file, or try the example:",
         f"  counterspin simulate {shell_word(written)} -o {shell_word(directory / 'simulated')}",
         f"  counterspin calibrate {shell_word(directory / 'simulated')}",
     )
@@ -95,7 +95,7 @@ def _import_files(
     if (question := sensor_question(all_contents)) is not None:
         if not asks_questions:
             example = f'"select={question.example}"'
-            text = f"{question.text} Give the answer with `answer`, such as {example}."
+            text = f"{question.text} Give this value with `answer`, such as {example}."
             raise CampaignError("init", [f"select: {text}"], code="missing-answer")
         answers["select"] = _ask(question)
         all_contents = read_files(files, answers)
@@ -123,7 +123,7 @@ def _import_files(
         problems = map(partial(_name_option, questions), error.problems)
         raise type(error)("init", problems, code=error.codes) from None
     print_output(
-        f"Wrote {written}. Check it, then:",
+        f"Wrote {written}. Check this file, then calibrate:",
         f"  counterspin calibrate {shell_word(directory)}",
     )
 
@@ -133,7 +133,7 @@ def _name_option(questions: Mapping[str, FileQuestion], problem: str) -> str:
     question = next((q for start, q in questions.items() if problem.startswith(start)), None)
     if question is None:
         return problem
-    return f'{problem} Give the answer with `answer`, such as "{question.key}={question.example}".'
+    return f'{problem} Give this value with `answer`, such as "{question.key}={question.example}".'
 
 
 def _choose_test(all_contents: Sequence[FileContents], *, asks: bool) -> Test:
@@ -148,8 +148,8 @@ def _choose_test(all_contents: Sequence[FileContents], *, asks: bool) -> Test:
         return cast("Test", _ask(question))
     if likely is None:
         text = (
-            f"{question.text} Choose with `test`. The test cannot be detected from the files: "
-            f"{'; '.join(reasons)}"
+            f"{question.text} Choose a test type with `test`. The files do not show the test "
+            f"type: {'; '.join(reasons)}"
         )
         raise CampaignError("init", [f"test: {text}"], code="missing-answer")
     return likely
@@ -167,7 +167,7 @@ def _parse_answers(given: list[str]) -> dict[str, str]:
 
 def _ask(question: FileQuestion) -> str:
     """Return a person's answer; repeat the question until the answer is valid."""
-    hint = " or ".join(question.choices) or f"such as {question.example}"
+    hint = " or ".join(question.choices) or f"for example {question.example}"
     default = f"; Enter: {question.guess}" if question.guess else ""
     print_output(f"{question.text} ({hint}{default})")
     while True:

@@ -87,7 +87,10 @@ def plan(
     if sum(given is not None for given in (file, check, start.init)) != 1:
         raise UsageError("plan", ["give a plan file, --check DIR, or --init FILE"])
     if start.init is not None:
-        print_output(f"Wrote {write_example(start.init, start.example)}. Edit it, or try it:")
+        print_output(
+            f"Wrote {write_example(start.init, start.example)}. Edit this file, or "
+            "calculate the example plan:"
+        )
         print_output(f"  counterspin plan {shell_word(start.init)}")
         return
     save_options.reserve(PlanResult.file_kind)
@@ -111,10 +114,10 @@ def plan(
         written = None if output is None else write_campaign(planned, output)
         report_console().print(result)
     if output is not None and result.readings:
-        print_output("", f"Wrote {written}. Replace each ? with the reading, then:")
+        print_output("", f"Wrote {written}. Replace each ? with the reading, then calibrate:")
         print_output(f"  counterspin calibrate {shell_word(output)}")
     elif output is not None and written is not None:
-        print_output("", f"Wrote {written}. Record its runs, or simulate them:")
+        print_output("", f"Wrote {written}. Record the runs, or simulate them:")
         print_output(
             f"  counterspin simulate {shell_word(written)} -o {shell_word(output / 'simulated')}"
         )

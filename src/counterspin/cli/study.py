@@ -104,5 +104,5 @@ def study(
             write_figures(result, output, overwrite=resume or save_options.overwrite)
         report_console().print(result)
     if not result.complete:
-        more = "" if output is None else "; continue with the same command and --resume"
+        more = "" if output is None else "; to continue, repeat the command with --resume"
         raise KeyboardInterrupt(f"stopped{more}")

@@ -334,17 +334,18 @@ def relation_of(
     assumed = []
     if not all(e.complete for e in estimates):
         assumed.append(
-            "One of the results has no uncertainty budget or no correlations, "
-            "so the terms are compared as if they were uncorrelated."
+            "One of the results has no uncertainty budget or no correlations, so the "
+            "comparison treats its coefficients as uncorrelated."
         )
     if not all(records):
         assumed.append(
-            "One of the results lists no records: the two results are assumed to be independent."
+            "One of the results does not list its records. The comparison assumes that the two "
+            "results are independent."
         )
     if not records[0] & records[1]:
         assumed.append(
-            "Radius, gravity and priors that both results state identically count as one "
-            "measurement; everything else is assumed independent."
+            "Values of radius, gravity and priors that both results state identically are "
+            "treated as the same measurement. All other inputs are treated as independent."
         )
         return Relation("independent"), assumed
     overlap: Literal["same", "part"] = "same" if records[0] == records[1] else "part"
@@ -354,30 +355,30 @@ def relation_of(
     )
     if efficient is None and overlap == "part":
         assumed.append(
-            "The results share some records, but neither uses all records of the other: the "
-            "results are assumed to be independent, which overestimates the uncertainty of a "
-            "difference."
+            "The results share some records, but neither result uses all records of the other. "
+            "The comparison assumes that the results are independent, which overestimates the "
+            "uncertainty of a difference."
         )
     elif first.model != second.model:
         assumed.append(
-            "One of the results was computed with the equations as printed, which estimate a "
-            "different quantity: the uncertainty of a difference has little meaning."
+            "One of the results was computed with the paper's equations as printed, which "
+            "estimate a different quantity. The uncertainty of a difference has little meaning."
         )
     elif efficient is None:
         assumed.append(
-            "The models are not nested, or the priors differ: the result with the smaller "
-            "variance is assumed to be the best estimate from these records, so the variances are "
-            "subtracted."
+            "The models are not nested, or the priors differ. The comparison assumes that the "
+            "result with the smaller variance is the best estimate from these records, and "
+            "subtracts the variances."
         )
     elif first.method != second.method:
         assumed.append(
-            "The joint method is assumed to give the best estimate from these records, so the "
-            "variances are subtracted."
+            "The comparison assumes that the joint method gives the best estimate from these "
+            "records, and subtracts the variances."
         )
     elif not same_weights and _estimated_noise(name, first) != _estimated_noise(name, second):
         assumed.append(
-            "The results state different noise: the variances are subtracted although the weights "
-            "differ too."
+            "The two results state different noise. The variances were subtracted, but the "
+            "weights also differ, so the uncertainty of the difference is approximate."
         )
     return Relation(overlap, efficient, same_weights, _noise_ratio(name, first, second)), assumed
 

@@ -96,8 +96,8 @@ def intercompare(
         laboratories=list(laboratories),
         references=references,
         assumed=[
-            f"The campaign of {', '.join(unnamed)} does not state a laboratory: equal statements "
-            "about the machine and the site are treated as the same measurement."
+            f"The campaigns of {', '.join(unnamed)} do not name a laboratory. Identical "
+            "statements about the machine and the site are treated as the same measurement."
         ]
         if unnamed
         else [],

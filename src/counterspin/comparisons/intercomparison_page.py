@@ -34,13 +34,16 @@ def intercomparison_blocks(compared: Intercomparison) -> Iterator[Block]:
         yield _degree_plot(reference)
         if reference.shared:
             sources = ", ".join(reference.shared)
-            yield Paragraph(f"Common sources, included as covariances: {sources}.", "quiet")
+            yield Paragraph(
+                f"The comparison includes these common sources as covariances: {sources}.", "quiet"
+            )
     yield from _youden_plots(compared)
     yield Paragraph(
-        "± is one standard uncertainty, U an expanded uncertainty (k = 2). d: value minus "
-        "reference value. E_n = d/U(d) and zeta = d/u(d) as in ISO 13528; |E_n| <= 1 is "
-        "satisfactory. The reference value is the weighted mean of the largest consistent subset "
-        "(Cox, Metrologia 44 (2007) 187). Its u does not include the choice of the subset.",
+        "The number after ± is one standard uncertainty. U is an expanded uncertainty (k = 2). "
+        "d is the value minus the reference value. E_n = d/U(d) and zeta = d/u(d) follow ISO "
+        "13528; |E_n| <= 1 is satisfactory. The reference value is the weighted mean of the "
+        "largest consistent subset (Cox, Metrologia 44 (2007) 187). The u of the reference "
+        "value does not include the choice of the subset.",
         "quiet",
     )
     for text in compared.assumed:
@@ -63,9 +66,9 @@ def reference_sentence(reference: ReferenceValue) -> str:
     members = [name for name, degree in reference.degrees.items() if degree.member]
     others = "; ".join(", ".join(names) for names in reference.alternatives)
     return (
-        f"Reference value {value}, from the largest consistent subset: {', '.join(members)} "
-        f"(p = {format_number(reference.p_members, 2)}). Outside the subset: "
-        f"{', '.join(outside)}. The results are not mutually consistent ({test})."
+        f"Reference value {value}, from the largest consistent subset: {', '.join(members)} (p "
+        f"= {format_number(reference.p_members, 2)}). Results outside the subset: "
+        f"{', '.join(outside)}. The complete set of results is not consistent ({test})."
     ) + (f" Other consistent subsets of the same size: {others}." if others else "")
 
 
@@ -131,7 +134,7 @@ def _degree_plot(reference: ReferenceValue) -> Plot:
             high = tuple(a + b for a, b in zip(y, half, strict=True))
             series.append(
                 PlotSeries(
-                    f"{label}; bars: U", x, y, low, high, kind="points", stands_out=not member
+                    f"{label}; error bars: U", x, y, low, high, kind="points", stands_out=not member
                 )
             )
     has_reference = reference.value is not None

@@ -57,9 +57,10 @@ def comparison_blocks(compared: ResultComparison) -> Iterator[Block]:
             coefficients, short_names([result.name for result in compared.results])
         )
     yield Paragraph(
-        f"± is one standard uncertainty (k = 1). Differences are from {_references(compared)}; "
-        "their uncertainties account for sources common to both results. z: difference divided "
-        "by its standard uncertainty.",
+        "The number after ± is one standard uncertainty (k = 1). Differences are relative to "
+        f"{_references(compared)}. The uncertainties of the differences account for sources "
+        "common to both results. z is the difference divided by the standard uncertainty of "
+        "the difference.",
         "quiet",
     )
     yield from _shared_source_blocks(compared)
@@ -106,10 +107,10 @@ def _conversion_note(compared: ResultComparison, result: ComparedResult, gravity
         f"{', '.join(symbols)} by {percent:+.2g} %" for percent, symbols in moved.items() if percent
     )
     return (
-        f"{result.name} was calibrated where gravity is {format_number(gravity, 9)} m/s^2. The "
-        f"values are converted to the g-units of {compared.results[0].name} "
-        f"({format_number(compared.gravity, 9)} m/s^2), which changes "
-        f"{'; '.join(amounts) or 'none of them'}."
+        f"{result.name} was calibrated at a gravity of {format_number(gravity, 9)} m/s^2. The "
+        f"comparison converts the values to the g-units of {compared.results[0].name} "
+        f"({format_number(compared.gravity, 9)} m/s^2). The conversion changes "
+        f"{'; '.join(amounts) or 'no coefficient'}."
     )
 
 
@@ -119,13 +120,13 @@ def agreement_sentence(compared: ResultComparison, agreement: AgreementOfTwo) ->
     whose = f"{agreement.accelerometer}: {agreement.result} and {first}"
     records = _RECORDS[agreement.records]
     if not agreement.terms:
-        return f"{whose} do not determine any coefficient in common ({records})."
+        return f"{whose} have no determined coefficient in common ({records})."
     if agreement.p is None and _is_identical(compared, agreement):
         return f"{whose} are equal ({records})."
     if agreement.p is None:
         return (
-            f"{whose} cannot differ by chance ({records}): the difference is caused by the "
-            "changes listed below."
+            f"{whose} use the same records, so chance cannot explain the difference "
+            f"({records}). The changes listed below cause the difference."
         )
     agree = "agree" if agreement.agrees else "differ significantly"
     words = (
@@ -214,7 +215,7 @@ def _pictures(coefficients: list[ComparedCoefficient], names: tuple[str, ...]) -
                 y_label=f"K_II, {unit}",
                 series=(
                     PlotSeries(
-                        "estimate; bars: one standard uncertainty",
+                        "estimate; error bars: one standard uncertainty",
                         tuple(map(float, range(len(y)))),
                         y,
                         low=tuple(a - b for a, b in zip(y, u, strict=True)),
@@ -229,7 +230,10 @@ def _pictures(coefficients: list[ComparedCoefficient], names: tuple[str, ...]) -
 def _shared_source_blocks(compared: ResultComparison) -> Iterator[Block]:
     shared = dict.fromkeys(source for a in compared.agreements for source in a.shared)
     if shared:
-        yield Paragraph(f"Shared by both results, and accounted for: {', '.join(shared)}.", "quiet")
+        yield Paragraph(
+            f"These sources are shared by both results and accounted for: {', '.join(shared)}.",
+            "quiet",
+        )
     for text in dict.fromkeys(text for a in compared.agreements for text in a.assumed):
         yield Paragraph(f"Assumed: {text}", "quiet")
 
@@ -266,11 +270,17 @@ def repetition_sentence(repeated: RepeatedCalibration) -> str:
     if repeated.same:
         size = repeated.largest or 0.0
         most = f"largest relative difference {size:.1e}" if size else "all numbers are equal"
-        return f"{repeated.result}: the repeated result is the same within {limit} ({most})."
+        return (
+            f"{repeated.result}: the repeated result equals the original within {limit} ({most})."
+        )
     whose = "; ".join(change.subject for change in repeated.changes)
-    cause = f" Changed: {whose}." if whose else " Inputs, version and environment are the same."
+    cause = (
+        f" Changed: {whose}."
+        if whose
+        else (" The inputs, the version and the environment are the same.")
+    )
     if repeated.largest is None:
-        how = "its coefficients, or the determined ones, differ"
+        how = "the sets of coefficients, or of determined coefficients, differ"
     elif repeated.largest <= repeated.limit:
         how = f"the state was {repeated.state_before} and is now {repeated.state_now}"
     elif repeated.largest_in_u is None:
@@ -280,7 +290,10 @@ def repetition_sentence(repeated: RepeatedCalibration) -> str:
             f"the largest difference is {format_number(repeated.largest_in_u)} u "
             f"(relative: {repeated.largest:.1e})"
         )
-    return f"{repeated.result}: the repeated result is not the same within {limit}: {how}.{cause}"
+    return (
+        f"{repeated.result}: the repeated result differs from the original by more than "
+        f"{limit}: {how}.{cause}"
+    )
 
 
 def _difference_table(differing: list[RepeatedCoefficient]) -> Table:

@@ -308,7 +308,7 @@ def _column_scales(
         except ValueError as error:
             text = f"`unit`: {error}"
             if nominal is None:
-                text += f"; the result does not state another output of {name}"
+                text += f"; the result does not state a different output for {name}"
             raise CampaignError(_SOURCE, [text], code=code_of(error)) from error
         scales[name] = _ColumnScale(
             factor / nominal.sensitivity, nominal.zero / nominal.sensitivity
@@ -320,16 +320,22 @@ def _missing_input_warnings(name: str, symbols: Sequence[str]) -> Iterator[str]:
     slopes = [symbol for symbol in symbols if symbol not in TERMS]
     products = [symbol for symbol in symbols if symbol in TERMS]
     for omitted, missing_input in (
-        (products, "force along the other axes is not given (`pendulous`, `output_axis`)"),
+        (
+            products,
+            ("the specific force along the other axes is not given (`pendulous`, `output_axis`)"),
+        ),
         (
             slopes,
-            "temperature is not given (`temperature`), or differs from the calibration temperature",
+            (
+                "the temperature is not given (`temperature`), or it differs from the "
+                "calibration temperature"
+            ),
         ),
     ):
         if omitted:
             yield (
-                f"{name}: {', '.join(omitted)} are not stated, and the {missing_input}; the "
-                "uncertainty of these terms is not included in u."
+                f"{name}: {', '.join(omitted)} are not stated, and {missing_input}. Therefore, "
+                "u does not include the uncertainty of these terms."
             )
 
 
@@ -344,8 +350,8 @@ def _unapplied_warnings(name: str, accelerometer: AccelerometerResult) -> list[s
     if not unapplied:
         return []
     return [
-        f"{name}: not applied: {', '.join(unapplied)}. The correction applies to the start of the "
-        "calibration, before its specific forces heated the accelerometer."
+        f"{name}: the correction does not apply {', '.join(unapplied)}. It is valid for the "
+        "start of the calibration, before the specific force heated the accelerometer."
     ]
 
 
@@ -353,8 +359,8 @@ def _misfit_warnings(result: Result) -> list[str]:
     if result.accepted_misfit is None:
         return []
     return [
-        f"The records contradict this result: {result.findings[0].text} The misfit was accepted: "
-        f"{result.accepted_misfit}"
+        f"The records contradict this result: {result.findings[0].text} The misfit was "
+        f"accepted for this reason: {result.accepted_misfit}"
     ]
 
 
@@ -363,8 +369,8 @@ def _covariance_warnings(name: str, accelerometer: AccelerometerResult) -> list[
     if is_possible(covariance_of(accelerometer, determined_terms(accelerometer))):
         return []
     return [
-        f"{name}: the correlations in the result are inconsistent, because of a fault in versions "
-        "before 0.1.0; u is an upper bound. Calibrate again."
+        f"{name}: the correlations in the result are inconsistent because of a fault in "
+        "versions before 0.1.0, so u is an upper bound. Calibrate again."
     ]
 
 
@@ -390,7 +396,7 @@ def _missing_force_errors(
         if instrument.name == accelerometer:
             remedy = f'give `{option}`: a column, or a constant such as `{option}="-1 g"`'
         else:
-            remedy = "give `pendulous` or `output_axis` of the accelerometer to be corrected"
+            remedy = "give `pendulous` or `output_axis` for the accelerometer to be corrected"
         problems.append(
             f"{', '.join(symbols)} of {instrument.name} {verb} the specific force along its "
             f"{axis_name} axis; {remedy}, or name an accelerometer that senses it with `others`"
@@ -404,7 +410,7 @@ def _applied_note(name: str, accelerometer: AccelerometerResult) -> str:
     from_priors = ", ".join(s for s, c in terms.items() if not c.estimated)
     parts = [f"as estimated: {estimated}"] if estimated else []
     parts += [f"from priors: {from_priors}"] if from_priors else []
-    return f"{name}: applied {'; '.join(parts) or 'nothing'}."
+    return f"{name}: coefficients applied {'; '.join(parts) or 'none'}."
 
 
 def _omitted_term_warnings(name: str, accelerometer: AccelerometerResult) -> list[str]:
@@ -413,14 +419,14 @@ def _omitted_term_warnings(name: str, accelerometer: AccelerometerResult) -> lis
     unknown = [symbol for symbol, c in terms.items() if c.value is None]
     if unknown:
         warnings.append(
-            f"{name}: not applied, because not determined by the result: {', '.join(unknown)}. "
-            "The uncertainty of these terms is not included in u."
+            f"{name}: the result does not determine {', '.join(unknown)}, so the correction "
+            "does not apply these terms, and u does not include their uncertainty."
         )
     for symbol, row in TERMS.items():
         if row.nominal and (symbol not in terms or symbol in unknown):
             warnings.append(
-                f"{name}: the result has no value for {symbol} ({row.words}); {row.nominal:g} "
-                f"{row.unit} is used as if it were exact."
+                f"{name}: the result has no value for {symbol} ({row.words}). The correction "
+                f"uses {row.nominal:g} {row.unit} as an exact value."
             )
     return warnings
 
@@ -436,5 +442,5 @@ def _range_warnings(result: Result, name: str, indicated: Array) -> list[str]:
         return []
     return [
         f"{name}: the indication reaches {largest:.3g} g, but the calibration reached only "
-        f"{calibrated_range:.3g} g: above this value, u covers only the terms of the model."
+        f"{calibrated_range:.3g} g. Above this value, u includes only the terms of the model."
     ]

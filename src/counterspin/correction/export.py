@@ -307,7 +307,7 @@ def _determined_triad(result: Result) -> TriadResult:
             code="missing-in-result",
         )
     if triad.matrix is None or triad.bias is None:
-        why = triad.why_no_matrix or "The result has no matrix."
+        why = triad.why_no_matrix or "The result contains no correction matrix."
         raise RecordError(f"the triad has no matrix: {why}", code="missing-in-result")
     return triad
 

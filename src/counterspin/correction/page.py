@@ -42,16 +42,17 @@ def _column_blocks(corrected: CorrectedFile) -> list[Block]:
     )
     return [
         Paragraph(
-            f"{corrected.rows} rows of {corrected.column}, from {format_number(corrected.low, 6)} "
-            f"to {format_number(corrected.high, 6)} {unit}{missing}.{read}"
+            f"{corrected.rows} rows of {corrected.column}, from "
+            f"{format_number(corrected.low, 6)} to {format_number(corrected.high, 6)} "
+            f"{unit}{missing}.{read}"
         ),
         Paragraph(
-            f"Largest correction {format_number(corrected.most.correction, 6)} {unit}, at "
-            f"{format_number(corrected.most.indicated, 6)} {unit}."
+            f"The largest correction is {format_number(corrected.most.correction, 6)} {unit}, "
+            f"at {format_number(corrected.most.indicated, 6)} {unit}."
         ),
         Paragraph(
-            f"Standard uncertainty of the correction (k = 1): {at(corrected.at_one_g)} (the row "
-            f"nearest to 1 g), {at(corrected.at_largest)} (the largest). The noise of the "
-            "indication is not included."
+            f"The standard uncertainty of the correction (k = 1) is {at(corrected.at_one_g)} "
+            f"(row nearest to 1 g) and {at(corrected.at_largest)} (largest value). It does not "
+            "include the noise of the indication."
         ),
     ]

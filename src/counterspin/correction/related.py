@@ -41,7 +41,7 @@ def temperature_offset(
         words = (
             'give `temperature`: a column, or a constant such as `temperature="23 ± 1 degC"`'
             if reference is not None
-            else "the result does not state the calibration temperature: calibrate again"
+            else "the result does not state the calibration temperature; calibrate again"
         )
         raise CampaignError(
             "apply",
@@ -89,11 +89,11 @@ def temperature_notes(
         return
     reference = result.inputs.reference_temperature
     if reference is None or not any(instrument.slopes for instrument in instruments):
-        yield "The result has no temperature slope: the temperature has no effect."
+        yield "The result contains no temperature slope, so the temperature has no effect."
         return
     yield (
-        f"Temperature slopes are relative to {reference - ZERO_CELSIUS:.6g} degC, the temperature "
-        "at which the coefficients apply."
+        f"Temperature slopes are relative to {reference - ZERO_CELSIUS:.6g} degC, the "
+        "reference temperature of the coefficients."
     )
 
 
@@ -111,9 +111,9 @@ def temperature_warnings(
     low, high = float(temperatures.min()), float(temperatures.max())
     if low < seen[0] - _TEMPERATURE_MARGIN or high > seen[1] + _TEMPERATURE_MARGIN:
         yield (
-            f"The temperature is {_format_range(low, high)}, and the calibration temperature was "
-            f"{_format_range(seen[0], seen[1])}: outside this range, u covers only the slopes of "
-            "the result."
+            f"The temperature is {_format_range(low, high)}, but the calibration temperature "
+            f"was {_format_range(seen[0], seen[1])}. Outside the calibrated range, u includes "
+            "only the temperature slopes of the result."
         )
 
 

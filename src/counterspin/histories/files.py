@@ -87,9 +87,11 @@ def tracked_values(result: Result, quantity: str) -> Iterator[TrackedValue]:
 #: Keys of every result, whatever its schema; other JSON files in a folder are not results.
 _RESULT_KEYS: Final = {"method", "accelerometers", "provenance"}
 
-_HIDDEN_REASON: Final = "is a hidden file left by an interrupted command; delete it"
+_HIDDEN_REASON: Final = "this hidden file is a remainder of an interrupted command; delete the file"
 
-_SUMMARY_REASON: Final = "is a summary of several campaigns; write a result for each"
+_SUMMARY_REASON: Final = (
+    "this file is a summary of several campaigns; write a separate result file for each campaign"
+)
 
 
 @frozen
@@ -159,7 +161,7 @@ def collect_results(inputs: Sequence[Path | Result], term: str) -> ResultSet:
         first = seen.setdefault(hashlib.sha256(content).hexdigest(), str(file))
         if first != str(file):
             collected.left_out.append(
-                UnusedResult(file=str(file), reason=f"is the same file as {first}")
+                UnusedResult(file=str(file), reason=f"this file is the same as {first}")
             )
         else:
             _add_file(file, term, collected)
@@ -234,13 +236,16 @@ def _dated_result(
     serial_numbers = [result.accelerometers[name].serial_number for name in names]
     uses_campaign_serial = None in serial_numbers
     if coefficient is None:
-        return f"has no {term}"
+        return f"the result has no {term}"
     if not coefficient.estimated or coefficient.value is None or not coefficient.u:
-        return f"does not determine {term}"
+        return f"the result does not determine {term}"
     if (problem := _reason_unusable(result, names)) is not None:
         return problem
     if uses_campaign_serial and campaign_serial is None:
-        return "has no serial number; state the serial number in [accelerometers] or [campaign]"
+        return (
+            "the result has no serial number; state the serial number in [accelerometers] or "
+            "[campaign]"
+        )
     if isinstance(date, str):
         return date
     identifiers = [campaign_serial, *names] if uses_campaign_serial else serial_numbers
@@ -278,21 +283,25 @@ def _limits(conformity: Conformity | None) -> tuple[float | None, float | None, 
 def _reason_unusable(result: Result, names: Sequence[str]) -> str | None:
     """Return the reason why a result is unusable, or None."""
     if result.model == "as-printed":
-        return "was computed with the equations as printed, which return half the true K_II"
+        return (
+            "the result was computed with the equations as printed, which return half the true K_II"
+        )
     for name in names:
         if refusal_reason(result, [name]) is not None:
-            return f"is contradicted by its records: {result.accelerometers[name].findings[0].text}"
+            return (
+                f"the records contradict the result: {result.accelerometers[name].findings[0].text}"
+            )
     return None
 
 
 def _parse_date(text: str | None) -> datetime | str:
     """Return a campaign's date, or the reason why it is unusable."""
     if text is None:
-        return "has no date; state the date in [campaign]"
+        return "the result has no date; state the date in [campaign]"
     try:
         date = datetime.fromisoformat(text.strip())
     except ValueError:
-        return f'has the unreadable date "{text}"; write the date as 2026-03-01'
+        return f'the date of the result, "{text}", is not valid; use the form 2026-03-01'
     return date.astimezone(UTC).replace(tzinfo=None) if date.tzinfo else date
 
 

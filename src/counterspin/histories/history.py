@@ -139,10 +139,13 @@ def history(
 
 def _unknown_term_message(term: str) -> str:
     if term in SHARED_TERMS:
-        return f'"{term}" is a term of the machine; a history tracks a term of an accelerometer'
+        return f'"{term}" is a machine term; a history tracks an accelerometer term'
     kind, _, owner = term.partition(".")
     if owner and kind in TRIAD_QUANTITIES:
-        return f'"{term}" is a quantity of a triad; "{kind}" tracks all its accelerometers'
+        return (
+            f'"{term}" is a parameter of a triad; "{kind}" tracks this parameter for all '
+            "accelerometers of the triad"
+        )
     return f'unknown term "{term}"{suggest_name(term, [*TERMS, *TRIAD_QUANTITIES])}'
 
 
@@ -162,7 +165,7 @@ def _remove_duplicates(collected: ResultSet) -> None:
                 UnusedResult(
                     file=record.file,
                     accelerometer=record.accelerometer,
-                    reason=f"uses the same records as {first.file}",
+                    reason=f"the result uses the same records as {first.file}",
                 )
             )
 
@@ -193,8 +196,8 @@ def _shared_record_notes(by_serial: dict[str, list[DatedResult]]) -> list[str]:
             for earlier in records[:i]:
                 if common := len(earlier.records & later.records):
                     notes.append(
-                        f"{serial}: {later.file} shares {common} of its {len(later.records)} "
-                        f"records with {earlier.file}; they are not independent."
+                        f"{serial}: {later.file} shares {common} of {len(later.records)} "
+                        f"records with {earlier.file}, so the two results are not independent."
                     )
     return notes
 
@@ -264,9 +267,9 @@ def _due_date(
 ) -> Due:
     limits = _latest_specification(records)
     if limits is None:
-        reason = "no result has a specification"
+        reason = "none of the results states a specification"
     elif line is None:
-        reason = "results of at least two dates are needed"
+        reason = "a straight line requires results of at least two dates"
     elif verdict in {"differ", "disagree"}:
         reason = (
             "the results are not consistent with a straight line, so they cannot be extrapolated"
@@ -276,7 +279,10 @@ def _due_date(
         date = next_due_date(line, records[0].date, records[-1].date, ends, reliability)
         if date is not None:
             return Due(date=date.date().isoformat(), reliability=reliability)
-        reason = f"the line stays within specification for {MAX_YEARS:g} years: set a limit"
+        reason = (
+            f"the straight line stays within the specification for {MAX_YEARS:g} years; set a "
+            "recalibration interval"
+        )
     return Due(date=None, reliability=reliability, reason=reason)
 
 

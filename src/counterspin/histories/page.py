@@ -49,9 +49,10 @@ def history_blocks(history: History) -> Iterator[Block]:
         if len(instrument.points) > 1:
             yield control_plot(history, instrument)
     yield Paragraph(
-        "± is one standard uncertainty (k = 1). z: difference from the weighted mean divided by "
-        "its standard uncertainty. E_n: change since the previous result divided by the expanded "
-        "uncertainty (95 %) of the change; two results are consistent if |E_n| <= 1 (ISO 13528).",
+        "The number after ± is one standard uncertainty (k = 1). z is the difference from the "
+        "weighted mean, divided by the standard uncertainty of the difference. E_n is the "
+        "change since the previous result, divided by the expanded uncertainty (95 %) of the "
+        "change. Two results are consistent if |E_n| <= 1 (ISO 13528).",
         "quiet",
     )
     if history.converted:
@@ -70,7 +71,7 @@ def verdict_sentences(history: History, instrument: InstrumentHistory) -> str:
     points, mean = instrument.points, instrument.mean * factor
     average = format_estimate(mean, instrument.u_mean * factor, unit)
     if instrument.verdict == "single":
-        return f"{name} = {average}: only one result; a comparison needs two."
+        return f"{name} = {average}. There is only one result; a comparison requires at least two."
     line = instrument.drift
     slope = None
     if line is not None:
@@ -78,11 +79,14 @@ def verdict_sentences(history: History, instrument: InstrumentHistory) -> str:
     scatter = _scatter_sentence(instrument.scatter)
     if instrument.verdict == "constant":
         drift = f" No significant drift: {slope}." if slope else ""
-        return f"{name} is constant: {len(points)} results agree with {average} ({scatter}).{drift}"
+        return (
+            f"{name} is constant: {len(points)} results are consistent with {average} "
+            f"({scatter}).{drift}"
+        )
     if instrument.verdict == "drifts" and line is not None:
         return (
-            f"{name} drifts by {slope}; {len(points)} results agree with a straight line "
-            f"({_scatter_sentence(line.scatter)}), better than with a constant ({scatter})."
+            f"{name} drifts by {slope}: {len(points)} results are consistent with a straight "
+            f"line ({_scatter_sentence(line.scatter)}) but not with a constant ({scatter})."
         )
     if instrument.verdict == "differ":
         first, last = points
@@ -90,15 +94,16 @@ def verdict_sentences(history: History, instrument: InstrumentHistory) -> str:
             (last.value - first.value) * factor, (last.u**2 + first.u**2) ** 0.5 * factor, unit
         )
         return (
-            f"{name} changed by {change} between {first.date} and {last.date} ({scatter}). Two "
-            "results cannot distinguish a drift from a jump or from an uncertainty that is too "
-            "small."
+            f"{name} changed by {change} between {first.date} and {last.date} ({scatter}). "
+            "With two results, a drift cannot be distinguished from a jump or from an "
+            "understated uncertainty."
         )
     farthest = max(points, key=lambda point: abs(point.z or 0.0))
     return (
-        f"{name} scatters more than the uncertainties explain ({scatter}), and not as a steady "
-        "drift: the value jumped, or the uncertainties are too small. The largest deviation is "
-        f"that of {farthest.file} (z = {format_number(farthest.z or 0.0, 2)})."
+        f"The results for {name} scatter more than the uncertainties explain ({scatter}), and "
+        "a steady drift does not explain the scatter. Either the value jumped, or the "
+        f"uncertainties are understated. The result in {farthest.file} deviates most (z = "
+        f"{format_number(farthest.z or 0.0, 2)})."
     )
 
 
@@ -112,34 +117,36 @@ def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Ite
     if (chart := instrument.control) is not None:
         out = [
             *(f"{file} is outside the action limits" for file in chart.beyond),
-            *(f"{file} differs by a jump from the previous result" for file in chart.leaps),
+            *(f"{file} has a jump relative to the previous result" for file in chart.leaps),
         ]
         yield (
             f"Individuals chart: centre {chart.centre * factor:.6g} {unit}, action limits "
             f"{shown(chart.action_low, chart.action_high)}, warning limits "
-            f"{shown(chart.warning_low, chart.warning_high)}, from the mean moving range. "
-            + (f"Out of control: {'; '.join(out)}." if out else "In control.")
+            f"{shown(chart.warning_low, chart.warning_high)}. The limits are calculated from "
+            "the mean moving range. "
+            + (f"The process is out of control: {'; '.join(out)}." if out else "In control.")
         )
     if instrument.correlation is not None:
         yield (
-            f"The results share {', '.join(instrument.shared)} (correlation up to "
-            f"{instrument.correlation:.2f}), and are combined with these correlations."
+            f"The results have the common sources {', '.join(instrument.shared)} (correlation "
+            f"up to {instrument.correlation:.2f}). The evaluation includes these correlations."
         )
     if (due := instrument.due) is not None:
         reliability = format_probability(due.reliability)
         if due.date is not None:
             yield (
-                f"Due on {due.date}: until then, the straight line through the results stays "
-                f"within specification with {reliability} (control chart method of ILAC-G24:2022)."
+                f"The next calibration is due on {due.date}. Until this date, the straight "
+                f"line through the results stays within the specification with {reliability} "
+                "(control chart method of ILAC-G24:2022)."
             )
         elif instrument.specification is not None:
-            yield f"No due date at {reliability}: {due.reason}."
+            yield f"There is no due date at {reliability}: {due.reason}."
     for pair in instrument.laboratories:
         agree = "agree" if pair.agrees else "differ significantly"
         difference = format_number(pair.difference * factor, 2)
         yield (
-            f"{pair.second} minus {pair.first}: {difference} {unit}, E_n = {pair.e_n:.2f}: the "
-            f"results {agree}."
+            f"{pair.second} minus {pair.first} = {difference} {unit}, E_n = {pair.e_n:.2f}; "
+            f"the results {agree}."
         )
 
 
@@ -193,14 +200,17 @@ def _repeatability_blocks(history: History, repeats: Repeatability) -> Iterator[
         if name != "day"
     ]
     yield Paragraph(
-        f"Standard deviations about {about}, in addition to the uncertainties of the results "
-        "(restricted likelihood)."
+        f"These standard deviations about {about} are additional to the uncertainties of the "
+        "results (restricted likelihood)."
         + (
-            f" With few {' and '.join(few)} the estimates are unreliable: use the intervals."
+            (
+                f" With few {' and '.join(few)}, the estimates are unreliable. Use the "
+                "intervals instead."
+            )
             if few
             else ""
         )
-        + (f" Not separable: {'; '.join(why)}." if why else ""),
+        + (f" These components cannot be separated: {'; '.join(why)}." if why else ""),
         "quiet",
     )
 
@@ -214,7 +224,7 @@ def _limit_series(
         lines += [
             ("centre (mean of the results)", (chart.centre,), 4),
             ("warning limits", (chart.warning_low, chart.warning_high), 5),
-            ("action limits, moving range", (chart.action_low, chart.action_high), 1),
+            ("action limits (moving range)", (chart.action_low, chart.action_high), 1),
         ]
     if (limits := instrument.specification) is not None:
         lines.append(("specification", (limits.low, limits.high), 6))
@@ -271,7 +281,7 @@ def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
         )
     series.append(
         PlotSeries(
-            "results; bars: 95 %",
+            "results; error bars: 95 %",
             x,
             y,
             low=tuple(a - b for a, b in zip(y, half, strict=True)),
@@ -350,7 +360,7 @@ def _unused_blocks(history: History) -> Iterator[Block]:
     for note in history.notes:
         yield Paragraph(f"Warning: {note}", "warning")
     for unused in history.damaged:
-        yield Paragraph(f"Not read: {unused.file}: {unused.reason}.", "warning")
+        yield Paragraph(f"{unused.file} was not used: {unused.reason}.", "warning")
     if history.left_out:
         yield Paragraph(f"Omitted ({len(history.left_out)}):")
     for unused in history.left_out:

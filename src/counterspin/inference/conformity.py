@@ -113,13 +113,16 @@ def decide(
     if rule.name == "probability":
         if max(inside, outside) >= rule.needed:
             verdict = "pass" if inside >= rule.needed else "fail"
-        reason = f"neither conformity nor non-conformity reaches the probability {rule.needed:g}"
+        reason = (
+            "neither the probability of conformity nor that of non-conformity reaches "
+            f"{rule.needed:g}"
+        )
     else:
         if _between(value, *acceptance_limits(low, high, guard_band)):
             verdict = "pass"
         elif not _between(value, *acceptance_limits(low, high, -guard_band)):
             verdict = "fail"
-        reason = "the estimate is closer to a tolerance limit than the guard band"
+        reason = "the distance of the estimate from a tolerance limit is less than the guard band"
     accepted = _acceptance_interval(u, dof, specification, rule, guard_band)
     return replace(
         undecided(specification, rule, reason),

@@ -95,7 +95,7 @@ class Diagnostics:
             else "noise estimated from the residuals"
         )
         return (
-            f"The residuals are consistent with independent noise ({size}, p = "
+            f"The residuals are consistent with independent noise ({size}; p = "
             f"{self.lack_of_fit_p:.2g})."
         )
 
@@ -195,13 +195,13 @@ def _findings(
     sentences = []
     if noise_given and p < chi2_limit:
         sentences.append(
-            f"The residuals are {math.sqrt(chi2 / dof):.3g} times as large as the stated noise: "
-            "the stated noise is too small, or the model lacks a term."
+            f"The residuals are {math.sqrt(chi2 / dof):.3g} times as large as expected from "
+            "the stated noise. Either the stated noise is too small, or the model lacks a term."
         )
     elif noise_given and p > 1 - chi2_limit:
         sentences.append(
-            f"The residuals are only {math.sqrt(chi2 / dof):.3g} times as large as the stated "
-            "noise: the stated noise is too large."
+            f"The residuals are only {math.sqrt(chi2 / dof):.3g} times as large as expected "
+            "from the stated noise. The stated noise is too large."
         )
     # A wave that is most of what is wrong says more than what it does to the signs.
     waves = [name for name, run in runs.items() if run.peak_p < limit and _is_large(run)]
@@ -210,18 +210,18 @@ def _findings(
         run = runs[name]
         if noise_given and run.chi2_p < limit and len(runs) > 1:
             sentences.append(
-                f"{name}: the residuals are {math.sqrt(run.chi2 / run.dof):.3g} times as large as "
-                "the stated noise."
+                f"{name}: the residuals are {math.sqrt(run.chi2 / run.dof):.3g} times as large "
+                "as expected from the stated noise."
             )
         signs = (
-            f"{name}: the residuals change sign too {'seldom' if run.sign_z < 0 else 'often'} "
-            f"({run.sign_z:+.1f} standard deviations): successive residuals are not "
-            f"independent."
+            f"{name}: successive residuals change sign too "
+            f"{'seldom' if run.sign_z < 0 else 'often'} ({run.sign_z:+.1f} standard "
+            "deviations), so the residuals are not independent."
         )
         wave = (
-            f"{name}: a peak at {run.peak_frequency:.4g} {unit} contains {run.peak_share:.2%} of "
-            "the residual variance: the residuals contain a periodic "
-            f"effect{', such as a vibration' if _is_large(run) else ''}."
+            f"{name}: a spectral peak at {run.peak_frequency:.4g} {unit} contains "
+            f"{run.peak_share:.2%} of the residual variance. The residuals therefore contain a "
+            f"periodic effect{', such as a vibration' if _is_large(run) else ''}."
         )
         tested = [(run.sign_p, signs), (run.peak_p, wave)]
         tested = tested[::-1] if _is_large(run) else tested

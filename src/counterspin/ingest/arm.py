@@ -267,8 +267,9 @@ def _radius_and_model(table: ArmTable, values: Mapping[str, str]) -> tuple[str, 
     for word, sizes in table.radii().items():
         if len(sizes) > 1:
             text = (
-                f"readings of one mounting have {len(sizes)} radii{f' ({word})' if word else ''}; "
-                "give each a separate name in a column of mountings of the table"
+                f"readings of one mounting have {len(sizes)} "
+                f"radii{f' ({word})' if word else ''}; add a column of mountings to the table, "
+                "with a separate name for each radius"
             )
             raise CampaignError("init", [text], code="conflicting-values")
     stated = [values["radius"]] if "radius" in values else list(radii.values())
@@ -449,29 +450,29 @@ def _questions(table: ArmTable, answers: Mapping[str, str]) -> Iterator[FileQues
         units = tuple(dict.fromkeys([*_RATE_UNITS, *filter(None, [table.unit])]))
         yield FileQuestion("rate unit", text, "rpm", units, table.unit)
     if "sense" not in roles.values():
-        text = "In which sense does the arm rotate at a positive rate, seen from above?"
+        text = "In which sense does the arm rotate at a positive rate, as seen from above?"
         yield FileQuestion("sense", text, SENSES[0], SENSES)
     text = "Which column contains the mounting of the accelerometer?"
     yield part_question("position", text, [*numbers, *contents.words], roles, needed=False)
     axes = {w: answers.get(f"{w} axis") or _pointing(table, w) for w in table.mountings}
     for word, axis in axes.items():
-        text = f"Where does the input axis point in the mounting '{word}'?"
+        text = f"In which direction does the input axis point in the mounting '{word}'?"
         if axis is None and readings and word not in table.turning:
             axis = _resting(table, _sensed(table, readings[0], axes, answers), word)  # noqa: PLW2901
         yield FileQuestion(f"{word} axis", text, "inward", DIRECTIONS, axis)
     if "" in table.turning:
-        text = "Where does the input axis point while the arm rotates?"
+        text = "In which direction does the input axis point while the arm rotates?"
         if table.mountings:
-            text = "Where does the input axis point in rows without a mounting?"
+            text = "In which direction does the input axis point in rows without a mounting?"
         guess = _follows_acceleration(table, "")
         yield FileQuestion("axis", text, "inward", DIRECTIONS, guess)
         axes[""] = answers.get("axis", guess)
     sensed = {column.name: _sensed(table, column, axes, answers) for column in readings}
     if any(rests and not word for rests, word in zip(table.rests, table.words, strict=True)):
-        text = "Where does the input axis point at rest in rows without a mounting?"
+        text = "In which direction does the input axis point at rest in rows without a mounting?"
         guess = _resting(table, sensed[readings[0].name], "") if readings else None
         yield FileQuestion("axis at rest", text, "up", DIRECTIONS, guess)
-    text = "Where does the pendulous axis point when the input axis points inward?"
+    text = "In which direction does the pendulous axis point when the input axis points inward?"
     choices = ("up", "down", "forward", "backward")
     yield FileQuestion("pendulous axis", text, "up", choices, "up")
     parts = ["rate", "position", "radius"]
@@ -482,8 +483,8 @@ def _questions(table: ArmTable, answers: Mapping[str, str]) -> Iterator[FileQues
     if readings and "uncertainty" not in roles.values() and not _shows_noise(table):
         unit = output_unit(readings[0], answers) or "mA"
         text = (
-            "What is the standard uncertainty of a reading? There are too few readings to "
-            "estimate their noise."
+            "What is the standard uncertainty of a reading? The noise cannot be estimated from "
+            "so few readings."
         )
         yield FileQuestion("u", text, f"2e-6 {unit}", quantity=unit)
 
@@ -499,7 +500,7 @@ def _shows_noise(table: ArmTable) -> bool:
 
 
 def _radius_questions(table: ArmTable) -> Iterator[FileQuestion]:
-    text = "How far is the proof mass from the spindle axis"
+    text = "What is the distance of the proof mass from the spindle axis"
     radii = table.radii()
     known = {radius for sizes in radii.values() for radius in sizes}
     example = "1.0 ± 1e-3 m"
@@ -541,16 +542,16 @@ def _statements(table: ArmTable) -> Iterator[str]:
     yield from role_statements(table.contents, table.roles)
     if table.rate is not None and (step := table.rate_step()) > _LARGE_STEP:
         yield (
-            f"column '{table.rate.name}' has so few digits that the last digit changes the force "
-            f"by {100.0 * step:.1g} %; give more digits if available. A stated uncertainty of the "
-            "readings must include this rounding error; without a stated uncertainty, the error "
-            "is part of the residuals"
+            f"column '{table.rate.name}' has so few digits that a change of the last digit "
+            f"changes the acceleration by {100.0 * step:.1g} %; give more digits if available. "
+            "A stated uncertainty of the readings must include this rounding error; without a "
+            "stated uncertainty, the residuals include the error"
         )
     rests = int(table.rests.sum())
     if table.rate is not None:
         yield f"{rests or 'no'} reading{'' if rests == 1 else 's'} at rest (rate 0)"
         if converts(table.unit or "", "m/s^2"):
-            yield "accelerations refer to the radius; g is the gravity of the site"
+            yield "accelerations refer to the stated radius; g is the local gravity of the site"
     for word in table.mountings:
         meant, seen, axis = (
             direction_of(word),
@@ -559,8 +560,8 @@ def _statements(table: ArmTable) -> Iterator[str]:
         )
         if axis == meant and seen not in (None, meant):
             yield (
-                f"mounting '{word}': {meant} according to its name, but {seen} if the sensitivity "
-                "is positive"
+                f"mounting '{word}': {meant} according to the name, but {seen} according to "
+                "the readings if the sensitivity is positive"
             )
         elif axis:
             source = "according to the name" if axis == meant else "according to the readings"

@@ -154,11 +154,11 @@ class FileGuess:
         """Return the description of rows that are counted for a person; empty with a time."""
         if self.time is not None or self.sampling is None:
             return []
-        rate = f"time: no column; {self.sampling:.8g} rows per second"
+        rate = f"time: there is no time column; {self.sampling:.8g} rows per second"
         if self.shared is None or self.uncounted:
             return [rate]
         return [
-            f"{rate}, by counting rows, because several rows have the same time in column "
+            f"{rate}, from the row count, because several rows have the same time in column "
             f"'{self.shared.name}'"
         ]
 
@@ -424,7 +424,7 @@ def why_no_time(contents: FileContents) -> str:
     for name, cells in contents.first_words.items():
         if _is_named_time(name) and (stamp := next(filter(None, cells), "")):
             spoilt = (reason for reason in contents.spoilt if f"column '{name}'" in reason)
-            return next(spoilt, f"Column '{name}' is not read as a time: '{stamp}'").rstrip(".")
+            return next(spoilt, f"Column '{name}' cannot be read as a time: '{stamp}'").rstrip(".")
     for column in contents.columns:
         falls = np.flatnonzero(np.diff(column.values) < 0.0)
         reason = "it is equal in most rows"
@@ -432,7 +432,7 @@ def why_no_time(contents: FileContents) -> str:
             reason = f"it falls in row {falls[0] + 2} (rows in which it falls: {falls.size})"
         if _is_named_time(column.name) and (falls.size or not is_fine(column.values)):
             return f"Column '{column.name}' is not used as the time: {reason}"
-    return "There is no time column"
+    return "The file has no time column"
 
 
 def _rises(values: Array) -> bool:

@@ -34,13 +34,14 @@ from counterspin.records.table_files import table_sheets
 ALL_SHEETS: Final = "all"
 #: What a table has to be like.
 _WANTED: Final = (
-    "Remove words between the numbers of its rows. Export one column for each "
-    "quantity: one header row, then numeric cells only. Formats: .csv with "
-    "semicolons or tabs, .xlsx, .tdms, .mat or .h5."
+    "Remove words between the numeric cells. Export one column for each quantity, with one "
+    "header row followed by numeric cells only. Suitable formats are .csv with semicolons or "
+    "tabs, .xlsx, .tdms, .mat and .h5."
 )
 #: What to do where numbers end at words.
 _ANOTHER_RUN: Final = (
-    "If another run begins there, put each run into a separate file; if it is a remark, remove it."
+    "If another run begins at this line, put each run into a separate file. If the line is "
+    "a remark, remove the line."
 )
 #: Rows that are looked at, at most, and columns.
 _MAX_ROWS: Final = 2_000_000

@@ -112,8 +112,9 @@ def _against_waves(sense: str | None, shown: str | None) -> Iterator[str]:
     """Yield errors of the answered sense, which the waves contradict."""
     if sense is not None and shown is not None and sense != shown:
         yield (
-            f"sense: the waves along two axes show an angle that increases {shown}; if it does "
-            "not, one of the axes is wrong, such as east in place of west"
+            f"sense: the waves along two axes show an angle that increases {shown}. If the "
+            "angle does not increase in this sense, the direction of one axis is wrong, such "
+            "as east instead of west"
         )
 
 
@@ -122,17 +123,18 @@ def _unfit(contents: FileContents) -> str:
     rows = contents.rows
     if rows < _FEWEST_ROWS:
         return (
-            f"{contents.path.name} has {rows} rows of numbers in {len(contents.columns)} columns, "
-            "too few for the record of a run. Export one row per sample and one column per "
-            "quantity; for a table of readings, select that test"
+            f"{contents.path.name} has {rows} rows of numbers in {len(contents.columns)} "
+            "columns, which is too few for the record of a run. Export one row per sample and "
+            "one column per quantity. If the file is a table of readings, select the test type "
+            "for readings"
         )
     for name, cells in contents.first_words.items():
         kinds = len(set(cells))
         if 1 < kinds < len(cells) / 2 and cells[kinds:] == cells[:-kinds]:
             return (
-                f"in {contents.path.name} several quantities share a column: column "
-                f"'{name}' has {', '.join(cells[:kinds][:4])} in turn. Export each quantity as a "
-                "separate column"
+                f"several quantities share a column in {contents.path.name}: the values in "
+                f"column '{name}' alternate between {', '.join(cells[:kinds][:4])}. Export "
+                "each quantity as a separate column"
             )
     return ""
 
@@ -171,8 +173,8 @@ def write_description(draft: AnyDraft, folder: Path) -> Path:
     head = [f"Campaign created from {names}.", "Detected in the files (please check):"]
     head += [f"- {statement}" for statement in draft.statements]
     comments = {
-        "site": '± standard uncertainty (k = 1), as in "9.8066 ± 1e-5 m/s^2"',
-        "accelerometers": 'If known: bias = "0.005 ± 2e-6 g", scale_factor likewise',
+        "site": '± standard uncertainty (k = 1), for example "9.8066 ± 1e-5 m/s^2"',
+        "accelerometers": 'If known: bias = "0.005 ± 2e-6 g", and scale_factor in the same form',
         "records": "docs/campaign.md explains every key",
         "readings": "docs/readings.md explains every key",
     }
@@ -246,24 +248,26 @@ def _statements(common: FileGuess, sense: str | None) -> Iterator[str]:
     if common.rate is not None:
         turns = common.rate / (2.0 * math.pi)
         counted = not (time or common.sampling)
-        yield "rate: " + (f"{1 / turns:.6g} rows a turn" if counted else f"{turns:.6g} rev/s")
+        yield "rate: " + (
+            (f"{1 / turns:.6g} rows per revolution") if counted else f"{turns:.6g} rev/s"
+        )
     if angle is None:
-        yield "angle: none found; the nominal rates are used"
+        yield "angle: no angle column was found, so the nominal rates are used"
     elif angle.pulses:
         yield f"angle: column '{angle.column}' contains pulse times, one pulse per revolution"
     else:
-        counts = f", {angle.per_revolution:.10g} a revolution" if angle.per_revolution else ""
-        source = "according to the file" if angle.known else "according to its name or values"
+        counts = f", {angle.per_revolution:.10g} per revolution" if angle.per_revolution else ""
+        source = "from the unit in the file" if angle.known else "from the column name or values"
         unit = angle.unit or "an unknown unit"
         yield f"angle: column '{angle.column}', in {unit}{counts} ({source})"
     if sense is not None and angle is not None:
-        yield f"sense: {sense}, from the phase of the waves along two axes"
+        yield f"sense: {sense}, determined from the phase of the waves along two axes"
     yield from common.temperature_words
     for signal in common.signals:
         what = (signal.observable or "a signal").replace("_", " ")
         axis = f"along {signal.axis}" if signal.axis else "axis not detected"
         unit = f" in {signal.unit}" if signal.unit else ""
-        unit += " (according to the radius)" if signal.by_radius else ""
+        unit += " (determined from the radius)" if signal.by_radius else ""
         yield f"column '{signal.column}': {what}{unit}, {axis}"
     if common.signals:
         yield "pendulous axes: assumed down (north if the input axis points up)"

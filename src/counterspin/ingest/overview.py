@@ -36,7 +36,7 @@ TESTS: Final[dict[Test, str]] = {
     "double-turntable": "records of a double turntable",
     "tumble": "a table of readings of a multi-position tumble",
     "arm": "a table of readings on the arm of a centrifuge",
-    "poses": "a sensor with three axes in many poses",
+    "poses": "record of a three-axis sensor in many poses",
 }
 
 
@@ -65,8 +65,11 @@ def _lines(contents: FileContents) -> Iterator[str]:
     yield from (f"  {remark}" for remark in _sampling_remarks(guess))
     if contents.footer:
         shown = ", ".join(f"'{line.strip()[:40]}'" for line in contents.footer[:_SHOWN_WORDS])
-        yield f"  ignored: the last {len(contents.footer)} lines, which are not rows: {shown}"
-    yield from (f"  not read: {reason}" for reason in contents.spoilt)
+        yield (
+            f"  the last {len(contents.footer)} lines were ignored because they are not data "
+            f"rows: {shown}"
+        )
+    yield from (f"  this part could not be read: {reason}" for reason in contents.spoilt)
     yield from (f"  {remark}" for remark in contents.remarks)
 
 
@@ -86,8 +89,8 @@ def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
             held.setdefault(round(100.0 * (1.0 - 1.0 / holding.rows)), []).append(column.name)
     for part, names in held.items():
         yield (
-            f"repeated values: {part:g} % of {format_names(names)}, as when the log is faster than "
-            "the sensor; only new values are used"
+            f"repeated values: {part:g} % of {format_names(names)}, which is typical of a log "
+            "that is faster than the sensor; only new values are used"
         )
     if guess.shared is not None:
         stamps = int(np.sum(np.diff(join_bursts(guess.shared.values)) > 0.0)) + 1
@@ -110,7 +113,7 @@ def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
     multiples = steps[steps > 0.0] / usual
     even = np.mean(np.abs(multiples - np.round(multiples)) < _OFF_STEP) > _EVEN_PART
     if missing > 0 and even:
-        yield f"missing samples: about {missing}, where the time advances by more than one step"
+        yield f"missing samples: about {missing} (the time advances by more than one step)"
 
 
 def _sampling(guess: FileGuess) -> str:
@@ -122,7 +125,7 @@ def _sampling(guess: FileGuess) -> str:
     column = next(c for c in guess.contents.columns if c.name == guess.time.column)
     steps = np.diff(column.values[np.isfinite(column.values)]) * guess.time.factor
     if guess.contents.is_mixed:  # rows of several sensors have no common step
-        return f"about {1.0 / np.mean(steps):.4g} rows per second for all sensors together"
+        return f"about {1.0 / np.mean(steps):.4g} rows per second, all sensors together"
     steps = steps[steps > 0.0]
     step = median(steps) if steps.size else math.nan
     return f"about {1.0 / step:.4g} rows per second" if steps.size else ""
@@ -140,8 +143,11 @@ def _appearance(column: FileColumn, guess: FileGuess) -> str:
     evidence = [
         (guess.time is not None and guess.time.column == name, "the time"),
         (guess.shared is not None and guess.shared.name == name, "times repeated or in bursts"),
-        (is_nominal(values), "only -1, 0 and 1: nominal orientations, not measurements"),
-        (guess.angle is not None and guess.angle.column == name, "advances evenly, like an angle"),
+        (is_nominal(values), "nominal orientations (values -1, 0 and 1 only), not measurements"),
+        (
+            guess.angle is not None and guess.angle.column == name,
+            "advances at a steady rate, like an angle",
+        ),
         (guess.temperature is not None and guess.temperature[0] == name, "a temperature"),
         (
             any(s.column == name and s.amplitude for s in guess.signals),
@@ -196,8 +202,9 @@ def sensor_question(all_contents: Sequence[FileContents]) -> FileQuestion | None
         if contents.is_mixed and contents.sensors is not None:
             column, values = contents.sensors
             text = (
-                f"Column '{column}' of {contents.path.name} takes {len(values)} values: the rows "
-                "come from several sensors or runs. Which rows should be used?"
+                f"Column '{column}' of {contents.path.name} has {len(values)} different "
+                "values, so the rows come from several sensors or runs. Which rows should be "
+                "used?"
             )
             return FileQuestion("select", text, values[0], values)
     return None
@@ -206,21 +213,21 @@ def sensor_question(all_contents: Sequence[FileContents]) -> FileQuestion | None
 def kind_question(likely: Test | None) -> FileQuestion:
     """Return the question about the kind of test."""
     kinds = "; ".join(f"{test}: {words}" for test, words in TESTS.items())
-    text = f"Which type of test is it? {kinds}."
+    text = f"What is the test type? {kinds}."
     return FileQuestion("test", text, "poses", tuple(TESTS), likely)
 
 
 def no_test_reasons(all_contents: Sequence[FileContents]) -> Iterator[str]:
     """Yield the reasons why files look like no kind of test."""
     yield (
-        "no column follows a rotation, no three columns contain rests at different attitudes, and "
-        "no column contains a rate or a position together with readings"
+        "no column varies with a rotation, no three columns show rests at different attitudes, "
+        "and no rate or position column accompanies the readings"
     )
     for contents in all_contents:
         if axes := without_gravity(guess_file(contents)):
             yield (
-                f"columns {format_names(axes)} are nearly zero at rest: a filter removed gravity, "
-                "which poses need; record the raw output of the sensor, gravity included"
+                f"columns {format_names(axes)} are nearly zero at rest, so a filter removed "
+                "gravity. Poses require gravity; record the raw output of the sensor"
             )
 
 

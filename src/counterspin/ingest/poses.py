@@ -75,7 +75,7 @@ class PosesDraft(AnsweredDraft):
         said, place = self.complete(), folder.resolve()
         columns = [said[axis] for axis in AXES]
         if len(set(columns)) < len(columns):
-            text = f"each axis needs a separate column, not {', '.join(columns)}"
+            text = f"each axis must have a separate column, not {', '.join(columns)}"
             raise CampaignError("init", [text], code="duplicate-entry")
         in_table = self.found is not None and self.found.in_table
         instruments = {}
@@ -199,7 +199,7 @@ def _questions(
         yield FileQuestion(axis, text, names[min(place, len(names) - 1)], names, known)
     text = "What is the unit of the three axes?"
     if found and math.isfinite(found.gravity):
-        text += f" At rest, the magnitude of the vector is {found.gravity:.4g}."
+        text += f" The magnitude of the vector at rest is {found.gravity:.4g}."
     unit = answers.get("unit") or (found.unit if found else None)
     yield FileQuestion("unit", text, UNITS[0], UNITS, unit)
     if unit is not None and not converts(unit, "m/s^2"):
@@ -209,22 +209,22 @@ def _questions(
         yield FileQuestion("sensitivity", text, f"1000 {unit}/g", guess=size, quantity=f"{unit}/g")
         zeros = found.zero.tolist() if found else []
         for axis, zero in zip(AXES, zeros if any(zeros) else [], strict=False):
-            text = f"What is the nominal output of axis {axis} at zero force?"
+            text = f"What is the nominal output of axis {axis} at zero specific force?"
             size = f"{zero:.4g} {unit}"
             yield FileQuestion(f"{axis} zero", text, size, guess=size, quantity=unit)
     if found is not None and found.means is not None and len(found.means) <= _NO_NOISE:
         said = "m/s^2" if unit is None or not in_table else unit
         text = (
-            f"{len(found.means)} poses are too few to estimate their noise. What is the standard "
-            "uncertainty of each axis in a pose?"
+            f"The noise cannot be estimated from only {len(found.means)} poses. What is the "
+            "standard uncertainty of each axis in a pose?"
         )
         example = "0.01 m/s^2" if said == "m/s^2" else f"0.001 {said}"
         yield FileQuestion("u", text, example, quantity=said)
     if not in_table:
-        text = "What is the minimum duration of a rest that is used as a pose?"
+        text = "What is the minimum duration of a rest interval that is used as a pose?"
         usual = f"{found.rest if found else MIN_DURATION:g} s"
         yield FileQuestion("rest", text, usual, guess=usual, quantity="s")
-    text = "What is the grade of the sensor? The grade sets the default uncertainties."
+    text = "What is the grade of the sensor? The grade determines the default uncertainties."
     grade = grade_of(found, guess) if found else None
     yield FileQuestion("grade", text, "consumer", GRADES, grade)
 
@@ -243,7 +243,7 @@ def _statements(
     if found is None:
         return
     unit = f" in {found.unit}" if found.unit else ""
-    yield f"a sensor with three axes: columns {format_names(found.columns)}{unit}"
+    yield f"three-axis sensor: columns {format_names(found.columns)}{unit}"
     poses = found.poses
     if poses is None:
         yield "no rest was found in the record"
@@ -254,17 +254,17 @@ def _statements(
     yield from _few(found)
     level = f"{poses.threshold:.3g} {found.unit or ''}".strip()
     yield (
-        f"{len(poses.start)} poses in {where}{usual}: rests of at least "
-        f"{answers.get('rest', f'{found.rest:g} s')} in which the combined scatter of the axes is "
-        f"less than {level}; the attitudes are unknown"
+        f"{len(poses.start)} poses in {where}{usual}: rest intervals of at least "
+        f"{answers.get('rest', f'{found.rest:g} s')} in which the combined scatter of the axes "
+        f"is less than {level}; the attitudes are unknown"
     )
     yield from poses.warnings
     yield from poses.rejected
     for axes in found.others:
         named = ", ".join(f"{axis}={name}" for axis, name in zip(AXES, axes, strict=True))
         yield (
-            "three more axes rest at the same times, as those of a second sensor, and are not "
-            f"used; to calibrate that one, answer {named}"
+            "three more axes rest at the same times and are not used, because they belong to a "
+            f"second sensor; to calibrate the second sensor, answer {named}"
         )
     yield from _not_used(guesses[0], found)
 
@@ -273,7 +273,7 @@ def _pose_table_messages(guess: FileGuess, found: TriadColumns) -> Iterator[str]
     """Yield the messages about a table with a pose in each row."""
     assert found.means is not None
     unit = f" in {found.unit}" if found.unit else ""
-    yield f"a sensor with three axes: columns {format_names(found.columns)}{unit}"
+    yield f"three-axis sensor: columns {format_names(found.columns)}{unit}"
     yield f"{len(found.means)} poses, one per row; the attitudes are unknown"
     yield from _few(found)
     yield from guess.temperature_words
@@ -293,8 +293,7 @@ def _few(found: TriadColumns) -> Iterator[str]:
     )
     more = "spread over the whole sphere" if few else "halfway between two axes on both sides"
     yield (
-        f"{why}: only biases and scale factors are requested; measure at least twelve poses,  "
-        f"{more}"
+        f"{why}: only biases and scale factors are requested. Measure at least twelve poses, {more}"
     )
 
 

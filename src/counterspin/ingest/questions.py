@@ -188,7 +188,9 @@ def questions_of(
     """
     names = tuple(column.name for column in common.contents.columns)
     yield from place_questions(common.contents, ALL_SHEETS)
-    text = f"What is the radius, from the spindle axis to the platform?{_size_seen(common)}"
+    text = (
+        f"What is the distance from the spindle axis to the platform (radius)?{_size_seen(common)}"
+    )
     yield FileQuestion("radius", text, "2.5 ± 1e-5 m", quantity="m")
     yield from time_questions(common, names)
     yield from _angle_questions(common, names, sense)
@@ -208,7 +210,10 @@ def place_questions(contents: FileContents, *more: str) -> Iterator[FileQuestion
     if contents.sheets:
         text = "Which sheet contains the table?"
         if more:
-            text = f"Which sheet contains the table of a run ('{ALL_SHEETS}': every sheet)?"
+            text = (
+                f"Which sheet contains the table of a run (enter '{ALL_SHEETS}' to use every "
+                "sheet)?"
+            )
         yield FileQuestion("sheet", text, contents.sheets[0], (*contents.sheets, *more))
     yield FileQuestion(
         "gravity", "What is the local gravity?", "9.8066 ± 1e-5 m/s^2", quantity="m/s^2"
@@ -257,9 +262,9 @@ def _angle_questions(
         text = f"How many counts of column '{angle.column}' are there per revolution?{seen}"
         counts = f"{angle.per_revolution:.12g}" if angle.per_revolution else None
         yield FileQuestion("per_revolution", text, "65536", guess=counts)
-    text = "In which sense does the angle increase, seen from above?"
+    text = "In which sense does the angle increase, as seen from above?"
     if angle is None or angle.pulses:
-        text = "In which sense does the centrifuge rotate, seen from above?"
+        text = "In which sense does the centrifuge rotate, as seen from above?"
     yield FileQuestion("sense", text, SENSES[0], SENSES, guess=sense)
 
 
@@ -315,7 +320,7 @@ def judged_answers(
     for key, answer in answers.items():
         if key not in known:
             needed = [question.key for question in questions if question.guess is None]
-            text = f"{key}: is not one of the questions; questions: {', '.join(needed) or 'none'}"
+            text = f"{key}: this is not one of the questions: {', '.join(needed) or 'none'}"
             problems.append(Problem(text, "unknown-key"))
             continue
         try:

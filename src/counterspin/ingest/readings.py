@@ -102,7 +102,7 @@ class ReadingsDraft(AnsweredDraft):
         ]
         if not readings:
             known = ", ".join(column.name for column in self.contents.columns)
-            text = f'no readings column was found (columns: {known}); answer "COLUMN is=reading"'
+            text = f'no column of readings was found (columns: {known}); answer "COLUMN is=reading"'
             raise CampaignError("init", [text], code="missing-column")
         few = len(readings) <= len(ascii_uppercase)
         names = [ascii_uppercase[n] if few else f"A{n + 1}" for n in range(len(readings))]
@@ -230,7 +230,10 @@ def kind_of_columns(columns: Sequence[FileColumn]) -> str:
 def several_question(columns: Sequence[FileColumn]) -> Iterator[FileQuestion]:
     """Yield the question about the role of several columns of readings."""
     if len(columns) > 1:
-        text = "Are these columns different accelerometers, or repeated readings of one?"
+        text = (
+            "Do these columns belong to different accelerometers, or are they repeated "
+            "readings of one accelerometer?"
+        )
         guess = kind_of_columns(columns)
         yield FileQuestion(SEVERAL, text, REPEATS, (ACCELEROMETERS, REPEATS), guess)
 
@@ -277,10 +280,10 @@ def output_questions(
         return
     text = f"What is the nominal sensitivity of column '{name}'?"
     if math.isfinite(sensed.per_g):
-        text += f" The data show about {sensed.per_g:.4g} {unit}/g."
+        text += f" The data suggest about {sensed.per_g:.4g} {unit}/g."
     yield FileQuestion(f"{name} sensitivity", text, f"1.25 {unit}/g", quantity=f"{unit}/g")
     if abs(sensed.zero) > _LARGE_BIAS * abs(sensed.per_g):
-        text = f"What is the nominal reading of column '{name}' at zero force?"
+        text = f"What is the nominal reading of column '{name}' at zero specific force?"
         size = f"{sensed.zero:.4g} {unit}"
         yield FileQuestion(f"{name} zero", text, size, guess=size, quantity=unit)
 

@@ -192,7 +192,10 @@ def _questions(
     guess = None
     if angles is not None and readings:
         guess = _axis(angles, readings[0].values)
-    text = "Where does the input axis point at position 0, for a head that rotates about north?"
+    text = (
+        "In which direction does the input axis point at position 0, if the head rotates about "
+        "north?"
+    )
     yield FileQuestion("axis at 0", text, "up", tuple(_UP_AT), guess)
     yield from role_questions(contents, roles, ["position"])
     yield from several_question(readings)
@@ -214,8 +217,11 @@ def _statements(
     yield from role_statements(contents, roles)
     axis = next((q.guess for q in questions if q.key == "axis at 0"), None)
     if axis:
-        yield f"input axis at position 0: {axis}, from the readings as a function of the angle"
+        yield (
+            f"input axis at position 0: {axis}, determined from the readings as a function of "
+            "the angle"
+        )
     yield (
-        "the head rotates about north (right-handed), and the output axis is parallel to the axis "
-        "of the head"
+        "the head rotates about north (right-handed), and the output axis is parallel to the "
+        "axis of the head"
     )

@@ -180,7 +180,7 @@ def _check_single(campaign: Campaign, run: Recorded) -> _SingleCheck:
     poses = observer.poses_of(run.name)
     if not observed and not poses:
         state = observer.unread_state(run.name)
-        reason = state.why if state.state == "failed" else f"too short: {state.why}"
+        reason = state.why if state.state == "failed" else f"the record is too short: {state.why}"
         state = state.model_copy(update={"state": "failed", "why": reason})
         return _SingleCheck(state, [reason or ""], good=False, fit=None)
     fit, refusal = None, ""

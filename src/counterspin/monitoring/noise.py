@@ -190,7 +190,7 @@ def _guess_signals(
     missing = [name for name in columns if name not in {c.name for c in samples.columns}]
     if missing:
         available = ", ".join(column.name for column in samples.columns)
-        problem = f"`columns`: there is no {missing[0]!r} among {available}"
+        problem = f"`columns`: column {missing[0]!r} does not exist; the columns are {available}"
         if cell := next(iter(samples.first_words.get(missing[0], ())), ""):
             problem = (
                 f"`columns`: column {missing[0]!r} contains the text {cell[:40]!r}, not numbers"
@@ -251,8 +251,8 @@ def _read_source(source: Path | MemoryTable, select: str | None) -> FileContents
     """Return the contents of a record, of one sensor."""
     if select is not None and not (select.partition("=")[2] and isinstance(source, Path)):
         problem = (
-            "`select`: write COLUMN=VALUE, such as device=A. `select` applies to the rows of a "
-            "file; filter data frames before the call"
+            "`select`: write COLUMN=VALUE, such as device=A. `select` applies only to the rows "
+            "of a file; filter a data frame before the call"
         )
         raise UsageError("noise", [problem])
     if isinstance(source, MemoryTable):
@@ -308,7 +308,10 @@ def _row_times(
     if guess.shared is not None and rate is None:
         return guess.shared.values
     if guess.sampling is None:
-        problem = f"{source}: {why_no_time(guess.contents)}. Give `sampling_rate`, such as"
+        problem = (
+            f"{source}: {why_no_time(guess.contents)}. Give the sampling rate as "
+            "`sampling_rate`, such as"
+        )
         problem += ' "100 Hz".'
         unread = [
             f"Not read: {reason}"
@@ -406,8 +409,9 @@ def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
                     else "in proportion to the length of the record"
                 )
                 yield (
-                    f"The record does not show {name}; the stated upper limit decreases "
-                    f"approximately {growth}. A longer record (hours) shows smaller values."
+                    f"The record does not show {name}. The stated upper limit decreases "
+                    f"approximately {growth}, so a longer record (hours) can show smaller "
+                    "values."
                 )
             continue
         wide = (
@@ -417,13 +421,14 @@ def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
         )
         if wide and size.low == 0.0:
             yield (
-                f"The interval of the {name} has no lower limit: the record is too short to "
-                "distinguish it from zero."
+                f"The interval for the {name} has no lower limit, because the record is too "
+                "short to distinguish this component from zero."
             )
         elif wide:
             yield (
-                f"The {name} depends on the few slowest periods of this record, so the interval "
-                f"is wide: use a record several times longer than {stated.seconds:.4g} s."
+                f"The estimate of the {name} depends on the few slowest periods of this "
+                "record, so the interval is wide. Use a record several times longer than "
+                f"{stated.seconds:.4g} s."
             )
     yield from _sampling_remarks(record)
     if stated.outliers:
@@ -431,21 +436,21 @@ def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
         yield f"Rejected as outliers: {many}."
     if stated.gaps:
         yield (
-            f"The record is split at {stated.gaps} gap{'s' if stated.gaps > 1 else ''}: the "
-            "spectrum and the Allan deviation use the longest part, and the noise components use "
-            "all parts."
+            f"The record is split at {stated.gaps} gap{'s' if stated.gaps > 1 else ''}. The "
+            "spectrum and the Allan deviation use the longest part; the estimates of the noise "
+            "components use all parts."
         )
     thin = round(record.analysis.step / record.segments.step)
     if thin > 1:
         yield (
-            f"Noise components, lines and Allan deviation are computed from velocities {thin} "
-            "samples apart, the spectrum from all samples."
+            "Noise components, spectral lines and Allan deviation are computed from velocities "
+            f"{thin} samples apart. The spectrum is computed from all samples."
         )
     if stated.resolution and stated.resolution**2 / 12.0 > 0.1 * _local_scatter(record) ** 2:
         yield (
             f"The samples are multiples of {stated.resolution:.3g} "
-            f"{OBSERVABLES[stated.observable]}: much of this white noise is rounding error, which "
-            "is not white where the signal stays within one step."
+            f"{OBSERVABLES[stated.observable]}, so rounding error contributes much of this "
+            "white noise. Rounding error is not white while the signal stays within one step."
         )
     yield from _motion_remarks(record)
     yield from _misfit_remarks(record.analysis.noise.bands)
@@ -456,9 +461,9 @@ def _sampling_remarks(record: StaticRecord) -> Iterator[str]:
     stretches = record.segments
     if stretches.repeated:
         yield (
-            f"{stretches.repeated} of {stretches.rows} rows repeat the previous value, as when the "
-            "logging rate exceeds the output rate of the sensor. Only new values are used, at "
-            f"{1.0 / stretches.sample_interval:.4g} Hz."
+            f"{stretches.repeated} of {stretches.rows} rows repeat the previous value, which "
+            "is typical of a logging rate above the output rate of the sensor. The analysis "
+            f"uses only new values, at {1.0 / stretches.sample_interval:.4g} Hz."
         )
     if stretches.stuck:
         yield (
@@ -467,22 +472,22 @@ def _sampling_remarks(record: StaticRecord) -> Iterator[str]:
         )
     if stretches.restamped:
         yield (
-            f"{stretches.restamped} of {stretches.rows} rows repeat the time of the previous row "
-            "with a different value. Time is calculated from the row count."
+            f"{stretches.restamped} of {stretches.rows} rows repeat the time of the previous "
+            "row with a different value. counterspin calculates the time from the row count."
         )
     if stretches.filled and stretches.recorded_fraction < 1.0:
         part = 100.0 * (1.0 - stretches.recorded_fraction)
         yield (
-            f"{stretches.filled} samples are missing ({part:.2g} %). The recorded samples are "
-            "used in sequence, which limits the resolution of slow noise."
+            f"{stretches.filled} samples are missing ({part:.2g} %). The analysis uses the "
+            "recorded samples in sequence, which limits the resolution of slow noise."
         )
         if record.signal.order == 0 and record.analysis.noise.components["white"].variance:
             yield (
                 "With missing samples, quantisation noise of the velocity cannot be "
-                "distinguished from white noise: use a record without missing samples."
+                "distinguished from white noise. Use a record without missing samples."
             )
     elif stretches.filled > stretches.outliers:
-        yield f"{stretches.filled - stretches.outliers} missing samples are interpolated."
+        yield f"{stretches.filled - stretches.outliers} missing samples were interpolated."
 
 
 def _motion_remarks(record: StaticRecord) -> Iterator[str]:
@@ -499,10 +504,10 @@ def _motion_remarks(record: StaticRecord) -> Iterator[str]:
     ):
         start_time = start + index * size * record.segments.step
         yield (
-            f"From {start_time:.4g} s to {start_time + size * record.segments.step:.4g} s the "
-            f"scatter is {scatter[index] / median_scatter:.2g} times that of the quiet parts of "
-            "the record: the sensor moved during part of the record, so these values are not the "
-            "noise of the sensor. Cut the record there."
+            f"From {start_time:.4g} s to {start_time + size * record.segments.step:.4g} s, the "
+            f"scatter is {scatter[index] / median_scatter:.2g} times that of the quiet parts "
+            "of the record. The sensor moved during part of the record, so the results do not "
+            "describe the noise of the sensor. Remove the part with motion."
         )
 
 
@@ -526,9 +531,10 @@ def _misfit_remarks(bands: Sequence[Band]) -> Iterator[str]:
     if worst is not None:
         band = worst[1]
         yield (
-            f"From {band.low:.3g} to {band.high:.3g} Hz the record has {band.ratio:.3g} times the "
-            "power of these noise components: a filter, a resonance or a disturbance rather than "
-            "sensor noise. The intervals do not include this effect; inspect the spectrum."
+            f"From {band.low:.3g} to {band.high:.3g} Hz, the record has {band.ratio:.3g} times "
+            "the power of these noise components. The likely cause is a filter, a resonance or "
+            "a disturbance, not sensor noise. The intervals do not include this effect. "
+            "Inspect the spectrum."
         )
 
 

@@ -116,10 +116,10 @@ class GrowingTable:
         if (now.device, now.inode) != (before.device, before.inode):
             return "was replaced by another file; counterspin now reads the new file from the start"
         if now.size < self._done:
-            return "has become shorter; counterspin now reads it again from the start"
+            return "became shorter; counterspin now reads the file again from the start"
         file.seek(self._done - len(self._tail))
         if file.read(len(self._tail)) != self._tail:
-            return "was rewritten; counterspin now reads it again from the start"
+            return "was rewritten; counterspin now reads the file again from the start"
         return None
 
     def _reset(self) -> None:
@@ -351,11 +351,15 @@ def _wait_reason(run: Recorded, columns: RecordColumns, table: MemoryTable) -> s
     )
     seconds = float(last - first) * clock.factor
     if isinstance(run, PoseRecord):
-        return None if seconds >= run.rest else f"{seconds:.1f} s at rest out of {run.rest:g} s"
+        return (
+            None
+            if seconds >= run.rest
+            else (f"only {seconds:.1f} of {run.rest:g} s at rest so far")
+        )
     turned = abs(run.rate) * seconds / (2.0 * math.pi)
     if turned >= MIN_REVOLUTIONS:
         return None
-    return f"{turned:.1f} revolutions of at least {MIN_REVOLUTIONS}"
+    return f"only {turned:.1f} of at least {MIN_REVOLUTIONS} revolutions so far"
 
 
 def _poll_file(watched: _WatchedRun) -> tuple[bool, str | None]:

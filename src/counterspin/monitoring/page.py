@@ -43,7 +43,11 @@ def check_blocks(checked: CheckedRun) -> Iterator[Block]:
     run = checked.run
     yield Heading(f"{run.run}: {run.record}", 1)
     if checked.good:
-        words = "The run is usable." if not checked.remarks else "The run is usable; note:"
+        words = (
+            "The run is usable."
+            if not checked.remarks
+            else ("The run is usable, with these remarks:")
+        )
     else:
         words = "The run has faults and should be repeated."
     yield Paragraph(words, "answer" if checked.good else "warning")
@@ -56,11 +60,13 @@ def check_blocks(checked: CheckedRun) -> Iterator[Block]:
         others = ", ".join(checked.others)
         yield Heading("Expected uncertainty")
         yield _coefficients(
-            checked, f"with {others}" if others else "from this record only, with the priors"
+            checked,
+            f"with {others}" if others else ("uncertainty from this record and the priors only"),
         )
     if checked.why_not and run.state == "read":
         yield Paragraph(
-            f"A forecast of the whole campaign is not possible: {checked.why_not}.", "quiet"
+            f"A forecast for the whole campaign is not possible, because {checked.why_not}.",
+            "quiet",
         )
 
 
@@ -79,14 +85,14 @@ def _run_rows(run: RunState) -> Iterator[tuple[str, str]]:
     hz = f"{format_number(run.sampling_rate, 5)} Hz" if run.sampling_rate else "-"
     repeated = f", {run.repeated} repeated rows" if run.repeated else ""
     gaps = f", {run.gaps} gaps, the longest {run.longest_gap:.3g} s" if run.gaps else ", no gaps"
-    of = f" of {run.stated_seconds:.5g} s" if run.stated_seconds else ""
+    of = f" out of {run.stated_seconds:.5g} s" if run.stated_seconds else ""
     yield "Clock", f"{run.rows} rows at {hz}, {run.seconds:.5g} s{of}{gaps}{repeated}"
     if run.poses is not None:
         yield from _pose_rows(run, run.poses)
         return
     if run.rate is None or run.u_rate is None:
         if run.nominal_rate:
-            yield "Angle", "not recorded: the nominal rate is used"
+            yield "Angle", "not recorded; the nominal rate is used"
     else:
         part = run.rate / run.nominal_rate - 1.0
         yield (
@@ -167,7 +173,7 @@ def watch_blocks(state: WatchState) -> Iterator[Block]:
     if state.met:
         yield Paragraph("The goal is met.", "answer")
     if state.complete:
-        yield Paragraph("Every run has the length stated in the campaign.", "answer")
+        yield Paragraph("Every run has reached the duration stated in the campaign.", "answer")
 
 
 def _row(run: RunState) -> tuple[str, ...]:
@@ -245,16 +251,16 @@ def noise_blocks(result: NoiseResult) -> Iterator[Block]:
     for line in result.table.splitlines():
         yield Paragraph(line, "command")
     yield Paragraph(
-        "Intervals have 95 % coverage. N^2 is a two-sided density, as in IEEE Std 952: the "
-        "variance of velocity grows as N^2 t, and a one-sided spectrum is twice as high. The "
-        "minimum of the Allan deviation of flicker noise is 0.664 B.",
+        "Intervals have 95 % coverage. N^2 is a two-sided density, as in IEEE Std 952. The "
+        "variance of velocity grows as N^2 t, and a one-sided spectrum is twice as high. For "
+        "flicker noise, the minimum of the Allan deviation is 0.664 B.",
         "quiet",
     )
     if result.unused:
         yield Paragraph(f"Columns not used: {', '.join(result.unused)}.", "quiet")
     if any(signal.in_g for signal in result.signals):
         gravity = format_number(result.gravity, 9)
-        yield Paragraph(f"g = {gravity} m/s^2 converts between g and m/s^2.", "quiet")
+        yield Paragraph(f"Conversions between g and m/s^2 use g = {gravity} m/s^2.", "quiet")
 
 
 def _display_unit(unit: str, signal: SignalNoise, gravity: float) -> tuple[str, float]:

@@ -135,7 +135,7 @@ def run_remarks(
         part = state.rate / state.nominal_rate - 1.0
         if abs(part) > MAX_RATE_DEVIATION:
             faults.append(
-                f"The spindle turned at {state.rate:.6f} rad/s, not at the nominal "
+                f"The spindle turned at {state.rate:.6f} rad/s instead of the nominal "
                 f"{state.nominal_rate:.6f} rad/s ({part:+.2%})."
             )
     if state.stated_seconds and state.seconds < COMPLETE_FRACTION * state.stated_seconds:

@@ -72,7 +72,7 @@ def operating(
     if (input is None) == (time is None):
         raise UsageError("operating", ["give an input column, or a time column (warm-up)"])
     if output in (input, time):
-        problem = f'"{output}" is named for both columns; name two different columns'
+        problem = f'"{output}" was given for both columns; give two different columns'
         raise UsageError("operating", [problem])
     if full_scale is not None and not 0.0 < full_scale < math.inf:
         raise UsageError("operating", ["full_scale: must be greater than zero"])
@@ -132,13 +132,16 @@ def _static_tests(
     """Yield the results of the tests with inputs."""
     per_input = f"{output_unit or '1'}/{input_unit}"
     yield _quantity(
-        "scale-factor", OperatingEstimate(line.slope, line.u_slope), per_input, "slope of the line"
+        "scale-factor",
+        OperatingEstimate(line.slope, line.u_slope),
+        per_input,
+        "slope of the fitted line",
     )
     yield _quantity(
         "bias",
         OperatingEstimate(line.intercept / line.slope, line.u_intercept / abs(line.slope)),
         input_unit,
-        "intercept of the line divided by its slope",
+        "intercept of the fitted line divided by the slope",
     )
     of_line = "largest deviation of a setting from the least-squares line"
     yield _quantity(
@@ -148,27 +151,33 @@ def _static_tests(
         (
             "hysteresis-error",
             lambda: model.hysteresis(line, inputs, outputs),
-            "largest difference between outputs at an input, upwards minus downwards",
+            "largest difference between the upward and downward outputs at the same input",
             "no input was reached both upwards and downwards",
         ),
         (
             "threshold",
             lambda: model.smallest_step(line, inputs, outputs, from_zero=True),
-            "smallest step from zero input with at least 50 % of the expected change",
-            "no step from zero input shows at least 50 % of the expected change",
+            (
+                "smallest step from zero input that changes the output by at least 50 % of the "
+                "expected change"
+            ),
+            "no step from zero input changes the output by at least 50 % of the expected change",
         ),
         (
             "resolution",
             lambda: model.smallest_step(line, inputs, outputs, from_zero=False),
-            "smallest step from larger inputs with at least 50 % of the expected change",
-            "no step from larger inputs shows at least 50 % of the expected change",
+            (
+                "smallest step from larger inputs that changes the output by at least 50 % of "
+                "the expected change"
+            ),
+            "no step from larger inputs changes the output by at least 50 % of the expected change",
         ),
         (
             "dead-band",
             lambda: model.dead_band(line, inputs, outputs),
-            "width of the inputs about zero that change the output by less than 10 % of the "
-            "expected change",
-            "the zero input, or an input outside the band on each side, is missing",
+            "width of the dead band, the input range about zero in which the output changes by "
+            "less than 10 % of the expected change",
+            "the zero input, or an input outside the dead band on each side, is missing",
         ),
     )
     for name, test, definition, missing in tests:
@@ -181,9 +190,7 @@ def _warm_up(fitted: model.WarmUp, output_unit: str) -> Iterator[OperatingQuanti
     approach = "output = final + change exp(-t/tau) after switching on"
     yield _quantity("time-constant", fitted.time_constant, "s", approach)
     yield _quantity("final-output", fitted.final, output_unit, "output after the warm-up")
-    yield _quantity(
-        "change", fitted.change, output_unit, "output at switching on minus final output"
-    )
+    yield _quantity("change", fitted.change, output_unit, "output at switch-on minus final output")
     size, u = abs(fitted.change.value), fitted.final.u or 0.0
     if size > u > 0.0:
         tau = fitted.time_constant

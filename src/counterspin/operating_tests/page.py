@@ -40,7 +40,7 @@ def operating_blocks(result: OperatingTests) -> Iterator[Block]:
             Column("% of full scale", "right"),
             Column("At input", "right"),
             Column("Definition", wraps=True, narrowest=24),
-            Column("IEEE Std 1293, test of", wraps=True, narrowest=12),
+            Column("Test in IEEE Std 1293", wraps=True, narrowest=12),
         ),
         tuple(_row(result, quantity) for quantity in result.quantities),
     ).without_empty_columns()
@@ -48,13 +48,14 @@ def operating_blocks(result: OperatingTests) -> Iterator[Block]:
     basis = "repeats at the same input" if result.noise_from_repeats else "the residuals"
     noise = f"{format_number(result.noise)} {result.output_unit}".strip()
     scale = (
-        f" Full scale is {format_number(result.full_scale, 6)} {result.input_unit}."
+        f" The full scale is {format_number(result.full_scale, 6)} {result.input_unit}."
         if result.full_scale
         else ""
     )
     yield Paragraph(
-        f"± is one standard uncertainty (k = 1). The noise of a point is {noise} with "
-        f"{format_number(result.noise_dof, 4)} degrees of freedom, from {basis}.{scale}",
+        "The number after ± is one standard uncertainty (k = 1). The noise of a point is "
+        f"{noise} with {format_number(result.noise_dof, 4)} degrees of freedom, estimated from "
+        f"{basis}.{scale}",
         "quiet",
     )
 
@@ -86,7 +87,7 @@ def operating_plot(result: OperatingTests) -> Plot:
         fitted = final + change * np.exp(-np.array(time) / tau)
         return Plot(
             "Warm-up",
-            "time since switching on, s",
+            "time since switch-on, s",
             output,
             (
                 PlotSeries("recorded", time, tuple(result.outputs), kind="points"),

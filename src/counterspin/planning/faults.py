@@ -102,7 +102,7 @@ def fault_requirements(
     if expected[index] == 0.0:
         expected[index] = unknown.limit
         unit = unit_of(unknown.symbol)
-        basis = f"if {name} had its largest credible value, {unknown.limit:.3g} {unit}"
+        basis = f"if {name} had the largest credible value, {unknown.limit:.3g} {unit}"
     # A fault of the rotation has its own size in each run.
     owners = {symbol: [run.name for run in campaign.runs] for symbol in ROTATION}
     owners |= {symbol: [""] for symbol in _INPUTS}
@@ -115,9 +115,9 @@ def fault_requirements(
     rates = np.array([run.rate for run in campaign.runs])
     lines = [
         ("radius", radius, "m"),
-        ("drift of the rate that the recorded angle does not show", drift, "1/s"),
-        ("relative rate error, the same in all runs", rate @ rates, "1"),
-        ("zero of the angle, varying from run to run", zero, "rad"),
+        ("rate drift that the recorded angle does not show", drift, "1/s"),
+        ("relative rate error common to all runs", rate @ rates, "1"),
+        ("zero of the angle, varying between runs", zero, "rad"),
         (
             "angle noise per sample",
             _angle_noise(campaign, np.column_stack([zero, rate, drift]), sampling_rate),
@@ -125,7 +125,7 @@ def fault_requirements(
         ),
         (f"{paths[0].words}, common to all runs", machine[0], "rad"),
         (paths[1].words, machine[1], "m"),
-        ("delay between the angle and output clocks", delay, "s"),
+        ("delay between the clocks of angle and output", delay, "s"),
     ]
     allowed = _TOLERABLE_FRACTION_OF_U * prediction.u[name]
     largest = {**_MAX_SIZES, "m": _MAX_SIZES["1"] * campaign.radius.value}

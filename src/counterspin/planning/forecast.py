@@ -148,38 +148,40 @@ def forecast(
 
 def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None) -> None:
     problems = [
-        f"runs[{index}]: neither duration nor revolutions are given; a prediction needs one of "
-        f'them (run "{run.name}")'
+        f"runs[{index}]: neither duration nor revolutions are given; a prediction requires one "
+        f'of them (run "{run.name}")'
         for index, run in enumerate(campaign.runs)
         if run.duration is None
     ]
     problems += [
-        f'a prediction needs the standard uncertainty of the reading "{reading.name}"'
+        f'a prediction requires the standard uncertainty of the reading "{reading.name}"'
         for reading in campaign.all_readings
         if reading.u is None
     ]
     problems += [
-        f'"{reading.name}" has no value: unknown attitudes are estimated from the readings; '
-        "simulate them first"
+        f'"{reading.name}" has no value, but unknown attitudes are estimated from the '
+        "readings; simulate the readings first"
         for reading in campaign.all_readings[len(campaign.readings) :]
         if math.isnan(reading.value)
     ]
     if campaign.triad is not None and campaign.triad.records:
-        problems.append("a prediction needs the list of poses in a record, not the record")
+        problems.append("a prediction requires the list of poses in the record, not the record")
     if sampling_rate is None and campaign.runs:
-        problems.append("simulation.sampling_rate: missing; required for a prediction")
+        problems.append("simulation.sampling_rate: this entry is missing; a prediction requires it")
     for name, accelerometer in campaign.accelerometers.items() if campaign.runs else ():
         noise = _resolved_noise(campaign, name)
         keys = (accelerometer.observable, "acceleration", "flicker", "bias_walk")
         for key in (*keys, "quantisation", "timing"):
             if not isinstance(noise.get(key, "estimate"), float):
                 problems.append(
-                    f"noise.{key}: a prediction needs a value; the noise cannot be estimated "
-                    "without records"
+                    f"noise.{key}: a prediction requires a value, because the noise cannot be "
+                    "estimated without records"
                 )
         sizes = [noise.get(key) for key in (accelerometer.observable, "acceleration")]
         if sizes == [0.0, 0.0]:
-            problems.append(f"noise: no noise is given for {name}; give {accelerometer.observable}")
+            problems.append(
+                f"noise: the noise of {name} is missing; give {accelerometer.observable}"
+            )
     if problems:
         raise CampaignError(str(campaign.path), dict.fromkeys(problems), code="missing-key")
 

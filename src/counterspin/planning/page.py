@@ -74,8 +74,8 @@ def _summary_blocks(result: PlanResult) -> Iterator[Block]:
         yield Paragraph(_optimality(goal, result.total_time > 0.0))
     gravity = format_number(result.gravity, 9)
     yield Paragraph(
-        "All values are standard uncertainties (k = 1) expected from a joint calibration, in "
-        f"units of the site's gravity, g = {gravity} m/s^2.",
+        "All values are standard uncertainties (k = 1) expected from a joint calibration, "
+        f"expressed in units of the local gravity, g = {gravity} m/s^2.",
         "quiet",
     )
 
@@ -83,20 +83,24 @@ def _summary_blocks(result: PlanResult) -> Iterator[Block]:
 def _optimality(goal: GoalResult, timed: bool) -> str:
     if goal.efficiency is None:
         return (
-            "The possible improvement by another plan is unknown: no theorem gives a bound if the "
-            "time stamps have noise."
+            "The possible improvement by another plan is unknown, because no theorem gives a "
+            "bound if the time stamps have noise."
         )
     less = 100.0 * (1.0 - goal.efficiency)
     if less > _EMPTY_BOUND:
         return (
-            "The possible improvement by another plan is unknown: the bound for all plans "
-            f"allows {format_number(less, 2)} % less."
+            "The possible improvement by another plan is unknown; the bound for all plans "
+            f"allows an improvement of {format_number(less, 2)} %."
         )
     if less < 0.05:
         return "No plan within these limits is better by more than 0.05 %."
     by = f"more than {format_number(less, 2)} %"
     if goal.kind == "minimise":
-        what = "uncertainty" if goal.criterion == "sum" else "mean uncertainty (by volume)"
+        what = (
+            "uncertainty"
+            if goal.criterion == "sum"
+            else ("mean uncertainty (geometric mean from the covariance determinant)")
+        )
         return f"No plan within these limits can reduce the {what} by {by}."
     if timed:
         return f"No plan within these limits can be {by} shorter."
@@ -106,7 +110,7 @@ def _optimality(goal: GoalResult, timed: bool) -> str:
 def _run_blocks(result: PlanResult) -> Iterator[Block]:
     planned = all(run.start is not None for run in result.runs)
     several = len({run.attitude for run in result.runs}) > 1
-    yield Heading("Runs, in order" if planned else "Runs")
+    yield Heading("Runs in time order" if planned else "Runs")
     columns = [
         Column("Run"),
         Column("Rate, rad/s", "right"),
@@ -195,8 +199,8 @@ def _accelerometer_blocks(
     )
     for item in accelerometer.confounded:
         yield Paragraph(
-            f"{confounding_text(item)} with this plan, which determines {item.determined}. "
-            f"{_separation_advice(result, item.terms)}"
+            f"{confounding_text(item)} with this plan. The plan determines only "
+            f"{item.determined}. {_separation_advice(result, item.terms)}"
         )
     targets = result.goal.sizes if result.goal else {_main_coefficient(result): 1.0}
     for symbol, lines in accelerometer.budget.items():
@@ -209,7 +213,7 @@ def _separation_advice(result: PlanResult, terms: Sequence[str]) -> str:
     """Return advice to separate terms: the other sense, other rates, another attitude."""
     rates = [run.rate for run in result.runs]
     if not rates:
-        return "Other stations, or a stated value for one of these terms, would separate the terms."
+        return "To separate these terms, add other stations, or state a value for one of the terms."
     platform = [SHARED_TERMS[symbol] for symbol in terms if symbol in SHARED_TERMS]
     rows = [TERMS[symbol] for symbol in terms if symbol in TERMS]
     if (
@@ -221,15 +225,15 @@ def _separation_advice(result: PlanResult, terms: Sequence[str]) -> str:
         )
     ):
         # Drift and g-sensitivity change their sign with the sense, the accelerometer's do not.
-        return "Runs in the other sense of rotation would separate the terms."
+        return "To separate these terms, add runs in the other sense of rotation."
     one_rate = max(map(abs, rates)) < 1.001 * min(map(abs, rates))
     if one_rate and len({len(row.effect.factors) for row in rows}) > 1:
-        return "Other rates would separate the terms."
+        return "To separate these terms, add runs at other rates."
     if not platform and len({run.attitude for run in result.runs}) == 1:
         return (
-            "A second attitude, or a stated value for one of these terms, would separate the terms."
+            "To separate these terms, add a second attitude, or state a value for one of the terms."
         )
-    return "A stated value for one of these terms would separate the terms."
+    return "To separate these terms, state a value for one of the terms."
 
 
 def _budget_blocks(
@@ -276,9 +280,9 @@ def _fault_blocks(
     detected = [effect for effect in accelerometer.faults if effect.noticed]
     if undetected:
         yield Paragraph(
-            "Each of these is assumed perfect. Alone, with its default size, it would shift K_II "
-            "by more than the standard uncertainty, and the residuals would still be consistent "
-            "with noise."
+            "The plan fixes each of these effects at the nominal value. Any one of these "
+            "effects, with its default size, would shift K_II by more than the standard "
+            "uncertainty, and the residuals would still be consistent with noise."
         )
         yield Table(
             (
@@ -303,11 +307,11 @@ def _fault_blocks(
         )
     else:
         yield Paragraph(
-            "No effect that is assumed perfect would shift K_II by more than the standard "
-            "uncertainty without being detected."
+            "If any effect that the plan fixes at a nominal value shifts K_II by more than the "
+            "standard uncertainty, the residuals will reveal the effect."
             if result.assumed
-            else "No effect is assumed perfect: each term without a prior contributes its default "
-            "standard uncertainty."
+            else "The plan does not fix any effect at a nominal value. Each term without a "
+            "prior contributes its default standard uncertainty."
         )
     if detected:
         named = ", ".join(effect.symbol for effect in detected)
@@ -317,9 +321,9 @@ def _fault_blocks(
         return
     part = "Less than 0.1" if abs(share) < 1e-3 else format_number(100.0 * share, 2)
     yield Paragraph(
-        f"{part} % of the information on K_II comes from the second harmonic of the K_II term, "
-        "which encoder eccentricity and imbalance can imitate; the rest comes from the mean of "
-        "a_I^2.",
+        f"{part} % of the information on K_II comes from the second harmonic of the K_II term. "
+        "Encoder eccentricity and imbalance can imitate this harmonic. The rest of the "
+        "information comes from the mean of a_I^2.",
     )
 
 
@@ -330,8 +334,8 @@ def _limit_blocks(result: PlanResult) -> Iterator[Block]:
     what = "Uncertainty" if result.goal.kind == "minimise" else "Time"
     if not result.limits:
         yield Paragraph(
-            f"Relaxing any limit by 10 % does not help: the {what.lower()} is limited by the "
-            "priors."
+            "Relaxing any limit by 10 % does not help, because the priors limit the "
+            f"{what.lower()}."
         )
         return
     rows = []
@@ -343,7 +347,7 @@ def _limit_blocks(result: PlanResult) -> Iterator[Block]:
         (
             Column("Limit", wraps=True),
             Column("Change"),
-            Column(f"{what} falls by", "right"),
+            Column(f"Reduction of {what}", "right"),
         ),
         tuple(rows),
     )
@@ -372,8 +376,8 @@ def _comparison_blocks(result: PlanResult) -> Iterator[Block]:
         ),
         tuple(rows),
     )
-    same = " All take the same time unless stated otherwise." if result.runs else ""
-    words = f"Ratio: uncertainty of this plan divided by that of the other plan.{same}"
+    same = " All plans take the same time unless stated otherwise." if result.runs else ""
+    words = f"The ratio is the uncertainty of this plan divided by that of the other plan.{same}"
     yield Paragraph(words, "quiet")
 
 

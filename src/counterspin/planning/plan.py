@@ -200,7 +200,10 @@ def _round_to_targets(search: Search, design: Design) -> tuple[Design, Forecast]
 
 
 _COMMENTS: Final = {
-    "simulation": "The following is for `counterspin simulate` only; a calibration ignores it.",
+    "simulation": (
+        "The following section is only for `counterspin simulate`. A calibration ignores this "
+        "section."
+    ),
 }
 
 
@@ -255,8 +258,8 @@ def check(
     if sampling_rate is not None and not campaign.readings:
         words, requirements = _accelerometer_requirements(prediction, name, sampling_rate)
     warnings = [
-        f"{run.name}: {revolutions:g} revolutions are assumed, because the campaign does not "
-        "state the length of the record."
+        f"{run.name}: counterspin assumes {revolutions:g} revolutions, because the campaign "
+        "does not state the length of the record."
         for run in (unsized_runs if revolutions is not None else ())
     ]
     return result.model_copy(
@@ -345,11 +348,11 @@ def _alternative_plans(
     others = []
     for words, alternative in (
         (
-            "the paper's plan: 1/4, 1/2 and the whole of the highest rate, equal revolutions",
+            "plan of the paper: 1/4, 1/2 and the whole of the highest rate, equal revolutions",
             search.three_rates(design, total),
         ),
         ("equally spaced rates, equal durations", search.even_rates(design, total)),
-        ("the best plan in half the time", shorter),
+        ("best plan in half the time", shorter),
     ):
         if alternative is None:
             continue

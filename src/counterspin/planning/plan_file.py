@@ -354,14 +354,14 @@ def _rate_shortage(limits: Limits) -> str:
     """Return the reason why too few different rates are possible; empty if enough are."""
     count = limits.fewest_rates
     if count > limits.runs:
-        return f"{count} rates need at least {count} runs, but limits.runs is {limits.runs}"
+        return f"{count} rates require at least {count} runs, but limits.runs is {limits.runs}"
     rates = limits.different_rates(limits.rate[1])
     if len(rates) < count and limits.settings:
-        return f"only {len(rates)} settings of the rate are within the limits"
+        return f"the limits allow only {len(rates)} settings of the rate"
     if len(rates) < count:
         return (
-            f"from {limits.rate[0]:.6g} to {limits.rate[1]:.6g} rad/s there are only {len(rates)} "
-            f"rates with a ratio of at least {limits.min_rate_ratio:g}"
+            f"between {limits.rate[0]:.6g} and {limits.rate[1]:.6g} rad/s, there are only "
+            f"{len(rates)} rates with a ratio of at least {limits.min_rate_ratio:g}"
         )
     if limits.revolutions * 2.0 * math.pi / rates[-1] > limits.longest_run * (1.0 + 1e-9):
         return (

@@ -271,7 +271,7 @@ class ReadingSearch:
         if not missing:
             return
         if text.endswith(by) and all(r.motion == "static" for r in self.plan.template.readings):
-            text += ": at 1 g the squares of the specific force components add up to one"
+            text += ", because at 1 g the squares of the specific force components add up to one"
         raise NotIdentifiableError(
             text + ". Allow other stations, such as an arm or other axes, or state priors for the "
             "other terms in [model.priors]."
@@ -295,7 +295,7 @@ class ReadingSearch:
             self.forecast(best_numbers),
             goal.sizes,
             "no choice of readings within the limits",
-            f"The best choice, {best_numbers.sum()} readings,",
+            f"The best choice of {best_numbers.sum()} readings",
         )
         raise CounterspinError(text + ".", code="goal-not-reached")
 
@@ -308,7 +308,7 @@ class ReadingSearch:
         if not all(expected.assessment.determined[name] for name in self.plan.goal.sizes):
             return []
         often = "every reading equally often"
-        text = often if number % size == 0 else "the same number of readings, distributed evenly"
+        text = often if number % size == 0 else "same number of readings, distributed evenly"
         time = float(self.candidates.cost @ counts)
         return [other_plan(text, time, prediction.u, expected.u, self.plan.goal.sizes)]
 

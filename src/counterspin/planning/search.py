@@ -255,7 +255,7 @@ def require_determined(search: Search) -> None:
         return
     helps = _find_helpful_attitude(search, missing)
     text += (
-        f'. Allow the attitude "{helps}" too (limits.attitudes)'
+        f'. Also allow the attitude "{helps}" (limits.attitudes)'
         if helps
         else ". State priors for the other terms in [model.priors], or remove them from model.terms"
     )
@@ -272,10 +272,12 @@ def not_determined(
     missing = [name for name in goal if not assessment.determined[name]]
     if not missing:
         return [], ""
-    also = f" (nor are {', '.join(missing[1:])})" if missing[1:] else ""
+    also = f" (nor {', '.join(missing[1:])})" if missing[1:] else ""
     text = f"{missing[0]} is not determined by {by}{also}"
     confounded = [item for item in assessment.confounded if missing[0] in item.terms]
-    return missing, text + (f": {where}only {confounded[0].determined} is" if confounded else "")
+    return missing, text + (
+        (f": {where}only {confounded[0].determined} is determined") if confounded else ""
+    )
 
 
 def words_of_missed_target(
@@ -299,8 +301,9 @@ def words_of_missed_target(
     named = sorted(shares.items(), key=lambda pair: -pair[1])[:_SOURCES_NAMED]
     sources = ", ".join(f"{words} {100.0 * share:.0f} %" for words, share in named)
     return (
-        f"{none} reaches u({name}) = {format_distinct(goal[name], u[name])} {unit}. {best} has "
-        f"{format_distinct(u[name], goal[name])} {unit}; the variance comes from {sources}"
+        f"{none} reaches u({name}) = {format_distinct(goal[name], u[name])} {unit}. {best} "
+        f"reaches {format_distinct(u[name], goal[name])} {unit}; the variance comes from "
+        f"{sources}"
     )
 
 
@@ -374,8 +377,8 @@ def unreachable(search: Search) -> CounterspinError:
     text = words_of_missed_target(
         forecast(search.campaign(best.design)),
         goal,
-        f"no plan {'within the limits' if search.bounded else 'that was found'}",
-        f"The best plan, in {search.limits.time(best.design):.4g} s,",
+        f"no plan {'within the limits' if search.bounded else 'found by the search'}",
+        f"The best plan, which takes {search.limits.time(best.design):.4g} s,",
     )
     if len(goal) > 1:
         return CounterspinError(text + ".", code="goal-not-reached")
@@ -390,9 +393,9 @@ def unreachable(search: Search) -> CounterspinError:
         _, relaxed = relax(search.relaxing or search.predictor, unlimited, search.criterion)
         floor = math.exp(relaxed.value) * size
         if floor > size:
-            text += f". With unlimited time it would be {format_distinct(floor, size)} {unit}"
+            text += f". With unlimited time, u would be {format_distinct(floor, size)} {unit}"
     if all(run_type.sense == 1 for run_type in search.limits.types):
         both = search.smallest(allow_both_senses(search.limits), best.design)
         u = search.predictor.u(both.design)[search.predictor.names.index(name)]
-        text += f", with both senses of rotation {format_distinct(u, size)} {unit}"
+        text += f", and with both senses of rotation {format_distinct(u, size)} {unit}"
     return CounterspinError(text + ".", code="goal-not-reached")

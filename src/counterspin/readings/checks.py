@@ -59,7 +59,7 @@ _MAX_SINGLE_SHARE: Final = 0.25
 #: What hysteresis goes with, in words.
 _HYSTERESIS_CAUSES: Final = {
     APPROACH: "the direction from which a position was approached",
-    FORCE: "whether the force along the input axis had increased or decreased",
+    FORCE: "the sense in which the specific force along the input axis changed before the reading",
 }
 
 #: More standard deviations than this say no more: the others have hardly any noise.
@@ -106,8 +106,8 @@ def check_readings(view: AccelerometerView) -> list[Finding]:
             statement = (
                 f"The residuals of the {group.label} are not consistent with the stated noise"
                 if noise_stated
-                else f"In the {group.label}, positions deviate more from the model than repeats of "
-                "one position deviate from each other"
+                else f"In the {group.label}, the positions deviate more from the model than "
+                "repeated readings of one position deviate from each other"
             )
             sentences = [f"{statement} (p = {p:.2g})."]
         general = lack_of_fit_finding(view.name, sentences, residual) if sentences else None
@@ -136,9 +136,9 @@ def _check_redundancy(view: AccelerometerView) -> list[Finding]:
     ):
         return []
     text = (
-        f"{count} readings cannot test the {len(free_symbols)} coefficients that they determine "
-        f"({', '.join(free_symbols)}): the model would fit the readings despite any error. Take "
-        "more readings."
+        f"{count} readings cannot test the {len(free_symbols)} coefficients that they "
+        f"determine ({', '.join(free_symbols)}), because the model would fit the readings "
+        "despite any error. Take more readings."
     )
     return [Finding(code="unjudged-readings", subject=view.name, text=text)]
 
@@ -158,9 +158,9 @@ def _check_residual_dof(view: AccelerometerView) -> list[Finding]:
     dof_text = format_number(dof, 2)
     text = (
         f"{count} readings leave {dof_text} degree{'' if dof_text == '1' else 's'} of freedom "
-        "after the estimation: a pattern in the residuals, such as a drift, hysteresis or a "
-        f"missing term, cannot be detected{_detection_clause(dof)}. Take more readings, or state "
-        "priors for more terms."
+        "after the estimation, so a pattern in the residuals, such as a drift, hysteresis or a "
+        f"missing term, cannot be detected{_detection_clause(dof)}. Take more readings, or "
+        "state priors for more terms."
     )
     return [Finding(code="unjudged-readings", subject=view.name, text=text)]
 
@@ -186,15 +186,19 @@ def _detection_clause(dof: float) -> str:
 
     ratio = math.sqrt(float(chdtri(dof, 0.5 * SIGNIFICANCE)) / dof)
     ratio_text = format_number(ratio, 2)
-    return f", and residuals are detected only above {ratio_text} times the stated uncertainty"
+    return (
+        f", and deviations of the residuals are detected only above {ratio_text} times the "
+        "stated uncertainty"
+    )
 
 
 def untestable_finding(name: str, group: FittedReadings) -> Finding:
     """Return the finding that hardly any freedom is left to test residuals by."""
     text = (
         f"{group.readings.size} {group.label} without a stated uncertainty leave "
-        f"{format_number(group.tested_dof, 2)} degrees of freedom after the estimation: the "
-        "residuals cannot be tested. State the uncertainty of the readings, or take more readings."
+        f"{format_number(group.tested_dof, 2)} degrees of freedom after the estimation, so the "
+        "residuals cannot be tested. State the uncertainty of the readings, or take more "
+        "readings."
     )
     return Finding(code="unjudged-readings", subject=name, text=text)
 
@@ -303,14 +307,18 @@ def pattern_clause(alternative: Alternative) -> str:
         "revolution",
         TERM: f"follow {alternative.symbol}, more than the model allows",
         DRIFT: f"drift with {when}",
-        WARM_UP: f"settle with {when}, as during warm-up",
+        WARM_UP: f"settle with {when}, as during a warm-up",
         BEND: f"drift with {when} and reverse",
         SCALE: f"have a scale factor that drifts with {when}",
         TURN: f"have the pattern of positions that rotate steadily with {when}",
-        SWING: f"swing {alternative.symbol.partition(' ')[2].partition(' ')[0]} times with {when}",
-        ASYMMETRY: f"have the pattern of a {alternative.symbol} that differs for negative forces",
-        RANGE: f"have the pattern of a gain that changes above {alternative.symbol}, as between "
-        "ranges of a meter",
+        SWING: (
+            f"oscillate {alternative.symbol.partition(' ')[2].partition(' ')[0]} times with {when}"
+        ),
+        ASYMMETRY: (
+            f"have the pattern of a {alternative.symbol} that differs for negative specific forces"
+        ),
+        RANGE: f"have the pattern of a gain that changes above {alternative.symbol}, as "
+        "between two ranges of a meter",
         STEP: f'have a step that starts at "{alternative.symbol}"',
         SENSE: "depend on the sense of rotation of the machine",
         REVERSED: "have the pattern of a rotation opposite to the stated sense",
@@ -326,8 +334,8 @@ def outlier_findings(name: str, group: FittedReadings) -> list[Finding]:
     worst = _outlier_finding(group, name, max(outliers, key=lambda outlier: abs(outlier.z)))
     text = (
         f"{_count_readings(outliers)} of {group.readings.size} {group.label} deviate from the "
-        "model: this many suggest an error of the model rather than of individual readings. "
-        "{worst.text}"
+        "model. This many deviations suggest an error in the model rather than in individual "
+        f"readings. {worst.text}"
     )
     return [worst.model_copy(update={"text": text})]
 
@@ -370,8 +378,8 @@ def _outlier_finding(group: FittedReadings, name: str, outlier: OutlyingReadings
         code="outlying-reading",
         subject=f"{name}.{outlier.name}",
         text=f'The {noun} "{outlier.name}" deviates from the model by '
-        f"{format_number(outlier.residual * 1e6, 3)} ug, {deviations} standard deviations: "
-        f"check this reading{_rate_clause(group)}, or look for a missing term.",
+        f"{format_number(outlier.residual * 1e6, 3)} ug, {deviations} standard "
+        f"deviations. Check this reading{_rate_clause(group)}, or look for a missing term.",
         size=abs(outlier.z),
         contradicts=abs(outlier.z) > CONTRADICTION_SIGMAS and math.isinf(group.noise_dof),
     )
@@ -388,9 +396,9 @@ def rounding_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
             if group.readings.u is None and group.has_external_noise:
                 size = format_number(group.readings.noise_floor * 1e6, 2)
                 yield (
-                    f"{view.name}: the {group.label} fit the model to the last digit. The noise "
-                    f"is assumed to be rounding error, {size} ug; if the noise is larger, state "
-                    "it with each reading (±)."
+                    f"{view.name}: the {group.label} fit the model to the last digit, so the "
+                    f"noise is assumed to be rounding error of {size} ug. If the noise is "
+                    "larger, state it with each reading (±)."
                 )
 
 
@@ -432,8 +440,8 @@ def overstated_noise_remarks(views: Sequence[AccelerometerView]) -> Iterator[str
         )
         name = TRIAD if group.readings.triad else group.readings.accelerometer
         yield (
-            f"{name}: the {group.label} scatter by {scatter_text}, {format_number(ratio, 2)} times "
-            f"the stated uncertainty of {stated_text}. u is too large. "
-            "State the noise of individual readings, and state errors common to all readings as "
-            "priors."
+            f"{name}: the {group.label} scatter by {scatter_text}, {format_number(ratio, 2)} "
+            f"times the stated uncertainty of {stated_text}. The reported uncertainty u is too "
+            "large. State the noise of individual readings, and state errors common to all "
+            "readings as priors."
         )

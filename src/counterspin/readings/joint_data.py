@@ -113,8 +113,8 @@ class ReadingsAndPoses(ReadingData):
         yield from overstated_noise_remarks(views)
         if self.recorded.without_angle:
             yield (
-                f"The records of {', '.join(self.recorded.without_angle)} have no angle: the mean "
-                "is taken over whole revolutions at the stated rate."
+                f"The records of {', '.join(self.recorded.without_angle)} contain no angle, so "
+                "the mean is taken over whole revolutions at the stated rate."
             )
 
     def advice(self, view: AccelerometerView, symbol: str) -> tuple[str, str]:
@@ -123,9 +123,9 @@ class ReadingsAndPoses(ReadingData):
             return "poses", self.triad.advice(view)
         if only_at_rest(view.campaign) and symbol in ("K_F", "K_II", *SQUARES):
             return "records", (
-                " At 1 g the squares of the specific force components add up to one, so no set of "
-                "positions separates K_II, K_PP and K_OO together from K_F: state priors for K_PP "
-                "and K_OO, or test at other forces."
+                " At 1 g, the squares of the specific force components add up to one, so no "
+                "set of positions separates K_II, K_PP and K_OO together from K_F. State "
+                "priors for K_PP and K_OO, or test at other specific forces."
             )
         return "records", ""
 

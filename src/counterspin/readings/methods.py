@@ -190,15 +190,15 @@ def _disagreement_findings(
         shift = method.without[symbol_of_shift]
         text += (
             f". Omitting {method.kind} shifts {symbol_of_shift} by "
-            f"{format_number(shift.shift * factor, 2)} {unit}, {format_number(abs(shift.z), 2)} "
-            "times the standard uncertainty of the shift"
+            f"{format_number(shift.shift * factor, 2)} {unit}, "
+            f"{format_number(abs(shift.z), 2)} times the standard uncertainty of the shift"
         )
     return [
         Finding(
             code="kinds-disagree",
             subject=f"{view.name}.{symbol_of_shift}" if symbol_of_shift else view.name,
-            text=f"{text}. Look for an effect in one of the test methods that the model does not "
-            "include.",
+            text=f"{text}. Look for an effect in one of the test methods that is missing from "
+            "the model.",
             size=size,
             contradicts=size > CONTRADICTION_SIGMAS,
         )

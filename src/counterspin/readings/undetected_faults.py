@@ -96,7 +96,9 @@ def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list
                     column, typical, float(tests.value[column_index]), float(tests.u[column_index])
                 )
                 clause = f"{_describe_fault(column, size)} shifts {symbol} by "
-                clause += f"{format_size(symbol, abs(shift), 3)} ({ratio:.2g} times its u)"
+                clause += (
+                    f"{format_size(symbol, abs(shift), 3)} ({ratio:.2g} times the u of {symbol})"
+                )
                 fault = _UndetectedFault(ratio * expected / size, ratio, clause)
                 kinds = faults_by_name[view.name]
                 kinds[column.kind] = fault.merge(kinds.get(column.kind, fault))
@@ -116,8 +118,8 @@ def fault_remarks(faults: Mapping[str, Sequence[str]]) -> Iterator[str]:
         if clauses:
             yield (
                 f"{name}: the residuals would not show any single one of these faults: "
-                f"{'; '.join(clauses)}. Rule them out by other means: repeat the series in "
-                "another order, or use a single range of the meter."
+                f"{'; '.join(clauses)}. Rule out these faults by other means: repeat the "
+                "series in another order, or use a single range of the meter."
             )
 
 
@@ -186,5 +188,7 @@ def _describe_fault(fault: Alternative, size: float) -> str:
     if fault.kind == RANGE:
         return f"a meter gain change of {1e6 * size:.2g} ppm above {fault.symbol}"
     if fault.kind == TURN:
-        return f"a head error that grows by {2.0 * math.pi * size / ARCSEC:.2g} arcsec a turn"
-    return f"a drift of the bias by {format_size('K_F', size, 3)} during the series"
+        return (
+            f"a head error that grows by {2.0 * math.pi * size / ARCSEC:.2g} arcsec per revolution"
+        )
+    return f"a bias drift of {format_size('K_F', size, 3)} during the series"

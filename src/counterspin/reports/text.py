@@ -238,7 +238,7 @@ def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
         yield table
     if count > len(shown):
         yield Text(
-            f"{count - len(shown)} of {count} rows are not shown; the JSON "
+            f"{count - len(shown)} of {count} rows are not shown. The JSON "
             "file and the HTML report contain all rows.",
             _STYLES["quiet"],
         )

@@ -51,9 +51,10 @@ def first_stage_uncertainty() -> tuple[Row, ...]:
             printed,
             run.parabola.u_b2,
             "m/s^2",
-            "100 strobes with a noise of 0.01 m give this value, and 16 times this value at four "
-            "times the rate, because the strobes then span a quarter of the time; no "
-            "interpretation of the plan gives the printed value (printed in g^2; b2 is in m/s^2)"
+            "100 strobes with a noise of 0.01 m give this value. At four times the rate, the "
+            "value is 16 times as large, because the strobes span a quarter of the time. No "
+            "interpretation of the plan gives the printed value (printed in g^2; b2 is in "
+            "m/s^2)"
             if number == 1
             else "likewise",
             ".5e",
@@ -85,19 +86,19 @@ def second_stage_uncertainty() -> tuple[Row, ...]:
             "printed_b2",
             "from the printed sigma(b2), Eq. 26, g = 9.8",
             ours,
-            f"reproduced to {abs(1 - ours / PRINTED_SIGMA_K_II):.2%}; the paper does not state g, "
-            f"and {GRAVITY * PRINTED_SIGMA_K_II / ours:.4f} m/s^2 would give the value of the "
-            "paper",
+            f"reproduced to {abs(1 - ours / PRINTED_SIGMA_K_II):.2%}; the paper does not state "
+            f"g, and g = {GRAVITY * PRINTED_SIGMA_K_II / ours:.4f} m/s^2 would give the "
+            "printed value",
         ),
         row(
             "standard_gravity",
-            "the same with g = 9.80665",
+            "same calculation with g = 9.80665",
             at_standard,
             f"reproduced to {abs(1 - at_standard / PRINTED_SIGMA_K_II):.2%}",
         ),
         row(
             "quarter",
-            "the same with 1/4 for K_II, g = 9.8",
+            "same calculation with 1/4 for K_II, g = 9.8",
             float(ours * half_over_quarter),
             "half the sensitivity, twice the uncertainty",
         ),
@@ -105,44 +106,44 @@ def second_stage_uncertainty() -> tuple[Row, ...]:
             "plan_printed",
             "stated plan, Eq. 26, unweighted",
             u(_printed_second_stage(plan)),
-            "the sigma(b2) of the stated plan; for a K_II that is half of the true value",
+            "sigma(b2) of the stated plan; K_II is half of the true value",
             ".3e",
         ),
         row(
             "plan_printed_weighted",
             "stated plan, Eq. 26, weighted by sigma(b2)",
             u(_printed_second_stage(plan, weighted=True)),
-            "weights make use of the slower runs' smaller sigma(b2)",
+            "the weights use the smaller sigma(b2) of the slower runs",
             ".3e",
         ),
         row(
             "exact",
             "stated plan, exact: K_II and K_F",
             u(_exact_second_stage(plan)),
-            "as counterspin calculates: 1/4, no ripple column, bias estimated",
+            "method of counterspin: 1/4, no ripple column, bias estimated",
             ".3e",
         ),
         row(
             "exact_alone",
             "stated plan, exact: K_II only",
             u(_exact_second_stage(plan, fit_bias=False)),
-            "with the bias perfectly known, as the paper assumes",
+            "with a perfectly known bias, as assumed in the paper",
             ".3e",
         ),
         row(
             "exact_drift",
             "stated plan, exact: K_II, K_F and drift C",
             u(_exact_second_stage(plan, nominal_angle=True)),
-            "with only the nominal angle as reference, the drift is also an unknown",
+            "with only the nominal angle as reference, the drift is a further unknown",
             ".3e",
         ),
         Row(
             "sigma_k_ii.bound",
-            "conclusion: sigma(K_II) less than this, displacement 0.01 m",
+            "conclusion: sigma(K_II) below this value for a displacement noise of 0.01 m",
             PRINTED_BOUND,
             u(_exact_second_stage(plan)),
             "g/g^2",
-            "true of the stated plan; the printed sigma(b2) with 1/4 would exceed the bound",
+            "correct for the stated plan; the printed sigma(b2) with 1/4 would exceed the bound",
             ".3e",
         ),
     )
@@ -161,7 +162,7 @@ def recovery() -> tuple[Row, ...]:
             "as_printed",
             "K_II by Eq. 26 as printed (paper: Table 1)",
             _printed_second_stage(runs).estimate("K_II")[0],
-            "half the true value: the equation has 1/2 where the double integral gives 1/4",
+            "half the true value, because the equation has 1/2 where the double integral gives 1/4",
         ),
         row(
             "exact",
@@ -187,7 +188,7 @@ def second_stage_ripple() -> tuple[Row, ...]:
 
     alone, separated = k_ii(exact[:, None]), k_ii(np.column_stack([exact, columns[:, 1]]))
     by_ratio = _printed_second_stage(runs, ripple="ratio")
-    drift = f"drift of {DRIFT_RATE:g} 1/s instead, nominal angle:"
+    drift = f"drift of {DRIFT_RATE:g} 1/s instead of ripple, nominal angle:"
     return (
         Row(
             "separation.without",
@@ -195,7 +196,7 @@ def second_stage_ripple() -> tuple[Row, ...]:
             truth,
             alone[0],
             "g/g^2",
-            "ripple has no effect in the first place",
+            "the ripple has no effect on K_II",
         ),
         Row(
             "separation.with",
@@ -220,7 +221,7 @@ def second_stage_ripple() -> tuple[Row, ...]:
             RIPPLE_RATIO * math.sin(RIPPLE_PHASE),
             by_ratio.estimate(RIPPLE)[0],
             "",
-            "the second unknown does not detect the ripple that is present",
+            "the second unknown does not detect the existing ripple",
             ".1e",
         ),
         Row(
@@ -229,7 +230,7 @@ def second_stage_ripple() -> tuple[Row, ...]:
             truth,
             _exact_second_stage(drifting, fit_bias=False).estimate("K_II")[0],
             "g/g^2",
-            "a second unknown is needed for drift",
+            "the drift requires a second unknown",
         ),
         Row(
             "separation.drift_separated",
@@ -245,8 +246,8 @@ def second_stage_ripple() -> tuple[Row, ...]:
             0.0,
             _printed_second_stage(drifting).estimate(RIPPLE)[0],
             "rad/s",
-            "2/3 C within a few per cent: this column is proportional to w0, too, and absorbs the "
-            "drift",
+            "2/3 C within a few per cent; this column is also proportional to w0, and absorbs "
+            "the drift",
             ".3e",
         ),
     )
@@ -302,7 +303,7 @@ def reproduce() -> Reproduction:
             PaperSection("Equations 5 to 19", equations.coefficients()),
             PaperSection("First stage: sigma(b2), after Eq. 31", first_stage_uncertainty()),
             PaperSection("Second stage: sigma(K_II), after Eq. 34", second_stage_uncertainty()),
-            PaperSection("Which K_II is recovered: simulated by Eq. 7, without noise", recovery()),
+            PaperSection("K_II estimated from a simulation by Eq. 7 without noise", recovery()),
             PaperSection("Effect of the second unknown of Eq. 26", second_stage_ripple()),
         ),
     )

@@ -53,8 +53,8 @@ def _mean_force() -> tuple[Row, ...]:
             float(np.mean(printed)) / RIPPLE_UNIT,
             float(np.mean(exact)) / RIPPLE_UNIT,
             "R w0 w_p sin(phi)",
-            "the tangential part has the wrong sign and -sin(w0 t) d(theta) is dropped; a periodic "
-            "motion has no mean acceleration",
+            "the tangential part has the wrong sign, and -sin(w0 t) d(theta) is omitted; a "
+            "periodic motion has no mean acceleration",
             "z.3f",
         ),
     )
@@ -86,7 +86,7 @@ def _integrals() -> tuple[Row, ...]:
             TABLE_1["K_II"] * float(printed_k_ii.coefficients[0]),
             float(k_ii.coefficients[0]),
             "m",
-            "the harmonic part lacks the division by w0^2; this changes only b0",
+            "the division of the harmonic part by w0^2 is missing; the error affects only b0",
             ".3e",
         ),
         Row(
@@ -95,7 +95,7 @@ def _integrals() -> tuple[Row, ...]:
             TABLE_1["K_III"] * float(np.mean(printed_k_iii)),
             float(k_iii.coefficients[0]),
             "m",
-            "the same division by w0^2; b0 only",
+            "the same division by w0^2 is missing; the error affects only b0",
             ".3e",
         ),
         Row(
@@ -152,7 +152,7 @@ def _strobes() -> tuple[Row, ...]:
             float(printed_rippled[0] - printed_steady[0]),
             float(rippled[0] - steady[0]),
             "m",
-            "printed without the factor w_p/w0; b0 only",
+            "the factor w_p/w0 is missing; the error affects only b0",
             ".3e",
         ),
         Row(
@@ -161,7 +161,7 @@ def _strobes() -> tuple[Row, ...]:
             float(printed_drifting[1] - printed_steady[1]) / drift_unit,
             float(drifting[1] - steady[1]) / drift_unit,
             "K_I R C",
-            "drift makes the platform lead the nominal angle in proportion to t^2, not to t",
+            "the drift makes the platform lead the nominal angle in proportion to t^2, not to t",
             "z.2f",
         ),
         Row(
@@ -179,7 +179,7 @@ def _strobes() -> tuple[Row, ...]:
             printed_b2,
             fit_first_stage(*simulate_strobes(RATE)).b2,
             "m/s^2",
-            "1/2 instead of 1/4 for K_II; both include the bias of 0.004 g",
+            "1/2 instead of 1/4 for K_II; both values include the bias of 0.004 g",
             ".6e",
         ),
     )
@@ -207,7 +207,7 @@ def _constants() -> tuple[Row, ...]:
             _printed_constant(second_order=TABLE_1["K_II"]),
             float(terms),
             "m",
-            "Eq. 15 omits the constants of the expansion below Eq. 13; b0 only",
+            "Eq. 15 omits the constants of the expansion below Eq. 13; the error affects only b0",
             "z.3e",
         ),
         Row(
@@ -216,7 +216,8 @@ def _constants() -> tuple[Row, ...]:
             _printed_constant(drift=drift_rate) / drift_unit,
             float(drift[0]) / drift_unit,
             "K_I R C/w0",
-            "the centripetal part by itself gives -4, the complete acceleration 0; b0 only",
+            "the centripetal part by itself gives -4, and the complete acceleration gives 0; "
+            "the error affects only b0",
             "z.2f",
         ),
         Row(
@@ -225,7 +226,8 @@ def _constants() -> tuple[Row, ...]:
             _printed_constant(radius_error=RADIUS_ERROR) / (scale_factor * RADIUS_ERROR),
             float(radius[0]) / (scale_factor * RADIUS_ERROR),
             "K_I dr",
-            "the radius term of Eq. 14 integrates to K_I dr (cos(w0 t) - 1); b0 only",
+            "the radius term of Eq. 14 integrates to K_I dr (cos(w0 t) - 1); the error affects "
+            "only b0",
             "z.2f",
         ),
     )

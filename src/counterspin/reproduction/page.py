@@ -34,8 +34,9 @@ def reproduction_blocks(reproduction: Reproduction) -> list[Block]:
         blocks += [Heading(section.title), _table(section)]
     blocks.append(
         Paragraph(
-            "Paper: printed value, or value of the printed equation. counterspin: computed value. "
-            "The derivations are in docs/paper.md.",
+            'The column "Paper" gives the printed value, or the value of the printed equation. '
+            'The column "counterspin" gives the computed value. The derivations are in '
+            "docs/paper.md.",
             "quiet",
         )
     )
@@ -84,18 +85,23 @@ def demonstration_report(shown: Demonstration) -> Report:
     )
     runs = len(campaign.runs)
     blocks: list[Block] = [
-        Heading(f"{campaign.title}: {runs} runs of 100 revolutions, simulated and calibrated"),
+        Heading(f"{campaign.title}: {runs} runs of 100 revolutions were simulated and calibrated."),
         table,
-        Paragraph("± is one standard uncertainty (k = 1); g is the site's gravity.", "quiet"),
         Paragraph(
-            "Joint: every sample of every run in one weighted fit, the default of `calibrate`."
+            "The number after ± is one standard uncertainty (k = 1). g is the local gravity.",
+            "quiet",
         ),
         Paragraph(
-            "Two-stage: the paper's method, one sample per revolution, with exact equations."
+            "The joint method, the default of `calibrate`, fits all samples of all runs "
+            "together with weights."
         ),
         Paragraph(
-            "As printed: the paper's own equations. Their K_II term is twice the exact one, so "
-            "they return half the true K_II."
+            "The two-stage method is the method of the paper, with one sample per revolution "
+            "and exact equations."
+        ),
+        Paragraph(
+            "The as-printed method uses the equations as printed in the paper. Their K_II term "
+            "is twice the exact one, so these equations return half the true K_II."
         ),
     ]
     return Report(blocks)

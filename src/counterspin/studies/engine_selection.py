@@ -375,8 +375,8 @@ def _residual_obstacles(
     if largest <= _MAX_RESIDUAL_RMS * _smallest_white_noise(truth):
         return []
     return [
-        "sigma is estimated from residuals, which contain non-parabolic errors up to "
-        f"{largest:.1e} m"
+        "sigma is estimated from the residuals, and the residuals contain non-parabolic errors "
+        f"of up to {largest:.1e} m"
     ]
 
 
@@ -388,14 +388,12 @@ def two_stage_engine_obstacles(
     if setup.noise.random_walk > 0.0:
         obstacles.append("the accelerometer's noise is not white in displacement")
     if request.random_walk is None:
-        obstacles.append("the accelerometer's noise has to be estimated")
+        obstacles.append("the noise of the accelerometer must be estimated")
     elif request.random_walk > 0.0:
-        obstacles.append("the noise that the analysis assumes is not white in displacement")
+        obstacles.append("the noise assumed in the analysis is not white in displacement")
     speed = setup.radius * max(abs(spindle.rate) for spindle in setup.spindles)
     if request.timing * speed > _MAX_NEGLECTED_NOISE * _smallest_white_noise(truth):
-        obstacles.append(
-            "the noise of the recorded time that the analysis assumes is not negligible"
-        )
+        obstacles.append("the noise of the recorded time assumed in the analysis is not negligible")
     return obstacles
 
 
@@ -405,10 +403,10 @@ def joint_engine_obstacles(
     """Return the reasons against the linear engine for the joint fit; empty if it is valid."""
     obstacles = _common_obstacles(setup, truth)
     if truth.varies(DRIFT, RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
-        obstacles.append("the rotation varies, and so do the weights of all samples")
+        obstacles.append("the rotation varies, so the weights of all samples vary too")
     assumed_noise = {name: replace(noise, covariance=()) for name, noise in request.noise.items()}
     if any(noise.has_bias_instability for noise in assumed_noise.values()):
-        obstacles.append("the noise that the analysis assumes includes drift")
+        obstacles.append("the noise assumed in the analysis includes drift")
     if any(noise.to_estimate for noise in assumed_noise.values()):
         obstacles.append("the noise is estimated, so the estimate is not linear")
         return obstacles
@@ -417,7 +415,7 @@ def joint_engine_obstacles(
         return obstacles
     if any(noise.random_walk for noise in (*true_noise.values(), *assumed_noise.values())):
         obstacles.append(
-            "the true noise is neither white nor equal to the noise that the analysis assumes"
+            "the true noise is not white, or it differs from the noise assumed in the analysis"
         )
     displacement = set(setup.observables.values()) == {"displacement"}
     if len(set(assumed_noise.values())) > 1 or not displacement:
@@ -427,18 +425,20 @@ def joint_engine_obstacles(
 
 def _common_obstacles(setup: SimulationSetup, truth: StudyTruth) -> list[str]:
     obstacles = (
-        ["the bias drifts, which only full records simulate"]
+        ["the bias drifts, and only full records can simulate this drift"]
         if setup.noise.has_bias_instability
         else []
     )
     if not setup.angle_recorded:
-        obstacles.append("no angle is recorded, and the rotation has to be estimated")
+        obstacles.append("no angle is recorded, so the rotation must be estimated")
     other_levels = NOISE_LEVELS.keys() - {WHITE}
     varying = [quantity.symbol for quantity in truth.varying if quantity.symbol in other_levels]
     if varying:
-        obstacles.append(f"{', '.join(varying)} varies, which only full records simulate")
+        obstacles.append(
+            f"{', '.join(varying)} varies, and only full records can simulate this variation"
+        )
     if setup.noise.quantisation > 0.0:
-        obstacles.append("quantisation is not Gaussian")
+        obstacles.append("quantisation noise is not Gaussian")
     fastest = max(abs(spindle.rate) for spindle in setup.spindles)
     for observable in sorted(set(setup.observables.values())):
         is_displacement = observable == "displacement"
@@ -446,7 +446,7 @@ def _common_obstacles(setup: SimulationSetup, truth: StudyTruth) -> list[str]:
             _smallest_white_noise(truth) if is_displacement else setup.noise.white_sd(observable)
         )
         if white <= 0.0:
-            obstacles.append("there is no white noise")
+            obstacles.append("the description contains no white noise")
         # A derivative more with each integration less.
         amplitude = setup.radius * fastest ** (2 - observation.ORDERS[observable])
         for size, column in (

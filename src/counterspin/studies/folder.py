@@ -206,7 +206,7 @@ class StudyProgress:
         try:
             saved_trials, batches, sums = self._check_sums(arrays)
         except (KeyError, TypeError, ValueError):
-            _warn(f"{self._file} is damaged: the study starts again from the beginning")
+            _warn(f"{self._file} is damaged, so the study starts again from the beginning")
             return
         lost_count = 0
         batch_results = self.batch_results
@@ -228,7 +228,7 @@ class StudyProgress:
         if lost_count:
             _warn(
                 f"{self.folder / _PARTS}: {lost_count} of {len(batches)} files are missing, "
-                "damaged or from another study: the trials in these files are repeated"
+                "damaged or from another study. The study repeats the trials in these files"
             )
 
     def _check_sums(self, arrays: dict[str, Array] | None) -> tuple[int, list[int], Array]:

@@ -64,13 +64,13 @@ def study_blocks(result: StudyResult) -> list[Block]:
         ]
         if analysis.undetermined:
             listed = ", ".join(analysis.undetermined)
-            blocks.append(Paragraph(f"Not determined by the records: {listed}.", "quiet"))
+            blocks.append(Paragraph(f"The records do not determine {listed}.", "quiet"))
     blocks.append(
         Paragraph(
-            "Bias is given with its standard error. The coverage columns give the share of trials "
-            "whose 68 %, 95 % or 99 % interval contains the true value, with a binomial 95 % "
-            "interval. Efficiency is the Cramér-Rao bound of all samples over the mean square "
-            "error.",
+            "The number after ± is the standard error of the bias. The coverage columns give "
+            "the share of trials whose 68 %, 95 % or 99 % interval contains the true value, "
+            "with a binomial 95 % interval. Efficiency is the Cramér-Rao bound for all "
+            "samples, divided by the mean square error.",
             "quiet",
         )
     )
@@ -90,7 +90,7 @@ def _verdict_blocks(result: StudyResult) -> Iterator[Block]:
 def _varied_quantity_blocks(result: StudyResult) -> Iterator[Block]:
     yield Heading("Varied quantities")
     if not result.varying:
-        yield Paragraph("Only the noise varies.")
+        yield Paragraph("Only the noise varies between trials.")
         return
     rows = tuple(tuple(line.split(": ", 1)) for line in result.varying)
     yield Table((Column("Quantity"), Column("Distribution", wraps=True)), rows)
@@ -155,8 +155,8 @@ def coverage_plots(result: StudyResult) -> Iterator[Plot]:
         low, high = zip(*(c.intervals[index] for c in coefficients), strict=True)
         share = tuple(c.covered[index] for c in coefficients)
         yield Plot(
-            title=f"Share of trials whose {100 * level:.0f} % interval contains the true value; "
-            f"bars: 95 % intervals",
+            title=f"Share of trials whose {100 * level:.0f} % interval contains the true "
+            "value; error bars: 95 % intervals",
             x_label="",
             y_label="share, %",
             series=(
@@ -187,7 +187,7 @@ def bias_plots(result: StudyResult, covariate: str) -> Iterator[Plot]:
         unit, factor = field_unit(coefficient.unit)
         bias_values, expanded_errors = factor * bias[has_trials], 2.0 * factor * spread[has_trials]
         yield Plot(
-            title=f"Bias of {name}; bars: two standard errors",
+            title=f"Bias of {name}; error bars: two standard errors",
             x_label=covariate,
             y_label=f"bias, {unit}" if unit else "bias",
             series=(

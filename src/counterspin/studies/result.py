@@ -280,30 +280,31 @@ def judge_coverage(name: str, summary: CoefficientResult) -> tuple[bool | None, 
         abs(summary.bias) > 3.0 * summary.se_bias
         and abs(summary.bias) > _MAX_BIAS_RATIO * summary.u
     )
-    coverage_text = (
-        f"its 95 % intervals contain the true value in {100.0 * share:.4g} % of the trials"
-    )
+    coverage_text = f"{100.0 * share:.4g} % of the 95 % intervals contain the true value"
     if summary.trials < MIN_TRIALS:
         return None, f"{name}: {coverage_text}"
     if low <= _ACCEPTED_COVERAGE[1] and high >= _ACCEPTED_COVERAGE[0] and not biased:
-        return True, f"{name} is unbiased, and {coverage_text}"
+        return True, f"{name} is unbiased; {coverage_text}"
     if biased:
         factor = summary.truth and 1.0 + summary.bias / summary.truth
         ratio_text = (
-            f": it is {factor:.3g} times the true value" if abs(factor - 1.0) > 0.05 else ""
+            (f"; the mean estimate is {factor:.3g} times the true value")
+            if abs(factor - 1.0) > 0.05
+            else ""
         )
         return False, (
             f"{name} is biased by {abs(summary.bias) / summary.u:.3g} standard "
-            f"uncertainties{ratio_text}, and {coverage_text}"
+            f"uncertainties{ratio_text}; {coverage_text}"
         )
     ratio = summary.sd / summary.u
     if high < _ACCEPTED_COVERAGE[0]:
         return False, (
-            f"{name}: the scatter is {ratio:.3g} times the stated uncertainty, and {coverage_text}"
+            f"The estimates of {name} scatter by {ratio:.3g} times the stated uncertainty; "
+            f"{coverage_text}"
         )
     return True, (
-        f"{name}: the stated uncertainty is {1.0 / ratio:.3g} times the scatter "
-        f"(conservative), and {coverage_text}"
+        f"The stated uncertainty of {name} is {1.0 / ratio:.3g} times the scatter of the "
+        f"estimates (conservative); {coverage_text}"
     )
 
 
@@ -314,7 +315,7 @@ def summarise_analyses(analyses: Mapping[str, AnalysisResult]) -> list[str]:
     trustworthy = {name: analysis for name, analysis in analyses.items() if analysis.trustworthy}
     lines = []
     if not trustworthy:
-        lines.append("No analysis is free of faults.")
+        lines.append("Every analysis has at least one fault.")
     else:
         best = min(trustworthy, key=lambda name: _mean_square_error(trustworthy[name]))
         lines.append(
@@ -323,11 +324,11 @@ def summarise_analyses(analyses: Mapping[str, AnalysisResult]) -> list[str]:
             + ". "
             + _findings(trustworthy[best].coefficients.values())
         )
-        lines += [f"{name}: no fault was found either." for name in trustworthy if name != best]
+        lines += [f"{name}: no fault found either." for name in trustworthy if name != best]
     for name, analysis in analyses.items():
         if not analysis.trustworthy:
             faulty = [c for c in analysis.coefficients.values() if not c.trustworthy]
-            lines.append(f"{name}: do not use. {_findings(faulty)}")
+            lines.append(f"{name}: do not use this analysis. {_findings(faulty)}")
     return lines
 
 
@@ -339,7 +340,10 @@ def _summarise_few_trials(analyses: Mapping[str, AnalysisResult]) -> list[str]:
     """Return the findings of a study with too few trials for a verdict."""
     trials = min(c.trials for analysis in analyses.values() for c in analysis.coefficients.values())
     return [
-        f"{trials} trials are too few for a verdict: use at least {MIN_TRIALS}, preferably 1000.",
+        (
+            f"{trials} trials are too few for a verdict. Use at least {MIN_TRIALS} trials, "
+            "preferably 1000."
+        ),
         *(
             f"{name}. {_findings(analysis.coefficients.values())}"
             for name, analysis in analyses.items()

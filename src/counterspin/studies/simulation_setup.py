@@ -156,15 +156,15 @@ def make_setup(campaign: Campaign) -> SimulationSetup:
     assert campaign.simulation is not None
     rate = campaign.simulation.sampling_rate
     errors = [
-        f"runs[{index}]: {run.duration:.4g} s contain too few samples at {rate:.4g} Hz; a trial "
-        "needs at least three, preferably many"
+        f"runs[{index}]: {run.duration:.4g} s contain too few samples at {rate:.4g} Hz; a "
+        "trial requires at least three samples, preferably many more"
         for index, run in enumerate(campaign.runs)
         if run.duration is not None and sample_count(run.duration, rate) < _MIN_SAMPLES
     ]
     stated = inputs_by_owner(campaign)
     errors += [
-        f"truth.{owner or symbol.partition('.')[0]}.{symbol.partition('.')[2]}: a study simulates "
-        "it only if the campaign states it too"
+        f"truth.{owner or symbol.partition('.')[0]}.{symbol.partition('.')[2]}: a study can "
+        "simulate this entry only if the campaign states it too"
         for owner, symbol in campaign.simulation.truth.inputs
         if symbol in RESPONSE_INPUTS and (owner, symbol) not in stated
     ]

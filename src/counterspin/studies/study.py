@@ -164,8 +164,8 @@ def _warn_of_duration(engine: StudyEngine, trials: int, workers: int) -> None:
     text = (
         f"{trials} trials will take about {_format_duration(seconds)}"
         + (f" ({reason})" if reason else "")
-        + "; use fewer `trials`, more `workers` or a `cluster` to reduce this time; Ctrl-C "
-        "stops the study with a valid result for the completed trials"
+        + "; to reduce this time, use fewer `trials`, more `workers` or a `cluster`. Ctrl-C stops "
+        "the study and keeps a valid result for the completed trials"
     )
     warnings.warn(CounterspinWarning(text, code="long-study"), stacklevel=4)
 

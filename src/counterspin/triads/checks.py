@@ -87,13 +87,13 @@ def _pattern_finding(group: FittedReadings, pattern: Pattern) -> Finding:
         owners = dict.fromkeys(
             candidate.owner for candidate in pattern.alternatives if candidate.kind == first.kind
         )
-        clause += f", most in {' or '.join(owners)}"
+        clause += f", mainly in {' or '.join(owners)}"
         remedy = (
-            " Was the sensor knocked or switched off?"
+            " Check whether the sensor was knocked or switched off."
             if first.kind == STEP
             else (
-                " Let the sensor warm up first, or add K_F.trend to model.terms"
-                f"{', with the time of each pose' if first.symbol == 'order' else ''}."
+                " Let the sensor warm up before the test, or add K_F.trend to "
+                f"model.terms{', with the time of each pose' if first.symbol == 'order' else ''}."
             )
         )
     return Finding(
@@ -108,7 +108,7 @@ def _pattern_finding(group: FittedReadings, pattern: Pattern) -> Finding:
 def _check_residual_dof(group: FittedReadings) -> Finding:
     dof_text = format_number(group.residual_dof, 2) if group.residual_dof >= 0.05 else "no"
     text = (
-        f"{group.readings.size} poses leave {dof_text} degrees of freedom after the estimation: "
-        "the residuals cannot be tested. Measure more poses."
+        f"{group.readings.size} poses leave {dof_text} degrees of freedom after the "
+        "estimation, so the residuals cannot be tested. Measure more poses."
     )
     return Finding(code="unjudged-readings", subject=TRIAD, text=text)

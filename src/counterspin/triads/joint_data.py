@@ -93,9 +93,8 @@ def pose_advice(view: AccelerometerView) -> str:
         )
     elif distinct < free_count:
         sentences.append(
-            f" The {count} poses have only {distinct} different directions, fewer than the "
-            f"{free_count} "
-            "unknowns without a prior."
+            f" The {count} poses have only {distinct} different directions, which are fewer "
+            f"than the {free_count} unknowns without a prior."
         )
     for direction, sign in (("up", -1.0), ("down", 1.0)):
         missing = [
@@ -104,11 +103,11 @@ def pose_advice(view: AccelerometerView) -> str:
             if np.min(sign * np.concatenate(projections)) > -_MAX_COSINE
         ]
         if missing:
-            sentences.append(f" No pose has {' or '.join(missing)} pointing {direction}.")
+            sentences.append(f" In no pose does {' or '.join(missing)} point {direction}.")
     return (
         "".join(sentences)
-        + " Measure poses with directions spread over the whole sphere, or request fewer "
-        "coefficients in model.terms: the remaining coefficients then have default priors."
+        + " Measure poses with directions spread over the whole sphere. Alternatively, request "
+        "fewer coefficients in model.terms; the other coefficients then have default priors."
     )
 
 

@@ -458,14 +458,14 @@ def _insufficient_poses_error(poses: TriadPoses, solution: Solution, model: Unkn
     )
     angles = [u for u in model.unknowns if u.is_of_interest and u.symbol.startswith("delta")]
     suggestion = (
-        " The poses can determine biases and scale factors, if only these are requested: terms = "
-        '["K_F", "K_I"] in [model].'
+        " The poses can determine biases and scale factors if only these coefficients are "
+        'requested: terms = ["K_F", "K_I"] in [model].'
         if angles and poses.size > len(requested) - len(angles)
         else ""
     )
     return (
-        f"{poses.accelerometer}: {poses.size} pose{'s' * (poses.size > 1)} at unknown attitudes "
-        "without a stated uncertainty do not determine the noise in addition to "
+        f"{poses.accelerometer}: {poses.size} pose{'s' * (poses.size > 1)} at unknown "
+        "attitudes without a stated uncertainty do not determine the noise in addition to "
         f"{len(free_names)} unknowns without a prior.{undetermined_text} Measure more poses, "
         f"spread over all directions, or state the uncertainty.{suggestion}"
     )

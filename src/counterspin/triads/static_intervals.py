@@ -86,21 +86,22 @@ class StaticIntervals:
         """Reasons to doubt the threshold, a sentence each; empty for a clear record."""
         messages = []
         if math.isinf(self.contrast):
-            messages.append("The record contains no motion: all of it counts as rest.")
+            messages.append(
+                "The record contains no motion, so the whole record is treated as rest."
+            )
         elif self.contrast < MIN_CONTRAST:
             messages.append(
-                f"Rest and motion are not clearly separated: the level in motion is "
-                f"{self.contrast:.2g} times that at rest. Compare the plot of the level with "
-                f"the threshold of {self.threshold:.3g}, and specify a different threshold if it "
-                "separates rest and motion better."
+                "Rest and motion are not clearly separated: the level in motion is "
+                f"{self.contrast:.2g} times the level at rest. Compare the plot of the level "
+                f"with the threshold of {self.threshold:.3g}. If a different threshold "
+                "separates rest and motion better, specify that threshold."
             )
         total_scatter = np.sqrt((self.scatter**2).sum(axis=1))
         for index in np.flatnonzero(total_scatter > _DRIFT_RATIO * self.threshold)[:1]:
             messages.append(
-                f"The pose from {self.start[index]:.6g} s to {self.end[index]:.6g} s scatters by "
-                f"{total_scatter[index]:.3g} over its whole length, more than its noise "
-                "explains: the "
-                "sensor may have turned slowly."
+                f"The pose from {self.start[index]:.6g} s to {self.end[index]:.6g} s scatters "
+                f"by {total_scatter[index]:.3g} over the whole interval, which is more than "
+                "the noise explains. The sensor may have rotated slowly."
             )
         return tuple(messages)
 
@@ -159,8 +160,8 @@ def find_poses(
     contrast = _contrast(level, used_threshold, starts, ends)
     faults = _interval_faults(x, starts, ends, resolutions)
     left_out = tuple(
-        f"The rest from {t[starts[index]]:.6g} s to {t[ends[index] - 1]:.6g} s was rejected: "
-        f"{reason}"
+        f"The rest interval from {t[starts[index]]:.6g} s to {t[ends[index] - 1]:.6g} s was "
+        f"rejected: {reason}"
         for index, reason in faults.items()
     )
     if len(faults) == len(starts):
@@ -355,7 +356,7 @@ def _no_interval_message(
     time: Array, level: Array, threshold: float, rest: float, window: float, step: float
 ) -> str:
     """Say that no rest was found, and which threshold would take the quietest stretch."""
-    message = f"no rest of {rest:g} s was found below the threshold of {threshold:.3g}."
+    message = f"no rest interval of {rest:g} s was found below the threshold of {threshold:.3g}."
     candidates = np.unique(level[np.isfinite(level)])
     low, high = 0, len(candidates)
     while low < high:
@@ -365,12 +366,12 @@ def _no_interval_message(
         else:
             low = middle + 1
     if low == len(candidates):
-        return f"{message} The record has no interval of this length without a gap."
+        return f"{message} Every interval of this length in the record contains a gap."
     starts, ends = _find_intervals(time, level, float(candidates[low]), rest, window, step)
     return (
         f"{message} The quietest interval, from {time[starts[0]]:.6g} s to "
-        f"{time[ends[0] - 1]:.6g} s, stays below {candidates[low]:.3g}: use a higher threshold to "
-        "include this interval, or a shorter rest to use a quieter part."
+        f"{time[ends[0] - 1]:.6g} s, stays below {candidates[low]:.3g}. Use a higher threshold "
+        "to include this interval, or a shorter minimum duration to use a quieter part."
     )
 
 
@@ -386,21 +387,23 @@ def _interval_faults(
     faults = {}
     for index, (a, b) in enumerate(zip(starts, ends, strict=True)):
         if median_scatter.any() and (values[a:b] == values[a]).all():
-            faults[index] = "the values do not change at all, as if the recorder had stopped."
+            faults[index] = (
+                "all values are identical, which suggests that the recorder had stopped."
+            )
             continue
         share_at_ends = (values[a:b, None] == extremes).mean(axis=0).max(axis=0)
         saturated = np.flatnonzero(is_testable & (share_at_ends > _SATURATED_FRACTION))
         if len(saturated):
             axis = saturated[0]
             faults[index] = (
-                f"{share_at_ends[axis]:.0%} of the values along axis {axis + 1} are the largest "
-                "or smallest of the record, as if at the limit of the range."
+                f"{share_at_ends[axis]:.0%} of the values along axis {axis + 1} are the "
+                "largest or smallest of the record, which suggests that the range was exceeded."
             )
             continue
         constant_axes = np.flatnonzero(is_testable & (values[a:b] == values[a]).all(axis=0))
         if len(constant_axes):
             faults[index] = (
-                f"axis {constant_axes[0] + 1} does not change at all while other axes do, as if "
-                "the sensor had stopped."
+                f"axis {constant_axes[0] + 1} does not change while other axes do, which "
+                "suggests that this axis had failed."
             )
     return faults

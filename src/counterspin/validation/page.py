@@ -84,7 +84,7 @@ def dossier_blocks(dossier: Dossier) -> Iterator[Block]:
     yield Heading(_TITLE, 1)
     yield from _summary(dossier)
     yield from _failures(dossier)
-    yield Heading("Requirements and their cases")
+    yield Heading("Requirements and the cases that test them")
     yield _requirements(dossier)
     yield Heading("Installed software")
     yield from _installation_blocks(dossier)
@@ -92,9 +92,9 @@ def dossier_blocks(dossier: Dossier) -> Iterator[Block]:
         yield Heading(f"Cases: {requirement}")
         yield _cases([case for case in dossier.cases if case.requirement == requirement])
     yield Paragraph(
-        "For each case, the number closest to its limit is shown. Digits: correct digits of this "
-        "number (-log10 of the relative difference), at most 16. Limit: largest allowed "
-        "difference.",
+        "For each case, the table shows the number closest to the limit of this number. "
+        "Digits: correct digits of this number (-log10 of the relative difference), at most "
+        "16. Limit: largest allowed difference.",
         "quiet",
     )
     yield Heading("Sources")
@@ -114,10 +114,13 @@ def _summary(dossier: Dossier) -> Iterator[Block]:
     if dossier.passed:
         yield Paragraph(f"{count_text}; none failed.", "answer")
     elif dossier.failed:
-        yield Paragraph(f"{count_text}. Failed: {'; '.join(dossier.failed)}.", "warning")
+        yield Paragraph(
+            f"{count_text}. These cases failed: {'; '.join(dossier.failed)}.", "warning"
+        )
     else:
         yield Paragraph(
-            f"{count_text}, but the installation differs from the delivered one.", "warning"
+            f"{count_text}, but the files of the installation differ from the delivered files.",
+            "warning",
         )
     installed_files = dossier.installation
     if installed_files.altered or installed_files.missing:
@@ -127,7 +130,9 @@ def _summary(dossier: Dossier) -> Iterator[Block]:
         problems += (
             [f"missing: {', '.join(installed_files.missing)}"] if installed_files.missing else []
         )
-        yield Paragraph(f"Files of the installation: {'; '.join(problems)}.", "warning")
+        yield Paragraph(
+            f"Problems with the files of the installation: {'; '.join(problems)}.", "warning"
+        )
 
 
 def _failures(dossier: Dossier) -> Iterator[Block]:
@@ -184,17 +189,21 @@ def _installation_blocks(dossier: Dossier) -> Iterator[Block]:
     rows = [("counterspin", installation.version), *installation.environment.items()]
     rows += [row for row in installation.packages.items() if row[0] not in installation.environment]
     yield Table((Column("Part"), Column("Version")), tuple(rows))
-    yield Paragraph(f"{installation.files} files of the package, together {installation.checksum}.")
+    yield Paragraph(
+        f"The package has {installation.files} files with the combined checksum "
+        f"{installation.checksum}."
+    )
     if not installation.recorded:
         yield Paragraph(
             "The installation has no RECORD of these files (installed in place, or not "
-            "installed), so they cannot be compared with the delivered files."
+            "installed), so the files cannot be compared with the delivered files."
         )
         return
     altered, missing = len(installation.altered), len(installation.missing)
     yield Paragraph(
-        f"{installation.recorded} files are in the installation's RECORD: {altered} altered, "
-        f"{missing} missing; {len(installation.unknown)} files are not in the RECORD."
+        f"The RECORD of the installation lists {installation.recorded} files: {altered} "
+        f"altered, {missing} missing. {len(installation.unknown)} files of the package are not "
+        "in the RECORD."
     )
     if installation.unknown:
-        yield Paragraph(f"Not in RECORD: {', '.join(installation.unknown)}.", "quiet")
+        yield Paragraph(f"Files not in the RECORD: {', '.join(installation.unknown)}.", "quiet")

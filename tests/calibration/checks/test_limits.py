@@ -18,7 +18,7 @@ from counterspin.simulation.simulate import simulate
 
 SIGMA = 2e-6
 TRUTH = {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5}
-SIGN = "the sign of the output, the sense of the input axis and of the attitudes"
+SIGN = "the sign of the output, and the senses of the input axis and of the attitudes"
 
 
 def tumbled(folder, change, *, turned=0.0, terms=tuple(TRUTH), more="", accelerometer=""):
@@ -48,13 +48,16 @@ def only(result):
     ("change", "words"),
     [
         (lambda g: -g, SIGN),
-        (lambda g: 10.0 * g, "a unit off by a power of ten, 1e1."),
-        (lambda g: 1e-3 * g, "a unit off by a power of ten, 1e-3."),
-        (lambda g: -1e3 * g, f"{SIGN}, and a unit off by a power of ten, 1e3."),
-        (lambda g: 9.80665 * g, "a unit, m/s^2 instead of g."),
-        (lambda g: g / 9.80665, "a unit, m/s^2 instead of g."),
+        (lambda g: 10.0 * g, "the unit, which may be wrong by a factor of 1e1."),
+        (lambda g: 1e-3 * g, "the unit, which may be wrong by a factor of 1e-3."),
+        (lambda g: -1e3 * g, f"{SIGN}, and the unit, which may be wrong by a factor of 1e3."),
+        (lambda g: 9.80665 * g, "the unit: the values may be in m/s^2 instead of g."),
+        (lambda g: g / 9.80665, "the unit: the values may be in m/s^2 instead of g."),
         (lambda g: 0.03 * g, "whether columns or accelerometers are swapped."),
-        (lambda g: 1.3 * g, "the sensitivity and its unit, or the range of the readout."),
+        (
+            lambda g: 1.3 * g,
+            "the sensitivity, the unit of the sensitivity, and the range of the readout.",
+        ),
     ],
 )
 def test_a_scale_factor_that_no_instrument_has(tmp_path, change, words):
@@ -70,8 +73,8 @@ def test_a_scale_factor_that_no_instrument_has(tmp_path, change, words):
 def test_where_a_grade_leaves_several_causes_all_are_named(tmp_path):
     result = tumbled(tmp_path, lambda g: 9.9 * g, accelerometer='grade = "consumer"')
     assert (
-        "Check a unit, m/s^2 instead of g, or a unit off by a power of ten, 1e1."
-        in only(result).text
+        "Check the unit: the values may be in m/s^2 instead of g, or the unit, which may be "
+        "wrong by a factor of 1e1." in only(result).text
     )
 
 
@@ -84,10 +87,12 @@ def test_the_size_says_by_how_many_standard_uncertainties(tmp_path):
 def test_an_offset_and_an_attitude(tmp_path):
     offset = tumbled(tmp_path, lambda g: g + 0.3)
     assert only(offset).subject == "A.K_F"
-    assert "K_F = 0.302 g is not credible: more than 0.1 g." in only(offset).text
+    assert (
+        "K_F = 0.302 g is not credible, because its magnitude exceeds 0.1 g." in only(offset).text
+    )
     turned = tumbled(tmp_path, lambda g: g, turned=1.0)
     assert only(turned).subject == "A.delta_O"
-    assert "the attitudes: their zero" in only(turned).text
+    assert "the zero and the sense of the attitude angles" in only(turned).text
     head = tumbled(tmp_path, lambda g: g, turned=1.0, terms=("K_F", "K_I", "head.zero"))
     assert only(head).subject == "head.zero"
     assert "the zero of the dividing head" in only(head).text

@@ -58,7 +58,7 @@ def walking(share: float, name: str = "Qx") -> AccelerometerView:
 
 def test_noise_that_is_most_of_k_ii_without_showing_is_remarked_on():
     (remark,) = undetected_walk_remarks([walking(0.8)])
-    assert remark.startswith("Qx: 80% of u^2 of K_II")
+    assert remark.startswith("Qx: 80% of the variance of K_II")
     assert "acceleration in [noise]" in remark
 
 
@@ -137,7 +137,7 @@ def test_strobes_that_scatter_by_a_tenth_of_the_stated_noise_are_a_finding(tmp_p
     for findings in found.values():
         assert [(f.code, f.subject) for f in findings] == [("wrong-noise", "Qx")]
     joint, strobes = (findings[0].text for findings in found.values())
-    shown = float(re.search(r"times as large as stated, ([\d.]+) m, would fit", joint).group(1))
+    shown = float(re.search(r"Noise of this size, ([\d.]+) m, would fit", joint).group(1))
     assert shown == pytest.approx(1e-3, rel=0.05)
     shown = float(re.search(r"noise: ([\d.]+) m instead of 0\.01 m", strobes).group(1))
     # Some 40 strobes: within a third.

@@ -61,7 +61,7 @@ def test_the_second_order_moves_what_the_finding_names(tmp_path, key):
     assert found["Qx.K_I"].size == pytest.approx(-expected / other.u, rel=0.02)
     assert found["Qx.K_I"].size > 1.0
     assert tilted.state == "reservations"
-    assert "may reach 1.2e+03 arcsec (value and 2 u)" in found["Qx.K_I"].text
+    assert "may reach 1.2e+03 arcsec (estimate plus 2 u)" in found["Qx.K_I"].text
 
 
 def test_a_tilt_along_the_input_axis_leaves_its_scale_factor(tmp_path):

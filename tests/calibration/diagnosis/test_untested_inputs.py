@@ -83,8 +83,9 @@ def test_a_head_that_is_said_to_err_by_little(tmp_path, source, symbol, unit, se
     assert (result.state, result.findings) == ("good", [])
     (text,) = remarks(result)
     said = re.search(
-        rf"the stated value of head\.harmonic\.{re.escape(source)} is off by ([\d.]+) arcsec, "
-        rf"{symbol} is wrong by ([\d.e-]+) \S+ \(([\d.]+) times its u\)",
+        rf"the stated value of head\.harmonic\.{re.escape(source)} has an error of ([\d.]+) "
+        rf"arcsec, "
+        rf"the error of {symbol} is ([\d.e-]+) \S+, ([\d.]+) times the u of",
         text,
     )
     assert said, text
@@ -117,7 +118,8 @@ def test_the_clock_of_one_run_alone(tmp_path):
     assert (result.state, result.findings) == ("good", [])
     (text,) = remarks(result)
     run, shift = re.search(
-        r"if the clock in (\w+) alone is off by 20 ppm, K_III is wrong by ([\d.]+) ug", text
+        r"if the clock during (\w+) only has an error of 20 ppm, the error of K_III is ([\d.]+) ug",
+        text,
     ).groups()
     record = made / f"{run}.csv"
     head, *rows = record.read_text().splitlines()
@@ -134,5 +136,5 @@ def test_the_clock_of_one_run_alone(tmp_path):
     line = f'record = "{run}.csv"'
     named = changed(text, (line, f'{line}\nrecords = {{ recorder = "B" }}'))
     own = calibrate(write(made, named).parent)
-    assert f"clock in {run}" not in "".join(remarks(own))
+    assert f"clock during {run}" not in "".join(remarks(own))
     assert own.accelerometers["Qx"].coefficients["K_III"].u > 1.5 * before.u

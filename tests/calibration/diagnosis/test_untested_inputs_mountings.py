@@ -105,7 +105,7 @@ def test_a_wrong_axis_is_named_where_the_records_show_it(recorded, axis):
     elif axis != "up":
         # 298 u off or so, and nothing in the records to tell it by: it is said what it rests on.
         assert abs(k_ii.value - 2.7e-5) > 30.0 * k_ii.u
-        assert "stated values of K_IO and K_OO depend on it" in remarks(result)[0]
+        assert "stated values of K_IO and K_OO depend on this direction" in remarks(result)[0]
 
 
 def test_a_wrong_axis_is_named_beside_noise_that_is_found_and_terms_that_nobody_states(tmp_path):

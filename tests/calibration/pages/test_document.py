@@ -84,7 +84,7 @@ def test_a_good_result_says_what_was_checked():
     assert rows == (
         ("Fit", "The residuals are consistent with the stated noise (p = 0.5)."),
         ("Leave-one-run-out", "No single run dominates the result."),
-        ("Another method", "The two-stage method agrees."),
+        ("Another method", "The two-stage method is consistent with the result."),
     )
 
 
@@ -104,7 +104,7 @@ def test_what_speaks_against_a_result_is_said_once_and_before_everything_else():
     blocks = document(result(findings=[lost], jackknife=drives))
     sentence, rows = checked(blocks)
     assert sentence.style == "warning"
-    assert sentence.text.endswith("reservations (2 findings, the most serious first).")
+    assert sentence.text.endswith("reservations (2 findings, most serious first).")
     assert {row[0] for row in rows[:2]} == {"Strobes lost", "Run disagrees: K_II"}
     for words in ("3 strobes were", "Omitting slow shifts K_II"):
         assert sum(words in row[1] for row in rows) == 1
@@ -114,7 +114,7 @@ def test_a_contradicted_result_says_so_first_and_has_neither_interval_nor_colour
     blocks = document(result(residual=MISFIT))
     assert blocks[0] == Heading("By hand", 1)
     assert blocks[1].style == "warning"
-    assert blocks[1].text.startswith("The records contradict this result (Qx): The residuals are 8")
+    assert blocks[1].text.startswith("The records contradict this result (Qx). The residuals are 8")
     assert blocks[2] == Paragraph(
         "K_II of Qx = 27.0000 ± 0.0010 µg/g² = (2.70000 ± 0.00010) × 10⁻⁵ g/g²"
     )
@@ -148,8 +148,8 @@ def test_every_picture_of_a_full_result_is_there():
         "Residuals of Qx, fast",
         "Mean residual of Qx over the revolution",
         "Spectrum of the whitened residuals of Qx",
-        "Detrended normal Q-Q plot of the whitened residuals of Qx",
-        "Rate ripple by harmonic; bars: 95 % intervals",
+        "Detrended normal Q-Q plot of whitened residuals of Qx",
+        "Rate ripple by harmonic; error bars: 95 % intervals",
     ]
 
 
@@ -318,7 +318,7 @@ def test_estimates_that_move_together_are_named_in_words(correlation, rows):
     told = [block for block in blocks if isinstance(block, Paragraph)][-1].text
     tables = [block for block in blocks if isinstance(block, Table)]
     assert told == (
-        "Correlations above 0.9 in magnitude:"
+        "Correlations with magnitude above 0.9:"
         if rows
         else "No correlation between two estimates exceeds 0.9 in magnitude."
     )

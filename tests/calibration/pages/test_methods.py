@@ -50,10 +50,11 @@ def result(readings, runs=()):
 def test_each_kind_of_test_is_a_sentence():
     lines = list(describe_tests(result(TUMBLE + ARM, ("slow", "fast"))))
     assert lines == [
-        "Readings at rest in 2 positions, 3 readings (multi-position test, IEEE Std 1293).",
+        "Readings at rest in 2 positions: 3 readings (multi-position test, IEEE Std 1293).",
         "Readings on the arm of a centrifuge (IEEE Std 836) at 2 rates, 7 to 14 rad/s, one sense "
-        "of rotation, 2 mountings (in, out): 4 readings, each the mean over whole revolutions.",
-        "Records of a double turntable centrifuge at the stated rates: 2 records.",
+        "of rotation, 2 mountings (in, out): 4 readings. Each reading is the mean over whole "
+        "revolutions.",
+        "Double-turntable centrifuge records at the stated rates: 2 records.",
     ]
 
 
@@ -75,7 +76,7 @@ def test_the_forces_are_those_of_the_motions_alone():
     text = [block.text for block in reading_blocks(result(ARM))]
     assert any(line.startswith("On the arm") for line in text)
     assert not any("At rest" in line or "double turntable" in line for line in text)
-    assert text[-1].endswith("estimated together with the coefficients: centrifuge.radius.in.")
+    assert text[-1].endswith("together with the coefficients: centrifuge.radius.in.")
     assert list(reading_blocks(result([]))) == []
 
 
@@ -102,9 +103,15 @@ def kinds(p):
     )
 
 
-@pytest.mark.parametrize(("p", "verdict"), [(0.0013, "agrees"), (0.0012, "does not agree")])
+@pytest.mark.parametrize(
+    ("p", "verdict"),
+    [
+        (0.0013, "consistent with the other methods"),
+        (0.0012, "not consistent with the other methods"),
+    ],
+)
 def test_all_tests_of_all_kinds_share_the_significance(p, verdict):
     (words,) = [b.text for b in method_blocks(kinds(p)) if isinstance(b, Paragraph)]
     assert words.startswith(
-        f"Comparison of each test method with the others: at rest: {verdict} (chi"
+        f"Consistency of each test method with the other methods: at rest: {verdict} (chi"
     )

@@ -68,7 +68,7 @@ def test_residuals_before_and_after(result, truth):
 
 
 def test_the_search_for_rest_is_drawn_with_its_threshold_and_the_poses(result, truth):
-    (found,) = (p for p in pose_pictures(result) if p.title == "Where by hand was at rest")
+    (found,) = (p for p in pose_pictures(result) if p.title == "Rest intervals of by hand")
     shaded, level = found.series
     (threshold,) = found.levels
     assert threshold == result.triad.records["by hand"].threshold

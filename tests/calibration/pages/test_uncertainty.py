@@ -54,8 +54,8 @@ def test_the_largest_unstated_source_is_named_with_what_would_be_left():
     # Known to a tenth of its typical size, K_OO leaves hypot(0.2, 0.1) ug/g^2.
     assert told == (
         "K_OO (second-order output-axis coefficient) contributes 100 % of the variance of K_II. "
-        "Its uncertainty was not stated, so the default of 2 ug/g^2 was used. Knowing K_OO to "
-        "0.2 ug/g^2 would reduce u to 0.22 ug/g^2."
+        "No uncertainty was stated for this term, so the default of 2 ug/g^2 was used. If K_OO "
+        "were known to 0.2 ug/g^2, u would fall to 0.22 ug/g^2."
     )
 
 
@@ -86,7 +86,7 @@ def test_lines_that_add_next_to_nothing_are_said_together():
 def test_what_is_assumed_is_named():
     assert assumption_sentence(resting(2e-6)) == ""
     assert assumption_sentence(resting(2e-6, assumed=["K_4", "K_IP"])) == (
-        "Assumed perfect, so not included in u: K_4, K_IP."
+        "These terms are fixed at their nominal values, so u does not include them: K_4, K_IP."
     )
     many = [f"K_{k}" for k in range(11)]
     assert assumption_sentence(resting(2e-6, assumed=many)).endswith("K_7 and 3 more.")
@@ -112,5 +112,5 @@ def test_what_counts_in_a_budget_is_in_the_table_the_largest_first():
     assert table.rows[0][1:3] == ("second-order output-axis coefficient", "default")
     assert table.rows[1][4] == "held (considered)"
     assert isinstance(blocks[-1], Paragraph)
-    assert blocks[-1].text.startswith("Assumed perfect")
+    assert blocks[-1].text.startswith("These terms are fixed")
     assert list(prior_blocks(resting(2e-6))) == []

@@ -14,7 +14,8 @@ def sentence(**changes):
 def test_a_good_result():
     assert sentence() == (
         "The result for Qx passed all checks: the residuals are consistent with the stated noise "
-        "(p = 0.5); no single run dominates the result; the two-stage method agrees."
+        "(p = 0.5); no single run dominates the result; the two-stage method is consistent with "
+        "the result."
     )
 
 
@@ -25,16 +26,17 @@ def test_reservations_say_the_gravest_first_and_how_many_more():
     )
     assert told == (
         "The result for Qx is usable with reservations: Omitting slow shifts K_II by 0.01 ug/g^2, "
-        "3.1 times the standard uncertainty of the shift: this run disagrees with the others. "
-        "There are 2 more findings. Passed checks: the residuals are consistent with the stated "
-        "noise (p = 0.5); the two-stage method agrees."
+        "3.1 times the standard uncertainty of the shift. Therefore, this run is not consistent "
+        "with the others. 2 more findings are listed below. Passed checks: the residuals are "
+        "consistent with the stated noise (p = 0.5); the two-stage method is consistent with the "
+        "result."
     )
 
 
 def test_nothing_speaks_for_a_contradicted_result():
     told = sentence(jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -6.1}])
     assert told.startswith(
-        "The result for Qx is contradicted by its records and must not be used: Omitting"
+        "The result for Qx is contradicted by the records and must not be used: Omitting"
     )
     assert "Passed checks" not in told
 
@@ -44,11 +46,11 @@ def test_nothing_supports_a_result_that_is_not_determined():
     lacking["undetermined"] = True
     found = judge_result(result(findings=[lacking]))
     told = verdict_sentence("Qx", found.accelerometers["Qx"])
-    assert told == "The result for Qx is not fully determined by its data: Add a run."
+    assert told == "The result for Qx is not fully determined by the data: Add a run."
     (first,) = misfit_blocks(found)
     assert first.style == "undetermined"
     assert first.text.startswith(
-        "The data do not fully determine this result (Qx.K_III): Add a run."
+        "The data do not fully determine this result (Qx.K_III). Add a run."
     )
     (paragraph,) = verdict_blocks(found)
     assert paragraph.style == "undetermined"

@@ -297,7 +297,7 @@ def test_noise_that_does_not_show_is_remarked_on(tmp_path, monkeypatch):
         monkeypatch.setattr(residuals, "_MAX_UNDETECTED_SHARE", part * share)
         result = calibrate(folder, method="two-stage")
         remarks = [
-            remark for remark in result.warnings if "of K_II comes from white noise" in remark
+            remark for remark in result.warnings if "comes from accelerometer white noise" in remark
         ]
         assert len(remarks) == count
         assert "hidden-noise" not in {finding.code for finding in result.findings}
@@ -309,7 +309,7 @@ def test_a_prior_that_the_runs_contradict_is_named(tmp_path):
     found = result_of(tmp_path, wrong)
     first = qx(found).findings[0]
     assert (first.code, first.subject, first.contradicts) == ("prior-conflict", "Qx.K_F", True)
-    assert "Qx.K_F is stated as 5040.0 ± 2.0 ug; the records and all other" in first.text
+    assert "Qx.K_F is stated as 5040.0 ± 2.0 ug, but the records and all other" in first.text
     assert first.size > 6.0
     assert [below.code for below in first.explains] == ["lack-of-fit"]
     assert "lack-of-fit" not in {finding.code for finding in qx(found).findings}
@@ -402,7 +402,7 @@ def test_terms_that_act_alike_are_said_with_their_combination(tmp_path, capsys):
         c = found.coefficients[item.terms[0]]
         assert (item.value, item.u) == (c.value, c.u)
         assert item.correlation == -1.0
-        assert f"the records determine {item.determined} = " in text
+        assert f"the records determine only {item.determined} = " in text
 
 
 def test_what_nothing_states_is_in_u_at_its_typical_size(tmp_path):
@@ -509,7 +509,7 @@ def test_as_printed_is_half_and_says_so(tmp_path):
         assert c.value == pytest.approx(2.7e-5 / 2, abs=4 * c.u)
         assert abs(c.value - 2.7e-5) > 10 * c.u
         assert found.second_unknown["spindle.ripple"].unit == unit
-        assert "the result is half the true K_II" in found.warnings[0]
+        assert "the estimate is half the true K_II" in found.warnings[0]
 
 
 def test_without_an_angle_the_drift_is_an_unknown(tmp_path, capsys):
@@ -539,7 +539,7 @@ def test_runs_that_do_not_agree_are_named(tmp_path):
     wrong = (PRIORS[0], 'bias = "0.00501 g"\nscale_factor = "1.002 g/g"')
     first = qx(result_of(tmp_path / "a", wrong)).findings[0]
     assert first.code == "lack-of-fit"
-    assert "do not agree with the model" in first.text
+    assert "are not consistent with the model" in first.text
     assert "slow deviates most" in first.text
     # Without weights the sum of squares is not distributed like chi-square.
     unweighted = qx(result_of(tmp_path / "b", wrong, weighted=False))
@@ -553,7 +553,9 @@ def test_strobes_in_gaps_are_counted(tmp_path):
     frame.filter(~time.is_between(5.1, 7.9)).write_csv(folder / "fast.csv")
     result = calibrate(folder, method="two-stage")
     # Qx has its strobes at 0.25 s, Qy at 0.5 s of each revolution.
-    assert "Qx: 3 strobes fell into gaps in the record and were omitted." in qx(result).warnings
+    assert (
+        "Qx: 3 strobes coincided with gaps in the record and were omitted." in qx(result).warnings
+    )
     assert result.runs["fast"].parabolas["Qx"].strobes == 17
 
 

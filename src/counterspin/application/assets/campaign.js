@@ -28,8 +28,8 @@ async function showResult(campaign, output) {
 function calibration(campaign) {
   const place = make("div");
   const method = make("select", {},
-    make("option", { value: "joint" }, "Joint: all samples in one fit"),
-    make("option", { value: "two-stage" }, "Two-stage: method of the paper"));
+    make("option", { value: "joint" }, "Joint method: all samples in one fit"),
+    make("option", { value: "two-stage" }, "Two-stage method of the paper"));
   const output = make("input", { value: "result.json", required: true, autocomplete: "off" });
   const reason = make("input", { autocomplete: "off" });
   const show = (/** @type {import("./job.js").Job} */ job) => showResult(campaign.name, job.output);

@@ -128,7 +128,7 @@ export async function certificateView(result) {
     const action = signing.wanted ? "sign" : "issue";
     const sections = new Map(list.map(({ section }) => [section, list.filter((gap) => gap.section === section)]));
     missing.replaceChildren(make("h2", {}, list.length
-      ? `Complete ${entries} before you ${action}${draft ? "; until then, you can write a draft" : ""}`
+      ? `Complete ${entries} before you ${action}${draft ? ". You can write a draft now" : ""}`
       : `All required entries are complete. Check the pages before you ${action}.`),
     ...list.length ? [make("ul", {}, ...[...sections].map(([section, some]) =>
       make("li", {}, make("span", { class: "section" }, section), make("span", {}, ...some.flatMap(({ text, words, go, leaveOut }) => [
@@ -142,7 +142,7 @@ export async function certificateView(result) {
     const { text } = form.now;
     if (text === drawn) return;
     if (form.now.problems.some(({ words }) => !words.includes("missing"))) {
-      preview.state.textContent = "The preview does not show the latest entries, because they contain a mistake.";
+      preview.state.textContent = "The preview does not show the latest entries, because one of these entries is not valid.";
       return;
     }
     preview.state.textContent = "Rendering the pages.";
@@ -182,7 +182,7 @@ export async function certificateView(result) {
         dispatchEvent(new HashChangeEvent("hashchange"));
       };
       entries.replaceChildren(receiptOf(made, { result, signed: signing.wanted, form, amend }));
-      preview.show(made.pages, made.draft ? "Certificate draft as written." : "Certificate as issued.");
+      preview.show(made.pages, made.draft ? "This is the certificate draft as written." : "This is the certificate as issued.");
       entries.querySelector("h2")?.focus();
     } finally {
       button.disabled = false;

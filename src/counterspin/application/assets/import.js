@@ -98,7 +98,7 @@ function pastedTable(take) {
     placeholder: "position_deg\treading_mA\n0\t1.2503\n30\t1.0825" });
   let count = 0;
   return make("details", {}, make("summary", {}, "Paste a table"),
-    labelled("Table with a header row and one row per reading, as copied from a spreadsheet", text),
+    labelled("Table copied from a spreadsheet: one header row, then one row per reading", text),
     make("button", {
       type: "button",
       // A changed table is another file, because no file is replaced.

@@ -119,7 +119,7 @@ export async function waysPart(name, result) {
       ...symbols(`Measure or specify the ${named({ name: stated.source, words: stated.words })}, with a standard uncertainty of ${stated.known}: ` +
         `the uncertainty of ${stated.symbol}${of} would fall from ${stated.now} to ${stated.left}. `),
       make("button", { type: "button",
-        onclick: prepare(accelerometer, "state", "The copy of the campaign contains a placeholder value. " +
+        onclick: prepare(accelerometer, "state", "The copy of the campaign contains an assumed value. " +
           "Replace this value with your measured value.") }, "Prepare a copy with this value")),
     ...found];
   });

@@ -102,7 +102,7 @@ export const columnsOf = (seen) => [
 export async function liveView(name) {
   const campaign = await get("campaign", { name });
   const goal = make("input", { placeholder: "K_II 1e-8 g/g^2", autocomplete: "off", "aria-describedby": "goal-mistake" });
-  const place = make("div", {}, make("p", { class: "quiet" }, "Reading the records; this takes a few seconds the first time."));
+  const place = make("div", {}, make("p", { class: "quiet" }, "Reading the records. The first reading takes a few seconds."));
   const events = make("ul", { class: "quiet", "aria-live": "polite" });
   const command = make("div");
   const chart = new UncertaintyChart();
@@ -167,8 +167,8 @@ export async function liveView(name) {
     title: `Live: ${campaign.title}`,
     content: [
       make("h1", {}, campaign.title), campaignTabs(name, "live", reachedBy(campaign)),
-      make("p", { class: "quiet" }, "The page reads the records every second while your recorder writes them into the campaign folder. "
-        + "Ripple is given as a fraction of the rate. The residuals should be about as large as the noise."),
+      make("p", { class: "quiet" }, "While your recorder writes records into the campaign folder, this page reads the records every second. "
+        + "Ripple is given as a fraction of the rate. The residuals should be about the same size as the noise."),
       make("div", { class: "row" }, labelled("Goal (coefficient and standard uncertainty)", goal)), wrong, chart.element, place, events, command,
     ],
   };

@@ -126,7 +126,7 @@ const copyButton = (part) => make("button", {
       [card.querySelector("h2"), ...card.querySelectorAll(".value, .halves p:not(.value)")]
         .map((element) => element?.textContent?.trim()).join("\t"));
     navigator.clipboard.writeText(lines.join("\n"))
-      .then(() => say("Result copied."), () => say("Not copied: the browser denied access to the clipboard. Select and copy the values, or save the report."));
+      .then(() => say("Result copied."), () => say("The browser denied access to the clipboard, so the result was not copied. Select and copy the values, or save the report."));
   },
 }, "Copy result");
 

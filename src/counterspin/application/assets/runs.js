@@ -90,7 +90,7 @@ class RecordPlots {
     });
     this.words.textContent = told.whole
       ? "The plot shows every row."
-      : "Each pixel column shows the minimum and the maximum of its rows " +
+      : "Each pixel column shows the minimum and maximum of several rows " +
         `(${this.about.rows.toLocaleString("en")} rows in total).`;
   }
 

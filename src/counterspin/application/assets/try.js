@@ -94,7 +94,7 @@ export async function tryView(name) {
         simulated),
       studied,
       make("section", {}, make("h2", {}, "Forecast"),
-        make("p", { class: "quiet" }, "Uncertainties expected from the description. If the description lacks noise, rates or "
+        make("p", { class: "quiet" }, "The forecast calculates the expected uncertainties from the description. If the description lacks noise, rates or "
           + "durations, counterspin takes these values from existing records of the runs."), forecast),
     ],
   };

@@ -39,20 +39,20 @@ _POWERS: Final = (-9, -6, -4, -3, -2, -1, 1, 2, 3, 4, 6, 9)
 
 #: The first of these that a symbol begins with says what is likely.
 _LIKELY_CAUSES: Final = {
-    "K_F.temperature": "the unit of the temperatures, or their assignment to positions",
-    "K_I.temperature": "the unit of the temperatures, or their assignment to positions",
-    "K_II.temperature": "the unit of the temperatures, or their assignment to positions",
-    "K_F.trend": "the times of the runs and their unit",
-    "K_F": "an offset of all readings, such as the `zero` of an output, or that of the attitudes",
-    "delta_": "the attitudes: their zero, their sense, or the axes",
-    "K_": "the rates, the radius, or whether the output is linear at the largest force",
-    "platform.tilt": "the attitudes, or the input axes",
-    "platform.": "the unit of a record, or the stated noise",
+    "K_F.temperature": "the unit of the temperatures and their assignment to positions",
+    "K_I.temperature": "the unit of the temperatures and their assignment to positions",
+    "K_II.temperature": "the unit of the temperatures and their assignment to positions",
+    "K_F.trend": "the start times of the runs and the unit of these times",
+    "K_F": "the `zero` of the output, the zero of the attitude angles, and other common offsets",
+    "delta_": "the zero and the sense of the attitude angles, and the axes",
+    "K_": "the rates, the radius, and the linearity of the output at the largest specific force",
+    "platform.tilt": "the attitudes and the input axes",
+    "platform.": "the units of the records and the stated noise",
     "centrifuge.radius": "the radius and its unit",
     "centrifuge.": "the radius, the rates and their units",
     "fixture.": "the attitudes and axes of this mounting",
-    "head.zero": "the zero of the dividing head, and the sense in which its angle is counted",
-    "encoder.": "the angle: its unit, and its counts per revolution",
+    "head.zero": "the zero of the dividing head and the positive sense of its angle",
+    "encoder.": "the unit of the angle and the counts per revolution",
 }
 
 
@@ -115,10 +115,10 @@ def check_default_priors(rests_on: Sequence[Knowledge]) -> Iterator[Finding]:
         estimate = format_estimate(row.found * factor, row.u_found * factor, unit)
         size = f"{format_number(row.u * factor, 2)} {unit}"
         text = (
-            f"{row.name}, without a stated value, is estimated as {estimate}: "
-            f"{format_number(ratio, 2)} "
-            f"times its default standard uncertainty, {size}. State a prior for it in "
-            "[model.priors], or look for another error with the same effect."
+            f"No value is stated for {row.name}. The estimate, {estimate}, is "
+            f"{format_number(ratio, 2)} times the default standard uncertainty, {size}. State "
+            f"a prior for {row.name} in [model.priors], or look for another error with the "
+            "same effect."
         )
         yield Finding(code="beyond-typical", subject=row.name, text=text, size=ratio)
 
@@ -133,14 +133,14 @@ def _credibility_finding(
     excess = abs(c.value - row.nominal) - limit
     if excess <= _MAX_SIGMAS * c.u:
         return None
-    excess_text = f"more than {format_number(limit)} {c.unit}"
-    excess_text += f" from {row.nominal:g}" if row.nominal else ""
+    deviation = f"deviation from {row.nominal:g}" if row.nominal else "magnitude"
+    excess_text = f"its {deviation} exceeds {format_number(limit)} {c.unit}"
     cause = _scale_factor_cause(c.value, limit) if symbol == "K_I" else _likely_cause(symbol)
-    grade = f" state its grade in accelerometers.{owner}, or" if owner else ""
+    grade = f" state the grade of the instrument in accelerometers.{owner}, or" if owner else ""
     text = (
-        f"{symbol} = {format_number(c.value, 5)} {c.unit} is not credible: {excess_text}. "
-        f"The records cannot show why. Check "
-        f"{cause}. If the value is real,{grade} raise {symbol} in [model.limits]."
+        f"{symbol} = {format_number(c.value, 5)} {c.unit} is not credible, because "
+        f"{excess_text}. The records cannot show the cause. Check {cause}. If the value is "
+        f"real,{grade} raise {symbol} in [model.limits]."
     )
     return Finding(
         code="incredible",
@@ -157,16 +157,24 @@ def _likely_cause(symbol: str) -> str:
 
 def _scale_factor_cause(value: float, limit: float) -> str:
     """Return the likely cause of an incredible scale factor: a sign, a unit, a column."""
-    factors = dict.fromkeys((_GRAVITY, 1.0 / _GRAVITY), "a unit, m/s^2 instead of g")
-    factors |= {10.0**power: f"a unit off by a power of ten, 1e{power}" for power in _POWERS}
+    factors = dict.fromkeys(
+        (_GRAVITY, 1.0 / _GRAVITY), "the unit: the values may be in m/s^2 instead of g"
+    )
+    factors |= {
+        10.0**power: f"the unit, which may be wrong by a factor of 1e{power}" for power in _POWERS
+    }
     # The true one may be as far from 1 as instruments of its grade are.
     tolerance = max(_RATIO_TOLERANCE, 0.1 * limit)
     matches = [factor for factor in (1.0, *factors) if abs(abs(value) / factor - 1.0) <= tolerance]
     causes = []
     if value < -limit or (value < 0.0 and matches):
-        causes.append("the sign of the output, the sense of the input axis and of the attitudes")
+        causes.append(
+            "the sign of the output, and the senses of the input axis and of the attitudes"
+        )
     if 1.0 not in matches and matches:
         causes.append(", or ".join(factors[factor] for factor in matches))
     elif not matches and abs(value) <= limit:
         causes.append("whether columns or accelerometers are swapped")
-    return ", and ".join(causes) or "the sensitivity and its unit, or the range of the readout"
+    return ", and ".join(causes) or (
+        "the sensitivity, the unit of the sensitivity, and the range of the readout"
+    )

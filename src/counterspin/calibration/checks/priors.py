@@ -130,9 +130,9 @@ class PriorExplanation:
         symbol = self.alternative.symbol
         unit = unit_of(self.fit.model.unknowns[next(iter(self.alternative.prior_shifts))].symbol)
         text = (
-            f"{symbol} differs from the stated value by the same amount in all runs: the records "
-            f"shift the value by {self._format_estimate(unit)}, or {abs(self.value) / self.u:.1f} "
-            "standard uncertainties of the difference. Check the stated value."
+            f"In all runs, {symbol} differs from the stated value by the same amount, "
+            f"{self._format_estimate(unit)}. This is {abs(self.value) / self.u:.1f} standard "
+            "uncertainties of the difference. Check the stated value."
         )
         return FindingText(
             code="prior-conflict", subject=symbol, text=text, name=f"{symbol} of all runs"
@@ -147,12 +147,12 @@ class PriorExplanation:
             for value, u in ((stated + self.value, self.u), (stated, 0.0))
         )
         article, stated_text = (
-            ("An" if known.words[0] in "aeiou" else "A"),
+            ("an" if known.words[0] in "aeiou" else "a"),
             as_stated.split(" (exact)")[0],
         )
         text = (
-            f"{article} {known.words}{owner} of {estimate} would fit the records; {stated_text} "
-            f"is {'stated' if stated else 'assumed'}. Check the value."
+            f"The records would fit with {article} {known.words}{owner} of {estimate} instead "
+            f"of the {'stated' if stated else 'assumed'} {stated_text}. Check the value."
         )
         name = f"{known.words}{owner}"
         return FindingText(code="wrong-input", subject=self.alternative.name, text=text, name=name)
@@ -163,9 +163,9 @@ def describe_conflict(
 ) -> str:
     """Return the sentence on a prior that the records contradict."""
     text = (
-        f"{name} is stated as {format_si(*stated, unit)}; the records and all other priors give "
-        f"{format_si(*estimate, unit)}, which differs by {size:.1f} standard uncertainties of the "
-        f"difference"
+        f"{name} is stated as {format_si(*stated, unit)}, but the records and all other priors "
+        f"give {format_si(*estimate, unit)}. The difference is {size:.1f} standard "
+        "uncertainties of the difference"
     )
     if hint := _usual_mistake(estimate[0], stated[0], unit):
         text += f" ({hint})"

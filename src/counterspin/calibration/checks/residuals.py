@@ -44,11 +44,11 @@ def _compare_run_noise(view: AccelerometerView) -> list[Finding]:
     if worst is None or worst.p * tests >= FALSE_ALARMS:
         return []
     text = (
-        f"The estimated noise of the accelerometer differs between runs: in {worst.run} it is "
+        f"The estimated accelerometer noise differs between runs: in {worst.run}, the noise is "
         f"{format_number(math.sqrt(worst.ratio), 2)} times as large as in the other runs (p = "
-        f"{worst.p:.2g}). A slow error of this record, or of a record that it is compared with, "
-        "may have been taken for noise and may shift the coefficients by more than their "
-        "uncertainty. Inspect the records."
+        f"{worst.p:.2g}). The fit may have attributed a slow error of this record, or of a "
+        "comparison record, to noise. Such an error may shift the coefficients by more than "
+        "their uncertainty. Inspect the records."
     )
     return [
         Finding(
@@ -71,8 +71,9 @@ def noise_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
         }:
             strides = ", ".join(f"one in {stride} of {run}" for run, stride in thinned.items())
             yield (
-                f"{view.name}: adjacent rows have nearly the same error, as if the recorder had a "
-                f"filter or a coarse resolution. Only independent rows are used: {strides}."
+                f"{view.name}: adjacent rows have nearly the same error, as if the recorder "
+                "had a low-pass filter or a coarse resolution. The fit uses only independent "
+                f"rows: {strides}."
             )
         sizes = {series.run: math.sqrt(series.variance_ratio) for series in view.series}
         quietest, noisiest = (
@@ -81,24 +82,24 @@ def noise_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
         if sizes and sizes[noisiest] > sizes[quietest]:
             ratio = sizes[noisiest] / sizes[quietest]
             yield (
-                f"{view.name}: the noise of {noisiest} is {ratio:.2g} times that of {quietest}. "
-                "Each run is weighted with the noise of that run. Find the cause, and check "
-                "whether anything else differs."
+                f"{view.name}: the noise in {noisiest} is {ratio:.2g} times the noise in "
+                f"{quietest}. The fit weights each run according to its noise. Find the cause, "
+                "and check whether the runs differ in any other way."
             )
         if timing := estimated_timing_noise(view):
             symptom, action = (
                 "the noise is proportional to the slope of the signal",
-                "Rows are weighted",
+                "the fit weights the rows accordingly",
             )
             if any(series.corrected_fraction > 0.0 for series in view.series):
                 symptom, action = (
-                    "angle and signal have a common error",
-                    "Times are corrected by the angle",
+                    "the angle and the signal have a common error",
+                    "the fit uses the angle to correct the times",
                 )
             yield (
-                f"{view.name}: {symptom}, as if the time stamps had a jitter of "
-                f"{timing * 1e6:.2g} us. {action} accordingly. If the time stamps do have jitter, "
-                "state its size as timing in [noise]."
+                f"{view.name}: {symptom}. This pattern suggests time-stamp jitter of "
+                f"{timing * 1e6:.2g} us, and {action}. If the time stamps do have jitter, "
+                "enter the jitter as timing in [noise]."
             )
 
 
@@ -115,7 +116,8 @@ def undetected_walk_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]
         share = variance / float(view.fit.solution.u[index]) ** 2
         if share > _MAX_UNDETECTED_SHARE:
             yield (
-                f"{name}: {share:.0%} of u^2 of K_II comes from white noise of the accelerometer "
-                "that the records neither show nor exclude. If this noise is known, even to be "
-                "zero, state it as acceleration in [noise]; otherwise record longer runs."
+                f"{name}: {share:.0%} of the variance of K_II comes from accelerometer white "
+                "noise that the records can neither confirm nor exclude. If this noise is "
+                "known, enter it as acceleration in [noise], even if the value is zero. "
+                "Otherwise, record longer runs."
             )

@@ -38,8 +38,9 @@ def _drift_finding(symbol: str, drift: Coefficient, longest: float) -> list[Find
         return []
     clause = f"is {rate:.2g} deg/h" if rate > limit else f"may reach {rate + 2.0 * u:.2g} deg/h"
     text = (
-        f"{symbol} {clause} (u {u:.1g} deg/h): in runs of {longest:.0f} s the first-order model of "
-        f"the platform's attitude holds only up to about {limit:.2g} deg/h."
+        f"{symbol} {clause} (u {u:.1g} deg/h). In runs of {longest:.0f} s, the first-order "
+        f"model of the platform attitude is valid only for drifts up to about {limit:.2g} "
+        "deg/h."
     )
     return [Finding(code="large-drift", subject=symbol, text=text, size=(rate + 2.0 * u) / limit)]
 
@@ -109,9 +110,9 @@ def _tilt_finding(
     tilt = float(np.linalg.norm(size)) / ARCSEC
     unit, factor = field_unit(coefficient.unit)
     text = (
-        f"The tilt of {run} may reach {tilt:.3g} arcsec (value and 2 u): beyond first order, this "
-        f"tilt shifts {subject} by up to {format_number(shift * factor, 2)} {unit}, "
-        f"{format_number(ratio, 2)} times its u. The first-order model holds up to about "
-        f"{tilt / math.sqrt(ratio):.2g} arcsec here."
+        f"The tilt in {run} may reach {tilt:.3g} arcsec (estimate plus 2 u). The second-order "
+        f"effect of this tilt shifts {subject} by up to {format_number(shift * factor, 2)} "
+        f"{unit}, {format_number(ratio, 2)} times the u of {subject}. The first-order model is "
+        f"valid only for tilts up to about {tilt / math.sqrt(ratio):.2g} arcsec."
     )
     return Finding(code="large-tilt", subject=subject, text=text, size=ratio)

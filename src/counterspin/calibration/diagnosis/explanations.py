@@ -39,21 +39,23 @@ class Explanation(PriorExplanation):
         if not self.alternative.owner and term(self.alternative.symbol).per_run:
             name += " in all runs"
         text = (
-            f"{name} of {self._format_estimate(unit_of(self.alternative.symbol))} would explain "
-            "the records; the model omits this term. "
+            f"The model omits {name}. A value of "
+            f"{self._format_estimate(unit_of(self.alternative.symbol))} would explain the "
+            "records. "
         )
         label = f"{name}, which the model omits"
         if abs(self.value) > limit:
             shown, factor = field_unit(unit_of(self.alternative.symbol))
             largest = f"{format_number(limit * factor, 3)} {shown}"
             text += (
-                f"This value exceeds the largest credible size, {largest}, but no credible cause "
-                "explains the misfit as well. If the term can be this large, add it to the terms "
-                "and state its limit; otherwise look for a mistake with the same effect."
+                f"This value exceeds the largest credible value, {largest}, but no credible "
+                "cause explains the misfit as well. If the true value can be this large, add "
+                "the term to the model and state a limit. Otherwise, look for a mistake with "
+                "the same effect."
             )
-            label += " and which would be incredibly large"
+            label += " and whose value would not be credible"
         else:
-            text += "Add it to the terms, or state a prior for it."
+            text += "Add the term to the model, or state a prior for it."
         return FindingText(
             code="term-missing", subject=self.alternative.name, text=text, name=label
         )
@@ -69,8 +71,9 @@ class Explanation(PriorExplanation):
     def _describe_scale(self) -> FindingText:
         text = (
             f"The record of {self._record_names} would fit if the signal were "
-            f"{format_number(1 - self.value, 6)} times as large (u {format_number(self.u, 2)}): "
-            "check the scale and unit of the record, and the stated scale factor."
+            f"{format_number(1 - self.value, 6)} times as large (u "
+            f"{format_number(self.u, 2)}). Check the scale and unit of the record, and the "
+            "stated scale factor."
         )
         name = f"scale of the record of {self._record_names}"
         return FindingText(code="wrong-scale", subject=self.alternative.owner, text=text, name=name)
@@ -83,15 +86,16 @@ class Explanation(PriorExplanation):
         fastest = max(rates)
         change, u = (0.5e6 * size * fastest**2 for size in (abs(self.value), self.u))
         direction, cause = (
-            ("fell", "a filter in the recorder, or averaging over the sampling interval")
+            ("fell", "a low-pass filter in the recorder, or averaging over the sampling interval")
             if self.value > 0.0
-            else ("rose", "a resonance of the sensor")
+            else ("rose", "a resonance of the accelerometer")
         )
         text = (
-            f"The records of {self.alternative.owner} would fit if the gain {direction} with the "
-            f"square of the frequency, by {format_estimate(change, u, 'ppm')} at "
-            f"{fastest / (2.0 * math.pi):.3g} Hz, as with {cause}. Check the frequency response "
-            "of the accelerometer and of the recorder."
+            f"The records of {self.alternative.owner} would fit if the gain {direction} with "
+            "the square of the frequency, reaching a change of "
+            f"{format_estimate(change, u, 'ppm')} at {fastest / (2.0 * math.pi):.3g} Hz. A "
+            f"likely cause is {cause}. Check the frequency response of the accelerometer and "
+            "of the recorder."
         )
         return FindingText(
             code="frequency-response",
@@ -106,8 +110,8 @@ class Explanation(PriorExplanation):
         size = f"{math.degrees(abs(self.value)):.4g} deg (u {math.degrees(self.u):.1g} deg)"
         direction = "larger" if self.value > 0.0 else "smaller"
         text = (
-            f"The records would fit if the angle{of_run} were {size} {direction}: check the zero "
-            "of the angle and the time at which the angle is sampled."
+            f"The records would fit if the angle{of_run} were {size} {direction}. Check the "
+            "zero of the angle and the time at which the angle is sampled."
         )
         return FindingText(
             code="wrong-angle",
@@ -122,12 +126,12 @@ class Explanation(PriorExplanation):
             ("the platform's", "platform") if uses_platform else ("its own", "own velocity")
         )
         text = (
-            f"The records are consistent with a computer that uses {owner} velocity for the "
-            f"Coriolis acceleration: they contain {format_number(self.value, 4)} times that "
-            f"effect (u {format_number(self.u, 2)}). If the computer does so, state reference = "
+            f"The records fit best if the computer uses {owner} velocity for the Coriolis "
+            f"acceleration (estimated fraction of this effect {format_number(self.value, 4)}, "
+            f"u {format_number(self.u, 2)}). If the computer does so, enter reference = "
             f'"{stated}" in [records].'
         )
-        name = f"velocity in the Coriolis acceleration, {owner}"
+        name = f"velocity in the Coriolis acceleration: {owner}"
         return FindingText(
             code="own-velocity", subject=self.alternative.symbol, text=text, name=name
         )
@@ -135,8 +139,8 @@ class Explanation(PriorExplanation):
     def _describe_bias(self) -> FindingText:
         text = (
             f"{self._record_names} would fit with a separate bias that differs by "
-            f"{self._format_estimate('g')} from the bias in the other runs: the bias has changed, "
-            "or the record has a slow error. Inspect the record."
+            f"{self._format_estimate('g')} from the bias in the other runs. Either the bias "
+            "changed, or the record has a slow error. Inspect the record."
         )
         return FindingText(
             code="run-differs",
@@ -150,28 +154,28 @@ class Explanation(PriorExplanation):
         when = "" if alone else " from the start of every run"
         text = (
             f"{self._record_names} would fit with a bias that drifts by "
-            f"{self._format_estimate('g/s')}{when}: "
-            "warm-up, creep or another slow error. Inspect the records."
+            f"{self._format_estimate('g/s')}{when}. Possible causes are warm-up, creep or "
+            "another slow error. Inspect the records."
         )
         return FindingText(
             code="bias-drifts",
             subject=self.alternative.owner,
             text=text,
-            name=f"drift of the bias of {self._record_names}",
+            name=f"bias drift of {self._record_names}",
         )
 
     def _describe_bias_step(self) -> FindingText:
         text = (
-            f"{self._record_names} would fit with a bias that changes by "
-            f"{self._format_estimate('g')} at about {self.alternative.time:.4g} s: a switch-on "
-            "transient, warm-up or another slow error. Omit the part before that time, or the "
-            "whole run."
+            f"{self._record_names} would fit if the bias changed by "
+            f"{self._format_estimate('g')} at about {self.alternative.time:.4g} s. Possible "
+            "causes are a switch-on transient, warm-up or another slow error. Omit the part "
+            "before that time, or omit the whole run."
         )
         return FindingText(
             code="bias-drifts",
             subject=self.alternative.owner,
             text=text,
-            name=f"change of the bias of {self._record_names}",
+            name=f"bias change in {self._record_names}",
         )
 
     def _describe_step(self) -> FindingText:
@@ -186,7 +190,7 @@ class Explanation(PriorExplanation):
         return FindingText(
             code="jump",
             subject=self.alternative.owner,
-            text=f"The record of {self._record_names} {change_text}. Omit the run, or record it "
-            "again.",
+            text=f"The record of {self._record_names} {change_text}. Omit the run, or repeat "
+            "the recording.",
             name=f"{quantity} of {self._record_names}",
         )

@@ -65,9 +65,9 @@ def _noise_finding(name: str, runs: Mapping[str, float]) -> Finding:
     listing = ", ".join(f"{size} in {run}" for size, run in zip(ratios, deviating, strict=False))
     rest = ", and as stated in the other runs" if len(deviating) < len(runs) else ""
     text = (
-        f"The noise of {name} is {listing}{rest}, according to the differences between adjacent "
-        "rows. Find the cause, or remove the value from [noise]: each run is then weighted by its "
-        "own noise."
+        f"The differences between adjacent rows show that the noise of {name} is "
+        f"{listing}{rest}. Find the cause. Alternatively, remove the value from [noise], so "
+        "that counterspin estimates the noise of each run."
     )
     size = max(max(ratio, 1.0 / ratio) for ratio in runs.values())
     return Finding(code="wrong-noise", subject=name, text=text, size=size)
@@ -99,8 +99,9 @@ def check_stated_noise(view: AccelerometerView) -> Iterator[Finding]:
     white, unit = view.fit.noise[name].white, OBSERVABLES[view.accelerometer.observable]
     shown = f", {format_number(factor * white, 3)} {unit}," if white > 0.0 else ""
     text = (
-        f"Noise {format_number(factor, 4)} times as large as stated{shown} would fit: the "
-        "residuals have this size in every run and are independent of each other. Check the "
-        "stated noise, or let counterspin estimate it."
+        "The residuals are independent of each other and, in every run, "
+        f"{format_number(factor, 4)} times as large as expected from the stated noise. Noise "
+        f"of this size{shown} would fit. Check the stated noise, or let counterspin estimate "
+        "the noise."
     )
     yield Finding(code="wrong-noise", subject=name, text=text, size=max(factor, 1.0 / factor))

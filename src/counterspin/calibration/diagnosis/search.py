@@ -436,7 +436,7 @@ def _make_cause(
         names = [rival.name for rival in rivals[:_MAX_RIVALS]]
         unnamed = len(rivals) - len(names)
         names += [f"{unnamed} more" if unnamed > 1 else "one more"] if unnamed else []
-        text += f" Another {' or '.join(names)} would fit the records equally well."
+        text += f" Alternatively, {' or '.join(names)} would fit the records equally well."
     is_decisive = normal_equivalent(explanation.size, explanation.dof) > CONTRADICTION_SIGMAS
     contradicts = is_decisive and (max_shift > 1.0 or explanation.alternative.kind == "prior")
     return Cause(

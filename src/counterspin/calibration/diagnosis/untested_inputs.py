@@ -162,13 +162,16 @@ def mounting_finding(mounting: AlternativeMounting) -> Finding:
     if any(group.motion != "poses" for group in mounting.view.groups):
         data, sense = "readings", ", the sense of rotation of the attitudes"
     text = (
-        f"The {data} of {name} would fit if its pendulous axis pointed {fitted} instead of the "
+        f"The {data} of {name} would fit if the pendulous axis pointed {fitted} instead of the "
         f"stated {stated}. Check pendulous_axis{sense}, and the axes of the stated "
         f"{_join_symbols(_stated_cross_terms(mounting.view))}."
     )
     if symbol:
         ratio = format_number(size, 2)
-        text += f" {symbol} would change by {format_size(symbol, shift)}, {ratio} times its u."
+        text += (
+            f" {symbol} would change by {format_size(symbol, shift)}, {ratio} times the u of "
+            f"{symbol}."
+        )
     return Finding(
         code="wrong-mounting",
         subject=name,
@@ -197,10 +200,11 @@ def undetermined_axis_remarks(mountings: Sequence[AlternativeMounting]) -> Itera
         symbols = _stated_cross_terms(worst.view)
         values, verb = ("values", "depend") if symbols[1:] else ("value", "depends")
         yield (
-            f"{name}: the records do not determine the direction of the pendulous axis, and the "
-            f"stated {values} of {_join_symbols(symbols)} {verb} on it. With {fitted} instead of "
-            f"{stated}, the records would fit equally well, and {symbol} would be "
-            f"{format_size(symbol, abs(shift))} {direction}, {format_number(size, 2)} times its u."
+            f"{name}: the records do not determine the direction of the pendulous axis, and "
+            f"the stated {values} of {_join_symbols(symbols)} {verb} on this direction. With "
+            f"{fitted} instead of {stated}, the records would fit equally well, and {symbol} "
+            f"would be {format_size(symbol, abs(shift))} {direction}, a change of "
+            f"{format_number(size, 2)} times the u of {symbol}."
         )
 
 
@@ -254,12 +258,14 @@ def untested_input_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
             symbol, shift, ratio = largest_shift(view, item.indices, shifts[:, index])
             if ratio >= _WORTH_OF_UNTESTED:
                 clause = (
-                    f"{item.description} is off by {format_size(item.symbol, float(size[index]))}"
+                    f"{item.description} has an error of "
+                    f"{format_size(item.symbol, float(size[index]))}"
                 )
                 amount = (
-                    f"{format_size(symbol, abs(shift))} ({format_number(ratio, 2)} times its u)"
+                    f"{format_size(symbol, abs(shift))}, {format_number(ratio, 2)} times "
+                    f"the u of {symbol}"
                 )
-                remarks.append((ratio, f"if {clause}, {symbol} is wrong by {amount}"))
+                remarks.append((ratio, f"if {clause}, the error of {symbol} is {amount}"))
         remarks.sort(reverse=True)
         if remarks:
             yield (
@@ -307,5 +313,8 @@ def _run_clocks(fit: JointFit) -> Iterator[_UntestedInput]:
                     for observation, block in zip(fit.observations, fit.blocks, strict=True)
                 ]
             )
-            description, no_priors = f"the clock in {run} alone", np.zeros(len(fit.model.unknowns))
+            description, no_priors = (
+                (f"the clock during {run} only"),
+                np.zeros(len(fit.model.unknowns)),
+            )
             yield _UntestedInput(description, CLOCK, unknown.prior[1], (index,), data, no_priors)

@@ -76,7 +76,7 @@ def _output_units_text(accelerometer: AccelerometerResult) -> str:
         for key, c in accelerometer.output.items()
     )
     nominal = f" (nominal {accelerometer.nominal.words})" if accelerometer.nominal else ""
-    return f"In the unit of the readings: {', '.join(coefficients)}{nominal}."
+    return f"Coefficients in the unit of the readings: {', '.join(coefficients)}{nominal}."
 
 
 def _reading_table(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[Block]:
@@ -141,7 +141,7 @@ def coefficient_table(coefficients: dict[str, Coefficient]) -> Table:
             Column("Value", "right"),
             Column("u (k = 1)"),
             Column("Unit"),
-            Column("Sources of u", wraps=True),
+            Column("Uncertainty contributions", wraps=True),
         ),
         rows=tuple(rows),
         quiet=frozenset(i for i, c in enumerate(coefficients.values()) if not c.estimated),
@@ -206,7 +206,7 @@ def confounding_text(confounded: ConfoundedTerms) -> str:
 def _confounded_sentence(confounded: ConfoundedTerms) -> str:
     text = (
         f"{confounding_text(confounded)} with these records (correlation "
-        f"{_format_correlation(confounded.correlation)}); the records determine "
+        f"{_format_correlation(confounded.correlation)}); the records determine only "
         f"{confounded.determined}"
     )
     if confounded.value is None:
@@ -283,8 +283,8 @@ def _comparison_sentence(comparison: Comparison, coefficient: Coefficient | None
         comparison.difference * factor, comparison.u_difference * factor, unit
     )
     return (
-        f"The two-stage method gives K_II = {value}. Difference: {difference} "
-        f"(z = {format_number(comparison.z)}): {agreement}."
+        f"Two-stage method: K_II = {value}. Difference from the joint method: {difference} (z "
+        f"= {format_number(comparison.z)}); {agreement}."
     )
 
 
@@ -337,7 +337,7 @@ def _correlation_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
     if not pairs:
         yield Paragraph("No correlation between two estimates exceeds 0.9 in magnitude.")
         return
-    yield Paragraph("Correlations above 0.9 in magnitude:")
+    yield Paragraph("Correlations with magnitude above 0.9:")
     yield Table(
         (
             Column("Estimate", wraps=True),

@@ -85,7 +85,8 @@ def _linearity_sentence(accelerometer: AccelerometerResult) -> str:
     if ratios[worst] < _NEGLIGIBLE_RATIO:
         amount = f"less than {_NEGLIGIBLE_RATIO:g} times the tolerance"
     text = (
-        f"Full fits with each source moved by ±2 u differ from the linear prediction by {amount}."
+        "Full fits with each source shifted by ±2 u deviate from the linear prediction by "
+        f"{amount}."
     )
     second_order = [
         f"{symbol} ({', '.join(interval.second_order)})"
@@ -93,7 +94,7 @@ def _linearity_sentence(accelerometer: AccelerometerResult) -> str:
         if interval.second_order
     ]
     used = f"A second-order response is used for {', '.join(second_order)}."
-    text += f" {used}" if second_order else " Linear sensitivities are used."
+    text += f" {used}" if second_order else " Monte Carlo trials use linear sensitivities."
     failed = [
         symbol
         for symbol, interval in accelerometer.monte_carlo.items()
@@ -101,9 +102,9 @@ def _linearity_sentence(accelerometer: AccelerometerResult) -> str:
     ]
     if failed:
         text += (
-            " With all sources moved together, full fits still differ by more than the tolerance "
-            f"for {', '.join(failed)}: the interval is approximate there. State smaller "
-            "uncertainties."
+            " With all sources shifted together, full fits still deviate from the prediction "
+            f"by more than the tolerance for {', '.join(failed)}. The intervals of these "
+            "coefficients are approximate. State smaller uncertainties."
         )
     return text
 

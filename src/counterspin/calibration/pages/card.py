@@ -123,7 +123,7 @@ def _note(accelerometer: AccelerometerResult, symbol: str) -> str:
     if accelerometer.findings:
         remaining_count = len(accelerometer.findings) - 1
         text = finding_text(accelerometer.findings[0])
-        return f"{text} ({remaining_count} more below.)" if remaining_count else text
+        return f"{text} (More findings below: {remaining_count}.)" if remaining_count else text
     return default_prior_sentence(accelerometer, symbol) or main_source_sentence(
         accelerometer, symbol
     )
@@ -146,8 +146,8 @@ def _checks(accelerometer: AccelerometerResult) -> Iterator[Check]:
     if largest is not None:
         shift_text = format_number(abs(largest.z or 0.0), 2)
         shift = (
-            f"omitting {largest.run} causes the largest shift, {shift_text} times the u of the "
-            "shift"
+            f"the largest shift, {shift_text} times the u of the shift, occurs if "
+            f"{largest.run} is omitted"
         )
     clause = evidence.get("leave-one-run-out")
     yield _make_check("Runs", f"{clause}; {shift}" if clause else None, shift)
@@ -169,5 +169,5 @@ def _compare_methods(accelerometer: AccelerometerResult) -> tuple[str | None, st
     value = format_estimate(comparison.value * factor, comparison.u * factor, unit)
     difference = f"z = {format_number(abs(comparison.z), 2)}"
     if methods_agree(comparison):
-        return f"two-stage method agrees: {value}, {difference}", None
-    return None, f"two-stage method disagrees: {value}, {difference}"
+        return f"the two-stage method is consistent: {value}, {difference}", None
+    return None, f"the two-stage method is not consistent: {value}, {difference}"

@@ -145,9 +145,10 @@ def answer_blocks(result: Result, *, report: bool = False) -> Iterator[Block]:
         yield Paragraph(f"{line[:1].upper()}{line[1:]}.", "quiet")
     gravity = format_number(result.inputs.gravity, 9)
     yield Paragraph(
-        f"{result.method.capitalize()} method, {result.model} model. ± is one standard uncertainty "
-        f"(k = 1). Coefficients are in units of the site's gravity, g = {gravity} m/s^2. They "
-        "are not normalised by K_I (IEEE Std 1293: K2 = K_II/K_I).",
+        f"{result.method.capitalize()} method, {result.model} model. The number after ± is one "
+        "standard uncertainty (k = 1). Coefficients are expressed in units of the local "
+        f"gravity, g = {gravity} m/s^2, and are not normalised by K_I (IEEE Std 1293: K2 = "
+        "K_II/K_I).",
         "quiet",
     )
 
@@ -228,7 +229,9 @@ def run_blocks(runs: dict[str, RunResult], *, details: bool) -> Iterator[Block]:
             for name, run in runs.items()
         ),
     )
-    yield Paragraph("Digits in brackets: standard uncertainty of the last digits.", "quiet")
+    yield Paragraph(
+        "The digits in brackets are the standard uncertainty of the last digits.", "quiet"
+    )
     yield from _parabola_table(runs)
     yield from _fit_table(runs)
     for name, run in runs.items():
@@ -243,7 +246,7 @@ def _count_blocks(runs: dict[str, RunResult]) -> Iterator[Block]:
         if run.angle_rms is not None:
             unit, factor = field_unit("rad")
             rms = format_number(run.angle_rms * factor)
-            yield Paragraph(f"{name}: encoder residual, {rms} {unit} rms.")
+            yield Paragraph(f"{name}: encoder residual {rms} {unit} rms.")
 
 
 def _ripple_cell(run: RunResult) -> str:
@@ -419,7 +422,8 @@ def batch_blocks(batch: BatchResult) -> list[Block]:
     blocks += [Paragraph(f"{folder}: {error}", "warning") for folder, error in batch.failed.items()]
     blocks += [
         Paragraph(
-            f"{folder}: the records contradict the result, which must not be used.", "warning"
+            f"{folder}: the records contradict the result, so the result must not be used.",
+            "warning",
         )
         for folder in batch.contradicted
     ]

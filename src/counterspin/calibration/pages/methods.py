@@ -59,8 +59,8 @@ def model_blocks(result: Result) -> Iterator[Block]:
     """Yield the equations of the fit with the terms that it had."""
     yield Heading("Model")
     yield Paragraph(
-        "Indication of an accelerometer in g, with the specific force a along its "
-        "input, pendulous and output axes I, P and O:"
+        "The indication of an accelerometer, in g, is as follows. The specific force a has the "
+        "components a_I, a_P and a_O along the input, pendulous and output axes:"
     )
     for name, accelerometer in result.accelerometers.items():
         # A term without a value was not in the fit.
@@ -73,14 +73,14 @@ def model_blocks(result: Result) -> Iterator[Block]:
     )
     if turns := [symbol for symbol in platform if symbol in PLATFORM_TERMS]:
         yield Paragraph(
-            "The small attitude error ψ of the platform rotates the sensed specific force to f − "
-            "ψ × f, with ψ = tilt + ∫ (drift + D f/g + E |f|²/g²) dt + C f/g. Terms in the fit: "
-            f"{_join(turns)}."
+            "The small attitude error ψ of the platform rotates the sensed specific force to f "
+            "− ψ × f, where ψ = tilt + ∫ (drift + D f/g + E |f|²/g²) dt + C f/g. The fit "
+            f"includes these attitude terms: {_join(turns)}."
         )
     if paths := [symbol for symbol in platform if symbol in MOTION_TERMS]:
         yield Paragraph(
-            "Path errors, which displace the platform from the position given by radius and "
-            f"recorded angle: {_join(paths)}."
+            "These path errors displace the platform from the position calculated from the "
+            f"radius and the recorded angle: {_join(paths)}."
         )
     yield from reading_blocks(result)
     if result.runs or not (readings_of(result) or poses_of(result)):
@@ -95,25 +95,27 @@ def _recorded_signal_blocks(result: Result) -> Iterator[Block]:
         for accelerometer in result.accelerometers.values()
     }
     yield Paragraph(
-        "Recorded signal along the motion of the spindle; a_h is the acceleration (gravity, "
-        "Coriolis and centrifugal) that the navigation computer subtracts:"
+        "The recorded signal is as follows. The navigation computer subtracts a_h, the sum of "
+        "the gravitational, Coriolis and centrifugal accelerations:"
     )
     for observable in sorted(observables):
         yield Paragraph(_OBSERVED[observable], "equation")
-    yield Paragraph("θ(t) = θ₀ + ω (t + C t²/2) + ripple (harmonics of the rotation)", "equation")
+    yield Paragraph(
+        "θ(t) = θ₀ + ω (t + C t²/2) + rate ripple (harmonics of the rotation)", "equation"
+    )
 
 
 def _method_sentence(result: Result) -> str:
     if result.model == "as-printed":
         return (
-            "The observation model is the paper's as printed, which returns half the true "
-            "K_II; it is for comparison only."
+            "The observation model uses the paper's equations as printed, which return half "
+            "the true K_II. Use this model only for comparison."
         )
     if result.method == "two-stage":
         return (
-            "Two stages, as in the paper: first a parabola is fitted to one sample per "
-            "revolution, taken where the reference displacement is zero; then a function of the "
-            "rate is fitted to the curvatures."
+            "The two-stage method of the paper first fits a parabola to one sample per "
+            "revolution, taken at zero reference displacement. It then fits a function of the "
+            "rate to the curvatures."
         )
     readings = ["all readings of all test methods"] if readings_of(result) else []
     poses = ["all poses (two unknown angles each)"] if poses_of(result) else []
@@ -121,14 +123,15 @@ def _method_sentence(result: Result) -> str:
         records = ["all samples of the records"] if result.runs else []
         observations = " and ".join([*records, *readings, *poses])
         return (
-            f"One weighted least-squares fit to {observations}, with priors as additional "
-            "observations. Fixed (considered) quantities are propagated through their sensitivity "
-            "coefficients."
+            f"Weighted least squares fits {observations} together. Priors enter as "
+            "pseudo-observations. Fixed (considered) quantities are propagated through their "
+            "sensitivity coefficients."
         )
     return (
-        "One weighted least-squares fit to all samples of all runs and accelerometers, with "
-        "priors as additional observations. Fixed (considered) quantities are propagated through "
-        "their sensitivity coefficients. Each run has a separate start offset and start velocity."
+        "Weighted least squares fits all samples of all runs and accelerometers together. "
+        "Priors enter as pseudo-observations. Fixed (considered) quantities are propagated "
+        "through their sensitivity coefficients. Each run has a separate start offset and "
+        "start velocity."
     )
 
 
@@ -160,19 +163,19 @@ def origin_blocks(result: Result) -> Iterator[Block]:
             (file, checksum.removeprefix("sha256:")) for file, checksum in result.provenance.shown
         ),
     )
-    version_text = f"Made by counterspin {result.provenance.version}."
+    version_text = f"This report was made by counterspin {result.provenance.version}."
     if result.provenance.in_memory:
         inputs_text = "; ".join(
             f"{name} ({description})" for name, description in result.provenance.in_memory.items()
         )
         yield Paragraph(
-            f"{version_text} Not from files: {inputs_text}. "
-            "No command line can therefore repeat the calibration. `Campaign.write` writes a "
-            "folder from which one can."
+            f"{version_text} Some inputs are not files: {inputs_text}. Therefore, no command "
+            "can repeat the calibration. `Campaign.write` writes a campaign folder from which "
+            "the calibration can be repeated."
         )
         return
     yield Paragraph(
-        f"{version_text} To repeat the calibration, run this in the folder of these files:"
+        f"{version_text} To repeat the calibration, run this command in the folder of these files:"
     )
     options = list(result.provenance.options)
     method_arguments = command_arguments(result.method, TwoStageOptions())
@@ -205,16 +208,16 @@ def describe_tests(result: Result) -> Iterator[str]:
         if motion == "static":
             position_text = _format_count(len(_distinct_positions(readings)), "position")
             yield (
-                f"Readings at rest in {position_text}, {count} "
-                "(multi-position test, IEEE Std 1293)."
+                f"Readings at rest in {position_text}: {count} (multi-position test, IEEE Std "
+                "1293)."
             )
             continue
         if motion == "vibration":
             amplitudes = _amplitudes(readings)
             yield (
                 f"Readings during vibration at {_format_count(len(amplitudes), 'amplitude')}, "
-                f"{_format_range(amplitudes)} m/s^2 (peak): {count}, each the mean over whole "
-                "vibration cycles."
+                f"{_format_range(amplitudes)} m/s^2 (peak): {count}. Each reading is the mean "
+                "over whole vibration cycles."
             )
             continue
         rates = sorted({abs(reading.rate) for reading in readings})
@@ -235,14 +238,14 @@ def describe_tests(result: Result) -> Iterator[str]:
             else "Readings on a double turntable"
         )
         yield (
-            f"{test_text} at {rate_text}, {senses}{mounting_text}: {count}, "
-            "each the mean over whole revolutions."
+            f"{test_text} at {rate_text}, {senses}{mounting_text}: {count}. Each reading is "
+            "the mean over whole revolutions."
         )
     if poses := poses_of(result):
-        yield f"At rest in {_format_count(len(poses), 'pose')} of unknown attitude."
+        yield f"Readings at rest in {_format_count(len(poses), 'pose')} of unknown attitude."
     if result.runs:
         runs = _format_count(len(result.runs), "record")
-        yield f"Records of a double turntable centrifuge at the stated rates: {runs}."
+        yield f"Double-turntable centrifuge records at the stated rates: {runs}."
 
 
 def tabulate_tests(readings: Sequence[ReadingResult]) -> Table:
@@ -283,22 +286,22 @@ def reading_blocks(result: Result) -> Iterator[Block]:
     """Yield the definition of a reading, and the forces at its position."""
     if poses_of(result):
         yield Paragraph(
-            "In a pose whose attitude is unknown, |f| = g; the direction of f is estimated "
-            "together with the coefficients."
+            "In a pose of unknown attitude, |f| = g. The direction of f is estimated together "
+            "with the coefficients."
         )
     motions = readings_of(result)
     if not motions:
         return
     yield Paragraph(
         "A reading is the indication at rest, or the mean indication over whole revolutions. "
-        "Specific force, with radius R, rate w, Earth rate Ω and latitude L:"
+        "The specific force depends on radius R, rate w, Earth rate Ω and latitude L:"
     )
     for motion in motions:
         yield Paragraph(_FORCES[motion], "equation")
     machine_terms = [s for s in result.platform if s not in SHARED_TERMS and affects_readings(s)]
     if machine_terms:
         yield Paragraph(
-            "Machine error terms, estimated together with the coefficients: "
+            "The fit estimates these machine error terms together with the coefficients: "
             f"{', '.join(machine_terms)}."
         )
 
@@ -350,7 +353,7 @@ def method_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
     )
     level = method_test_level(methods)
     words = "; ".join(_agreement_text(method, level) for method in methods)
-    yield Paragraph("Comparison of each test method with the others: " + words + ".")
+    yield Paragraph("Consistency of each test method with the other methods: " + words + ".")
 
 
 def _has_value(method: MethodAgreement, symbol: str) -> bool:
@@ -366,8 +369,12 @@ def _shift_cell(coefficient: Coefficient | None) -> str:
 
 def _agreement_text(method: MethodAgreement, level: float) -> str:
     if method.p is None:
-        return f"{method.kind}: not predicted by the others"
-    verdict = "agrees" if method.p >= level else "does not agree"
+        return f"{method.kind}: the other methods do not predict these readings"
+    verdict = (
+        "consistent with the other methods"
+        if method.p >= level
+        else "not consistent with the other methods"
+    )
     text = (
         f"{method.kind}: {verdict} (chi-square/dof {format_number(method.chi2 / method.dof, 3)}, "
         f"p = {format_number(method.p, 2)}"
@@ -376,7 +383,7 @@ def _agreement_text(method: MethodAgreement, level: float) -> str:
     if moved and math.isfinite(size := max(moved.values())):
         symbol = max(moved, key=lambda name: moved[name])
         text += (
-            f"; omitting it shifts {symbol} most, by {format_number(size, 2)} times the u of the "
-            "shift"
+            f"; omitting this method shifts {symbol} most, by {format_number(size, 2)} times "
+            "the u of the shift"
         )
     return text + ")"

@@ -61,7 +61,7 @@ def budget_bars(name: str, accelerometer: AccelerometerResult, symbol: str = "K_
             (math.hypot(*(r.contribution for r in small_lines)), sum(r.share for r in small_lines))
         )
     return Bars(
-        title=f"Contributions to u of {symbol} of {name}, in {unit} (share of u^2 in %)",
+        title=f"Uncertainty contributions to {symbol} of {name}, in {unit} (share of u^2 in %)",
         labels=tuple(labels),
         values=tuple(100.0 * share for _, share in contributions),
         texts=tuple(
@@ -104,7 +104,7 @@ def jackknife_plot(name: str, accelerometer: AccelerometerResult) -> Plot | None
                 kind="band",
             ),
             PlotSeries(
-                "without this run; bar: standard uncertainty of the shift",
+                "with this run omitted; error bar: standard uncertainty of the shift",
                 x_values,
                 tuple(y_values),
                 low=tuple(y - s for y, s in zip(y_values, shift_us, strict=True)),
@@ -319,7 +319,7 @@ def _quantile_plot(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot
         for residual_trace, quantiles in traces_with_quantiles
     ]
     yield Plot(
-        title=f"Detrended normal Q-Q plot of the whitened residuals of {name}",
+        title=f"Detrended normal Q-Q plot of whitened residuals of {name}",
         x_label="quantile of the normal distribution",
         y_label="residual minus quantile",
         series=tuple(series),
@@ -360,7 +360,7 @@ def ripple_plot(runs: Mapping[str, RunResult]) -> Plot | None:
     if not series:
         return None
     return Plot(
-        title="Rate ripple by harmonic; bars: 95 % intervals",
+        title="Rate ripple by harmonic; error bars: 95 % intervals",
         x_label="harmonic of the rotation",
         y_label="amplitude, ppm of the rate",
         series=tuple(series),

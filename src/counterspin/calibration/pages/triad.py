@@ -60,13 +60,15 @@ def triad_summary(result: Result) -> Iterator[Block]:
     if triad is None or triad.rms_before is None:
         return
     names = ", ".join(triad.accelerometers)
-    text = f"Triad {names}: {len(triad.poses)} poses of unknown attitude"
+    text = f"Triad {names} in {len(triad.poses)} poses of unknown attitude"
     before = f"{format_number(triad.rms_before, 3)} m/s^2"
     if triad.rms_after is None:
-        yield Paragraph(f"{text}; |f| - g has an rms of {before}, uncorrected.")
+        yield Paragraph(f"{text}. Uncorrected, |f| - g has an rms of {before}.")
     else:
         after = f"{format_number(triad.rms_after, 3)} m/s^2"
-        yield Paragraph(f"{text}; |f| - g has an rms of {before} before and {after} after.")
+        yield Paragraph(
+            f"{text}. The rms of |f| - g is {before} before and {after} after correction."
+        )
     for name in triad.accelerometers:
         if sentence := default_prior_sentence(result.accelerometers[name], "K_F"):
             yield Paragraph(f"{name}: {sentence}")
@@ -89,11 +91,12 @@ def triad_blocks(result: Result, *, details: bool) -> Iterator[Block]:
         bias = ", ".join(f"{value:.7f}" for value in triad.bias)
         order = ", ".join(triad.accelerometers)
         yield Paragraph(
-            f"Corrected output: f = M (y - b), all in g, y in the order {order}, f along the axes "
-            f"of the triad's frame; b = ({bias})."
+            "Corrected output: f = M (y - b), where f, y and b are in g. The components of y "
+            f"are in the order {order}; f has components along the axes of the triad's frame. "
+            f"b = ({bias})."
         )
         if outputs := nominal_outputs(result, triad):
-            yield Paragraph(f"y follows from the nominal outputs: {outputs}.")
+            yield Paragraph(f"y is calculated from the nominal outputs: {outputs}.")
         yield Table(
             (Column("M", "right"), *(Column(name, "right") for name in triad.accelerometers)),
             tuple(
@@ -105,8 +108,8 @@ def triad_blocks(result: Result, *, details: bool) -> Iterator[Block]:
         yield Paragraph(f"The corrected output is not available. {triad.why_no_matrix}", "warning")
     for name, record in triad.records.items():
         yield Paragraph(
-            f"{name}: {record.poses} {'pose' if record.poses == 1 else 'poses'}, detected where "
-            f"the scatter stays below {format_number(record.threshold, 3)} m/s^2."
+            f"{name}: {record.poses} {'pose' if record.poses == 1 else 'poses'}, detected "
+            f"where the scatter is below {format_number(record.threshold, 3)} m/s^2."
         )
         for note in record.notes:
             yield Paragraph(f"{name}: {note}", "warning")
@@ -121,7 +124,7 @@ def _parameter_table(triad: TriadResult) -> Table:
             Column("Value", "right"),
             Column("u (k = 1)"),
             Column("Unit"),
-            Column("Sources of u", wraps=True),
+            Column("Uncertainty contributions", wraps=True),
         ),
         rows=tuple(rows),
         quiet=frozenset(k for k, c in enumerate(triad.parameters.values()) if not c.estimated),
@@ -180,7 +183,9 @@ def _pose_table(triad: TriadResult, *, details: bool) -> Iterator[Block]:
     )
     if len(poses) < len(triad.poses):
         yield Paragraph(
-            f"The {len(poses)} of {len(triad.poses)} poses with the largest residuals.", "quiet"
+            f"The table lists the {len(poses)} of {len(triad.poses)} poses with the largest "
+            "residuals.",
+            "quiet",
         )
 
 
@@ -214,7 +219,7 @@ def _sphere(triad: TriadResult, gravity: float) -> Sphere:
     unit, factor = _RESIDUAL_UNIT
     x, y, z = FRAME
     return Sphere(
-        title="Directions of the specific force in the triad's frame, by pose",
+        title="Direction of the specific force in the triad frame, by pose",
         axes=(x, y, z),
         points=tuple((p.direction[0], p.direction[1], p.direction[2]) for p in triad.poses),
         values=tuple(pose.residual * gravity * factor for pose in triad.poses),
@@ -237,7 +242,7 @@ def _residual_plots(result: Result, triad: TriadResult) -> Iterator[Plot]:
         values = np.array([pose.values for pose in triad.poses])
         before = scale * (np.linalg.norm(np.linalg.solve(rows, values.T), axis=0) - 1.0)
         yield Plot(
-            title="|f| - g of each pose, uncorrected",
+            title="Uncorrected |f| - g by pose",
             x_label="pose",
             y_label=f"|f| - g, {unit}",
             series=(PlotSeries("", x_values, tuple(before.tolist()), kind="points", colour=0),),
@@ -248,12 +253,12 @@ def _residual_plots(result: Result, triad: TriadResult) -> Iterator[Plot]:
     after = [pose.residual * scale for pose in triad.poses]
     us = [pose.u * scale for pose in triad.poses]
     yield Plot(
-        title="Residual of each pose along the specific force",
+        title="Residual along the specific force by pose",
         x_label="pose",
         y_label=f"residual, {unit}",
         series=(
             PlotSeries(
-                "bar: standard uncertainty of the indication",
+                "error bar: standard uncertainty of the indication",
                 x_values,
                 tuple(after),
                 low=tuple(value - u for value, u in zip(after, us, strict=True)),
@@ -276,7 +281,7 @@ def _detection_plot(name: str, record: PosesInRecord, poses: Sequence[PoseResult
     times = tuple(chain.from_iterable((start, end, end) for start, end in spans))
     count = len(spans)
     pose_band = PlotSeries(
-        "poses, below the threshold",
+        "poses (scatter below the threshold)",
         times,
         (record.threshold, record.threshold, None) * count,
         low=(floor, floor, None) * count,
@@ -286,13 +291,13 @@ def _detection_plot(name: str, record: PosesInRecord, poses: Sequence[PoseResult
     )
     # Where nothing moves to the last digit the level is nothing, and its logarithm none.
     level = PlotSeries(
-        "largest scatter over a second",
+        "largest scatter over one second",
         tuple(record.time),
         tuple(value if value > 0.0 else None for value in record.level),
         colour=0,
     )
     return Plot(
-        title=f"Where {name} was at rest",
+        title=f"Rest intervals of {name}",
         x_label="time, s",
         y_label="scatter, m/s^2",
         series=(pose_band, level),

@@ -90,8 +90,8 @@ def default_prior_sentence(accelerometer: HasAnswer, symbol: str = "K_II") -> st
         return ""
     largest = max(unstated, key=lambda line: line.share)
     text = (
-        f"{_contribution_sentence(largest, symbol)} Its uncertainty was not stated, so the "
-        f"default of {_format_source_u(largest, 1.0)} was used."
+        f"{_contribution_sentence(largest, symbol)} No uncertainty was stated for this term, "
+        f"so the default of {_format_source_u(largest, 1.0)} was used."
     )
     update = accelerometer.what_if
     if update is None or largest.source not in update.known:
@@ -100,8 +100,9 @@ def default_prior_sentence(accelerometer: HasAnswer, symbol: str = "K_II") -> st
     unit, factor = field_unit(coefficient.unit)
     remaining_u = format_uncertainty(update.u(symbol, {largest.source: improved_u}) * factor)
     return (
-        f"{text} Knowing {largest.source} to {_format_source_u(largest, IMPROVEMENT_FACTOR)} would "
-        f"reduce u to {remaining_u} {unit}."
+        f"{text} If {largest.source} were known to "
+        f"{_format_source_u(largest, IMPROVEMENT_FACTOR)}, u would fall to {remaining_u} "
+        f"{unit}."
     )
 
 
@@ -145,7 +146,9 @@ def assumption_sentence(result: HasAssumptions) -> str:
     first_names = ", ".join(names[:_MAX_NAMES])
     remaining_count = len(names) - _MAX_NAMES
     name_list = f"{first_names} and {remaining_count} more" if remaining_count > 0 else first_names
-    return f"Assumed perfect, so not included in u: {name_list}."
+    return (
+        f"These terms are fixed at their nominal values, so u does not include them: {name_list}."
+    )
 
 
 def prior_blocks(result: Result) -> Iterator[Block]:
@@ -158,8 +161,9 @@ def prior_blocks(result: Result) -> Iterator[Block]:
     if rows:
         rows.sort(key=lambda row: -shares[row.name])
         yield Paragraph(
-            "Priors in the fit: as stated in the description, or by default 0 with the default "
-            "standard uncertainty. The share is the largest share of u^2 among all coefficients.",
+            "The fit uses priors as stated in the description. For terms without a stated "
+            "prior, the prior is 0 with the default standard uncertainty. The share is the "
+            "largest share of u^2 among all coefficients.",
             "quiet",
         )
         yield Table(
@@ -189,7 +193,7 @@ def _correlation_sentence(result: Result) -> str:
                 full_name = f"{name}.{partner}" if partner in all_correlations else partner
                 pairs[frozenset({f"{name}.{term}", full_name})] = r
     texts = [f"{' and '.join(sorted(pair))} {r:g}" for pair, r in pairs.items()]
-    return f"Stated correlations between priors: {', '.join(texts)}." if texts else ""
+    return f"These correlations between priors are stated: {', '.join(texts)}." if texts else ""
 
 
 def _largest_shares(result: Result) -> dict[str, float]:

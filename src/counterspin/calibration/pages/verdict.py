@@ -22,8 +22,8 @@ from counterspin.reports.numbers import (
 _OPENINGS: Final = {
     "good": "passed all checks",
     "reservations": "is usable with reservations",
-    "not-determined": "is not fully determined by its data",
-    "contradicted": "is contradicted by its records and must not be used",
+    "not-determined": "is not fully determined by the data",
+    "contradicted": "is contradicted by the records and must not be used",
 }
 
 #: States in which what supports a result is said.
@@ -45,7 +45,7 @@ _COLUMNS = (
     Column("Unit"),
     Column("Verdict"),
     Column("Conforms with", "right", wraps=True),
-    Column("Risk", "right"),
+    Column("Specific risk", "right"),
 )
 
 
@@ -58,9 +58,9 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
         sentences = [f"{opening}: {finding_text(accelerometer.findings[0])}"]
         if remaining := len(accelerometer.findings) - 1:
             sentences.append(
-                "There is 1 more finding."
+                "One more finding is listed below."
                 if remaining == 1
-                else f"There are {remaining} more findings."
+                else f"{remaining} more findings are listed below."
             )
         if evidence and accelerometer.state in _USABLE:
             sentences.append(f"Passed checks: {evidence}.")
@@ -72,7 +72,7 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
 def _opening(accelerometer: AccelerometerResult) -> str:
     assert accelerometer.state is not None
     if accelerometer.state == "good" and accelerometer.unseen_faults:
-        return "passed all checks, but its readings test only part of the model"
+        return "passed all checks, but the readings test only part of the model"
     return _OPENINGS[accelerometer.state]
 
 
@@ -94,7 +94,7 @@ def verdict_blocks(result: Result) -> Iterator[Block]:
         )
         # The first of them stands in the sentence.
         for finding in accelerometer.findings[1:]:
-            yield Paragraph(f"Warning: {name}: {finding_text(finding)}", "warning")
+            yield Paragraph(f"Warning for {name}: {finding_text(finding)}", "warning")
 
 
 def verdict_tables(result: Result) -> Iterator[Block]:
@@ -102,7 +102,7 @@ def verdict_tables(result: Result) -> Iterator[Block]:
     for name, accelerometer in result.accelerometers.items():
         assert accelerometer.state is not None
         findings, count = accelerometer.findings, len(accelerometer.findings)
-        summary = "1 finding" if count == 1 else f"{count} findings, the most serious first"
+        summary = "1 finding" if count == 1 else f"{count} findings, most serious first"
         yield Paragraph(
             f"The result for {name} {_opening(accelerometer)}"
             + (f" ({summary})." if findings else "."),
@@ -135,13 +135,13 @@ def misfit_blocks(result: Result) -> Iterator[Block]:
     first = result.findings[0]
     if result.state == "not-determined":
         yield Paragraph(
-            f"The data do not fully determine this result ({first.subject}): {first.text}",
+            f"The data do not fully determine this result ({first.subject}). {first.text}",
             "undetermined",
         )
         return
     yield Paragraph(
-        f"The records contradict this result ({first.subject}): {first.text} Do not "
-        "use the numbers below; their uncertainties are not valid.",
+        f"The records contradict this result ({first.subject}). {first.text} Do not use the "
+        "estimates below, because their uncertainties are not valid.",
         "warning",
     )
     if result.accepted_misfit is not None:
@@ -182,18 +182,21 @@ def conformity_blocks(result: Result) -> Iterator[Block]:
     )
     for name, symbol, verdict, _ in verdicts:
         if verdict.verdict == "fail":
-            yield Paragraph(f"{symbol} of {name} does not meet its specification.", "warning")
+            yield Paragraph(f"{symbol} of {name} does not meet the specification.", "warning")
         elif verdict.reason is not None:
-            yield Paragraph(f"{symbol} of {name} is undecided: {verdict.reason}.", "warning")
+            yield Paragraph(
+                f"Conformity of {symbol} of {name} is undecided, because {verdict.reason}.",
+                "warning",
+            )
     for name, symbol, verdict, _ in verdicts:
         if (risk := verdict.global_risk) is not None:
             unit, factor = field_unit(verdict.unit)
             process = format_estimate(risk.mean * factor, risk.sigma * factor, unit)
             yield Paragraph(
-                f"{symbol} of {name}, for items from a process with {process}: an item passes but "
-                f"does not conform with a probability of {format_probability(risk.consumer)} "
-                "(consumer's risk); an item conforms but does not pass with a probability of "
-                f"{format_probability(risk.producer)} (producer's risk).",
+                f"Global risks for {symbol} of {name}, for items from a process with "
+                f"{process}: consumer's risk {format_probability(risk.consumer)} (an item "
+                "passes but does not conform); producer's risk "
+                f"{format_probability(risk.producer)} (an item conforms but does not pass).",
                 "quiet",
             )
     for rule in dict.fromkeys(rule_in_words(verdict) for _, _, verdict, _ in verdicts):
@@ -204,26 +207,30 @@ def conformity_blocks(result: Result) -> Iterator[Block]:
         if verdict.guard_band
     ]
     if bands:
-        yield Paragraph(f"Guard bands w: {'; '.join(bands)}.", "quiet")
+        yield Paragraph(f"Widths w of the guard bands: {'; '.join(bands)}.", "quiet")
 
 
 def rule_in_words(verdict: Conformity) -> str:
     """Return the decision rule of a verdict, as a certificate must state it."""
-    risk = "The risk is the probability that the verdict is wrong (JCGM 106:2012)."
+    risk = (
+        "For a pass, the specific risk is the probability of false acceptance (specific "
+        "consumer's risk). For a fail, the specific risk is the probability of false rejection "
+        "(specific producer's risk; JCGM 106:2012)."
+    )
     if verdict.rule == "simple":
-        return f"Decision rule: simple acceptance, based on the estimate only. {risk}"
+        return f"Decision rule: simple acceptance. The verdict depends only on the estimate. {risk}"
     if verdict.rule == "guarded":
         return (
-            "Decision rule: guard bands. Pass if the estimate is inside the tolerance limits "
-            "by at least w, fail if it is outside by more than w, otherwise undecided. "
-            f"{risk}"
+            "Decision rule: guard bands of width w. The verdict is pass if the estimate is "
+            "inside the tolerance limits by at least w, fail if the estimate is outside by "
+            f"more than w, and undecided otherwise. {risk}"
         )
     assert verdict.needed is not None
     needed = format_number(100.0 * verdict.needed, 6)
     return (
-        f"Decision rule: pass if the coefficient conforms with a probability of at least "
-        f"{needed} %, fail if it fails to conform with at least that probability, otherwise "
-        f"undecided. {risk}"
+        "Decision rule: probability of conformity. The verdict is pass if the coefficient "
+        f"conforms with a probability of at least {needed} %, fail if the probability of "
+        f"non-conformity is at least as high, and undecided otherwise. {risk}"
     )
 
 

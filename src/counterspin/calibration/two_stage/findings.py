@@ -92,8 +92,9 @@ def check_two_stage(
     all_findings, name = [], view.name
     if model == "as-printed":
         text = (
-            "The equations are used as printed: their K_II term is twice the exact "
-            "one, so the result is half the true K_II. Use the exact model for a calibration."
+            "The equations are used as printed in the paper. Their K_II term is twice the "
+            "exact one, so the estimate is half the true K_II. Use the exact model for a "
+            "calibration."
         )
         all_findings.append(Finding(code="as-printed", subject=name, text=text))
     else:
@@ -122,7 +123,7 @@ def check_two_stage(
     all_findings += misfit
     lost_strobes = sum(parabola.strobes.lost for parabola in second.parabolas)
     if lost_strobes:
-        text = f"{lost_strobes} strobes fell into gaps in the record and were omitted."
+        text = f"{lost_strobes} strobes coincided with gaps in the record and were omitted."
         all_findings.append(Finding(code="strobes-lost", subject=name, text=text))
     return all_findings
 
@@ -137,8 +138,9 @@ def check_strobe_noise(
     ratio = math.sqrt(max(residual.chi2, _LEAST_SQUARES) / residual.dof)
     text = (
         f"The scatter of the strobes is only {format_number(ratio, 2)} times the stated noise: "
-        f"{format_number(ratio * sigma, 2)} m instead of {format_number(sigma, 2)} m. u is "
-        "therefore too large. Check the stated noise, or let counterspin estimate it."
+        f"{format_number(ratio * sigma, 2)} m instead of {format_number(sigma, 2)} m. "
+        "Therefore, u is too large. Check the stated noise, or let counterspin estimate the "
+        "noise."
     )
     yield Finding(code="wrong-noise", subject=view.name, text=text, size=1.0 / ratio)
 
@@ -157,8 +159,8 @@ def _check_run_agreement(name: str, second: SecondStage) -> list[Finding]:
     worst = fit.design_blocks[int(np.argmax(np.abs(second.misfit)))].run
     size = equivalent_deviations(probability)
     text = (
-        f"The runs do not agree with the model (chi-square {chi2:.1f} with {dof} "
-        f"degrees of freedom, p = {probability:.1g}; {worst} deviates most): a term is missing, "
+        f"The runs are not consistent with the model (chi-square {chi2:.1f} with {dof} degrees "
+        f"of freedom, p = {probability:.1g}; {worst} deviates most). Either a term is missing, "
         "a prior is wrong, or the noise is larger than stated."
     )
     return [
