@@ -51,31 +51,29 @@ def _candidate_limits(search: Search, design: Design) -> Iterator[_Limit]:
     time, longest = limits.total_time, limits.longest_run
     spent = search.plan.goal.kind == "minimise" and limits.time(design) > time * below
     yield _Limit(
-        "total_time", f"total time of {time:.6g} s", spent, {"total_time": limits.total_time * more}
+        "total_time", f"total time {time:.6g} s", spent, {"total_time": limits.total_time * more}
     )
     settings = (*limits.settings, high * more) if limits.settings else ()
     yield _Limit(
         "rate",
-        f"highest rate of {high:.6g} rad/s",
+        f"highest rate {high:.6g} rad/s",
         bool((design.rate > high * below).any()),
         {"rate": (low, high * more), "settings": settings},
     )
     yield _Limit(
         "lowest_rate",
-        f"lowest rate of {low:.6g} rad/s",
+        f"lowest rate {low:.6g} rad/s",
         not limits.settings and bool((design.rate < low * above).any()),
         {"rate": (low * less, high)},
     )
     rates, runs = limits.fewest_rates, limits.runs
-    yield _Limit(
-        "fewest_rates", f"minimum of {rates} rates", rates > 1, {"fewest_rates": rates - 1}
-    )
+    yield _Limit("fewest_rates", f"at least {rates} rates", rates > 1, {"fewest_rates": rates - 1})
     more_runs = {"runs": math.ceil(runs * more)}
-    yield _Limit("runs", f"maximum of {runs} runs", len(design.types) >= runs, more_runs)
+    yield _Limit("runs", f"at most {runs} runs", len(design.types) >= runs, more_runs)
     words = {
-        "settling": f"settling time of {limits.settling:.4g} s per run",
+        "settling": f"settling time {limits.settling:.4g} s per run",
         "spin_up": "spin-up and spin-down time",
-        "attitude_change": f"attitude change time of {limits.attitude_change:.4g} s",
+        "attitude_change": f"attitude change time {limits.attitude_change:.4g} s",
     }
     several = len({run_type.attitude for run_type in design.types}) > 1
     for key, text in words.items():
@@ -84,17 +82,17 @@ def _candidate_limits(search: Search, design: Design) -> Iterator[_Limit]:
         yield _Limit(key, text, touched, {key: size * less})
     yield _Limit(
         "revolutions",
-        f"minimum of {limits.revolutions:g} revolutions",
+        f"at least {limits.revolutions:g} revolutions",
         bool((design.revolutions < limits.revolutions * above).any()),
         {"revolutions": limits.revolutions * less},
     )
     yield _Limit(
         "longest_run",
-        f"longest run of {longest:.6g} s",
+        f"longest run {longest:.6g} s",
         longest < time and bool((design.duration > longest * below).any()),
         {"longest_run": longest * more},
     )
-    yield _Limit("sampling_rate", f"sampling rate of {search.plan.sampling_rate:.6g} Hz", True, {})
+    yield _Limit("sampling_rate", f"sampling rate {search.plan.sampling_rate:.6g} Hz", True, {})
     one_sense = all(run_type.sense == 1 for run_type in limits.types)
     yield _Limit(
         "senses", "one sense of rotation", one_sense, {"types": allow_both_senses(limits).types}
