@@ -359,7 +359,7 @@ def test_check_of_a_campaign_that_says_too_little(plan_of, tmp_path):
     assert any("sampling_rate" in line for line in raised.value.problems)
     checked = check(tmp_path, sampling_rate=50.0, revolutions=20.0)
     assert all(run.revolutions == pytest.approx(20.0) for run in checked.runs)
-    assert sum("assumed" in warning for warning in checked.warnings) == len(checked.runs)
+    assert sum("assumes" in warning for warning in checked.warnings) == len(checked.runs)
     assert "All runs have the same rate" in checked.warnings[0]
     arguments = ["--sampling-rate", "50 Hz", "--revolutions", "20"]
     assert cli.main(["plan", "--check", str(tmp_path), *arguments]) == 0
@@ -403,7 +403,7 @@ def test_report_says_what_the_issue_asks_for(plan_of, capsys):
         "platform.tilt.north,",
         "relaxed by 10 %",
         "both senses of rotation",
-        "the paper's plan",
+        "plan of the paper",
         "equally spaced rates",
         "Requirements for the centrifuge",
         "angle noise",
@@ -583,7 +583,7 @@ def test_target_that_no_plan_reaches(starter):
         plan(file)
     text = str(raised.value)
     assert "u(Qx.K_II) = 1e-08 g/g^2" in text
-    assert "The best plan, in 700 s, has 2.25e-08 g/g^2" in text
+    assert "The best plan, which takes 700 s, reaches 2.25e-08 g/g^2" in text
     assert "platform.g_sensitivity.zx 47 %, platform.tilt.north of the runs 32 %" in text
     assert "With unlimited time" in text
     assert "with both senses" in text

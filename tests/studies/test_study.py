@@ -701,9 +701,7 @@ def test_joint_fit_without_a_recorded_angle_is_studied_by_whole_records(tmp_path
     text = SHORT.replace('angle = { column = "angle_rad", unit = "rad" }', "")
     text += '[study.analyses.joint]\nmethod = "joint"\n'
     (found,) = study(write(tmp_path / "angle", text), trials=4).analyses.values()
-    assert (
-        found.engine == "full records (no angle is recorded, and the rotation has to be estimated)"
-    )
+    assert found.engine == "full records (no angle is recorded, so the rotation must be estimated)"
 
 
 # The command
