@@ -107,10 +107,10 @@ def test_the_page_says_from_which_ratio_on():
     page = " ".join((Path(__file__).parents[3] / "docs" / "diagnosis.md").read_text().split())
     level = SIGNIFICANCE / 4.0
     least = [f"{np.sqrt(stats.chi2.ppf(level, dof) / dof):.2f} times" for dof in (5, 20)]
-    assert f"false alarms in {100.0 * level:.3f} % of good campaigns" in page
+    assert f"false alarm in {100.0 * level:.3f} % of good campaigns" in page
     assert (
-        f"below {least[0]} the stated uncertainty, and with 20 degrees of freedom below {least[1]}"
-        in page
+        f"below {least[0]} the stated uncertainty. "
+        f"With 20 degrees of freedom, this limit is {least[1]}" in page
     )
 
 

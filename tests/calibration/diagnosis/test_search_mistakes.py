@@ -62,73 +62,73 @@ def warming(rate):
 
 MISTAKES = (
     Mistake(
-        "radius 2.6 m for 2.5 m",
+        "radius of 2.6 m instead of 2.5 m",
         "wrong-input centrifuge.radius",
         description=((RADIUS, 'radius = "2.6 m"'),),
     ),
     Mistake(
-        "radius 2.6 m for 2.5 m",
+        "radius of 2.6 m instead of 2.5 m",
         "wrong-input centrifuge.radius",
         description=((RADIUS, 'radius = "2.6 m"'),),
         estimated=True,
     ),
     Mistake(
-        "radius 2.502 ± 0.0001 m for 2.5 m",
+        "radius of 2.502 ± 0.0001 m instead of 2.5 m",
         "wrong-input centrifuge.radius",
         description=((RADIUS, 'radius = "2.502 ± 1e-4 m"'),),
     ),
     Mistake(
-        "radius 2.5 cm for 2.5 m",
+        "radius of 2.5 cm instead of 2.5 m",
         "ratio of m and cm: check the unit of the column",
         description=((RADIUS, 'radius = "2.5 cm"'),),
         state="",
     ),
     Mistake(
-        "displacement of one accelerometer in mm for m",
+        "displacement of one accelerometer in mm instead of m",
         "ratio of m and mm: check the unit of the column",
         records=multiplied(None, EAST, 1e3),
         state="",
     ),
     Mistake(
-        "scale of one accelerometer's record off by 0.5 %",
+        "scale error of 0.5 % in the records of one accelerometer",
         "wrong-scale Qx",
         records=multiplied(None, EAST, 1.005),
     ),
     Mistake(
-        "scale of one record off by 0.2 %",
+        "scale error of 0.2 % in one record",
         "wrong-scale middle.Qx",
         records=multiplied("middle", EAST, 1.002),
     ),
     Mistake(
-        "scale of one record off by 0.2 %",
+        "scale error of 0.2 % in one record",
         "wrong-scale middle.Qx",
         records=multiplied("middle", EAST, 1.002),
         estimated=True,
     ),
     Mistake(
-        "angle's zero off by 1 deg",
+        "zero of the angle wrong by 1 deg",
         "wrong-angle records.angle",
         records=added(None, ANGLE, lambda t: math.radians(1.0)),
     ),
     Mistake(
-        "angle's zero off by 10 deg",
+        "zero of the angle wrong by 10 deg",
         "wrong-angle records.angle",
         records=added(None, ANGLE, lambda t: math.radians(10.0)),
     ),
     Mistake(
-        "angle's zero off by 90 deg",
+        "zero of the angle wrong by 90 deg",
         "is rotated by 90 degrees against the input axis",
         records=added(None, ANGLE, lambda t: math.radians(90.0)),
         state="",
     ),
     Mistake(
-        "angle's zero off by 1 deg in one run",
+        "zero of the angle wrong by 1 deg in one run",
         "wrong-angle fast",
         records=added("fast", ANGLE, lambda t: math.radians(1.0)),
         state="reservations",
     ),
     Mistake(
-        "angle counted in the other sense",
+        "angle with the opposite sense",
         "The angle changes in the opposite sense",
         records=multiplied(None, ANGLE, -1.0),
         state="",
@@ -146,50 +146,50 @@ MISTAKES = (
         state="",
     ),
     Mistake(
-        "columns of the two accelerometers exchanged",
+        "columns of the two accelerometers interchanged",
         "check the input axis, its sign, and which column is which",
         records=swapped_columns,
         state="",
     ),
     Mistake(
-        "sign of an accelerometer's record",
+        "wrong sign in the record of one accelerometer",
         "check the input axis, its sign, and which column is which",
         records=multiplied(None, NORTH, -1.0),
         state="",
     ),
     Mistake(
-        "records of two runs exchanged",
+        "records of two runs interchanged",
         "rate",
         records=exchanged("slow", "fast"),
         state="",
     ),
     Mistake(
-        "bias off by 10 of its u",
+        "bias wrong by 10 times its u",
         "prior-conflict Qx.K_F",
         description=((BIAS, 'bias = "0.0050521 ± 2e-6 g"'),),
     ),
     Mistake(
-        "bias in mg for g",
+        "bias in mg instead of g",
         "prior-conflict Qx.K_F",
         description=((BIAS, 'bias = "5.0321e-6 ± 2e-9 g"'),),
     ),
     Mistake(
-        "bias in m/s^2 for g",
+        "bias in m/s^2 instead of g",
         "prior-conflict Qx.K_F",
         description=((BIAS, 'bias = "0.049348 ± 2e-5 g"'),),
     ),
     Mistake(
-        "sign of the bias",
+        "wrong sign of the bias",
         "prior-conflict Qx.K_F",
         description=((BIAS, 'bias = "-0.0050321 ± 2e-6 g"'),),
     ),
     Mistake(
-        "scale factor off by 0.1 %",
+        "scale factor wrong by 0.1 %",
         "prior-conflict Qx.K_I",
         description=((SCALE, 'scale_factor = "1.0029743 ± 5e-6 g/g"'),),
     ),
     Mistake(
-        "tilt of every run 6 arcsec, stated as 0 ± 0.5",
+        "tilt of 6 arcsec in every run, stated as 0 ± 0.5 arcsec",
         "prior-conflict platform.tilt",
         description=((TILT, '"platform.tilt" = "6 ± 0.5 arcsec"'),),
     ),
@@ -206,7 +206,7 @@ MISTAKES = (
         state="reservations",
     ),
     Mistake(
-        "a record with a drift in its second half, 10 cm at the end",
+        "a drift in the second half of one record, 10 cm at the end",
         "jump slow.Qx",
         records=added("slow", EAST, lambda t: 0.2 * np.maximum(t / t[-1] - 0.5, 0.0)),
     ),
@@ -222,12 +222,12 @@ MISTAKES = (
         estimated=True,
     ),
     Mistake(
-        "a bias that drifts by 50 ug in one record",
+        "a bias drift of 50 ug in one record",
         "bias-drifts middle.Qx",
         records=added("middle", EAST, drifting(50e-6)),
     ),
     Mistake(
-        "a bias that drifts by 50 ug in one record",
+        "a bias drift of 50 ug in one record",
         "bias-drifts middle.Qx",
         records=added("middle", EAST, drifting(50e-6)),
         estimated=True,
@@ -235,7 +235,7 @@ MISTAKES = (
     ),
     *(
         Mistake(
-            "a bias that rises by 500 ug in the first quarter of the fastest record",
+            "a bias increase of 500 ug in the first quarter of the fastest record",
             "bias-drifts fast.Qx",
             records=added("fast", EAST, settling(500e-6, 0.25)),
             estimated=estimated,
@@ -243,7 +243,7 @@ MISTAKES = (
         for estimated in (False, True)
     ),
     Mistake(
-        "a record that is bent over its length, 20 cm at its middle",
+        "a bend over the whole length of a record, 20 cm in the middle",
         "jump fast.Qx",
         records=added("fast", EAST, lambda t: 0.2 * np.sin(np.pi * t / t[-1])),
         estimated=True,
@@ -255,65 +255,65 @@ MISTAKES = (
         estimated=True,
     ),
     Mistake(
-        "K_III of 2e-5 g/g^3 left out",
+        "a K_III of 2e-5 g/g^3 omitted from the model",
         "term-missing Qx.K_III",
         truth=((K_II, f'{K_II}\nK_III = "2e-5 g/g^3"'),),
         state="reservations",
     ),
     Mistake(
-        "noise stated half as large",
+        "stated noise half the actual noise",
         "wrong-noise Qx",
         description=((NOISE, NOISE.replace("0.01", "0.005")),),
         state="reservations",
     ),
     Mistake(
-        "noise stated twice as large",
+        "stated noise twice the actual noise",
         "wrong-noise Qy",
         description=((NOISE, NOISE.replace("0.01", "0.02")),),
         state="reservations",
     ),
     Mistake(
-        "gravity 9.7066 m/s^2 for 9.8066 m/s^2",
+        "gravity of 9.7066 m/s^2 instead of 9.8066 m/s^2",
         "wrong-input site.gravity",
         description=(('gravity = "9.8066 m/s^2"', 'gravity = "9.7066 m/s^2"'),),
     ),
     Mistake(
-        "clock 0.2 % fast",
+        "clock fast by 0.2 %",
         "prior-conflict platform.tilt",
         records=multiplied(None, TIME, 1.002),
     ),
     Mistake(
-        "time in ms for s",
+        "time in ms instead of s",
         "Is the time column in seconds rather than milliseconds?",
         description=(('column = "time_s", unit = "s"', 'column = "time_s", unit = "ms"'),),
         state="",
     ),
     Mistake(
-        "angle in deg for rad",
+        "angle in deg instead of rad",
         "Is the angle column in radians?",
         description=(('"angle_rad", unit = "rad"', '"angle_rad", unit = "deg"'),),
         state="",
     ),
     Mistake(
-        "a run in the other sense",
+        "a run with the opposite sense of rotation",
         "reverse the sign of the rate",
         description=(('rate = "1 rev/s"', 'rate = "-1 rev/s"'),),
         state="",
     ),
     Mistake(
-        "rate of a run 1.2 rev/s for 1 rev/s",
+        "rate of 1.2 rev/s instead of 1 rev/s for one run",
         "check the stated rate and the units of the record",
         description=(('rate = "1 rev/s"', 'rate = "1.2 rev/s"'),),
         state="",
     ),
     Mistake(
-        "K_III of 2e-4 g/g^3 left out, twice what is credible",
+        "a K_III of 2e-4 g/g^3, twice the credible size, omitted from the model",
         "term-missing Qx.K_III",
         truth=((K_II, f'{K_II}\nK_III = "2e-4 g/g^3"'),),
         state="reservations",
     ),
     Mistake(
-        "scale of the fastest record off by 1.5 %, which looks like such a K_III",
+        "scale error of 1.5 % in the fastest record, similar in effect to such a K_III",
         "wrong-scale fast.Qx",
         records=multiplied("fast", EAST, 0.985),
     ),
@@ -330,7 +330,7 @@ def row_of(mistake):
     """Return the row of the documentation's table that a mistake has."""
     noise = "estimated" if mistake.estimated else "given"
     if not mistake.state:
-        return f"| {mistake.words} | {noise} | refused: {mistake.says} |"
+        return f'| {mistake.words} | {noise} | refused: "{mistake.says}" |'
     return f"| {mistake.words} | {noise} | {mistake.state}: `{mistake.says.replace(' ', '` `')}` |"
 
 
