@@ -212,12 +212,16 @@ NUMBERS = [
         "with the model | at {} times the stated noise or more; beyond {} standard",
         [findings.RESIDUAL_RATIO_LIMIT, findings.CONTRADICTION_SIGMAS],
     ),
-    ("conformity", "Student's factor for {} % and", [100 * distributions.COVERAGE]),
-    ("conformity", "U, and the factor is {} (", [conformity.DecisionRule("guarded").guard_factor]),
+    ("conformity", "Student's factor for {} % coverage and", [100 * distributions.COVERAGE]),
+    (
+        "conformity",
+        "U, with a default factor of {} (",
+        [conformity.DecisionRule("guarded").guard_factor],
+    ),
     ("conformity", "with a probability of at most {} %", [50 * (1 - distributions.COVERAGE)]),
     (
         "conformity",
-        "requires `conformance_probability`, which is {} % by",
+        "probability `conformance_probability`, which is {} % by",
         [100 * conformity.DecisionRule("probability").needed],
     ),
     (
@@ -263,12 +267,12 @@ NUMBERS = [
     ),
     (
         "arm",
-        "the Earth's rate adds {} of the force, with",
+        "rotation changes the force by a fraction of {}.",
         [2 * EARTH_RATE * math.sin(math.pi / 4) / math.pi],
     ),
     (
         "arm",
-        "a stretch of the arm of {} per m/s^2 is equivalent to a K_II of {} g/g^2",
+        "an arm stretch of {} per m/s^2 is equivalent to a K_II of {} g/g^2",
         [SHARED_TERMS["centrifuge.stretch"].typical, 9.8 * 4.6e-9],
     ),
 ]
@@ -565,7 +569,7 @@ def test_the_page_on_validation_has_every_requirement():
 
 def test_rates_of_the_arm_s_example():
     *sizes, last = re.search(
-        r"filled in: ([\d, ]+) and (\d+) g in both mountings", sentences("arm")
+        r"enter the readings: at ([\d, ]+) and (\d+) g in both mountings", sentences("arm")
     ).groups()
     sizes = [*sizes[0].split(", "), last]
     text = (files("counterspin.ingest") / "starter_arm.csv").read_text("utf-8")

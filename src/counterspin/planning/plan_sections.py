@@ -152,7 +152,7 @@ class StationsSettings(SettingsSection):
         None,
     )
     attitude: Literal["unknown"] | None = key_field(
-        "`unknown` for [poses](poses.md#which-poses-next) of a triad that are set by hand",
+        "`unknown` for [poses](poses.md#further-poses) of a triad that are set by hand",
         "unknown",
         None,
     )
