@@ -132,7 +132,7 @@ class Accelerometer(SettingsSection):
     serial_number: Text | None = key_field("serial number of the accelerometer", "Q-104", None)
     grade: Literal["navigation", "tactical", "consumer"] = key_field(
         "grade of the accelerometer, which sets the limits and the default standard uncertainties "
-        "of its terms ([sizes by grade](physics.md#where-the-typical-sizes-come-from))",
+        "of its terms ([sizes by grade](physics.md#sources-of-the-typical-sizes))",
         "tactical",
         "navigation",
         kind='`"navigation"`, `"tactical"` or `"consumer"`',

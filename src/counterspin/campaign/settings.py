@@ -342,7 +342,7 @@ class ModelSettings(SettingsSection):
         "largest credible size by term",
         {"K_II": "1e-3 g/g^2"},
         {},
-        absent="by [grade](physics.md#where-the-typical-sizes-come-from)",
+        absent="by [grade](physics.md#sources-of-the-typical-sizes)",
     )
     typical: dict[str, Any] = key_field(
         "default standard uncertainty by term, for terms without a prior",

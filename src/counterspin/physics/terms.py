@@ -246,7 +246,10 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
             motions=("counter-rotating",),
         )
     for axis, name in enumerate(("outward", "forward")):
-        tilt, words = AttitudeError("table_axis", axis), f"tilt of the table axis about {name}"
+        tilt, words = (
+            AttitudeError("table_axis", axis),
+            f"tilt of the table axis about the {name} axis",
+        )
         sizes = (1e-2, 10.0 * ARCSEC, f"{_NO_SOURCE}: 10 arcsec, bearings machined in one setting")
         yield Term(f"table.axis_tilt.{name}", tilt, words, "rad", *sizes, "machine")
 
