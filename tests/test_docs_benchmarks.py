@@ -67,7 +67,7 @@ def test_what_a_watch_took_is_what_was_kept(rows):
     (share,) = told("monitoring", "start of the program: **{} % of a core**")
     a_second, late = (
         *told("monitoring", "a second process writes {} rows per second"),
-        *told("monitoring", "The last state came {} s after the last row"),
+        *told("monitoring", "The last state appeared {} s after the last row"),
     )
     assert [value_of(number) for number in (a_second, used, lasted, share, late)] == [
         kept["rows a second"],

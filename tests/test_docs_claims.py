@@ -76,16 +76,17 @@ NUMBERS = [
         for page, words in (
             ("harmful-files", "are limited to {} rows at once"),
             ("plan", "a checked campaign may have at most {} rows in total"),
-            ("study", "together may have at most {} rows"),
+            ("study", "over all runs and accelerometers, is limited to {};"),
         )
     ),
     ("harmful-files", "with at most {} samples each.", [runs.MOST_SIMULATED_ROWS]),
     (
         "harmful-files",
-        "has at most {} records, one for each run and accelerometer, and a campaign {} readings.",
+        "has at most {} records, one for each run and accelerometer, "
+        "and a campaign has at most {} readings.",
         [MOST_RECORDS, MOST_READINGS],
     ),
-    ("study", "Fewer than {} trials are too few for a verdict", [MIN_TRIALS]),
+    ("study", "A verdict requires at least {} trials", [MIN_TRIALS]),
     ("methods", "blocks of at most {} revolution.", [1 / reduction.BLOCKS_PER_REVOLUTION]),
     (
         "methods",
@@ -496,7 +497,7 @@ def test_what_two_workers_cost(benches):
 
 
 def test_the_joint_fit_is_as_much_surer_as_the_readme_says():
-    (share,) = told("README", "u of the joint fit's K_II is {} of the two-stage u")
+    (share,) = told("README", "u(K_II) from the joint fit is {} of u(K_II) from the two-stage")
     (row,) = re.findall(
         r"^K_II +\S+ +\S+ ± (\S+) +\S+ ± (\S+)", (ROOT / "README.md").read_text("utf-8"), re.M
     )

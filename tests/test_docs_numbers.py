@@ -90,14 +90,17 @@ ROWS = {
             "{} deg/h/g for the g-sensitivity of its azimuth axis",
             KNOWN["platform.g_sensitivity.zx"],
         ),
-        ("allows {} s of settling", float(PLAN["limits"]["settling"].split()[0])),
+        ("allows a settling time of {} s", float(PLAN["limits"]["settling"].split()[0])),
         ("for each of at most {} runs", PLAN["limits"]["runs"]),
         ("affects K_II {} times less", 2.0**4),
         ("higher harmonics ({} arcsec)", MOTION["encoder.harmonic.3.cos"].typical / ARCSEC),
         ("imbalance ({} µm)", 1e6 * MOTION["centrifuge.imbalance.1.cos"].typical),
         ("stretch of the arm ({} per m/s²)", MOTION["centrifuge.stretch"].typical),
-        ("because of heating ({} µg/g²)", 1e6 * terms.CONDITION_TERMS["K_F.heating"].typical),
-        ("gain of a limit relaxed by {} %", 100.0 * limits.RELAXATION),
+        (
+            "square of the specific force ({} µg/g²)",
+            1e6 * terms.CONDITION_TERMS["K_F.heating"].typical,
+        ),
+        ("gain from relaxing a limit by {} %", 100.0 * limits.RELAXATION),
         (
             "alone would increase u by {} %. If",
             100.0 * (math.hypot(1.0, faults._TOLERABLE_FRACTION_OF_U) - 1.0),
@@ -105,9 +108,9 @@ ROWS = {
     ],
     "study": [
         ("compares {} analyses", len(description._DEFAULT_ANALYSES)),
-        ("share of trials whose {}, {} and {} % intervals", *(100.0 * p for p in result.LEVELS)),
+        ("coverage of the {}, {} and {} % intervals", *(100.0 * p for p in result.LEVELS)),
         (
-            "contain the true value in {} to {} % of",
+            "intervals must be {} to {} %",
             *(100.0 * p for p in result._ACCEPTED_COVERAGE),
         ),
         ("its bias is at most {} of the stated u", result._MAX_BIAS_RATIO),
@@ -143,7 +146,7 @@ ROWS = {
         ("ellipsoidal {} % coverage region", 100.0 * distributions.COVERAGE),
         ("rounds k to {} decimal places", certificate_text._FACTOR_DECIMALS),
         (
-            "RSA keys need at least {} bits, elliptic curves {}.",
+            "minimum key length is {} bits for RSA and {} bits for elliptic curves.",
             signers._RSA_BITS,
             signers._CURVE_BITS,
         ),
@@ -152,7 +155,7 @@ ROWS = {
     "monitoring": [
         ("from the nominal rate by more than {} %", 100.0 * assembly.MAX_RATE_DEVIATION),
         ("shorter than {} of the stated duration", assembly.COMPLETE_FRACTION),
-        ("more than {} % of the samples are outliers", 100.0 * outcome.OUTLIER_SHARE),
+        ("More than {} % of the samples in the record are outliers", 100.0 * outcome.OUTLIER_SHARE),
         ("a run of fewer than {} revolutions", observer.MIN_REVOLUTIONS),
         (
             "{} bytes each: {} columns at {} rows per second take {} MB per hour",
@@ -165,7 +168,7 @@ ROWS = {
     ],
     "application": [
         (
-            "{} MB for a form, {} GB for an uploaded record",
+            "{} MB for a form and {} GB for an uploaded record",
             access_control.FORM_MAX_BYTES / 1e6,
             access_control.FILE_MAX_BYTES / 1e9,
         ),

@@ -299,5 +299,5 @@ def test_what_the_page_says_was_tried_is_what_its_commands_try():
     assert sum(value_of(tried) for tried, _ in asked_of) == asked["requests"]
     assert all(value_of(refused) < value_of(tried) for tried, refused in asked_of)
     # A case of requests has 1 to 3 of them, 1.6 in the mean.
-    (sent,) = told("harmful-files", "The cases of requests sent {} requests")
+    (sent,) = told("harmful-files", "The `requests` cases sent {} requests")
     assert value_of(sent) == pytest.approx(1.6 * value_of(asked_of[0][0]), rel=0.01)

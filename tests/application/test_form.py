@@ -33,7 +33,7 @@ def field(form, *path):
 def test_every_section_is_in_the_form():
     keys = {f.alias or name for name, f in CampaignDocument.model_fields.items()}
     (laboratory,) = re.findall(
-        r"In the laboratory's file, you edit (.*?) as text", sentences("application")
+        r"In the laboratory file, edit (.*?) as text", sentences("application")
     )
     of_laboratory = set(re.findall(r"\[(\w+)\]", laboratory))
     assert keys - {"schema"} == set(SECTIONS)

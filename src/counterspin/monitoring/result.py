@@ -28,7 +28,7 @@ class PosesState(ResultPart):
 
     count: int  #: Number of poses.
     threshold: float  #: Scatter below which the sensor counts as at rest, m/s^2.
-    #: Root mean square over the poses of norm(f) - g, m/s^2; None before the first fit.
+    #: RMS of norm(f) - g over all poses, m/s^2; None before the first fit.
     rms: float | None
     outlying: list[str]  #: Names of poses that deviate from the model.
     #: Directions in which one more pose would add more information than all present poses, with
