@@ -21,7 +21,7 @@ def test_columns_of_a_table_of_readings_are_listed():
 
 
 def test_terms_of_the_machine_are_all_listed_with_their_units():
-    section = PAGES["readings"].partition("## Terms of the machine")[2].partition("\n## ")[0]
+    section = PAGES["readings"].partition("## Machine terms")[2].partition("\n## ")[0]
     listed = {}
     for symbols, unit in re.findall(r"^\| (`.*?) \| (.*?) \| .* \|$", section, re.MULTILINE):
         first, *more = re.findall(r"`([\w.]+)`", symbols)

@@ -153,7 +153,7 @@ class FixtureSettings(SettingsSection):
     position: (
         Annotated[Quantity, uncertain_quantity("rad"), AfterValidator(check_zero_mean)] | None
     ) = key_field(
-        "setting error of a [position at rest](readings.md#positions-that-are-set-by-hand), about "
+        "setting error of a [position at rest](readings.md#positions-set-by-hand), about "
         "east and about north; common to all readings in a position",
         "0 ± 0.5 deg",
         None,
