@@ -72,7 +72,7 @@ def test_limits_of_a_specification_are_as_the_table_has_them():
 
 
 def test_names_that_no_accelerometer_may_have_are_listed():
-    words = PAGE.partition("Names of accelerometers begin")[2].partition("are reserved")[0]
+    words = PAGE.partition("Accelerometer names begin")[2].partition("are reserved")[0]
     words = words.partition("`_`.")[2]
     assert tuple(re.findall(r"`(\w+)`", words)) == TRUTH_TABLES
 

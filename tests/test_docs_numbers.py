@@ -54,11 +54,11 @@ def default(function, name):
 
 ROWS = {
     "campaign": [
-        ("/g$, for example {} for {} m/s²", 1e-4 / 9.80665, 1e-4),
+        ("/g$, for example {} for a gravity difference of {} m/s²", 1e-4 / 9.80665, 1e-4),
         ("at any height from {} to {} m", *gravity.HEIGHTS),
         (
-            "latitude of {} deg, an error of 1 mg thus changes the displacement at right angles to "
-            "the error by {} m in {} s",
+            "latitude of {} deg, an accelerometer error of 1 mg thus changes the perpendicular "
+            "displacement by {} m in {} s",
             45.0,
             round(motion.EARTH_RATE * math.sqrt(0.5) * 9.80665e-3 * 400.0**3 / 3.0),
             400.0,
