@@ -148,7 +148,7 @@ NUMBERS = [
     ),
     ("methods", "deviate from their neighbours by more than {} standard", [outliers.LIMIT_SDS]),
     ("methods", "in at most one of a {} complete records", [1 / outlier_rejection.FALSE_ALARMS]),
-    ("methods", "residuals more than {} the stated noise", [findings.RESIDUAL_RATIO_LIMIT]),
+    ("methods", "the residuals are more than {} the stated noise", [findings.RESIDUAL_RATIO_LIMIT]),
     ("methods", "accelerometer noise beyond {} ug/Hz^0.5", [1e6 * findings.LARGEST_WALK]),
     ("methods", "the others by more than {} standard", [findings.CONTRADICTION_SIGMAS]),
     ("methods", "shifts below {} standard uncertainties of the shift", [diagnostics.AGREEMENT]),
