@@ -278,7 +278,7 @@ def of_inputs() -> list[Violation]:
             {'"45.75 ± 0.001 deg"': '"45.76 deg"'},
         ),
         Violation(
-            "delay of the angle, not stated",
+            "angle delay, not stated",
             "10 us",
             "records.timing_offset",
             {"[accelerometers.Qx]": 'timing_offset = "1e-5 s"\n\n[accelerometers.Qx]'},

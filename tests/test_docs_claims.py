@@ -201,7 +201,7 @@ NUMBERS = [
     ("result", "accelerometer is above {} ug/Hz^0.5", [1e6 * findings.LARGEST_WALK]),
     (
         "result",
-        "accelerometers ({} % of good campaigns), and by at least {} standard uncertainties",
+        "accelerometers (false alarms in {} % of good campaigns), and by at least {} standard uncertainties",
         [ALARMS, diagnostics.AGREEMENT],
     ),
     ("result", "two-stage K_II differs by more than {} standard", [diagnostics.AGREEMENT]),
@@ -381,8 +381,8 @@ def test_where_encoder_and_imbalance_matter(violations):
     arcsec = abs(violations["encoder.harmonic.1.sin", "specific_force"]["shifts"]["K_II"])
     ripple, times = told(
         "methods",
-        "a first harmonic of {} of the rate, hidden by an encoder error. This "
-        "harmonic would shift K_II by {}",
+        "with a relative amplitude of {}, and that an encoder error masks this variation. The "
+        "variation would shift K_II by {}",
     )
     assert value_of(times) == round(arcsec * value_of(ripple) / ARCSEC)
     assert arcsec > 200
@@ -620,9 +620,10 @@ def test_what_few_degrees_of_freedom_show():
     level = 0.5 * diagnostics.SIGNIFICANCE / 20
     seen, *larger = told(
         "diagnosis",
-        "a pattern of {} standard deviations is detected in half of the cases with 5 degrees of "
-        "freedom. With 4 degrees of freedom, the pattern must be {} standard deviations, with 3 "
-        "degrees of freedom {}, and with 2 degrees of freedom {}. Twelve",
+        "5 degrees of freedom, a pattern of {} standard deviations is detected in half of the "
+        "cases. The size of a pattern that is detected in half of the cases increases to {} "
+        "standard deviations with 4 degrees of freedom, to {} standard deviations with 3, and to "
+        "{} standard deviations with 2. Twelve",
     )
     for freedom, text in zip((5, 4, 3, 2), (seen, *larger), strict=True):
         # Of the residuals' freedom the column itself takes one.

@@ -186,7 +186,7 @@ ROWS = {
             "contain {} % of the values of white noise",
             round(100.0 * (2.0 * normal_cdf(pictures._COVERAGE_FACTOR) - 1.0)),
         ),
-        ("`CS-` and {} digits of the SHA-256 checksum", DIGITS),
+        ("`CS-` and {} digits of the result's SHA-256 checksum", DIGITS),
     ],
 }
 

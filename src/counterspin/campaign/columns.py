@@ -264,7 +264,7 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
         absent="the only one",
     )
     timing_offset: Annotated[Quantity, uncertain_quantity("s")] | None = key_field(
-        "delay of the angle: sampling time of the angle minus sampling time of the displacement "
+        "angle delay: sampling time of the angle minus sampling time of the displacement "
         "in the same row",
         "0 ± 1e-5 s",
         None,

@@ -87,7 +87,7 @@ class RecordsTruthSettings(SettingsSection):
     """[truth.records]: true timing of the rows."""
 
     timing_offset: Annotated[float, read_exactly("s")] | None = key_field(
-        "true delay of the angle: sampling time of the angle minus sampling time of the "
+        "true angle delay: sampling time of the angle minus sampling time of the "
         "displacement in the same row",
         "2e-5 s",
         None,

@@ -68,7 +68,7 @@ class AgreementOfTwo(ResultPart):
     terms: list[str]  #: Terms that both results determine.
     chi2: float  #: Chi-square of all differences.
     dof: int  #: Degrees of freedom of the differences.
-    #: Probability that chance causes a larger chi-square; null if there is no degree of freedom.
+    #: Probability of a larger chi-square by chance (p-value); null without degrees of freedom.
     p: float | None
     shared: list[str]  #: Sources of uncertainty common to both results, in addition to the records.
     assumed: list[str]  #: Assumptions about the correlation, as text.

@@ -47,7 +47,7 @@ class Trend(ResultPart):
 
     value: float  #: Drift, in the term's unit per year.
     u: float  #: Standard uncertainty.
-    p: float  #: Probability that chance causes a drift of at least this size.
+    p: float  #: Probability of a drift at least this large by chance (p-value).
     date: str  #: Weighted mean date (ISO 8601).
     level: float  #: Value of the line at `date`.
     u_level: float  #: Standard uncertainty of `level`.

@@ -45,5 +45,6 @@ class Conformity:
     #: a fail, the specific producer's risk; null for an undecided verdict.
     risk: float | None
     reason: str | None = None  #: Reason for an undecided verdict; otherwise None.
-    #: Risks for items from the stated process; null if no process is stated.
+    #: Consumer's and producer's risk for items drawn from the stated production process; null if no
+    #: process is stated.
     global_risk: GlobalRisk | None = None

@@ -211,12 +211,12 @@ MISTAKES = (
         records=added("slow", EAST, lambda t: 0.2 * np.maximum(t / t[-1] - 0.5, 0.0)),
     ),
     Mistake(
-        "a slow error of 20 cm in one record",
+        "a slowly varying error of 20 cm in one record",
         "prior-conflict middle.platform.tilt.north",
         records=added("middle", EAST, lambda t: 0.2 * (t / t[-1]) ** 2),
     ),
     Mistake(
-        "a slow error of 20 cm in one record",
+        "a slowly varying error of 20 cm in one record",
         "prior-conflict middle.platform.tilt.north",
         records=added("middle", EAST, lambda t: 0.2 * (t / t[-1]) ** 2),
         estimated=True,
@@ -249,7 +249,7 @@ MISTAKES = (
         estimated=True,
     ),
     Mistake(
-        "a slow error of 20 cm in one record, proportional to t^3",
+        "a slowly varying error of 20 cm in one record, proportional to t^3",
         "bias-drifts fast.Qx",
         records=added("fast", EAST, lambda t: 0.2 * (t / t[-1]) ** 3),
         estimated=True,

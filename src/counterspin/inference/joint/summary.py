@@ -27,7 +27,7 @@ class BudgetLine:
     #: Name of the source: a term, an input, ``noise of Qx``, ``undetected noise of Qx``, or an
     #: uncertain quantity of the rotation of a run, such as ``run1.rate`` or ``run1.ripple1``.
     source: str
-    #: Kind of the source: ``noise`` (including encoder noise), ``stated``, ``unstated`` or
+    #: Kind of uncertainty source: ``noise`` (including encoder noise), ``stated``, ``unstated`` or
     #: ``held``.
     kind: Kind
     #: Standard uncertainty of the source, in `unit`; null for noise. For undetected noise, this is
