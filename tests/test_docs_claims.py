@@ -201,7 +201,8 @@ NUMBERS = [
     ("result", "accelerometer is above {} ug/Hz^0.5", [1e6 * findings.LARGEST_WALK]),
     (
         "result",
-        "accelerometers (false alarms in {} % of good campaigns), and by at least {} standard uncertainties",
+        "accelerometers (false alarms in {} % of good campaigns), and by at least {} standard "
+        "uncertainties",
         [ALARMS, diagnostics.AGREEMENT],
     ),
     ("result", "two-stage K_II differs by more than {} standard", [diagnostics.AGREEMENT]),
@@ -359,7 +360,7 @@ def test_what_no_record_of_displacement_gives_away(violations):
         row = violations[name, "displacement"]
         assert moved(row) > 100
         assert (row["state"], row["codes"]) == ("good", [])
-    (held,) = told("violations", "a K_OO of its typical size shifts K_II by {} u")
+    (held,) = told("violations", "a K_OO of typical size shifts K_II by {} u")
     assert agrees(held, abs(violations["K_OO", "displacement"]["weighed"]["K_II"]))
     assert violations["delta_O", "displacement"]["codes"] == ["prior-conflict"]
     for name in ("platform.drift.north", "platform.g2_sensitivity.north"):
@@ -400,7 +401,8 @@ def test_the_campaign_of_the_violations_is_the_one_that_is_described():
     assert agrees(most, study["SILENT_UP_TO"])
     assert agrees(least, study["SHOWN_FROM"])
     campaign = tomllib.loads(study["description"]("velocity", study["FULL"]))
-    words = "three rates ({}, {} and {} rev/s) of {} revolutions each, at {} Hz and {} m. "
+    words = "Three runs at {}, {} and {} rev/s, with {} revolutions each, are sampled at {} Hz on "
+    words += "a radius of {} m. "
     words += "The noise per sample is {} m, {} mm/s or {} m/s^2. "
     words += "The standard uncertainties are {} µg for the bias and {} ppm for the scale factor"
     *rates, turns, sampling, radius, place, speed, force, bias, scale = map(
@@ -474,15 +476,15 @@ def test_what_takes_the_time(benches):
     usual = benches["A usual campaign"]
     start, whole = (usual[name] for name in list(usual)[:4:3])
     assert list(usual)[3] == "counterspin calibrate"
-    assert "More than half of the time of a usual campaign goes into loading" in text
+    assert "More than half of the time for a usual campaign is spent on loading" in text
     assert start["fastest (s)"] > 0.5 * whole["fastest (s)"]
     long = benches["Long records"]
     csv, parquet = (
         {name: row[column] for name, row in long.items()} for column in next(iter(long.values()))
     )
-    assert "This memory does not grow with the length of a Parquet file" in text
+    assert "For a Parquet file, memory use does not depend on the file length" in text
     assert parquet["calibrate, peak memory (MB)"] < 1.25 * whole["peak MB"]
-    assert "less than half of the size of the file" in text
+    assert "less than half of the file size" in text
     more = csv["calibrate, peak memory (MB)"] - whole["peak MB"]
     assert more < 0.5 * csv["three files (MB)"]
 

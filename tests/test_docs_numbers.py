@@ -128,7 +128,8 @@ ROWS = {
         ("is calculated for {} or more results. Its limits", consistency.MIN_RESULTS),
         ("moving range divided by {}. The warning", consistency._D2),
         (
-            "warning limits are {} and the action limits {} standard deviations",
+            "warning limits are {} standard deviations and the action limits {} standard "
+            "deviations",
             consistency.WARNING_SIGMAS,
             consistency.ACTION_SIGMAS,
         ),
@@ -137,7 +138,7 @@ ROWS = {
         ("(`--reliability`, default {})", default(cs.history, "reliability")),
         ("The date is at most {} years after the last result", consistency.MAX_YEARS),
         ("a significance level of {} %", 100.0 * diagnostics.SIGNIFICANCE),
-        ("omit correlations below {}.", consistency._NEGLIGIBLE_CORRELATION),
+        ("Correlations below {} are neglected.", consistency._NEGLIGIBLE_CORRELATION),
     ],
     "certificate": [
         ("`CS-` and {} digits of the SHA-256", DIGITS),
