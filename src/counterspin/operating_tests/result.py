@@ -35,12 +35,12 @@ class OperatingTests(ReportableResult):
     input_unit: str  #: Unit of the inputs.
     output_unit: str  #: Unit of the outputs.
     full_scale: float  #: Full scale of the input.
-    noise: float  #: Standard deviation of a point, in the unit of the output.
+    noise: float  #: Noise standard deviation of a single output, in `output_unit`.
     noise_dof: float  #: Degrees of freedom of `noise`.
     #: Whether the noise was estimated from repeats at the same input; otherwise, from residuals.
     noise_from_repeats: bool
     quantities: list[OperatingQuantity]  #: Results of the tests.
-    time: list[float]  #: Times of the rows, s; empty without a column of times.
+    time: list[float]  #: Row times, s; empty without a time column.
     inputs: list[float]  #: Inputs in the order of the file; empty for a warm-up.
     outputs: list[float]  #: Outputs.
 
