@@ -75,7 +75,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     remark = (
         "The records contain time, angle and displacement for 400 s at each of three rates, "
         "with 0.01 m of noise. Each time is the time of a whole process, with the files in the "
-        "cache of the system. Repetitions of different processes alternate, and the table gives "
+        "system cache. Repetitions of different processes alternate, and the table gives "
         "the fastest repetition. The peer, `benchmarks/peer.py`, is a script of NumPy and "
         "pandas that runs only once. The parser in C++, `benchmarks/csv_limit.cpp`, together "
         "with SHA-256 gives the lower limit for these files on one core, without checks. The "

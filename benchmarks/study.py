@@ -58,7 +58,7 @@ def _paper(found: dict[str, Any], full: bool) -> Table:
 
     def row(name: str, way: str, target: Cell, ratio: Cell) -> list[Cell]:
         wall, cpu = a_million[way]
-        note = "" if sizes[way] == MILLION else f", scaled from {sizes[way]:.0e}"
+        note = "" if sizes[way] == MILLION else f", scaled from {sizes[way]:.0e} analyses"
         return [name + note, wall, cpu, target, None if way == "given" else wall / ours, ratio]
 
     rows = [
@@ -74,7 +74,7 @@ def _paper(found: dict[str, Any], full: bool) -> Table:
         remark = "suncal was not installed (SUNCAL_PYTHON), so the table does not contain it"
     else:
         wall = MILLION / samples * theirs["seconds"]
-        name = f"suncal {theirs['version']}, Monte Carlo, scaled from {samples:.0e}"
+        name = f"suncal {theirs['version']}, Monte Carlo, scaled from {samples:.0e} trials"
         rows.append([name, wall, None, None, wall / ours, None])
         remark = (
             "suncal draws the 300 readings of one analysis; "
