@@ -273,7 +273,7 @@ def shape_is_near_normal(width):
     [
         ('{ value = "1 m", half_width = "1 mm" }', '"3 rad/s"', "give value with u"),
         ('{ value = "1 ± 0.1 m", u = "1 mm" }', '"3 rad/s"', "value must not have an uncertainty"),
-        ('"1 m"', limited(3.0, 1e-3, "rad/s"), "random errors of single readings"),
+        ('"1 m"', limited(3.0, 1e-3, "rad/s"), "random errors of individual readings"),
     ],
 )
 def test_wrong_tables_of_inputs_are_named(tmp_path, radius, rate, message):

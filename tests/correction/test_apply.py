@@ -293,7 +293,7 @@ def test_other_axes_from_columns_constants_and_other_accelerometers(folder, caps
     assert run(*words, "--others", "Qz=qz") == 2
     assert "along its output axis" in capsys.readouterr().err
     assert run(*words, "--others", "Qy=qy, Qz=qz", "--pendulous", "down") == 2
-    assert "given more than once" in capsys.readouterr().err
+    assert "is overdetermined" in capsys.readouterr().err
 
     level = force * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0]
     pl.DataFrame({"qx": indicated(QX, models["Qx"], level), "o": level[:, 1]}).write_csv("all.csv")
@@ -361,7 +361,7 @@ def test_a_row_beyond_the_model_is_named_by_its_line(folder, capsys):
     assert (
         "data.csv, line 4: the indication of Qx cannot be corrected: the indication is 39 g" in said
     )
-    assert "has a turning point at 57.735 g, with an indication of 38.49 g" in said
+    assert "has a turning point at 57.735 g, where the indication is 38.49 g" in said
     assert not Path("out.csv").exists()
 
 

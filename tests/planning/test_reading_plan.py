@@ -486,7 +486,7 @@ def test_ten_poses_are_searched_from_many_beginnings(tmp_path):
         ('up = ["X + W"]', 'up[0]: "W" is not an accelerometer of the triad'),
         ('up = ["X - X"]', '"X" is listed twice'),
         ('up = ["-"]', "does not name an accelerometer"),
-        ("positions = 4", "is for poses at rest"),
+        ("positions = 4", "do not apply to poses at rest"),
     ],
 )
 def test_what_a_pose_cannot_be_is_said(tmp_path, up, words):

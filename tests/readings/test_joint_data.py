@@ -490,7 +490,7 @@ def test_records_on_the_arm_are_averaged(tmp_path):
         with raises("file-changed", "r3.csv:"):
             calibrate(tmp_path)
     shutil.copy(tmp_path / "r0.csv", tmp_path / "r9.csv")
-    with raises("duplicate-record", "r9.csv:", "r0.csv"):
+    with raises("duplicate-record", "r9.csv", "r0.csv"):
         calibrate(tmp_path)
 
 

@@ -134,7 +134,7 @@ def test_records_of_the_same_samples_have_one_digest(tmp_path):
 @pytest.mark.parametrize(
     ("t", "f", "rate", "message"),
     [
-        ([0.0, 1.0, 0.5], [1.0, 1.0, 1.0], 0.0, "line 4: time runs backwards"),
+        ([0.0, 1.0, 0.5], [1.0, 1.0, 1.0], 0.0, "line 4: the time decreases"),
         (
             np.arange(50) * 0.01,
             np.ones(50),
@@ -161,7 +161,7 @@ def test_the_line_of_a_fault_counts_empty_cells(tmp_path):
     t[60] = 0.0
     f = np.ones(100)
     f[[10, 20]] = np.nan
-    with pytest.raises(RecordError, match="line 62: time runs backwards"):
+    with pytest.raises(RecordError, match="line 62: the time decreases"):
         mean(write(tmp_path, t, f), 0.0)
 
 

@@ -92,6 +92,6 @@ def test_the_kind_that_disagrees_is_named(tmp_path, capsys, monkeypatch, kind, m
     monkeypatch.setenv("COLUMNS", "120")  # or the heads of columns are wrapped
     assert main(["calibrate", str(tmp_path / "all")]) == 1
     out = " ".join(capsys.readouterr().out.split())
-    assert f"{kind}: does not agree" in out
+    assert f"{kind}: not consistent" in out
     assert "only at rest (12)" in out
-    assert any("does not agree" in str(block) for block in document(result))
+    assert any("not consistent" in str(block) for block in document(result))

@@ -188,4 +188,4 @@ def test_a_gap_across_which_no_rotation_can_be_followed(tmp_path, angle):
     options = {} if angle else {"angle": None}
     message = refusal(write(tmp_path / "run.csv", columns), **options)
     assert "line 1001: " in message
-    assert "99980 s, 4.999e+04 revolutions" in message
+    assert "99980 s (4.999e+04 revolutions)" in message

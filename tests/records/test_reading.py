@@ -185,4 +185,4 @@ def test_values_that_no_instrument_measures(tmp_path, size):
     columns = table()
     columns[SIGNAL] *= size
     message = refusal(write(tmp_path / "run.csv", columns), swings={})
-    assert f"column '{SIGNAL}' contains values up to" in message
+    assert f"column '{SIGNAL}' contains implausible values of up to" in message

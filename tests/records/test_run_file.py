@@ -31,7 +31,7 @@ def test_a_mistake_in_a_further_file_is_told_by_its_name(tmp_path):
     text = second.read_text().splitlines()
     text[3] = text[3].replace(text[3].split(",")[0], "0.5")
     write(second, text)
-    assert "b.csv, line 4: time runs backwards" in refusal(first, continuation_files=(second,))
+    assert "b.csv, line 4: the time decreases" in refusal(first, continuation_files=(second,))
 
 
 def test_rows_are_counted_where_there_is_no_time(tmp_path):
@@ -53,7 +53,7 @@ def test_only_a_part_of_a_record_is_used(tmp_path):
     assert record.time[-1] == pytest.approx(12.0)
     assert record.report.outside == 1000 - 601
     assert "399 rows outside the part to be used were omitted." in record.report.notes()
-    assert "in the part to be used" in refusal(path, time_range=(30.0, 50.0))
+    assert "in the selected part" in refusal(path, time_range=(30.0, 50.0))
 
 
 def test_units_are_taken_from_the_file_or_compared_with_it(tmp_path):

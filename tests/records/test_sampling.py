@@ -44,7 +44,7 @@ def test_a_coarse_sensor_in_a_faster_log_is_thinned_at_its_phase_or_refused():
     values = np.round(white(4000) / 1e-3) * 1e-3
     found = SensorSamples.of(np.arange(12000) * STEP, held(values, 3.0))
     assert np.array_equal(found.values, values)
-    with pytest.raises(ValueError, match="too coarse to tell"):
+    with pytest.raises(ValueError, match="too coarse to distinguish"):
         SensorSamples.of(np.arange(10000) * STEP, held(values, 2.5))
 
 

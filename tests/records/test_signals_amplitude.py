@@ -15,7 +15,7 @@ def test_a_unit_that_changes_on_the_way(tmp_path, factor, place, start):
     part = slice(None, place) if start else slice(place, None)
     columns[SIGNAL][part] *= factor
     message = refusal(write(tmp_path / "run.csv", columns))
-    assert "changes unit" in message
+    assert "changes its unit or scale" in message
     found = int(message.split("line ")[1].split(":")[0])
     # Where the wave crosses zero, one unit is as good as the other.
     assert abs(found - 2 - place) <= 2
@@ -112,7 +112,7 @@ def test_a_wave_along_the_spindles_axis_does_not_jump(tmp_path, factor):
     columns = growing()
     columns[SIGNAL][1500:] *= factor
     message = refusal(write(tmp_path / "run.csv", columns), swings={})
-    assert "changes unit" in message
+    assert "changes its unit or scale" in message
     assert abs(int(message.split("line ")[1].split(":")[0]) - 1502) <= 2
 
 

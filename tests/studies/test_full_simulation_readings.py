@@ -259,7 +259,7 @@ SLIPS = {
     ),
     "a spindle": (
         '[study.vary]\n"spindle.drift" = { fixed = "1e-6 1/s" }\n',
-        "needs records of a double turntable, and the campaign has none",
+        "requires double-turntable records, but the campaign contains none",
     ),
     "another mounting": (
         '[study.vary]\n"centrifuge.radius.inn" = { fixed = "1 mm" }\n',

@@ -213,8 +213,8 @@ def test_a_record_without_a_clear_gap_says_so() -> None:
     ("time", "values", "words"),
     [
         (np.arange(5.0), np.zeros((5, 3)), "5 rows have all three values"),
-        (np.arange(50) * STEP, np.zeros((50, 3)), "lasts 0.49 s, less than one rest"),
-        (np.r_[np.arange(400), 10] * STEP, np.zeros((401, 3)), "runs backwards after 3.99 s"),
+        (np.arange(50) * STEP, np.zeros((50, 3)), "lasts 0.49 s, which is less than one rest"),
+        (np.r_[np.arange(400), 10] * STEP, np.zeros((401, 3)), "the time decreases after 3.99 s"),
         (np.arange(400) * STEP, np.full((400, 3), np.nan), "0 rows have all three"),
     ],
 )

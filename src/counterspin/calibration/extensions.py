@@ -66,7 +66,7 @@ def apply_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outcome:
         raise CampaignError(
             str(problem.campaign.path),
             [
-                "model.priors.correlation: the two-stage method takes priors as independent; "
+                "model.priors.correlation: the two-stage method treats priors as independent; "
                 "use the joint method, or remove the correlations"
             ],
             code="conflicting-keys",

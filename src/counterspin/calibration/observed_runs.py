@@ -166,8 +166,9 @@ def duplicate_record_error(
     """Return the error that a run's record has the same samples as that of an earlier one."""
     first, second = (item.record and campaign.record_at(item.record) for item in (earlier, run))
     return RecordError(
-        f"{second}: holds the same samples as {first} (runs {earlier.name} and {run.name}). Each "
-        "record may be used only once: remove one of the runs, or give it a different record.",
+        f"{second} contains the same samples as {first} (runs {earlier.name} and {run.name}). "
+        "Each record may be used only once. Remove one of the runs, or give it a different "
+        "record.",
         code="duplicate-record",
     )
 

@@ -69,7 +69,7 @@ def read_correlations(
         )
         problems.add(
             _PATH,
-            f"no quantities can have these correlations together: {names}. Their matrix is not "
+            f"no joint distribution can have these correlations: {names}. Their matrix is not "
             "positive definite; reduce a correlation, or check its sign",
             "invalid-correlation",
         )
@@ -87,7 +87,7 @@ def _read_entry(
         case _:
             raise ValueError('must be two terms and their correlation, as in ["K_OO", "K_PP", 0.4]')
     if not -1.0 < r < 1.0:
-        raise OutOfRangeError(f"a correlation is between -1 and 1; {r:g} is not")
+        raise OutOfRangeError(f"a correlation must be between -1 and 1, but {r:g} is not")
     owned = [_full_names(name, priors) for name in (first, second)]
     pairs = [
         (a, b)

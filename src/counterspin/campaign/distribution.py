@@ -77,7 +77,7 @@ def parse_prior(written: object, unit: str, *, gravity: float | None) -> Quantit
         named = written["distribution"]
         shape = next((name for name in HALF_WIDTHS if name == named), None)
         if shape is None:
-            raise InputError(f"{named!r} is none of {', '.join(HALF_WIDTHS)}", "unknown-choice")
+            raise InputError(f"{named!r} is not one of {', '.join(HALF_WIDTHS)}", "unknown-choice")
         u = size("half_width") / HALF_WIDTHS[shape]
         return Quantity(value, u, unit, InputDistribution(shape))
     if "U" in written:

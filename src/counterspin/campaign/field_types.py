@@ -73,7 +73,7 @@ def exact(text: object, unit: str, gravity: float | None = None, usual: str | No
     quantity = parse(text, unit, gravity=gravity, usual=usual)
     if quantity.u != 0.0:
         raise InputError(
-            f"{text!r}: an uncertainty has no meaning here; remove the ±", "wrong-uncertainty"
+            f"{text!r}: this entry must not have an uncertainty; remove the ±", "wrong-uncertainty"
         )
     return quantity.value
 
@@ -234,7 +234,7 @@ def check_normal(value: Quantity) -> Quantity:
     """Refuse a distribution of a quantity whose errors in single readings are taken as normal."""
     if value.distribution.shape != "normal":
         raise ValueError(
-            "the random errors of single readings are drawn from the normal distribution; "
+            "the random errors of individual readings are drawn from the normal distribution; "
             'write "VALUE ± U UNIT"'
         )
     return value

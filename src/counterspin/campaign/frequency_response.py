@@ -97,7 +97,7 @@ class ResponseReader:
                 f"{file.name}: gain must be a positive ratio to the static gain (not dB)"
             )
         if any(np.any(columns[name] < 0.0) for name in _UNCERTAINTIES if name in columns):
-            raise OutOfRangeError(f"{file.name}: a standard uncertainty is not negative")
+            raise OutOfRangeError(f"{file.name}: a standard uncertainty must not be negative")
         scale = {name: math.radians(1.0) for name in columns if name.endswith("_deg")}
         values_of = {
             name: tuple((scale.get(name, 1.0) * values).tolist())

@@ -164,7 +164,8 @@ def parse(
         )
     if len(text) > _MAX_CHARACTERS:
         raise ValueError(
-            f"a quantity has at most {_MAX_CHARACTERS} characters; this has {len(text)}"
+            f"a quantity may have at most {_MAX_CHARACTERS} characters, but this text has "
+            f"{len(text)}"
         )
     clean = text.strip().replace("−", "-")
     if _NOT_FINITE.search(clean):
@@ -197,7 +198,7 @@ def latitude_text(text: object) -> object:
         return text
     degrees, minutes, seconds = (float(part or 0.0) for part in match.groups()[1:4])
     if minutes >= 60.0 or seconds >= 60.0:
-        raise ValueError(f"{text!r}: minutes and seconds of arc are less than 60")
+        raise ValueError(f"{text!r}: minutes and seconds of arc must be less than 60")
     sign = "-" if "S" in (match[1], match[5]) else ""
     return f"{sign}{degrees + minutes / 60.0 + seconds / 3600.0:.12g} deg"
 

@@ -366,5 +366,5 @@ def _single_text(element: Element, path: str, **variables: str) -> str:
 def _text(element: Element) -> str:
     if len(element):
         # `text` holds only the part before the child.
-        raise ValueError(f"{element.tag.rpartition('}')[2]} contains something other than text")
+        raise ValueError(f"{element.tag.rpartition('}')[2]} contains elements other than text")
     return str(element.text or "")

@@ -250,7 +250,7 @@ def _verify_content(content_bytes: bytes, source: str) -> VerifiedLedger:
                 raise RecordError(f"{source}: {_NO_LEDGER}", code="wrong-document")
             what = f"entry {which}" if which else "the beginning"
             raise RecordError(
-                f"{source}: {what} {problem}; do not rely on the entries from there on",
+                f"{source}: {what} {problem}; do not rely on this entry or on later entries",
                 code="ledger-altered",
             )
         entries.append(_entry(content))
@@ -378,9 +378,9 @@ def _check_amended(ledger: OpenLedger, ledger_path: Path, of: Mapping[str, str])
     amended = [entry for entry in ledger.entries if entry.of.get("identifier") == of["amends"]]
     if amended and all(entry.of.get("sha256") != of["amends_sha256"] for entry in amended):
         raise RecordError(
-            f"{ledger_path}: entry {amended[-1].number} records certificate {of['amends']} with "
-            "different content: the file to be amended was changed after it was issued; give the "
-            "issued file",
+            f"{ledger_path}: entry {amended[-1].number} records certificate {of['amends']} "
+            "with different content, so the file to be amended was changed after it was "
+            "issued. Give the issued file",
             code="ledger-conflict",
         )
 

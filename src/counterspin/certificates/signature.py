@@ -85,8 +85,8 @@ def verify(document: bytes, certificate: Path | KeyMaterial, source: str) -> Sig
         verified = _signed_part(root, trusted.public_key())
     except InvalidDigest as error:
         raise RecordError(
-            f"{source}: the signature is not valid: the document was changed after the holder of "
-            f"{certificate} had signed it",
+            f"{source}: the signature is not valid, because the document was changed after the "
+            f"holder of {certificate} had signed it",
             code="invalid-signature",
         ) from error
     except Exception as error:  # any error of signxml, lxml and cryptography
@@ -186,9 +186,9 @@ def _expiry(
     if issued is None or not begin.date() <= issued <= end.date():
         day = "no day of issue" if issued is None else f"the day of issue {issued}"
         raise RecordError(
-            f"{source}: {certificate} was valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, and the "
-            f"document states {day}: there is no evidence that the document was signed within "
-            "this period",
+            f"{source}: {certificate} was valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, but "
+            f"the document states {day}, so there is no evidence that the document was signed "
+            "within this period",
             code="certificate-expired",
         )
     last_day: date = end.date()

@@ -220,8 +220,8 @@ def _locate_inputs(
             moved[name] = str(elsewhere)
         elif name in changed and actual[name] == "unreadable":
             raise RecordError(
-                f"{result_name}: its input {name} ({checksum}) is not in {folder}, under this or "
-                "any other name; give the folder of the campaign",
+                f"{result_name}: the input {name} ({checksum}) is not in {folder} under this "
+                "or any other name. Give the folder of the campaign",
                 code="file-not-found",
             )
         else:

@@ -273,8 +273,8 @@ def _require_determined(result: Result, names: Iterable[str]) -> None:
         }
         if needed := [symbol for symbol in findings if acts(symbol)]:
             raise RecordError(
-                f"{name}: the correction needs {', '.join(needed)}, which the result does not "
-                f"determine. {findings[needed[0]]}",
+                f"{name}: the correction requires {', '.join(needed)}, but the result does not "
+                f"determine these coefficients. {findings[needed[0]]}",
                 code="not-determined",
             )
 

@@ -121,7 +121,9 @@ def apply_file(
         )
     if output.exists() and source.exists() and output.samefile(source):
         raise CampaignError(
-            str(output), ["is the input, which is never overwritten"], code="file-exists"
+            str(output),
+            ["this file is the input file, which is never overwritten"],
+            code="file-exists",
         )
     reserve(output, lambda: _CORRECTED, overwrite=overwrite)
     options = options or ApplyOptions()
@@ -165,7 +167,12 @@ def apply_file(
         if name in frame.columns:
             raise CampaignError(
                 str(source),
-                [f"already has a column '{name}'; was the file corrected before?"],
+                [
+                    (
+                        f"the file already has a column '{name}'; check whether the file was "
+                        "corrected before"
+                    )
+                ],
                 code="duplicate-entry",
             )
     forces: dict[str, Any] = {

@@ -83,8 +83,8 @@ def reduce_block(
     if y.ndim != 1 or any(part.ndim != 2 or part.shape[0] != n for part in parts):
         shapes = ", ".join(str(part.shape) for part in parts)
         raise ValueError(
-            f"nuisance, design and considered must each have {n} rows, like the "
-            f"observations; the shapes are {shapes}"
+            f"nuisance, design and considered must each have {n} rows, the number of "
+            f"observations, but the shapes are {shapes}"
         )
     return reduce_rows(np.column_stack([*parts, y]), parts[0].shape[1], parts[1].shape[1])
 

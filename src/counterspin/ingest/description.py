@@ -208,8 +208,8 @@ def further_runs(
     for guess in guesses:
         if guess.rate is None or not (guess.time or guess.sampling):
             raise CounterspinError(
-                f"{guess.contents.path}: the rate of the centrifuge cannot be detected from the "
-                "file; add the run to the description",
+                f"{guess.contents.path}: the rate of the centrifuge cannot be determined from "
+                "the file; add the run to the description",
                 code="missing-answer",
             )
     names = [run["name"] for run in runs]

@@ -310,10 +310,10 @@ def _refuse_unsigned(columns: Sequence[FileColumn], values: Array) -> None:
         if 0.9 * most < known.max() < most and (jumps >= _FEWEST_JUMPS).any():
             names = ", ".join(f"'{column.name}'" for column in columns)
             raise RecordError(
-                f"the columns {names} jump between 0 and {most - 1:.0f}: they are signed numbers "
-                f"of {bits} bits (two's complement) that were written as unsigned numbers. Export "
-                f"them with their sign, or subtract {most:.0f} from each of {most / 2:.0f} or "
-                "more.",
+                f"the columns {names} jump between 0 and {most - 1:.0f}, because signed "
+                f"numbers of {bits} bits (two's complement) were written as unsigned numbers. "
+                f"Export signed numbers, or subtract {most:.0f} from each number of "
+                f"{most / 2:.0f} or more.",
                 code="unsigned-numbers",
             )
 

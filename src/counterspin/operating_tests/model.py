@@ -237,7 +237,7 @@ def fit_warm_up(time: Array, outputs: Array) -> WarmUp:
     final, change, rate = (float(value) for value in estimate)
     u_final, u_change, u_rate = (float(u) for u in np.sqrt(np.diag(covariance)))
     if not math.isfinite(u_rate) or rate <= 2.0 * u_rate:
-        raise ValueError("the record is too short, or too noisy, to show a time constant")
+        raise ValueError("the record is too short or too noisy to determine a time constant")
     tau = span / rate
     # At the first row; the change at switching on is that extrapolated to t = 0.
     at_start = math.exp(float(time[0]) / tau)

@@ -95,8 +95,9 @@ def _solve_rising_branch(
         row = int(not_rising[0])
         raise NotInvertibleError(
             int(rows[row]),
-            "cannot be corrected: the indication does not rise with the specific force at zero "
-            f"(slope {poly[1, row]:.3g}); check the coefficients and their units.",
+            "cannot be corrected, because at zero specific force the indication does not "
+            f"increase with the specific force (slope {poly[1, row]:.3g}); check the "
+            "coefficients and their units.",
         )
     high = 2.0 * -poly[0] / poly[1]
     # The slope without its positive terms decreases: if it is positive at `high`, no turning point
@@ -122,8 +123,8 @@ def _solve_rising_branch(
         max_indication = float(y[row] + side[row] * largest[0])
         raise NotInvertibleError(
             int(rows[row]),
-            f"cannot be corrected: the indication is {y[row]:.6g} g, but the model has a turning "
-            f"point at {force:.6g} g, with an indication of {max_indication:.6g} g.",
+            f"cannot be corrected, because the indication is {y[row]:.6g} g, but the model has "
+            f"a turning point at {force:.6g} g, where the indication is {max_indication:.6g} g.",
         )
     return side * _root(poly, high, y, rows)
 
@@ -481,9 +482,9 @@ def _projections(
     directions = np.stack([*rows, *(item.direction for item in known)])
     if np.linalg.matrix_rank(directions, tol=_PROJECTION_ROUNDING) < directions.shape[0]:
         raise InputError(
-            f"the specific force along a direction is given more than once: by {len(rows)} "
+            f"the specific force along a direction is overdetermined: {len(rows)} "
             f"accelerometers ({', '.join(i.name for i in instruments)}) and {len(known)} known "
-            "forces, with linearly dependent directions",
+            "specific forces have linearly dependent directions",
             "conflicting-values",
         )
     targets = np.stack([instrument.mounting.matrix[1:] for instrument in instruments])

@@ -135,7 +135,8 @@ class Spindle:
         # Roundoff of a large angle keeps the last steps above an ulp; that is settled too.
         if not np.all(np.abs(self.angle(t) - angle) <= 1e-12 * (1.0 + np.abs(angle))):
             raise ConvergenceError(
-                "the spindle angle could not be inverted: the rate changes sign or drifts too much"
+                "the spindle angle cannot be inverted, because the rate changes sign or drifts "
+                "too much"
             )
         return t
 
@@ -488,8 +489,8 @@ def _fit(
             break
     else:
         raise ConvergenceError(
-            f"the spindle rate did not converge near {start_rate:.9g} rad/s: is the nominal rate "
-            "of the run correct?"
+            f"the spindle rate did not converge near {start_rate:.9g} rad/s. Check the nominal "
+            "rate of the run"
         )
     residuals = columns[-1] - solution @ columns[:-1]
     dof = n - unknowns

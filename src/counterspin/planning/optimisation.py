@@ -55,7 +55,7 @@ def optimise(
     """
     if not limits.is_feasible:
         raise NotIdentifiableError(
-            f"no run fits into {limits.total_time:.6g} s: the shortest run takes "
+            f"no run fits into {limits.total_time:.6g} s, because the shortest run takes "
             f"{limits.shortest_time:.6g} s with spin-up and settling",
             code="plan-infeasible",
         )
@@ -79,7 +79,7 @@ def optimise(
             best = exchanged
     if best is None:
         raise NotIdentifiableError(
-            f"no plan of at most {limits.runs} runs was found that fits into "
+            f"the search found no plan of at most {limits.runs} runs that fits into "
             f"{limits.total_time:.6g} s; allow more time",
             code="plan-infeasible",
         )

@@ -134,7 +134,11 @@ def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) ->
     problems = Problems(raw)
     if "runs" in raw:
         raw = {key: value for key, value in raw.items() if key != "runs"}
-        problems.add(("runs",), "a plan chooses the runs; state the limits in [limits]")
+        problems.add(
+            ("runs",),
+            "the plan selects the runs, so [[runs]] must not be given; "
+            "state the limits in [limits]",
+        )
     problems.check(PlanDocument, raw, ())
     settings = problems.check(LimitsSettings, table_of(raw, "limits"), ("limits",), gravity=None)
     goal = problems.check(GoalSettings, table_of(raw, "goal"), ("goal",))
@@ -243,7 +247,7 @@ def _stated_sizes(noise: Mapping[str, Any], problems: Problems) -> dict[str, Any
     unknown = [key for key, size in noise.items() if size == ESTIMATE]
     for key in unknown:
         problems.add(
-            ("noise", key), "state a number: a plan cannot estimate the noise", "missing-value"
+            ("noise", key), "a plan cannot estimate the noise; state a number", "missing-value"
         )
     return {key: size for key, size in noise.items() if key not in unknown}
 
@@ -340,8 +344,8 @@ def _resolve_limits(
     if limits.total_time < limits.shortest_time:
         problems.add(
             ("limits", "total_time"),
-            f"no run fits: the shortest run takes {limits.shortest_time:.4g} s with its spin-up, "
-            f"settling and {fewest:g} revolutions"
+            f"no run fits, because the shortest run takes {limits.shortest_time:.4g} s with "
+            f"spin-up, settling and {fewest:g} revolutions"
             if limits.fewest_rates == 1
             else f"{limits.fewest_rates} runs at different rates do not fit: the shortest take "
             f"{limits.shortest_time:.4g} s with spin-up, settling and {fewest:g} revolutions each",

@@ -248,7 +248,7 @@ def read_reading_plan(
     if limits is not None and campaign is not None and campaign.runs and not limits.sampling_rate:
         problems.add(
             ("limits", "sampling_rate"),
-            "is missing: the sampling rate of the records in [[runs]]",
+            "this entry is missing; the records in [[runs]] require a sampling rate",
             "missing-key",
         )
     if problems.lines or campaign is None or sought is None or limits is None:
@@ -315,10 +315,13 @@ def _candidate_readings(
     if settings.positions is not None and settings.attitudes is not None:
         problems.add(path, "give either positions or attitudes")
     if settings.attitude is None and settings.up is not None:
-        problems.add((*path, "up"), 'is for poses; write attitude = "unknown"')
+        problems.add((*path, "up"), 'this key applies only to poses; write attitude = "unknown"')
     if settings.attitude is not None:
         if not static or settings.positions is not None or settings.attitudes is not None:
-            problems.add((*path, "attitude"), "is for poses at rest: no rate, no position")
+            problems.add(
+                (*path, "attitude"),
+                "these keys do not apply to poses at rest, which have no rate and no position",
+            )
         if len(problems.lines) == before:
             if "triad" in raw:
                 return _poses(settings, {**shared, "reading": reading}, names, path, problems)

@@ -261,10 +261,10 @@ def _solve(
                 raise ConvergenceError(reason)
         name = _largest_residual(readings, records, model)
         raise ConvergenceError(
-            f"the fit of the readings did not converge in {_ROUNDS} rounds; check "
-            f'"{name}", which deviates most from the others: its sign, digits and unit, and '
-            "whether it was swapped with another. Otherwise state priors for the terms of the "
-            "machine, or state the standard uncertainties of the readings"
+            f"the fit of the readings did not converge in {_ROUNDS} rounds. Check the sign, "
+            f'the digits and the unit of "{name}", which deviates most from the others, and '
+            "whether this reading was swapped with another one. Otherwise, state priors for "
+            "the machine terms, or state the standard uncertainties of the readings"
         )
     dof = [
         part.noise_dof(solution) + group.repeat_dof if group.u is None else math.inf

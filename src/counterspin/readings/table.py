@@ -291,7 +291,9 @@ class ReadingsTable:
                 known = (*COLUMNS, "reading", "u")
                 problems.add((*path, key), "unknown key" + suggest_name(key, known), "unknown-key")
             elif key in COLUMNS and not isinstance(value, str):
-                problems.add((*path, key), "must be the name of one column", "wrong-type")
+                problems.add(
+                    (*path, key), "this value must be the name of one column", "wrong-type"
+                )
         if not stated_columns.get("reading"):
             problems.add(path, "reading is missing; give the column with the values", "missing-key")
             return

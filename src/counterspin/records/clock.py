@@ -119,7 +119,7 @@ class Clock:
         if not (steps > 0).any():
             if (steps < 0).any():
                 row = int(np.flatnonzero(is_valid)[np.flatnonzero(steps < 0)[0] + 1])
-                raise self._fail(row, "time runs backwards.", "time-backwards")
+                raise self._fail(row, "the time decreases.", "time-backwards")
             raise RecordError(
                 f"{self._path}: fewer than two rows have different times.", code="no-rows"
             )
@@ -237,8 +237,8 @@ class Clock:
             previous = self._last_time if index == 0 else float(time[rows[index - 1]])
             raise self._fail(
                 first_row + int(rows[index]),
-                f"time runs backwards, from {previous:.9g} s to {time[rows[index]]:.9g} s "
-                "after the record's start.",
+                f"the time decreases, from {previous:.9g} s to {time[rows[index]]:.9g} s after "
+                "the start of the record.",
                 "time-backwards",
             )
         rows = self._drop_repeats(chunk, rows, steps)
@@ -291,8 +291,9 @@ class Clock:
             if revolutions > _GAP_REVOLUTIONS:
                 raise self._fail(
                     int(rows[index]),
-                    f"there are no rows for {length:.6g} s, {revolutions:.4g} revolutions; the "
-                    "rotation cannot be tracked over such a gap. Cut the record here.",
+                    f"there are no rows for {length:.6g} s ({revolutions:.4g} revolutions), "
+                    "and the rotation cannot be tracked over such a gap. End the record before "
+                    "the gap.",
                     "time-gap",
                 )
             self.findings.gap_count += 1

@@ -143,7 +143,8 @@ def record_errors(path: Path, where: Callable[[], str] = str) -> Iterator[None]:
         raise
     except PermissionError:
         raise RecordError(
-            f"{path}: the file cannot be read; check its permissions.", code="file-not-readable"
+            f"{path}: the file cannot be read. Check the permissions of the file.",
+            code="file-not-readable",
         ) from None
     except FileNotFoundError:
         raise RecordError(f"{path}: file not found", code="file-not-found") from None
@@ -423,8 +424,8 @@ class ColumnFile(ABC):
         size = self.identity.size if self.identity else 0
         if needed > _UNPACKED_BYTES + _UNPACKED_RATIO * size:
             raise DamagedFileError(
-                f"{self.path}: the file is damaged: it has {size} bytes, but its header announces "
-                f"{needed} bytes of numbers."
+                f"{self.path}: the file is damaged, because it has {size} bytes, but its "
+                f"header announces {needed} bytes of numbers."
             )
 
 

@@ -257,7 +257,10 @@ class _RecordReader:
             self._rows += rows
         if averager is None:
             raise RecordError(
-                f"{self._file.path}: none of the {self._rows} rows is in the part to be used."
+                (
+                    f"{self._file.path}: none of the {self._rows} rows is in the selected part "
+                    "of the record."
+                )
                 if self._rows
                 else f"{self._file.path}: the file has column names, but no rows.",
                 code="no-rows",
@@ -383,7 +386,8 @@ class _RecordReader:
         if differing_count > MAX_REPEATED_TIMES * self._rows:
             raise RecordError(
                 f"{self._file.path}: {differing_count} of {self._rows} rows repeat the time of "
-                "the row before with other values. If no row is lost, state `sampling_rate`.",
+                "the previous row with different values. If no row is missing, state "
+                "`sampling_rate`.",
                 code="repeated-times",
             )
 
@@ -435,8 +439,8 @@ class _RecordReader:
         largest = float(np.abs(values[~np.isnan(values)]).max(initial=0.0))
         if not largest < MAX_MAGNITUDE:
             raise RecordError(
-                f"{self._file.path}: column '{spec.name}' contains values up to {largest:.3g} in "
-                "SI units, which is implausible.",
+                f"{self._file.path}: column '{spec.name}' contains implausible values of up to "
+                f"{largest:.3g} in SI units.",
                 code="value-out-of-range",
             )
 
@@ -459,11 +463,12 @@ class _RecordReader:
         if len(dropout) > MAX_EMPTY_FRACTION * len(signal):
             start, end = blocks.time[dropout[0]], blocks.time[dropout[-1]]
             raise RecordError(
-                f"{self._file.path}: column '{self._columns.signals[accelerometer].name}' does not "
-                f"follow the rotation for {len(dropout) / len(signal):.2g} of the record, between "
-                f"{start:.6g} s and {end:.6g} s after its start, and follows it again afterwards, "
-                f"as when a channel fails for a while; at most {MAX_EMPTY_FRACTION:.0%} may be "
-                f"affected. Cut the record here.",
+                f"{self._file.path}: column '{self._columns.signals[accelerometer].name}' does "
+                f"not follow the rotation for {len(dropout) / len(signal):.2g} of the record, "
+                f"between {start:.6g} s and {end:.6g} s after its start, but follows the "
+                "rotation again afterwards. Possibly, the channel failed for a while. At most "
+                f"{MAX_EMPTY_FRACTION:.0%} of the record may be affected. Use only the part of "
+                "the record before the failure.",
                 code="signal-dropout",
             )
         if len(dropout):
@@ -514,8 +519,8 @@ class _RecordReader:
         )
         location = self._file.locate_row(int(np.concatenate(rows)[row_index]))
         return RecordError(
-            f"{self._file.path}, {location}: column '{spec.name}' changes unit or scale: "
-            f"{change.description}. Cut the record here or correct the column.",
+            f"{self._file.path}, {location}: column '{spec.name}' changes its unit or scale: "
+            f"{change.description}. End the record before this row, or correct the column.",
             code="unit-change",
         )
 

@@ -109,9 +109,10 @@ class ValueHolding:
         rows = 1.0 / (1.0 - repeated)
         if chance_repeats > _MAX_CHANCE_FRACTION:
             raise InputError(
-                f"it repeats {100.0 * repeated:.2g} % of its values at irregular distances, as "
-                "when the log is faster than the sensor, and its resolution is too coarse to tell "
-                "a repeat from an equal sample; export the sensor's own samples",
+                f"the signal repeats {100.0 * repeated:.2g} % of its values at irregular "
+                "intervals, which suggests that the log is faster than the sensor; the "
+                "resolution is too coarse to distinguish a repeated sample from an equal "
+                "sample. Export only the samples of the sensor",
                 "irregular-time",
             )
         return cls(rows, 0, 0)

@@ -180,7 +180,8 @@ def _find_sheet(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str
             else "the workbook has no sheets with rows"
         )
         raise RecordError(
-            f"{path}: the sheet with the table is not known: {text}.", code="ambiguous-selection"
+            f"{path}: the sheet with the table cannot be identified: {text}.",
+            code="ambiguous-selection",
         )
     return book, matches[0]
 

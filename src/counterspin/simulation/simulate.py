@@ -124,7 +124,7 @@ def simulate(
     if description.exists() and not own and not _is_simulated(description):
         raise ExistingFileError(
             f"{description} does not belong to a simulated campaign, so its files were not "
-            "overwritten: simulate into another folder"
+            "overwritten. Simulate into another folder"
         )
     replaced = [description] if text is not None or not own else []
     taken_along = _static_record_copy(campaign, folder)

@@ -386,8 +386,8 @@ def _run_in_pool(
             crashes = 0 if int(batch_results.done.sum()) > done_before else crashes + 1
             if crashes >= _MAX_CONSECUTIVE_CRASHES:
                 raise CounterspinError(
-                    "the worker processes end immediately; try fewer `workers`, or check whether "
-                    "memory runs out",
+                    "the worker processes end immediately. Use fewer `workers`, or check "
+                    "whether enough memory is free",
                     code="worker-failed",
                 ) from error
 

@@ -405,7 +405,10 @@ def _varied_quantities(
     )
     per_run = settings.per == "run"
     if per_run and (symbol in (*INPUTS, *NOISE_LEVELS) or not campaign.runs):
-        problems.add(path, "is the same in all runs and readings of a campaign; remove the key per")
+        problems.add(
+            path,
+            "this quantity is the same in all runs and readings of a campaign; remove the key per",
+        )
     if parameters is None:
         return []
     first, second = parameters
@@ -445,7 +448,9 @@ def _resolve_names(
     if key in INPUTS or symbol_name in INPUTS:
         return _resolve_inputs(key, path, campaign, recorders, problems)
     if key in OTHER_QUANTITIES and not campaign.runs:
-        problems.add(path, "needs records of a double turntable, and the campaign has none")
+        problems.add(
+            path, "this quantity requires double-turntable records, but the campaign contains none"
+        )
     shared = (key,) if key in SHARED_TERMS or key in OTHER_QUANTITIES else ()
     if symbols := shared or expand(key, observable_symbols):
         return [("", symbol) for symbol in symbols]

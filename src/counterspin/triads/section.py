@@ -131,7 +131,7 @@ def _axes_of(
     if names and abs(np.linalg.det([own.input_axis for own in axes])) < _LEAST_VOLUME:
         problems.add(
             ("triad", "accelerometers"),
-            "their input axes lie (nearly) in one plane",
+            "the input axes of the three accelerometers lie (nearly) in one plane",
             "invalid-axes",
         )
         return []

@@ -165,7 +165,7 @@ def find_poses(
         for index, reason in faults.items()
     )
     if len(faults) == len(starts):
-        raise RecordError("all rests were rejected. " + " ".join(left_out), code="no-rest")
+        raise RecordError("all rest intervals were rejected. " + " ".join(left_out), code="no-rest")
     starts, ends = np.delete(starts, list(faults)), np.delete(ends, list(faults))
     rows = [x[first:last] for first, last in zip(starts, ends, strict=True)]
     interval = np.searchsorted(t[starts], spike_times) - 1
@@ -194,7 +194,8 @@ def _sampling_step(time: Array, rest: float) -> float:
     """
     if not rest > 0.0:
         raise RecordError(
-            f"the duration of a rest must be positive, not {rest:g} s.", code="wrong-usage"
+            f"the duration of a rest interval must be positive, but it is {rest:g} s.",
+            code="wrong-usage",
         )
     if len(time) < _FEWEST_ROWS:
         raise RecordError(
@@ -204,7 +205,7 @@ def _sampling_step(time: Array, rest: float) -> float:
     steps = np.diff(time)
     if (steps < 0.0).any():
         raise RecordError(
-            f"time runs backwards after {time[np.argmax(steps < 0.0)]:.6g} s.",
+            f"the time decreases after {time[np.argmax(steps < 0.0)]:.6g} s.",
             code="time-backwards",
         )
     if not steps.any():
@@ -212,16 +213,16 @@ def _sampling_step(time: Array, rest: float) -> float:
     length, step = float(time[-1] - time[0]), median(steps[steps > 0.0])
     if length + step < rest * (1.0 - 1e-9):
         raise RecordError(
-            f"the record lasts {length:.4g} s, less than one rest of {rest:g} s. Check the unit "
-            "of the time or the sampling rate, or specify a shorter "
-            "rest interval.",
+            f"the record lasts {length:.4g} s, which is less than one rest interval of "
+            f"{rest:g} s. Check the unit of the time or the sampling rate, or specify a "
+            "shorter rest interval.",
             code="record-too-short",
         )
     if not _FEWEST_ROWS * step <= rest * (1.0 + 1e-9):
         raise RecordError(
-            f"the rows are {step:.4g} s apart, so that a rest of {rest:g} s has less than "
-            f"{_FEWEST_ROWS} of them. Check the unit of the time or the sampling rate, or specify "
-            "a longer rest interval.",
+            f"the rows are {step:.4g} s apart, so a rest interval of {rest:g} s contains fewer "
+            f"than {_FEWEST_ROWS} rows. Check the unit of the time or the sampling rate, or "
+            "specify a longer rest interval.",
             code="too-few-rows",
         )
     return step

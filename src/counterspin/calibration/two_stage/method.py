@@ -341,8 +341,9 @@ def make_request(
     campaign, model = problem.campaign, problem.model
     if accelerometer.observable != "displacement":
         raise NotIdentifiableError(
-            f"{accelerometer.name}: the two-stage method needs the displacement, and this record "
-            f"is of {accelerometer.observable.replace('_', ' ')}; use the joint method",
+            f"{accelerometer.name}: the two-stage method requires displacement records, but "
+            f"this record contains the {accelerometer.observable.replace('_', ' ')}; use the "
+            "joint method",
             code="method-not-applicable",
         )
     stated = resolve_noise(campaign)[accelerometer.name].sizes

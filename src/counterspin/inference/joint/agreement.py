@@ -95,7 +95,7 @@ def _shift_variances(
 def _solution_without(fit: JointFit, run: str) -> Solution:
     solution = fit.without_run(run)
     if solution is None:
-        raise ValueError(f"no observation is left without {run}")
+        raise ValueError(f"without {run}, no observations remain")
     return solution
 
 

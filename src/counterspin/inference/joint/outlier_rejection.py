@@ -229,9 +229,9 @@ def reject_outliers(
         if mask.any()
     )
     raise ConvergenceError(
-        f"{where}: outliers were still found after {_MAX_ROUNDS} rounds of rejection: the "
-        "residuals are not noise about a smooth curve; inspect the record for a jump in the clock "
-        "or displacement, or add the missing terms to the model"
+        f"{where}: outliers were still found after {_MAX_ROUNDS} rounds of rejection, so the "
+        "residuals are not noise about a smooth curve. Inspect the record for a jump in the "
+        "clock or the displacement, or add the missing terms to the model"
     )
 
 

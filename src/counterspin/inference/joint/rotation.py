@@ -70,8 +70,8 @@ def find_rotation(
         if all(_end_angle(record, change[record.run]) < _ANGLE_TOLERANCE for record in rotated):
             return rotated
     raise ConvergenceError(
-        "the rotation could not be determined from the displacement: the nominal rate is too "
-        "inaccurate; record the spindle angle, or state the rate more accurately"
+        "the rotation cannot be determined from the displacement, because the nominal rate is "
+        "too inaccurate. Record the spindle angle, or state the rate more accurately"
     )
 
 

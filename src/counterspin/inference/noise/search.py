@@ -333,7 +333,7 @@ def _normalise(likelihood: RestrictedLikelihood, variances: Variances) -> tuple[
         return 0.0, variances
     scale = variances[0] or variances[1]
     if scale <= 0.0:
-        raise ValueError("noise: a drifting bias also requires white noise; state its size")
+        raise ValueError("noise: a drifting bias also requires white noise; state the white noise")
     return math.log(scale), _scale_variances(1.0 / scale, variances)
 
 

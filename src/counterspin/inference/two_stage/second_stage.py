@@ -343,9 +343,9 @@ def _check_rates(
     ):
         if different < len(needed):
             raise NotIdentifiableError(
-                f"{len(needed)} unknowns without a prior ({', '.join(needed)}) need at least "
-                f"{len(needed)} different {description}; the campaign has only {different}: add "
-                "runs at other rates, or give priors"
+                f"{len(needed)} unknowns without a prior ({', '.join(needed)}) require at "
+                f"least {len(needed)} different {description}, but the campaign has only "
+                f"{different}. Add runs at other rates, or state priors"
             )
 
 
