@@ -187,8 +187,8 @@ def figures_of_the_page():
     """Return u(K_II) of the paper's plan, of the example's, their ratio, and u in both senses."""
     number = r"(\d[\d.]*(?:e-\d+)?)"
     found = re.search(
-        rf"u\(K_II\) = {number} g/g². This plan gives {number} g/g², {number} times as much.*"
-        rf"with both senses, u is {number} g/g²",
+        rf"u\(K_II\) = {number} g/g²\. .* u\(K_II\) = {number} g/g², which is {number} times.*"
+        rf"both senses, u\(K_II\) is {number} g/g²",
         " ".join((DOCS / "plan.md").read_text("utf-8").split()),
     )
     return [float(text) for text in found.groups()]
