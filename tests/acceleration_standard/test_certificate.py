@@ -74,7 +74,9 @@ def test_a_default_that_dominates_needs_evidence(applied, tmp_path):
     result = applied(DESCRIPTION + STATED)
     draft = certify_applied(result, write_lab(tmp_path))
     assert draft.draft
-    assert any(note.startswith("evidence.centrifuge.clock: this entry is missing") for note in draft.notes)
+    assert any(
+        note.startswith("evidence.centrifuge.clock: this entry is missing") for note in draft.notes
+    )
     evidence = '\n[evidence]\n"centrifuge.clock" = "Counter report 12."\n'
     complete = certify_applied(result, write_lab(tmp_path, LAB + evidence))
     assert not complete.draft

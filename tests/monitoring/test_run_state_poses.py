@@ -116,7 +116,7 @@ def test_a_record_shorter_than_a_rest_should_not_be_kept(tmp_path, capsys):
     posed_records.campaign(tmp_path, {"all": short})
     checked = cs.check(tmp_path / "all.log", tmp_path, run="all")
     assert (checked.good, checked.run.state, checked.run.poses) == (False, "failed", None)
-    assert "all.log: the record lasts 0.99 s, less than one rest" in checked.run.why
+    assert "all.log: the record lasts 0.99 s, which is less than one rest" in checked.run.why
     assert main(["check", str(tmp_path / "all.log"), "--campaign", str(tmp_path)]) == 1
     assert "has faults" in capsys.readouterr().err
     (state,) = cs.watch(tmp_path, once=True)

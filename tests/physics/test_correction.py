@@ -190,7 +190,7 @@ def test_the_branch_through_zero_is_taken_although_another_root_lies_nearer():
 
 
 def test_a_model_that_does_not_rise_is_refused():
-    with pytest.raises(NotInvertibleError, match=r"sample 0 .* does not rise .*\(slope -1\)"):
+    with pytest.raises(NotInvertibleError, match=r"sample 0 .* does not increase .*\(slope -1\)"):
         invert({"K_I": -1.0}, np.array([1.0]))
     # Where K_IP a_P eats up the scale factor.
     with pytest.raises(NotInvertibleError, match="sample 2 "):
@@ -264,9 +264,9 @@ def test_two_accelerometers_and_a_known_vertical():
 def test_forces_that_are_given_twice_are_refused():
     one = instrument(QX, {"K_IP": 1e-5})
     down, up = (KnownForce(np.array([0.0, 0.0, s]), s) for s in (-1.0, 1.0))
-    with pytest.raises(ValueError, match="more than once"):
+    with pytest.raises(ValueError, match="overdetermined"):
         correct([one], np.ones((1, 1)), [down, up])
-    with pytest.raises(ValueError, match="more than once"):
+    with pytest.raises(ValueError, match="overdetermined"):
         correct([one, instrument(QX, {})], np.ones((1, 2)))
 
 
