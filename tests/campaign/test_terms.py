@@ -226,7 +226,7 @@ def test_considered_is_the_old_name_of_hold():
     _, _, (told,) = resolve(
         {"Qx": QX}, terms=["K_II"], priors=known, hold=["K_OO"], considered=["K_PP"]
     )
-    assert told == "model.considered: is the old name of hold; keep only hold"
+    assert told == "model.considered: this key is the old name of hold; keep only hold"
 
 
 def test_what_is_neither_asked_for_nor_held_may_have_a_prior():

@@ -77,7 +77,7 @@ def test_there_is_no_certificate_without_it():
     with pytest.raises(CampaignError) as caught:
         made(assuming("K_OO", "K_PP", "platform.*"), '[evidence]\nK_PP = "Bericht 1"\n')
     (problem,) = caught.value.problems
-    assert "assumes K_OO, platform.* to be perfect" in problem
+    assert "fixes K_OO, platform.* at nominal values" in problem
     assert 'data sheet: "K_OO" = "..." "platform.*" = "..."' in problem
 
 

@@ -181,5 +181,5 @@ def test_a_number_with_something_in_it_reads_alike_with_and_without_the_signer(
             found = read_certificate(read(), "x.xml").accelerometers["Qx"].coefficients["K_II"]
             assert found.value == pytest.approx(2.7e-5, rel=1e-15)
         else:
-            with pytest.raises(RecordError, match="value contains something other than text"):
+            with pytest.raises(RecordError, match="value contains elements other than text"):
                 read_certificate(read(), "x.xml")

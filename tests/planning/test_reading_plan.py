@@ -421,7 +421,7 @@ def test_readings_are_chosen_for_what_the_campaign_has_already(tmp_path):
 def test_records_in_a_plan_of_readings_need_their_sampling_rate(tmp_path):
     file = tmp_path / "PLAN.toml"
     file.write_text(BESIDE.replace('sampling_rate = "10 Hz"\n', ""), encoding="utf-8")
-    with pytest.raises(CampaignError, match=r"limits.sampling_rate: is missing"):
+    with pytest.raises(CampaignError, match=r"limits.sampling_rate: this entry is missing"):
         plan(file)
 
 

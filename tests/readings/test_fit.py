@@ -411,5 +411,5 @@ def test_a_reading_of_the_wrong_sign_that_keeps_a_fit_from_settling_is_named():
     test = arm()
     values = simulated(test, np.random.default_rng(3), SIGMA)
     values[7] = -values[7]
-    with pytest.raises(ConvergenceError, match='check "position 7", which deviates most'):
+    with pytest.raises(ConvergenceError, match='"position 7", which deviates most'):
         solve_readings([readings(test, values, SIGMA)], model(others=machine))

@@ -32,7 +32,7 @@ def test_a_drift_of_one_accelerometer_is_named(minutes, cure):
         (finding,) = [one for one in own if one.code == "lack-of-fit"]
         assert finding.subject == "triad"
         assert "drift with the" in finding.text
-        assert "most in Y" in finding.text
+        assert "mainly in Y" in finding.text
         assert cure in finding.text
         assert finding.contradicts
 
