@@ -203,7 +203,7 @@ def test_studies_draw_correlated_truths():
     [
         ('"K_OO"', "must be a list such as"),
         ('[["K_OO", "K_PP"]]', "must be two terms and their correlation"),
-        ('[["K_OO", "K_PP", 1.0]]', "between -1 and 1; 1 is not"),
+        ('[["K_OO", "K_PP", 1.0]]', "less than 1, but it is 1"),
         ('[["K_OO", "K_OO", 0.5]]', "are not two terms"),
         ('[["K_OO", "K_PQ", 0.5]]', '"K_PQ" is not a term of an accelerometer'),
         ('[["K_OO", "site.gravity", 0.5]]', '"site.gravity" is not a term'),

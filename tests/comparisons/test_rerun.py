@@ -127,7 +127,7 @@ def test_the_same_options_are_used_again(camp):
 
 @pytest.mark.parametrize("path", sorted(FROZEN.glob("schema-*.json")), ids=lambda path: path.stem)
 def test_what_is_not_there_is_named(path):
-    with pytest.raises(RecordError, match=r"its input campaign\.toml \(sha256:"):
+    with pytest.raises(RecordError, match=r"the input campaign\.toml \(sha256:"):
         cs.rerun(path)
 
 

@@ -359,7 +359,8 @@ def test_a_row_beyond_the_model_is_named_by_its_line(folder, capsys):
     assert run("result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv") == 1
     said = capsys.readouterr().err
     assert (
-        "data.csv, line 4: the indication of Qx cannot be corrected: the indication is 39 g" in said
+        "data.csv, line 4: the indication of Qx cannot be corrected, because the indication is 39 g"
+        in said
     )
     assert "has a turning point at 57.735 g, where the indication is 38.49 g" in said
     assert not Path("out.csv").exists()

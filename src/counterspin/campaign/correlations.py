@@ -87,7 +87,9 @@ def _read_entry(
         case _:
             raise ValueError('must be two terms and their correlation, as in ["K_OO", "K_PP", 0.4]')
     if not -1.0 < r < 1.0:
-        raise OutOfRangeError(f"a correlation must be between -1 and 1, but {r:g} is not")
+        raise OutOfRangeError(
+            f"a correlation must be greater than -1 and less than 1, but it is {r:g}"
+        )
     owned = [_full_names(name, priors) for name in (first, second)]
     pairs = [
         (a, b)
