@@ -179,7 +179,7 @@ def test_a_calibration_draws_its_priors(tmp_path, capsys, key):
     [
         ('K_PP = { value = "0 g/g^2" }', "give value with u"),
         ('K_PP = { value = "0 g/g^2", u = "1e-6 g/g^2", k = 2 }', "give value with u"),
-        (f"K_PP = {LIMITS.replace('rectangular', 'square')}", "'square' is none of rectangular"),
+        (f"K_PP = {LIMITS.replace('rectangular', 'square')}", "'square' is not one of rectangular"),
         (f"K_PP = {LIMITS.replace('2e-5', '0')}", "half_width must be greater than zero"),
         ('K_PP = { value = "0 g/g^2", u = "1e-6 g/g^2", dof = "4" }', "dof must be a number"),
         ('K_PP = { value = "0 g/g^2", u = "1e-6 g/g^2", dof = 0.01 }', "dof is 0.01"),
@@ -187,7 +187,7 @@ def test_a_calibration_draws_its_priors(tmp_path, capsys, key):
         ('K_PP = { u = "1e-6 g/g^2" }', "give value with u"),
         (
             "K_PP = { value = '0 g/g^2', half_width = '1e-6 g/g^2', distribution = ['arcsine'] }",
-            "is none of rectangular",
+            "is not one of rectangular",
         ),
     ],
 )
