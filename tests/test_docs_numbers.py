@@ -136,7 +136,7 @@ ROWS = {
         ("by more than {} mean moving ranges", 1.0 + 3.0 * consistency._D3 / consistency._D2),
         ("limits at z = ± {}", page._ACTION_Z),
         ("(`--reliability`, default {})", default(cs.history, "reliability")),
-        ("The date is at most {} years after the last result", consistency.MAX_YEARS),
+        ("The date must be no more than {} years after the last result", consistency.MAX_YEARS),
         ("a significance level of {} %", 100.0 * diagnostics.SIGNIFICANCE),
         ("Correlations below {} are neglected.", consistency._NEGLIGIBLE_CORRELATION),
     ],

@@ -80,8 +80,8 @@ def test_discarded_files_are_in_the_trash_until_they_are_restored(app, folder):
     ("source", "name", "words"),
     [
         ("three", "three/slow.csv", "three is a campaign, so its files were not discarded"),
-        ("new", "three/slow.csv", "only files in the folder"),
-        ("", "slow.csv", "only files in the folder"),
+        ("new", "three/slow.csv", "only files in the import folder"),
+        ("", "slow.csv", "only files in the import folder"),
         ("new", "../slow.csv", "not a valid file name"),
     ],
 )

@@ -684,7 +684,7 @@ def test_a_history_without_serial_numbers_leads_to_where_they_are_stated(opened,
     calibrate(folder / "three").write(folder / "three" / "result.json", overwrite=True)
     tab = opened("/history")
     tab.get_by_text(
-        "Qx of three/result.json, Qy of three/result.json: has no serial number"
+        "Qx of three/result.json, Qy of three/result.json: the result has no serial number"
     ).wait_for()
     tab.locator("main").get_by_role("link").click()
     section = tab.locator("#s-accelerometers")
@@ -752,7 +752,8 @@ def test_tables_and_figures_are_saved(opened):
     assert rows[-1].startswith("combined,")
     for kind, beginning in (("SVG", b"<svg"), ("PNG", b"\x89PNG")):
         with tab.expect_download() as saved:
-            tab.get_by_role("button", name=re.compile(f"^{kind}: Contributions")).first.click()
+            name = re.compile(f"^{kind}: Uncertainty contributions")
+            tab.get_by_role("button", name=name).first.click()
         content = saved.value.path().read_bytes()
         assert content.startswith(beginning)
         assert b"var(--" not in content

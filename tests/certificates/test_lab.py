@@ -48,7 +48,7 @@ def test_every_gap_is_told_at_once_by_its_key(tmp_path):
         (
             'language = "de"',
             'ledger = "../l"',
-            "certificate.ledger: must be a file in the folder of this one",
+            "certificate.ledger: must be in the same folder as this file",
         ),
         ('language = "de"', "accelerometers = []", "certificate.accelerometers: must have"),
         ('language = "de"', 'accelerometers = ["Qy"]', 'accelerometers[0]: the result has no "Qy"'),

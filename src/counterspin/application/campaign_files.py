@@ -138,7 +138,7 @@ def discard_uploads(app: AppState, folder: str, names: list[str]) -> TrashPlace:
     source = app.folder.path(folder)
     paths = [app.folder.path(name) for name in dict.fromkeys(names)]
     if source == app.folder.root or any(path.parent != source for path in paths):
-        raise PathForbiddenError("only files in the folder of the import can be discarded")
+        raise PathForbiddenError("only files in the import folder can be discarded")
     if (source / DESCRIPTION_NAME).exists():
         raise ExistingFileError(f"{folder} is a campaign, so its files were not discarded")
     files = [path for path in paths if path.is_file() and not path.is_symlink()]

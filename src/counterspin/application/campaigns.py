@@ -48,7 +48,7 @@ _RESULT_NAME: Final = "result.json"
 
 #: State of a campaign -> its words.
 _STATE_LABELS: Final[Mapping[str, str]] = {
-    "mistakes": "Mistakes in the description",
+    "mistakes": "Errors in the description",
     "records missing": "Records missing",
     "not calibrated": "Not calibrated yet",
     "changed": "Changed since the last calibration",

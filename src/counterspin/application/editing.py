@@ -166,7 +166,7 @@ def set_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
     return changed_text
 
 
-_CANNOT_CHANGE: Final = "The file cannot be edited in this field. Edit the text instead."
+_CANNOT_CHANGE: Final = "This value cannot be edited in the form. Edit the file as text instead."
 
 
 def _expected_document(document: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]:

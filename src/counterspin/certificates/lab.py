@@ -168,7 +168,7 @@ class CertificateSettings(SettingsSection):
             )
         place = Path(self.ledger or ".")
         if place.is_absolute() or ".." in place.parts:
-            message = "must be a file in the folder of this one, or below it"
+            message = "must be in the same folder as this file, or in a subfolder"
             yield ("ledger",), Problem(message, "path-outside-folder")
         if self.issued is not None and self.issued < self.end:
             yield ("issued",), Problem("lies before certificate.end", "conflicting-values"), "end"
