@@ -5,8 +5,8 @@ its message as one short paragraph and ends with `exit_status`; Python users cat
 `code` of an error names the kind of mistake. `error_codes.CODES` describes the codes, which do not
 change when a message is reworded.
 
-What a user should know though the work goes on is a `CounterspinWarning`; the command line prints
-it. `installing` says how a part is had that not everybody installs.
+A `CounterspinWarning` informs the user while the work continues; the command line prints it.
+`installing` returns the installation command of an optional part.
 """
 
 from __future__ import annotations
@@ -20,34 +20,34 @@ from typing import Any, ClassVar, Final
 
 from counterspin._version import __version__
 
-#: The most characters of a value that a message shows.
+#: Maximum number of characters of a value in a message.
 _VALUE_LENGTH: Final = 200
 
-#: A value that is longer: in quotation marks, or without blanks.
+#: A longer value, in quotation marks or without spaces.
 _LONG: Final = re.compile(
     rf"'[^']{{{_VALUE_LENGTH},}}'|\"[^\"]{{{_VALUE_LENGTH},}}\"|\S{{{_VALUE_LENGTH + 1},}}"
 )
 
-#: The most characters of a line.
+#: Maximum number of characters of a line.
 _LINE_LENGTH: Final = 3000
 
-#: The most characters of a library's complaint, or of a file's own words, that a message repeats.
+#: Maximum number of quoted characters of a library's message or a file's text.
 REASON_LENGTH: Final = 150
 
-#: What Polars reads the number of its threads from, and the most threads that counterspin allows.
+#: Environment variable with the number of Polars threads, and the maximum that is allowed.
 _THREADS: Final = "POLARS_MAX_THREADS"
 _MOST_THREADS: Final = 1024
 
-#: As many lines at the beginning and at the end of a message are shown.
+#: Number of lines shown at the beginning and at the end of a message.
 _END_LINES: Final = 20
 
 
 def installing(extra: str) -> str:
-    """Return how an extra of counterspin is installed, for a message that ends there.
+    """Return the installation command of an extra, as the end of a message.
 
-    No index has counterspin, so its name alone installs nothing: whoever has it has a clone or a
-    wheel, and pip takes the extra behind the path of either. A clone cannot be installed without
-    a network, since what builds it is fetched; its wheel can.
+    counterspin is in no package index, so pip needs the path of a clone or a wheel before the
+    extra. Only the wheel can be installed without a network, because pip downloads the build
+    requirements of a clone.
     """
     wheel = f"counterspin-{__version__}-py3-none-any.whl[{extra}]"
     return (
@@ -111,7 +111,7 @@ class CounterspinError(Exception):
     *args
         The message.
     code
-        The kind of mistake, a key of `error_codes.CODES`; None: that of the class.
+        The kind of mistake, a key of `error_codes.CODES`; None: the code of the class.
     """
 
     exit_status = 1
@@ -154,8 +154,8 @@ class CampaignError(CounterspinError):
     lines
         Where each stands in the source, from 1, as far as that is known.
     code
-        Code of all problems, or a code for each; None: the problems' own codes, or that of the
-        class.
+        Code of all problems, or a code for each problem; None: the code of each `Problem`, or the
+        code of the class.
     """
 
     exit_status = 2
@@ -206,7 +206,7 @@ class RecordError(CounterspinError):
 
 
 class DamagedFileError(RecordError):
-    """A file of which its reader could make nothing."""
+    """A record file cannot be parsed."""
 
     code = "file-damaged"
 
@@ -230,19 +230,19 @@ class MissingPackageError(CounterspinError):
 
 
 class NotIdentifiableError(CounterspinError):
-    """The data cannot determine the unknowns that are asked of them."""
+    """The data cannot determine the requested unknowns."""
 
     code = "not-identifiable"
 
 
 class ConvergenceError(CounterspinError):
-    """An iteration did not settle."""
+    """An iteration did not converge."""
 
     code = "no-convergence"
 
 
 class CounterspinWarning(UserWarning):
-    """Something that a user should know, though the work goes on.
+    """A warning for the user; the work continues.
 
     code: The kind of warning, a key of `error_codes.CODES`.
     """

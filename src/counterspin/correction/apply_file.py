@@ -167,12 +167,7 @@ def apply_file(
         if name in frame.columns:
             raise CampaignError(
                 str(source),
-                [
-                    (
-                        f"the file already has a column '{name}'; check whether the file was "
-                        "corrected before"
-                    )
-                ],
+                [f"the file already has a column '{name}'; was the file corrected before?"],
                 code="duplicate-entry",
             )
     forces: dict[str, Any] = {

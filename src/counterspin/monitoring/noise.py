@@ -297,8 +297,8 @@ def _row_times(
         if falls.size and rate is None:
             before, after = seconds[falls[0] : falls[0] + 2]
             raise RecordError(
-                f"{source}: column '{column.name}': time runs backwards in row {falls[0] + 2}, "
-                f"from {before:.9g} s to {after:.9g} s. Cut the record there.",
+                f"{source}: column '{column.name}': the time decreases in row {falls[0] + 2}, "
+                f"from {before:.9g} s to {after:.9g} s. End the record before this row.",
                 code="time-backwards",
             )
         places = np.diff(seconds[np.isfinite(seconds)]) * (rate or 0.0)

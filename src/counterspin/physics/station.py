@@ -90,7 +90,7 @@ class Stations:
 
     @classmethod
     def at(cls, motion: MotionKind, axes: Array, **settings: npt.ArrayLike) -> Stations:
-        """Return stations of one motion; axes and settings as of the fields, which are zero else.
+        """Return stations of one motion; fields that are not in `settings` are zero.
 
         axes: Shape (n, 3, 3).
         """

@@ -223,7 +223,7 @@ class ReadingsTable:
 
     @cached_property
     def required_columns(self) -> set[str]:
-        """Columns of which a row with a reading fills at least one."""
+        """Columns; each row with a reading fills at least one of them."""
         readings = self.value_columns("reading").values()
         stations = {self.columns[key] for key in _STATIONS & self.columns.keys()}
         return stations.union(*readings)

@@ -1,7 +1,7 @@
 """The clock of a record, and the encoder as its witness.
 
 `Clock.accept` takes a chunk of a record and returns the rows that can be used, with the angle
-unwrapped. Time never runs backwards; rows with the same time are one row; missing rows are gaps.
+unwrapped. Time never decreases; rows with the same time are one row; missing rows are gaps.
 The encoder is the witness of the clock: across a gap the angle must have advanced with the time,
 and a sample that does not fit its neighbours is dropped when the angle comes back, and is a jump,
 which is refused, when it does not.

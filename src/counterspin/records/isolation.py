@@ -44,7 +44,7 @@ def run_isolated(function: Callable[..., R], path: Path | MemoryTable, *args: An
 
 
 def uses_reader_process(path: Path | MemoryTable) -> bool:
-    """Return True if the format of a file calls for the reader's process."""
+    """Return whether a file is read in the reader process because of its format."""
     return isinstance(path, Path) and path.suffix.lower() in NATIVE
 
 

@@ -153,7 +153,7 @@ def detect_format(lines: Sequence[Line], dialect: Dialect) -> TableFormat | None
 
 
 def join_quoted_lines(lines: Sequence[Line]) -> list[Line]:
-    """Return lines in which a quoted cell of several lines is in one, with the number of the last.
+    """Join quoted cells that span several lines; a joined line has the number of its last line.
 
     Lines with a quotation mark that is not closed are returned as they are.
     """

@@ -257,10 +257,8 @@ class _RecordReader:
             self._rows += rows
         if averager is None:
             raise RecordError(
-                (
-                    f"{self._file.path}: none of the {self._rows} rows is in the selected part "
-                    "of the record."
-                )
+                f"{self._file.path}: none of the {self._rows} rows is in the selected part of the "
+                "record."
                 if self._rows
                 else f"{self._file.path}: the file has column names, but no rows.",
                 code="no-rows",

@@ -84,7 +84,7 @@ class TdmsFile(ArrayFile):
                 f"install it: {installing('tdms')}.",
                 code="missing-package",
             ) from None
-        # Of a stream no index file beside it is read, whose checksum nobody takes.
+        # A path would also read the index file, which the checksum of the record does not cover.
         with os.fdopen(os.dup(self._stream.fileno()), "rb") as stream:
             stream.seek(0, io.SEEK_SET)
             with nptdms.TdmsFile.open(stream) as file:

@@ -9,7 +9,7 @@ from typing import Final
 
 from counterspin.units import check_unit
 
-#: Thousands separator -> the decimal mark beside it: thin, narrow and other blanks that are not
+#: Thousands separator -> the decimal mark used with it: thin, narrow and other blanks that are not
 #: broken, an apostrophe, or the mark that does not separate decimals.
 _GROUPED: Final = {
     **dict.fromkeys(("\u202f", "\u2009", "\xa0", "'", "’"), r"[.,]"),

@@ -56,7 +56,7 @@ def test_repeated_rows_count_once():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda t, v: (t[::-1], v), "runs backwards"),
+        (lambda t, v: (t[::-1], v), "the time decreases"),
         (lambda t, v: (np.cumsum(np.random.default_rng(1).uniform(0.2, 1.8, t.size)), v), "evenly"),
         (lambda t, v: (t[:20], v[:20]), "too few"),
         (lambda t, v: (t, np.where(np.arange(t.size) % 10 < 5, np.nan, v)), "without a gap"),

@@ -155,7 +155,7 @@ def split_segments(time: Array, values: Array) -> Segments:
     is_finite = np.isfinite(time)
     time, values = time[is_finite], values[is_finite]
     if (np.diff(time) < 0.0).any():
-        raise ValueError("time runs backwards")
+        raise ValueError("the time decreases")
     has_value = np.isfinite(values)
     if has_value.sum() > 1 and median(np.diff(time[has_value])) > 1.5 * median(np.diff(time)):
         # Rows of other sensors stand between those of this one.
