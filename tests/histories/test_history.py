@@ -307,6 +307,8 @@ def test_wrong_usage(tmp_path, capsys):
     told = capsys.readouterr().err
     assert "2 mistakes" in told
     assert told.count("file not found") == 2
+    assert main(["history", str(tmp_path / "x")]) == 2
+    assert capsys.readouterr().err == f"counterspin: {tmp_path / 'x'}: file not found\n"
     stored(tmp_path, a=dated())
     for term, words in (
         ("K_IV", "unknown term"),

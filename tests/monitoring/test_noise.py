@@ -286,14 +286,16 @@ def test_a_stuck_sensor_is_reported_and_left_out():
     stuck = values.copy()
     stuck[1000:1300] = stuck[999]
     (signal,) = cs.noise({"time_s": time, "Qx_g": stuck / G}).signals
-    assert any(remark.startswith("300 of 3000 rows repeat one value") for remark in signal.remarks)
+    assert any(
+        remark.startswith("300 of 3000 rows are long sequences") for remark in signal.remarks
+    )
     expected = size(cs.noise({"time_s": time, "Qx_g": values / G}).signals[0], "acceleration")
     assert size(signal, "acceleration").value == pytest.approx(expected.value, rel=0.02)
     for resolution in (1.0, 4.0):  # standard deviations of the samples
         step = resolution * np.std(values)
         coarse = {"time_s": time, "Qx_g": np.round(values / step) * step / G}
         (signal,) = cs.noise(coarse).signals
-        assert not any("repeat one value" in remark for remark in signal.remarks)
+        assert not any("long sequences" in remark for remark in signal.remarks)
 
 
 @pytest.mark.usefixtures("sizes_alone")

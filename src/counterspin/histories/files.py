@@ -137,9 +137,12 @@ class ResultSet:
 def collect_results(inputs: Sequence[Path | Result], term: str) -> ResultSet:
     """Read the named results and those in the named folders, whatever their schema."""
     paths = [path for path in inputs if isinstance(path, Path)]
-    missing = [f"{path}: file not found" for path in paths if not path.exists()]
+    missing = [str(path) for path in paths if not path.exists()]
+    if len(missing) == 1:
+        raise CampaignError(missing[0], ["file not found"], code="file-not-found")
     if missing:
-        raise CampaignError("history", missing, code="file-not-found")
+        problems = [f"{name}: file not found" for name in missing]
+        raise CampaignError("history", problems, code="file-not-found")
     collected, seen = ResultSet(), dict[str, str]()
     for file, is_named in _iter_files(paths):
         if not is_named and file.name.startswith("."):

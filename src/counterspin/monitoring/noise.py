@@ -467,8 +467,8 @@ def _sampling_remarks(record: StaticRecord) -> Iterator[str]:
         )
     if stretches.stuck:
         yield (
-            f"{stretches.stuck} of {stretches.rows} rows repeat one value in long stretches, as of "
-            "a sensor that stopped. They are not used."
+            f"{stretches.stuck} of {stretches.rows} rows are long sequences of identical values, "
+            "which suggests that the sensor stopped. The analysis does not use these rows."
         )
     if stretches.restamped:
         yield (
