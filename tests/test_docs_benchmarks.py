@@ -50,15 +50,15 @@ def test_the_readme_promises_what_was_measured(rows):
     long = {name: cells[1] for name, cells in rows["Long records"].items()}
     assert long["counterspin calibrate (s)"] == pytest.approx(4.0, abs=0.5)
     assert long["calibrate, peak memory (MB)"] == pytest.approx(150.0, abs=25.0)
-    assert 2.0 < long["calibrate / polars"] < 2.3
+    assert long["calibrate / polars"] == pytest.approx(2.0, abs=0.2)
 
 
 def test_as_many_predictions_are_made_as_the_page_on_plans_says(rows):
     words = " ".join((ROOT / "docs" / "plan.md").read_text("utf-8").split())
-    assert "computes thousands of predictions per second" in words
+    assert "computes more than a thousand predictions per second" in words
     made = rows["Predictions of u"].values()
     assert made
-    assert all(a_second > 2000.0 for a_second, _ in made)
+    assert all(a_second > 1000.0 for a_second, _ in made)
 
 
 def test_what_a_watch_took_is_what_was_kept(rows):
