@@ -39,7 +39,7 @@ EXTRAS = {
             *("records/array_files.py", "records/tdms_file.py", "records/table_files.py"),
             *("records/reader_process.py", "records/reader_limits.py"),
         ),
-        {"application", "ingest", "monitoring"},
+        set(),
     ),
     "triads": (("triads",), ABOVE_READINGS),
     "readings": (("readings", "triads"), ABOVE_READINGS),

@@ -16,7 +16,7 @@ from counterspin.ingest.contents import read_files
 from counterspin.ingest.description import make_draft, write_description
 from counterspin.ingest.overview import likely_test
 from counterspin.records.dialect import Dialect
-from counterspin.records.formats import read_small_table, row_locations
+from counterspin.records.formats import read_small_table
 from counterspin.records.isolation import uses_reader_process
 from counterspin.records.record import ColumnSpec
 from counterspin.records.table_files import excel_table, table_sheets
@@ -41,7 +41,7 @@ def test_a_sheet_has_names_numbers_and_text(tmp_path):
         assert [float(table["mA"][i]) for i in (0, 2, 3)] == [1.25, 1 / 3, 1e-13]
         assert table["mA"][1] == "1.0 mA"
         assert table["position"].to_list() == ["a", "b", "c", None]
-    assert row_locations(path, 2)[1] == "row 2 below the names"
+    assert read_small_table(path)[1][1] == "row 2 below the names"
 
 
 def test_which_sheet_must_be_clear(tmp_path):

@@ -16,7 +16,7 @@ from counterspin.frozen import frozen
 from counterspin.readings.entries import MOST_READINGS
 from counterspin.records.column_file import ColumnFile
 from counterspin.records.dialect import Dialect
-from counterspin.records.formats import is_workbook, open_columns
+from counterspin.records.formats import open_columns, sheets_with_tables
 from counterspin.records.isolation import run_isolated
 from counterspin.records.reading import MAX_MAGNITUDE
 from counterspin.records.sampling import find_split_time
@@ -28,7 +28,6 @@ from counterspin.records.several_sensors import (
     sensor_columns,
     stacked_sensors,
 )
-from counterspin.records.table_files import table_sheets
 
 #: The answer that every sheet of a workbook is a run.
 ALL_SHEETS: Final = "all"
@@ -133,7 +132,7 @@ def read_files(
     asked, sensor = (answers or {}).get("sheet"), (answers or {}).get("select")
     all_contents: list[FileContents] = []
     for done, file in enumerate(files, 1):
-        sheets = tuple(run_isolated(table_sheets, file)) if is_workbook(file) else ()
+        sheets = sheets_with_tables(file)
         if len(sheets) < 2:
             contents = read_contents(file, sensor=sensor)
             groups = [read_contents(file, sensor=sensor, group=run) for run in contents.runs]

@@ -40,8 +40,8 @@ COLUMNS: Final = (
 
 class _TableFile(SettingsSection):
     file: Annotated[Text, AfterValidator(file_name)] = key_field(
-        "name of the file: .csv, .txt or .tsv (commas, semicolons or tabs), .parquet, "
-        ".mat, .h5, or .xlsx ([extra](quickstart.md#extras) `excel`)",
+        f"name of the file ({', '.join(TABLE_ENDINGS)}); .xlsx requires the "
+        "[extra](quickstart.md#extras) `excel`",
         "readings.csv",
     )
 

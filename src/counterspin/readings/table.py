@@ -94,14 +94,14 @@ def load_table(path: Path, dialect: Dialect) -> tuple[StoredTable, list[str], st
 
     With a stated decimal comma, its numbers are returned with points.
     """
-    from counterspin.records.formats import is_workbook, read_small_table
+    from counterspin.records.formats import has_sheets, read_small_table
 
     if path.suffix.lower() not in TABLE_ENDINGS:
         raise InputError(
             f"{path.name}: the name of a readings table must end in {', '.join(TABLE_ENDINGS)}",
             "wrong-file-ending",
         )
-    if dialect.sheet is not None and not is_workbook(path):
+    if dialect.sheet is not None and not has_sheets(path):
         raise InputError(f"{path.name}: only a workbook (.xlsx) has sheets", "conflicting-keys")
     try:
         table, places, checksum = read_small_table(path, dialect)

@@ -24,6 +24,10 @@ class RecordFormat:
     #: Libraries of native code that read the format, which may be absent; empty for text.
     libraries: tuple[str, ...] = ()
     holds_readings: bool = False  #: True if a table of readings may have this format.
+    #: In formats with sheets, names of the functions that list the sheets with a table of numbers,
+    #: and that read a sheet without numbers.
+    sheets: str = ""
+    text_sheet: str = ""
 
     @property
     def can_grow(self) -> bool:
@@ -45,7 +49,13 @@ RECORD_FORMATS: Final[Mapping[str, RecordFormat]] = {
     ".h5": RecordFormat(f"{_ARRAYS}:Hdf5File", ("h5py",), holds_readings=True),
     ".hdf5": RecordFormat(f"{_ARRAYS}:Hdf5File", ("h5py",), holds_readings=True),
     ".mat": RecordFormat(f"{_ARRAYS}:open_matlab", ("h5py", "scipy.io"), holds_readings=True),
-    ".xlsx": RecordFormat(f"{_TABLES}:ExcelFile", ("fastexcel", "polars"), holds_readings=True),
+    ".xlsx": RecordFormat(
+        f"{_TABLES}:ExcelFile",
+        ("fastexcel", "polars"),
+        holds_readings=True,
+        sheets=f"{_TABLES}:table_sheets",
+        text_sheet=f"{_TABLES}:excel_table",
+    ),
     ".tdms": RecordFormat("counterspin.records.tdms_file:TdmsFile", ("nptdms", "polars")),
 }
 
@@ -76,10 +86,15 @@ _ALTERNATIVES: Final[Mapping[str, str]] = {
 }
 
 
+def format_of(path: Path) -> RecordFormat | None:
+    """Return the format of a record file by its ending; None if no record file has this ending."""
+    return RECORD_FORMATS.get(path.suffix.lower())
+
+
 def suffix_problem(path: Path) -> str:
     """Return why a file is no record by its ending, and what to do; empty if it may be one."""
     ending = path.suffix.lower()
-    if ending in RECORD_FORMATS:
+    if format_of(path) is not None:
         return ""
     if ending in _COMPRESSED_SUFFIXES:
         return "the file is compressed; unpack it, and give the file inside."

@@ -29,7 +29,7 @@ from counterspin.records.column_file import (
     row_count,
 )
 from counterspin.records.dialect import AUTODETECT, Dialect
-from counterspin.records.format_registry import RECORD_FORMATS, suffix_problem
+from counterspin.records.format_registry import RECORD_FORMATS, format_of, suffix_problem
 from counterspin.records.isolation import run_isolated
 from counterspin.records.memory import MemoryFile, MemoryTable
 from counterspin.records.record import ColumnSpec
@@ -94,9 +94,18 @@ def read_small_table(
     return run_isolated(_read_small_table, path, dialect)
 
 
-def is_workbook(path: Path) -> bool:
-    """Return True if a file is an Excel workbook."""
-    return path.suffix.lower() == ".xlsx"
+def has_sheets(path: Path) -> bool:
+    """Return True if the format of a file has sheets."""
+    file_format = format_of(path)
+    return file_format is not None and bool(file_format.sheets)
+
+
+def sheets_with_tables(path: Path) -> tuple[str, ...]:
+    """Return the sheets of a file that contain a table of numbers; empty without sheets."""
+    file_format = format_of(path)
+    if file_format is None or not file_format.sheets:
+        return ()
+    return tuple(run_isolated(load_name(file_format.sheets), path))
 
 
 def read_numbers(
@@ -115,16 +124,7 @@ def read_scaled(
 
 def locate(path: Path | MemoryTable, row: int, dialect: Dialect = AUTODETECT) -> str:
     """Say where data row `row` (counted from 0) stands in the file."""
-    if isinstance(path, Path) and is_workbook(path):
-        return f"row {row + 1} below the names"
     return run_isolated(_locate, path, row, dialect)
-
-
-def row_locations(path: Path, rows: int) -> list[str]:
-    """Say where each of the data rows stands in the file."""
-    if is_workbook(path):
-        return _sheet_locations(rows)
-    return run_isolated(_row_locations, path, rows)
 
 
 def _read_table(path: Path, dialect: Dialect) -> StoredTable:
@@ -143,20 +143,18 @@ def _read_small_table(path: Path, dialect: Dialect) -> tuple[StoredTable, list[s
             # On leaving, the file must still be what it was when it was opened.
             table = _stored_table(file)
             return table, file.row_locations(table.frame.height), _checksum(file.content())
-    except NoRowsError:  # of words, such as attitudes: names stand in the first row then
+    except NoRowsError:  # a sheet of text, such as attitudes: the first row contains the names
         with record_errors(path):
             content = read_file(path)
-        frame = load_name("counterspin.records.table_files:excel_table")(path, dialect, content)
+        read_text = load_name(RECORD_FORMATS[path.suffix.lower()].text_sheet)
+        frame = read_text(path, dialect, content)
         table_of_text = StoredTable(frame, {}, ColumnFile.delimiter, ColumnFile.decimal, "")
-        return table_of_text, _sheet_locations(frame.height), _checksum(content)
+        locations = [f"row {row + 1} below the names" for row in range(frame.height)]
+        return table_of_text, locations, _checksum(content)
 
 
 def _checksum(content: bytes) -> str:
     return f"sha256:{hashlib.sha256(content).hexdigest()}"
-
-
-def _sheet_locations(rows: int) -> list[str]:
-    return [f"row {row + 1} below the names" for row in range(rows)]
 
 
 def _read_numbers(path: Path | MemoryTable, names: list[str], dialect: Dialect) -> Columns:
@@ -184,8 +182,3 @@ def _read_scaled(
 def _locate(path: Path | MemoryTable, row: int, dialect: Dialect) -> str:
     with open_columns(path, dialect) as file:
         return file.locate_row(row)
-
-
-def _row_locations(path: Path, rows: int) -> list[str]:
-    with open_columns(path) as file:
-        return file.row_locations(rows)

@@ -324,7 +324,7 @@ def _targets_in_folder(
     targets, problems = [], []
     for key, file in files.items():
         if file.suffix.lower() not in WRITERS:
-            problems.append(f"{key}: {file.name} cannot be simulated; write .csv or .parquet")
+            problems.append(f"{key}: {file.name} cannot be simulated; write {' or '.join(WRITERS)}")
         elif ".." in file.parts or not file.is_relative_to(campaign.folder):
             problems.append(
                 f"{key}: {file} is outside the campaign's folder, where a simulation does not "
