@@ -28,7 +28,7 @@ FORCE = np.array([0.31, -0.72, 1.04])  # a_x, a_y, a_z in g
     ],
     ids=["QX", "QY", "QZ"],
 )
-def test_equation_8(mounting, expected):
+def test_mountings_of_equation_8(mounting, expected):
     np.testing.assert_array_equal(mounting.matrix @ FORCE, expected)
     np.testing.assert_array_equal(mounting.input_axis @ FORCE, expected[0])
     assert np.linalg.det(mounting.matrix) == pytest.approx(1.0)
@@ -54,7 +54,7 @@ def test_all_24_named_mountings_are_right_handed(input_axis, pendulous_axis):
         Mounting.from_axes(input_axis, pendulous_axis, opposite)
 
 
-def test_axes_that_are_not_at_right_angles_are_refused_with_their_angle():
+def test_nonorthogonal_axes_raise_with_angle():
     angle = math.radians(89.9)
     with pytest.raises(ValueError, match=r"they are 89\.9000 deg apart"):
         Mounting.from_axes("east", [math.cos(angle), 0.0, -math.sin(angle)])
@@ -64,7 +64,7 @@ def test_axes_that_are_not_at_right_angles_are_refused_with_their_angle():
         Mounting.from_axes("east", "down", [0.0, 1.0, 0.1])
 
 
-def test_axes_a_little_off_right_angles_are_made_exact():
+def test_nearly_orthogonal_axes_are_orthogonalised():
     mounting = Mounting.from_axes([1.0, 0.0, 0.0], [5e-7, 0.0, -1.0])
     np.testing.assert_allclose(mounting.matrix @ mounting.matrix.T, np.eye(3), atol=1e-15)
     np.testing.assert_array_equal(mounting.input_axis, [1.0, 0.0, 0.0])
@@ -78,12 +78,12 @@ def test_direction_normalises_components():
 @pytest.mark.parametrize(
     "value", ["East", "x", [0.0, 0.0, 0.0], [1.0, 0.0], [math.nan, 0.0, 1.0], [math.inf, 0.0, 0.0]]
 )
-def test_direction_refuses_what_is_none(value):
+def test_direction_rejects_invalid_vector(value):
     with pytest.raises(ValueError, match="direction"):
         direction(value)
 
 
-def test_turned_places_the_platform_axes():
+def test_turned_mounting_rotates_axes_with_platform():
     # The platform's x points north, y west, z up: turned by 90 degrees about the vertical.
     attitude = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     assert QX.turned(attitude) == QY
@@ -97,14 +97,14 @@ def test_turned_places_the_platform_axes():
 # --- Eq. 7 ----------------------------------------------------------------------------------
 
 
-def test_a_perfect_accelerometer_indicates_the_force_along_its_input_axis():
+def test_perfect_accelerometer_indicates_force_along_input_axis():
     force = np.random.default_rng(2).normal(size=(7, 3))
     for mounting in (QX, QY, QZ):
         expected = force @ mounting.input_axis
         np.testing.assert_array_equal(indicated(mounting, {}, force), expected)
 
 
-def test_equation_7_by_hand():
+def test_equation_7_matches_hand_calculation():
     symbols = ("K_F", "K_I", "K_II", "K_III", "K_4", "K_IP", "K_IO", "K_PO", "K_PP", "K_OO", "K_OQ")
     symbols += ("delta_O", "delta_P", "K_5", "K_0_asym", "K_I_asym", "K_spin", "K_ang")
     assert set(symbols) == set(EQUATION_7)
@@ -137,7 +137,7 @@ def test_equation_7_by_hand():
     assert got[0] + got[1] == pytest.approx(2 * even, rel=1e-14)
 
 
-def test_misalignments_are_small_turns_of_the_case():
+def test_misalignments_are_small_rotations_of_case():
     """delta_O turns the input axis about the output axis towards the pendulous, and so on."""
     angle = 1e-4
     i, p, o = QX.matrix
@@ -149,7 +149,7 @@ def test_misalignments_are_small_turns_of_the_case():
         assert abs(got - i @ FORCE) > 5e-5
 
 
-def test_coefficients_of_the_platform_are_refused():
+def test_platform_coefficients_raise():
     with pytest.raises(ValueError, match=r"not accelerometer terms: K2, platform\.tilt\.north"):
         indicated(QX, {"platform.tilt.north": 1e-4, "K2": 0.0, "K_I": 1.0}, FORCE[None])
 
@@ -163,7 +163,7 @@ sizes = st.floats(-1.0, 1.0)
     second=st.dictionaries(st.sampled_from(list(TERMS)), sizes),
     force=st.lists(st.floats(-5.0, 5.0), min_size=3, max_size=3),
 )
-def test_the_indication_is_linear_in_the_coefficients(first, second, force):
+def test_indication_is_linear_in_coefficients(first, second, force):
     def departure(coefficients):
         # From a coefficient of zero, so that the nominal value does not come in between.
         full = dict.fromkeys(TERMS, 0.0) | coefficients

@@ -15,13 +15,13 @@ SPINDLE = Spindle(RATE, 2e-4, (Ripple(1, 2e-3, 0.4),), start_angle=0.7)
 TIMES = np.linspace(0.5, 30.5, 1501)
 
 
-def fitted(times, true, seed, noise=1e-4, **options):
+def simulate_and_fit(times, true, seed, noise=1e-4, **options):
     rng = np.random.default_rng(seed)
     return fit_spindle(times, true + noise * rng.standard_normal(times.size), RATE, **options)
 
 
-def deviation_of(fit, times, true):
-    """The true coefficients, by least squares on the true angle; what they leave."""
+def deviation_from_truth(fit, times, true):
+    """Fit the true coefficients to the true angle; return their deviation and the residual."""
     functions = fit.error.functions(times)[0]
     apart = true - fit.spindle.angle(times)
     found = np.linalg.lstsq(functions, apart, rcond=None)[0]
@@ -29,8 +29,8 @@ def deviation_of(fit, times, true):
 
 
 @pytest.mark.parametrize("revolutions", [1.4, 14.0])
-def test_the_true_angle_lies_where_the_error_says(revolutions):
-    """Also over little more than a revolution, where bend and first harmonic look alike."""
+def test_angle_error_covariance_covers_true_angle(revolutions):
+    """Include little more than one revolution, where drift and first harmonic are similar."""
     duration = revolutions * 2 * math.pi / RATE
     times = np.linspace(0.5, 0.5 + duration, 600)
     # The third harmonic is below what the criterion keeps; the first is above it in long records.
@@ -38,8 +38,8 @@ def test_the_true_angle_lies_where_the_error_says(revolutions):
     true = spindle.angle(times)
     distance, trials = 0.0, 200
     for seed in range(trials):
-        fit = fitted(times, true, [1, seed])
-        found, left = deviation_of(fit, times, true)
+        fit = simulate_and_fit(times, true, [1, seed])
+        found, left = deviation_from_truth(fit, times, true)
         assert left < 1e-3 * 1e-4
         z = np.linalg.solve(fit.error.root, found - fit.error.deviation)
         distance += z @ z
@@ -47,8 +47,8 @@ def test_the_true_angle_lies_where_the_error_says(revolutions):
     assert abs(distance - trials * unknowns) < 4 * math.sqrt(2 * trials * unknowns)
 
 
-def test_a_harmonic_that_is_not_supported_is_uncertain_all_the_same():
-    fit = fitted(TIMES, replace(SPINDLE, ripples=()).angle(TIMES), 2)
+def test_unsupported_harmonic_has_prior_uncertainty():
+    fit = simulate_and_fit(TIMES, replace(SPINDLE, ripples=()).angle(TIMES), 2)
     assert fit.spindle.ripples == ()
     assert fit.error.harmonics == tuple(range(1, HARMONICS + 1))
     # A ripple of the rate in rad/s: n w0 times the angle's, which 1501 samples tell to this.
@@ -59,23 +59,23 @@ def test_a_harmonic_that_is_not_supported_is_uncertain_all_the_same():
     assert np.abs(fit.error.standardised[3:]).max() > 0.1
 
 
-def test_the_uncertainties_are_those_of_the_fit():
-    fit = fitted(TIMES, SPINDLE.angle(TIMES), 3, harmonics=HARMONICS)
+def test_uncertainties_match_fit():
+    fit = simulate_and_fit(TIMES, SPINDLE.angle(TIMES), 3, harmonics=HARMONICS)
     assert fit.error.u["drift"] == pytest.approx(fit.u_drift, rel=1e-9)
     assert np.abs(fit.error.deviation).max() == 0.0
     # The rate at the middle is better known than the rate at t = 0.
     assert fit.error.u["rate"] < 0.5 * fit.u_rate
 
 
-def test_a_perfect_angle_leaves_nothing_open():
+def test_noise_free_angle_has_negligible_uncertainty():
     fit = fit_spindle(TIMES, 0.25 * RATE * TIMES, 0.25 * RATE, harmonics=0)
     assert max(fit.error.u.values()) < 1e-12
     error = replace(fit.error, root=np.zeros_like(fit.error.root))
     assert not error.standardised.any()
 
 
-def test_derivatives_and_largest_values():
-    error = fitted(TIMES, SPINDLE.angle(TIMES), 4).error
+def test_derivatives_and_largest_values_match_differences():
+    error = simulate_and_fit(TIMES, SPINDLE.angle(TIMES), 4).error
     step = 1e-4
     ahead, here, behind = (error.functions(TIMES + s)[0] for s in (step, 0.0, -step))
     _, first, second = error.functions(TIMES)
@@ -88,9 +88,9 @@ def test_derivatives_and_largest_values():
 
 
 @pytest.mark.parametrize("order", [0, 1, 2])
-def test_the_motion_changes_as_a_spindle_that_turns_so(order):
+def test_motion_derivatives_match_central_differences(order):
     """Central differences of exact trajectories, parameter by parameter."""
-    fit = fitted(TIMES, SPINDLE.angle(TIMES), 5)
+    fit = simulate_and_fit(TIMES, SPINDLE.angle(TIMES), 5)
     error, spindle = fit.error, fit.spindle
     rotation = (
         spindle.angle(TIMES),

@@ -15,7 +15,7 @@ SPINDLE = {"rate": 2.3, "drift": 3e-3, "ripple": 4e-3, "phase": 0.7, "radius": 2
 TIMES = np.linspace(0.0, 11.0, 57)
 
 
-def evaluated(expression):
+def evaluate_numerically(expression):
     return sp.lambdify(t, expression.subs(NUMBERS), "numpy")(TIMES) * np.ones_like(TIMES)
 
 
@@ -51,7 +51,7 @@ tangential = R * (C * w + w * wp * sp.cos(w * t + phi))
 projection = w**2 * R * first_order(angle)
 
 
-def test_exact_first_order_east_is_centripetal_less_tangential_plus_projection():
+def test_exact_east_acceleration_has_three_first_order_parts():
     exact = first_order(
         -R * (sp.diff(angle, t) ** 2 * sp.cos(angle) + sp.diff(angle, t, 2) * sp.sin(angle))
     )
@@ -63,7 +63,7 @@ def test_eq5_has_the_tangential_sign_reversed_and_no_projection():
     printed = as_printed.specific_force_error(TIMES, **SPINDLE)[:, 0]
     exact = centripetal * sp.cos(w * t) - tangential * sp.sin(w * t) + projection * sp.sin(w * t)
     departure = 2 * tangential * sp.sin(w * t) - projection * sp.sin(w * t)
-    np.testing.assert_allclose(printed, evaluated(exact + departure), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(printed, evaluate_numerically(exact + departure), rtol=0, atol=1e-14)
 
 
 def test_eq6_lacks_only_the_projection():
@@ -72,11 +72,11 @@ def test_eq6_lacks_only_the_projection():
     )
     printed = as_printed.specific_force_error(TIMES, **SPINDLE)[:, 1]
     np.testing.assert_allclose(
-        printed, evaluated(exact + projection * sp.cos(w * t)), rtol=0, atol=1e-14
+        printed, evaluate_numerically(exact + projection * sp.cos(w * t)), rtol=0, atol=1e-14
     )
 
 
-def test_mean_accelerations_of_the_ripple_cancel():
+def test_mean_accelerations_of_ripple_cancel():
     only_ripple = {C: 0}
     unit = R * w * wp * sp.sin(phi)
     means = [
@@ -99,8 +99,8 @@ def test_printed_ripple_coefficient_follows_from_eq5():
     assert column * 4e-3 * np.sin(0.7) == pytest.approx(float(from_eq5.subs(NUMBERS)), rel=1e-14)
 
 
-def test_eq14_would_give_a_quarter_where_eq15_has_three_quarters():
-    """Eq. 14 has the tangential part's right sign, so Eq. 15 cannot come of it."""
+def test_eq14_has_quarter_where_eq15_has_three_quarters():
+    """Eq. 14 has the correct sign of the tangential part, so Eq. 15 does not follow from it."""
     eq14 = (centripetal * sp.cos(w * t) - tangential * sp.sin(w * t)).subs(C, 0)
     assert sp.simplify(mean_over_turn(eq14) / 2 + R * w * wp * sp.sin(phi) / 4) == 0
 
@@ -115,22 +115,24 @@ def test_printed_k_ii_integral_departs_in_both_parts():
     assert sp.simplify(exact - scale * (t**2 / 4 + (1 - sp.cos(2 * w * t)) / (8 * w**2))) == 0
     departure = scale * (t**2 / 4 + (1 - sp.cos(2 * w * t)) / 8 * (1 - 1 / w**2))
     printed = as_printed.k_ii_integral(TIMES, 2.3, 2.5, 9.8)
-    np.testing.assert_allclose(printed, evaluated(exact + departure), rtol=1e-13, atol=1e-12)
+    np.testing.assert_allclose(
+        printed, evaluate_numerically(exact + departure), rtol=1e-13, atol=1e-12
+    )
 
 
-def test_printed_k_iii_integral_is_the_exact_one_times_rate_squared():
+def test_printed_k_iii_integral_is_exact_integral_times_rate_squared():
     exact = double_integral((-R * w**2 * sp.cos(w * t) / g) ** 3 * g)
     printed = as_printed.k_iii_integral(TIMES, 2.3, 2.5, 9.8)
-    np.testing.assert_allclose(printed, evaluated(w**2 * exact), rtol=0, atol=1e-11)
+    np.testing.assert_allclose(printed, evaluate_numerically(w**2 * exact), rtol=0, atol=1e-11)
 
 
 def test_printed_k_ip_integral_is_exact():
     exact = double_integral(R * w**2 * sp.cos(w * t))  # a_P = -1
     printed = as_printed.k_ip_integral(TIMES, 2.3, 2.5)
-    np.testing.assert_allclose(printed, evaluated(exact), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(printed, evaluate_numerically(exact), rtol=0, atol=1e-13)
 
 
-def test_harmonic_parts_are_constant_at_the_strobes():
+def test_harmonic_parts_are_constant_at_strobes():
     """The dimension error is harmless there: it changes b0 and nothing else."""
     strobes = (np.pi / 2 + 2 * np.pi * np.arange(1, 101)) / 2.3
     curvature = 2.5**2 * 2.3**4 / (2 * 9.8)
@@ -141,7 +143,7 @@ def test_harmonic_parts_are_constant_at_the_strobes():
     assert np.ptp(k_iii) < 1e-9
 
 
-def test_drift_seen_at_nominal_strobes_is_a_parabola_not_a_slope():
+def test_drift_at_nominal_strobes_is_parabola():
     """Against R cos(omega t) the strobe sees -1/2 R C omega t^2, where Eq. 15 has 2 R C t."""
     exact = first_order(R * sp.cos(angle)).subs(wp, 0)
     assert sp.simplify(strobe(exact) + R * C * w * t**2 / 2) == 0
@@ -149,13 +151,13 @@ def test_drift_seen_at_nominal_strobes_is_a_parabola_not_a_slope():
     assert sp.simplify(double_integral(parts.subs(wp, 0)) - exact) == 0
 
 
-def test_eq15_slope_is_that_of_the_centripetal_part_alone():
+def test_eq15_slope_is_slope_of_centripetal_part():
     """At the strobes it gives 2 R C t - 4 R C/omega; Eq. 15 prints the constant with a plus."""
     alone = double_integral((centripetal * sp.cos(w * t)).subs(wp, 0))
     assert sp.simplify(strobe(alone) - 2 * R * C * t + 4 * R * C / w) == 0
 
 
-def test_eq15_has_the_radius_term_of_eq14_with_the_sign_reversed():
+def test_eq15_reverses_sign_of_radius_term_of_eq14():
     """K_I (-dr) omega^2 cos(omega t) integrates to -K_I dr at the strobes; Eq. 15 prints plus."""
     radius_error = sp.symbols("Delta_r")
     exact = double_integral(-radius_error * w**2 * sp.cos(w * t))
@@ -184,13 +186,13 @@ def test_eq15_term_by_term():
     )
 
 
-def test_eq15_leaves_a_metre_of_constant_without_any_ripple():
+def test_eq15_has_constant_of_one_metre_without_ripple():
     """3/8 R0 sin(phi) lacks the factor w_p/w0: it does not vanish with the ripple."""
     times = np.array([1.0, 2.0])
     np.testing.assert_allclose(printed_strobe_error(times, phase=np.pi / 2), 0.9375)
 
 
-def test_eq19_is_eq26_plus_the_bias():
+def test_eq19_equals_eq26_plus_bias():
     rates = np.pi * np.array([0.5, 1.0, 2.0])
     columns = as_printed.second_stage_columns(rates, 2.5, 9.8, 1.001)
     for row, rate in zip(columns, rates, strict=True):
@@ -208,7 +210,7 @@ def test_eq19_is_eq26_plus_the_bias():
         assert b2 == pytest.approx(expected, rel=1e-14)
 
 
-def test_a_common_ratio_makes_the_column_go_as_the_square_of_the_rate():
+def test_constant_ripple_ratio_multiplies_column_by_rate():
     rates = np.pi * np.array([0.5, 1.0, 2.0])
     by_amplitude = as_printed.second_stage_columns(rates, 2.5, 9.8, 1.001)
     by_ratio = as_printed.second_stage_columns(rates, 2.5, 9.8, 1.001, ripple="ratio")
@@ -216,6 +218,6 @@ def test_a_common_ratio_makes_the_column_go_as_the_square_of_the_rate():
     np.testing.assert_allclose(by_ratio[:, 1], by_amplitude[:, 1] * rates)
 
 
-def test_another_ripple_model_is_refused():
+def test_unknown_ripple_model_raises():
     with pytest.raises(ValueError, match="'amplitude' or 'ratio', not 'phase'"):
         as_printed.second_stage_columns(np.ones(3), 2.5, 9.8, 1.0, ripple="phase")

@@ -53,7 +53,7 @@ levels = st.floats(-100.0, 100.0)
 
 
 @pytest.mark.parametrize("symbol", TERMS)
-def test_slopes_are_the_derivatives_of_the_products(symbol):
+def test_slopes_are_derivatives_of_products(symbol):
     sympy = pytest.importorskip("sympy")
     i, p, o = axes = sympy.symbols("I P O", real=True)
     names = {"I": i, "P": p, "O": o, "|I|": sympy.Abs(i), "sign_I": sympy.sign(i)}
@@ -78,7 +78,7 @@ def test_slopes_are_the_derivatives_of_the_products(symbol):
 
 @SETTINGS
 @given(coefficients=coefficients(), force=st.tuples(levels, levels, levels))
-def test_round_trip_over_a_hundred_g_with_all_terms(coefficients, force):
+def test_round_trip_over_100_g_with_all_terms(coefficients, force):
     vector = np.array([force])
     y = indicated(PLAIN, coefficients, vector)
     got = invert(coefficients, y, vector[:, 1], vector[:, 2])
@@ -89,7 +89,7 @@ def test_round_trip_over_a_hundred_g_with_all_terms(coefficients, force):
     assert abs(indicated(PLAIN, coefficients, again)[0] - y[0]) < 1e-12
 
 
-def test_round_trip_of_many_samples_at_once():
+def test_round_trip_of_many_samples():
     rng = np.random.default_rng(11)
     force = rng.uniform(-100.0, 100.0, size=(5000, 3))
     force[:4, 0] = 0.0, -0.0, 1e-300, -1e-12
@@ -98,12 +98,12 @@ def test_round_trip_of_many_samples_at_once():
     np.testing.assert_allclose(got, force[:, 0], rtol=0, atol=1e-12)
 
 
-def test_a_perfect_accelerometer_needs_no_correction():
+def test_perfect_accelerometer_needs_no_correction():
     y = np.array([-3.0, -0.0, 0.0, 1e-9, 70.0])
     np.testing.assert_array_equal(invert({}, y), y)
 
 
-def test_quadratic_against_its_closed_form():
+def test_quadratic_matches_closed_form():
     k_f, k_i, k_ii = 0.005, 1.002, 2.7e-5
     y = np.linspace(-60.0, 60.0, 41)
     c = k_f - y
@@ -112,7 +112,7 @@ def test_quadratic_against_its_closed_form():
     np.testing.assert_allclose(got, exact, rtol=0, atol=3e-14)
 
 
-def test_up_to_the_turning_point_and_not_beyond():
+def test_cubic_is_inverted_only_up_to_turning_point():
     """a - k a^3 turns at a = 1/sqrt(3 k), where it is 2/3 of that."""
     k = 1e-5
     turn = 1.0 / math.sqrt(3.0 * k)
@@ -147,7 +147,7 @@ def test_up_to_the_turning_point_and_not_beyond():
     ],
     ids=str,
 )
-def test_the_turning_point_of_the_fourth_and_fifth_order(values):
+def test_fourth_and_fifth_order_are_inverted_up_to_turning_point(values):
     """The nearest turn by numpy's eigenvalues; to its very end the model is inverted."""
     down, up = [values.get(s, 0.0) for s in ("K_5", "K_4", "K_III", "K_II")], [1.0, 0.0]
     for sign in (1.0, -1.0):
@@ -167,7 +167,7 @@ def test_the_turning_point_of_the_fourth_and_fifth_order(values):
 
 
 @pytest.mark.parametrize("asymmetry", [4e-3, -4e-3])
-def test_a_jump_of_the_bias_at_zero_is_inverted_on_both_sides(asymmetry):
+def test_bias_jump_at_zero_is_inverted_on_both_sides(asymmetry):
     values = {"K_F": 1e-3, "K_I": 1.001, "K_0_asym": asymmetry, "K_I_asym": 2e-4}
     force = np.array([-7.0, -0.1, -0.003, 0.003, 0.1, 7.0])
     y = indicated(PLAIN, values, np.column_stack([force, 0.0 * force, 0.0 * force]))
@@ -177,19 +177,19 @@ def test_a_jump_of_the_bias_at_zero_is_inverted_on_both_sides(asymmetry):
     np.testing.assert_allclose(invert(values, y), force, rtol=0, atol=1e-14)
 
 
-def test_an_indication_inside_the_jump_stands_for_no_force():
+def test_indication_inside_bias_jump_inverts_to_zero():
     got = invert({"K_F": 1e-3, "K_0_asym": 4e-3}, 1e-3 + np.array([-1.9e-3, 0.0, 1.9e-3]))
     np.testing.assert_array_equal(got, 0.0)
 
 
-def test_the_branch_through_zero_is_taken_although_another_root_lies_nearer():
+def test_branch_through_zero_is_preferred_to_nearer_root():
     """K_III < 0: the cubic comes down again and indicates the same far outside."""
     got = invert({"K_III": -2e-5}, np.array([85.0]))
     roots = np.roots([-2e-5, 0.0, 1.0, -85.0])
     assert got[0] == pytest.approx(min(r.real for r in roots if r.real > 0), rel=1e-12)
 
 
-def test_a_model_that_does_not_rise_is_refused():
+def test_non_increasing_model_raises():
     with pytest.raises(NotInvertibleError, match=r"sample 0 .* does not increase .*\(slope -1\)"):
         invert({"K_I": -1.0}, np.array([1.0]))
     # Where K_IP a_P eats up the scale factor.
@@ -197,7 +197,7 @@ def test_a_model_that_does_not_rise_is_refused():
         invert({"K_IP": 1e-2}, np.ones(3), np.array([0.0, 0.0, -101.0]))
 
 
-def test_missing_samples_stay_missing():
+def test_missing_samples_remain_missing():
     got = invert({"K_II": 1e-5}, np.array([1.0, math.nan, 2.0]), np.array([0.0, 0.0, math.inf]))
     assert np.isfinite(got).tolist() == [True, False, False]
     assert invert({}, np.array([])).shape == (0,)
@@ -206,7 +206,7 @@ def test_missing_samples_stay_missing():
 # --- several accelerometers -----------------------------------------------------------------
 
 
-def instrument(mounting, values, covariance=None, name="Q"):
+def make_instrument(mounting, values, covariance=None, name="Q"):
     covariance = np.zeros((len(values), len(values))) if covariance is None else covariance
     return CalibratedAccelerometer(name, mounting, values, covariance)
 
@@ -230,26 +230,26 @@ MOUNTINGS = st.sampled_from(
     values=st.tuples(coefficients(), coefficients(), coefficients()),
     force=st.tuples(*[st.floats(-30.0, 30.0)] * 3),
 )
-def test_three_accelerometers_correct_each_other(mountings, values, force):
+def test_three_accelerometers_are_corrected_jointly(mountings, values, force):
     vector = np.array([force])
     # A tenth of the sizes above: misalignments of 0.01 rad.
     values = [
         {s: row.nominal + 0.1 * (v[s] - row.nominal) for s, row in TERMS.items()} for v in values
     ]
     y = np.stack([indicated(m, v, vector) for m, v in zip(mountings, values, strict=True)], axis=1)
-    instruments = [instrument(m, v) for m, v in zip(mountings, values, strict=True)]
+    instruments = [make_instrument(m, v) for m, v in zip(mountings, values, strict=True)]
     got = correct(instruments, y)
     exact = [m.input_axis @ vector[0] for m in mountings]
     np.testing.assert_allclose(got.force[0], exact, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(got.u, 0.0)
 
 
-def test_two_accelerometers_and_a_known_vertical():
+def test_two_accelerometers_need_known_vertical_force():
     rng = np.random.default_rng(4)
     force = rng.uniform(-20.0, 20.0, size=(200, 3))
     force[:, 2] = 1.0
     values = {s: row.nominal + 0.1 * size(s) for s, row in TERMS.items()}
-    instruments = [instrument(QX, values, name="Qx"), instrument(QY, values, name="Qy")]
+    instruments = [make_instrument(QX, values, name="Qx"), make_instrument(QY, values, name="Qy")]
     y = np.stack([indicated(m, values, force) for m in (QX, QY)], axis=1)
     down = KnownForce(np.array([0.0, 0.0, -1.0]), -1.0)
     got = correct(instruments, y, [down])
@@ -261,34 +261,34 @@ def test_two_accelerometers_and_a_known_vertical():
         correct(instruments, y)
 
 
-def test_forces_that_are_given_twice_are_refused():
-    one = instrument(QX, {"K_IP": 1e-5})
+def test_overdetermined_forces_raise():
+    one = make_instrument(QX, {"K_IP": 1e-5})
     down, up = (KnownForce(np.array([0.0, 0.0, s]), s) for s in (-1.0, 1.0))
     with pytest.raises(ValueError, match="overdetermined"):
         correct([one], np.ones((1, 1)), [down, up])
     with pytest.raises(ValueError, match="overdetermined"):
-        correct([one, instrument(QX, {})], np.ones((1, 2)))
+        correct([one, make_instrument(QX, {})], np.ones((1, 2)))
 
 
-def test_a_term_of_size_zero_needs_an_axis_only_if_it_is_uncertain():
-    assert missing_axes([instrument(QX, {"K_PP": 0.0})], []) == []
-    uncertain = instrument(QX, {"K_PP": 0.0}, np.array([[1e-12]]))
+def test_zero_term_needs_axis_only_if_uncertain():
+    assert missing_axes([make_instrument(QX, {"K_PP": 0.0})], []) == []
+    uncertain = make_instrument(QX, {"K_PP": 0.0}, np.array([[1e-12]]))
     assert [axis for _, axis, _ in missing_axes([uncertain], [])] == ["P"]
 
 
-def test_corrections_that_do_not_settle_are_an_error_with_their_sample():
-    """Each sees the other with more than its own weight: the round trip diverges."""
+def test_diverging_corrections_raise_with_sample():
+    """Each cross-coupling exceeds the scale factor, so the mutual corrections diverge."""
     values = {"delta_O": 1.5}
     pair = [
-        instrument(Mounting.from_axes("east", "north"), values, name="A"),
-        instrument(Mounting.from_axes("north", "east"), values, name="B"),
+        make_instrument(Mounting.from_axes("east", "north"), values, name="A"),
+        make_instrument(Mounting.from_axes("north", "east"), values, name="B"),
     ]
     with pytest.raises(ConvergenceError, match=r"sample 1 .* mutual corrections"):
         correct(pair, np.array([[0.0, 0.0], [1.0, 1.0]]))
 
 
-def test_a_sample_that_one_accelerometer_misses_is_missing():
-    pair = [instrument(QX, {"K_II": 1e-5}), instrument(QY, {"delta_P": 1e-3})]
+def test_sample_missing_in_one_accelerometer_is_missing():
+    pair = [make_instrument(QX, {"K_II": 1e-5}), make_instrument(QY, {"delta_P": 1e-3})]
     got = correct(pair, np.array([[1.0, 2.0], [1.0, math.nan]]))
     assert np.isfinite(got.force).tolist() == [[True, True], [False, False]]
     assert np.isfinite(got.u).tolist() == [[True, True], [False, False]]
@@ -297,7 +297,7 @@ def test_a_sample_that_one_accelerometer_misses_is_missing():
 # --- uncertainty ----------------------------------------------------------------------------
 
 
-def test_uncertainty_of_one_accelerometer_by_hand():
+def test_uncertainty_of_one_accelerometer_matches_quadratic_form():
     """u = sqrt(J C J^T)/|slope|, J = (1, a, a^2): the textbook quadratic form."""
     u = np.array([2e-6, 5e-6, 7e-8])
     correlation = np.array([[1.0, 0.3, -0.9], [0.3, 1.0, -0.2], [-0.9, -0.2, 1.0]])
@@ -305,24 +305,24 @@ def test_uncertainty_of_one_accelerometer_by_hand():
     values = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5}
     a = np.array([-40.0, -1.0, 0.0, 1.0, 40.0])
     y = indicated(PLAIN, values, np.stack([a, 0 * a, 0 * a], axis=1))
-    got = correct([instrument(PLAIN, values, covariance)], y[:, None])
+    got = correct([make_instrument(PLAIN, values, covariance)], y[:, None])
     for k, level in enumerate(a):
         j = np.array([1.0, level, level**2])
         expected = math.sqrt(j @ covariance @ j) / (1.002 + 2 * 2.7e-5 * level)
         assert got.u[k, 0] == pytest.approx(expected, rel=1e-9)
 
 
-def test_uncertainty_of_a_known_force():
+def test_uncertainty_of_known_force_is_propagated():
     """K_PP a_P^2 with a_P = -1 g +- u: da_I = 2 K_PP u."""
-    one = instrument(PLAIN, {"K_PP": 1e-4, "K_I": 1.0})
+    one = make_instrument(PLAIN, {"K_PP": 1e-4, "K_I": 1.0})
     got = correct([one], np.ones((1, 1)), [KnownForce(np.array([0.0, 1.0, 0.0]), -1.0, 1e-3)])
     assert got.force[0, 0] == pytest.approx(1.0 - 1e-4, abs=1e-15)
     assert got.u[0, 0] == pytest.approx(2e-7, rel=1e-12)
 
 
 @pytest.mark.slow
-def test_uncertainty_of_coupled_accelerometers_against_differences():
-    """Sensitivities to each cause of errors by central differences of the whole correction."""
+def test_uncertainty_of_coupled_accelerometers_matches_differences():
+    """Compute the sensitivity to each error source by central differences of the correction."""
     rng = np.random.default_rng(2026)
     vector, count = np.array([[7.0, -4.0, 1.0]]), len(TERMS)
     # Few causes of many errors: they are related.
@@ -342,7 +342,7 @@ def test_uncertainty_of_coupled_accelerometers_against_differences():
                 changed = np.array([*one.coefficients.values()]) + sign * errors[k, :, cause]
                 moved = dict(zip(one.coefficients, changed, strict=True))
                 others = [*instruments]
-                others[k] = instrument(one.mounting, moved)
+                others[k] = make_instrument(one.mounting, moved)
                 shifted.append(correct(others, y).force[0])
             sensitivities[k, cause] = (shifted[0] - shifted[1]) / (2.0 * step)
     alone = np.sum(sensitivities**2, axis=(0, 1))
@@ -354,8 +354,8 @@ def test_uncertainty_of_coupled_accelerometers_against_differences():
     np.testing.assert_allclose(claimed, np.sqrt(related), rtol=1e-5)
 
 
-def test_uncertainty_against_trials():
-    """Correct with coefficients drawn around the estimates and look at the scatter.
+def test_uncertainty_matches_scatter_of_trials():
+    """Correct with coefficients drawn around the estimates and compare the scatter.
 
     A standard deviation is known to 1/sqrt(2 trials) of itself.
     """
@@ -366,7 +366,7 @@ def test_uncertainty_against_trials():
     force = np.array([[-60.0, 3.0, 1.0], [0.5, -1.0, 0.0], [1.0, -1.0, 2.0], [60.0, 0.0, -5.0]])
     y = indicated(PLAIN, values, force)
     known = [KnownForce(np.eye(3)[k], force[:, k]) for k in (1, 2)]
-    claimed = correct([instrument(PLAIN, values, root @ root.T)], y[:, None], known).u[:, 0]
+    claimed = correct([make_instrument(PLAIN, values, root @ root.T)], y[:, None], known).u[:, 0]
     drawn = rng.multivariate_normal(list(values.values()), root @ root.T, size=trials)
     per_sample = dict(zip(values, np.repeat(drawn, len(force), axis=0).T, strict=True))
     samples = (np.tile(column, trials) for column in (y, *force[:, 1:].T))

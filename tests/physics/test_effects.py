@@ -36,7 +36,7 @@ WITHIN = replace(
 @pytest.mark.parametrize("mounting", [QX, QZ], ids=["level", "vertical"])
 @pytest.mark.parametrize("observable", ORDERS)
 @pytest.mark.parametrize("symbol", CONDITION_TERMS)
-def test_column_is_what_the_simulation_adds(symbol, observable, mounting, conditions):
+def test_column_matches_simulation(symbol, observable, mounting, conditions):
     others = {"K_F": 3e-3, "K_I": 1.002, "K_II": 2e-5}
     slope, trajectory = 1e-5, replace(TRAJECTORY, conditions=conditions)
 
@@ -49,7 +49,7 @@ def test_column_is_what_the_simulation_adds(symbol, observable, mounting, condit
     np.testing.assert_allclose(got, shown, rtol=0, atol=1e-9 * np.abs(shown).max())
 
 
-def test_a_trend_goes_on_within_the_run():
+def test_trend_continues_within_run():
     g, t, start = SITE.gravity, TIMES, 750.0
     by_hand = {
         "displacement": g * (start * t**2 / 2 + t**3 / 6),
@@ -71,7 +71,7 @@ RAMP = RunConditions(
 
 
 @pytest.mark.parametrize("power", [1, 2, 3])
-def test_what_a_ramp_of_the_temperature_adds_to_the_bias(power):
+def test_temperature_ramp_of_bias_matches_closed_form(power):
     """Of (T0 + b t)^p the integrals are (T0 + b t)^(p+1)/(b (p+1)), and so on."""
     g, warm = SITE.gravity, BEGIN + RISE * TIMES
     once = (warm ** (power + 1) - BEGIN ** (power + 1)) / (RISE * (power + 1))
@@ -87,7 +87,7 @@ def test_what_a_ramp_of_the_temperature_adds_to_the_bias(power):
         )
 
 
-def test_what_a_ramp_of_the_temperature_adds_to_the_scale_on_a_turning_spindle():
+def test_temperature_ramp_of_scale_factor_matches_closed_form():
     """S'' = -R w^2 (T0 + b t) cos wt, without the Earth's rotation: integrated by parts."""
     rate, radius = 2.4, 2.5
     turning = Trajectory(Spindle(rate), radius, replace(SITE, earth_rate=0.0), conditions=RAMP)
@@ -103,8 +103,8 @@ def test_what_a_ramp_of_the_temperature_adds_to_the_scale_on_a_turning_spindle()
         np.testing.assert_allclose(shown, expected, rtol=0, atol=2e-12 * abs(expected).max())
 
 
-def test_a_turn_of_the_temperature_turns_the_hysteresis():
-    """Up until t1 and down from there: half of it more, then half of it less."""
+def test_hysteresis_changes_sign_at_temperature_reversal():
+    """The temperature rises until t1 (plus one half) and then falls (minus one half)."""
     turned = 3.3
     up = replace(TRAJECTORY, conditions=RunConditions(direction=0.5, reversal_times=(turned,)))
     (shown,) = columns(up, QX, ["K_F.hysteresis"], TIMES).T
@@ -113,13 +113,13 @@ def test_a_turn_of_the_temperature_turns_the_hysteresis():
     np.testing.assert_allclose(shown, by_hand, rtol=0, atol=1e-12 * abs(by_hand).max())
 
 
-def test_on_the_way_down_hysteresis_is_half_of_it_less():
+def test_hysteresis_of_cooling_is_minus_one_half():
     (shown,) = columns(TRAJECTORY, QX, ["K_F.hysteresis"], TIMES).T
     np.testing.assert_allclose(shown, -0.5 * SITE.gravity * TIMES**2 / 2, rtol=1e-14)
 
 
-def test_heating_is_the_mean_of_k_ii_and_nothing_of_its_harmonic():
-    """a^2 has the mean of K_II's square twice over: on the average the two are one."""
+def test_self_heating_has_parabola_of_k_ii_without_harmonic():
+    """The mean of a^2 is twice that of a_I^2, so the parabolas are proportional."""
     at = (QX, 2.4, 2.5, SITE.gravity)
     assert parabola("K_F.heating", *at) == pytest.approx(2 * parabola("K_II", *at), rel=1e-14)
     still = replace(TRAJECTORY, conditions=RunConditions(), spindle=Spindle(2.4))
@@ -127,7 +127,7 @@ def test_heating_is_the_mean_of_k_ii_and_nothing_of_its_harmonic():
     np.testing.assert_allclose(shown, parabola("K_F.heating", *at) * TIMES**2, rtol=1e-14)
 
 
-def test_at_the_reference_nothing_changes():
+def test_coefficients_are_nominal_at_reference_conditions():
     coefficients = {"K_F": 1e-3, **dict.fromkeys(CONDITION_TERMS, 1.0)}
     assert coefficients_in_run(coefficients, RunConditions(), 0.0) == {
         "K_F": 1e-3,
@@ -139,7 +139,7 @@ def test_at_the_reference_nothing_changes():
 
 
 @pytest.mark.parametrize("row", CONDITION_TERMS.values(), ids=CONDITION_TERMS)
-def test_rows_are_those_of_the_tables(row):
+def test_rows_are_rows_of_term_tables(row):
     assert term(row.symbol) is row
     assert row.unit.startswith(TERMS[row.effect.coefficient].unit.partition("/")[0])
     assert 0 < row.typical < row.limit < math.inf

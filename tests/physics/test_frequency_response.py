@@ -41,7 +41,7 @@ def static_output(t):
     return G * (output + c["K_OO"] * o**2)
 
 
-def second_order(natural_frequency, damping, times):
+def integrate_second_order_sensor(natural_frequency, damping, times):
     """Integrate y'' + 2 zeta w0 y' + w0^2 y = w0^2 u from rest, long before the first time."""
     w0 = 2.0 * math.pi * natural_frequency
 
@@ -62,14 +62,14 @@ def second_order(natural_frequency, damping, times):
     return result.y[0]
 
 
-def test_a_second_order_sensor_obeys_its_differential_equation():
+def test_second_order_sensor_obeys_differential_equation():
     natural_frequency, damping = 50.0, 0.5
     times = np.linspace(5.0, 5.6, 13)
     mounting = replace(QX, response=FrequencyResponse(natural_frequency, damping))
     record = simulate_record(
         TRAJECTORY, mounting, COEFFICIENTS, {}, times, observable="specific_force"
     )
-    expected = second_order(natural_frequency, damping, times)
+    expected = integrate_second_order_sensor(natural_frequency, damping, times)
     assert np.abs(expected - [static_output(t) for t in times]).max() > 0.1
     assert np.abs(record - expected).max() < 1e-9 * RADIUS * RATE**2
 
@@ -79,7 +79,7 @@ EVEN = Trajectory(Spindle(RATE), RADIUS, Site(gravity=G, latitude=0.0))
 TIMES = np.arange(800) * 0.01  # four revolutions
 
 
-def harmonics(values, order):
+def fit_harmonics(values, order):
     """Return the complex harmonics 0 to 3 of values of four revolutions, polynomials aside."""
     waves = np.exp(1j * RATE * np.outer(TIMES, np.arange(1, 4)))
     shape = np.column_stack([np.vander(TIMES, order + 1), waves.real, -waves.imag])
@@ -89,7 +89,7 @@ def harmonics(values, order):
 
 @pytest.mark.parametrize("observable", ["specific_force", "velocity", "displacement"])
 @pytest.mark.parametrize("symbol", ["K_I", "K_II", "K_III", "platform.compliance.zy"])
-def test_each_harmonic_of_a_column_is_multiplied_by_the_gain(observable, symbol):
+def test_column_harmonics_are_multiplied_by_gain(observable, symbol):
     """The factor is H(k w), whatever the observable, and the mean force keeps its value."""
     order = observation.ORDERS[observable]
     plain, filtered = (
@@ -97,7 +97,7 @@ def test_each_harmonic_of_a_column_is_multiplied_by_the_gain(observable, symbol)
         for mounting in (QX, replace(QX, response=RESPONSE))
     )
     (mean, before), (filtered_mean, after) = (
-        harmonics(values, order) for values in (plain, filtered)
+        fit_harmonics(values, order) for values in (plain, filtered)
     )
     gains = 1.0 / (1.0 - (ratio := np.arange(1, 4) * 0.5 / 400.0) ** 2 + 1.4j * ratio)
     gains /= 1.0 + 1j * np.arange(1, 4) * 0.5 / 80.0
@@ -111,23 +111,23 @@ def test_each_harmonic_of_a_column_is_multiplied_by_the_gain(observable, symbol)
         )
 
 
-def test_the_recorder_filters_the_coriolis_acceleration_that_the_sensor_does_not_see():
+def test_recorder_but_not_sensor_filters_coriolis_acceleration():
     site = Site(gravity=G, latitude=math.radians(45.0))
     motion = replace(EVEN, site=site)
     plain = observation.reference(motion, QX, TIMES)
     sensed = observation.columns(motion, QX, ["K_I"], TIMES)[:, 0]
-    position, force = (harmonics(values, 2)[1][0] for values in (plain, sensed))
+    position, force = (fit_harmonics(values, 2)[1][0] for values in (plain, sensed))
     for response in (FrequencyResponse(400.0, 0.7), FrequencyResponse(cutoff_frequency=80.0)):
         filtered = observation.reference(motion, replace(QX, response=response), TIMES)
         gain = response.gain(np.array([0.5]))[0]
         expected = position + (gain - 1.0) * (
             force if math.isfinite(response.natural_frequency) else position
         )
-        assert abs(harmonics(filtered, 2)[1][0] - expected) < 1e-9 * abs(position)
+        assert abs(fit_harmonics(filtered, 2)[1][0] - expected) < 1e-9 * abs(position)
     assert abs(force - position) > 1e-6 * abs(position)
 
 
-def test_a_table_of_a_second_order_sensor_is_that_sensor():
+def test_gain_table_of_second_order_sensor_matches_formula():
     frequency = np.linspace(0.25, 20.0, 80)
     sensor = FrequencyResponse(400.0, 0.7)
     gain = sensor.gain(frequency)
@@ -156,7 +156,7 @@ def test_a_table_of_a_second_order_sensor_is_that_sensor():
     ],
     ids=["three rows", "resonance"],
 )
-def test_the_gain_of_any_table_is_exact_at_the_harmonics(table):
+def test_tabulated_gain_is_exact_at_harmonics(table):
     response, spindle, times = FrequencyResponse(table=table), Spindle(6.0), np.linspace(0, 3, 50)
     for harmonic in range(1, 9):
         shown = response.total_shifts(spindle.rate).apply(

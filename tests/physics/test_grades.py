@@ -9,13 +9,13 @@ from counterspin.physics.grades import DEFAULT_GRADE, GRADES, SIZES
 from counterspin.physics.terms import ACCELEROMETER_TERMS, TABLE, term
 
 
-def test_every_term_of_an_accelerometer_has_sizes_of_every_grade_and_no_other_term_has():
+def test_only_accelerometer_terms_have_sizes_for_every_grade():
     assert set(SIZES) == set(ACCELEROMETER_TERMS)
     assert all(tuple(sizes) == GRADES for sizes in SIZES.values())
 
 
 @pytest.mark.parametrize("symbol", ACCELEROMETER_TERMS)
-def test_a_worse_grade_is_no_better(symbol):
+def test_sizes_do_not_decrease_for_worse_grades(symbol):
     sizes = [term(symbol).sizes(grade) for grade in GRADES]
     for better, worse in pairwise(sizes):
         assert better.limit <= worse.limit
@@ -25,21 +25,21 @@ def test_a_worse_grade_is_no_better(symbol):
         assert size.source
 
 
-def test_the_default_is_navigation_grade():
+def test_default_grade_is_navigation():
     assert DEFAULT_GRADE == "navigation"
     for row in ACCELEROMETER_TERMS.values():
         assert row.sizes() == row.sizes("navigation")
         assert (row.limit, row.typical, row.source) == tuple(vars(row.sizes()).values())
 
 
-def test_what_is_not_of_an_accelerometer_has_one_size_for_all_grades():
+def test_machine_term_has_same_size_for_all_grades():
     row = TABLE["platform.tilt.north"]
     assert row.sizes("consumer") == row.sizes()
     assert row.sizes().typical == row.typical
     assert row.source == row.sizes().source
 
 
-def test_figures_follow_from_those_of_the_documents():
+def test_sizes_follow_from_cited_figures():
     consumer = {symbol: sizes["consumer"].typical for symbol, sizes in SIZES.items()}
     # A rectangular distribution over +-7.5 %.
     assert consumer["K_I"] == pytest.approx(0.075 / math.sqrt(3.0), rel=0.1)
@@ -51,7 +51,7 @@ def test_figures_follow_from_those_of_the_documents():
     assert tactical["K_III"] == pytest.approx(0.003 * 10.0 / 10.0**3)
 
 
-def test_servo_of_huygens():
+def test_source_quotes_slopes_of_huygens_servo_accelerometer():
     # Scale factor and offset of HASI's calibration file, by temperature in K.
     def slope_of_scale(kelvin):
         scale = 1.30675e-3 - 1.35046e-7 * kelvin + 4.02821e-10 * kelvin**2

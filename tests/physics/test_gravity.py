@@ -10,22 +10,22 @@ from counterspin.validation.validate import check_case
 
 
 @pytest.mark.parametrize("where", ["at the equator", "at a pole", "at 45 degrees"])
-def test_on_the_ellipsoid(where):
+def test_normal_gravity_matches_published_values(where):
     stated = case(f"normal gravity {where}")
     assert check_case(stated).state == "passed"
     south = normal_gravity(-math.radians(stated.given["degrees"]))
     assert south == pytest.approx(float(stated.expected["gravity"]), abs=stated.absolute)
 
 
-def test_it_falls_by_the_free_air_gradient():
+def test_gravity_decreases_by_free_air_gradient():
     # Hofmann-Wellenhof and Moritz, Physical Geodesy (2006), Eq. 3-32: 0.3086 mGal/m.
     at_45 = math.radians(45.0)
     gradient = (normal_gravity(at_45, 1.0) - normal_gravity(at_45, -1.0)) / 2.0
     assert gradient == pytest.approx(-0.3086e-5, rel=5e-4)
 
 
-def exact(latitude, height):
-    """Gravity of the ellipsoid's own field outside it, from its potential (TR 8350.2, ch. 4)."""
+def gravity_from_potential(latitude, height):
+    """Return the gravity outside the ellipsoid from its potential (TR 8350.2, ch. 4)."""
     mp = pytest.importorskip("mpmath")
     mp.mp.dps = 40
     a, f, gm = mp.mpf(6378137), 1 / mp.mpf("298.257223563"), mp.mpf("3986004.418e8")
@@ -57,11 +57,13 @@ def exact(latitude, height):
 
 @pytest.mark.parametrize("height", HEIGHTS)
 @pytest.mark.parametrize("latitude", [0.2, 0.8, 1.3])
-def test_at_height_it_is_that_of_the_ellipsoid_s_potential(latitude, height):
-    assert normal_gravity(latitude, height) == pytest.approx(exact(latitude, height), abs=4e-7)
+def test_gravity_at_height_matches_ellipsoid_potential(latitude, height):
+    assert normal_gravity(latitude, height) == pytest.approx(
+        gravity_from_potential(latitude, height), abs=4e-7
+    )
 
 
-def test_a_laboratory_stands_between_a_mine_and_the_mountains():
+def test_gravity_limits_are_those_of_extreme_heights():
     low, high = gravity_range(math.radians(45.75))
     assert low == normal_gravity(math.radians(45.75), 3000.0)
     assert high == normal_gravity(math.radians(45.75), -500.0)
@@ -69,8 +71,8 @@ def test_a_laboratory_stands_between_a_mine_and_the_mountains():
     assert high > 9.8066
 
 
-def test_a_gravity_is_that_of_some_latitudes():
-    """By the international formula of 1967, and 3.086e-6 1/s^2 of free air: to 0.1 deg or so."""
+def test_latitudes_with_gravity_match_formula_of_1967():
+    """Compare with the formula of 1967 and a free-air gradient of 3.086e-6 1/s^2 to 0.1 deg."""
 
     def square(gravity):
         return (gravity / 9.780318 - 1.0) / 0.0053024

@@ -34,27 +34,27 @@ def symbolic_position(trajectory):
     return trajectory.radius * sp.Matrix([sp.cos(theta), sp.sin(theta), 0])
 
 
-def evaluated(vector, times=TIMES):
+def evaluate_vector(vector, times=TIMES):
     function = sp.lambdify(t, list(vector), "numpy")
     return np.stack([np.broadcast_to(x, times.shape) for x in function(times)], -1)
 
 
 @BOTH
-def test_position_velocity_and_acceleration_are_derivatives_of_the_circle(trajectory):
+def test_position_velocity_and_acceleration_match_derivatives(trajectory):
     position = symbolic_position(trajectory)
     for order, method in enumerate(
         (trajectory.position, trajectory.velocity, trajectory.acceleration)
     ):
         got = method(TIMES)
         assert got.shape == (TIMES.size, 3)
-        expected = evaluated(sp.diff(position, t, order))
+        expected = evaluate_vector(sp.diff(position, t, order))
         # Roundings of an angle below 60 rad, times R w^order.
         scale = trajectory.radius * abs(trajectory.spindle.rate) ** order
         np.testing.assert_allclose(got, expected, rtol=0, atol=5e-14 * scale)
 
 
 @BOTH
-def test_harmful_acceleration_is_coriolis_and_the_reaction_to_gravity(trajectory):
+def test_harmful_acceleration_is_coriolis_plus_gravity_reaction(trajectory):
     latitude = trajectory.site.latitude
     east, north, _ = trajectory.velocity(TIMES).T
     # 2 Omega x v component by component (Eq. 10, 12) for a level motion.
@@ -69,7 +69,7 @@ def test_harmful_acceleration_is_coriolis_and_the_reaction_to_gravity(trajectory
     np.testing.assert_allclose(trajectory.harmful_acceleration(TIMES), expected, atol=1e-14)
 
 
-def test_a_spindle_at_rest_feels_gravity_upwards():
+def test_spindle_at_rest_has_upward_specific_force():
     slow = Trajectory(Spindle(1e-9), 2.5, SITE)
     np.testing.assert_allclose(slow.specific_force(np.zeros(1)), [[0, 0, 9.80665]], atol=1e-12)
 
@@ -82,7 +82,7 @@ def test_without_earth_rate_there_is_no_coriolis_acceleration():
 
 
 @BOTH
-def test_specific_force_is_inertial_acceleration_less_gravitation(trajectory):
+def test_specific_force_is_inertial_acceleration_minus_gravitation(trajectory):
     """First principles: no Coriolis formula, only a rotating Earth watched from outside.
 
     The platform's path is turned into a frame that does not rotate and differentiated there.
@@ -99,7 +99,7 @@ def test_specific_force_is_inertial_acceleration_less_gravitation(trajectory):
     turn = sp.Matrix([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
     axis = sp.Matrix([6.4e6 * clat, 0, 6.3e6 * slat])  # where the centrifuge stands
     inertial = turn * (axis + local * symbolic_position(trajectory))
-    acceleration = evaluated(sp.diff(inertial, t, 2))
+    acceleration = evaluate_vector(sp.diff(inertial, t, 2))
     rotation = np.array(sp.lambdify(t, turn * local, "numpy")(0.0), dtype=float)
     angles = site.earth_rate * TIMES
     omega = np.array([0.0, 0.0, site.earth_rate])
@@ -120,7 +120,7 @@ def test_specific_force_is_inertial_acceleration_less_gravitation(trajectory):
 
 
 @BOTH
-def test_velocity_of_specific_force_is_its_integral(trajectory):
+def test_velocity_is_integral_of_specific_force(trajectory):
     nodes, weights = np.polynomial.legendre.leggauss(160)
     for end in (0.5, 2.0, 5.0):
         force = trajectory.specific_force(0.5 * end * (1 + nodes))
@@ -130,7 +130,7 @@ def test_velocity_of_specific_force_is_its_integral(trajectory):
         np.testing.assert_allclose(got[1], expected, rtol=0, atol=1e-11)
 
 
-def test_every_point_of_the_case_feels_the_same():
+def test_acceleration_is_equal_at_every_point_of_case():
     """The outer table turns by theta, the inner by -theta: a lever arm in the case cancels."""
     theta = sp.Function("theta")(t)
 

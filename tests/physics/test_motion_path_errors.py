@@ -29,8 +29,8 @@ ERRORS = {
 }
 
 
-def path_by_sympy():
-    """Position, velocity and acceleration of the path, differentiated from its definition."""
+def derive_path():
+    """Differentiate the definition of the path: position, velocity and acceleration."""
     t = sp.symbols("t", real=True)
     w0 = SPINDLE.rate
     theta = SPINDLE.start_angle + w0 * t + SPINDLE.drift * w0 * t**2 / 2
@@ -50,23 +50,23 @@ def path_by_sympy():
     ]
 
 
-def test_the_path_is_that_of_its_definition():
+def test_path_matches_definition():
     motion = perturbed_trajectory(TRAJECTORY, ERRORS).at(TIMES)
     got = (motion.position, motion.velocity, motion.acceleration)
-    for value, expected in zip(got, path_by_sympy(), strict=True):
+    for value, expected in zip(got, derive_path(), strict=True):
         np.testing.assert_allclose(value[:, :2], expected, rtol=0, atol=1e-13)
         assert not value[:, 2].any()
 
 
-def test_without_errors_the_path_is_the_circle():
+def test_path_without_errors_is_circle():
     assert perturbed_trajectory(TRAJECTORY, {"platform.tilt.north": 1e-3}) is TRAJECTORY
     assert perturbed_trajectory(TRAJECTORY, {"encoder.harmonic.1.cos": 1e-3}) is TRAJECTORY
 
 
 @pytest.mark.parametrize("observable", ORDERS)
 @pytest.mark.parametrize("mounting", [QX, QY], ids=["Qx", "Qy"])
-def test_columns_of_the_radius_are_what_the_simulation_shows_of_it(mounting, observable):
-    """A perfect accelerometer shows all of it, at any size: the motion is linear in the radius."""
+def test_radius_columns_match_simulation(mounting, observable):
+    """The motion is linear in the radius, so columns and simulation agree at any size."""
     table = columns(TRAJECTORY, mounting, list(ERRORS), TIMES, observable)
     signal = simulate_record(TRAJECTORY, mounting, {}, ERRORS, TIMES, observable)
     expected = signal - reference(TRAJECTORY, mounting, TIMES, observable)
@@ -81,14 +81,12 @@ def test_columns_of_the_radius_are_what_the_simulation_shows_of_it(mounting, obs
 @pytest.mark.slow
 @pytest.mark.parametrize("observable", ORDERS)
 @pytest.mark.parametrize("symbol", [s for s in MOTION_TERMS if s.startswith("encoder")])
-def test_columns_of_the_encoder_are_derivatives_of_what_is_computed_from_its_angle(
-    symbol, observable
-):
-    """The record against the reference of a spindle that turns as the encoder says."""
+def test_encoder_columns_match_derivatives_of_reference(symbol, observable):
+    """Compare the record with the reference of a spindle that follows the encoder angle."""
     step = 1e-4
     error = MOTION_TERMS[symbol].effect
 
-    def misread(size):
+    def simulate_misread_angle(size):
         """Return the true motion less the reference's, whose angle is theta + size wave(theta)."""
         t = sp.symbols("t", real=True)
         theta = 0.5 - 2.4 * t + 0.01 * sp.sin(1.3 * t)
@@ -119,14 +117,14 @@ def test_columns_of_the_encoder_are_derivatives_of_what_is_computed_from_its_ang
             return -0.0169 * np.sin(1.3 * t)
 
     moving = replace(moving, spindle=Swinging(-2.4))
-    derivative = (misread(step) - misread(-step)) / (2 * step)
+    derivative = (simulate_misread_angle(step) - simulate_misread_angle(-step)) / (2 * step)
     got = columns(moving, QX, [symbol], TIMES, observable)[:, 0]
     np.testing.assert_allclose(got, derivative, rtol=0, atol=2e-6 * np.abs(got).max())
 
 
 @pytest.mark.parametrize("observable", ORDERS)
-def test_columns_of_a_tilted_axis_are_what_the_simulation_shows_of_it(observable):
-    """A vertical accelerometer sees it; a level one only the Earth's rate on the way up."""
+def test_axis_tilt_columns_match_simulation(observable):
+    """The tilt affects a vertical accelerometer; a level one only through the Earth's rate."""
     tilt = {"centrifuge.axis_tilt.east": 2e-3, "centrifuge.axis_tilt.north": -3e-3}
     qz = Mounting.from_axes("up", "east")
     for mounting in (qz, QX):
@@ -144,15 +142,15 @@ def test_columns_of_a_tilted_axis_are_what_the_simulation_shows_of_it(observable
         assert not columns(TRAJECTORY, QX, list(tilt), TIMES).any()
 
 
-def test_what_an_eccentric_encoder_records():
+def test_eccentric_encoder_error_matches_formula():
     angle = np.linspace(-7.0, 7.0, 101)
     shared = {"encoder.harmonic.1.sin": 3e-6, "encoder.harmonic.2.cos": -1e-6, "K_F": 1.0}
     expected = 3e-6 * np.sin(angle) - 1e-6 * np.cos(2 * angle)
     np.testing.assert_allclose(encoder_error(shared, angle), expected, rtol=0, atol=1e-20)
 
 
-def test_closed_forms_at_constant_rate():
-    """An error of the first harmonic stands in the second, with a constant beside it."""
+def test_columns_match_closed_forms_at_constant_rate():
+    """An error of the first harmonic appears as a second harmonic and a constant."""
     rate, radius, phase = 2.0, 2.5, 0.7
     steady = Trajectory(Spindle(rate), radius, SITE)
     theta = rate * TIMES
@@ -171,7 +169,7 @@ def test_closed_forms_at_constant_rate():
 
 
 @pytest.mark.parametrize("symbol", MOTION_TERMS)
-def test_no_error_of_the_path_has_a_parabola(symbol):
+def test_path_errors_have_no_parabola(symbol):
     steady = Trajectory(Spindle(2.0), 2.5, Site(9.8, 0.8, earth_rate=0.0))
     turns = math.pi * np.arange(1, 6)
     position = columns(steady, QX, [symbol], turns)[:, 0]
@@ -179,8 +177,8 @@ def test_no_error_of_the_path_has_a_parabola(symbol):
     assert parabola(symbol, QX, 2.0, 2.5, 9.8) == 0.0
 
 
-def test_imbalance_and_the_same_harmonic_of_the_encoder_are_one_but_for_the_start():
-    """The first harmonics turn with twice the angle, in every accelerometer and observable."""
+def test_imbalance_equals_encoder_harmonic_except_at_start():
+    """The first harmonics produce second harmonics in every accelerometer and observable."""
     steady = Trajectory(Spindle(2.0), 2.5, Site(9.8, 0.8, earth_rate=0.0))
     for mounting in (QX, QY):
         for observable in ("displacement", "velocity"):

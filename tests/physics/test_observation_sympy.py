@@ -37,8 +37,8 @@ AXES = {
 }
 
 
-def powers(expression):
-    """Coefficients of tau^k exp(i n tau), as {(k, n): coefficient}."""
+def expand_in_powers(expression):
+    """Return the coefficients of tau^k exp(i n tau) as {(k, n): coefficient}."""
     z = sp.symbols("z")
     wave = {c(tau): (z + 1 / z) / 2, s(tau): (z - 1 / z) / (2 * sp.I)}
     expression = sp.expand_trig(expression)
@@ -47,20 +47,20 @@ def powers(expression):
 
 
 @functools.cache
-def double_integral_of(k, n):
+def integrate_twice(k, n):
     x, y = sp.symbols("x y", real=True)
     once = sp.integrate(x**k * sp.exp(sp.I * n * x), (x, 0, y))
     return sp.expand(sp.integrate(sp.expand(once), (y, 0, tau)))
 
 
-def displacement(integrand):
-    """Double integral over time, zero value and slope at zero, as a function of tau."""
-    terms = powers(integrand).items()
-    return sp.expand(sum(value * double_integral_of(k, n) for (k, n), value in terms) / w**2)
+def integrate_displacement(integrand):
+    """Integrate twice over time, from zero value and slope, as a function of tau."""
+    terms = expand_in_powers(integrand).items()
+    return sp.expand(sum(value * integrate_twice(k, n) for (k, n), value in terms) / w**2)
 
 
-def product(symbol, axes):
-    """Eq. 7's product in m/s^2 per unit coefficient, written out once more by hand."""
+def product_by_hand(symbol, axes):
+    """Return the product of Eq. 7 in m/s^2 per unit coefficient, written out by hand."""
     i, p, o = (sp.Matrix(axis).dot(FORCE) / g for axis in axes)
     return (
         g
@@ -82,8 +82,8 @@ def product(symbol, axes):
     )
 
 
-def attitude_error(symbol):
-    """The small rotation psi of the platform per unit coefficient, from d(psi)/dt."""
+def derive_attitude_error(symbol):
+    """Integrate d(psi)/dt to the small rotation psi of the platform per unit coefficient."""
     if symbol.startswith("table.axis_tilt."):
         outward = symbol.endswith("outward")
         return sp.Matrix([c(tau), s(tau), 0] if outward else [-s(tau), c(tau), 0])
@@ -104,12 +104,12 @@ def attitude_error(symbol):
 
 
 @functools.cache
-def derived(symbol, accelerometer):
+def derive_column(symbol, accelerometer):
     axes = AXES[accelerometer][1]
     if symbol in PLATFORM_TERMS:
-        sensed = -attitude_error(symbol).cross(FORCE)
-        return displacement(sp.Matrix(axes[0]).dot(sensed))
-    return displacement(product(symbol, axes))
+        sensed = -derive_attitude_error(symbol).cross(FORCE)
+        return integrate_displacement(sp.Matrix(axes[0]).dot(sensed))
+    return integrate_displacement(product_by_hand(symbol, axes))
 
 
 KINKED = [symbol for symbol, row in TERMS.items() if row.effect.has_kink]
@@ -163,34 +163,34 @@ PARABOLAS = {
 }
 
 
-def second_power(symbol, accelerometer):
-    """Coefficient of t^2; the waves of t around it are bounded and do not count."""
-    coefficient = sp.expand(derived(symbol, accelerometer)).coeff(tau, 2) * w**2
+def quadratic_coefficient(symbol, accelerometer):
+    """Return the coefficient of t^2 without the bounded oscillation around it."""
+    coefficient = sp.expand(derive_column(symbol, accelerometer)).coeff(tau, 2) * w**2
     assert not coefficient.has(tau)
     return sp.simplify(coefficient)
 
 
-def vanishes(expression):
+def is_zero(expression):
     return sp.expand(sp.expand(expression.rewrite(sp.exp))) == 0
 
 
 @pytest.mark.parametrize(("symbol", "accelerometer"), CLOSED_FORMS)
 def test_sympy_derives_the_closed_form(symbol, accelerometer):
     formula = CLOSED_FORMS[symbol, accelerometer].subs(t, tau / w)
-    assert vanishes(derived(symbol, accelerometer) - formula)
+    assert is_zero(derive_column(symbol, accelerometer) - formula)
 
 
 @pytest.mark.parametrize(("symbol", "accelerometer"), PARABOLAS)
 def test_sympy_derives_the_parabola(symbol, accelerometer):
-    difference = second_power(symbol, accelerometer) - PARABOLAS[symbol, accelerometer]
+    difference = quadratic_coefficient(symbol, accelerometer) - PARABOLAS[symbol, accelerometer]
     assert sp.simplify(difference) == 0
 
 
 @RATES
 @pytest.mark.parametrize("accelerometer", AXES)
 @pytest.mark.parametrize("symbol", SMOOTH)
-def test_columns_are_what_sympy_derives(symbol, accelerometer, rate):
-    expression = derived(symbol, accelerometer).subs({w: rate, R: RADIUS, g: GRAVITY})
+def test_columns_match_sympy(symbol, accelerometer, rate):
+    expression = derive_column(symbol, accelerometer).subs({w: rate, R: RADIUS, g: GRAVITY})
     expected = sp.lambdify(tau, expression, "numpy")(rate * TIMES + 0j).real
     trajectory = Trajectory(Spindle(rate), RADIUS, Site(GRAVITY, 0.8, earth_rate=0.0))
     got = columns(trajectory, AXES[accelerometer][0], [symbol], TIMES)[:, 0]
@@ -201,14 +201,14 @@ def test_columns_are_what_sympy_derives(symbol, accelerometer, rate):
 @RATES
 @pytest.mark.parametrize("accelerometer", AXES)
 @pytest.mark.parametrize("symbol", SMOOTH)
-def test_parabola_is_what_sympy_derives(symbol, accelerometer, rate):
+def test_parabola_matches_sympy(symbol, accelerometer, rate):
     numbers = {w: rate, R: RADIUS, g: GRAVITY}
-    expected = float(second_power(symbol, accelerometer).subs(numbers))
+    expected = float(quadratic_coefficient(symbol, accelerometer).subs(numbers))
     got = parabola(symbol, AXES[accelerometer][0], rate, RADIUS, GRAVITY)
     assert got == pytest.approx(expected, rel=1e-14, abs=0.0)
 
 
-def test_the_odd_second_order_term_has_no_parabola():
+def test_odd_second_order_term_has_no_parabola():
     # cos |cos| is cos^2 on one half turn and -cos^2 on the other.
     pieces = [(-sp.pi / 2, sp.pi / 2, 1), (sp.pi / 2, 3 * sp.pi / 2, -1)]
     assert sum(sp.integrate(sign * c(tau) ** 2, (tau, a, b)) for a, b, sign in pieces) == 0
@@ -221,7 +221,7 @@ def test_the_odd_second_order_term_has_no_parabola():
     np.testing.assert_allclose(velocity, 0.0, atol=1e-12)
 
 
-def test_the_asymmetry_of_the_scale_factor_has_the_mean_of_a_rectified_cosine():
+def test_scale_factor_asymmetry_has_mean_of_rectified_cosine():
     mean = sp.integrate(sp.Abs(c(tau)), (tau, 0, 2 * sp.pi)) / (2 * sp.pi)
     assert mean == 2 / sp.pi
     expected = float(mean) / 4.0 * RADIUS * 2.3**2  # half of K_I_asym |a_I|/2
@@ -229,7 +229,7 @@ def test_the_asymmetry_of_the_scale_factor_has_the_mean_of_a_rectified_cosine():
 
 
 @pytest.mark.parametrize("symbol", ROTATING)
-def test_a_platform_that_keeps_its_attitude_shows_no_term_of_rotation(symbol):
+def test_platform_without_rotation_has_no_rotation_term(symbol):
     trajectory = Trajectory(Spindle(2.3), RADIUS, Site(GRAVITY, 0.8))
     assert not columns(trajectory, QX, [symbol], np.linspace(0.0, 9.0, 50)).any()
     assert parabola(symbol, QX, 2.3, RADIUS, GRAVITY) == 0.0
@@ -244,8 +244,8 @@ SKEW = [
 @RATES
 @pytest.mark.parametrize("mounting", SKEW, ids=["pendulum down", "pendulum up"])
 @pytest.mark.parametrize("symbol", [*KINKED, *SMOOTH])
-def test_parabola_of_any_horizontal_input_axis(symbol, mounting, rate):
-    """Over whole turns the velocity grows by twice the t^2 coefficient a second."""
+def test_parabola_of_horizontal_input_axis_matches_velocity_growth(symbol, mounting, rate):
+    """Over whole revolutions the mean acceleration is twice the coefficient of t^2."""
     trajectory = Trajectory(Spindle(rate), RADIUS, Site(GRAVITY, 0.8, earth_rate=0.0))
     turn = 2 * np.pi / abs(rate)
     velocity = columns(trajectory, mounting, [symbol], turn * np.arange(7), "velocity")[:, 0]
@@ -266,12 +266,12 @@ def test_parabola_of_any_horizontal_input_axis(symbol, mounting, rate):
 
 
 @pytest.mark.parametrize("mounting", [QZ, Mounting.from_axes("east", "north")])
-def test_parabola_refuses_mountings_without_a_closed_form(mounting):
+def test_parabola_of_inclined_input_axis_raises(mounting):
     with pytest.raises(ValueError, match="horizontal input axis"):
         parabola("K_II", mounting, 2.0, RADIUS, GRAVITY)
 
 
-def test_parabola_refuses_unknown_terms():
+def test_parabola_of_unknown_term_raises():
     with pytest.raises(ValueError, match="unknown term 'K_IV'"):
         parabola("K_IV", QX, 2.0, RADIUS, GRAVITY)
 
@@ -279,7 +279,7 @@ def test_parabola_refuses_unknown_terms():
 # --- ripple ---------------------------------------------------------------------------------
 
 
-def test_the_third_order_term_rectifies_first_harmonic_ripple():
+def test_third_order_term_rectifies_first_harmonic_ripple():
     """-(3/4) R^3 omega^6 eps sin(phi)/g^2 t^2, to first order in eps = omega_1/omega."""
     eps, phi = sp.symbols("epsilon phi", real=True)
     theta = tau - eps * (c(tau + phi) - c(phi))

@@ -24,13 +24,13 @@ WAVE, RATE = np.array([0.03, 0.02, 0.0]), 2.0
 AXES = np.array([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [0.0, -0.6, 0.8]])
 
 
-def wrong(t):
-    """What the accelerometers sense wrongly, east-north-up."""
+def accelerometer_error(t):
+    """Return the error of the accelerometers along east, north and up."""
     return BIAS + TREND * t + WAVE * np.sin(RATE * t)
 
 
-def with_platform():
-    """Its integrals, by hand: velocity and displacement error, shape (n, 3)."""
+def errors_without_coriolis():
+    """Return velocity and displacement errors, shape (n, 3), integrated by hand."""
     t = TIMES[:, None]
     speed = START + BIAS * t + TREND * t**2 / 2 + WAVE * (1 - np.cos(RATE * t)) / RATE
     moved = OFFSET + START * t + BIAS * t**2 / 2 + TREND * t**3 / 6
@@ -38,10 +38,10 @@ def with_platform():
 
 
 @pytest.fixture(scope="module")
-def with_own():
-    """The same of e'' = a - 2 Omega x e', solved step by step."""
+def errors_with_coriolis():
+    """Solve e'' = a - 2 Omega x e' numerically for the same errors."""
     solution = solve_ivp(
-        lambda t, y: np.append(y[3:], wrong(t) - 2.0 * np.cross(OMEGA, y[3:])),
+        lambda t, y: np.append(y[3:], accelerometer_error(t) - 2.0 * np.cross(OMEGA, y[3:])),
         (0.0, 400.0),
         np.append(OFFSET, START),
         method="DOP853",
@@ -52,9 +52,13 @@ def with_own():
     return solution.y[3:].T, solution.y[:3].T
 
 
-def recorded(errors, axes, observables):
+def record_errors(errors, axes, observables):
     speed, moved = errors
-    shown = {"velocity": speed, "displacement": moved, "specific_force": wrong(TIMES[:, None])}
+    shown = {
+        "velocity": speed,
+        "displacement": moved,
+        "specific_force": accelerometer_error(TIMES[:, None]),
+    }
     return [
         AxisError(axis, name, TIMES, shown[name] @ axis)
         for axis, name in zip(axes, observables, strict=True)
@@ -65,9 +69,9 @@ def recorded(errors, axes, observables):
     "observables",
     [("displacement",) * 3, ("velocity",) * 3, ("displacement", "velocity", "displacement")],
 )
-def test_both_ways_against_the_equation_of_motion(with_own, observables):
-    platform = recorded(with_platform(), AXES, observables)
-    own = recorded(with_own, AXES, observables)
+def test_correction_and_its_inverse_match_equation_of_motion(errors_with_coriolis, observables):
+    platform = record_errors(errors_without_coriolis(), AXES, observables)
+    own = record_errors(errors_with_coriolis, AXES, observables)
     back = computer_correction(SITE, own)
     for before, after, found, part in zip(
         platform, own, own_velocity_errors(SITE, platform), back, strict=True
@@ -79,8 +83,8 @@ def test_both_ways_against_the_equation_of_motion(with_own, observables):
         np.testing.assert_allclose(after.error + part, before.error, rtol=0.0, atol=1e-9 * size)
 
 
-def test_the_sign_by_hand():
-    """Of an error v north, -2 Omega sin L v east is removed too much."""
+def test_correction_sign_matches_hand_calculation():
+    """A velocity error v north removes 2 Omega sin L v east in excess."""
     north = AxisError(np.array([0.0, 1.0, 0.0]), "velocity", TIMES, np.full(TIMES.size, 0.1))
     east = AxisError(np.array([1.0, 0.0, 0.0]), "velocity", TIMES, np.zeros(TIMES.size))
     found, _ = own_velocity_errors(SITE, [east, north])
@@ -88,8 +92,8 @@ def test_the_sign_by_hand():
     np.testing.assert_allclose(coriolis(SITE) @ [0, 0.1, 0], 2 * np.cross(OMEGA, [0, 0.1, 0]))
 
 
-def test_rows_that_are_missing_are_found_from_the_others(with_own):
-    own = recorded(with_own, AXES, ("displacement",) * 3)
+def test_missing_rows_are_interpolated(errors_with_coriolis):
+    own = record_errors(errors_with_coriolis, AXES, ("displacement",) * 3)
     whole = computer_correction(SITE, own)
     keep = np.ones(TIMES.size, dtype=bool)
     keep[3000:3100] = False  # five seconds of all
@@ -101,10 +105,10 @@ def test_rows_that_are_missing_are_found_from_the_others(with_own):
         np.testing.assert_allclose(part, all_of_it[keep], rtol=0.0, atol=2e-5)
 
 
-def test_an_axis_that_nobody_recorded_is_of_a_perfect_accelerometer():
-    """Its error is then what the others' Coriolis acceleration makes, and acts on them again."""
+def test_unrecorded_axis_is_treated_as_perfect_accelerometer():
+    """Its error is the Coriolis acceleration of the other axes, which it changes in turn."""
     axes, names = np.eye(3), ("displacement", "displacement", "displacement")
-    platform = recorded(with_platform(), axes, names)
+    platform = record_errors(errors_without_coriolis(), axes, names)
     perfect = AxisError(axes[2], "displacement", TIMES, np.zeros(TIMES.size))
     own = own_velocity_errors(SITE, [*platform[:2], perfect])
     shown = [
@@ -118,9 +122,9 @@ def test_an_axis_that_nobody_recorded_is_of_a_perfect_accelerometer():
     np.testing.assert_allclose(unobserved_projection(shown), np.diag([0.0, 0.0, 1.0]), atol=1e-12)
 
 
-def test_a_recorded_force_has_nothing_taken_away(with_own):
+def test_recorded_specific_force_is_not_corrected(errors_with_coriolis):
     names = ("specific_force", "displacement", "displacement")
-    own = recorded(with_own, np.eye(3), names)
+    own = record_errors(errors_with_coriolis, np.eye(3), names)
     assert not computer_correction(SITE, own)[0].any()
     np.testing.assert_allclose(unobserved_projection(own), np.diag([1.0, 0.0, 0.0]), atol=1e-12)
     (alone,) = computer_correction(SITE, own[:1])

@@ -62,7 +62,7 @@ RIPPLES = (Ripple(1, 2e-3, 0.5), Ripple(3, -1e-3, 2.0))
 TURNED = Rotation.from_euler("xyz", [90, 20, -50], degrees=True).as_matrix()
 
 
-def by_differential_equation(spindle, mounting, coefficients, platform, times, attitude):
+def solve_differential_equation(spindle, mounting, coefficients, platform, times, attitude):
     """Integrate rotation, attitude and navigation computer together: (force, velocity, place).
 
     Every formula is written out here again: Eq. 1, the motion on a circle, Eq. 7.
@@ -94,7 +94,7 @@ def by_differential_equation(spindle, mounting, coefficients, platform, times, a
         harmful = 2 * np.cross(earth, velocity) + [0.0, 0.0, G]
         return rate, velocity, RADIUS * (change * along - rate**2 * out) + harmful, harmful
 
-    def sensed(force, psi):
+    def sense_force(force, psi):
         psi = psi + attitude.T @ compliance @ attitude @ force / G
         i, p, o = axes @ Rotation.from_rotvec(psi).as_matrix().T @ force / G
         return G * (
@@ -119,7 +119,7 @@ def by_differential_equation(spindle, mounting, coefficients, platform, times, a
         turning = attitude.T @ (
             drift + sensitivity @ attitude @ force / G + squared * (force @ force) / G**2
         )
-        return np.array([rate, *turning, sensed(force, psi) - axes[0] @ harmful, speed])
+        return np.array([rate, *turning, sense_force(force, psi) - axes[0] @ harmful, speed])
 
     theta0 = spindle.start_angle
     place = RADIUS * np.array([math.cos(theta0), math.sin(theta0), 0.0])
@@ -135,7 +135,7 @@ def by_differential_equation(spindle, mounting, coefficients, platform, times, a
         max_step=0.05,
     )
     state = path.y.T
-    force = [sensed(motion(t, s[0])[2], s[1:4]) for t, s in zip(times, state, strict=True)]
+    force = [sense_force(motion(t, s[0])[2], s[1:4]) for t, s in zip(times, state, strict=True)]
     return {"specific_force": np.array(force), "velocity": state[:, 4], "displacement": state[:, 5]}
 
 
@@ -152,14 +152,14 @@ def by_differential_equation(spindle, mounting, coefficients, platform, times, a
     ],
     ids=["Qx", "Qx the other sense", "Qy", "Qz", "Qx turned", "oblique turned"],
 )
-def test_recorded_is_the_differential_equation_s(mounting, attitude, rate, start_angle):
+def test_record_matches_differential_equation(mounting, attitude, rate, start_angle):
     spindle = Spindle(rate, 2e-4, RIPPLES, start_angle)
     times = np.linspace(0.0, 8.0, 41)
     smooth = {symbol: value for symbol, value in COEFFICIENTS.items() if symbol != "K_OQ"}
     motion = Trajectory(spindle, RADIUS, SITE)
     # An equation solver steps over the kink of K_OQ with an error that is all its own.
     for coefficients, tolerance in ((smooth, 1e-12), (COEFFICIENTS, 3e-8)):
-        expected = by_differential_equation(
+        expected = solve_differential_equation(
             spindle, mounting, coefficients, PLATFORM, times, attitude
         )
         for observable, values in expected.items():
@@ -169,7 +169,7 @@ def test_recorded_is_the_differential_equation_s(mounting, attitude, rate, start
             np.testing.assert_allclose(found, values, rtol=0.0, atol=tolerance)
 
 
-def test_perfect_system_records_the_reference():
+def test_perfect_system_records_reference():
     motion = Trajectory(Spindle(2.0, 1e-4, RIPPLES, 0.3), RADIUS, SITE)
     times = np.linspace(0.0, 30.0, 301)
     for observable in ("displacement", "velocity", "specific_force"):
@@ -179,7 +179,7 @@ def test_perfect_system_records_the_reference():
         )
 
 
-def test_small_errors_are_the_columns():
+def test_small_errors_match_columns():
     motion = Trajectory(Spindle(2.0, 1e-6, RIPPLES), RADIUS, SITE)
     times = np.linspace(0.0, 30.0, 31)
     rounding = 1e-13  # of forces of 20 m/s^2, summed twice over 30 s
@@ -216,7 +216,7 @@ def test_attitude_error_adds_tilt_drift_and_g_sensitivity():
     np.testing.assert_allclose(psi, expected, rtol=1e-12, atol=1e-18)
 
 
-def test_walk_has_the_variances_of_integrated_white_noise():
+def test_random_walk_has_covariance_of_integrated_white_noise():
     rng = np.random.default_rng(8)
     times = np.array([1.0, 1.5, 3.0, 3.1, 6.0])
     t, walk, trials = times - 1.0, 3e-3, 20000
@@ -232,7 +232,7 @@ def test_walk_has_the_variances_of_integrated_white_noise():
         assert np.all(np.abs(draws.mean(axis=0)) <= 4.5 * np.sqrt(np.diag(covariance) / trials))
 
 
-def test_walk_of_the_specific_force_is_its_mean_over_each_interval():
+def test_random_walk_of_specific_force_is_interval_mean():
     rng = np.random.default_rng(9)
     times = np.array([0.0, 0.1, 0.2, 0.6])
     draws = np.array([accelerometer_walk(rng, times, 2e-3, 0) for _ in range(20000)])
@@ -243,12 +243,12 @@ def test_walk_of_the_specific_force_is_its_mean_over_each_interval():
     assert np.abs(apart).max() < 4.5 / math.sqrt(20000)
 
 
-def test_flicker_has_its_autocovariance_and_a_walk_its_variance():
-    """Means over 3000 draws of 64 samples, against the closed forms."""
+def test_flicker_and_random_walk_have_closed_form_moments():
+    """Compare the moments of 3000 draws of 64 samples with the closed forms."""
     rng = np.random.default_rng(1)
     times = np.arange(64) * 2.0
-    drawn = np.array([bias_wander(rng, times, 1.0, 0.0, 0) for _ in range(3000)])
-    found = drawn.T @ drawn / len(drawn)
+    draw_wander = np.array([bias_wander(rng, times, 1.0, 0.0, 0) for _ in range(3000)])
+    found = draw_wander.T @ draw_wander / len(draw_wander)
     exact = flicker_autocovariance(
         np.abs(times[:, None] - times), SLOWEST_FLICKER, 0.5 / (times[1] - times[0])
     )
@@ -259,13 +259,13 @@ def test_flicker_has_its_autocovariance_and_a_walk_its_variance():
     np.testing.assert_allclose(np.mean(walks**2, axis=0), expected, rtol=0.15)
 
 
-def test_wander_is_integrated_as_often_as_the_observable():
+def test_wander_is_integrated_once_per_observable_order():
     times = np.linspace(0.0, 50.0, 501)
 
-    def drawn(order):
+    def draw_wander(order):
         return bias_wander(np.random.default_rng(3), times, 2.0, 0.5, order, elapsed=9.0)
 
-    bias, velocity, position = (drawn(order) for order in (0, 1, 2))
+    bias, velocity, position = (draw_wander(order) for order in (0, 1, 2))
     linear = np.concatenate([[0.0], np.cumsum(0.05 * (bias[1:] + bias[:-1]))])
     np.testing.assert_allclose(velocity, linear, rtol=1e-12, atol=1e-12)
     # By Simpson's rule the velocity's parabolas integrate exactly.

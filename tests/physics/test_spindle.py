@@ -29,22 +29,22 @@ BOTH = pytest.mark.parametrize("spindle", [DRIFTING, REVERSED], ids=["forward", 
 TIMES = np.linspace(0.0, 20.0, 501)
 
 
-def recorded(spindle, noise, seed, times=TIMES):
+def record_angle(spindle, noise, seed, times=TIMES):
     rng = np.random.default_rng(seed)
     return spindle.angle(times) + noise * rng.standard_normal(times.size)
 
 
 @BOTH
-def test_the_effective_rate_is_the_root_mean_square_and_its_u_covers_the_scatter(spindle):
+def test_effective_rate_is_rms_and_u_covers_scatter(spindle):
     """Closed form over whole revolutions; scatter of 200 fits within 3 standard errors of u."""
     t = np.arange(1000) * (10.0 * 2.0 * math.pi / abs(spindle.rate) / 1000.0)
     drift = spindle.rate**2 * (1.0 + spindle.drift * t[-1] + spindle.drift**2 * np.mean(t**2))
     squares = drift + sum(0.5 * ripple.amplitude**2 for ripple in spindle.ripples)
     exact = math.copysign(math.sqrt(squares), spindle.rate)
-    whole = fit_spindle(t, recorded(spindle, 0.0, 0, t), spindle.rate, harmonics=3)
+    whole = fit_spindle(t, record_angle(spindle, 0.0, 0, t), spindle.rate, harmonics=3)
     assert whole.rate_at(t)[0] == pytest.approx(exact, rel=1e-8)
     found = [
-        fit_spindle(t, recorded(spindle, 1e-3, seed, t), spindle.rate, harmonics=3).rate_at(t)
+        fit_spindle(t, record_angle(spindle, 1e-3, seed, t), spindle.rate, harmonics=3).rate_at(t)
         for seed in range(200)
     ]
     z = np.array([(rate - exact) / u for rate, u in found])
@@ -55,7 +55,7 @@ def test_the_effective_rate_is_the_root_mean_square_and_its_u_covers_the_scatter
 
 
 @BOTH
-def test_angle_rate_acceleration_and_jerk_are_integral_and_derivatives_of_equation_1(spindle):
+def test_angle_acceleration_and_jerk_match_equation_1(spindle):
     t, s = sp.symbols("t s", real=True)
     w0 = sp.Float(spindle.rate, 30)
     rate = w0 * (1 + sp.Float(spindle.drift, 30) * s) + sum(
@@ -76,7 +76,7 @@ def test_angle_rate_acceleration_and_jerk_are_integral_and_derivatives_of_equati
 
 
 @BOTH
-def test_a_later_time_zero_leaves_the_rotation_as_it_is(spindle):
+def test_shifted_time_zero_preserves_rotation(spindle):
     delay = -5e-3
     later = spindle.later(delay)
     # The harmonics' frequency changes by the drift over the delay, 1e-8, over 20 turns.
@@ -89,9 +89,9 @@ def test_a_later_time_zero_leaves_the_rotation_as_it_is(spindle):
 
 
 @pytest.mark.parametrize("rate", [1.7, -1.7])
-def test_an_angle_is_added_as_the_functions_of_its_error_say(rate):
+def test_angle_change_matches_error_functions(rate):
     spindle = Spindle(rate, 2e-5, (Ripple(2, 1e-3, 0.4),), 0.3)
-    error = fit_spindle(TIMES, recorded(spindle, 1e-5, 5), rate).error
+    error = fit_spindle(TIMES, record_angle(spindle, 1e-5, 5), rate).error
     change = 1e-3 * np.random.default_rng(6).standard_normal(error.deviation.size)
     change[1:3] = 0.0  # the harmonics keep their frequency then, and all is exact
     ahead = spindle.add_angle(replace(error, rate=rate), change)
@@ -107,10 +107,10 @@ def test_an_angle_is_added_as_the_functions_of_its_error_say(rate):
 
 @BOTH
 @pytest.mark.parametrize("place", [0, 1, 2, 3, 6])
-def test_functions_of_an_angle_are_derivatives_of_the_rotation(spindle, place):
-    """By central differences, of the first three with the ripples' frequencies."""
+def test_angle_functions_match_central_differences(spindle, place):
+    """Use central differences; the first three also change the ripple frequencies."""
     error = replace(
-        fit_spindle(TIMES, recorded(spindle, 1e-5, 5), spindle.rate).error, rate=spindle.rate
+        fit_spindle(TIMES, record_angle(spindle, 1e-5, 5), spindle.rate).error, rate=spindle.rate
     )
     step = np.zeros(error.deviation.size)
     step[place] = 1e-7 if place == 2 else 1e-5
@@ -138,7 +138,7 @@ def test_time_at_inverts_angle(spindle):
     assert times[0] == pytest.approx(0.0, abs=1e-15)
 
 
-def test_time_at_says_that_a_stopping_spindle_has_no_inverse():
+def test_time_at_raises_for_spindle_that_stops():
     stopping = Spindle(1.0, ripples=(Ripple(1, 5.0, 0.0),))
     with pytest.raises(ConvergenceError, match="rate changes sign"):
         stopping.time_at(np.linspace(0.0, 30.0, 200))
@@ -149,7 +149,7 @@ def test_time_at_says_that_a_stopping_spindle_has_no_inverse():
 
 @BOTH
 @pytest.mark.parametrize("wrapped", [False, True])
-def test_fit_without_noise_returns_the_truth(spindle, wrapped):
+def test_fit_without_noise_returns_true_spindle(spindle, wrapped):
     angle = spindle.angle(TIMES)
     if wrapped:
         angle = np.angle(np.exp(1j * angle))
@@ -169,12 +169,12 @@ def test_fit_without_noise_returns_the_truth(spindle, wrapped):
     assert all(absent.amplitude < 1e-12 for absent in by_harmonic.values())
 
 
-def z_scores(spindle, trials, noise=1e-4, weights=None):
+def simulate_z_scores(spindle, trials, noise=1e-4, weights=None):
     """(estimate - truth) / claimed standard uncertainty; rows are trials."""
     scale = noise if weights is None else noise / np.sqrt(weights)
     rows = []
     for trial in range(trials):
-        angle = recorded(spindle, scale, seed=[7, trial])
+        angle = record_angle(spindle, scale, seed=[7, trial])
         fit = fit_spindle(TIMES, angle, spindle.rate, harmonics=3, weights=weights)
         row = [
             (fit.spindle.rate - spindle.rate) / fit.u_rate,
@@ -191,20 +191,20 @@ def z_scores(spindle, trials, noise=1e-4, weights=None):
 
 @BOTH
 @pytest.mark.parametrize("weighted", [False, True])
-def test_fit_is_unbiased_and_its_uncertainties_hold(spindle, weighted):
+def test_fit_is_unbiased_and_u_covers_scatter(spindle, weighted):
     trials = 250
     weights = None if not weighted else np.where(np.arange(TIMES.size) % 3 == 0, 9.0, 1.0)
-    z = z_scores(spindle, trials, weights=weights)
+    z = simulate_z_scores(spindle, trials, weights=weights)
     # Four standard errors of a mean and of a standard deviation from `trials` normal draws;
     # with seven quantities a correct fit misses one in 2000 choices of the seed.
     assert np.all(np.abs(z.mean(axis=0)) < 4.0 / math.sqrt(trials)), z.mean(axis=0)
     assert np.all(np.abs(z.std(axis=0) - 1.0) < 4.0 / math.sqrt(2 * trials)), z.std(axis=0)
 
 
-def test_weights_use_the_better_samples():
+def test_weighted_fit_has_smaller_uncertainty():
     weights = np.where(np.arange(TIMES.size) % 3 == 0, 100.0, 1.0)
     noise = 1e-4 / np.sqrt(weights)
-    angle = recorded(DRIFTING, noise, seed=3)
+    angle = record_angle(DRIFTING, noise, seed=3)
     even = fit_spindle(TIMES, angle, DRIFTING.rate, harmonics=2)
     weighed = fit_spindle(TIMES, angle, DRIFTING.rate, harmonics=2, weights=weights)
     # Information is the sum of weights: (1 + 1 + 100)/3 against 1/mean variance (0.67).
@@ -217,7 +217,7 @@ def test_weights_use_the_better_samples():
 
 @BOTH
 @pytest.mark.parametrize("samples", [2, 5, 16])
-def test_means_over_blocks_lead_to_the_spindle_of_their_samples(spindle, samples):
+def test_block_means_recover_spindle_of_samples(spindle, samples):
     times = np.arange(512 * samples) * (20.0 / 512 / samples)
     blocks, angles = times.reshape(-1, samples), spindle.angle(times).reshape(-1, samples)
     spread = np.std(blocks, axis=1)
@@ -238,14 +238,14 @@ def test_means_over_blocks_lead_to_the_spindle_of_their_samples(spindle, samples
 
 def test_residuals_are_recorded_minus_modelled_angle():
     weights = np.linspace(1.0, 2.0, TIMES.size)
-    angle = recorded(DRIFTING, 1e-3, seed=5)
+    angle = record_angle(DRIFTING, 1e-3, seed=5)
     fit = fit_spindle(TIMES, angle, DRIFTING.rate, harmonics=2, weights=weights)
     np.testing.assert_allclose(fit.residuals, angle - fit.spindle.angle(TIMES), atol=2e-13)
     assert fit.rms == pytest.approx(1e-3, rel=4 / math.sqrt(2 * TIMES.size))
 
 
-def test_fit_from_a_wrong_start_rate_ends_at_the_same_place():
-    angle = recorded(REVERSED, 1e-4, seed=11)
+def test_fit_does_not_depend_on_start_rate():
+    angle = record_angle(REVERSED, 1e-4, seed=11)
     near = fit_spindle(TIMES, angle, REVERSED.rate, harmonics=3)
     for factor in (1 - 1e-3, 1 + 1e-3, 0.97):
         far = fit_spindle(TIMES, angle, factor * REVERSED.rate, harmonics=3)
@@ -254,7 +254,7 @@ def test_fit_from_a_wrong_start_rate_ends_at_the_same_place():
         assert far.u_rate == pytest.approx(near.u_rate, rel=1e-6)
 
 
-def test_time_may_start_late():
+def test_fit_accepts_large_start_time():
     late = 100.0 + TIMES
     spindle = Spindle(2.0, 1e-5, (Ripple(1, 2e-3, 1.0),), 0.3)
     fit = fit_spindle(late, spindle.angle(late), 2.0, harmonics=1)
@@ -264,8 +264,8 @@ def test_time_may_start_late():
     np.testing.assert_allclose(fit.spindle.angle(late), spindle.angle(late), atol=1e-11)
 
 
-def test_harmonics_are_found_even_beyond_an_absent_one():
-    angle = recorded(REVERSED, 1e-5, seed=13)
+def test_harmonic_above_absent_harmonic_is_found():
+    angle = record_angle(REVERSED, 1e-5, seed=13)
     fit = fit_spindle(TIMES, angle, REVERSED.rate)
     assert [ripple.harmonic for ripple in fit.spindle.ripples] == [1, 3]
     first, third = (ripple.amplitude for ripple in fit.spindle.ripples)
@@ -273,25 +273,27 @@ def test_harmonics_are_found_even_beyond_an_absent_one():
     assert third == pytest.approx(2e-3, rel=1e-2)
 
 
-def test_a_lone_high_harmonic_is_found():
+def test_single_high_harmonic_is_found():
     spindle = Spindle(2.0 * math.pi, ripples=(Ripple(7, 1e-3, 0.4),))
-    (ripple,) = fit_spindle(TIMES, recorded(spindle, 1e-5, seed=14), spindle.rate).spindle.ripples
+    (ripple,) = fit_spindle(
+        TIMES, record_angle(spindle, 1e-5, seed=14), spindle.rate
+    ).spindle.ripples
     assert ripple.harmonic == 7
     assert ripple.amplitude == pytest.approx(1e-3, rel=0.05)
 
 
-def test_an_unwrapped_angle_may_have_gaps():
+def test_unwrapped_angle_may_have_gaps():
     spindle = Spindle(2.0 * math.pi, 1e-6)
     times = TIMES[(TIMES < 10.0) | (TIMES > 14.3)]
     fit = fit_spindle(times, spindle.angle(times), spindle.rate)
     assert fit.spindle.rate == pytest.approx(spindle.rate, rel=1e-10)
 
 
-def test_no_harmonic_is_found_in_noise():
+def test_false_harmonics_in_noise_are_rare():
     trials = 200
     plain = Spindle(2.0 * math.pi, 1e-6, start_angle=0.2)
     found = [
-        fit_spindle(TIMES, recorded(plain, 1e-4, seed=[17, k]), plain.rate).spindle.ripples
+        fit_spindle(TIMES, record_angle(plain, 1e-4, seed=[17, k]), plain.rate).spindle.ripples
         for k in range(trials)
     ]
     # The criterion keeps each of eight harmonics with probability 1/(8 x 501): 2e-3 a trial, so
@@ -299,17 +301,17 @@ def test_no_harmonic_is_found_in_noise():
     assert sum(map(bool, found)) <= 4
 
 
-def test_no_more_harmonics_than_the_sampling_resolves():
+def test_harmonics_are_limited_by_sampling():
     times = np.arange(0.0, 60.0, 0.2)  # five samples a revolution
     spindle = Spindle(2.0 * math.pi, ripples=(Ripple(1, 1e-2, 0.0),))
-    fit = fit_spindle(times, recorded(spindle, 1e-5, 19, times), spindle.rate)
+    fit = fit_spindle(times, record_angle(spindle, 1e-5, 19, times), spindle.rate)
     assert fit.spindle.highest_harmonic == 1
     assert fit.spindle.ripples[0].amplitude == pytest.approx(1e-2, rel=1e-2)
     assert MAX_HARMONICS > 1
 
 
 @pytest.mark.parametrize("samples", [4.0, 7.0, 8.0, 9.3])
-def test_harmonics_that_the_samples_do_not_resolve_are_in_the_error_of_the_angle(samples):
+def test_unresolved_harmonics_are_in_angle_error(samples):
     """The waves are drawn from the default prior; chi-square is that of the stated covariance."""
     rng, trials, rate = np.random.default_rng(23), 60, 2.0 * math.pi
     times = np.arange(0.0, 12.0, 1.0 / samples)
@@ -338,26 +340,26 @@ def test_harmonics_that_the_samples_do_not_resolve_are_in_the_error_of_the_angle
 
 
 @pytest.mark.parametrize("size", [0, 1, 5])
-def test_too_few_samples_are_refused_with_their_number(size):
+def test_too_few_samples_raise_with_count(size):
     with pytest.raises(NotIdentifiableError, match=rf"{size} angle samples .* 1 harmonics"):
         fit_spindle(TIMES[:size], DRIFTING.angle(TIMES[:size]), DRIFTING.rate, harmonics=1)
 
 
-def test_too_few_samples_are_refused_without_asking_for_harmonics():
+def test_too_few_samples_without_harmonics_raise():
     with pytest.raises(NotIdentifiableError, match=r"3 angle samples .* 0 harmonics"):
         fit_spindle(TIMES[:3], DRIFTING.angle(TIMES[:3]), DRIFTING.rate)
 
 
 @pytest.mark.parametrize("harmonics", [1, 2])
-def test_samples_that_cannot_tell_harmonics_apart_are_refused(harmonics):
+def test_samples_that_do_not_separate_harmonics_raise(harmonics):
     # Two samples a revolution: every sine is zero, the second cosine a constant.
     times = np.arange(40) * 0.5
     with pytest.raises(NotIdentifiableError, match=r"do not separate .* harmonics"):
         fit_spindle(times, 6.0 * times, 2.0 * math.pi, harmonics=harmonics)
 
 
-def test_a_rate_that_does_not_settle_is_reported():
+def test_non_convergent_rate_raises():
     # A tenth of a revolution with noise: the harmonics take the place of the rate.
     times = np.linspace(0.0, 0.1, 200)
     with pytest.raises(ConvergenceError, match=r"did not converge near 6\.28"):
-        fit_spindle(times, recorded(DRIFTING, 0.3, 23, times), DRIFTING.rate, harmonics=2)
+        fit_spindle(times, record_angle(DRIFTING, 0.3, 23, times), DRIFTING.rate, harmonics=2)

@@ -35,7 +35,7 @@ def force_by_position(ratio, earth_rate, lever_arm, axis, time):
     latitude, omega = mp.mpf(SITE.latitude), mp.mpf(earth_rate)
     pole = mp.matrix([0, mp.cos(latitude), mp.sin(latitude)])
 
-    def turn(about, angle, vector):
+    def rotate(about, angle, vector):
         cross = mp.matrix(
             [
                 about[1] * vector[2] - about[2] * vector[1],
@@ -53,18 +53,18 @@ def force_by_position(ratio, earth_rate, lever_arm, axis, time):
     up = mp.matrix([0, 0, 1])
 
     def on_table(t, vector):
-        return turn(up, (1 + mp.mpf(ratio)) * angle(t), vector)
+        return rotate(up, (1 + mp.mpf(ratio)) * angle(t), vector)
 
     def position(t):
         arm = mp.mpf(2.5) * mp.matrix([mp.cos(angle(t)), mp.sin(angle(t)), 0])
         return arm + on_table(t, mp.mpf(lever_arm) * axis)
 
     def in_space(t, component):
-        return turn(pole, omega * t, position(t))[component]
+        return rotate(pole, omega * t, position(t))[component]
 
     t = mp.mpf(time)
     acceleration = mp.matrix([mp.diff(lambda s, c=c: in_space(s, c), t, 2) for c in range(3)])
-    acceleration = turn(pole, -omega * t, acceleration)
+    acceleration = rotate(pole, -omega * t, acceleration)
     place = position(t)
     centripetal = omega**2 * ((pole.T * place)[0] * pole - place)
     force = acceleration - centripetal + mp.mpf(SITE.gravity) * up
@@ -73,7 +73,7 @@ def force_by_position(ratio, earth_rate, lever_arm, axis, time):
 
 @pytest.mark.parametrize("earth_rate", [0.0, SITE.earth_rate])
 @pytest.mark.parametrize("ratio", RATIOS)
-def test_specific_force_is_the_second_derivative_of_the_position(ratio, earth_rate):
+def test_specific_force_is_second_derivative_of_position(ratio, earth_rate):
     lever_arm = 0.03
     site = replace(SITE, earth_rate=earth_rate)
     trajectory = Trajectory(SPINDLE, 2.5, site, table_ratio=ratio)
@@ -110,19 +110,19 @@ TERMS_AND_STEPS = {
 
 @pytest.mark.parametrize("ratio", [-2.0, 0.5])
 @pytest.mark.parametrize("symbol", TERMS_AND_STEPS)
-def test_columns_are_derivatives_of_the_simulated_output(symbol, ratio):
+def test_columns_match_derivatives_of_simulated_output(symbol, ratio):
     """The simulation turns the force exactly; the columns are linear."""
     trajectory = Trajectory(SPINDLE, 2.5, SITE, table_ratio=ratio)
     step, row = TERMS_AND_STEPS[symbol], TERMS.get(symbol)
     attitude = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
 
-    def output(change):
+    def simulate_output(change):
         value = {symbol: change + (row.nominal if row else 0.0)}
         coefficients, shared = (value, {}) if row else ({}, value)
         args = trajectory, TILTED, coefficients, shared, TIMES, "specific_force"
         return simulate_record(*args, attitude=attitude)
 
-    derivative = (output(step) - output(-step)) / (2.0 * step)
+    derivative = (simulate_output(step) - simulate_output(-step)) / (2.0 * step)
     (column,) = columns(trajectory, TILTED, [symbol], TIMES, "specific_force", attitude=attitude).T
     assert np.abs(column).max() > 1e-5
     np.testing.assert_allclose(column, derivative, rtol=1e-6, atol=2e-8 * np.abs(column).max())
@@ -130,7 +130,7 @@ def test_columns_are_derivatives_of_the_simulated_output(symbol, ratio):
 
 @pytest.mark.parametrize("ratio", [-2.0, 0.5])
 @pytest.mark.parametrize("quadrature", ["cos", "sin"])
-def test_an_encoder_error_moves_the_force_and_the_table(ratio, quadrature):
+def test_encoder_error_changes_force_and_table_angle(ratio, quadrature):
     """The record follows the true angle, the reference the recorded one."""
     symbol, size, step = f"encoder.harmonic.2.{quadrature}", 1e-6, 1e-5
     recorded = Trajectory(SPINDLE, 2.5, SITE, table_ratio=ratio)
@@ -164,8 +164,8 @@ def test_an_encoder_error_moves_the_force_and_the_table(ratio, quadrature):
     )
 
 
-def test_a_table_of_ratio_zero_is_an_arm():
-    """The input axis keeps pointing outwards: Station("arm") has the same force, and K_spin."""
+def test_table_of_ratio_zero_equals_arm():
+    """The input axis points outwards: Station("arm") has the same force and K_spin."""
     from stations import Station
 
     trajectory = Trajectory(Spindle(4.0), 2.5, SITE, table_ratio=0.0)
@@ -179,7 +179,7 @@ def force_on_a_tilted_table(tilt, ratio, axis, time):
     mp = mpmath.mp
     rate, radius, gravity = mp.mpf(4), mp.mpf(2.5), mp.mpf(SITE.gravity)
 
-    def turn(about, angle):
+    def rotate(about, angle):
         x, y, z = about
         cross = mp.matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         return mp.eye(3) + mp.sin(angle) * cross + (1 - mp.cos(angle)) * cross**2
@@ -189,16 +189,16 @@ def force_on_a_tilted_table(tilt, ratio, axis, time):
 
     t, up = mp.mpf(time), (0, 0, 1)
     size = mp.norm(mp.matrix(tilt))
-    leaning = turn([x / size for x in tilt] + [0], size)
+    leaning = rotate([x / size for x in tilt] + [0], size)
     # The arm turns, its table axis leans, and the table turns about that axis.
-    attitude = turn(up, rate * t) * leaning * turn(up, mp.mpf(ratio) * rate * t)
+    attitude = rotate(up, rate * t) * leaning * rotate(up, mp.mpf(ratio) * rate * t)
     acceleration = [mp.diff(lambda s, c=c: position(s, c), t, 2) for c in range(3)]
     force = mp.matrix(acceleration) + mp.matrix([0, 0, gravity])
     return ((attitude * axis).T * force)[0]
 
 
 @pytest.mark.parametrize("ratio", [-1.0, -2.0, 0.5])
-def test_a_tilted_table_axis_leans_the_instrument(ratio):
+def test_table_axis_tilt_matches_rotated_instrument(ratio):
     site = replace(SITE, earth_rate=0.0)
     trajectory = Trajectory(Spindle(4.0), 2.5, site, table_ratio=ratio)
     tilt = (2e-5, -3e-5)

@@ -24,7 +24,7 @@ from counterspin.physics.terms import (
 )
 
 
-def test_no_term_is_listed_twice():
+def test_symbols_products_and_words_are_unique():
     symbols = [*TERMS, *PLATFORM_TERMS]
     assert len(symbols) == len(set(symbols)) == 18 + 33
     assert all(row.symbol == symbol for symbol, row in (TERMS | PLATFORM_TERMS).items())
@@ -66,14 +66,14 @@ IEEE = dict(
 
 
 @pytest.mark.parametrize("symbol", EQUATION_7)
-def test_every_product_is_that_of_equation_7(symbol):
+def test_products_match_equation_7(symbol):
     for ipo in itertools.product([-1.5, 0.7, 2.0], [-0.9, 1.1], [0.3, -2.2]):
         expected = EQUATION_7[symbol](*ipo)
         assert TERMS[symbol].effect.evaluate(np.array(ipo)) == pytest.approx(expected, rel=1e-15)
     assert TERMS[symbol].effect.ieee_symbol == IEEE[symbol]
 
 
-def test_products_keep_the_shape_of_their_times():
+def test_products_preserve_shape():
     force = np.random.default_rng(1).normal(size=(3, 4, 5))
     for symbol, row in TERMS.items():
         expected = np.broadcast_to(EQUATION_7[symbol](*force), (4, 5))
@@ -81,8 +81,8 @@ def test_products_keep_the_shape_of_their_times():
 
 
 @pytest.mark.parametrize("symbol", EQUATION_7)
-def test_units_follow_the_degree_of_the_product(symbol):
-    """In g-units a coefficient of degree n has the unit g/g^n: doubling the force shows n."""
+def test_units_follow_degree_of_product(symbol):
+    """In units of g, a coefficient of degree n has the unit g/g^n."""
     row = TERMS[symbol]
     if row.effect.requires_rotation:
         assert row.unit == {"K_spin": "g s^2/rad^2", "K_ang": "g s^2/rad"}[symbol]
@@ -98,7 +98,7 @@ def test_units_follow_the_degree_of_the_product(symbol):
         )
 
 
-def test_products_in_words_and_perfect_values():
+def test_product_texts_and_nominal_values():
     assert {s: row.effect.text for s, row in TERMS.items() if s in ("K_F", "K_III", "K_OQ")} == {
         "K_F": "1",
         "K_III": "a_I^3",
@@ -113,7 +113,7 @@ def test_products_in_words_and_perfect_values():
     assert all(row.limit > 0.0 for row in (TERMS | PLATFORM_TERMS).values())
 
 
-def test_platform_terms_are_those_of_three_axes_and_of_nine_pairs():
+def test_platform_terms_cover_three_axes_and_nine_pairs():
     expected = {}
     for i, name in enumerate(["east", "north", "up"]):
         expected[f"platform.tilt.{name}"] = ("tilt", i, None, "rad", True)
@@ -137,25 +137,25 @@ def test_platform_terms_are_those_of_three_axes_and_of_nine_pairs():
     assert not any(row.per_run for row in TERMS.values())
 
 
-def test_term_finds_rows_of_both_tables():
+def test_term_returns_rows_of_both_tables():
     assert isinstance(term("K_II").effect, SpecificForceProduct)
     assert isinstance(term("platform.drift.up").effect, AttitudeError)
     assert term("K_OQ") is TERMS["K_OQ"]
 
 
 @pytest.mark.parametrize("symbol", ["K2", "k_ii", "", "platform.tilt.west"])
-def test_term_lists_the_known_ones(symbol):
+def test_unknown_term_raises_with_known_symbols(symbol):
     with pytest.raises(ValueError, match=r"known: K_F, .*, table\.axis_tilt") as error:
         term(symbol)
     assert repr(symbol) in str(error.value)
 
 
-def test_a_degree_per_hour():
+def test_degree_per_hour():
     assert pytest.approx(math.pi / 180 / 3600, rel=1e-15) == DEGREE_PER_HOUR
 
 
 @pytest.mark.parametrize("mounting", ["in", "m", "east", "MOUNTING"])
-def test_a_symbol_may_name_a_mounting(mounting):
+def test_symbol_with_mounting(mounting):
     radius, turn = f"centrifuge.radius.{mounting}", f"fixture.misalignment.{mounting}.east"
     assert term(radius) is TABLE["centrifuge.radius.MOUNTING"]
     assert term(turn) is TABLE["fixture.misalignment.MOUNTING.east"]
@@ -166,7 +166,7 @@ def test_a_symbol_may_name_a_mounting(mounting):
     assert symbol_of(f"A.{turn}") == turn
 
 
-def test_a_symbol_may_name_an_accelerometer_and_a_mounting():
+def test_symbol_with_accelerometer_and_mounting():
     radius = "centrifuge.radius.A.in"
     assert term(radius) is TABLE["centrifuge.radius.ACCELEROMETER.MOUNTING"]
     assert (accelerometer_of(radius), mounting_of(radius)) == ("A", "in")
@@ -186,20 +186,20 @@ def test_a_symbol_may_name_an_accelerometer_and_a_mounting():
         "fixture.misalignment.a.b.east",
     ],
 )
-def test_what_is_no_mounting_s_is_no_term(name):
+def test_unknown_mounting_symbol_is_not_term(name):
     assert not is_term(name)
     assert mounting_of(name) == ""
     assert not affects_readings(name)
 
 
-def test_readings_show_machine_and_conditions_and_no_platform():
+def test_readings_exclude_platform_and_encoder_terms():
     kinds = {type(row.effect).__name__ for row in READING_TERMS.values()}
     assert kinds == {"AttitudeError", "SetupError", "Slope", "TrajectoryError"}
     assert not affects_readings("platform.tilt.east")
     assert not affects_readings("encoder.harmonic.1.cos")
 
 
-def test_each_row_says_whose_it_is():
+def test_row_scopes_match_symbols():
     assert {row.scope for row in TABLE.values()} == {
         "accelerometer",
         "run",
