@@ -7,7 +7,7 @@ from stations import Station, from_stations
 
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.effects import RunConditions
+from counterspin.physics.conditions import RunConditions
 from counterspin.physics.motion import Site
 from counterspin.physics.simulation import coefficients_in_run
 from counterspin.physics.station import FRAMES, mean_products
@@ -65,8 +65,11 @@ def readings(test, value, u, u_head=0.0, temperature=None):
         u_head=np.full(n, u_head),
         value=np.asarray(value, dtype=float),
         u=None if u is None else np.full(n, u),
-        temperature=np.zeros(n) if temperature is None else temperature,
-        time=np.arange(n) * 60.0,
+        conditions={
+            "temperature": np.zeros(n) if temperature is None else temperature,
+            "time": np.arange(n) * 60.0,
+            "direction": np.zeros(n),
+        },
         repeats=np.ones(n),
         scatter=np.zeros(n),
     )
@@ -83,7 +86,9 @@ def simulated(test, rng, sigma, machine=(), u_head=0.0, truth=TRUTH, temperature
     actual = blank.rotate_head(blank.stations_with(dict(machine)), errors)
     coefficients = []
     for index in range(count):
-        lever = RunConditions(float(blank.time[index]), float(blank.temperature[index]))
+        lever = RunConditions(
+            float(blank.time[index]), float(blank.conditions["temperature"][index])
+        )
         own = coefficients_in_run(truth, lever, 0.0)
         coefficients.append([own.get(symbol, row.nominal) for symbol, row in TERMS.items()])
     values = np.sum(mean_products(actual, SITE) * coefficients, axis=1)

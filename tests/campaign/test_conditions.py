@@ -10,7 +10,7 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.conditions import reference_point, run_conditions, temperature_directions
 from counterspin.campaign.memory import make_campaign
 from counterspin.errors import CampaignError
-from counterspin.physics.effects import RunConditions
+from counterspin.physics.conditions import RunConditions
 
 #: To which a test adds a model of its own.
 BARE = without(SMALL, "model")
@@ -171,11 +171,10 @@ def test_several_temperatures_are_spread_over_their_run(tmp_path):
         middle.temperature_offset,
         fast.temperature_offset,
     ] == pytest.approx([22.5 - mean, 23 - mean, 2.5])
-    assert slow.temperature_offset_at(
-        np.array([0.0, 20.0, 40.0, 60.0, 99.0])
-    ) + mean == pytest.approx([20.0, 22.0, 24.0, 23.0, 22.0])
+    offsets = slow.at(np.array([0.0, 20.0, 40.0, 60.0, 99.0]), 0.0)["temperature"]
+    assert offsets + mean == pytest.approx([20.0, 22.0, 24.0, 23.0, 22.0])
     assert not middle.temperature_profile
-    assert middle.temperature_offset_at(np.array([3.0])) == pytest.approx([23.0 - mean])
+    assert middle.at(np.array([3.0]), 0.0)["temperature"] == pytest.approx([23.0 - mean])
 
 
 def test_a_run_may_turn_back_within(tmp_path):
@@ -188,7 +187,8 @@ def test_a_run_may_turn_back_within(tmp_path):
     # The lines 20 + 2 x and 24 - (x - 2) meet at 2.
     assert slow.reversal_times == pytest.approx([20.0])
     assert middle.reversal_times == fast.reversal_times == ()
-    assert slow.direction_at(np.array([0.0, 19.9, 20.1, 50.0])).tolist() == [0.5, 0.5, -0.5, -0.5]
+    directions = slow.at(np.array([0.0, 19.9, 20.1, 50.0]), 0.0)["direction"]
+    assert directions.tolist() == [0.5, 0.5, -0.5, -0.5]
 
 
 def test_a_turn_between_two_temperatures_is_where_their_lines_meet(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 
 from counterspin.physics.accelerometer import QX, QZ
 from counterspin.physics.closed_forms import parabola
-from counterspin.physics.effects import RunConditions
+from counterspin.physics.conditions import RunConditions
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import ORDERS, columns
 from counterspin.physics.simulation import coefficients_in_run, simulate_record

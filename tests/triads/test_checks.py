@@ -18,7 +18,9 @@ def found(seed, count=30, drift=0.0, squares=(0.0, 0.0, 0.0), minutes=5.0):
     values = triads.indications(triads.directions(count, generator), squares=squares)
     values += NOISE * generator.standard_normal((count, 3))
     values += np.outer(np.linspace(0.0, drift, count), [0.0, 1.0, 0.0])
-    poses = replace(triads.group(values), time=np.linspace(0.0, 60.0 * minutes, count))
+    poses = triads.group(values)
+    times = np.linspace(0.0, 60.0 * minutes, count)
+    poses = replace(poses, conditions={**poses.conditions, "time": times})
     estimated, parts = estimate_with_groups(None, triads.unknowns(), [poses])
     return pose_findings(estimated.fit, parts)
 

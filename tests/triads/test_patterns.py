@@ -21,11 +21,12 @@ def test_a_column_is_what_one_unit_adds_to_the_one_row_of_each_pose():
     # so that its three indications fit best: what is left along the force differs by the column.
     generator = np.random.default_rng(4)
     along = triads.directions(20, generator)
-    poses = replace(
-        triads.group(triads.indications(along), u=1e-4),
-        time=np.linspace(0.0, 500.0, 20),
-        temperature=generator.uniform(-10.0, 10.0, 20),
-    )
+    poses = triads.group(triads.indications(along), u=1e-4)
+    conditions = {
+        "time": np.linspace(0.0, 500.0, 20),
+        "temperature": generator.uniform(-10.0, 10.0, 20),
+    }
+    poses = replace(poses, conditions={**poses.conditions, **conditions})
     fit = solve_readings([poses], triads.unknowns()).fit
     unknown = set(triads.PARAMETERS)
     every = {(o.owner, o.kind, o.symbol): o for o in pose_candidates(poses, 0, fit, unknown, ())}
@@ -34,7 +35,7 @@ def test_a_column_is_what_one_unit_adds_to_the_one_row_of_each_pose():
     size = 1e-6
     left = residuals(poses, fit)
     cubes = along[:, 1] ** 3
-    temperatures = poses.temperature * along[:, 2]
+    temperatures = poses.conditions["temperature"] * along[:, 2]
     for key, added in (
         (("Y", "term", "K_III"), np.outer(cubes, [0.0, 1.0, 0.0])),
         (("Z", "term", "K_I.temperature"), np.outer(temperatures, [0.0, 0.0, 1.0])),

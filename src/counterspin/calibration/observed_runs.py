@@ -23,7 +23,7 @@ from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.physics import observation
-from counterspin.physics.effects import AT_REFERENCE, RunConditions
+from counterspin.physics.conditions import AT_REFERENCE, RunConditions
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.own_velocity import AxisError, computer_correction
 from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle

@@ -10,12 +10,13 @@ from typing import Final
 
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.reading import PoseRecord, Reading
 from counterspin.campaign.runs import Run
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import CLOCK, RATE_CLOCK
-from counterspin.physics.effects import RunConditions
+from counterspin.physics.conditions import RunConditions
 
 #: Assumed rise of the temperature during a series of runs, readings or poses that states none, K.
 DEFAULT_WARMING: Final = 1.0
@@ -223,6 +224,30 @@ def assumed_reading_temperatures(
         ):
             if key in assumed:
                 yield index, assumed[key]
+
+
+def relative_conditions(
+    campaign: Campaign,
+    readings: Sequence[Reading],
+    assumed_temperatures: Sequence[float],
+    directions: Mapping[str, tuple[float, ...]],
+) -> dict[str, Array]:
+    """Return the conditions of readings relative to the reference, by name, each of shape (n,).
+
+    assumed_temperatures: Of readings that state none, minus the reference temperature, K.
+    directions: As of `temperature_directions`.
+    """
+    origin = reference_point(campaign)
+    temperatures = [
+        profile_mean(reading.temperature) - origin.temperature if reading.temperature else assumed
+        for reading, assumed in zip(readings, assumed_temperatures, strict=True)
+    ]
+    times = [0.0 if r.time is None else r.time - origin.time for r in readings]
+    return {
+        "temperature": np.array(temperatures),
+        "time": np.array(times),
+        "direction": np.array([directions.get(r.name, (0.0,))[0] for r in readings]),
+    }
 
 
 def has_assumed_warming(campaign: Campaign) -> bool:

@@ -13,6 +13,7 @@ from typing import Any, Final
 from counterspin.campaign.documents import KeyPath
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.conditions import StatedConditions
 from counterspin.physics.terms import MotionKind
 from counterspin.records.dialect import Dialect
 
@@ -29,7 +30,7 @@ class MeasuredRate:
 
 
 @frozen
-class Reading:
+class Reading(StatedConditions):
     """One reading of one accelerometer."""
 
     #: Of the run, whose it is, how the instrument moves, and the fixture's position (or empty).
@@ -48,9 +49,6 @@ class Reading:
     #: Axis about which the dividing head turned, zero without one, shape (3,).
     head: tuple[float, float, float]
     u_head: float  #: Random standard uncertainty of the head's angle, rad.
-    #: K, of a record several evenly spread over it, and s; None where they were not recorded.
-    temperature: tuple[float, ...] | None
-    time: float | None
     record: Path | None = None  #: The file whose mean is the reading; None: the value is given.
     duration: float | None = None  #: Length of the record that is simulated, s; None: not stated.
     repeats: int = 1  #: How many repeats at one setting the value is the mean of.
@@ -73,16 +71,13 @@ class Reading:
 
 
 @frozen
-class PoseRecord:
+class PoseRecord(StatedConditions):
     """A record of all three with many poses in it."""
 
     name: str  #: Of the run.
     record: Path  #: Absolute path.
     rest: float  #: Shortest rest that is a pose, s.
     threshold: float | None  #: Below which the sensor rests, m/s^2; None: found.
-    #: K, several of them evenly spread over the record, and s; None where they were not recorded.
-    temperature: tuple[float, ...] | None
-    time: float | None
     u: float | None = None  #: Of each axis in a pose, m/s^2; None: not stated.
     dialect: Dialect | None = None  #: How its file is written; None: as the other records.
 

@@ -31,7 +31,7 @@ from counterspin.campaign.runs import Run
 from counterspin.errors import RecordError
 from counterspin.input import FileIdentity, open_file
 from counterspin.monitoring.result import RunState
-from counterspin.physics.effects import RunConditions
+from counterspin.physics.conditions import RunConditions
 from counterspin.records.column_file import Columns
 from counterspin.records.dialect import AUTODETECT, Dialect
 from counterspin.records.format_registry import RECORD_FORMATS

@@ -4,6 +4,7 @@ Modules, lowest first:
 
 - `spindle`: the angle model of the spindle (Eq. 1-4) and its fit to a recorded angle
 - `angle_error`: how far that fit may be from the true angle, and the effect on the motion
+- `conditions`: conditions on which coefficients depend, such as temperature and time
 - `effects`: the few kinds of what an error term does
 - `grades`: how large the terms of an accelerometer are, by its grade
 - `terms`: the table of all error terms and uncertain inputs

@@ -8,7 +8,8 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.effects import AT_REFERENCE, AttitudeError, Slope, SpecificForceProduct
+from counterspin.physics.conditions import AT_REFERENCE
+from counterspin.physics.effects import AttitudeError, Slope, SpecificForceProduct
 from counterspin.physics.terms import term
 
 

@@ -302,9 +302,8 @@ def product_of_symbol(symbol: str) -> SpecificForceProduct:
 
 
 def _design_factor(slope: Slope, temperature_offset: Array | float) -> Array:
-    """Return the factor of a slope, with time and direction of the temperature at zero."""
-    zero = np.zeros_like(temperature_offset)
-    return slope.design_factors(zero, np.asarray(temperature_offset, dtype=np.float64), zero, zero)
+    """Return the factor of a slope with temperature."""
+    return slope.design_factors({"temperature": np.asarray(temperature_offset, dtype=np.float64)})
 
 
 @frozen(eq=False)

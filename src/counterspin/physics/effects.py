@@ -3,52 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-
-
-@frozen
-class RunConditions:
-    """Conditions of a run: start time, temperature and its direction of change."""
-
-    start: float = 0.0  #: Start time, s from the beginning of the campaign.
-    temperature_offset: float = 0.0  #: Mean temperature minus the reference temperature, K.
-    #: 1/2 if the temperature rose at the start of the run, -1/2 if it fell, 0 if unknown.
-    direction: float = 0.0
-    #: Temperatures minus the reference temperature, K, at evenly spaced times, linear in between;
-    #: empty if the temperature was constant.
-    temperature_profile: tuple[float, ...] = ()
-    length: float = 0.0  #: Duration of the profile, s.
-    reversal_times: tuple[float, ...] = ()  #: Times of reversal, s from the start of the run.
-
-    @property
-    def knots(self) -> Array:
-        """Times of the temperature profile, s from the start of the run, shape (k,)."""
-        return np.linspace(0.0, self.length, len(self.temperature_profile))
-
-    @property
-    def breaks(self) -> Array:
-        """Times of kinks and jumps, s from the start of the run, shape (m,)."""
-        return np.append(self.knots, self.reversal_times)
-
-    def temperature_offset_at(self, times: Array) -> Array:
-        """Return the temperature offset, K, at times from the start of the run, s, shape (n,)."""
-        if not self.temperature_profile:
-            return np.full(times.shape, self.temperature_offset)
-        return np.interp(times, self.knots, self.temperature_profile)
-
-    def direction_at(self, times: Array) -> Array:
-        """Return the direction at times from the start of the run, s, shape (n,)."""
-        reversals = np.searchsorted(np.sort(self.reversal_times), times)
-        return np.asarray(self.direction * (1.0 - 2.0 * (reversals % 2)))
-
-
-#: At the beginning of a campaign, at the reference temperature.
-AT_REFERENCE: Final = RunConditions()
+from counterspin.physics.conditions import RunConditions
 
 
 @frozen
@@ -164,55 +126,21 @@ class Slope:
     """Change of a coefficient of an accelerometer per unit of a condition."""
 
     coefficient: str  #: Symbol of the coefficient that changes.
-    #: ``temperature`` (K from the reference temperature), ``time`` (s from the beginning of the
-    #: campaign), ``direction`` (in which the temperature went) or ``force`` (the square of the
-    #: centripetal one at the run's rate, g^2).
+    #: A key of `RunConditions.at`: ``temperature`` (K from the reference temperature), ``time`` (s
+    #: from the beginning of the campaign), ``direction`` (in which the temperature went) or
+    #: ``force`` (the square of the centripetal one at the run's rate, g^2).
     condition: str
     power: int = 1  #: Power of the condition that multiplies the slope.
-
-    def varies_within(self, conditions: RunConditions) -> bool:
-        """Return True if temperature or direction changed in a run; False for other conditions."""
-        has_changed = {
-            "temperature": conditions.temperature_profile,
-            "direction": conditions.reversal_times,
-        }
-        return bool(has_changed.get(self.condition))
-
-    def design_factors_at(self, conditions: RunConditions, force: float, times: Array) -> Array:
-        """Return the factor of the slope at times (n,) from the start of a run, s.
-
-        The time condition is taken at the start of the run.
-
-        force: Centripetal force at the run's rate, g.
-        """
-        temperature_offset, direction = (
-            conditions.temperature_offset_at(times),
-            conditions.direction_at(times),
-        )
-        start, forces = (
-            np.full_like(temperature_offset, conditions.start),
-            np.full_like(temperature_offset, force),
-        )
-        return self.design_factors(start, temperature_offset, direction, forces)
 
     def design_factor(self, conditions: RunConditions, force: float) -> float:
         """Return the factor of the slope at the start of a run, at its mean temperature.
 
         force: Centripetal force at the run's rate, g.
         """
-        given = (conditions.start, conditions.temperature_offset, conditions.direction, force)
-        return float(self.design_factors(*map(np.asarray, given)))
+        return float(self.design_factors(conditions.at_start(force)))
 
-    def design_factors(
-        self, start: Array, temperature_offset: Array, direction: Array, force: Array
-    ) -> Array:
-        """Return the factors of the slope for arrays of conditions, all of one shape."""
-        conditions = {
-            "temperature": temperature_offset,
-            "time": start,
-            "direction": direction,
-            "force": force**2,
-        }
+    def design_factors(self, conditions: Mapping[str, Array]) -> Array:
+        """Return the factors of the slope; conditions: by name, all of one shape."""
         return np.asarray(conditions[self.condition] ** self.power)
 
 

@@ -25,7 +25,8 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.physics import quadrature
-from counterspin.physics.effects import AT_REFERENCE, RunConditions, TrajectoryError
+from counterspin.physics.conditions import AT_REFERENCE, RunConditions
+from counterspin.physics.effects import TrajectoryError
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.table import TableMotion
 from counterspin.physics.terms import MOTION_TERMS

@@ -180,7 +180,7 @@ def columns(
     slopes = {
         i: effect
         for i, effect in enumerate(effects)
-        if isinstance(effect, Slope) and not effect.varies_within(trajectory.conditions)
+        if isinstance(effect, Slope) and effect.condition not in trajectory.conditions.changing
     }
     evaluated = {*linear, *bias_indices, *kinked_effects, *motion_errors, *slopes}
     smooth_effects = {
@@ -415,8 +415,10 @@ class _SensorInputs:
             return self._gravity * effect.evaluate(self._a_ipo, self._rotation)
         if isinstance(effect, Slope):
             path = self._motion.trajectory
-            factors = effect.design_factors_at(path.conditions, path.centripetal, self._motion.t)
-            return factors * self.integrand(TERMS[effect.coefficient].effect)
+            conditions = path.conditions.at(self._motion.t, path.centripetal)
+            return effect.design_factors(conditions) * self.integrand(
+                TERMS[effect.coefficient].effect
+            )
         if effect.kind in ("tilt", "table_axis"):
             lever_arms = np.cross(self._motion.table.tilt_axis(effect), self._axes.input_axis)
             return np.asarray(np.sum(lever_arms * self._motion.specific_force, axis=1))

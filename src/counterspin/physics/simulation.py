@@ -17,7 +17,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.physics import observation, quadrature
 from counterspin.physics.accelerometer import SLOWEST_FLICKER, Mounting, indicated
-from counterspin.physics.effects import RunConditions
+from counterspin.physics.conditions import RunConditions
 from counterspin.physics.motion import Trajectory, perturbed_trajectory
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import CONDITION_TERMS, LEVER_ARM, PLATFORM_TERMS, TERMS
@@ -169,7 +169,7 @@ def _change_since_start(
     force: Array,
     times: Array,
 ) -> Array | float:
-    """Return the change of the indication with temperature since that of `coefficients_in_run`.
+    """Return the change of the indication with conditions since that of `coefficients_in_run`.
 
     force: Sensed at the times, g, shape (n, 3).
     times: s from the run's start, shape (n,).
@@ -178,16 +178,10 @@ def _change_since_start(
     further_change: Array | float = 0.0
     for symbol, slope in coefficients.items():
         row = CONDITION_TERMS.get(symbol)
-        if row is None or slope == 0.0 or not row.effect.varies_within(conditions):
+        if row is None or slope == 0.0 or row.effect.condition not in conditions.changing:
             continue
-        if row.effect.condition == "direction":
-            change = conditions.direction_at(times) - conditions.direction
-        else:
-            power = row.effect.power
-            change = (
-                conditions.temperature_offset_at(times) ** power
-                - conditions.temperature_offset**power
-            )
+        factors = row.effect.design_factors(conditions.at(times, 0.0))
+        change = factors - row.effect.design_factor(conditions, 0.0)
         further_change = further_change + slope * change * TERMS[
             row.effect.coefficient
         ].effect.evaluate(axes.matrix @ force.T)

@@ -22,7 +22,8 @@ from counterspin.inference.joint.series import CLOCK, ResidualSeries
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.effects import RunConditions, SpecificForceProduct
+from counterspin.physics.conditions import RunConditions
+from counterspin.physics.effects import SpecificForceProduct
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import ORDERS
 from counterspin.physics.spindle import Spindle

@@ -25,6 +25,7 @@ from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.errors import Problem
 from counterspin.frozen import copy_with, frozen
 from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.conditions import stated_conditions
 from counterspin.physics.station import FRAMES
 from counterspin.readings.cells import BLANK
 from counterspin.readings.similar_rows import attitude_keys, convert_rows, row_pattern
@@ -283,8 +284,7 @@ def _make_reading(run: Run, name: str, parsed: _ParsedValue, axes: Mounting) -> 
         head=run.stand.head,
         u_head=run.stand.u,
         head_angle=run.stand.angle if run.head is None else run.head,
-        temperature=run.temperature,
-        time=run.time,
+        **stated_conditions(run),
         record=run.file,
         duration=run.length,
         repeats=parsed.repeats,

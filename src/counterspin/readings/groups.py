@@ -8,9 +8,8 @@ import numpy as np
 
 from counterspin.campaign.conditions import (
     assumed_reading_temperatures,
-    profile_mean,
     rate_clock_input,
-    reference_point,
+    relative_conditions,
     temperature_directions,
 )
 from counterspin.campaign.description import Campaign
@@ -52,8 +51,6 @@ def _make_group(
     campaign: Campaign, readings: Sequence[Reading], assumed_temperatures: Sequence[float]
 ) -> Readings:
     first_reading = readings[0]
-    origin, directions = reference_point(campaign), temperature_directions(campaign)
-    reference, start = origin.temperature, origin.time
     return Readings(
         accelerometer=first_reading.accelerometer,
         motion=first_reading.motion,
@@ -76,14 +73,9 @@ def _make_group(
         head_angle=np.array([r.head_angle for r in readings]),
         value=np.array([r.value for r in readings]),
         u=None if first_reading.u is None else np.array([r.u for r in readings], dtype=float),
-        temperature=np.array(
-            [
-                profile_mean(r.temperature) - reference if r.temperature else assumed_temperature
-                for r, assumed_temperature in zip(readings, assumed_temperatures, strict=True)
-            ]
+        conditions=relative_conditions(
+            campaign, readings, assumed_temperatures, temperature_directions(campaign)
         ),
-        time=np.array([(start if r.time is None else r.time) - start for r in readings]),
-        direction=np.array([directions.get(r.name, (0.0,))[0] for r in readings]),
         repeats=np.array([float(r.repeats) for r in readings]),
         scatter=np.array([r.scatter for r in readings]),
         resolution=min(r.resolution for r in readings),

@@ -72,9 +72,8 @@ class Readings:
     #: one for all, estimated from the residuals.
     value: Array
     u: Array | None
-    #: K from the reference temperature, s from the first reading, shape (n,).
-    temperature: Array
-    time: Array
+    #: Conditions relative to the reference, as of `relative_conditions`, each of shape (n,).
+    conditions: Mapping[str, Array]
     #: How many repeats at one setting each value is the mean of, and the sum of their squares about
     #: it, g^2, shape (n,). Where `u` is None.
     repeats: Array
@@ -87,7 +86,6 @@ class Readings:
     in_si: Array | float = 0.0
     #: What the dividing head shows, rad, shape (n,).
     head_angle: Array | float = 0.0
-    direction: Array | float = 0.0  #: In which the temperature went, as of `RunConditions`.
     #: 1 where the description states the sense of the rotation, 0 where an angle shows it, (n,).
     stated_sense: Array | float = 1.0
     #: Rates that the description states, rad/s, shape (n,); None: those of the stations.
@@ -174,6 +172,11 @@ class Readings:
     def accelerometers(self) -> tuple[str, ...]:
         """The name of the accelerometer that was read."""
         return (self.accelerometer,)
+
+    @property
+    def time(self) -> Array:
+        """Times from the beginning of the campaign, s, shape (n,)."""
+        return self.conditions["time"]
 
     @property
     def size(self) -> int:
@@ -270,9 +273,8 @@ class Readings:
     def design_factor(self, symbol: str) -> Array:
         """Return the regressor of the slope of a coefficient, shape (n,)."""
         forces = self.stations.radius * self.stations.rate**2 / self.site.gravity
-        return CONDITION_TERMS[symbol].effect.design_factors(
-            self.time, self.temperature, np.broadcast_to(self.direction, self.size), forces
-        )
+        conditions = {**self.conditions, "force": forces**2}
+        return CONDITION_TERMS[symbol].effect.design_factors(conditions)
 
 
 def linearize(

@@ -113,8 +113,11 @@ def indicated_forces(
             gravity=campaign.site.gravity,
             value=np.zeros((n, 3)),
             u=None,
-            temperature=np.interp(chunk, knots, temperature_offsets),
-            time=start_time + chunk,
+            conditions={
+                "temperature": np.interp(chunk, knots, temperature_offsets),
+                "time": start_time + chunk,
+                "direction": np.zeros(n),
+            },
             repeats=np.ones(n),
             scatter=np.zeros(n),
             in_si=np.zeros((n, 3)),

@@ -26,7 +26,7 @@ from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.two_stage.first_stage import strobe_angle
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.effects import RunConditions
+from counterspin.physics.conditions import RunConditions
 from counterspin.physics.frequency_response import RESPONSE_INPUTS
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import TURN, Spindle

@@ -8,8 +8,7 @@ import numpy as np
 
 from counterspin.campaign.conditions import (
     assumed_temperatures,
-    profile_mean,
-    reference_point,
+    relative_conditions,
     temperature_directions,
 )
 from counterspin.campaign.description import Campaign
@@ -55,12 +54,9 @@ def make_group(
     found: One reading of every existing pose, if these are not all.
     """
     first_readings = [pose[0] for pose in poses]
-    origin, directions = (
-        reference_point(campaign),
-        temperature_directions(campaign, series or first_readings),
-    )
-    reference_temperature, start = origin.temperature, origin.time
+    directions = temperature_directions(campaign, series or first_readings)
     assumed_offsets = assumed_temperatures(series or first_readings)
+    assumed = [assumed_offsets.get((reading.name, 0), 0.0) for reading in first_readings]
     stated = all(reading.u is not None for pose in poses for reading in pose)
     return TriadPoses(
         accelerometers=tuple(reading.accelerometer for reading in poses[0]),
@@ -69,18 +65,7 @@ def make_group(
         gravity=campaign.site.gravity,
         value=np.array([[reading.value for reading in pose] for pose in poses]),
         u=np.array([[r.u for r in pose] for pose in poses], dtype=float) if stated else None,
-        temperature=np.array(
-            [
-                profile_mean(r.temperature) - reference_temperature
-                if r.temperature
-                else assumed_offsets.get((r.name, 0), 0.0)
-                for r in first_readings
-            ]
-        ),
-        time=np.array([(start if r.time is None else r.time) - start for r in first_readings]),
-        direction=np.array(
-            [directions.get(first_reading.name, (0.0,))[0] for first_reading in first_readings]
-        ),
+        conditions=relative_conditions(campaign, first_readings, assumed, directions),
         repeats=np.array([float(min(reading.repeats for reading in pose)) for pose in poses]),
         scatter=np.array([sum(reading.scatter for reading in pose) for pose in poses]),
         in_si=np.array([[float(reading.in_si) for reading in pose] for pose in poses]),

@@ -57,9 +57,8 @@ class TriadPoses:
     #: (n, 3); None: one for all, estimated from the residuals.
     value: Array
     u: Array | None
-    #: K from the reference temperature, s from the campaign's beginning, shape (n,).
-    temperature: Array
-    time: Array
+    #: Conditions relative to the reference, as of `relative_conditions`, each of shape (n,).
+    conditions: Mapping[str, Array]
     #: How many repeats each indication is the mean of, and the sum of all squares about their
     #: means, g^2, shape (n,). Where `u` is None.
     repeats: Array
@@ -68,13 +67,17 @@ class TriadPoses:
     in_si: Array
     noise_within_poses: float = 0.0  #: What is known of the noise from within the poses, g.
     resolution: float = 0.0  #: One of the last digit that was written, g.
-    direction: Array | float = 0.0  #: In which the temperature went, as of `RunConditions`.
     motion: str = "poses"
 
     @property
     def accelerometer(self) -> str:
         """All of them in one word."""
         return ", ".join(self.accelerometers)
+
+    @property
+    def time(self) -> Array:
+        """Times from the beginning of the campaign, s, shape (n,)."""
+        return self.conditions["time"]
 
     @property
     def size(self) -> int:
@@ -311,10 +314,7 @@ def predict_indications(
 def design_factor(poses: TriadPoses, symbol: str) -> Array | None:
     """Return by what a slope is multiplied, shape (n,); None if it is nothing at rest."""
     slope = CONDITION_TERMS[symbol].effect
-    if slope.condition == "force":
-        return None
-    directions = np.broadcast_to(poses.direction, poses.size)
-    return slope.design_factors(poses.time, poses.temperature, directions, np.zeros(poses.size))
+    return None if slope.condition == "force" else slope.design_factors(poses.conditions)
 
 
 def _term_index(symbol: str) -> int:

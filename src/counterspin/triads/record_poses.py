@@ -11,6 +11,7 @@ from counterspin.campaign.conditions import reference_point
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.reading import PoseRecord, Reading
 from counterspin.frozen import frozen
+from counterspin.physics.conditions import stated_conditions
 from counterspin.records.record import ColumnSpec, RecordColumns, RecordReport
 from counterspin.triads.static_intervals import StaticIntervals, read_poses
 
@@ -94,6 +95,10 @@ def extract_poses(campaign: Campaign, record: PoseRecord) -> Iterator[LocatedPos
     knots = np.linspace(detected.time[0], detected.time[-1], len(temperatures or ()))
     intervals = zip(detected.start, middles, detected.mean / g, strict=True)
     for index, (start, middle, mean) in enumerate(intervals):
+        conditions = stated_conditions(record)
+        conditions["time"] = start_time + float(start - detected.time[0])
+        if temperatures:
+            conditions["temperature"] = (float(np.interp(middle, knots, temperatures)),)
         pose = tuple(
             Reading(
                 name=f"{record.name} {start:.6g} s",
@@ -106,8 +111,7 @@ def extract_poses(campaign: Campaign, record: PoseRecord) -> Iterator[LocatedPos
                 u=None if record.u is None else record.u / g,
                 head=(0.0, 0.0, 0.0),
                 u_head=0.0,
-                temperature=temperatures and (float(np.interp(middle, knots, temperatures)),),
-                time=start_time + float(start - detected.time[0]),
+                **conditions,
                 in_si=is_si,
             )
             for (name, is_si), value in zip(in_si.items(), mean, strict=True)

@@ -17,6 +17,7 @@ from counterspin.campaign.reading import PoseRecord, Reading, Triad
 from counterspin.campaign.runs import PosesSettings, Run
 from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.conditions import stated_conditions
 
 #: Smallest volume that three input axes may span: below it they do not feel all directions.
 _LEAST_VOLUME: Final = 0.1
@@ -175,9 +176,9 @@ def _resolve_record(
     if run.records is not None:
         settings = problems.check(RecordsSettings, run.records, (*path, "records"))
         dialect = settings.dialect if settings else None
-    conditions = (run.temperature, run.time)
     yield PoseRecord(
-        run.name, run.record, poses.rest, poses.threshold, *conditions, poses.u, dialect
+        *(run.name, run.record, poses.rest, poses.threshold, poses.u, dialect),
+        **stated_conditions(run),
     )
 
 

@@ -14,7 +14,7 @@ from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import ESTIMATE, Noise
-from counterspin.physics.effects import RunConditions
+from counterspin.physics.conditions import RunConditions
 from counterspin.physics.simulation import bias_wander
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))

@@ -1,0 +1,31 @@
+"""Conditions of a run, and conditions that a description states."""
+
+from dataclasses import fields
+
+import numpy as np
+
+from counterspin.campaign.runs import Run
+from counterspin.physics.conditions import STATED_CONDITIONS, RunConditions, StatedConditions
+
+
+def test_without_a_change_each_condition_keeps_its_value_at_the_start():
+    conditions = RunConditions(start=750.0, temperature_offset=-1.7, direction=-0.5)
+    assert not conditions.changing
+    start = conditions.at_start(3.0)
+    assert start == {"time": 750.0, "temperature": -1.7, "direction": -0.5, "force": 9.0}
+    later = conditions.at(np.array([0.0, 4.0, 9.0]), 3.0)
+    assert {name: values.tolist() for name, values in later.items()} == {
+        name: [value] * 3 for name, value in start.items()
+    }
+
+
+def test_a_condition_that_changes_within_a_run_is_named():
+    profile = RunConditions(temperature_profile=(0.0, 1.0), length=2.0, reversal_times=(1.0,))
+    assert profile.changing == {"temperature", "direction"}
+    assert profile.changing <= profile.at_start(1.0).keys()
+
+
+def test_every_stated_condition_is_a_key_of_a_run_and_a_field_of_readings():
+    assert {part.name for part in fields(StatedConditions)} == set(STATED_CONDITIONS)
+    assert set(STATED_CONDITIONS) <= RunConditions().at_start(1.0).keys()
+    assert set(STATED_CONDITIONS) <= Run.model_fields.keys()
