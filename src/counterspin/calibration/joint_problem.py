@@ -13,11 +13,12 @@ from counterspin.calibration.model import make_unknowns
 from counterspin.calibration.observed_runs import ObservedRun
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.settings import StatedNoise
+from counterspin.campaign.settings import NOISE_UNITS, StatedNoise
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import ResidualSeries, TimestampErrors
 from counterspin.inference.joint.time_stamps import find_stamp_errors
 from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.components import BIAS_COMPONENTS
 from counterspin.inference.noise.model import ESTIMATE, Noise
 from counterspin.loading import load_name
 from counterspin.physics import observation
@@ -153,20 +154,18 @@ def _noise_model(noise: StatedNoise | None, accelerometer: Accelerometer) -> Noi
     unknown_noise = Noise(ESTIMATE, ESTIMATE if integrated else 0.0)
     if noise is None:
         return unknown_noise
-    white = _size_or_wanted(getattr(noise, accelerometer.observable))
-    walk = _size_or_wanted(noise.acceleration)
-    if not integrated and walk is ESTIMATE:
-        white, walk = ESTIMATE, 0.0
-    displacement = accelerometer.observable == "displacement"
-    quantisation = _size_or_wanted(noise.quantisation) if displacement else 0.0
-    slow_components = (_size_or_wanted(noise.flicker), _size_or_wanted(noise.bias_walk))
-    stated = Noise(white, walk, 0.0 if quantisation is ESTIMATE else quantisation, *slow_components)
+    sizes = {key: _size_or_wanted(size) for key, size in noise if key in NOISE_UNITS}
+    if sizes["quantisation"] is ESTIMATE:
+        sizes["quantisation"] = 0.0
+    stated = Noise.from_sizes(sizes, accelerometer.observable)
+    if not integrated and stated.random_walk is ESTIMATE:
+        stated = replace(stated, white=ESTIMATE, random_walk=0.0)
     # A record without any noise cannot be weighted: the noise is then estimated, except a walk that
     # is stated as zero.
-    if not any((white, walk, stated.quantisation)):
+    if not any((stated.white, stated.random_walk, stated.quantisation)):
         estimated = Noise(ESTIMATE) if "acceleration" in noise.model_fields_set else unknown_noise
-        return replace(estimated, flicker=stated.flicker, bias_walk=stated.bias_walk)
-    if noise.wanders and white == 0.0 and stated.to_estimate:
+        return estimated.with_sizes({name: getattr(stated, name) for name in BIAS_COMPONENTS})
+    if noise.wanders and stated.white == 0.0 and stated.to_estimate:
         return replace(stated, white=ESTIMATE)  # beside what wanders there is white noise
     return stated
 

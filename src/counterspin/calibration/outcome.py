@@ -30,7 +30,7 @@ from counterspin.calibration.result_parts import (
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.settings import OBSERVABLES
+from counterspin.campaign.settings import NOISE_UNITS, OBSERVABLES
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail, finite_dof
 from counterspin.inference.identifiability import Assessment, ConfoundedTerms
@@ -39,7 +39,8 @@ from counterspin.inference.joint.budget import kind_of, unknown_u_by_category
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import ROTATION, Unknown
-from counterspin.inference.noise.model import COMPONENTS, WALK_UNIT, Noise
+from counterspin.inference.noise.components import size_keys
+from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.search import NoiseEstimate
 from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of
 from counterspin.records.record import rejected_count
@@ -236,8 +237,8 @@ def with_static_uncertainty(
 ) -> dict[str, NoiseLine]:
     """Return lines of noise that say which are from the record at rest, and how well it knows."""
     updated = dict(lines)
-    keys = (observable, "acceleration", "flicker", "bias_walk") if noise.covariance else ()
-    for place, key in enumerate(keys):
+    keys = size_keys(observable) if noise.covariance else {}
+    for place, key in enumerate(keys.values()):
         variance, line = noise.covariance[place][place], lines.get(key)
         if variance > 0.0 and line is not None and not line.estimated and campaign.noise:
             u = 0.5 * math.sqrt(variance) / line.value
@@ -249,13 +250,8 @@ def record_noise(
     noise: Noise, components: NoiseEstimate | None, observable: str
 ) -> dict[str, NoiseLine]:
     """Return noise of records, component by component, given or estimated."""
-    unit = OBSERVABLES[observable]
     lines = {}
-    labels = (observable, "acceleration", "flicker", "bias_walk")
-    units = (unit, WALK_UNIT, "m/s^2", "m/s^2/s^0.5")
-    for index, (component, label, component_unit) in enumerate(
-        zip(COMPONENTS, labels, units, strict=True)
-    ):
+    for index, (component, key) in enumerate(size_keys(observable).items()):
         size = float(getattr(noise, component))
         estimated = components is not None and component in components.estimated
         dropped = components is not None and component in components.dropped
@@ -265,11 +261,13 @@ def record_noise(
         if components is not None and estimated and size > 0.0:
             # From the variance of a variance to that of its root.
             u = 0.5 * math.sqrt(float(components.covariance[index, index])) / size
-        lines[label] = NoiseLine(
-            value=size, u=u, unit=component_unit, estimated=estimated or dropped
+        lines[key] = NoiseLine(
+            value=size, u=u, unit=NOISE_UNITS[key], estimated=estimated or dropped
         )
     if noise.quantisation > 0.0:
-        lines["quantisation"] = NoiseLine(value=noise.quantisation, unit=unit, estimated=False)
+        lines["quantisation"] = NoiseLine(
+            value=noise.quantisation, unit=NOISE_UNITS["quantisation"], estimated=False
+        )
     return lines
 
 

@@ -41,11 +41,21 @@ from counterspin.campaign.field_types import (
 )
 from counterspin.campaign.quantity import Quantity, latitude_text
 from counterspin.errors import InputError, OutOfRangeError
+from counterspin.inference.noise.components import BIAS_KEYS, COMPONENTS_BY_KEY
 from counterspin.physics.terms import Term
 from counterspin.units import check_unit, unit_factor
 
 #: What an accelerometer's record may hold -> its SI unit.
 OBSERVABLES: Final = {"displacement": "m", "velocity": "m/s", "specific_force": "m/s^2"}
+
+#: Key of [noise] -> its SI unit.
+NOISE_UNITS: Final[dict[str, str]] = {
+    **OBSERVABLES,
+    **{key: row.unit for key, row in COMPONENTS_BY_KEY.items()},
+    "quantisation": "m",
+    "angle": "rad",
+    "timing": "s",
+}
 
 
 class CampaignSettings(SettingsSection):
@@ -287,7 +297,7 @@ class StatedNoise(SettingsSection):
     @property
     def wanders(self) -> bool:
         """True if the bias wanders, or may."""
-        return self.flicker != 0.0 or self.bias_walk != 0.0
+        return any(getattr(self, key) != 0.0 for key in BIAS_KEYS)
 
 
 class NoiseSettings(StatedNoise):

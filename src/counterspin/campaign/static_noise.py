@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from counterspin.campaign.field_types import ESTIMATE
 from counterspin.campaign.settings import NoiseSettings, StatedNoise
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
-from counterspin.inference.noise.model import COMPONENTS
+from counterspin.inference.noise.components import BIAS_COMPONENTS, size_keys
 from counterspin.inference.noise.static_noise import (
     StaticNoise,
     StaticSignal,
@@ -26,13 +25,6 @@ from counterspin.input import FileIdentity
 from counterspin.physics import observation
 from counterspin.records.formats import read_scaled
 from counterspin.records.memory import MemoryTable
-
-#: Key of [noise] -> SI unit, of those that all observables have.
-SI_UNITS: Final[Mapping[str, str]] = {
-    "acceleration": "m/s^2/Hz^0.5",
-    "flicker": "m/s^2",
-    "bias_walk": "m/s^2/s^0.5",
-}
 
 
 @frozen
@@ -91,7 +83,7 @@ def with_static_sizes(campaign: Campaign, noise: NoiseSettings) -> StatedNoise:
     resolved = resolve_noise(replace(campaign, noise=noise), 0.0)
     sizes = {name: getattr(noise, name) for name in StatedNoise.model_fields}
     for name, accelerometer in campaign.accelerometers.items():
-        for key in {accelerometer.observable, *SI_UNITS} - noise.model_fields_set:
+        for key in set(size_keys(accelerometer.observable).values()) - noise.model_fields_set:
             sizes[key] = max(sizes[key], getattr(resolved[name].sizes, key))
     return StatedNoise.model_construct(**sizes)
 
@@ -103,20 +95,19 @@ def _resolve_accelerometer(
     assert noise is not None
     if static_noise_of is None:
         return ResolvedNoise(noise)
-    # Of a specific force the first component is quantisation of the velocity: it averages away.
-    white_key = None if observable == "specific_force" else observable
     covariance = static_noise_of.covariance.copy()
     sizes: dict[str, float | str] = {}
-    for index, key in enumerate((white_key, "acceleration", "flicker", "bias_walk")):
-        if key is None or key in noise.model_fields_set:
+    for index, (component, key) in enumerate(size_keys(observable).items()):
+        # Of a specific force the first component is quantisation of the velocity: it averages away.
+        if key == "specific_force" or key in noise.model_fields_set:
             covariance[index], covariance[:, index] = 0.0, 0.0
             continue
-        variance = static_noise_of.components[COMPONENTS[index]].variance
+        variance = static_noise_of.components[component].variance
         if key == "displacement" and isinstance(noise.quantisation, float):
             # What is stated of the steps is a part of what is white.
             variance = max(variance - noise.quantisation**2 / 12.0, 0.0)
         sizes[key] = math.sqrt(variance)
-        if variance == 0.0 and key in (white_key, "acceleration"):
+        if variance == 0.0 and component not in BIAS_COMPONENTS:
             sizes[key] = undetected
     remaining_covariance = tuple(map(tuple, covariance.tolist())) if np.any(covariance) else ()
     return ResolvedNoise(noise.model_copy(update=sizes), remaining_covariance)

@@ -14,10 +14,10 @@ from counterspin.arrays import Array
 from counterspin.campaign.checksums import Checksums
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.field_types import exact
-from counterspin.campaign.settings import OBSERVABLES
-from counterspin.campaign.static_noise import SI_UNITS, static_signals
+from counterspin.campaign.settings import NOISE_UNITS, OBSERVABLES
+from counterspin.campaign.static_noise import static_signals
 from counterspin.errors import CampaignError, RecordError, UsageError, code_of
-from counterspin.inference.noise.model import COMPONENTS
+from counterspin.inference.noise.components import BIAS_KEYS, COMPONENTS_BY_KEY, size_keys
 from counterspin.inference.noise.spectrum import SpectralLine, allan_values, spectrum
 from counterspin.inference.noise.static_noise import (
     Band,
@@ -31,6 +31,7 @@ from counterspin.monitoring.result import (
     NoiseResult,
     NoiseSize,
     SignalNoise,
+    component_name,
     shown_unit,
 )
 from counterspin.physics import observation
@@ -63,9 +64,6 @@ _WIDE_RATIO: Final = 2.0
 
 #: Deviation of a time from a whole number of steps, above which a stated sampling rate counts rows.
 _MAX_STEP_DEVIATION: Final = 0.3
-
-#: Component -> key of [noise]; white noise has that of its observable.
-_KEYS: Final = {"random_walk": "acceleration", "flicker": "flicker", "bias_walk": "bias_walk"}
 
 
 def noise(
@@ -326,18 +324,17 @@ def _estimate_noise(record: StaticRecord, turning: float | None) -> SignalNoise:
     """Return the noise of a column."""
     signal, stretches, analysis = record.signal, record.segments, record.analysis
     rest, kind, step = analysis.noise, analysis.kind, analysis.step
-    key, unit = ("quantisation", "m/s")
     observable = next(name for name, order in observation.ORDERS.items() if order == signal.order)
-    if signal.order:
-        key, unit = observable, OBSERVABLES[observable]
+    keys = size_keys(observable if signal.order else "quantisation")
+    units = NOISE_UNITS if signal.order else NOISE_UNITS | {"quantisation": "m/s"}
     sizes = {
-        _KEYS.get(name, key): NoiseSize(
+        keys[name]: NoiseSize(
             value=math.sqrt(component.variance) if component.variance > 0.0 else None,
             low=math.sqrt(component.low),
             high=math.sqrt(component.high) if math.isfinite(component.high) else None,
-            unit=SI_UNITS.get(_KEYS.get(name, ""), unit),
+            unit=units[keys[name]],
         )
-        for name, component in ((name, rest.components[name]) for name in COMPONENTS)
+        for name, component in rest.components.items()
     }
     _, longest = stretches.longest
     differences = kind.averaging_order
@@ -397,21 +394,14 @@ def _alias_frequency(frequency: float, sampling: float) -> float:
 
 def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
     """Yield remarks on the validity of the figures."""
-    names = {"acceleration": "white noise of the accelerometer", "flicker": "flicker"}
-    names |= {"bias_walk": "bias random walk", "quantisation": "quantisation noise"}
     for key, size in stated.components.items():
-        name = names.get(key, f"white noise of the {key}")
+        name = component_name(key)
         if size.value is None:
-            if key in ("flicker", "bias_walk"):
-                growth = (
-                    "in proportion to the square root of the length of the record"
-                    if key == "flicker"
-                    else "in proportion to the length of the record"
-                )
+            if key in BIAS_KEYS:
                 yield (
                     f"The record does not show {name}. The stated upper limit decreases "
-                    f"approximately {growth}, so a longer record (hours) can show smaller "
-                    "values."
+                    f"approximately in proportion to {COMPONENTS_BY_KEY[key].limit_scale}, so a "
+                    "longer record (hours) can show smaller values."
                 )
             continue
         wide = (
@@ -548,6 +538,6 @@ def noise_table(signals: Sequence[SignalNoise], gravity: float) -> str:
                 largest[key] = max(existing, (size.value, signal.in_g))
     lines = ["[noise]"]
     for key, (value, in_g) in largest.items():
-        unit, factor = shown_unit(SI_UNITS.get(key) or OBSERVABLES[key], in_g, gravity)
+        unit, factor = shown_unit(NOISE_UNITS[key], in_g, gravity)
         lines.append(f'{key} = "{format_number(value * factor)} {unit}"')
     return "\n".join(lines) + "\n"

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Final
 
+from counterspin.inference.noise.components import BIAS_KEYS, COMPONENTS_BY_KEY
 from counterspin.monitoring.result import (
     CheckedRun,
     CurrentEstimate,
@@ -16,6 +17,7 @@ from counterspin.monitoring.result import (
     RunState,
     SignalNoise,
     WatchState,
+    component_name,
     shown_unit,
 )
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
@@ -220,16 +222,6 @@ def _format_goal(goal: GoalState | None) -> str:
 #: Description in the file of the plots.
 FILE_DESCRIPTION: Final = "plots of noise"
 
-#: Key of a component -> its name.
-NAMES: Final = {
-    "displacement": "white noise of the displacement, per sample",
-    "velocity": "white noise of the velocity, per sample",
-    "quantisation": "quantisation noise of the velocity, per sample",
-    "acceleration": "white noise of the accelerometer, N",
-    "flicker": "flicker (bias instability), B",
-    "bias_walk": "bias random walk, K",
-}
-
 #: Stride of averaging times in the table: every other one, an octave apart.
 _TABLE_STRIDE: Final = 2
 
@@ -277,11 +269,12 @@ def _summary_sentence(signal: SignalNoise, gravity: float) -> str:
         else f"N is below {_number(size.high, factor)} {unit}"
     )
     slow = []
-    for key, name in (("flicker", "B"), ("bias_walk", "K")):
+    for key in BIAS_KEYS:
         component = signal.components[key]
         unit, factor = _display_unit(component.unit, signal, gravity)
         if component.value is not None:
-            slow.append(f"{name} = {format_number(component.value * factor)} {unit}")
+            symbol = COMPONENTS_BY_KEY[key].symbol
+            slow.append(f"{symbol} = {format_number(component.value * factor)} {unit}")
     others = f", {' and '.join(slow)}" if slow else "; no slower noise detected"
     rate = format_number(signal.sampling_rate, 5)
     return f"{white}{others}, in {signal.seconds:.5g} s at {rate} Hz."
@@ -296,7 +289,10 @@ def _component_table(signal: SignalNoise, gravity: float) -> Table:
     for key, size in signal.components.items():
         unit, factor = _display_unit(size.unit, signal, gravity)
         value = "not detected" if size.value is None else format_number(size.value * factor)
-        rows.append((NAMES[key], value, _format_interval(size, factor), unit))
+        component = COMPONENTS_BY_KEY.get(key)
+        suffix = component.symbol if component else "per sample"
+        name = f"{component_name(key)}, {suffix}"
+        rows.append((name, value, _format_interval(size, factor), unit))
     unit, factor = _display_unit("m/s^2/s", signal, gravity)
     drift = format_estimate(signal.drift * factor, signal.u_drift * factor)
     rows.append(("bias drift", drift, "", unit))

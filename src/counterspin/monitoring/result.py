@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import ClassVar, Final, Literal
 
 from counterspin.errors import RecordError
+from counterspin.inference.noise.components import COMPONENTS_BY_KEY
 from counterspin.inference.noise.spectrum import AllanValue, SpectralLine, SpectrumValue
 from counterspin.results import ReportableResult, ResultPart
 
@@ -151,6 +152,15 @@ def shown_unit(unit: str, in_g: bool, gravity: float) -> tuple[str, float]:
         name, factor = _IN_G[unit]
         return name, factor / gravity
     return unit, 1.0
+
+
+def component_name(key: str) -> str:
+    """Return the name of a noise component by its key in `SignalNoise.components`."""
+    if key in COMPONENTS_BY_KEY:
+        return COMPONENTS_BY_KEY[key].description
+    if key == "quantisation":
+        return "quantisation noise of the velocity"
+    return f"white noise of the {key}"
 
 
 class NoiseSize(ResultPart):

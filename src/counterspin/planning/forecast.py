@@ -29,6 +29,7 @@ from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.series import ResidualSeries, TimestampErrors
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
+from counterspin.inference.noise.components import size_keys
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle, forecast_angle_error
@@ -170,8 +171,7 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
         problems.append("simulation.sampling_rate: this entry is missing; a prediction requires it")
     for name, accelerometer in campaign.accelerometers.items() if campaign.runs else ():
         noise = _resolved_noise(campaign, name)
-        keys = (accelerometer.observable, "acceleration", "flicker", "bias_walk")
-        for key in (*keys, "quantisation", "timing"):
+        for key in (*size_keys(accelerometer.observable).values(), "quantisation", "timing"):
             if not isinstance(noise.get(key, "estimate"), float):
                 problems.append(
                     f"noise.{key}: a prediction requires a value, because the noise cannot be "
@@ -197,18 +197,10 @@ def _resolved_noise(campaign: Campaign, name: str) -> Mapping[str, float | str]:
 
 def noise_of_records(campaign: Campaign) -> dict[str, Noise]:
     """Return the noise of each accelerometer's records."""
-    models = {}
-    for name, accelerometer in campaign.accelerometers.items():
-        noise = _resolved_noise(campaign, name)
-        step = noise["quantisation"] if accelerometer.observable == "displacement" else 0.0
-        models[name] = Noise(
-            float(noise[accelerometer.observable]),
-            float(noise["acceleration"]),
-            float(step),
-            float(noise["flicker"]),
-            float(noise["bias_walk"]),
-        )
-    return models
+    return {
+        name: Noise.from_sizes(_resolved_noise(campaign, name), accelerometer.observable)
+        for name, accelerometer in campaign.accelerometers.items()
+    }
 
 
 def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float) -> ResidualSeries:

@@ -25,12 +25,13 @@ from counterspin.campaign.documents import (
 )
 from counterspin.campaign.field_types import ESTIMATE
 from counterspin.campaign.quantity import parse
-from counterspin.campaign.settings import OBSERVABLES, NoiseSettings
-from counterspin.campaign.static_noise import SI_UNITS, with_static_sizes
+from counterspin.campaign.settings import NOISE_UNITS, OBSERVABLES, NoiseSettings
+from counterspin.campaign.static_noise import with_static_sizes
 from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import Unknown, unit_of
+from counterspin.inference.noise.components import BIAS_KEYS
 from counterspin.physics.terms import CONDITION_TERMS, term
 from counterspin.planning.design import Limits, RunType
 from counterspin.planning.plan_sections import GoalSettings, LimitsSettings, PlanDocument
@@ -254,23 +255,23 @@ def _stated_sizes(noise: Mapping[str, Any], problems: Problems) -> dict[str, Any
 
 def _record_sizes(campaign: Campaign, stated: NoiseSettings, problems: Problems) -> dict[str, str]:
     """Return [noise] as it is written with the sizes that a record at rest says."""
-    units = {**OBSERVABLES, **SI_UNITS, "quantisation": "m", "angle": "rad", "timing": "s"}
     sizes = {key: size for key, size in with_static_sizes(campaign, stated) if size}
-    for key in {"flicker", "bias_walk"} & sizes.keys() - stated.model_fields_set:
+    for key in sizes.keys() & set(BIAS_KEYS) - stated.model_fields_set:
+        unit = NOISE_UNITS[key]
         problems.add(
             ("noise", "from"),
-            f"the record shows {key}, {sizes[key]:.3g} {units[key]}, but the search for runs "
-            f'cannot model a drifting bias; add {key} = "0 {units[key]}" here, and run a forecast '
-            "of the planned campaign with this noise",
+            f"the record shows {key}, {sizes[key]:.3g} {unit}, but the search for runs cannot "
+            f'model a drifting bias; add {key} = "0 {unit}" here, and run a forecast of the '
+            "planned campaign with this noise",
         )
-    return {key: f"{size!r} {units[key]}" for key, size in sizes.items()}
+    return {key: f"{size!r} {NOISE_UNITS[key]}" for key, size in sizes.items()}
 
 
 def _check_noise(campaign: Campaign, problems: Problems) -> None:
     noise = campaign.noise
     if noise is None or any(line.startswith("noise.") for line in problems.lines):
         return
-    for key in ("flicker", "bias_walk"):
+    for key in BIAS_KEYS:
         if getattr(noise, key) != 0.0:
             problems.add(
                 ("noise", key),

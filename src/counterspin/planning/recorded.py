@@ -24,6 +24,7 @@ from counterspin.campaign.static_noise import resolve_noise
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.noise.components import size_keys
 from counterspin.inference.noise.model import Noise
 from counterspin.planning.forecast import forecast
 from counterspin.readings.fit import solve_readings
@@ -115,14 +116,8 @@ def apply_observations(
     )
     largest: dict[str, float] = {}
     for name, noise_sizes in noise.items():
-        sizes = {
-            campaign.accelerometers[name].observable: noise_sizes.white,
-            "acceleration": noise_sizes.random_walk,
-            "flicker": noise_sizes.flicker,
-            "bias_walk": noise_sizes.bias_walk,
-        }
-        for key, size in sizes.items():
-            largest[key] = max(size, largest.get(key, 0.0))
+        for component, key in size_keys(campaign.accelerometers[name].observable).items():
+            largest[key] = max(getattr(noise_sizes, component), largest.get(key, 0.0))
     angles = [run.rotation.rms for run in observed if run.rotation is not None]
     stated = campaign.noise or NoiseSettings()
     sizes = {key: largest.get(key, 0.0) for key in _unstated_noise(campaign)}

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from counterspin.inference.joint.budget import budget
-from counterspin.inference.noise.model import WALK_UNIT, Noise
+from counterspin.inference.noise.components import NOISE_COMPONENTS
+from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.search import NoiseEstimate, effective_dof
 from counterspin.inference.noise.undetected_walk import UndetectedWalk, marginal_walk
 from counterspin.inference.two_stage.first_stage import Strobes
@@ -97,7 +98,8 @@ def test_a_walk_that_does_not_show_adds_what_it_adds_to_the_same_weights():
     np.testing.assert_allclose(after, before + level * np.diag(slope), rtol=1e-3)
     assert (after > 1.2 * before).any()
     # The budget says so in a line of its own.
-    (line,) = [line for line in budget(wider.fit, 0) if line.unit == WALK_UNIT]
+    unit = NOISE_COMPONENTS["random_walk"].unit
+    (line,) = [line for line in budget(wider.fit, 0) if line.unit == unit]
     assert line.contribution == pytest.approx(math.sqrt(level * slope[0, 0]), rel=1e-3)
     assert np.isfinite(wider.dof).all()
 

@@ -18,6 +18,7 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.summary import Jackknife
+from counterspin.inference.noise.components import COMPONENTS_BY_KEY
 from counterspin.physics.terms import description_of, is_term, term
 from counterspin.records.record import rejected_count
 from counterspin.reports.blocks import TERMINAL_ROWS, Block, Column, Heading, Paragraph, Table
@@ -249,7 +250,7 @@ def _noise_sentence(noise: dict[str, NoiseLine], gravity: float) -> str:
     lines = []
     for name, line in noise.items():
         value, u, unit = line.value, line.u, line.unit
-        if unit.startswith("m/s^2/") or name == "flicker":
+        if name in COMPONENTS_BY_KEY:
             # The campaign file, and every data sheet, says it in micro-g.
             scale = 1e6 / gravity
             value, u, unit = value * scale, None if u is None else u * scale, f"ug{unit[5:]}"

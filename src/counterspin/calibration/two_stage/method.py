@@ -52,6 +52,7 @@ from counterspin.inference.joint.estimation import Estimate, correct_series, est
 from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns, unit_of
 from counterspin.inference.joint.what_if import what_if
+from counterspin.inference.noise.components import BIAS_KEYS
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.search import NoiseEstimate
 from counterspin.inference.two_stage.first_stage import Parabola, strobe_angle
@@ -350,7 +351,7 @@ def make_request(
     if stated is not None and stated.wanders:
         raise NotIdentifiableError(
             f"{accelerometer.name}: the two-stage method cannot model a drifting bias "
-            "(noise.flicker, noise.bias_walk); use the joint method",
+            f"({', '.join(f'noise.{key}' for key in BIAS_KEYS)}); use the joint method",
             code="method-not-applicable",
         )
     for run in campaign.runs:

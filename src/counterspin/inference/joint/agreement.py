@@ -31,7 +31,7 @@ from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.summary import Jackknife
 from counterspin.inference.least_squares import Solution
-from counterspin.inference.noise.model import COMPONENTS
+from counterspin.inference.noise.components import COMPONENTS
 from counterspin.inference.noise.search import effective_dof
 from counterspin.inference.noise.undetected_walk import UndetectedWalk, marginal_walk
 

@@ -26,7 +26,7 @@ from counterspin.inference.joint.unknowns import (
     Unknown,
     unit_of,
 )
-from counterspin.inference.noise.model import WALK_UNIT
+from counterspin.inference.noise.components import NOISE_COMPONENTS
 from counterspin.inference.priors import conditional_priors, prior_root
 
 #: Lines below this share of u^2 say nothing.
@@ -58,9 +58,10 @@ def combination_budget(fit: JointFit, weights: Array, name: str = "") -> list[Bu
     lines += _rate_lines(fit, rate_variances)
     for source, (level, covariance) in fit.undetected_walks.items():
         source_name = f"undetected noise of {source}"
+        unit = NOISE_COMPONENTS["random_walk"].unit
         size = math.sqrt(float(weights @ covariance @ weights))
         slope = size / level if level else 0.0
-        lines.append(BudgetLine(source_name, NOISE, level, WALK_UNIT, slope, size, 0.0))
+        lines.append(BudgetLine(source_name, NOISE, level, unit, slope, size, 0.0))
     terms = (*model.unknowns, *model.considered)
     sensitivity = (solution.sensitivity_prior, solution.sensitivity_considered)
     slopes = np.concatenate([weights @ matrix for matrix in sensitivity])

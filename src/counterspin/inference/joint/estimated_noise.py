@@ -14,8 +14,9 @@ from counterspin.inference.joint.design_blocks import DesignBlock, compress_nuis
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.components import COMPONENTS
 from counterspin.inference.noise.likelihood import RecordData
-from counterspin.inference.noise.model import COMPONENTS, Noise, information_loss
+from counterspin.inference.noise.model import Noise, information_loss
 from counterspin.inference.noise.search import NoiseEstimate, effective_dof, estimate_noise
 from counterspin.inference.noise.undetected_walk import marginal_walk
 from counterspin.inference.priors import prior_correlation, whiten_priors

@@ -1,5 +1,6 @@
 """Noise of a record: its models, whitening, and its size estimated from the records.
 
+- `components`: table of the noise components
 - `model`, `riccati`: models of a record's noise, whitening with them, and what more noise takes
   from what a record says
 - `bias_instability`: flicker and random walk of the bias

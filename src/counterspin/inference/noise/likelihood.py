@@ -30,6 +30,7 @@ from counterspin.inference.noise.bias_instability import (
     coefficient_covariance,
     integrated_cosines,
 )
+from counterspin.inference.noise.components import COMPONENTS
 from counterspin.inference.noise.even_sampling import EvenlySampledData, TransformedRecord
 from counterspin.inference.noise.model import (
     SPECIFIC_FORCE,
@@ -38,7 +39,7 @@ from counterspin.inference.noise.model import (
 )
 
 #: White noise alone.
-WHITE: Final = (1.0, 0.0, 0.0, 0.0)
+WHITE: Final = (1.0, *(0.0 for _ in COMPONENTS[1:]))
 
 #: Rows less what the unknowns follow of them, below which rounding is all that is left.
 _MIN_DOF: Final = 1e-9

@@ -41,11 +41,10 @@ from counterspin.inference.noise.bias_instability import (
     coefficient_root,
     integrated_cosines,
 )
+from counterspin.inference.noise.components import BIAS_COMPONENTS, COMPONENTS, size_keys
 from counterspin.inference.noise.riccati import BlockSpans, filter_walk
 
 DISPLACEMENT, VELOCITY, SPECIFIC_FORCE = 2, 1, 0
-
-WALK_UNIT: Final = "m/s^2/Hz^0.5"  #: of `Noise.random_walk`
 
 
 class _Estimate(float):
@@ -60,9 +59,6 @@ class _Estimate(float):
 
 #: In place of a size of `Noise`: to be estimated from the records.
 ESTIMATE: Final = _Estimate("nan")
-
-#: What noise may consist of, in the order of `Noise.variances`.
-COMPONENTS: Final = ("white", "random_walk", "flicker", "bias_walk")
 
 
 @frozen
@@ -87,6 +83,16 @@ class Noise:
             if not (np.isfinite(value) and value >= 0):
                 raise ValueError(f"noise: {name} is {value}; it must not be negative")
 
+    @classmethod
+    def from_sizes(cls, sizes: Mapping[str, Any], observable: str) -> Noise:
+        """Return the noise of records of an observable.
+
+        sizes: By the keys of a description, which are those of `size_keys` and ``quantisation``.
+        """
+        step = sizes["quantisation"] if observable == "displacement" else 0.0
+        components = {name: sizes[key] for name, key in size_keys(observable).items()}
+        return cls(quantisation=step, **components)
+
     @property
     def to_estimate(self) -> tuple[str, ...]:
         """Components to be estimated."""
@@ -105,13 +111,12 @@ class Noise:
     @property
     def has_bias_instability(self) -> bool:
         """True if the bias wanders, or may wander."""
-        return self.flicker != 0.0 or self.bias_walk != 0.0
+        return any(getattr(self, name) != 0.0 for name in BIAS_COMPONENTS)
 
     @property
     def variances(self) -> Variances:
         """Those of `COMPONENTS`, quantisation included."""
-        walks = (self.random_walk, self.flicker, self.bias_walk)
-        return (self.sample_variance, *(size**2 for size in walks))
+        return (self.sample_variance, *(getattr(self, name) ** 2 for name in COMPONENTS[1:]))
 
     def with_variances(self, variances: Variances) -> Noise:
         """Return the noise with what is to be estimated as the variances say."""

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import cached_property
 from itertools import combinations
 from typing import Final
@@ -29,8 +28,9 @@ from numpy.typing import ArrayLike
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.noise.bias_instability import Variances
+from counterspin.inference.noise.components import BIAS_COMPONENTS, COMPONENTS
 from counterspin.inference.noise.likelihood import WHITE, RecordData, RestrictedLikelihood
-from counterspin.inference.noise.model import COMPONENTS, Noise
+from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.undetected_walk import (
     PRIOR_EXPONENT,
     UndetectedWalk,
@@ -105,7 +105,8 @@ def estimate_noise(
     likelihood = RestrictedLikelihood.of(records, prior_rows, prior_values)
     wanted, base = noise.to_estimate, None
     if noise.has_bias_instability:
-        base, _ = _select_components(likelihood, replace(noise, flicker=0.0, bias_walk=0.0), None)
+        constant_bias = noise.with_sizes(dict.fromkeys(BIAS_COMPONENTS, 0.0))
+        base, _ = _select_components(likelihood, constant_bias, None)
     best, log_likelihoods = _select_components(likelihood, noise, base)
     variances, covariance = _average_bias_noise(
         likelihood, best, _first_guess(likelihood, noise, base)
@@ -168,7 +169,7 @@ def _select_components(
     """
     wanted = noise.to_estimate
     required = [name for name in wanted if base is not None and name == "white"]
-    required += [name for name in wanted if name in COMPONENTS[2:]][:1]
+    required += [name for name in wanted if name in BIAS_COMPONENTS][:1]
     optional = [name for name in wanted if name not in required]
     candidates = [
         NoiseModelCandidate(
@@ -261,7 +262,7 @@ class NoiseModelCandidate:
         )
         scanned = []
         for white, walk, *rest in points:
-            ratios = (1.0, walk / (white + added), 0.0, 0.0)
+            ratios = (1.0, walk / (white + added), *WHITE[2:])
             scale = likelihood.best_scale(ratios)
             total = math.exp(scale)
             point = (max(total - added, 0.1 * total), total * ratios[1], *rest)
@@ -366,9 +367,9 @@ def _average_bias_noise(
     """
     variances, covariance = list(best.variances), best.covariance.copy()
     for name in best.names:
-        place = COMPONENTS.index(name)
-        if place < 2:
+        if name not in BIAS_COMPONENTS:
             continue
+        place = COMPONENTS.index(name)
         middle = max(variances[place], first[place])
         sizes = middle * np.exp(_LOG_VARIANCE_OFFSETS)
         values = []

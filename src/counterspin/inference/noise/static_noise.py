@@ -21,9 +21,10 @@ from counterspin.arrays import Array, median
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.frozen import frozen
 from counterspin.inference.noise.bias_instability import Variances
+from counterspin.inference.noise.components import COMPONENTS
 from counterspin.inference.noise.even_sampling import EvenlySampledData, Sampling, TransformedRecord
 from counterspin.inference.noise.likelihood import RestrictedLikelihood
-from counterspin.inference.noise.model import COMPONENTS, ESTIMATE, SPECIFIC_FORCE, Noise
+from counterspin.inference.noise.model import ESTIMATE, SPECIFIC_FORCE, Noise
 from counterspin.inference.noise.samples import SensorSamples
 from counterspin.inference.noise.search import KEEPING_GAIN, Maximum, NoiseModelCandidate
 from counterspin.inference.noise.spectrum import SpectralLine, find_lines

@@ -28,7 +28,8 @@ from counterspin.inference.joint.estimated_noise import inflate_covariance
 from counterspin.inference.joint.fit import JointFit, solve_blocks, solve_joint
 from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.unknowns import RIPPLE, Considered, Unknowns
-from counterspin.inference.noise.model import COMPONENTS, Noise
+from counterspin.inference.noise.components import COMPONENTS
+from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.search import NoiseEstimate
 from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.model import (
