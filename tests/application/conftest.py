@@ -1,4 +1,4 @@
-"""A folder that is served, with a campaign and its result, and who may ask for it."""
+"""Fixtures of a served folder with a calibrated campaign, and clients for it."""
 
 import shutil
 import warnings
@@ -21,15 +21,15 @@ PORT = 8765
 
 
 @pytest.fixture(scope="session")
-def made(tmp_path_factory):
+def calibrated_folder(tmp_path_factory):
     """Return a folder with a campaign, "three", its records and its result."""
     return write_folder(tmp_path_factory.mktemp("served"), tmp_path_factory.mktemp("plan"))
 
 
 @pytest.fixture
-def folder(made, tmp_path):
-    """Return a copy of it, which a test may change; times of files are kept."""
-    return shutil.copytree(made, tmp_path / "served")
+def folder(calibrated_folder, tmp_path):
+    """Return a copy of the calibrated folder for changes; modification times are preserved."""
+    return shutil.copytree(calibrated_folder, tmp_path / "served")
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def app(folder):
 
 @pytest.fixture
 def inline_jobs(app):
-    """Do jobs at once, in this process."""
+    """Run jobs synchronously in this process."""
     app.jobs = InlineJobs()
 
 
@@ -51,8 +51,8 @@ def credentials():
 
 
 @pytest.fixture
-def stranger(app, credentials):
-    """Return a client that knows the address, and no key."""
+def anonymous(app, credentials):
+    """Return a client without a session key."""
     with TestClient(
         make_application(app, credentials), base_url=f"http://127.0.0.1:{PORT}"
     ) as client:
@@ -61,11 +61,11 @@ def stranger(app, credentials):
 
 
 @pytest.fixture
-def page(stranger, credentials):
-    """Return a client that came by the link, as the page does."""
-    told = stranger.post("/api/session", json={"token": token_of(credentials)})
-    stranger.headers["Authorization"] = f"Bearer {told.json()['key']}"
-    return stranger
+def page(anonymous, credentials):
+    """Return a client with a session key, as the page has after following the link."""
+    told = anonymous.post("/api/session", json={"token": token_of(credentials)})
+    anonymous.headers["Authorization"] = f"Bearer {told.json()['key']}"
+    return anonymous
 
 
 @pytest.fixture(scope="module")
@@ -75,14 +75,14 @@ def browser():
 
 
 @pytest.fixture
-def door_of_server(app):
-    """Return the credentials of a server that runs."""
+def server_credentials(app):
+    """Return the credentials of a running server."""
     with serving(app) as credentials:
         yield credentials
 
 
 class Window:
-    """A window, what it asked for elsewhere, and what went wrong in it."""
+    """A browser window with its external requests and its errors."""
 
     def __init__(self, context, link):
         self.away, self.wrong = [], []
@@ -93,22 +93,22 @@ class Window:
         self.tab.on("console", self.hear)
         self.tab.goto(link)
 
-    def hear(self, said):
-        # That an answer was no is said on the page.
-        if said.type == "error" and "Failed to load resource" not in said.text:
-            self.wrong.append(said.text)
+    def record_message(self, message):
+        # The page reports failed requests itself.
+        if message.type == "error" and "Failed to load resource" not in message.text:
+            self.wrong.append(message.text)
 
 
 @pytest.fixture
-def opened(browser, door_of_server):
-    """Return what opens windows; nothing may go wrong in any, and no request may leave."""
-    context, credentials = open_context(browser), door_of_server
+def open_window(browser, server_credentials):
+    """Return a function that opens windows; errors and external requests fail the test."""
+    context, credentials = open_context(browser), server_credentials
     windows = []
 
     def open_window(place=None):
         link = credentials.link
         if place is not None:
-            # As one that has come by the link before.
+            # As a window that followed the link before.
             key = credentials.exchange_token(token_of(credentials))
             context.add_init_script(f"sessionStorage.setItem('counterspin-key', '{key}')")
             link = f"{link.partition('#')[0]}#{place}"

@@ -1,4 +1,4 @@
-"""Who may ask: nobody but the page itself, by its own address, with the key."""
+"""Access control: only the page itself, by its address and with the key, is served."""
 
 import asyncio
 
@@ -11,7 +11,7 @@ from counterspin.application.access_control import Credentials
 FOLDER = "/api/folder"
 
 
-def test_the_page_itself_is_answered(page):
+def test_page_request_is_accepted(page):
     assert page.get(FOLDER).status_code == 200
 
 
@@ -26,14 +26,14 @@ def test_the_page_itself_is_answered(page):
     ],
 )
 @pytest.mark.parametrize("path", ["/", "/assets/main.js", "/api/session", FOLDER])
-def test_a_foreign_host_is_refused(page, path, host):
-    """A name that was made to lead here, DNS rebinding, is told in Host; no Origin tells it."""
+def test_foreign_host_is_rejected(page, path, host):
+    """DNS rebinding shows in the Host header but not in Origin."""
     del page.headers["Origin"]
     assert page.get(path, headers={"Host": host}).status_code == 403
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8765", "localhost:8765", "LOCALHOST:8765"])
-def test_this_machine_s_own_names_are_taken(page, host):
+def test_loopback_host_names_are_accepted(page, host):
     headers = {"Host": host, "Origin": f"http://{host.lower()}"}
     assert page.get("/", headers=headers).status_code == 200
 
@@ -49,11 +49,11 @@ def test_this_machine_s_own_names_are_taken(page, host):
     ],
 )
 @pytest.mark.parametrize("method", ["GET", "POST"])
-def test_a_foreign_origin_is_refused(page, method, origin):
+def test_foreign_origin_is_rejected(page, method, origin):
     assert page.request(method, FOLDER, headers={"Origin": origin}).status_code == 403
 
 
-def test_what_changes_something_says_its_origin(page):
+def test_post_without_origin_is_rejected(page):
     del page.headers["Origin"]
     assert page.get(FOLDER).status_code == 200
     assert page.post("/api/jobs", json={"name": "three"}).status_code == 403
@@ -61,49 +61,47 @@ def test_what_changes_something_says_its_origin(page):
 
 
 @pytest.mark.parametrize("site", ["cross-site", "same-site"])
-def test_what_another_page_embeds_is_refused(page, site):
+def test_cross_site_fetch_is_rejected(page, site):
     assert page.get(FOLDER, headers={"Sec-Fetch-Site": site}).status_code == 403
 
 
-def test_without_the_key_nothing_of_the_folder_is_told(stranger, credentials):
-    assert stranger.get("/").status_code == 200
-    assert stranger.get(FOLDER).status_code == 401
-    assert stranger.post("/api/session", json={"token": "x" * 32}).status_code == 403
+def test_request_without_key_is_unauthorized(anonymous, credentials):
+    assert anonymous.get("/").status_code == 200
+    assert anonymous.get(FOLDER).status_code == 401
+    assert anonymous.post("/api/session", json={"token": "x" * 32}).status_code == 403
     for odd in ("", "[]", '{"token": null}', '{"token": "\u00e4"}', "[" * 3999):
-        assert stranger.post("/api/session", content=odd.encode()).status_code == 403
-    assert stranger.get(FOLDER).status_code == 401
+        assert anonymous.post("/api/session", content=odd.encode()).status_code == 403
+    assert anonymous.get(FOLDER).status_code == 401
     other = Credentials(1234)
     for said in (token_of(credentials), other.exchange_token(token_of(other)), ""):
-        stranger.headers["Authorization"] = f"Bearer {said}"
-        assert stranger.get(FOLDER).status_code == 401
+        anonymous.headers["Authorization"] = f"Bearer {said}"
+        assert anonymous.get(FOLDER).status_code == 401
 
 
-def test_the_key_is_in_no_cookie_which_every_server_of_this_machine_would_get(
-    stranger, credentials
-):
-    told = stranger.post("/api/session", json={"token": token_of(credentials)})
+def test_session_key_is_not_set_as_cookie(anonymous, credentials):
+    told = anonymous.post("/api/session", json={"token": token_of(credentials)})
     assert "set-cookie" not in told.headers
     key = told.json()["key"]
-    stranger.cookies.set("counterspin-8765", key)
-    assert stranger.get(FOLDER).status_code == 401
+    anonymous.cookies.set("counterspin-8765", key)
+    assert anonymous.get(FOLDER).status_code == 401
     both = [("Authorization", f"Bearer {said}") for said in (key, "x")]
-    assert stranger.get(FOLDER, headers=both).status_code == 401
-    assert stranger.get(FOLDER, headers=both[:1]).status_code == 200
+    assert anonymous.get(FOLDER, headers=both).status_code == 401
+    assert anonymous.get(FOLDER, headers=both[:1]).status_code == 200
 
 
-def test_a_link_counts_once_and_the_next_is_told(stranger, credentials):
+def test_link_is_valid_once_and_next_link_is_printed(anonymous, credentials):
     told = []
     credentials.on_token_used = told.append
     first = {"token": token_of(credentials)}
-    assert stranger.post("/api/session", json=first).status_code == 200
-    assert stranger.post("/api/session", json=first).status_code == 403
+    assert anonymous.post("/api/session", json=first).status_code == 200
+    assert anonymous.post("/api/session", json=first).status_code == 403
     assert told == [credentials.link]
-    assert stranger.post("/api/session", json={"token": token_of(credentials)}).status_code == 200
+    assert anonymous.post("/api/session", json={"token": token_of(credentials)}).status_code == 200
     assert told[1] == credentials.link
     assert len({*told, f"http://127.0.0.1:8765/#token={first['token']}"}) == 3
 
 
-def test_two_servers_have_nothing_in_common():
+def test_servers_do_not_share_credentials():
     one, other = Credentials(1), Credentials(1)
     # No browser sends a fragment.
     assert one.link.startswith("http://127.0.0.1:1/#token=")
@@ -119,13 +117,13 @@ def test_two_servers_have_nothing_in_common():
     assert min(map(len, found)) >= 32
 
 
-def _ticket(page, **said):
+def _request_ticket(page, **said):
     return page.post("/api/ticket", json={"name": "file", "said": said})
 
 
-def test_a_file_is_saved_by_an_address_that_counts_once_and_for_it_alone(page):
+def test_download_ticket_is_valid_once_and_for_one_file(page):
     file = {"name": "three/campaign.toml"}
-    ticket = _ticket(page, **file).json()["ticket"]
+    ticket = _request_ticket(page, **file).json()["ticket"]
     assert len(ticket) >= 32
     del page.headers["Authorization"], page.headers["Origin"]
     assert page.get("/api/file", params=file).status_code == 401
@@ -139,15 +137,15 @@ def test_a_file_is_saved_by_an_address_that_counts_once_and_for_it_alone(page):
         assert page.get(address).status_code == 404
 
 
-def test_tickets_are_for_what_is_saved_and_are_given_to_the_page(page):
+def test_tickets_are_limited_to_downloads_and_to_the_page(page):
     assert page.post("/api/ticket", json={"name": "folder", "said": {}}).status_code == 400
-    outside = _ticket(page, name="../outside.toml").json()["ticket"]
+    outside = _request_ticket(page, name="../outside.toml").json()["ticket"]
     assert page.get(f"/api/ticket/{outside}").status_code == 403
     del page.headers["Authorization"]
-    assert _ticket(page, name="three/campaign.toml").status_code == 401
+    assert _request_ticket(page, name="three/campaign.toml").status_code == 401
 
 
-def test_old_tickets_count_no_longer(monkeypatch):
+def test_oldest_tickets_expire(monkeypatch):
     tickets, now = access_control.Tickets(), [0.0]
     monkeypatch.setattr(access_control.time, "monotonic", lambda: now[0])
     first = tickets.issue("first")
@@ -158,7 +156,7 @@ def test_old_tickets_count_no_longer(monkeypatch):
     assert tickets.take(many[1]) is None
 
 
-def test_a_browser_is_told_to_load_and_run_nothing_else(page):
+def test_content_security_policy_allows_only_the_server(page):
     for path in ("/", "/assets/main.js", FOLDER, "/nowhere"):
         headers = page.get(path).headers
         policy = dict(
@@ -171,7 +169,7 @@ def test_a_browser_is_told_to_load_and_run_nothing_else(page):
         assert headers["referrer-policy"] == "no-referrer"
 
 
-def test_large_requests_are_refused_whatever_they_say_of_their_length(page, monkeypatch):
+def test_oversized_request_is_rejected_with_or_without_length(page, monkeypatch):
     monkeypatch.setattr(access_control, "FORM_MAX_BYTES", 1000)
     name = {"name": "x" * 2000}
     assert page.post("/api/jobs", json=name).status_code == 413
@@ -182,18 +180,18 @@ def test_large_requests_are_refused_whatever_they_say_of_their_length(page, monk
         assert page.get(FOLDER, headers={"Content-Length": length.encode()}).status_code == 413
 
 
-def test_who_has_no_key_brings_little(stranger, monkeypatch):
+def test_large_upload_without_key_is_rejected_unread(anonymous, monkeypatch):
     read = []
     monkeypatch.setattr("starlette.requests.Request.body", lambda *_: read.append(1))
     much = b"x" * 5000
     for path, status in (("/api/session", 413), (FOLDER, 401), ("/", 413), ("/api/files", 401)):
-        answer = stranger.post(path, content=much)
+        answer = anonymous.post(path, content=much)
         assert (answer.status_code, answer.headers["connection"]) == (status, "close")
     assert read == []
 
 
-def test_large_forms_are_read_a_few_at_a_time(credentials):
-    """Fifty of 4 MB at once would else hold 200 MB."""
+def test_number_of_large_forms_in_memory_is_limited(credentials):
+    """Otherwise fifty forms of 4 MB would occupy 200 MB."""
     forms, size = 20, 1_000_000
     held, most = [0], [0]
 
@@ -223,11 +221,11 @@ def test_large_forms_are_read_a_few_at_a_time(credentials):
 
     asyncio.run(ask())
     assert held == [0]
-    # Of the others, what came first.
+    # The first chunks of the other forms.
     assert most[0] <= 2 * size + (forms - 2) * 200_000
 
 
-def test_what_nobody_has_foreseen_is_an_answer_too(page, monkeypatch):
+def test_unexpected_exception_returns_status_500(page, monkeypatch):
     monkeypatch.setattr("counterspin.application.server.handle_request", lambda *_: 1 / 0)
     told = page.get(FOLDER)
     assert (told.status_code, told.json()["error"][:34]) == (

@@ -1,4 +1,4 @@
-"""Types of the answers: the scripts' copy is up to date, and answers have these types."""
+"""Types of the responses: responses match them, and the copy for the scripts is current."""
 
 import typing
 from types import UnionType
@@ -10,22 +10,22 @@ import answer_types
 from counterspin.application.endpoints import ENDPOINTS
 
 
-def is_any(value, parts):
-    return any(has_type(value, part) for part in parts)
+def matches_any(value, parts):
+    return any(matches_type(value, part) for part in parts)
 
 
 #: Origin of a generic type -> check of a value against its parts; others are lists.
 CHECKS = {
     Literal: lambda value, parts: value in parts,
-    typing.Union: is_any,
-    UnionType: is_any,
-    dict: lambda value, parts: all(has_type(item, parts[1]) for item in value.values()),
-    tuple: lambda value, parts: len(value) == len(parts) and all(map(has_type, value, parts)),
+    typing.Union: matches_any,
+    UnionType: matches_any,
+    dict: lambda value, parts: all(matches_type(item, parts[1]) for item in value.values()),
+    tuple: lambda value, parts: len(value) == len(parts) and all(map(matches_type, value, parts)),
 }
 
 
-def has_type(value, hint):
-    """Return whether a value of JSON has a type."""
+def matches_type(value, hint):
+    """Check a JSON value against a type."""
     origin, parts = typing.get_origin(hint), typing.get_args(hint)
     if hint is Any:
         return True
@@ -34,11 +34,11 @@ def has_type(value, hint):
         extras = typing.get_type_hints(hint, include_extras=True)
         optional = {key for key, of in extras.items() if typing.get_origin(of) is NotRequired}
         is_complete = isinstance(value, dict) and set(hints) - optional <= set(value) <= set(hints)
-        return is_complete and all(has_type(item, hints[key]) for key, item in value.items())
+        return is_complete and all(matches_type(item, hints[key]) for key, item in value.items())
     if origin in CHECKS:
         return CHECKS[origin](value, parts)
     if origin is not None:
-        return isinstance(value, list) and all(has_type(item, parts[0]) for item in value)
+        return isinstance(value, list) and all(matches_type(item, parts[0]) for item in value)
     return isinstance(value, (float, int) if hint is float else hint)
 
 
@@ -63,14 +63,14 @@ RESULT = "three/result.json"
         ("POST", "put-away", {"name": "three"}),
     ],
 )
-def test_an_answer_has_the_type_of_its_endpoint(page, method, name, said):
+def test_response_matches_type_of_endpoint(page, method, name, said):
     kind = "params" if method == "GET" else "json"
     answer = page.request(method, f"/api/{name}", **{kind: said})
     assert answer.status_code == 200
-    assert has_type(answer.json(), typing.get_type_hints(ENDPOINTS[method, name])["return"])
+    assert matches_type(answer.json(), typing.get_type_hints(ENDPOINTS[method, name])["return"])
 
 
-def test_the_types_of_the_scripts_are_up_to_date():
+def test_generated_script_types_are_up_to_date():
     text = answer_types.FILE.read_text(encoding="utf-8")
     assert text == answer_types.script(), "run `python docs/answer_types.py`"
     assert 'kind: "calibration" | "study"' in text

@@ -1,4 +1,4 @@
-"""Documents of the folder name files of the folder, and no others."""
+"""Documents of the served folder may name only files in the folder."""
 
 import pytest
 from served import ANSWERS
@@ -12,7 +12,7 @@ RESULT = "three/result.json"
 
 @pytest.fixture
 def outside(folder):
-    """Return a folder beside the one that is served, to which links within lead."""
+    """Return a folder outside the served folder that symlinks in it point to."""
     place = folder.parent / "outside"
     place.mkdir()
     for inner in (folder, folder / "three"):
@@ -20,25 +20,25 @@ def outside(folder):
     return place
 
 
-def _issued(page, output):
+def _issue_certificate(page, output):
     said = {"result": RESULT, "lab": "LAB.toml", "output": output}
     return page.post("/api/certificate", json=said)
 
 
-def test_no_ledger_is_kept_outside(page, folder, outside):
+def test_ledger_outside_folder_is_rejected(page, folder, outside):
     lab = write_lab(folder / "LAB.toml")
     text = lab.read_text() + '\n[evidence]\nall = "Type test 4714."\n'
     head = "[certificate]\n"
     assert head in text
     lab.write_text(text.replace(head, head + 'ledger = "sub/led.jsonl"\n'))
-    told = _issued(page, "new.xml")
+    told = _issue_certificate(page, "new.xml")
     assert told.status_code == 422
     assert told.json()["codes"] == ["path-outside-folder"]
     assert told.json()["problems"][0].startswith("certificate.ledger: 'sub/led.jsonl' ")
     assert list(outside.iterdir()) == []
     assert not (folder / "new.xml").exists()
     lab.write_text(text.replace(head, head + 'ledger = "led.jsonl"\n'))
-    assert _issued(page, "new.xml").status_code == 200
+    assert _issue_certificate(page, "new.xml").status_code == 200
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_no_ledger_is_kept_outside(page, folder, outside):
         ('temperature = "sub/../../secret"', "temperature"),
     ],
 )
-def test_no_key_of_a_description_leads_out(app, folder, outside, line, key):
+def test_record_path_outside_folder_is_rejected(app, folder, outside, line, key):
     file = folder / "three" / "campaign.toml"
     assert app.campaign("three").runs
     file.write_text(file.read_text().replace("[[runs]]\n", f"[[runs]]\n{line}\n", 1))
@@ -59,7 +59,7 @@ def test_no_key_of_a_description_leads_out(app, folder, outside, line, key):
     assert [problem.partition(":")[0] for problem in refused.value.problems] == [f"runs[0].{key}"]
 
 
-def test_words_are_no_names_of_files(app, folder):
+def test_title_is_not_checked_as_path(app, folder):
     file = folder / "three" / "campaign.toml"
     title = "Qx / Qy .. at 1 g/g^2, https://example.org: \u00b1 \U0001f600" + "x" * 5000
     text = file.read_text().replace("[campaign]\n", f'[campaign]\ntitle = "{title}"\n')
@@ -67,7 +67,7 @@ def test_words_are_no_names_of_files(app, folder):
     assert app.campaign("three").title == title
 
 
-def test_nothing_new_is_written_through_a_link(page, folder, outside):
+def test_rejects_writing_through_symlink(page, folder, outside):
     (folder / "new").mkdir()
     (folder / "new" / "campaign.toml").symlink_to(outside / "campaign.toml")
     write_plan(folder / "PLAN.toml")

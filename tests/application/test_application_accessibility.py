@@ -1,4 +1,4 @@
-"""Complaints of axe-core about every page, in light and dark, on a desktop and on a phone."""
+"""Violations that axe-core reports for each page, in light and dark, on desktop and phone."""
 
 import shutil
 import sys
@@ -41,16 +41,16 @@ OPENED = """() => {
 TOUR = "sessionStorage.setItem('counterspin-tour', 'three')"
 
 
-def go(tab, place):
+def go_to(tab, place):
     """Go to a page and wait until it is shown."""
     tab.evaluate(f"location.hash = {place!r}")
     tab.locator("main:not([aria-busy]) h1").wait_for()
     tab.wait_for_function("document.querySelector('main').ariaBusy === null")
 
 
-def bring_record(tab, path):
-    """Import a file with a mistake in an answer, which stands at its field."""
-    go(tab, "/")
+def import_record(tab, path):
+    """Import a file and give an invalid answer, which the page marks at its field."""
+    go_to(tab, "/")
     tab.get_by_label("Folder for the new campaign").fill("mine")
     tab.get_by_label("Recorder files").set_input_files(path)
     tab.get_by_label("Local gravity", exact=True).fill("9,81 apples")
@@ -58,46 +58,46 @@ def bring_record(tab, path):
     tab.locator("[aria-invalid]").first.wait_for()
 
 
-def states(tab, app):
+def visit_states(tab, app):
     """Show one state of the application after another, and yield its name."""
     shown_below = ("/campaign/three", "/certificate/three%2Fresult.json", "/compare")
     for place in (*PLACES, "/manual/glossary", "/"):
         if place not in shown_below:
-            go(tab, place)
+            go_to(tab, place)
             yield place
     shutil.copy(app.folder.root / "three" / "result.json", app.folder.root / "b.json")
-    go(tab, "/compare")
+    go_to(tab, "/compare")
     for name in ("three/result.json", "b.json"):
         tab.get_by_role("checkbox", name=name).check()
     tab.get_by_text("Differences are relative to").wait_for()
     yield "a comparison"
-    go(tab, "/certificate/three%2Fresult.json")
+    go_to(tab, "/certificate/three%2Fresult.json")
     tab.get_by_label("Certificate type").select_option("Amendment to CS-1")
     yield "an amendment"
     tab.evaluate(TOUR)
-    go(tab, "/campaign/three")
+    go_to(tab, "/campaign/three")
     tab.get_by_role("dialog", name="Campaign tour").get_by_text("Next").click()
     yield "the tour"
-    bring_record(tab, next(app.folder.path("three").glob("*.csv")))
+    import_record(tab, next(app.folder.path("three").glob("*.csv")))
     yield "the columns of a file"
-    go(tab, "/")
+    go_to(tab, "/")
     tab.get_by_text("Continue the import of mine").wait_for()
     yield "an unfinished import"
-    go(tab, "/import")
+    go_to(tab, "/import")
     tab.locator("[aria-invalid]").first.wait_for()
     yield "a continued import"
 
 
 @pytest.mark.parametrize("width", SCHEMES, ids=["desktop", "phone"])
-def test_axe_has_no_serious_complaint(opened, app, width, monkeypatch):
+def test_axe_reports_no_serious_violation(open_window, app, width, monkeypatch):
     app.live.poll = lambda *_: {"html": "<p>Live</p>", "events": ["A run"], "complete": True}
     issued = [{"file": "three/certificate.xml", "identifier": "CS-1"}]
     monkeypatch.setattr(laboratory, "_issued_certificates", lambda *_: issued)
-    tab = opened("/")
+    tab = open_window("/")
     tab.set_viewport_size({"width": width, "height": 900})
     tab.evaluate(AXE.read_text(encoding="utf-8"))
     complaints = {}
-    for state in states(tab, app):
+    for state in visit_states(tab, app):
         tab.evaluate(OPENED)
         for scheme, rules in SCHEMES[width].items():
             tab.emulate_media(color_scheme=scheme)

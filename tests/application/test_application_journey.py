@@ -1,8 +1,8 @@
-"""From a recorder's files to a signed certificate by mouse, and what it costs a person.
+"""User effort from recorder files to a signed certificate: clicks, fields and time.
 
-Clicks, fields and letters are counted by the hand that makes them, and the words that have to be
-read. Time is what a person needs for them, and what the program took beside. The laboratory's data
-are a form that is filled in once, for the first certificate: it is counted apart, and in the time.
+Count the clicks, fields and letters of the user and the words to read. The time is the time that a
+user needs for them plus the run time of the program. The laboratory form is filled in once, for the
+first certificate; its effort is counted separately and included in the time.
 """
 
 import re
@@ -74,7 +74,7 @@ KNOWN = {
 }
 
 
-def labview(frames, folder):
+def write_labview(frames, folder):
     """Write LabVIEW measurement files with a head, decimal commas and Windows line ends."""
     for name, frame in frames.items():
         lines = [
@@ -92,7 +92,7 @@ def labview(frames, folder):
         (folder / f"{name}.lvm").write_text("\r\n".join(lines) + "\r\n", encoding="latin-1")
 
 
-def excel(frames, folder):
+def write_excel(frames, folder):
     """Write one book with a sheet for each run, title and units above the numbers.
 
     Its axis has the wrong name, as after a change of cables, and is guessed by it.
@@ -111,7 +111,7 @@ def excel(frames, folder):
     )
 
 
-def matlab(frames, folder):
+def write_matlab(frames, folder):
     """Write structs with a matrix of two columns."""
     for name, frame in frames.items():
         t, angle, east = frame.to_numpy().T
@@ -119,7 +119,7 @@ def matlab(frames, folder):
         savemat(folder / f"{name}.mat", {"rec": fields})
 
 
-def tdms(frames, folder):
+def write_tdms(frames, folder):
     """Write waveforms, which have a step and no column of time."""
     for name, frame in frames.items():
         step = {"wf_increment": 0.05, "wf_start_offset": 0.0}
@@ -136,17 +136,17 @@ def tdms(frames, folder):
             )
 
 
-def blanks(frames, folder):
-    """Write numbers in columns parted by blanks, without names."""
+def write_blanks(frames, folder):
+    """Write space-delimited columns without names."""
     for name, frame in frames.items():
         rows = ["".join(f"{x:20.12g}" for x in row) for row in frame.rows()]
         (folder / f"{name}.dat").write_text("\n".join(rows) + "\n")
 
 
 #: What is guessed wrong, and changed.
-WRONG = {excel: {"Along which axis": "east"}}
+WRONG = {write_excel: {"Along which axis": "east"}}
 #: Whose is the laboratory's first certificate, and whose is a later one.
-FIRST, LATER = matlab, excel
+FIRST, LATER = write_matlab, write_excel
 #: From the result to the certificate: the same clicks and fields whatever the files are.
 CERTIFICATE_CLICKS, CERTIFICATE_FIELDS = 4, 1
 
@@ -157,8 +157,8 @@ CLOSED = """element => [...element.querySelectorAll("option:not(:checked)")]
   .map(option => option.textContent).join(" ")"""
 
 
-class Hand:
-    """A hand that counts what it does, and the eye that goes with it."""
+class UserEffort:
+    """A user whose clicks, fields, keystrokes and words read are counted."""
 
     def __init__(self, tab):
         self.tab, self.clicks, self.fields, self.letters, self.words = tab, 0, 0, 0, 0
@@ -193,9 +193,9 @@ class Hand:
         return typed + read + SECONDS_A_CLICK * self.clicks + SECONDS_A_FIELD * self.fields
 
 
-def fill_in_the_laboratory(tab):
+def fill_laboratory_form(tab):
     """Fill in the laboratory's form, as before the first certificate; return the hand."""
-    hand = Hand(tab)
+    hand = UserEffort(tab)
     hand.read(tab.locator("#missing"))
     for key, text in LABORATORY.items():
         hand.fill(tab.locator(f'[id="f-{key}"]'), text)
@@ -210,16 +210,18 @@ def frames(tmp_path_factory):
     return {name: pl.read_csv(plain / f"{name}.csv") for name in RUNS}
 
 
-@pytest.mark.parametrize("write", [labview, excel, matlab, tdms, blanks])
-def test_from_files_to_a_signed_certificate(opened, frames, folder, tmp_path, write):
+@pytest.mark.parametrize(
+    "write", [write_labview, write_excel, write_matlab, write_tdms, write_blanks]
+)
+def test_files_to_certificate_within_effort_limits(open_window, frames, folder, tmp_path, write):
     files = tmp_path / "files"
     files.mkdir()
     write(frames, files)
     if write is not FIRST:
         write_own(folder / "LAB.toml")
     key, cert = write_pkcs12(tmp_path, ec.generate_private_key(ec.SECP256R1()), b"secret")
-    tab = opened()
-    hand = Hand(tab)
+    tab = open_window()
+    hand = UserEffort(tab)
     hand.read(tab.locator(".drop"))
     hand.bring(tab.get_by_label("Recorder files"), sorted(files.iterdir()))
     answer_field(tab, "Local gravity").wait_for()
@@ -248,7 +250,7 @@ def test_from_files_to_a_signed_certificate(opened, frames, folder, tmp_path, wr
         return
     hand.click(certificate)
     tab.get_by_label("Signature").wait_for()
-    office = fill_in_the_laboratory(tab) if write is FIRST else Hand(tab)
+    office = fill_laboratory_form(tab) if write is FIRST else UserEffort(tab)
     hand.bring(tab.get_by_label("Key file (PEM or PKCS #12)"), key)
     hand.fill(tab.get_by_label("Key password"), "secret")
     hand.click(tab.get_by_role("button", name="Sign and issue"))

@@ -1,4 +1,4 @@
-"""What the page's scripts do without a browser: requests, the key, elements, jobs."""
+"""Tests of the page scripts without a browser: requests, the key, elements, jobs."""
 
 import re
 import shutil
@@ -11,7 +11,7 @@ ASSETS = Path(__file__).parents[2] / "src" / "counterspin" / "application" / "as
 SCRIPTS = Path(__file__).parent / "scripts"
 
 
-def test_scripts_do_without_a_browser_what_they_say(tmp_path):
+def test_page_scripts_pass_their_tests(tmp_path):
     node = shutil.which("node")
     if node is None:
         pytest.skip("the page's scripts: there is no node (apt install nodejs)")

@@ -1,4 +1,4 @@
-"""Files that are uploaded into the served folder."""
+"""Uploads into the served folder."""
 
 import os
 import stat
@@ -8,11 +8,11 @@ from raising import raises
 from counterspin.application.campaign_files import complete_upload, open_upload
 
 
-def bring(page, name, content, **more):
+def upload(page, name, content, **more):
     return page.post("/api/files", params={"name": name}, content=content, **more)
 
 
-def test_what_is_no_record_or_would_replace_one_is_not_taken(page, folder):
+def test_invalid_upload_is_rejected(page, folder):
     kept = (folder / "three" / "slow.csv").read_bytes()
     before = sorted(folder.rglob("*"))
     for name, status in (
@@ -23,34 +23,34 @@ def test_what_is_no_record_or_would_replace_one_is_not_taken(page, folder):
         (".hidden.csv", 403),
         ("", 403),
     ):
-        assert bring(page, name, b"time_s\n1\n").status_code == status
+        assert upload(page, name, b"time_s\n1\n").status_code == status
     assert (folder / "three" / "slow.csv").read_bytes() == kept
     assert sorted(folder.rglob("*")) == before
 
 
-def test_the_same_file_may_be_brought_again(page, folder):
+def test_identical_file_can_be_uploaded_again(page, folder):
     content = (folder / "three" / "slow.csv").read_bytes()
     before = sorted(folder.rglob("*"))
-    assert bring(page, "three/slow.csv", content).json() == {
+    assert upload(page, "three/slow.csv", content).json() == {
         "name": "three/slow.csv",
         "bytes": len(content),
     }
     assert sorted(folder.rglob("*")) == before
 
 
-def test_a_file_that_does_not_arrive_leaves_nothing(page, folder, monkeypatch):
+def test_incomplete_upload_leaves_no_file(page, folder, monkeypatch):
     monkeypatch.setattr("counterspin.application.access_control.FILE_MAX_BYTES", 1000)
-    assert bring(page, "new/a.csv", (b"x" * 100 for _ in range(20))).status_code == 413
+    assert upload(page, "new/a.csv", (b"x" * 100 for _ in range(20))).status_code == 413
     assert not (folder / "new").exists()
 
 
-def test_a_packed_file_is_refused_before_it_is_brought(app):
+def test_compressed_file_is_rejected_before_upload(app):
     with raises("path-forbidden", "new/run.csv.gz:"):
         open_upload(app, "new/run.csv.gz")
     assert not app.folder.path("new").exists()
 
 
-def test_folders_that_were_made_for_it_go_too(app, folder):
+def test_aborted_upload_removes_folders_it_created(app, folder):
     first, second = open_upload(app, "far/away/a.csv"), open_upload(app, "far/b.csv")
     first.discard()
     assert [path.name for path in (folder / "far").iterdir()] == [second.temporary_path.parent.name]
@@ -61,7 +61,7 @@ def test_folders_that_were_made_for_it_go_too(app, folder):
     assert (folder / "three").is_dir()
 
 
-def test_of_two_uploads_of_one_name_the_first_stays(app, folder):
+def test_second_upload_of_same_name_is_rejected(app, folder):
     first, second = open_upload(app, "new/a.csv"), open_upload(app, "new/a.csv")
     first.temporary_path.write_text("first")
     second.temporary_path.write_text("second")
@@ -75,7 +75,7 @@ def test_of_two_uploads_of_one_name_the_first_stays(app, folder):
     ]
 
 
-def test_an_upload_has_the_rights_of_the_process(app, folder):
+def test_uploaded_file_has_permissions_from_umask(app, folder):
     before = os.umask(0o077)
     try:
         arrival = open_upload(app, "new/a.csv")

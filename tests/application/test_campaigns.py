@@ -1,4 +1,4 @@
-"""The folder's campaigns, with the state of each."""
+"""The list of campaigns in the folder with their states."""
 
 import json
 import os
@@ -13,12 +13,12 @@ from counterspin.application.campaigns import to_json
 from triads import directions, indications, table
 
 
-def state(page, name="three"):
+def campaign_state(page, name="three"):
     (found,) = (c for c in page.get("/api/folder").json()["campaigns"] if c["name"] == name)
     return found["state"]
 
 
-def test_a_campaign_with_its_result(page):
+def test_campaign_is_listed_with_its_result(page):
     told = page.get("/api/folder").json()
     (campaign,) = told["campaigns"]
     assert (campaign["name"], campaign["runs"]) == ("three", 3)
@@ -37,33 +37,33 @@ def test_poses_count_as_runs(page, folder):
     assert found == {"three": 3, "triad": 15}
 
 
-def test_the_state_follows_the_files(page, folder):
+def test_state_changes_with_files(page, folder):
     three = folder / "three"
-    calibrated = state(page)
+    calibrated = campaign_state(page)
     assert calibrated in ("good", "reservations")
     later = time.time() + 10.0
     os.utime(three / "fast.csv", (later, later))
-    assert state(page) == "changed"
+    assert campaign_state(page) == "changed"
     result = three / "result.json"
     os.utime(result, (later, later))
-    assert state(page) == calibrated
+    assert campaign_state(page) == calibrated
     description = three / "campaign.toml"
     text = description.read_text()
     description.write_text(f"{text}\n# looked at\n")
-    assert state(page) == "changed"
+    assert campaign_state(page) == "changed"
     description.write_text(text.replace('"2.5 m"', '"2.5 kg"'))
-    assert state(page) == "mistakes"
+    assert campaign_state(page) == "mistakes"
     told = page.get("/api/campaign", params={"name": "three"}).json()
     assert [m for m in told["mistakes"] if m.startswith("centrifuge.radius: ")] == told["mistakes"]
     assert [run["name"] for run in told["run_list"]] == ["slow", "middle", "fast"]
     description.write_text(text)
     result.write_text("{}")
-    assert state(page) == "not calibrated"
+    assert campaign_state(page) == "not calibrated"
     (three / "slow.csv").unlink()
-    assert state(page) == "records missing"
+    assert campaign_state(page) == "records missing"
 
 
-def test_a_try_does_not_stand_for_the_campaign(page, folder):
+def test_main_result_is_listed_first_unless_damaged(page, folder):
     own = folder / "three" / "result.json"
     told = json.loads(own.read_text())
     now = own.stat().st_mtime
@@ -81,7 +81,7 @@ def test_a_try_does_not_stand_for_the_campaign(page, folder):
     assert names() == ["c.json", "b.json", "d.json", "result.json"]
 
 
-def test_a_damaged_result_is_said_to_be_one(page, folder):
+def test_damaged_result_is_listed_as_damaged(page, folder):
     file = folder / "three" / "result.json"
     file.write_text(file.read_text().replace('"gravity": 9', '"gravity": -9', 1))
     (campaign,) = page.get("/api/folder").json()["campaigns"]
@@ -89,11 +89,11 @@ def test_a_damaged_result_is_said_to_be_one(page, folder):
     assert campaign["results"][0]["words"].startswith("three/result.json ")
 
 
-def test_an_example_to_start_from(page, folder):
+def test_example_campaign_is_created(page, folder):
     made = page.post("/api/campaign", json={"name": "a/new", "test": "tumble"}).json()
     assert made["command"].startswith("counterspin init ")
     assert (folder / "a" / "new" / "readings.csv").is_file()
-    assert state(page, "a/new") == "not calibrated"
+    assert campaign_state(page, "a/new") == "not calibrated"
     again = page.post("/api/campaign", json={"name": "a/new"})
     assert again.status_code == 422
     assert "exists" in again.json()["error"]
@@ -101,7 +101,7 @@ def test_an_example_to_start_from(page, folder):
 
 
 @pytest.mark.parametrize("record", ["../outside.csv", "/etc/hostname", "link.csv"])
-def test_no_record_outside_of_the_folder_is_read(page, folder, record):
+def test_record_outside_folder_is_not_read(page, folder, record):
     (folder.parent / "outside.csv").write_text("time_s\n1\n")
     (folder / "three" / "link.csv").symlink_to(folder.parent / "outside.csv")
     name = record.replace("../", "../../")
@@ -130,24 +130,24 @@ def test_no_record_outside_of_the_folder_is_read(page, folder, record):
         ("GET", "/assets/server.py", None, 404),
     ],
 )
-def test_what_cannot_be_answered_is_told_in_a_sentence(page, method, path, said, status):
+def test_invalid_request_returns_error_without_traceback(page, method, path, said, status):
     answered = page.request(method, path, content=said)
     assert answered.status_code == status
     assert "Traceback" not in answered.text
 
 
-def test_what_is_no_text_and_no_number_can_be_told():
+def test_surrogates_and_nan_are_encoded_as_json():
     told = to_json({"name": "\udcff.json", "u": [1.0, float("inf"), float("nan")]})
     assert json.loads(told) == {"name": "\udcff.json", "u": [1.0, None, None]}
     assert told.isascii()
 
 
-def test_a_pipe_and_a_name_that_is_no_text_are_passed_over(page, folder):
+def test_pipe_and_undecodable_file_name_are_skipped(page, folder):
     os.mkfifo(folder / "three" / "pipe.json")
     with open(os.path.join(os.fsencode(folder), b"\xff.json"), "w") as file:  # noqa: PTH118, PTH123
         file.write("{}")
-    assert state(page) in ("good", "reservations")
-    # A name that no file can have is told in words.
+    assert campaign_state(page) in ("good", "reservations")
+    # A name that no file can have is rejected with a message.
     for asked in ({"name": "\ud800"}, {"name": "a/" * 2000}):
         told = page.post("/api/campaign", content=json.dumps(asked))
         assert told.status_code == 403, told.text

@@ -1,4 +1,4 @@
-"""From a result to a certificate, by the page."""
+"""Issuing certificates from the page."""
 
 import shlex
 import sys
@@ -20,12 +20,12 @@ SAID = {"result": "three/result.json", "lab": "LAB.toml", "output": "three/certi
 @pytest.fixture
 def with_lab(page, folder):
     lab = write_example(folder / "LAB.toml")
-    # The campaign of the folder takes what it does not state as perfect.
+    # The campaign of the folder assumes nominal values for what it does not state.
     lab.write_text(lab.read_text() + '\n[evidence]\nall = "Type test 4714."\n')
     return page
 
 
-def test_a_certificate_is_issued_once_and_can_be_taken_away(with_lab, folder):
+def test_certificate_is_issued_once_and_can_be_downloaded(with_lab, folder):
     assert with_lab.get("/api/folder").json()["labs"] == ["LAB.toml"]
     made = with_lab.post("/api/certificate", json=SAID).json()
     assert made["accelerometers"] == ["Qx", "Qy"]
@@ -52,7 +52,7 @@ def test_a_certificate_is_issued_once_and_can_be_taken_away(with_lab, folder):
         ({"output": "../certificate.xml"}, 403),
     ],
 )
-def test_what_cannot_be_certified_leaves_nothing(with_lab, folder, change, status):
+def test_failed_certificate_request_writes_no_file(with_lab, folder, change, status):
     before = sorted(folder.rglob("*"))
     assert with_lab.post("/api/certificate", json=SAID | change).status_code == status
     assert sorted(folder.rglob("*")) == before
@@ -62,23 +62,23 @@ PASSWORD = "vy secret"
 
 
 @pytest.fixture
-def with_own_lab(page, folder):
-    """Return the page of a folder whose laboratory is no example's."""
+def with_real_lab(page, folder):
+    """Return the client of a folder with laboratory data that differ from the template."""
     write_own(folder / "LAB.toml")
     return page
 
 
-def test_an_issued_certificate_is_amended(with_own_lab, folder):
+def test_issued_certificate_can_be_amended(with_real_lab, folder):
     lab = {"file": "LAB.toml", "result": "three/result.json"}
-    assert with_own_lab.get("/api/lab", params=lab).json()["certificates"] == []
-    first = with_own_lab.post("/api/certificate", json=SAID).json()
-    listed = with_own_lab.get("/api/lab", params=lab).json()["certificates"]
+    assert with_real_lab.get("/api/lab", params=lab).json()["certificates"] == []
+    first = with_real_lab.post("/api/certificate", json=SAID).json()
+    listed = with_real_lab.get("/api/lab", params=lab).json()["certificates"]
     assert listed == [{"file": "three/certificate.xml", "identifier": first["identifier"]}]
     request = SAID | {
         "output": "three/certificate-A1.xml",
         "amends": {"file": "three/certificate.xml", "reason": "The date was wrong."},
     }
-    second = with_own_lab.post("/api/certificate", json=request).json()
+    second = with_real_lab.post("/api/certificate", json=request).json()
     assert second["identifier"] == f"{first['identifier']}-A1"
     assert "--reason=The date was wrong." in shlex.split(second["command"])
     amended = check_certificate(
@@ -87,38 +87,42 @@ def test_an_issued_certificate_is_amended(with_own_lab, folder):
     assert amended.certified.amends == first["identifier"]
     request |= {"output": "three/certificate-A2.xml"}
     request["amends"]["reason"] = " "
-    assert "`reason`" in str(with_own_lab.post("/api/certificate", json=request).json())
+    assert "`reason`" in str(with_real_lab.post("/api/certificate", json=request).json())
 
 
-def brought(path):
+def encode_file(path):
     return {"name": path.name, "content": b64encode(path.read_bytes()).decode()}
 
 
 @pytest.mark.parametrize("write", [write_pair, write_pkcs12])
-def test_a_key_signs_both_files_and_leaves_nothing_of_itself(
-    with_own_lab, folder, tmp_path, caplog, capfd, write
+def test_uploaded_key_signs_both_files_and_is_not_stored(
+    with_real_lab, folder, tmp_path, caplog, capfd, write
 ):
     key, cert = write(tmp_path / "k", ec.generate_private_key(ec.SECP256R1()), PASSWORD.encode())
     before = set(folder.rglob("*"))
-    signing = {"key": brought(key), "password": PASSWORD}
+    signing = {"key": encode_file(key), "password": PASSWORD}
     if write is write_pair:
-        signing["certificate"] = brought(cert)
-    made = with_own_lab.post("/api/certificate", json=SAID | {"both": True, "signing": signing})
+        signing["certificate"] = encode_file(cert)
+    made = with_real_lab.post("/api/certificate", json=SAID | {"both": True, "signing": signing})
     assert made.status_code == 200, made.json()
     told = made.json()
     assert told["files"] == ["three/certificate.xml", "three/certificate.pdf"]
     for name in told["files"]:
         assert check_certificate(folder / name, cert=cert).signature == "valid"
     assert check_certificate(folder / told["files"][1], cert=cert).pages == "valid"
-    # The command names files as the page knew them, and no password.
+    # The command names the original files and omits the password.
     own = [f"--cert={cert.name}"] if write is write_pair else []
     assert shlex.split(told["command"])[6:] == ["--both", f"--key={key.name}", *own]
     written = set(folder.rglob("*")) - before
     assert {path.name for path in written} == {"certificate.xml", "certificate.pdf"}
-    secrets = [PASSWORD.encode(), key.read_bytes()[30:90], brought(key)["content"][40:100].encode()]
+    secrets = [
+        PASSWORD.encode(),
+        key.read_bytes()[30:90],
+        encode_file(key)["content"][40:100].encode(),
+    ]
     seen = [path.read_bytes() for path in folder.rglob("*") if path.is_file()]
     seen += [made.content, caplog.text.encode(), "".join(capfd.readouterr()).encode()]
-    seen.append(with_own_lab.get("/api/jobs").content)
+    seen.append(with_real_lab.get("/api/jobs").content)
     assert [secret for secret in secrets for place in seen if secret in place] == []
 
 
@@ -130,11 +134,13 @@ def test_a_key_signs_both_files_and_leaves_nothing_of_itself(
         ({"key": None}, "started without a signing command"),
     ],
 )
-def test_what_cannot_sign_is_told_and_leaves_nothing(with_own_lab, folder, tmp_path, change, words):
+def test_invalid_key_is_rejected_and_nothing_is_written(
+    with_real_lab, folder, tmp_path, change, words
+):
     key, _ = write_pkcs12(tmp_path, rsa.generate_private_key(65537, 2048), PASSWORD.encode())
     before = sorted(folder.rglob("*"))
-    signing = {"key": brought(key), "password": PASSWORD} | change
-    told = with_own_lab.post("/api/certificate", json=SAID | {"signing": signing})
+    signing = {"key": encode_file(key), "password": PASSWORD} | change
+    told = with_real_lab.post("/api/certificate", json=SAID | {"signing": signing})
     assert told.status_code == 422
     assert words in told.json()["error"]
     assert "wrong words" not in told.text
@@ -142,14 +148,14 @@ def test_what_cannot_sign_is_told_and_leaves_nothing(with_own_lab, folder, tmp_p
 
 
 @pytest.mark.parametrize("key", [{"name": "k"}, {"name": "k", "content": "no base 64 SECRET"}, 4])
-def test_a_request_of_another_form_is_not_repeated(with_own_lab, key):
-    told = with_own_lab.post("/api/certificate", json=SAID | {"signing": {"key": key}})
+def test_malformed_request_is_not_echoed(with_real_lab, key):
+    told = with_real_lab.post("/api/certificate", json=SAID | {"signing": {"key": key}})
     assert told.status_code == 400
     assert "SECRET" not in told.text
 
 
-def test_an_example_is_not_signed_and_no_key_is_read(with_lab, folder):
-    """A key that is none would be told otherwise."""
+def test_template_data_is_rejected_before_key_is_read(with_lab, folder):
+    """An invalid key would raise a different error."""
     signing = {"key": {"name": "k", "content": b64encode(b"no key").decode()}}
     told = with_lab.post("/api/certificate", json=SAID | {"signing": signing})
     assert told.status_code == 422
@@ -163,7 +169,7 @@ def test_an_example_is_not_signed_and_no_key_is_read(with_lab, folder):
     assert lab["signer"] == ""
 
 
-def test_the_server_s_own_command_signs(with_own_lab, folder, app, tmp_path):
+def test_signer_command_of_server_signs(with_real_lab, folder, app, tmp_path):
     key, cert = write_pair(tmp_path / "k", ec.generate_private_key(ec.SECP256R1()))
     text = (
         "import sys\n"
@@ -179,13 +185,13 @@ def test_the_server_s_own_command_signs(with_own_lab, folder, app, tmp_path):
     app.signer = command_signer(command, cert)
     app.signer_options = {"signer": command, "cert": str(cert)}
     asked = {"file": "LAB.toml", "result": SAID["result"]}
-    assert with_own_lab.get("/api/lab", params=asked).json()["signer"] == "CN=Example laboratory"
-    told = with_own_lab.post("/api/certificate", json=SAID | {"signing": {}}).json()
+    assert with_real_lab.get("/api/lab", params=asked).json()["signer"] == "CN=Example laboratory"
+    told = with_real_lab.post("/api/certificate", json=SAID | {"signing": {}}).json()
     assert check_certificate(folder / "three/certificate.xml", cert=cert).signature == "valid"
     assert shlex.split(told["command"])[6:] == [f"--signer={command}", f"--cert={cert}"]
 
 
-def test_pictures_are_drawn_while_a_command_signs(with_own_lab, app, tmp_path):
+def test_plots_are_drawn_while_signer_command_runs(with_real_lab, app, tmp_path):
     """A card waits for its PIN."""
     signer = read_signer(*write_pair(tmp_path / "k", ec.generate_private_key(ec.SECP256R1())))
     held = []
@@ -196,12 +202,12 @@ def test_pictures_are_drawn_while_a_command_signs(with_own_lab, app, tmp_path):
 
     app.signer = replace(signer, sign=sign)
     said = SAID | {"signing": {}, "both": True}
-    assert with_own_lab.post("/api/certificate", json=said).status_code == 200
+    assert with_real_lab.post("/api/certificate", json=said).status_code == 200
     assert held == [False, False]  # of the XML, and of the pages
     assert not app.drawing.locked()
 
 
-def test_records_are_not_given_away(page):
+def test_record_cannot_be_downloaded(page):
     assert page.get("/api/file", params={"name": "three/slow.csv"}).status_code == 403
 
 
@@ -209,7 +215,7 @@ def test_records_are_not_given_away(page):
 @pytest.mark.parametrize(
     ("kind", "mark"), [("html", b"<!DOCTYPE html>"), ("md", b"# "), ("pdf", b"%PDF")]
 )
-def test_a_report_is_given_and_nothing_written(page, folder, kind, mark):
+def test_report_is_downloaded_without_writing_files(page, folder, kind, mark):
     before = sorted(folder.rglob("*"))
     told = page.get("/api/report", params={"name": "three/result.json", "kind": kind})
     assert told.content.startswith(mark)

@@ -18,26 +18,26 @@ STATED = (
 )
 
 
-def entries(folder, text):
+def checklist_entries(folder, text):
     write(folder, text)
     return {entry["words"]: entry for entry in checklist(read_campaign(folder))}
 
 
-def test_a_stated_entry_is_marked_and_a_missing_one_names_its_field(tmp_path):
-    stated = entries(tmp_path, STATED)
+def test_stated_entry_is_marked_and_missing_entry_names_field(tmp_path):
+    stated = checklist_entries(tmp_path, STATED)
     assert list(stated) == ["Bias", "Scale factor", "Noise", "Serial number", "Date"]
     assert all(entry["stated"] for entry in stated.values())
-    without = entries(tmp_path, STATED.replace('serial_number = "17"\n', ""))
+    without = checklist_entries(tmp_path, STATED.replace('serial_number = "17"\n', ""))
     assert not without["Serial number"]["stated"]
     assert without["Serial number"]["key"] == "accelerometers.Qx.serial_number"
     assert "not stated for Qx" in without["Serial number"]["effect"]
 
 
-def test_bias_and_noise_that_are_not_stated_come_from_the_data(tmp_path):
+def test_unstated_bias_and_noise_are_estimated_from_data(tmp_path):
     text = re.sub(r"(?m)^bias = .*$", "", STATED)
     before, _, after = text.partition("[noise]")
     text = before + after[after.index("\n[") :] if after else before
-    found = entries(tmp_path, text)
+    found = checklist_entries(tmp_path, text)
     assert (found["Bias"]["stated"], found["Scale factor"]["stated"]) == (False, True)
     assert found["Bias"]["effect"] == "not stated for Qx, Qy; the data alone determine the value"
     assert found["Noise"]["effect"] == "estimated from the residuals (Type A)"

@@ -1,4 +1,4 @@
-"""What the page shows as a command is one that the command line takes."""
+"""Commands shown on the page are valid on the command line."""
 
 import inspect
 import shlex
@@ -31,20 +31,20 @@ SHOWN = {
 }
 
 
-def test_every_command_is_tried():
+def test_each_shown_command_is_tested():
     functions = inspect.getmembers(commands, inspect.isfunction)
     made = {name for name, _ in functions if name.endswith("_command")}
     assert made == set(SHOWN)
 
 
-def test_commands_are_quoted_for_the_shells_of_windows(monkeypatch):
+def test_commands_are_quoted_for_windows_shells(monkeypatch):
     monkeypatch.setattr("sys.platform", "win32")
     shown = commands.compare_command([Path(r"C:\my runs\a.json"), Path(r"C:\runs\b.json")])
     assert shown == r'counterspin compare "C:\my runs\a.json" C:\runs\b.json'
 
 
 @pytest.mark.parametrize("shown", SHOWN.values(), ids=SHOWN)
-def test_the_command_line_takes_what_is_shown(shown):
+def test_shown_command_is_valid_on_command_line(shown):
     program, *words = shlex.split(shown)
     assert program == "counterspin"
     _, bound, _ = cli.app.parse_args(words, exit_on_error=False, print_error=False)

@@ -1,4 +1,4 @@
-"""Exports that are brought: guessed, asked, and a campaign of them."""
+"""Drafts of campaigns from uploaded exports: detection, questions and the campaign."""
 
 from functools import partial
 from pathlib import Path
@@ -21,26 +21,26 @@ RUNS = ("slow", "middle", "fast")
 COUNTED = {"sampling_rate": "20 Hz"}
 
 
-def bring(page, name, content, **more):
+def upload(page, name, content, **more):
     return page.post("/api/files", params={"name": name}, content=content, **more)
 
 
 @pytest.fixture
-def brought(page, folder):
-    """Return the names of three records that were brought into a new folder."""
+def uploaded(page, folder):
+    """Return the names of three records uploaded into a new folder."""
     contents = [(folder / "three" / f"{run}.csv").read_bytes() for run in RUNS]
-    told = [bring(page, f"new/{run}.csv", c).json() for run, c in zip(RUNS, contents, strict=True)]
+    told = [upload(page, f"new/{run}.csv", c).json() for run, c in zip(RUNS, contents, strict=True)]
     assert [one["bytes"] for one in told] == list(map(len, contents))
     for run, content in zip(RUNS, contents, strict=True):
         assert (folder / "new" / f"{run}.csv").read_bytes() == content
     return [one["name"] for one in told]
 
 
-def test_from_files_to_a_campaign(page, folder, brought):
-    told = page.post("/api/draft", json={"names": brought}).json()
+def test_uploaded_files_become_campaign(page, folder, uploaded):
+    told = page.post("/api/draft", json={"names": uploaded}).json()
     assert any("time_s" in statement for statement in told["statements"])
     assert {"gravity", "latitude", "radius"} <= {one["key"] for one in told["questions"]}
-    said = {"folder": "new", "names": brought}
+    said = {"folder": "new", "names": uploaded}
     unanswered = page.post("/api/drafted", json=said)
     assert unanswered.status_code == 422
     assert any(problem.startswith("radius: ") for problem in unanswered.json()["problems"])
@@ -54,13 +54,13 @@ def test_from_files_to_a_campaign(page, folder, brought):
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory):
+def plain_folder(tmp_path_factory):
     return campaign_folder(tmp_path_factory.mktemp("exports"))
 
 
-def from_page(page, folder, files, sense="counterclockwise"):
-    """Bring files, answer what is asked, and return K_II of the campaign that comes of it."""
-    names = [bring(page, f"lab/{f.name}", f.read_bytes()).json()["name"] for f in files]
+def calibrate_from_page(page, folder, files, sense="counterclockwise"):
+    """Upload files, answer the questions and return K_II of the resulting campaign."""
+    names = [upload(page, f"lab/{f.name}", f.read_bytes()).json()["name"] for f in files]
     asked = page.post("/api/draft", json={"names": names}).json()["questions"]
     known = ANSWERS | COUNTED | {"sense": sense}
     needed = [one for one in asked if one["guess"] is None]
@@ -72,9 +72,9 @@ def from_page(page, folder, files, sense="counterclockwise"):
 
 
 @pytest.fixture(scope="module")
-def reference(plain, tmp_path_factory):
-    """Return what the plain records give with the same answers."""
-    looks = read_files([plain / "slow.csv", plain / "fast.csv"])
+def reference(plain_folder, tmp_path_factory):
+    """Return K_II of the plain records with the same answers."""
+    looks = read_files([plain_folder / "slow.csv", plain_folder / "fast.csv"])
     place = tmp_path_factory.mktemp("plain")
     write_description(draft(looks, ANSWERS | {"sense": "counterclockwise"}), place)
     return calibrate(place).accelerometers["Qx"].coefficients["K_II"]
@@ -82,20 +82,22 @@ def reference(plain, tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXPORTS)
-def test_every_make_of_export_gives_the_same_result(page, folder, plain, reference, name, tmp_path):
-    files = write_records(plain, tmp_path / "files", EXPORTS[name])
+def test_result_is_independent_of_export_format(
+    page, folder, plain_folder, reference, name, tmp_path
+):
+    files = write_records(plain_folder, tmp_path / "files", EXPORTS[name])
     sense = "clockwise" if "clockwise" in name else "counterclockwise"
-    found = from_page(page, folder, files, sense)
+    found = calibrate_from_page(page, folder, files, sense)
     assert abs(found.value - reference.value) < 0.01 * reference.u
 
 
-def columns_of(page, names, **more):
+def draft_columns(page, names, **more):
     told = page.post("/api/draft", json={"names": names, **more}).json()
     return told, {column["name"]: column for column in told["columns"]}
 
 
-def test_a_draft_shows_columns_and_what_is_wrong(page, brought):
-    told, columns = columns_of(page, brought)
+def test_draft_shows_columns_and_problems(page, uploaded):
+    told, columns = draft_columns(page, uploaded)
     assert list(columns)[:2] == ["time_s", "angle_rad"]
     assert {len(column["first"]) for column in columns.values()} == {4}
     time, angle, east = (columns[name]["curve"] for name in ("time_s", "angle_rad", "east_m"))
@@ -110,17 +112,17 @@ def test_a_draft_shows_columns_and_what_is_wrong(page, brought):
     assert (low <= high).all()
     assert sum(np.diff(np.sign(low)) > 0) == 4
     answers = {"gravity": "9,81", "east_m unit": "s"}
-    told, _ = columns_of(page, brought, answers=answers)
+    told, _ = draft_columns(page, uploaded, answers=answers)
     (problem,) = told["problems"]
     assert problem.startswith("east_m unit: 's' is not a unit of")
 
 
-def test_an_unused_column_has_a_reason(page, folder):
+def test_unused_column_has_reason(page, folder):
     head, *rows = (folder / "three" / "slow.csv").read_text().splitlines()
     added = (f"{i},7,,ok,{(i * 7919) % 101},{row}" for i, row in enumerate(rows))
     text = "\n".join([f"index,status,marker,note,count,{head}", *added])
-    name = bring(page, "odd/slow.csv", text.encode()).json()["name"]
-    _, columns = columns_of(page, [name], answers=COUNTED)
+    name = upload(page, "odd/slow.csv", text.encode()).json()["name"]
+    _, columns = draft_columns(page, [name], answers=COUNTED)
     reasons = {name: columns[name]["reason"] for name in ("index", "status", "marker", "note")}
     assert reasons == {
         "index": "The column contains row numbers.",
@@ -132,32 +134,32 @@ def test_an_unused_column_has_a_reason(page, folder):
     assert columns["note"]["curve"] is None
 
 
-def test_site_values_are_remembered_from_measured_campaigns(page, folder, brought):
-    told, _ = columns_of(page, brought)
+def test_site_values_are_suggested_from_measured_campaigns(page, folder, uploaded):
+    told, _ = draft_columns(page, uploaded)
     assert told["remembered"] == {}  # the campaign there is simulated
     answers = {one["key"]: one["example"] for one in told["questions"] if one["guess"] is None}
-    said = {"folder": "new", "names": brought, "answers": answers | ANSWERS}
+    said = {"folder": "new", "names": uploaded, "answers": answers | ANSWERS}
     assert page.post("/api/drafted", json=said).status_code == 200
-    told, _ = columns_of(page, brought)
+    told, _ = draft_columns(page, uploaded)
     assert told["remembered"] == {
         key: {"answer": answer, "campaign": "new"} for key, answer in ANSWERS.items()
     }
     # A mistake is not remembered.
     file = folder / "new" / "campaign.toml"
     file.write_text(file.read_text().replace('"2.5 m"', '"2.5 kg"'))
-    told, _ = columns_of(page, brought)
+    told, _ = draft_columns(page, uploaded)
     assert set(told["remembered"]) == {"gravity", "latitude"}
 
 
-def test_the_unit_menu_of_a_question_converts_to_its_unit(page, brought):
-    told, _ = columns_of(page, brought)
+def test_unit_menu_offers_convertible_units(page, uploaded):
+    told, _ = draft_columns(page, uploaded)
     menus = {question["key"]: question["units"] for question in told["questions"]}
     assert menus["radius"] == ["m", "mm", "um", "in"]
     for quantity, units in UNIT_CHOICES.items():
         assert all(converts(unit, quantity) for unit in units)
 
 
-def test_an_angle_that_is_wrapped_is_drawn_without_jumps():
+def test_wrapped_angle_is_drawn_without_jumps():
     time = np.arange(400) * 0.05
     angle = FileColumn("angle", "deg", np.mod(36.0 * time, 360.0) + 0.01 * np.sin(time))
     east = FileColumn("east_m", "m", 2.5 * np.cos(np.deg2rad(36.0 * time)))
@@ -170,9 +172,9 @@ def test_an_angle_that_is_wrapped_is_drawn_without_jumps():
     assert detrended_curve(warm, guess)["unit"] == "degC"
 
 
-def test_columns_of_words_are_shown_where_they_are_asked_for(page):
+def test_text_columns_are_shown_where_required(page):
     table = "side,n_rpm,note,out_V\nin,30,first,1.0\nout,60,second,-4.0\n"
-    name = bring(page, "arm/arm.csv", table.encode()).json()["name"]
+    name = upload(page, "arm/arm.csv", table.encode()).json()["name"]
     told = page.post("/api/draft", json={"names": [name]}).json()
     assert told["test"] == "arm"
     shown = {column["name"]: column["first"] for column in told["columns"]}
@@ -189,9 +191,9 @@ def test_columns_of_words_are_shown_where_they_are_asked_for(page):
         ("b.tdms", partial(waveforms, late=(0, 0, 200)), "channels aligned by start"),
     ],
 )
-def test_the_page_imports_tables_within_files(page, tmp_path, name, write, note):
+def test_page_imports_tables_inside_containers(page, tmp_path, name, write, note):
     write(tmp_path / name)
-    brought = bring(page, name, (tmp_path / name).read_bytes()).json()["name"]
-    told = page.post("/api/draft", json={"names": [brought]}).json()
+    uploaded = upload(page, name, (tmp_path / name).read_bytes()).json()["name"]
+    told = page.post("/api/draft", json={"names": [uploaded]}).json()
     assert told["test"] == "poses"
     assert note in " ".join(told["statements"])

@@ -1,4 +1,4 @@
-"""A value is changed, and all else stays as it was written."""
+"""Changing a value leaves the rest of the text as written."""
 
 import difflib
 import tomllib
@@ -12,8 +12,8 @@ from counterspin.errors import CounterspinError
 STARTER = (files("counterspin.ingest") / "starter.toml").read_text("utf-8")
 
 
-def lines_changed(path, value, kind=""):
-    """Return what a change took out of the starter and what it put in."""
+def changed_lines(path, value, kind=""):
+    """Return the lines that a change removes from the starter and those that it adds."""
     made = set_value(STARTER, path, value, kind)
     lines = difflib.ndiff(STARTER.splitlines(), made.splitlines())
     return [line for line in lines if line[:2] in ("- ", "+ ") and line[2:].strip()]
@@ -42,8 +42,8 @@ def lines_changed(path, value, kind=""):
         (["noise", "new", "in"], 1, ["+ new = {in = 1}"]),
     ],
 )
-def test_comments_and_all_else_are_kept(path, value, lines):
-    assert lines_changed(path, value) == lines
+def test_changed_value_keeps_comments_and_other_lines(path, value, lines):
+    assert changed_lines(path, value) == lines
 
 
 #: A file whose last tables are commented out.
@@ -73,7 +73,7 @@ name = "A"
         (["conditions", "deeper", "still"], '# temperature = "20 degC"'),
     ],
 )
-def test_a_new_key_stays_in_its_table_when_a_comment_becomes_a_heading(path, after, ends):
+def test_new_key_precedes_commented_out_tables(path, after, ends):
     made = set_value(CLOSED + ends, path, "1")
     line = f'{path[-1]} = "1"' if len(path) == 2 else f'{path[1]} = {{{path[2]} = "1"}}'
     assert f"{after}\n{line}\n" in made
@@ -81,12 +81,12 @@ def test_a_new_key_stays_in_its_table_when_a_comment_becomes_a_heading(path, aft
     assert made.replace(f"{line}\n", "", 1).rstrip() == CLOSED
 
 
-def test_a_comment_behind_a_value_is_kept():
-    taken, put = lines_changed(["runs", 0, "rate"], "1 rpm")
+def test_trailing_comment_is_preserved():
+    taken, put = changed_lines(["runs", 0, "rate"], "1 rpm")
     assert taken.split("#")[1] == put.split("#")[1] != ""
 
 
-def test_runs_are_added_and_taken_out():
+def test_runs_can_be_added_and_removed():
     count = len(tomllib.loads(STARTER)["runs"])
     run = {"name": "more", "rate": "1 rpm", "record": "more.csv"}
     more = set_value(STARTER, ["runs", count], run)
@@ -96,7 +96,7 @@ def test_runs_are_added_and_taken_out():
     assert fewer == tomllib.loads(STARTER)["runs"][1:]
 
 
-def test_dates_are_dates():
+def test_date_is_written_as_toml_date():
     assert "\ndate = 2026-03-01\n" in set_value(STARTER, ["campaign", "date"], "2026-03-01", "date")
     with pytest.raises(CounterspinError, match="not a date"):
         set_value(STARTER, ["campaign", "date"], "1st of March", "date")
@@ -112,11 +112,11 @@ def test_dates_are_dates():
         (["site", 0], 1),
     ],
 )
-def test_what_cannot_be_changed_is_refused(path, value):
+def test_rejects_invalid_path_or_value(path, value):
     with pytest.raises(CounterspinError):
         set_value(STARTER, path, value)
 
 
-def test_a_text_that_is_no_toml_is_refused_with_its_place():
+def test_rejects_invalid_toml_with_line_number():
     with pytest.raises(CounterspinError, match="line 1"):
         set_value("a = 1 2\n", ["a"], 1)

@@ -1,13 +1,13 @@
-"""Descriptions as form and text: mistakes at their keys, and no lost edit."""
+"""Descriptions as form and text: problems at their keys, and no lost edit."""
 
 FILE = "three/campaign.toml"
 
 
-def mistakes(told):
+def list_problems(told):
     return [(one["key"], one["words"]) for one in told["problems"]]
 
 
-def test_a_description_with_its_form_and_version(page, folder):
+def test_description_is_returned_with_form_and_version(page, folder):
     told = page.get("/api/description", params={"name": "three"}).json()
     assert told["text"] == (folder / FILE).read_text()
     assert told["document"]["runs"][0]["name"] == "slow"
@@ -16,12 +16,12 @@ def test_a_description_with_its_form_and_version(page, folder):
     assert told["form"][0]["key"] == "campaign"
 
 
-def test_all_mistakes_are_at_their_keys(page, folder):
+def test_all_problems_are_reported_at_their_keys(page, folder):
     text = (folder / FILE).read_text()
     wrong = text.replace('"2.5 m"', '"2.5 kg"').replace("latitude", "latitud")
     wrong = wrong.replace('rate = "1 rev/s"', 'rate = "1 Hz"')
     told = page.post("/api/check", json={"file": FILE, "text": wrong}).json()
-    assert {key for key, _ in mistakes(told)} == {
+    assert {key for key, _ in list_problems(told)} == {
         "site.latitude",
         "site.latitud",
         "centrifuge.radius",
@@ -29,12 +29,12 @@ def test_all_mistakes_are_at_their_keys(page, folder):
     }
     assert (folder / FILE).read_text() == text
     told = page.post("/api/check", json={"file": FILE, "text": "a = 1 2"}).json()
-    ((key, words),) = mistakes(told)
+    ((key, words),) = list_problems(told)
     assert (key, told["document"]) == ("", {})
     assert words.startswith("line 1")
 
 
-def test_a_field_changes_the_text_and_nothing_is_written_before_it_is_saved(page, folder):
+def test_field_changes_text_and_file_changes_on_save(page, folder):
     seen = page.get("/api/description", params={"name": "three"}).json()
     change = {"path": ["centrifuge", "radius"], "value": "3 m"}
     told = page.post("/api/change", json={"file": FILE, "text": seen["text"]} | change).json()
@@ -51,7 +51,7 @@ def test_a_field_changes_the_text_and_nothing_is_written_before_it_is_saved(page
     assert (folder / FILE).read_text() == told["text"]
 
 
-def test_only_descriptions_and_the_laboratory_s_data_are_written(page, folder):
+def test_only_descriptions_and_laboratory_data_are_written(page, folder):
     for file, status in (
         ("three/slow.csv", 403),
         ("three/other.toml", 403),
@@ -63,21 +63,21 @@ def test_only_descriptions_and_the_laboratory_s_data_are_written(page, folder):
     assert (folder / "new" / "campaign.toml").read_text() == "schema = 1\n"
 
 
-def test_a_text_that_names_files_elsewhere_reads_none_of_them(page, folder):
+def test_file_outside_folder_named_in_text_is_not_read(page, folder):
     (folder.parent / "outside.csv").write_text("name,g\n1,2\n")
     text = (folder / FILE).read_text() + '\n[readings]\nfile = "../../outside.csv"\n'
     told = page.post("/api/check", json={"file": FILE, "text": text}).json()
-    ((key, words),) = mistakes(told)
+    ((key, words),) = list_problems(told)
     assert key == "readings.file"
     assert "outside the served folder" in words
 
 
-def test_the_laboratory_s_data_begin_with_the_example(page, folder):
+def test_new_laboratory_data_start_from_example(page, folder):
     query = {"file": "LAB.toml", "result": "three/result.json"}
     told = page.get("/api/lab", params=query).json()
     assert (told["version"], told["problems"]) == ("", [])
     change = {"text": told["text"], "path": ["certificate", "end"], "value": "1999-01-01"}
     wrong = page.post("/api/change", json=query | change | {"kind": "date"}).json()
-    assert mistakes(wrong) == [("certificate.end", "lies before certificate.begin")]
+    assert list_problems(wrong) == [("certificate.end", "lies before certificate.begin")]
     assert page.put("/api/text", json=query | {"text": told["text"], "version": ""}).is_success
     assert (folder / "LAB.toml").read_text() == told["text"]

@@ -1,4 +1,4 @@
-"""A form made of the models: every key of every section, and none besides."""
+"""The form generated from the settings models: all keys of all sections and no others."""
 
 import re
 from itertools import chain
@@ -16,21 +16,21 @@ from counterspin.physics.terms import ACCELEROMETER_TERMS, TERMS, is_term
 from counterspin.units import unit_factor
 
 
-def section(form, key):
+def find_section(form, key):
     (found,) = (one for one in form if one["key"] == key)
     return found
 
 
-def field(form, *path):
+def find_field(form, *path):
     name, *inner = path
-    fields = section(form, name)["fields"]
+    fields = find_section(form, name)["fields"]
     for key in inner:
         (found,) = (one for one in fields if one["key"] == key)
         fields = found.get("fields", [])
     return found
 
 
-def test_every_section_is_in_the_form():
+def test_form_has_all_sections():
     keys = {f.alias or name for name, f in CampaignDocument.model_fields.items()}
     (laboratory,) = re.findall(
         r"In the laboratory file, edit (.*?) as text", sentences("application")
@@ -42,20 +42,20 @@ def test_every_section_is_in_the_form():
     assert set(Lab.model_fields) - {"schema_version"} - of_laboratory == sections
 
 
-def test_quantities_say_their_unit_and_coefficients_are_all_there():
+def test_form_states_units_and_lists_all_coefficients():
     form = campaign_form()
-    latitude = field(form, "site", "latitude")
+    latitude = find_field(form, "site", "latitude")
     assert latitude["kind"] == "quantity"
     assert latitude["unit"] == "rad"
     assert latitude["units"][0] == "deg"  # in which it is usually written
     assert set(latitude["units"]) > {"rad", "arcsec"}
-    assert field(form, "noise", "acceleration")["unit"] == "m/s^2/Hz^0.5"
-    assert field(form, "runs", "rate")["unit"] == "rad/s"
-    units = {f["key"]: f.get("unit") for f in section(form, "accelerometers")["fields"]}
+    assert find_field(form, "noise", "acceleration")["unit"] == "m/s^2/Hz^0.5"
+    assert find_field(form, "runs", "rate")["unit"] == "rad/s"
+    units = {f["key"]: f.get("unit") for f in find_section(form, "accelerometers")["fields"]}
     assert {symbol: units[symbol] for symbol in TERMS} == {s: row.unit for s, row in TERMS.items()}
 
 
-def test_kinds_of_values():
+def test_field_kinds():
     form = campaign_form()
     kinds = {
         ("records", "time"): "group",
@@ -78,63 +78,63 @@ def test_kinds_of_values():
         ("study", "trials"): "number",
         ("study", "vary"): "table",
     }
-    assert {path: field(form, *path)["kind"] for path in kinds} == kinds
-    assert field(form, "records", "reference")["choices"] == ["platform", "own velocity"]
-    assert field(lab_form(), "certificate", "begin")["kind"] == "date"
-    assert section(form, "accelerometers")["repeat"] == "names"
-    assert section(lab_form(), "persons")["repeat"] == "list"
+    assert {path: find_field(form, *path)["kind"] for path in kinds} == kinds
+    assert find_field(form, "records", "reference")["choices"] == ["platform", "own velocity"]
+    assert find_field(lab_form(), "certificate", "begin")["kind"] == "date"
+    assert find_section(form, "accelerometers")["repeat"] == "names"
+    assert find_section(lab_form(), "persons")["repeat"] == "list"
 
 
-def inside(fields):
-    """Yield every field, those of groups too."""
+def flatten_fields(fields):
+    """Yield all fields, including those of groups."""
     for one in fields:
         yield one
-        yield from inside(one.get("fields", []))
+        yield from flatten_fields(one.get("fields", []))
 
 
-def test_every_field_has_a_label_and_help_in_words():
+def test_fields_have_label_and_help():
     for form in (campaign_form(), lab_form(), plan_form(False), plan_form(True)):
         for one in form:
-            for asked in inside(one["fields"]):
+            for asked in flatten_fields(one["fields"]):
                 assert re.match(r"[A-Z][a-z]", asked["label"]), asked
                 assert asked["key"] in ACCELEROMETER_TERMS or "_" not in asked["label"], asked
             tables = (one.get("of_readings", []), *one.get("of_tables", {}).values())
-            for asked in inside(chain(one["fields"], *tables)):
+            for asked in flatten_fields(chain(one["fields"], *tables)):
                 assert asked["help"] or asked["key"] in ACCELEROMETER_TERMS, asked
                 assert not re.search(r"`|\]\(", asked["help"]), asked
-    assert field(campaign_form(), "accelerometers", "K_II")["label"] == (
+    assert find_field(campaign_form(), "accelerometers", "K_II")["label"] == (
         "Second-order coefficient (K_II)"
     )
 
 
-def test_units_offered_are_units_of_the_key():
-    fields = [one for part in campaign_form() for one in inside(part["fields"])]
+def test_offered_units_match_key():
+    fields = [one for part in campaign_form() for one in flatten_fields(part["fields"])]
     quantities = [one for one in fields if one["kind"] == "quantity"]
     assert len(quantities) > 40
     for one in quantities:
         for unit in one["units"]:
             if unit != "degC":
                 unit_factor(unit, one["unit"], gravity=9.8)
-    columns = field(campaign_form(), "records", "time", "unit")
+    columns = find_field(campaign_form(), "records", "time", "unit")
     assert "ms" in columns["suggestions"]
     assert "iso" in columns["suggestions"]
-    force = field(campaign_form(), "accelerometers", "specific_force", "unit")
+    force = find_field(campaign_form(), "accelerometers", "specific_force", "unit")
     assert {"mm/s^2", "ug", "A"} <= set(force["suggestions"])
 
 
-def test_choices_are_offered_where_other_things_may_stand_too():
+def test_fields_with_free_text_offer_suggestions():
     form = campaign_form()
-    assert field(form, "accelerometers", "input_axis")["suggestions"] == list(DIRECTIONS)
-    assert field(form, "records", "angle", "zero")["suggestions"] == list(COMPASS)
-    assert field(form, "noise", "acceleration")["suggestions"] == ["estimate"]
-    country = field(lab_form(), "laboratory", "country")
+    assert find_field(form, "accelerometers", "input_axis")["suggestions"] == list(DIRECTIONS)
+    assert find_field(form, "records", "angle", "zero")["suggestions"] == list(COMPASS)
+    assert find_field(form, "noise", "acceleration")["suggestions"] == ["estimate"]
+    country = find_field(lab_form(), "laboratory", "country")
     assert (country["kind"], country["names"]["DE"]) == ("country", "Germany")
     assert "DD" not in country["names"]
-    assert field(lab_form(), "certificate", "language")["kind"] == "language"
+    assert find_field(lab_form(), "certificate", "language")["kind"] == "language"
 
 
-def test_terms_to_tick_are_those_that_a_model_may_name():
-    rows = field(campaign_form(), "model", "terms")["rows"]
+def test_selectable_terms_are_valid_model_terms():
+    rows = find_field(campaign_form(), "model", "terms")["rows"]
     symbols = [row["key"] for row in rows]
     assert len(symbols) == len(set(symbols))
     assert set(ACCELEROMETER_TERMS) < set(symbols)
@@ -143,20 +143,20 @@ def test_terms_to_tick_are_those_that_a_model_may_name():
     assert all(re.match("[A-Z]", row["words"]) for row in rows)
 
 
-def test_readings_among_the_runs_have_their_own_keys():
-    runs = section(campaign_form(), "runs")
+def test_runs_of_readings_have_separate_keys():
+    runs = find_section(campaign_form(), "runs")
     assert "reading" in {f["key"] for f in runs["of_readings"]}
     document = {"runs": [{"rate": "1 rad/s"}, {"reading": "1 g"}, {"motion": "arm"}, 7]}
     assert run_kinds(document) == ["record", "reading", "reading", "record"]
     assert run_kinds({"runs": "none"}) == run_kinds({}) == []
 
 
-def test_limits_of_every_term_and_truth_of_every_table():
+def test_form_has_limits_of_all_terms_and_truth_of_all_tables():
     form = campaign_form()
-    limits = section(form, "specification")
+    limits = find_section(form, "specification")
     assert [f["key"] for f in limits["of_names"]] == list(TERMS)
-    assert field(form, "specification", "K_II")["example"] == "abs <= … g/g^2"
-    truth = section(form, "truth")
+    assert find_field(form, "specification", "K_II")["example"] == "abs <= … g/g^2"
+    truth = find_section(form, "truth")
     assert {*truth["of_tables"], "machine"} == set(TRUTH_TABLES)
     assert set(TERMS) <= {f["key"] for f in truth["fields"]}
     assert "drift" in {f["key"] for f in truth["of_tables"]["spindle"]}

@@ -1,11 +1,11 @@
-"""Calibrations in processes of their own, found again by whoever asks."""
+"""Calibration jobs in separate processes."""
 
 import json
 
 from served import wait
 
 
-def test_a_calibration_is_followed_to_its_result(page, folder):
+def test_calibration_job_reports_progress_and_writes_result(page, folder):
     result = folder / "three" / "result.json"
     before = json.loads(result.read_text())
     result.unlink()
@@ -19,7 +19,7 @@ def test_a_calibration_is_followed_to_its_result(page, folder):
     assert job["command"].startswith("counterspin calibrate ")
 
 
-def test_one_that_fails_says_why_and_one_that_is_stopped_leaves_nothing(page, folder):
+def test_failed_job_has_cause_and_stopped_job_leaves_no_file(page, folder):
     result = folder / "three" / "result.json"
     kept = result.read_bytes()
     (folder / "three" / "slow.csv").write_text("time_s\n1\n")
@@ -34,16 +34,16 @@ def test_one_that_fails_says_why_and_one_that_is_stopped_leaves_nothing(page, fo
     assert not (folder / "three" / "b.json").exists()
 
 
-def test_a_process_that_dies_is_told(page, monkeypatch):
+def test_killed_process_is_reported(page, monkeypatch):
     monkeypatch.setattr("counterspin.application.campaigns.run_calibration", exit)
     number = page.post("/api/jobs", json={"name": "three"}).json()["number"]
     assert "ended unexpectedly" in wait(page, number)["error"]
 
 
-def test_a_process_that_cannot_begin_is_told(page, monkeypatch):
-    def refuse(_):
+def test_process_start_failure_is_reported(page, monkeypatch):
+    def raise_unavailable(_):
         raise OSError(11, "Resource temporarily unavailable")
 
-    monkeypatch.setattr("multiprocessing.context.SpawnProcess.start", refuse)
+    monkeypatch.setattr("multiprocessing.context.SpawnProcess.start", raise_unavailable)
     number = page.post("/api/jobs", json={"name": "three"}).json()["number"]
     assert "temporarily unavailable" in wait(page, number)["error"]

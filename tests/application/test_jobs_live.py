@@ -1,4 +1,4 @@
-"""A campaign that is followed, as long as somebody looks."""
+"""The live view of a campaign runs only while a page polls it."""
 
 import re
 import shutil
@@ -11,7 +11,7 @@ from counterspin.application import jobs
 from counterspin.monitoring.result import WatchState
 
 
-def look(page, until):
+def poll_until(page, until):
     deadline = time.monotonic() + 300.0
     while time.monotonic() < deadline:
         told = page.get("/api/watch", params={"name": "three"}).json()
@@ -21,10 +21,10 @@ def look(page, until):
     raise AssertionError(told)
 
 
-def test_what_is_new_is_told(page, folder):
+def test_live_view_reports_new_samples(page, folder):
     three = folder / "three"
     shutil.move(three / "fast.csv", folder / "later.csv")
-    told = look(page, lambda told: told["html"])
+    told = poll_until(page, lambda told: told["html"])
     assert "slow" in told["html"]
     assert told["command"].startswith("counterspin watch ")
     before = told["html"]
@@ -35,10 +35,10 @@ def test_what_is_new_is_told(page, folder):
     shown = re.findall(r"± ([\d.]+) µg/g²", told["html"])
     assert [float(f"{one['u']:.2g}") for one in reached["u"]] == list(map(float, shown))
     shutil.move(folder / "later.csv", three / "fast.csv")
-    assert look(page, lambda told: told["html"] != before)
+    assert poll_until(page, lambda told: told["html"] != before)
 
 
-def test_what_happened_is_told_once(monkeypatch):
+def test_live_event_is_listed_once(monkeypatch):
     """The page lists it."""
     event = "slow.csv was replaced."
     state = WatchState(
@@ -57,7 +57,7 @@ def test_what_happened_is_told_once(monkeypatch):
     assert told["html"].count("Every run has reached the duration stated in the campaign.") == 1
 
 
-def test_nobody_is_followed_whom_nobody_looks_at(app, page, monkeypatch):
+def test_live_worker_stops_without_viewers(app, page, monkeypatch):
     monkeypatch.setattr(jobs, "VIEW_TIMEOUT", 0.2)
     page.get("/api/watch", params={"name": "three"})
     (view,) = app.live._views.values()
@@ -70,7 +70,7 @@ def test_nobody_is_followed_whom_nobody_looks_at(app, page, monkeypatch):
 
 
 @pytest.mark.parametrize("goal", ["0.001", "K_II", "K_9 1e-8 g/g^2", "K_II 1e-8 m"])
-def test_a_goal_that_is_none_is_refused_before_anything_is_begun(app, page, goal):
+def test_invalid_goal_is_rejected_before_start(app, page, goal):
     answered = page.get("/api/watch", params={"name": "three", "goal": goal})
     assert answered.status_code == 422
     assert "goal.target" in answered.json()["error"]

@@ -1,4 +1,4 @@
-"""A process that says how far it is, and can be ended."""
+"""Worker processes report their progress and can be terminated."""
 
 import time
 
@@ -8,8 +8,8 @@ from counterspin.application.jobs import Worker, report_progress
 from counterspin.errors import CounterspinError
 
 
-def heard(worker):
-    """Return all that a worker tells, to its end."""
+def collect_messages(worker):
+    """Return all messages of a worker."""
     told = []
     while not told or told[-1][0] not in ("done", "failed"):
         told.append(worker.receive(300.0))
@@ -17,7 +17,7 @@ def heard(worker):
     return told
 
 
-def doubled(there, number):
+def double_with_progress(there, number):
     def work(progress):
         progress(1, 2)
         return 2 * number
@@ -25,37 +25,37 @@ def doubled(there, number):
     report_progress(there, work)
 
 
-def wrong(there, kind):
+def fail_with(there, kind):
     def work(_):
         raise kind("in words")
 
     report_progress(there, work)
 
 
-def endless(there):
+def run_forever(there):
     report_progress(there, lambda _: time.sleep(1000.0))
 
 
-def test_it_tells_its_progress_and_what_it_made():
-    worker = Worker(doubled, 21)
-    assert heard(worker) == [("progress", 1, 2), ("done", 42)]
+def test_worker_reports_progress_and_result():
+    worker = Worker(double_with_progress, 21)
+    assert collect_messages(worker) == [("progress", 1, 2), ("done", 42)]
     assert not worker.is_alive
 
 
 @pytest.mark.parametrize(
     ("work", "words", "told"),
     [
-        (wrong, (CounterspinError,), "in words"),
-        (wrong, (ValueError,), "internal error (ValueError: in words)"),
+        (fail_with, (CounterspinError,), "in words"),
+        (fail_with, (ValueError,), "internal error (ValueError: in words)"),
         (exit, (), "the process ended unexpectedly, possibly because the memory was exhausted"),
     ],
 )
-def test_that_it_failed_is_told(work, words, told):
-    assert heard(Worker(work, *words)) == [("failed", told)]
+def test_worker_reports_failure(work, words, told):
+    assert collect_messages(Worker(work, *words)) == [("failed", told)]
 
 
-def test_it_is_ended_whatever_it_does():
-    worker = Worker(endless)
+def test_worker_can_be_terminated():
+    worker = Worker(run_forever)
     assert worker.receive() is None
     worker.terminate()
     assert not worker.is_alive

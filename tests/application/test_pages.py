@@ -1,4 +1,4 @@
-"""Pages of other rooms' blocks: words at once, pictures one by one."""
+"""Pages of results, comparisons and forecasts: text first, plots on request."""
 
 import re
 import shutil
@@ -12,7 +12,7 @@ from counterspin.calibration.calibrate import calibrate
 PAGE = {"kind": "result", "names": "three/result.json"}
 
 
-def test_a_result_is_shown_with_the_report_s_words_and_pictures(page):
+def test_result_page_has_text_and_plots_of_report(page):
     told = page.get("/api/page", params=PAGE).json()
     assert '<h2 id="at-card-qx">Qx</h2>' in told["html"]
     assert (told["state"], told["words"]) == ("reservations", "With reservations")
@@ -25,7 +25,7 @@ def test_a_result_is_shown_with_the_report_s_words_and_pictures(page):
     assert page.get("/api/picture", params=query | {"place": 99}).status_code == 404
 
 
-def test_a_contradicted_result_says_why_it_cannot_be_certified(page, folder):
+def test_contradicted_result_states_why_not_certifiable(page, folder):
     assert page.get("/api/page", params=PAGE).json()["refusal"] == ""
     file, result = folder / "three" / "campaign.toml", folder / "three" / "result.json"
     file.write_text(changed(file.read_text(), ('"0.01 m"', '"0.001 m"')))
@@ -37,7 +37,7 @@ def test_a_contradicted_result_says_why_it_cannot_be_certified(page, folder):
     assert page.get("/api/page", params=PAGE).json()["refusal"] == ""
 
 
-def test_results_are_compared_and_followed(page, folder):
+def test_results_are_compared_and_shown_as_history(page, folder):
     shutil.copy(folder / "three" / "result.json", folder / "other.json")
     names = "three/result.json\nother.json"
     told = page.get("/api/page", params={"kind": "comparison", "names": names}).json()
@@ -51,7 +51,7 @@ def test_results_are_compared_and_followed(page, folder):
     assert str(folder) not in told["html"]
 
 
-def test_that_no_result_can_be_followed_is_an_answer_and_no_failure(page):
+def test_history_without_usable_results_is_empty_page(page):
     asked = {"kind": "history", "names": "three/result.json", "term": "K_OQ"}
     told = page.get("/api/page", params=asked)
     assert told.status_code == 200
@@ -72,11 +72,11 @@ def test_that_no_result_can_be_followed_is_an_answer_and_no_failure(page):
         (PAGE | {"kind": "history", "term": "K_9"}, 422),
     ],
 )
-def test_what_is_no_page_is_refused(page, query, status):
+def test_invalid_page_query_is_rejected(page, query, status):
     assert page.get("/api/page", params=query).status_code == status
 
 
-def test_a_campaign_without_records_is_forecast(page, folder):
+def test_campaign_without_records_shows_forecast(page, folder):
     (folder / "three" / "slow.csv").unlink()
     asked = {"kind": "forecast", "names": "three/campaign.toml"}
     picture = page.get("/api/picture", params=asked | {"place": 0})
@@ -90,8 +90,8 @@ def test_a_campaign_without_records_is_forecast(page, folder):
     assert told["command"].startswith("counterspin plan --check ")
 
 
-def test_a_forecast_that_has_no_room_fails_in_a_sentence(page, folder):
-    """It took 15 GB in the server's own process."""
+def test_forecast_exceeding_memory_fails_with_message(page, folder):
+    """The forecast would need 15 GB of memory."""
     (folder / "endless").mkdir()
     text = (folder / "three" / "campaign.toml").read_text().replace("drift =", "# drift =")
     text = text.replace('rate = "0.5 rev/s"', 'rate = "1e-9 rev/s"')

@@ -1,4 +1,4 @@
-"""The documentation within the page: links lead to something, and each section is explained."""
+"""The manual within the application: its links resolve, and it explains all form sections."""
 
 import re
 import tomllib
@@ -13,18 +13,18 @@ from counterspin.application.served_folder import NotFoundError
 ROOT = Path(__file__).parents[2]
 
 
-def headings(name):
-    """Return what may stand behind the ``#`` of a link to a page."""
+def heading_anchors(name):
+    """Return the anchors of the headings of a page."""
     return set(re.findall(r'<h\d id="([^"]+)">', manual_page(name)["html"]))
 
 
-def require_there(address):
+def require_target(address):
     name, mark, heading = address.partition("#")
     assert name in PAGES, address
-    assert not mark or heading in headings(name), address
+    assert not mark or heading in heading_anchors(name), address
 
 
-def test_a_built_package_holds_the_pages():
+def test_wheel_contains_manual_pages():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     taken = project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
     place = "counterspin/application/documentation"
@@ -32,7 +32,7 @@ def test_a_built_package_holds_the_pages():
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_a_page_is_shown_without_a_link_to_nowhere(name):
+def test_manual_page_has_no_broken_link(name):
     page = manual_page(name)
     assert [one for one, _ in page["pages"]] == list(PAGES)
     assert dict(page["pages"])[name] == page["title"]
@@ -41,29 +41,29 @@ def test_a_page_is_shown_without_a_link_to_nowhere(name):
     assert re.findall(r"<img|<script|style=|&lt;!--", page["html"]) == []
     for address in re.findall(r'href="([^"]*)"', page["html"]):
         assert address.startswith("#/manual/")
-        require_there(address.removeprefix("#/manual/"))
+        require_target(address.removeprefix("#/manual/"))
 
 
-def test_what_is_none_of_the_pages_is_not_shown():
+def test_unknown_manual_page_raises_not_found():
     for name in ("", "nowhere", "physics", "../README", "campaign.md"):
         with pytest.raises(NotFoundError):
             manual_page(name)
 
 
-def inside(fields):
+def flatten_fields(fields):
     for one in fields:
         yield one
-        yield from inside(one.get("fields", []))
+        yield from flatten_fields(one.get("fields", []))
 
 
-def test_every_section_of_a_form_is_explained_and_links_of_its_help_lead_on():
+def test_form_sections_link_to_existing_manual_pages():
     links = {}
     for section in (*campaign_form(), *lab_form()):
-        require_there(section["explained"])
-        for one in inside(section["fields"]):
+        require_target(section["explained"])
+        for one in flatten_fields(section["fields"]):
             rest = one["help"]
             for words, address in one["links"]:
-                require_there(address)
+                require_target(address)
                 _, found, rest = rest.partition(words)
                 assert found, one
                 links[section["key"], one["key"]] = address

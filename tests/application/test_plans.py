@@ -1,4 +1,4 @@
-"""Limits that are changed on the page of a plan, and the best plan within them."""
+"""The plan page: changed limits and the best plan within them."""
 
 import tomllib
 
@@ -18,12 +18,12 @@ from counterspin.reports.typography import typeset_block
 @pytest.fixture
 def planned(page, folder):
     file = write_example(folder / "PLAN.toml")
-    # The fewer, the sooner; and u is that of the runs, which a plan can change.
+    # Few runs are fast; u comes from the runs, which a plan can change.
     file.write_text(changed(file.read_text(), ("runs = 14", "runs = 2"), *PERFECT))
     return page
 
 
-def page_of(page, name="PLAN.toml", **moved):
+def get_plan_page(page, name="PLAN.toml", **moved):
     """Return the page of a plan within changed limits, after its job."""
     asked = {"name": name, "moved": moved}
     job = page.post("/api/plan-page", json=asked).json()["job"]
@@ -32,11 +32,11 @@ def page_of(page, name="PLAN.toml", **moved):
     return page.post("/api/plan-page", json=asked).json()["html"]
 
 
-def html_of(result):
+def render_plan(result):
     return html_fragment(list(map(typeset_block, plan_blocks(result))), title=result.title)
 
 
-def test_limits_have_the_names_of_the_plan_s_file(planned):
+def test_limits_have_names_of_plan_file(planned):
     assert PLAN_SLIDERS.keys() <= LimitsSettings.model_fields.keys()
     assert READING_PLAN_SLIDERS.keys() <= ReadingLimitsSettings.model_fields.keys()
     (listed,) = planned.get("/api/folder").json()["plans"]
@@ -49,20 +49,20 @@ def test_limits_have_the_names_of_the_plan_s_file(planned):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("inline_jobs")
-def test_the_page_is_the_command_s_plan_within_the_changed_limits(planned, folder):
-    shown = page_of(planned, total_time=1400.0, highest_rate=5.0)
+def test_plan_page_matches_command_within_changed_limits(planned, folder):
+    shown = get_plan_page(planned, total_time=1400.0, highest_rate=5.0)
     file = folder / "PLAN.toml"
     text = file.read_text().replace('"700 s"', '"1400 s"')
     file.write_text(text.replace('highest_rate = "1 rev/s"', 'highest_rate = "0.795775 rev/s"'))
     found = plan(file).result
-    assert html_of(found) == shown
+    assert render_plan(found) == shown
     assert "best plan in half the time" in shown
     # The file of the plan has changed, so that its page is searched for again.
     assert planned.post("/api/plan-page", json={"name": "PLAN.toml"}).json()["job"] is not None
 
 
 @pytest.mark.usefixtures("inline_jobs")
-def test_a_search_that_fails_states_the_cause(planned, folder):
+def test_failed_plan_search_states_cause(planned, folder):
     refusal = planned.post("/api/plan-page", json={"name": "PLAN.toml", "moved": {"colour": 1.0}})
     assert refusal.json()["code"] == "request-refused"
     assert refusal.json()["error"].startswith("colour ")
@@ -75,7 +75,7 @@ def test_a_search_that_fails_states_the_cause(planned, folder):
     assert "the search is limited" in job["error"]
 
 
-def test_a_search_can_be_stopped(planned):
+def test_plan_search_can_be_stopped(planned):
     asked = {"name": "PLAN.toml"}
     number = planned.post("/api/plan-page", json=asked).json()["job"]["number"]
     # Another request finds the same job while it runs.
@@ -86,8 +86,8 @@ def test_a_search_can_be_stopped(planned):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("inline_jobs")
-def test_limits_move_in_the_units_of_the_file(planned, folder):
-    """rev/s and minutes, as a person wrote them; what is asked is in SI."""
+def test_limits_are_in_units_of_plan_file(planned, folder):
+    """The file has rev/s and minutes; the requests are in SI."""
     file = folder / "PLAN.toml"
     text = changed(file.read_text(), ('settling = "10 s"', 'settling = "0.5 min"'))
     file.write_text(text.replace('highest_rate = "1 rev/s"', 'highest_rate = "60 rpm"'))
@@ -107,27 +107,27 @@ def test_limits_move_in_the_units_of_the_file(planned, folder):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("inline_jobs")
-def test_poses_are_planned_as_the_command_plans_them(page, folder):
+def test_plan_page_of_poses_matches_command(page, folder):
     page.post("/api/plan", json={"name": "POSES.toml", "example": "poses"})
     file = folder / "POSES.toml"
-    # The fewer terms, the sooner.
+    # Few terms are fast.
     file.write_text(file.read_text() + '[model]\nassume = "all"\nterms = ["K_F", "K_I"]\n')
     told = page.get("/api/plan", params={"name": "POSES.toml"}).json()
     assert told["title"] == "Poses of a sensor"
     (limit,) = told["limits"]
     assert (limit["key"], limit["value"], limit["low"], limit["high"]) == ("readings", 18, 4, 72)
-    shown = page_of(page, "POSES.toml", readings=12.0)
+    shown = get_plan_page(page, "POSES.toml", readings=12.0)
     text = file.read_text()
     said = {"name": "POSES.toml", "moved": {"readings": 12.0}, "folder": "poses"}
     number = page.post("/api/planned", json=said).json()["number"]
     assert wait(page, number)["state"] == "done"
     assert file.read_text() == text.replace("readings = 18", "readings = 12")
-    assert html_of(plan(file).result) == shown
+    assert render_plan(plan(file).result) == shown
     runs = tomllib.loads((folder / "poses" / "campaign.toml").read_text())["runs"]
     assert len(runs) == 12
 
 
-def test_a_plan_s_file_is_edited_and_stays_a_plan(planned, folder):
+def test_plan_file_can_be_edited(planned, folder):
     told = planned.get("/api/plan-text", params={"name": "PLAN.toml"}).json()
     assert [section["key"] for section in told["form"]][:2] == ["goal", "limits"]
     assert told["problems"] == []
@@ -153,7 +153,7 @@ def test_a_plan_s_file_is_edited_and_stays_a_plan(planned, folder):
 
 
 @pytest.mark.usefixtures("inline_jobs")
-def test_limits_and_the_campaign_are_written(planned, folder):
+def test_limits_and_planned_campaign_are_written(planned, folder):
     said = {"name": "PLAN.toml", "moved": {"total_time": 600.0}, "folder": "planned"}
     made = planned.post("/api/planned", json=said).json()
     assert made["command"].startswith("counterspin plan ")
@@ -168,7 +168,7 @@ def test_limits_and_the_campaign_are_written(planned, folder):
     assert "exists" in again.json()["error"]
 
 
-def test_an_example_and_what_is_no_plan(page, folder):
+def test_example_plan_is_created_and_other_file_type_rejected(page, folder):
     assert page.post("/api/plan", json={"name": "a.toml"}).is_success
     assert page.post("/api/plan", json={"name": "a.toml"}).status_code == 422
     assert page.post("/api/plan", json={"name": "a.csv"}).status_code == 422
@@ -178,11 +178,11 @@ def test_an_example_and_what_is_no_plan(page, folder):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("inline_jobs")
-def test_a_plan_that_cannot_be_made_changes_no_file(planned, folder):
+def test_failed_plan_changes_no_file(planned, folder):
     file = folder / "PLAN.toml"
     before = file.read_text()
     said = {"name": "PLAN.toml", "moved": {"total_time": 1.0}, "folder": "planned"}
-    # Nor does one whose folder cannot be made.
+    # A plan whose folder cannot be created changes no file either.
     other = said | {"moved": {"total_time": 600.0}, "folder": "three/slow.csv"}
     for asked in (said, other):
         number = planned.post("/api/planned", json=asked).json()["number"]
@@ -191,7 +191,7 @@ def test_a_plan_that_cannot_be_made_changes_no_file(planned, folder):
     assert not (folder / "planned").exists()
 
 
-def test_one_that_is_stopped_changes_no_file(planned, folder):
+def test_stopped_plan_changes_no_file(planned, folder):
     before = (folder / "PLAN.toml").read_text()
     said = {"name": "PLAN.toml", "moved": {"total_time": 600.0}, "folder": "planned"}
     number = planned.post("/api/planned", json=said).json()["number"]

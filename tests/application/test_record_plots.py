@@ -1,4 +1,4 @@
-"""Records through a window of time: nothing is lost that a screen could show."""
+"""Plots of records in a time window: decimation keeps visible outliers."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from counterspin.application.record_plots import MAX_PARTS, min_and_max
 RUN = {"name": "three", "run": "fast"}
 
 
-def test_extremes_of_parts_against_a_loop():
+def test_chunk_extremes_match_loop():
     values = np.random.default_rng(1).normal(size=1000)
     values[[3, 500]] = np.nan
     values[600:700] = np.nan
@@ -23,7 +23,7 @@ def test_extremes_of_parts_against_a_loop():
 
 
 @pytest.fixture
-def spiked(folder):
+def spiked_record(folder):
     """Return the fast run's record as it is filed, with one value far out in its middle."""
     file = folder / "three" / "fast.csv"
     header, *rows = file.read_text().splitlines()
@@ -34,10 +34,13 @@ def spiked(folder):
     return np.genfromtxt(file, delimiter=",", names=True)
 
 
-def test_a_record_says_what_it_holds(page, spiked):
+def test_record_summary_has_rows_times_and_columns(page, spiked_record):
     told = page.get("/api/record-about", params=RUN).json()["overview"]
-    assert told["rows"] == len(spiked)
-    assert (told["first"], told["last"]) == (spiked["time_s"][0], spiked["time_s"][-1])
+    assert told["rows"] == len(spiked_record)
+    assert (told["first"], told["last"]) == (
+        spiked_record["time_s"][0],
+        spiked_record["time_s"][-1],
+    )
     assert told["columns"] == [
         {"name": "angle_rad", "unit": "rad"},
         {"name": "Qx: east_m", "unit": "m"},
@@ -46,8 +49,8 @@ def test_a_record_says_what_it_holds(page, spiked):
     assert told["used"] == [None, None]
 
 
-def test_few_rows_stand_as_they_are_and_of_many_no_outlier_is_lost(page, spiked):
-    time, east = spiked["time_s"], spiked["east_m"]
+def test_short_window_has_all_rows_and_long_window_keeps_outlier(page, spiked_record):
+    time, east = spiked_record["time_s"], spiked_record["east_m"]
     whole = RUN | {"low": time[0], "high": time[-1]}
     told = page.get("/api/record", params=whole | {"parts": 1000}).json()
     assert told["whole"]
@@ -75,11 +78,11 @@ def test_few_rows_stand_as_they_are_and_of_many_no_outlier_is_lost(page, spiked)
         (RUN | {"low": -1e300, "high": 1e300, "parts": 10 * MAX_PARTS}, 200),
     ],
 )
-def test_odd_windows(page, query, status):
+def test_window_query_status(page, query, status):
     assert page.get("/api/record", params=query).status_code == status
 
 
-def test_a_record_that_cannot_be_read_says_why(page, folder):
+def test_unreadable_record_states_cause(page, folder):
     (folder / "three" / "fast.csv").write_text("time_s,angle_rad,east_m,north_m\n1,2,three,4\n")
     told = page.get("/api/record-about", params=RUN)
     assert told.status_code == 422

@@ -1,4 +1,4 @@
-"""Data and fit of a run, without the parabola that hides both."""
+"""Plots of data and fit of a run with the parabola removed."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from counterspin.calibration.result import Result
 RUN = {"name": "three", "run": "fast", "fit": True}
 
 
-def test_data_and_fit_differ_by_the_residuals(page, app, folder):
+def test_data_minus_fit_equals_residuals(page, app, folder):
     assert page.get("/api/record-about", params=RUN).json() == {"overview": None}
     app.jobs = InlineJobs()
     assert page.post("/api/fit", json={"name": "three"}).json()["state"] == "done"
@@ -35,7 +35,7 @@ def test_data_and_fit_differ_by_the_residuals(page, app, folder):
     assert np.abs(powers.T @ data).max() < 1e-6 * np.abs(powers.T @ np.abs(data)).max()
 
 
-def test_a_changed_description_is_fitted_anew(page, app, folder):
+def test_changed_description_requires_new_fit(page, app, folder):
     app.jobs = InlineJobs()
     page.post("/api/fit", json={"name": "three"})
     file = folder / "three" / "campaign.toml"
@@ -43,7 +43,7 @@ def test_a_changed_description_is_fitted_anew(page, app, folder):
     assert page.get("/api/record-about", params=RUN).json() == {"overview": None}
 
 
-def test_readings_have_no_such_picture(page):
+def test_rejects_fit_plot_of_readings(page):
     page.post("/api/campaign", json={"name": "rest", "test": "tumble"})
     refused = page.post("/api/fit", json={"name": "rest"})
     assert refused.status_code == 422
@@ -51,7 +51,7 @@ def test_readings_have_no_such_picture(page):
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2])
-def test_a_polynomial_is_taken_whole_and_nothing_else(degree):
+def test_detrending_removes_only_the_polynomial(degree):
     time = np.linspace(0.0, 400.0, 1000)
     wave = subtract_polynomial(time, np.sin(time), degree)
     more = subtract_polynomial(time, np.sin(time) + 3.0 * time**degree - 1.0, degree)

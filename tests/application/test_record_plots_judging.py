@@ -1,9 +1,9 @@
-"""One run, judged at once."""
+"""The check of a single run."""
 
 RUN = {"name": "three", "run": "fast"}
 
 
-def test_a_run_is_judged(page, folder):
+def test_run_check_returns_verdict(page, folder):
     told = page.get("/api/check", params=RUN).json()
     assert "fast" in told["html"]
     assert told["command"].startswith("counterspin check ")

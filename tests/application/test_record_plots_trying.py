@@ -1,4 +1,4 @@
-"""Studies and simulated records, made while the page is used."""
+"""Jobs for studies and simulated records."""
 
 import pytest
 from served import wait
@@ -6,14 +6,14 @@ from served import wait
 from counterspin.studies.study import study
 
 
-def ended(page, asked, **said):
+def run_job(page, asked, **said):
     begun = page.post(f"/api/{asked}", json={"name": "three"} | said)
     assert begun.status_code == 200, begun.text
     return wait(page, begun.json()["number"])
 
 
-def test_a_study_is_followed_to_its_result_and_shown(page, folder):
-    job = ended(page, "study", trials=6)
+def test_study_job_reports_progress_and_writes_result(page, folder):
+    job = run_job(page, "study", trials=6)
     assert (job["state"], job["kind"], job["progress"]) == ("done", "study", [6, 6])
     assert job["command"].startswith("counterspin study ")
     kept = folder / "three" / "study.json"
@@ -24,7 +24,7 @@ def test_a_study_is_followed_to_its_result_and_shown(page, folder):
     assert "--trials=6" in told["command"]
 
 
-def test_what_cannot_be_studied_is_told_before_it_begins(page, folder):
+def test_invalid_study_is_rejected_before_start(page, folder):
     description = folder / "three" / "campaign.toml"
     text = description.read_text()
     description.write_text(text + "[study.vary]\ncolour = 1\n")
@@ -37,7 +37,7 @@ def test_what_cannot_be_studied_is_told_before_it_begins(page, folder):
 
 
 @pytest.mark.usefixtures("inline_jobs")
-def test_the_duration_of_a_study_is_estimated_once_and_again_after_a_change(page, folder):
+def test_study_duration_is_estimated_again_after_change(page, folder):
     job = page.post("/api/study-duration", json={"name": "three"}).json()["job"]
     assert (job["state"], job["kind"], job["output"]) == ("done", "estimate", "")
     answer = page.post("/api/study-duration", json={"name": "three"}).json()
@@ -52,8 +52,8 @@ def test_the_duration_of_a_study_is_estimated_once_and_again_after_a_change(page
 
 
 @pytest.mark.usefixtures("inline_jobs")
-def test_records_are_simulated_into_a_folder_of_their_own(page, folder):
-    job = ended(page, "simulation", folder="again")
+def test_records_are_simulated_into_new_folder(page, folder):
+    job = run_job(page, "simulation", folder="again")
     assert (job["state"], job["output"]) == ("done", "again")
     # The description has its seed.
     assert (folder / "again" / "slow.csv").read_bytes() == (
@@ -65,7 +65,7 @@ def test_records_are_simulated_into_a_folder_of_their_own(page, folder):
 @pytest.mark.parametrize(
     ("where", "status"), [("", 422), ("three", 422), ("../x", 403), ("slow.csv/x", 200)]
 )
-def test_no_file_is_replaced_or_left_elsewhere(page, folder, where, status):
+def test_simulation_does_not_overwrite_files_or_leave_folder(page, folder, where, status):
     (folder / "slow.csv").write_text("mine")
     said = {"name": "three", "folder": where}
     answered = page.post("/api/simulation", json=said)
@@ -76,7 +76,7 @@ def test_no_file_is_replaced_or_left_elsewhere(page, folder, where, status):
 
 
 @pytest.mark.usefixtures("inline_jobs")
-def test_records_that_would_lie_outside_are_not_made(page, folder):
+def test_simulation_rejects_records_outside_folder(page, folder):
     (folder / "a").mkdir()
     text = (folder / "three" / "campaign.toml").read_text()
     (folder / "a" / "campaign.toml").write_text(

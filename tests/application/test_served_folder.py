@@ -1,4 +1,4 @@
-"""Files of the folder and no others; no edit is lost."""
+"""The served folder: only its files are accessible, and no edit is lost."""
 
 import os
 import time
@@ -44,14 +44,14 @@ def served(tmp_path):
         "a/" * 2000 + "x",
     ],
 )
-def test_no_name_leads_out(served, name):
+def test_path_outside_folder_is_rejected(served, name):
     with pytest.raises(PathForbiddenError):
         served.read(name)
     with pytest.raises(PathForbiddenError):
         served.write(name, "x", "")
 
 
-def test_no_link_leads_out(served, tmp_path):
+def test_symlink_out_of_folder_is_rejected(served, tmp_path):
     (served.root / "link.toml").symlink_to(tmp_path / "secret.toml")
     (served.root / "up").symlink_to(tmp_path)
     (served.root / "round").symlink_to(served.root / "round")
@@ -64,12 +64,12 @@ def test_no_link_leads_out(served, tmp_path):
     assert [path for path, _ in served.folders()] == [served.root, served.root / "a"]
 
 
-def test_a_link_within_the_folder_is_followed(served):
+def test_symlink_within_folder_is_followed(served):
     (served.root / "b.toml").symlink_to(served.root / "a" / "campaign.toml")
     assert served.read("b.toml").text == "schema = 1\n"
 
 
-def test_what_is_no_text_or_too_much_is_refused(served):
+def test_rejects_binary_oversized_or_special_file(served):
     (served.root / "a" / "big.toml").write_text("x" * 101)
     (served.root / "a" / "odd.toml").write_bytes(b"\xff\xfe")
     os.mkfifo(served.root / "a" / "pipe.toml")
@@ -83,7 +83,7 @@ def test_what_is_no_text_or_too_much_is_refused(served):
         served.write("a/new.toml", "\ud800", "")
 
 
-def test_an_edit_of_an_older_version_is_refused_and_told_what_there_is(served):
+def test_edit_of_old_version_raises_conflict_with_current_text(served):
     first = served.read("a/campaign.toml")
     second = served.write("a/campaign.toml", "schema = 1 # mine\n", first.version)
     with pytest.raises(EditConflictError) as refused:
@@ -96,14 +96,14 @@ def test_an_edit_of_an_older_version_is_refused_and_told_what_there_is(served):
     assert [path.name for path in (served.root / "a").iterdir()] == ["campaign.toml"]
 
 
-def test_of_many_edits_at_once_one_is_taken(served, monkeypatch):
+def test_one_of_many_concurrent_edits_succeeds(served, monkeypatch):
     write = served_folder.write_whole
 
-    def slow(*words, **more):
-        time.sleep(0.05)  # in which all others have looked
+    def write_slowly(*words, **more):
+        time.sleep(0.05)  # long enough for all other edits to read
         write(*words, **more)
 
-    monkeypatch.setattr(served_folder, "write_whole", slow)
+    monkeypatch.setattr(served_folder, "write_whole", write_slowly)
     seen = served.read("a/campaign.toml").version
     start, taken = Barrier(8), []
 
@@ -120,19 +120,19 @@ def test_of_many_edits_at_once_one_is_taken(served, monkeypatch):
     assert taken == [served.read("a/campaign.toml").text]
 
 
-def test_a_write_that_fails_leaves_what_there_was(served, monkeypatch):
+def test_failed_write_keeps_previous_file(served, monkeypatch):
     seen = served.read("a/campaign.toml")
 
-    def fail(*_):
+    def raise_no_space(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("pathlib.Path.write_bytes", fail)
+    monkeypatch.setattr("pathlib.Path.write_bytes", raise_no_space)
     with pytest.raises(CounterspinError, match="No space left"):
         served.write("a/campaign.toml", "other", seen.version)
     assert served.read("a/campaign.toml") == seen
     assert [path.name for path in (served.root / "a").iterdir()] == ["campaign.toml"]
 
 
-def test_messages_name_files_as_the_page_does(served):
+def test_messages_use_paths_relative_to_folder(served):
     told = served.relative_paths(f"{served.root}{os.sep}a: wrong; {served.root}: too")
     assert told == "a: wrong; this folder: too"

@@ -1,4 +1,4 @@
-"""A server in a process of its own, as a person starts it."""
+"""The server as a separate process, as a user starts it."""
 
 import json
 import os
@@ -29,7 +29,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-def test_it_prints_its_link_serves_this_machine_alone_and_ends_when_asked_to(tmp_path, how):
+def test_server_prints_link_listens_on_loopback_and_stops_on_signal(tmp_path, how):
     words = [sys.executable, "-m", "counterspin", "serve", str(tmp_path), "--no-browser"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     (beside := tmp_path / "temporary").mkdir()
@@ -41,17 +41,17 @@ def test_it_prints_its_link_serves_this_machine_alone_and_ends_when_asked_to(tmp
             assert b"counterspin" in answer.read()
         with pytest.raises(urllib.error.HTTPError, match="401"):
             urllib.request.urlopen(f"http://127.0.0.1:{port}/api/folder", timeout=BOUND)
-        # What is no HTTP is refused, before an answer or after it, and says nothing here.
+        # A request that is not HTTP is rejected before or after a response and logs nothing.
         chunked = b"Host: 127.0.0.1:%d\r\nTransfer-Encoding: chunked\r\n\r\n" % port
         for asked, told in ((b"\0", b"400"), (b"GET / HTTP/1.1\r\n" + chunked, b"200")):
             with socket.create_connection(("127.0.0.1", port), timeout=BOUND) as other:
                 other.sendall(asked)
                 assert other.recv(1 << 16).startswith(b"HTTP/1.1 " + told)
                 other.sendall(b"no length\r\n")
-        # It listens on one address of the loopback, and on no other.
+        # It listens on a single loopback address.
         with pytest.raises(OSError, match="refused"):
             socket.create_connection(("127.0.0.2", port), timeout=5)
-        # A link counts once; the next is printed when it was used.
+        # A link is valid once; the next link is printed after its use.
         asked = urllib.request.Request(
             f"http://127.0.0.1:{port}/api/session",
             json.dumps({"token": link[2]}).encode(),
@@ -68,8 +68,8 @@ def test_it_prints_its_link_serves_this_machine_alone_and_ends_when_asked_to(tmp
     assert list(beside.iterdir()) == []
 
 
-def test_what_is_being_loaded_is_waited_for_at_the_end(tmp_path, monkeypatch):
-    """An import in a thread when Python ends makes it abort."""
+def test_shutdown_waits_for_imports_in_progress(tmp_path, monkeypatch):
+    """Python aborts if it exits during an import in a thread."""
     done = []
 
     def load(app, ended):
@@ -84,8 +84,8 @@ def test_what_is_being_loaded_is_waited_for_at_the_end(tmp_path, monkeypatch):
     assert (type(loaded), last) == (server.AppState, "Server stopped.")
 
 
-def test_what_a_browser_is_given_on_its_command_line_holds_no_token(tmp_path, monkeypatch):
-    """Every user of the machine reads the list of processes."""
+def test_browser_command_line_has_no_token(tmp_path, monkeypatch):
+    """All users of the machine can read the list of processes."""
     opened, seen, said = threading.Event(), [], []
 
     def browse(address):
@@ -108,16 +108,16 @@ def test_what_a_browser_is_given_on_its_command_line_holds_no_token(tmp_path, mo
     assert not file.parent.exists()
 
 
-def test_on_windows_private_files_lie_in_a_folder_of_the_user(tmp_path, monkeypatch):
-    """Rights of files have no effect there, and all users may share TEMP."""
+def test_windows_private_files_are_in_user_folder(tmp_path, monkeypatch):
+    """File permissions have no effect on Windows, and users may share TEMP."""
     (mine := tmp_path / "mine").mkdir()
     private = []
 
-    def lead(folder, link):
+    def write_redirect(folder, link):
         private.append((folder, link))
         return "file:///nowhere"
 
-    monkeypatch.setattr(server, "_write_redirect", lead)
+    monkeypatch.setattr(server, "_write_redirect", write_redirect)
     monkeypatch.setattr(server, "_preload", lambda *_: None)
     monkeypatch.setattr(server, "make_server", lambda *_: SimpleNamespace(run=lambda **_: None))
     monkeypatch.setattr(server, "open_listener", lambda _: socket.socket())
@@ -130,8 +130,8 @@ def test_on_windows_private_files_lie_in_a_folder_of_the_user(tmp_path, monkeypa
     assert list(mine.iterdir()) == []
 
 
-def test_on_windows_no_other_process_may_take_the_port(monkeypatch):
-    """SO_REUSEADDR lets it there."""
+def test_windows_socket_uses_exclusive_address(monkeypatch):
+    """On Windows SO_REUSEADDR would permit it."""
     options = []
 
     class Listener:
@@ -148,7 +148,7 @@ def test_on_windows_no_other_process_may_take_the_port(monkeypatch):
     assert options == [(socket.SOL_SOCKET, -5, 1)]
 
 
-def test_a_port_that_is_taken_and_a_folder_that_is_not_there(tmp_path, capsys):
+def test_occupied_port_and_missing_folder_raise_errors(tmp_path, capsys):
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -162,14 +162,14 @@ def test_a_port_that_is_taken_and_a_folder_that_is_not_there(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("name", ["a" * 5000 + ".js", "..%2fserver.js", "%00.js", "%ff.css", ".js"])
-def test_a_file_of_the_page_that_is_none_is_not_there(page, name):
+def test_unknown_asset_returns_404(page, name):
     assert page.get(f"/assets/{name}").status_code == 404
     assert page.get("/api/folder/").status_code == 404
 
 
 @pytest.mark.parametrize("name", ["accelerometer", "arm", "double-turntable", "tumble"])
-def test_drawings_of_the_machine_have_a_description_and_the_page_s_colours(stranger, name):
-    told = stranger.get(f"/assets/machine-{name}.svg")
+def test_drawings_have_description_and_page_colours(anonymous, name):
+    told = anonymous.get(f"/assets/machine-{name}.svg")
     assert told.headers["content-type"] == "image/svg+xml"
     drawing, printed = ET.fromstring(told.text), ET.parse(IMAGES / f"machine-{name}.svg").getroot()
     assert drawing.get("role") == "img"

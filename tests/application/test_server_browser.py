@@ -1,4 +1,4 @@
-"""The page in a browser, as a person uses it."""
+"""The page in a browser, operated as by a user."""
 
 import io
 import math
@@ -26,7 +26,7 @@ from counterspin.planning.plan import write_example
 
 pytestmark = needs_chromium
 
-#: In the example of a plan: u is then that of the runs, which a plan can change.
+#: In the example plan, so that u comes from the runs, which a plan can change.
 
 #: What no file says.
 PLACE = (
@@ -37,7 +37,7 @@ PLACE = (
 PHONE = {"width": 360, "height": 740}
 
 
-def see_pictures(tab):
+def wait_for_plots(tab):
     """Wait for a picture of the open chapter, and for a plot of the residuals."""
     still = tab.locator("figure:not(.zoomable)").first
     still.scroll_into_view_if_needed()
@@ -56,9 +56,9 @@ def leave_and_return(tab):
     tab.get_by_role("button", name="Undo").click()
 
 
-def test_from_exports_to_the_certificate(opened, app, folder):
+def test_exports_to_certificate_workflow(open_window, app, folder):
     """As a person would: bring the recorder's files, calibrate, look, issue the certificate."""
-    tab = opened()
+    tab = open_window()
     tab.get_by_label("Folder for the new campaign").fill("mine")
     assert "token" not in tab.url
     records = [folder / "three" / f"{run}.csv" for run in ("slow", "middle", "fast")]
@@ -101,7 +101,7 @@ def test_from_exports_to_the_certificate(opened, app, folder):
     assert (folder / "mine" / "result.json").is_file()
     assert tab.locator(".instrument").count() == 2
     # Other pictures than those that can be zoomed come as they come near.
-    see_pictures(tab)
+    wait_for_plots(tab)
     tab.get_by_role("link", name="Certify", exact=True).last.click()
     tab.get_by_label("Signature").select_option("No signature")
     tab.get_by_role("button", name="Write draft").click()
@@ -117,11 +117,11 @@ def test_from_exports_to_the_certificate(opened, app, folder):
 
 
 @pytest.mark.parametrize("kind", ["pkcs12", "pem"])
-def test_a_certificate_is_signed_by_mouse(opened, folder, tmp_path, kind):
+def test_certificate_is_signed_by_mouse(open_window, folder, tmp_path, kind):
     write_own(folder / "LAB.toml", keep=("Example Customer",))
     write = write_pkcs12 if kind == "pkcs12" else write_pair
     key, cert = write(tmp_path, ec.generate_private_key(ec.SECP256R1()), b"vy secret")
-    tab = opened("/certificate/three%2Fresult.json")
+    tab = open_window("/certificate/three%2Fresult.json")
     # A value of the template is an empty field, and nothing is signed before it is filled in.
     tab.get_by_role("heading", name="Complete 2 entries before you sign").wait_for()
     tab.get_by_role("img", name="Page 1 of").wait_for()
@@ -159,8 +159,8 @@ def test_a_certificate_is_signed_by_mouse(opened, folder, tmp_path, kind):
     assert "secret" not in kept
 
 
-def test_a_drawing_stands_beside_the_fields_that_it_explains(opened):
-    tab = opened("/description/three")
+def test_drawing_is_shown_beside_its_fields(open_window):
+    tab = open_window("/description/three")
     for question, name in (
         ("Accelerometer axes", "Axes of an accelerometer"),
         ("Zero angle and positive direction", "Double turntable"),
@@ -174,8 +174,8 @@ def test_a_drawing_stands_beside_the_fields_that_it_explains(opened):
     tab.get_by_role("img", name="Double turntable").wait_for()
 
 
-def test_the_page_that_explains_a_section_opens_beside_what_is_typed(opened):
-    tab = opened("/description/three")
+def test_manual_page_opens_beside_form_and_keeps_input(open_window):
+    tab = open_window("/description/three")
     tab.locator('[id="f-site.gravity"]').fill("9.81")
     with tab.expect_popup() as beside:
         tab.get_by_role("link", name="Documentation of records").click()
@@ -189,8 +189,8 @@ def test_the_page_that_explains_a_section_opens_beside_what_is_typed(opened):
     assert tab.locator('[id="f-site.gravity"]').input_value() == "9.81"
 
 
-def test_what_was_said_outlives_another_kind_of_test(opened, folder):
-    tab = opened()
+def test_answers_persist_after_change_of_test_type(open_window, folder):
+    tab = open_window()
     tab.get_by_label("Folder for the new campaign").fill("mine")
     records = [folder / "three" / f"{run}.csv" for run in ("slow", "middle", "fast")]
     tab.get_by_label("Recorder files").set_input_files(records)
@@ -205,13 +205,13 @@ def test_what_was_said_outlives_another_kind_of_test(opened, folder):
         assert answer_field(tab, question).input_value().startswith(said.split()[0])
 
 
-def test_from_a_table_of_readings_to_a_result(opened, folder, tmp_path):
+def test_table_of_readings_to_result_workflow(open_window, folder, tmp_path):
     rows = [
         f"{angle},{1.25 * math.cos(math.radians(angle)) + 0.003:.6f},2e-6"
         for angle in range(0, 360, 30)
     ]
     (tmp_path / "tumble.csv").write_text("\n".join(["angle_deg,reading_mA,u_mA", *rows]) + "\n")
-    tab = opened()
+    tab = open_window()
     tab.get_by_label("Folder for the new campaign").fill("tumble")
     files = tab.get_by_label("Recorder files")
     files.set_input_files(tmp_path / "tumble.csv")
@@ -244,12 +244,12 @@ def test_from_a_table_of_readings_to_a_result(opened, folder, tmp_path):
 
 
 @pytest.mark.usefixtures("inline_jobs")
-def test_from_a_pasted_table_of_an_arm_to_a_result(opened, folder):
+def test_pasted_arm_table_to_result_workflow(open_window, folder):
     rows = ["side\trpm\treading_mA", "oben\t0\t1.2532", "unten\t0\t-1.2468"]
     for rpm in (30, 45, 60, 90, 120):
         force = 1.25 * (rpm * math.pi / 30.0) ** 2 / 9.8066
         rows += [f"A\t{rpm}\t{force + 0.003:.5f}", f"B\t{rpm}\t{-force + 0.003:.5f}"]
-    tab = opened()
+    tab = open_window()
     tab.get_by_label("Folder for the new campaign").fill("arm")
     tab.get_by_text("Paste a table").click()
     tab.get_by_label("Table copied from a spreadsheet").fill("\n".join([*rows, rows[1], rows[2]]))
@@ -268,9 +268,9 @@ def test_from_a_pasted_table_of_an_arm_to_a_result(opened, folder):
 
 
 @pytest.mark.usefixtures("inline_jobs")
-def test_from_a_log_of_poses_to_a_triad(opened, folder, tmp_path):
+def test_pose_log_to_triad_workflow(open_window, folder, tmp_path):
     np.savetxt(tmp_path / "imu.log", posed(3.0, 1.0, count=24).values, fmt="%.5f")
-    tab = opened()
+    tab = open_window()
     tab.get_by_label("Folder for the new campaign").fill("triad")
     tab.get_by_label("Recorder files").set_input_files(tmp_path / "imu.log")
     answers = (*PLACE[:2], ("What is the sampling rate", "100 Hz"))
@@ -287,8 +287,8 @@ def test_from_a_log_of_poses_to_a_triad(opened, folder, tmp_path):
     assert len(result.triad.poses) == 24
 
 
-def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder, tmp_path):
-    tab = opened("/campaign/three")
+def test_campaigns_are_copied_renamed_searched_and_deleted(open_window, folder, tmp_path):
+    tab = open_window("/campaign/three")
     tab.get_by_role("tab", name="Coefficients").press("End")
     assert tab.evaluate("document.activeElement.textContent") == "Inputs"
     tab.get_by_role("heading", name="Inputs and reproducibility").wait_for()
@@ -332,8 +332,8 @@ def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder, tmp_pat
     assert (folder / "three" / "campaign.toml").is_file()
 
 
-def test_a_record_is_drawn_and_a_closer_look_shows_more(opened):
-    tab = opened("/runs/three")
+def test_record_plot_loads_more_samples_on_zoom(open_window):
+    tab = open_window("/runs/three")
     tab.locator(".canvas canvas").nth(2).wait_for()
     tab.get_by_label("Run").select_option("fast")
     tab.get_by_text("The plot shows every row.").wait_for()
@@ -347,8 +347,8 @@ def test_a_record_is_drawn_and_a_closer_look_shows_more(opened):
 
 
 @pytest.mark.usefixtures("inline_jobs")
-def test_a_table_of_readings_is_pasted_and_becomes_a_campaign(opened, folder):
-    tab = opened()
+def test_pasted_readings_become_campaign(open_window, folder):
+    tab = open_window()
     tab.get_by_label("Folder for the new campaign").fill("pasted")
     tab.get_by_text("Paste a table").click()
     rows = [(angle, 1.25 * (0.002 + math.cos(math.radians(angle)))) for angle in range(0, 360, 30)]
@@ -368,10 +368,10 @@ def test_a_table_of_readings_is_pasted_and_becomes_a_campaign(opened, folder):
     tab.get_by_text("K_F").first.wait_for()
 
 
-def test_a_plan_is_searched_on_a_click_and_its_search_can_be_stopped(opened, folder):
+def test_plan_search_starts_on_click_and_can_be_stopped(open_window, folder):
     example = write_example(folder / "PLAN.toml")
     example.write_text(changed(example.read_text(), ("runs = 14", "runs = 2"), *PERFECT))
-    tab = opened("/plans")
+    tab = open_window("/plans")
     tab.get_by_role("link", name="A day at the centrifuge").click()
     search = tab.get_by_role("button", name="Calculate plan")
     search.click()
@@ -395,8 +395,8 @@ def test_a_plan_is_searched_on_a_click_and_its_search_can_be_stopped(opened, fol
     assert (folder / "new" / "campaign.toml").is_file()
 
 
-def test_a_wrong_goal_is_told_at_its_field_and_another_is_taken(opened):
-    tab = opened("/live/three")
+def test_invalid_goal_is_marked_at_field_and_can_be_corrected(open_window):
+    tab = open_window("/live/three")
     goal = tab.get_by_label("Goal")
     goal.fill("0.001")
     goal.press("Tab")
@@ -410,8 +410,8 @@ def test_a_wrong_goal_is_told_at_its_field_and_another_is_taken(opened):
     assert goal.get_attribute("aria-invalid") is None
 
 
-def test_a_phone_scrolls_in_one_direction(opened):
-    tab = opened()
+def test_phone_has_no_horizontal_scrolling(open_window):
+    tab = open_window()
     tab.set_viewport_size(PHONE)
     width = "document.documentElement.scrollWidth"
     tab.get_by_role("link", name="three").wait_for()
@@ -421,16 +421,16 @@ def test_a_phone_scrolls_in_one_direction(opened):
     assert tab.evaluate(width) <= PHONE["width"]
 
 
-def test_the_chosen_colours_outlive_a_reload(opened):
-    tab = opened("/compare")
+def test_colour_scheme_persists_after_reload(open_window):
+    tab = open_window("/compare")
     tab.get_by_role("button", name="Use dark colours").click()
     tab.reload()
     tab.get_by_role("button", name="Use light colours").wait_for()
 
 
-def test_without_the_key_the_page_says_what_to_do(opened, door_of_server):
-    used = door_of_server.link
-    tab = opened()
+def test_page_without_key_shows_instructions(open_window, server_credentials):
+    used = server_credentials.link
+    tab = open_window()
     tab.get_by_role("link", name="three").wait_for()
     tab.reload()
     tab.get_by_role("link", name="three").wait_for()
@@ -442,25 +442,23 @@ def test_without_the_key_the_page_says_what_to_do(opened, door_of_server):
         tab.get_by_role("heading", name="This window is not authorised").wait_for()
         tab.get_by_text("Open the newest link in the terminal").wait_for()
     # In the same window, in which nothing but the fragment differs.
-    tab.goto(door_of_server.link)
+    tab.goto(server_credentials.link)
     tab.get_by_role("link", name="three").wait_for()
     assert "token" not in tab.url
 
 
-def test_a_window_that_a_link_of_the_page_opens_has_the_key(opened):
-    tab = opened()
+def test_window_opened_from_page_has_key(open_window):
+    tab = open_window()
     with tab.context.expect_page() as other:
         tab.get_by_role("link", name="three").click(modifiers=["Control"])
     other.value.get_by_role("heading", name="Quality checks").wait_for()
 
 
-def test_the_browser_is_led_to_the_page_by_a_file_that_others_cannot_read(
-    browser, door_of_server, tmp_path
-):
-    address = _write_redirect(tmp_path, door_of_server.link)
+def test_browser_starts_from_private_redirect_file(browser, server_credentials, tmp_path):
+    address = _write_redirect(tmp_path, server_credentials.link)
     (file,) = tmp_path.glob("*.html")
     assert file.stat().st_mode & 0o777 == 0o600
-    assert token_of(door_of_server) not in address
+    assert token_of(server_credentials) not in address
     tab = browser.new_page()
     tab.goto(address)
     tab.get_by_role("link", name="three").wait_for(timeout=LONGEST_WAIT)
@@ -468,8 +466,8 @@ def test_the_browser_is_led_to_the_page_by_a_file_that_others_cannot_read(
     tab.close()
 
 
-def test_mistakes_stand_at_their_fields_and_text_and_form_are_one(opened, folder):
-    tab = opened("/description/three")
+def test_problems_are_at_fields_and_form_follows_text(open_window, folder):
+    tab = open_window("/description/three")
     radius, text = tab.get_by_label("Radius", exact=True), tab.get_by_label("campaign.toml")
     unit = tab.get_by_label("Unit of Radius")
     radius.fill("2.5 kg")
@@ -496,10 +494,10 @@ def test_mistakes_stand_at_their_fields_and_text_and_form_are_one(opened, folder
     # What is typed while the text is saved stays.
     held = []
 
-    def hold(route):
+    def hold_route(route):
         held.append(route)
 
-    tab.route("**/api/text", hold)
+    tab.route("**/api/text", hold_route)
     tab.get_by_role("button", name="Save").click()
     wait_until(tab, lambda: held)
     typed = f"{text.input_value()}# typed during the save\n"
@@ -514,8 +512,8 @@ def test_mistakes_stand_at_their_fields_and_text_and_form_are_one(opened, folder
         tab.get_by_role("button", name="Save").click()
 
 
-def test_terms_are_ticked_beside_what_they_do_and_what_is_known_of_them(opened, folder):
-    tab = opened("/description/three")
+def test_term_list_shows_effects_and_known_values(open_window, folder):
+    tab = open_window("/description/three")
     model = tab.locator("#s-model")
     model.locator("details.terms").first.wait_for(state="attached")
     table = tab.locator("#t-model\\.terms")
@@ -533,11 +531,11 @@ def test_terms_are_ticked_beside_what_they_do_and_what_is_known_of_them(opened, 
     assert table.evaluate("one => one.querySelector('.ticks').scrollWidth <= one.clientWidth")
 
 
-def test_mistakes_are_read_out_at_the_fields_of_a_name_with_a_blank(opened, folder):
+def test_problems_are_announced_at_fields_with_space_in_name(open_window, folder):
     file = folder / "three" / "campaign.toml"
     text = file.read_text()
     file.write_text(f'{text}\n[accelerometers."Q x"]\nbias = "1 kg"\nscale_factor = "2"\n')
-    tab = opened("/description/three")
+    tab = open_window("/description/three")
     tab.locator("[aria-invalid]").first.wait_for()
     read = tab.locator("[aria-invalid]").evaluate_all(
         """(all) => all.flatMap((one) => one.getAttribute("aria-describedby").split(" ")
@@ -550,8 +548,8 @@ def test_mistakes_are_read_out_at_the_fields_of_a_name_with_a_blank(opened, fold
     assert all(any(line.endswith(words) for line in listed) for words in read)
 
 
-def test_only_tables_say_that_they_can_be_moved(opened):
-    tab = opened("/description/three")
+def test_scroll_hint_is_not_shown_outside_tables(open_window):
+    tab = open_window("/description/three")
     tab.set_viewport_size(PHONE)
     tab.locator(".fields").wait_for()
     hints = """[...document.querySelectorAll("*")]
@@ -559,9 +557,9 @@ def test_only_tables_say_that_they_can_be_moved(opened):
     assert tab.evaluate(hints) == 0
 
 
-def test_of_two_windows_none_loses_an_edit(opened, folder):
+def test_two_windows_lose_no_edit(open_window, folder):
     file = folder / "three" / "campaign.toml"
-    tabs = [opened("/description/three"), opened("/description/three")]
+    tabs = [open_window("/description/three"), open_window("/description/three")]
     for tab, radius in zip(tabs, ("3 m", "4 m"), strict=True):
         tab.get_by_label("Radius", exact=True).fill(radius)
         tab.get_by_label("Radius", exact=True).press("Tab")
@@ -578,7 +576,7 @@ def test_of_two_windows_none_loses_an_edit(opened, folder):
     assert 'radius = "4 m"' in file.read_text()
 
 
-#: A app's small screen.
+#: A small screen.
 SMALL_SCREEN = {"width": 1024, "height": 600}
 
 #: Of every control on the page: its kind and what a screen reader calls it.
@@ -590,11 +588,11 @@ UNNAMED = """[..."input select textarea button".split(" ")]
   .map((one) => one.outerHTML)"""
 
 
-def test_every_place_fits_a_small_screen_and_names_its_controls(opened, app):
-    """Nothing goes wrong in any (see `opened`)."""
+def test_pages_fit_small_screen_and_controls_are_named(open_window, app):
+    """Nothing goes wrong in any (see `open_window`)."""
     # No process is needed to follow what is complete.
     app.live.poll = lambda *_: {"html": "<p>Live</p>", "events": ["A run"], "complete": True}
-    tab = opened("/")
+    tab = open_window("/")
     tab.set_viewport_size(SMALL_SCREEN)
     tab.emulate_media(color_scheme="dark")
     for place in PLACES:
@@ -606,8 +604,8 @@ def test_every_place_fits_a_small_screen_and_names_its_controls(opened, app):
 
 
 @pytest.mark.usefixtures("inline_jobs")
-def test_a_try_is_shown_in_its_own_place(opened):
-    tab = opened("/campaign/three")
+def test_calibration_to_other_file_opens_that_result(open_window):
+    tab = open_window("/campaign/three")
     tab.get_by_text("Method, result file and command").click()
     tab.get_by_label("Method").select_option("two-stage")
     tab.get_by_label("Result file").fill("try.json")
@@ -616,8 +614,8 @@ def test_a_try_is_shown_in_its_own_place(opened):
     tab.get_by_role("heading", name="Quality checks").wait_for()
 
 
-def test_what_is_printed_has_every_figure_though_nobody_has_scrolled_to_it(opened):
-    tab = opened("/result/three%2Fresult.json")
+def test_print_view_loads_all_plots(open_window):
+    tab = open_window("/result/three%2Fresult.json")
     tab.locator("figure").first.wait_for()
     empty = "document.querySelectorAll('.still:empty').length"
     assert tab.evaluate(empty) > 0
@@ -630,10 +628,10 @@ def test_what_is_printed_has_every_figure_though_nobody_has_scrolled_to_it(opene
     assert [label for label in labels if label not in text] == []
 
 
-def test_results_are_compared_with_the_one_that_is_chosen(opened, app):
+def test_results_are_compared_with_selected_reference(open_window, app):
     for name in ("b", "c"):
         shutil.copy(app.folder.root / "three" / "result.json", app.folder.root / f"{name}.json")
-    tab = opened("/compare")
+    tab = open_window("/compare")
     for name in ("three/result.json", "b.json", "c.json"):
         tab.get_by_role("checkbox", name=name).check()
     tab.get_by_text("Differences are relative to three/result.json").wait_for()
@@ -644,11 +642,11 @@ def test_results_are_compared_with_the_one_that_is_chosen(opened, app):
     assert command == f"counterspin compare {' '.join(map(str, files))}"
 
 
-def test_a_late_answer_does_not_replace_a_newer_comparison(opened, app):
+def test_late_response_does_not_replace_newer_comparison(open_window, app):
     for name in ("b", "c"):
         shutil.copy(app.folder.root / "three" / "result.json", app.folder.root / f"{name}.json")
     held = []
-    tab = opened("/compare")
+    tab = open_window("/compare")
     tab.route(
         re.compile("/api/page.*=three.*c.json"),
         lambda route: route.continue_() if held else held.append(route),
@@ -663,11 +661,11 @@ def test_a_late_answer_does_not_replace_a_newer_comparison(opened, app):
     assert tab.get_by_text("Differences are relative to c.json").is_visible()
 
 
-def test_the_value_that_a_click_prepares_is_ready_to_be_typed_over(opened, folder):
+def test_prepared_value_is_selected_for_typing(open_window, folder):
     file = folder / "three" / "campaign.toml"
     file.write_text(file.read_text("utf-8").replace('assume = "all"', ""), encoding="utf-8")
     calibrate(folder / "three").write(folder / "three" / "result.json", overwrite=True)
-    tab = opened("/campaign/three")
+    tab = open_window("/campaign/three")
     tab.get_by_role("tab", name="Uncertainty budget").click()
     tab.get_by_role("button", name="Prepare a copy with this value").first.click()
     field = tab.locator("input:focus")
@@ -677,12 +675,12 @@ def test_the_value_that_a_click_prepares_is_ready_to_be_typed_over(opened, folde
     assert field.bounding_box()["y"] < tab.viewport_size["height"]
 
 
-def test_a_history_without_serial_numbers_leads_to_where_they_are_stated(opened, folder):
+def test_history_without_serial_numbers_links_to_their_field(open_window, folder):
     file = folder / "three" / "campaign.toml"
     text = file.read_text("utf-8")
     file.write_text(re.sub("serial_number.*\n", "", text), encoding="utf-8")
     calibrate(folder / "three").write(folder / "three" / "result.json", overwrite=True)
-    tab = opened("/history")
+    tab = open_window("/history")
     tab.get_by_text(
         "Qx of three/result.json, Qy of three/result.json: the result has no serial number"
     ).wait_for()
@@ -693,8 +691,8 @@ def test_a_history_without_serial_numbers_leads_to_where_they_are_stated(opened,
 
 
 @pytest.mark.usefixtures("inline_jobs")
-def test_limits_are_stated_and_a_study_is_made_by_keyboard(opened):
-    tab = opened("/description/three")
+def test_limits_and_study_work_by_keyboard(open_window):
+    tab = open_window("/description/three")
     tab.locator("#s-specification > summary").press("Enter")
     tab.locator("[id='f-specification.K_II']").fill("abs <= 5e-5 g/g^2")
     tab.keyboard.press("Tab")
@@ -719,11 +717,11 @@ def test_limits_are_stated_and_a_study_is_made_by_keyboard(opened):
     tab.get_by_role("heading", name="Verdict").wait_for()
 
 
-def test_the_first_screen_has_the_answer_and_a_slider_changes_u(opened, folder):
+def test_first_screen_has_result_and_slider_changes_u(open_window, folder):
     file = folder / "three" / "campaign.toml"
     file.write_text(file.read_text("utf-8").replace('assume = "all"', ""), encoding="utf-8")
     calibrate(folder / "three").write(folder / "three" / "result.json", overwrite=True)
-    tab = opened("/campaign/three")
+    tab = open_window("/campaign/three")
     tab.set_viewport_size({"width": 1400, "height": 900})
     tab.get_by_role("heading", name="Quality checks").wait_for()
     counts = {".head .state": 1, ".instrument .value": 2, ".instrument .parts": 2, ".checks li": 6}
@@ -742,8 +740,8 @@ def test_the_first_screen_has_the_answer_and_a_slider_changes_u(opened, folder):
     assert "current value" not in slider.get_attribute("aria-valuetext")
 
 
-def test_tables_and_figures_are_saved(opened):
-    tab = opened("/result/three%2Fresult.json")
+def test_tables_and_figures_can_be_saved(open_window):
+    tab = open_window("/result/three%2Fresult.json")
     tab.get_by_role("tab", name="Uncertainty budget").click()
     with tab.expect_download() as saved:
         tab.get_by_role("button", name="CSV: Uncertainty budget of K_II, Qx").click()
@@ -759,8 +757,8 @@ def test_tables_and_figures_are_saved(opened):
         assert b"var(--" not in content
 
 
-def test_a_sample_campaign_is_opened_with_its_result(opened, folder):
-    tab = opened("/")
+def test_sample_campaign_opens_with_result(open_window, folder):
+    tab = open_window("/")
     tab.get_by_role("button", name="Open a sample campaign").click()
     tab.wait_for_url("**#/campaign/sample")
     tab.locator(".instrument").first.wait_for()

@@ -1,4 +1,4 @@
-"""Connections of others leave the page answering."""
+"""The page responds despite many unauthenticated connections."""
 
 import http.client
 import json
@@ -21,8 +21,8 @@ BOUND = 300.0
 HALF = b"GET /api/folder HTTP/1.1\r\nHost: 127.0"
 
 
-def _ask(port, key):
-    """Return the status of what the page asks, and how long it took, s."""
+def _request_page(port, key):
+    """Return the status of a page request and its duration, s."""
     begun = time.monotonic()
     asked = http.client.HTTPConnection("127.0.0.1", port, timeout=BOUND)
     asked.request("GET", "/api/folder", headers={"Authorization": f"Bearer {key}"})
@@ -32,7 +32,7 @@ def _ask(port, key):
     return answer.status, time.monotonic() - begun
 
 
-def test_who_has_no_key_cannot_stop_it(tmp_path):
+def test_unauthenticated_connections_do_not_block_server(tmp_path):
     """More connections than descriptors, half-sent, and then a hundred whole requests."""
     limited = ["sh", "-c", 'ulimit -n 256; exec "$@"', "sh"]
     words = [*limited, sys.executable, "-m", "counterspin", "serve", str(tmp_path), "--no-browser"]
@@ -54,7 +54,7 @@ def test_who_has_no_key_cannot_stop_it(tmp_path):
             for _ in range(number):
                 others.append(socket.create_connection(("127.0.0.1", port), timeout=BOUND))
                 others[-1].sendall(sent)
-            taken.append(_ask(port, key))
+            taken.append(_request_page(port, key))
         server.send_signal(signal.SIGINT)
         out, err = server.communicate(timeout=BOUND)
     for one in others:
@@ -67,19 +67,19 @@ def test_who_has_no_key_cannot_stop_it(tmp_path):
 
 @pytest.fixture
 def served(app):
-    """Return the credentials of a server that runs."""
+    """Return the credentials of a running server."""
     with serving(app) as credentials:
         yield credentials
 
 
-def _ended(other):
-    """Wait until the other side has ended a connection."""
+def _wait_closed(other):
+    """Wait until the peer has closed a connection."""
     with suppress(ConnectionResetError):
         while other.recv(1 << 16):
             pass
 
 
-def _trickle(other):
+def _send_slowly(other):
     end = time.monotonic() + BOUND
     while time.monotonic() < end:
         other.sendall(b"x")
@@ -96,7 +96,7 @@ def _trickle(other):
     ],
     ids=["nothing", "half a head", "half a body"],
 )
-def test_a_request_that_does_not_come_ends(served, monkeypatch, sent):
+def test_incomplete_request_times_out(served, monkeypatch, sent):
     monkeypatch.setattr(server, "HEAD_SECONDS", 0.2)
     monkeypatch.setattr(access_control, "UNAUTHENTICATED_TIMEOUT", 0.2)
     sent = sent.replace(b"%d", str(served.port).encode())
@@ -104,31 +104,31 @@ def test_a_request_that_does_not_come_ends(served, monkeypatch, sent):
         other.sendall(sent)
         # A byte now and then gains no time.
         with pytest.raises(ConnectionError):
-            _trickle(other)
+            _send_slowly(other)
 
 
-def test_little_is_read_of_who_has_no_key(served):
+def test_unauthenticated_request_is_read_in_part(served):
     head = f"POST /api/jobs HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\n"
     head += f"Origin: http://127.0.0.1:{served.port}\r\nContent-Length: 4000000\r\n\r\n"
     read = []
     before = Connection.data_received
 
-    def received(one, data):
+    def receive_and_record(one, data):
         read.append(len(data))
         before(one, data)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Connection, "data_received", received)
+        patch.setattr(Connection, "data_received", receive_and_record)
         with socket.create_connection(("127.0.0.1", served.port), timeout=BOUND) as other:
             other.settimeout(BOUND)
             with suppress(ConnectionError):
                 other.sendall(head.encode() + b"x" * 3_900_000)
-            _ended(other)
+            _wait_closed(other)
     # asyncio reads 256 KiB at once; uvicorn pauses beyond 64 KiB of a body.
     assert 0 < sum(read) <= 2 * 2**18
 
 
-def test_an_idle_connection_stays_whatever_others_do(served, monkeypatch):
+def test_idle_authenticated_connection_stays_open(served, monkeypatch):
     monkeypatch.setattr(server, "_MAX_CONNECTIONS", 3)
     key = served.exchange_token(token_of(served))
     page = http.client.HTTPConnection("127.0.0.1", served.port, timeout=BOUND)
@@ -139,7 +139,7 @@ def test_an_idle_connection_stays_whatever_others_do(served, monkeypatch):
         own = page.sock
         for _ in range(5):
             others.append(socket.create_connection(("127.0.0.1", served.port), timeout=BOUND))
-        _ended(others[-4])
+        _wait_closed(others[-4])
     assert page.sock is own
     for other in others:
         other.close()

@@ -1,4 +1,4 @@
-"""What an uncertainty would be if more were known, and the campaigns that a click prepares."""
+"""Predicted uncertainty with better prior information, and the campaigns prepared from it."""
 
 import pytest
 from served import InlineJobs
@@ -14,7 +14,7 @@ QX = {"name": "three/result.json", "accelerometer": "Qx"}
 
 @pytest.fixture
 def result(folder):
-    """Say honestly what is known, and return the result that follows."""
+    """State realistic prior information and return the result."""
     file = folder / "three" / "campaign.toml"
     text = file.read_text(encoding="utf-8")
     file.write_text(text.replace('assume = "all"', ""), encoding="utf-8")
@@ -24,7 +24,7 @@ def result(folder):
     return found
 
 
-def test_what_is_known_better_is_what_a_calibration_says(page, folder, result):
+def test_predicted_uncertainty_matches_recalibration(page, folder, result):
     told = page.post("/api/what-if", json=QX).json()
     k_ii = result.accelerometers["Qx"].coefficients["K_II"]
     assert (told["symbol"], told["u"]) == ("K_II", pytest.approx(k_ii.u, rel=1e-9))
@@ -36,7 +36,7 @@ def test_what_is_known_better_is_what_a_calibration_says(page, folder, result):
         {"model": {"priors": {"Qx.K_OO": "0 ± 1e-7 g/g^2"}}}
     )
     again = calibrate(stated).accelerometers["Qx"].coefficients["K_II"]
-    # Noise that is found again moves in the sixth digit.
+    # The refitted noise differs in the sixth digit.
     assert better["u"] == pytest.approx(again.u, rel=1e-4)
     (now,) = (one for one in better["sources"] if one["name"] == "K_OO")
     assert now["share"] < 0.1 * first["share"]
@@ -51,11 +51,11 @@ def test_what_is_known_better_is_what_a_calibration_says(page, folder, result):
         ({"known": {"K_OO": "nan"}}, 400),
     ],
 )
-def test_what_cannot_be_known_is_refused(page, result, said, status):
+def test_invalid_what_if_value_is_rejected(page, result, said, status):
     assert page.post("/api/what-if", json=QX | said).status_code == status
 
 
-def test_a_value_to_be_stated_is_prepared_in_a_copy(page, folder, result):
+def test_stated_value_is_prepared_in_copy(page, folder, result):
     told = page.get("/api/ways", params=CAMPAIGN).json()
     assert told["has_runs"]
     page.post("/api/campaign", json={"name": "rest", "test": "tumble"})
@@ -72,12 +72,12 @@ def test_a_value_to_be_stated_is_prepared_in_a_copy(page, folder, result):
     assert (folder / "three" / "campaign.toml").read_bytes() == before
     left = calibrate(folder / "three-K_OO").accelerometers["Qx"].coefficients["K_II"].u
     assert stated["left"] == f"{left * 1e6:.2g} µg/g²"
-    # A second one has a name of its own.
+    # A second copy gets a different name.
     again = page.post("/api/way", json=CAMPAIGN | {"accelerometer": "Qx", "way": "state"}).json()
     assert again["name"] == "three-K_OO-2"
 
 
-def test_runs_to_be_made_are_looked_for_and_prepared(page, app, folder, result):
+def test_additional_runs_are_searched_and_prepared(page, app, folder, result):
     way = CAMPAIGN | {"accelerometer": "Qx", "way": "runs"}
     assert page.post("/api/way", json=way).status_code == 404
     app.jobs = InlineJobs()
@@ -92,7 +92,7 @@ def test_runs_to_be_made_are_looked_for_and_prepared(page, app, folder, result):
     assert page.get("/api/campaign", params={"name": "three-further-runs"}).json()["missing"]
 
 
-def test_a_result_of_what_is_perfect_has_nothing_to_offer(page, folder):
+def test_result_with_assumed_inputs_has_no_improvement(page, folder):
     assert Result.read(folder / "three" / "result.json").assumed
     assert page.get("/api/ways", params=CAMPAIGN).json()["ways"] == []
     way = CAMPAIGN | {"accelerometer": "Qx", "way": "state"}
