@@ -1,4 +1,4 @@
-"""The budget of a campaign's centrifuge: stated and default sources, levels, command, mistakes."""
+"""Uncertainty budget of a centrifuge: stated and default sources, levels, command, errors."""
 
 import math
 
@@ -26,7 +26,7 @@ def folder(tmp_path):
     return write
 
 
-def test_unstated_sources_have_the_default_uncertainties_of_their_terms(folder):
+def test_unstated_sources_have_default_uncertainty(folder):
     result = cs.applied(folder(), "2g, 5 g")
     by_origin = {source.name: source.origin for source in result.applied_sources}
     defaults = {"elevation", "azimuth", "droop", "clock"}
@@ -43,7 +43,7 @@ def test_unstated_sources_have_the_default_uncertainties_of_their_terms(folder):
     )
 
 
-def test_stated_alignment_and_the_rate_of_the_campaign_count(folder):
+def test_stated_alignment_and_sense_of_rotation_are_used(folder):
     result = cs.applied(folder(DESCRIPTION + STATED))
     (level,) = result.levels
     assert (result.mounting, level.rate) == ("in", -9.9)
@@ -55,14 +55,14 @@ def test_stated_alignment_and_the_rate_of_the_campaign_count(folder):
     assert sum(line.share for line in level.budget) == pytest.approx(1.0)
 
 
-def test_an_assumed_term_adds_nothing(folder):
+def test_assumed_term_has_zero_uncertainty(folder):
     exact = '[model]\nassume = ["centrifuge.droop", "centrifuge.clock"]\n'
     result = cs.applied(folder(DESCRIPTION + exact), [1.0])
     assert {result.source(name).origin for name in ("droop", "clock")} == {"assumed"}
     assert {result.source(name).u for name in ("droop", "clock")} == {0.0}
 
 
-def test_the_command_writes_result_report_and_figure(folder, tmp_path, capsys):
+def test_command_writes_result_report_and_figure(folder, tmp_path, capsys):
     path = folder(DESCRIPTION + STATED)
     files = [tmp_path / name for name in ("a.json", "a.md", "a.svg")]
     options = ("--json", "--report", "--figure")
@@ -93,12 +93,12 @@ def test_the_command_writes_result_report_and_figure(folder, tmp_path, capsys):
         ({"mounting": "out"}, 'unknown mounting "out"; known: in'),
     ],
 )
-def test_mistakes_are_named(folder, options, message):
+def test_rejects_invalid_options(folder, options, message):
     with pytest.raises(CampaignError, match=message):
         cs.applied(folder(), **options)
 
 
-def test_different_alignments_need_the_name_of_a_mounting(folder):
+def test_different_alignments_require_mounting(folder):
     second = DESCRIPTION[DESCRIPTION.index("[[runs]]") :].replace('"in"', '"out"', 2)
     priors = STATED + '"fixture.misalignment.out" = "0 ± 5 arcsec"\n'
     path = folder(DESCRIPTION + second + priors)
@@ -108,7 +108,7 @@ def test_different_alignments_need_the_name_of_a_mounting(folder):
     assert result.source("azimuth").u == pytest.approx(math.radians(5.0 / 3600.0))
 
 
-def test_a_campaign_without_a_centrifuge_is_refused(folder):
+def test_rejects_campaign_without_centrifuge(folder):
     at_rest = DESCRIPTION[: DESCRIPTION.index("[centrifuge]")] + (
         '[[runs]]\nname = "up"\nmotion = "static"\nattitude = "0 deg about north"\n'
         'reading = "1.0 ± 1e-6 g"\n'

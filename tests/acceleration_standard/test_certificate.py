@@ -33,7 +33,7 @@ def numbers(certificate, path):
     return [float(element.text) for element in find(certificate.xml, path)]
 
 
-def test_values_and_expanded_uncertainties_are_those_of_the_budget(applied, tmp_path):
+def test_values_and_expanded_uncertainties_match_budget(applied, tmp_path):
     result = applied()
     made = certify_applied(result, write_lab(tmp_path))
     assert not made.draft
@@ -44,7 +44,7 @@ def test_values_and_expanded_uncertainties_are_those_of_the_budget(applied, tmp_
     assert made.pdf().startswith(b"%PDF")
 
 
-def test_no_uncertainty_is_below_the_capability_of_the_laboratory(applied, tmp_path):
+def test_uncertainty_is_at_least_cmc(applied, tmp_path):
     result = applied()
     lab = write_lab(tmp_path, LAB + '\n[cmc]\napplied = "5 ppm"\n')
     small, at_capability = numbers(certify_applied(result, lab), EXPANDED)
@@ -52,7 +52,7 @@ def test_no_uncertainty_is_below_the_capability_of_the_laboratory(applied, tmp_p
     assert at_capability == pytest.approx(5e-6 * result.levels[1].acceleration, rel=1e-9)
 
 
-def test_uncertainty_covers_an_interval_that_is_not_validated(applied, tmp_path):
+def test_uncertainty_covers_monte_carlo_interval_if_not_validated(applied, tmp_path):
     """A misalignment of 0.02 rad lowers the acceleration by chi-square of one degree."""
     azimuth = '"fixture.misalignment.in.up" = "0 ± 0.02 rad"\n'
     result = applied(COMPLETE + azimuth)
@@ -66,11 +66,11 @@ def test_uncertainty_covers_an_interval_that_is_not_validated(applied, tmp_path)
 
 
 @needs_schema
-def test_the_certificate_agrees_with_the_schema(applied, tmp_path):
+def test_certificate_conforms_to_schema(applied, tmp_path):
     check_schema(certify_applied(applied(), write_lab(tmp_path)).xml, SCHEMA, "made")
 
 
-def test_a_default_that_dominates_needs_evidence(applied, tmp_path):
+def test_dominant_default_requires_evidence(applied, tmp_path):
     result = applied(DESCRIPTION + STATED)
     draft = certify_applied(result, write_lab(tmp_path))
     assert draft.draft
@@ -83,20 +83,20 @@ def test_a_default_that_dominates_needs_evidence(applied, tmp_path):
     assert b"Counter report 12." in complete.xml
 
 
-def test_an_assumed_source_needs_evidence(applied, tmp_path):
+def test_assumed_source_requires_evidence(applied, tmp_path):
     exact = '[model]\nassume = ["centrifuge.clock"]\n'
     with pytest.raises(CampaignError, match=r"centrifuge\.clock"):
         certify_applied(applied(DESCRIPTION + exact + STATED), write_lab(tmp_path))
 
 
 @pytest.mark.parametrize("text", ["5 m", "-1 ppm", "5 ± 1 ppm"])
-def test_a_capability_must_be_a_relative_number(applied, tmp_path, text):
+def test_rejects_cmc_that_is_not_relative(applied, tmp_path, text):
     lab = write_lab(tmp_path, LAB + f'\n[cmc]\napplied = "{text}"\n')
     with pytest.raises(CampaignError, match=r"cmc\.applied"):
         certify_applied(applied(), lab)
 
 
-def test_the_command_writes_both_files_and_refuses_half_an_order(tmp_path, capsys):
+def test_command_writes_both_files_and_requires_both_options(tmp_path, capsys):
     (tmp_path / "campaign.toml").write_text(COMPLETE, encoding="utf-8")
     lab, xml = write_lab(tmp_path), tmp_path / "c.xml"
     words = ["applied", str(tmp_path), "--levels", "1,10g"]

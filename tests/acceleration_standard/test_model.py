@@ -1,4 +1,4 @@
-"""The applied acceleration against the station, the complex step and published-size values."""
+"""The applied acceleration against the station model, complex steps and Monte Carlo values."""
 
 import math
 
@@ -47,7 +47,7 @@ IMPERFECT = {
 
 
 @pytest.mark.parametrize("level", RELATIVE)
-def test_relative_uncertainties_of_an_arm_of_1_m(level):
+def test_relative_uncertainties_of_1_m_arm(level):
     rate = math.sqrt(level * G)
     slopes = sensitivities(NOMINAL, rate)
     acceleration = applied_acceleration(NOMINAL, rate)
@@ -60,7 +60,7 @@ def test_relative_uncertainties_of_an_arm_of_1_m(level):
 
 
 @pytest.mark.parametrize("rate", [7.0, -3.0])
-def test_sensitivities_are_the_complex_step_derivatives(rate):
+def test_sensitivities_match_complex_step_derivatives(rate):
     slopes = sensitivities(IMPERFECT, rate)
     for name, value in IMPERFECT.items():
         moved = applied_acceleration(IMPERFECT | {name: value + 1e-30j}, rate)
@@ -68,7 +68,7 @@ def test_sensitivities_are_the_complex_step_derivatives(rate):
 
 
 @pytest.mark.parametrize("rate", [7.0, -3.0])
-def test_acceleration_is_the_mean_force_of_a_station(rate):
+def test_acceleration_matches_mean_force_of_station(rate):
     """The station adds up the specific force of the exact kinematics over a revolution."""
     values = IMPERFECT | {"stretch": 1e-6, "rate": 0.0, "clock": 0.0, "azimuth": 0.0}
     mounting = Mounting.from_axes(FRAMES["arm"]["inward"], FRAMES["arm"]["up"])
@@ -89,7 +89,7 @@ def test_acceleration_is_the_mean_force_of_a_station(rate):
     assert applied_acceleration(values, rate) == pytest.approx(mean, abs=left_out)
 
 
-def test_a_large_misalignment_does_not_validate_the_interval_of_the_gum():
+def test_large_misalignment_does_not_validate_gum_interval():
     """The mean of cos(beta) is exp(-u^2/2); the first order has no contribution of beta."""
     u = U | {"azimuth": 0.02}
     (drawn,) = draw_distributions(NOMINAL, u, [10.0], 200_000, 3, {})
@@ -101,7 +101,7 @@ def test_a_large_misalignment_does_not_validate_the_interval_of_the_gum():
     assert drawn.distance > drawn.tolerance
 
 
-def test_a_dominating_rectangular_radius_has_its_interval():
+def test_dominant_rectangular_radius_has_rectangular_interval():
     """95 % of a rectangular distribution of half-width a is 0.95 a; the GUM has 1.13 a."""
     u = dict.fromkeys(UNITS, 0.0) | {"radius": 1e-5}
     limits = {"radius": InputDistribution("rectangular")}

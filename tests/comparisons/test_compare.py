@@ -1,4 +1,4 @@
-"""Results beside each other: u of a difference against closed forms, the fit itself, and chance."""
+"""Comparison of results: u of differences against closed forms, the fit itself and trials."""
 
 import copy
 import json
@@ -43,30 +43,30 @@ def description():
 
 
 @pytest.fixture(scope="module")
-def made():
+def calibrate_seed():
     """Return a function from a seed to (records, calibration, with K_III, without a run)."""
     base = cs.make_campaign(description())
 
-    def of(seed, count=4):
+    def calibrate_records(seed, count=4):
         records = cs.simulate(base.change({"simulation": {"seed": seed}}))
         larger = records.change({"model": {"terms": [*TERMS, "K_III"]}})
         part = records.change({"runs": runs_of(records, "slow", "fast")})
         found = [cs.calibrate(campaign) for campaign in (records, larger, part)[: count - 1]]
         return records, *found
 
-    return of
+    return calibrate_records
 
 
 @pytest.fixture(scope="module")
-def one(made):
-    return made(1)
+def seed_1(calibrate_seed):
+    return calibrate_seed(1)
 
 
 def comparison_text(compared):
     return "\n".join(b.text for b in comparison_blocks(compared) if isinstance(b, Paragraph))
 
 
-def k_ii(compared, place=1):
+def k_ii_estimate(compared, place=1):
     (row,) = (c for c in compared.coefficients if c.term == "K_II")
     return row.estimates[place]
 
@@ -74,23 +74,25 @@ def k_ii(compared, place=1):
 # --- the same records -----------------------------------------------------------------------------
 
 
-def test_one_more_term_differs_by_what_that_term_is(one):
-    _, small, large, _ = one
+def test_added_term_explains_chi2_of_difference(seed_1):
+    _, small, large, _ = seed_1
     compared = cs.compare(small, large)
     (agreement,) = compared.agreements
-    # All that the estimates can differ by is the new term's size: closed form.
+    # The estimates can differ only by the effect of the new term: closed form.
     k_iii = large.coefficient("Qx.K_III")
     assert (agreement.records, agreement.dof, agreement.assumed) == ("same", 1, [])
     assert agreement.shared == ["K_IP"]
     assert agreement.chi2 == pytest.approx((k_iii.value / k_iii.u) ** 2, rel=1e-4)
-    assert k_ii(compared).u_difference < 0.1 * small.coefficient("Qx.K_II").u
+    assert k_ii_estimate(compared).u_difference < 0.1 * small.coefficient("Qx.K_II").u
     back = cs.compare(large, small)
-    assert k_ii(back).difference == -k_ii(compared).difference
-    assert k_ii(back).u_difference == pytest.approx(k_ii(compared).u_difference, rel=1e-9)
+    assert k_ii_estimate(back).difference == -k_ii_estimate(compared).difference
+    assert k_ii_estimate(back).u_difference == pytest.approx(
+        k_ii_estimate(compared).u_difference, rel=1e-9
+    )
 
 
-def test_noise_that_is_found_is_that_of_the_larger_model_in_both():
-    """The variances subtract once they are of one noise; then K_III decides alone, in K_II too."""
+def test_estimated_noise_is_taken_from_larger_model():
+    """With a common noise the variances subtract; then K_III alone determines z, of K_II too."""
     document = description()
     document["centrifuge"]["radius"] = "2.5 m"
     document["model"] = {"terms": TERMS, "assume": "all"}
@@ -109,21 +111,21 @@ def test_noise_that_is_found_is_that_of_the_larger_model_in_both():
         assert compared.agreements[0].chi2 == pytest.approx((k_iii.value / k_iii.u) ** 2, rel=1e-6)
         u = [one.coefficient("Qx.K_II").u for one in (small, large)]
         expected = math.sqrt(u[1] ** 2 - (ratio * u[0]) ** 2)
-        assert k_ii(compared).u_difference == pytest.approx(expected, rel=1e-6)
+        assert k_ii_estimate(compared).u_difference == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_run_left_out_is_as_the_fit_itself_has_it(one):
-    _, whole, _, part = one
+def test_omitted_run_matches_jackknife(seed_1):
+    _, whole, _, part = seed_1
     compared = cs.compare(whole, part)
     (left_out,) = (line for line in whole.accelerometers["Qx"].jackknife if line.run == "middle")
-    found = k_ii(compared)
+    found = k_ii_estimate(compared)
     assert compared.agreements[0].records == "part"
     assert found.difference == pytest.approx(left_out.shift, rel=1e-6)
     assert abs(found.z) == pytest.approx(abs(left_out.z), rel=1e-3)
 
 
-def test_what_is_assumed_and_what_is_not_stated_is_told(one):
-    records, result, _, _ = one
+def test_changes_list_assumed_and_unstated_terms(seed_1):
+    records, result, _, _ = seed_1
     but_k_oo = [name for name in result.assumed if name != "K_OO"]
     part, tuned = (
         cs.calibrate(records.change({"model": {"assume": but_k_oo, **more}}))
@@ -134,17 +136,19 @@ def test_what_is_assumed_and_what_is_not_stated_is_told(one):
     assert set(told) == {"assumed", "not stated", "campaign.toml"}
     assert [text.split(", ") for text in told["assumed"]] == [result.assumed, but_k_oo, but_k_oo]
     assert told["not stated"] == ["-", "K_OO ± 2 ug/g^2", "K_OO ± 1 ug/g^2"]
-    # The same records: what K_OO adds to u is what the two can differ by.
+    # The same records: u of the difference is the contribution of K_OO.
     u = [r.coefficient("Qx.K_II").u for r in (result, part)]
-    assert k_ii(compared).u_difference == pytest.approx(math.sqrt(u[1] ** 2 - u[0] ** 2), rel=1e-3)
+    assert k_ii_estimate(compared).u_difference == pytest.approx(
+        math.sqrt(u[1] ** 2 - u[0] ** 2), rel=1e-3
+    )
 
 
-def test_the_two_methods_are_as_the_joint_fit_has_them(one):
-    records, joint, _, _ = one
+def test_method_comparison_matches_check_of_joint_fit(seed_1):
+    records, joint, _, _ = seed_1
     compared = cs.compare(joint, cs.calibrate(records, method="two-stage"))
     check = joint.accelerometers["Qx"].two_stage
-    assert k_ii(compared).u_difference == pytest.approx(check.u_difference, rel=1e-12)
-    assert k_ii(compared).z == pytest.approx(check.z, rel=1e-9)
+    assert k_ii_estimate(compared).u_difference == pytest.approx(check.u_difference, rel=1e-12)
+    assert k_ii_estimate(compared).z == pytest.approx(check.z, rel=1e-9)
     assert any(
         "joint method gives the best estimate" in text for text in compared.agreements[0].assumed
     )
@@ -152,25 +156,25 @@ def test_the_two_methods_are_as_the_joint_fit_has_them(one):
     assert method.values == ["joint", "two-stage"]
 
 
-def test_differences_are_as_large_as_their_u_says(made):
-    pairs = [cs.compare(*made(seed, 3)[1:]) for seed in range(10, 10 + TRIALS)]
+def test_differences_have_stated_standard_uncertainty(calibrate_seed):
+    pairs = [cs.compare(*calibrate_seed(seed, 3)[1:]) for seed in range(10, 10 + TRIALS)]
     total = sum(compared.agreements[0].chi2 for compared in pairs)
     dof = sum(compared.agreements[0].dof for compared in pairs)
     low, high = chi2_distribution.interval(0.999, dof)
     assert low < total < high
-    squares = sum(k_ii(compared).z ** 2 for compared in pairs)
+    squares = sum(k_ii_estimate(compared).z ** 2 for compared in pairs)
     low, high = chi2_distribution.interval(0.999, TRIALS)
     assert low < squares < high
 
 
-def test_a_changed_input_differs_by_no_chance(one):
-    records, result, _, _ = one
+def test_changed_input_gives_difference_without_uncertainty(seed_1):
+    records, result, _, _ = seed_1
     exact = records.change({"centrifuge": {"radius": "2.5 m"}})
     other = cs.compare(
         cs.calibrate(exact), cs.calibrate(records.change({"centrifuge": {"radius": "2.5001 m"}}))
     )
-    assert k_ii(other).difference
-    assert (k_ii(other).u_difference, k_ii(other).z) == (0.0, None)
+    assert k_ii_estimate(other).difference
+    assert (k_ii_estimate(other).u_difference, k_ii_estimate(other).z) == (0.0, None)
     assert other.agreements[0].p is None
     assert {c.subject for c in other.changes} == {"radius", "campaign.toml"}
     assert "The changes listed below cause the difference" in comparison_text(other)
@@ -187,13 +191,13 @@ def test_a_changed_input_differs_by_no_chance(one):
         if line.source == "centrifuge.radius"
     )
     expected = math.sqrt(2.0) * line.contribution
-    assert k_ii(twice).u_difference == pytest.approx(expected, rel=1e-3)
+    assert k_ii_estimate(twice).u_difference == pytest.approx(expected, rel=1e-3)
 
 
 # --- independent records --------------------------------------------------------------------------
 
 
-def independent(value=2.7e-5, **changes):
+def make_result(value=2.7e-5, **changes):
     result = by_hand.result()
     document = json.loads(result.to_json())
     document["accelerometers"]["Qx"]["coefficients"]["K_II"]["value"] = value
@@ -202,10 +206,10 @@ def independent(value=2.7e-5, **changes):
     return cs.Result.model_validate(document)
 
 
-def test_what_is_known_beforehand_is_counted_once():
+def test_shared_prior_is_counted_once():
     # u of each is 1e-9 with 0.6e-9 from K_I, which both have: sqrt(2) 0.8e-9 is left.
-    first, second = independent(), independent(2.7002e-5)
-    found = k_ii(cs.compare(first, second))
+    first, second = make_result(), make_result(2.7002e-5)
+    found = k_ii_estimate(cs.compare(first, second))
     assert found.u_difference == pytest.approx(math.sqrt(2.0 * (1e-18 - 0.36e-18)), rel=1e-12)
     agreement = cs.compare(first, second).agreements[0]
     assert (agreement.records, agreement.shared) == ("independent", ["K_I"])
@@ -218,7 +222,7 @@ PERFECT = [
 ]
 
 
-def tumble(k_oo, roll, generator, noise):
+def calibrate_tumble(k_oo, roll, generator, noise):
     """Return a result of twelve positions; `roll` is from the pendulous axis to the plane."""
     runs = []
     for place, angle in enumerate(2.0 * np.pi * (np.arange(12) + 0.3) / 12):
@@ -245,8 +249,8 @@ def tumble(k_oo, roll, generator, noise):
     )
 
 
-def test_what_nobody_states_of_an_instrument_is_counted_once():
-    """True K_OO is drawn once for each instrument, of which there are two results."""
+def test_shared_default_prior_is_counted_once():
+    """True K_OO is drawn once for each instrument with two results."""
     instruments, noise = 16, 2e-7
     common = ["K_0_asym", "K_5", "K_I_asym", "K_OO"]
     generator = np.random.default_rng(11)
@@ -254,54 +258,54 @@ def test_what_nobody_states_of_an_instrument_is_counted_once():
     for _ in range(instruments):
         k_oo = term("K_OO").typical * generator.standard_normal()
         first, second = (
-            tumble(k_oo, math.radians(roll), generator, noise) for roll in (75.0, 60.0)
+            calibrate_tumble(k_oo, math.radians(roll), generator, noise) for roll in (75.0, 60.0)
         )
         compared = cs.compare(first, second)
         (agreement,) = compared.agreements
         assert (agreement.records, agreement.shared) == ("independent", common)
-        z.append(k_ii(compared).z)
-        # Counted twice, it would be most of u.
+        z.append(k_ii_estimate(compared).z)
+        # Counted twice, K_OO would contribute most of u.
         apart = math.hypot(*(r.coefficient("A.K_II").u for r in (first, second)))
-        assert k_ii(compared).u_difference < 0.5 * apart
+        assert k_ii_estimate(compared).u_difference < 0.5 * apart
     low, high = chi2_distribution.interval(1.0 - 1e-4, instruments)
     assert low < np.sum(np.square(z)) < high
     least, _ = binom.interval(1.0 - 1e-4, instruments, 0.95)
     assert np.count_nonzero(np.abs(z) < 1.96) >= least
 
 
-def test_what_is_stated_otherwise_is_independent():
-    first, second = independent(), independent(2.7002e-5)
+def test_different_priors_are_independent():
+    first, second = make_result(), make_result(2.7002e-5)
     document = json.loads(second.to_json())
     document["accelerometers"]["Qx"]["known"]["K_I"]["value"] = 1.003
     other = cs.Result.model_validate(document)
-    found = k_ii(cs.compare(first, other))
+    found = k_ii_estimate(cs.compare(first, other))
     assert found.u_difference == pytest.approx(math.sqrt(2.0) * 1e-9, rel=1e-12)
 
 
-def test_other_places_are_converted_to_the_first_one_s_gravity():
-    here, there = independent(), independent(gravity=9.9)
+def test_values_are_converted_to_gravity_of_first_result():
+    here, there = make_result(), make_result(gravity=9.9)
     compared = cs.compare(here, there)
-    assert k_ii(compared).value == pytest.approx(2.7e-5 * 9.8 / 9.9, rel=1e-12)
+    assert k_ii_estimate(compared).value == pytest.approx(2.7e-5 * 9.8 / 9.9, rel=1e-12)
     assert compared.gravity == 9.8
 
 
-def test_a_conversion_is_told_with_its_amount():
-    here, there = independent(), independent(gravity=9.9)
+def test_conversion_to_local_gravity_is_reported():
+    here, there = make_result(), make_result(gravity=9.9)
     told = comparison_text(cs.compare(here, there, names=["here", "there"]))
     assert "there was calibrated at a gravity of 9.9 m/s^2" in told
     assert "here (9.8 m/s^2). The conversion changes K_F by +1 %; K_II by -1 %." in told
-    assert "calibrated at" not in comparison_text(cs.compare(here, independent()))
+    assert "calibrated at" not in comparison_text(cs.compare(here, make_result()))
 
 
-def with_qy(result):
+def add_qy(result):
     document = json.loads(result.to_json())
     document["accelerometers"]["Qy"] = copy.deepcopy(document["accelerometers"]["Qx"])
     return cs.Result.model_validate(document)
 
 
-def test_an_accelerometer_that_the_first_result_lacks_has_another_reference():
-    one, two, three = (independent(2.7e-5 + shift) for shift in (0.0, 1e-10, 2e-10))
-    two, three = with_qy(two), with_qy(three)
+def test_accelerometer_missing_in_first_result_has_later_reference():
+    one, two, three = (make_result(2.7e-5 + shift) for shift in (0.0, 1e-10, 2e-10))
+    two, three = add_qy(two), add_qy(three)
     compared = cs.compare(one, two, three, names=["one", "two", "three"])
     assert compared.reference("Qx").name == "one"
     assert compared.reference("Qy").name == "two"
@@ -315,15 +319,15 @@ def test_an_accelerometer_that_the_first_result_lacks_has_another_reference():
     assert {row[1] for row in tables[1].rows} == {"two", "three"}
 
 
-def test_results_that_do_not_agree_are_told_first():
-    compared = cs.compare(*map(independent, (2.7e-5, 2.70001e-5, 2.9e-5)))
+def test_disagreement_is_reported_first():
+    compared = cs.compare(*map(make_result, (2.7e-5, 2.70001e-5, 2.9e-5)))
     first, second, *_ = (b for b in comparison_blocks(compared) if isinstance(b, Paragraph))
     assert (first.style, second.style) == ("warning", "answer")
 
 
-def test_the_picture_names_the_results_that_have_a_value():
+def test_plot_names_only_results_with_value():
     compared = cs.compare(
-        *map(independent, (2.7e-5, 2.70001e-5)),
+        *map(make_result, (2.7e-5, 2.70001e-5)),
         names=["y2024/a/result.json", "y2025/a/result.json"],
     )
     (plot,) = (block for block in comparison_blocks(compared) if isinstance(block, Plot))
@@ -334,11 +338,11 @@ def test_the_picture_names_the_results_that_have_a_value():
     assert short_names(["a.json", "a.json"]) == ("a.json", "a.json")
 
 
-def test_several_coefficients_are_judged_together():
-    first, second = independent(), independent(2.7002e-5)
+def test_coefficients_are_compared_jointly():
+    first, second = make_result(), make_result(2.7002e-5)
     (agreement,) = cs.compare(first, second).agreements
     covariance = np.array([[2e-12, 0.5e-15], [0.5e-15, 1.28e-18]])
-    # K_F has no line in the budget, so that nothing is known of what it shares.
+    # K_F has no budget line, so its shared sources are unknown.
     assert agreement.terms == ["K_F", "K_II"]
     difference = np.array([0.0, 2e-9])
     expected = difference @ np.linalg.solve(covariance, difference)
@@ -346,11 +350,11 @@ def test_several_coefficients_are_judged_together():
     assert agreement.p == pytest.approx(chi2_distribution.sf(expected, 2), rel=1e-6)
 
 
-# --- how it is shown and kept ---------------------------------------------------------------------
+# --- display and files ----------------------------------------------------------------------------
 
 
-def test_a_comparison_shows_itself_and_is_read_back(one, tmp_path):
-    compared = cs.compare(*one[1:], names=["small", "large", "part"])
+def test_comparison_has_repr_and_round_trip(seed_1, tmp_path):
+    compared = cs.compare(*seed_1[1:], names=["small", "large", "part"])
     assert len(repr(compared).splitlines()) <= 20
     assert "large and small" in repr(compared)
     assert "<table" in compared._repr_html_()
@@ -361,14 +365,14 @@ def test_a_comparison_shows_itself_and_is_read_back(one, tmp_path):
     assert table.height == 3 * len(compared.coefficients)
     assert compared.table("pandas").shape == table.shape
     row = table.filter(term="K_II", result="large").row(0, named=True)
-    assert row["difference"] == pytest.approx(k_ii(compared).difference * 1e6)
+    assert row["difference"] == pytest.approx(k_ii_estimate(compared).difference * 1e6)
     assert row["unit"] == "ug/g^2"
 
 
-def test_missing_seals_are_reported(one, tmp_path):
+def test_missing_seals_are_reported(seed_1, tmp_path):
     names = [str(tmp_path / f"{name}.json") for name in ("sealed", "unsealed")]
     for name in names:
-        one[1].write(name)
+        seed_1[1].write(name)
     by_hand.remove_seal(Path(names[1]))
     compared = cs.compare(*names)
     assert compared.unsealed == names[1:]
@@ -383,15 +387,15 @@ def test_missing_seals_are_reported(one, tmp_path):
 
 
 @pytest.mark.parametrize("ending", ["html", "md", "pdf"])
-def test_the_command_writes_a_report(ending, one, tmp_path, capsys):
-    for name, result in zip("ab", one[1:3], strict=True):
+def test_command_writes_report(ending, seed_1, tmp_path, capsys):
+    for name, result in zip("ab", seed_1[1:3], strict=True):
         result.write(tmp_path / f"{name}.json")
     words = ["compare", str(tmp_path / "a.json"), str(tmp_path / "b.json")]
     report = tmp_path / f"c.{ending}"
     assert main([*words, "--report", str(report), "--json", str(tmp_path / "c.json")]) == 0
     assert "chi-square" in capsys.readouterr().out
     assert report.stat().st_size > 1000
-    # Nothing is replaced, but by an earlier one of its own where it is asked for.
+    # Only an earlier comparison is overwritten, and only on request.
     assert main([*words, "--report", str(report)]) == 1
     assert main([*words, "--report", str(report), "--overwrite"]) == 0
     # A report of one result is of another kind.
@@ -401,8 +405,8 @@ def test_the_command_writes_a_report(ending, one, tmp_path, capsys):
     assert report.read_text() == "mine"
 
 
-def test_what_cannot_be_compared_is_refused(one):
-    result = one[1]
+def test_rejects_results_that_are_not_comparable(seed_1):
+    result = seed_1[1]
     with pytest.raises(CampaignError, match="two or more results"):
         cs.compare(result)
     with pytest.raises(CampaignError, match="2 results and 1 `names`"):
@@ -413,7 +417,7 @@ def test_what_cannot_be_compared_is_refused(one):
         cs.compare(result, cs.Result.model_validate(other))
 
 
-def test_a_result_and_itself_differ_by_nothing(one):
-    compared = cs.compare(one[1], one[1])
+def test_result_does_not_differ_from_itself(seed_1):
+    compared = cs.compare(seed_1[1], seed_1[1])
     assert compared.changes == []
     assert all(e.difference in (None, 0.0) for c in compared.coefficients for e in c.estimates)

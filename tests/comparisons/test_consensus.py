@@ -15,7 +15,7 @@ def subsets(values, covariance):
     return largest_consistent_subsets(np.array(values, float), np.array(covariance, float), 0.05)
 
 
-def test_an_outlier_among_four_laboratories_is_left_out():
+def test_outlier_among_four_laboratories_is_excluded():
     values, u = np.array([15.0, 15.1, 15.2, 16.2]), 0.1
     covariance = u**2 * np.eye(4)
     (reference,) = subsets(values, covariance)
@@ -28,7 +28,7 @@ def test_an_outlier_among_four_laboratories_is_left_out():
     assert u_d == pytest.approx([inside, inside, inside, outside])
 
 
-def test_procedure_a_gives_the_value_of_a_program_of_the_bipm():
+def test_procedure_a_matches_bipm_program():
     """43877 ± 53 of these five, in the example of Cox's procedure A of the BIPM_RI_PyModules."""
     u = np.array([97.0, 100.0, 104.5, 160.0, 280.0])
     (reference,) = subsets([43772, 43910, 43947, 43910, 43900], np.diag(u**2))
@@ -44,7 +44,7 @@ def test_procedure_a_gives_the_value_of_a_program_of_the_bipm():
         ([10, 11, 20, 21], 5, [(0, 1), (2, 3)]),
     ],
 )
-def test_correlated_values_of_met4fof_redundancy(values, variance, members):
+def test_correlated_values_match_met4fof_redundancy(values, variance, members):
     """The test cases of that program (Kok and Harris), solved by hand.
 
     A common variance of 1 leaves the weights equal and adds to u^2 alone.
@@ -59,18 +59,18 @@ def test_correlated_values_of_met4fof_redundancy(values, variance, members):
         assert subset.chi2 == pytest.approx(chosen.var() * chosen.size / variance)
 
 
-def test_a_common_error_cancels_in_the_degrees_of_equivalence():
+def test_common_error_cancels_in_degrees_of_equivalence():
     values, covariance = np.array([1.0, 2.0, 3.0, 20.0]), np.eye(4) + 100.0
     reference = subsets(values, covariance)[0]
     _, u_d = degrees_of_equivalence(values, covariance, reference.weights)
     assert u_d**2 == pytest.approx([2 / 3, 2 / 3, 2 / 3, 4 / 3])
 
 
-def test_without_two_consistent_values_there_is_no_reference():
+def test_inconsistent_values_have_no_reference():
     assert subsets([0, 10, 20], np.eye(3)) == []
 
 
-def test_consistent_laboratories_are_rejected_in_one_case_of_twenty():
+def test_consistent_laboratories_are_rejected_at_5_percent():
     trials, rng = 1000, np.random.default_rng(5)
     root = rng.normal(size=(5, 7))
     covariance = root @ root.T

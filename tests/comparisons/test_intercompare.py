@@ -40,7 +40,7 @@ def laboratories():
     return [result_of(name, k_ii * 1e-6, k_f * 1e-6) for name, k_ii, k_f in values]
 
 
-def test_the_outlier_is_named(laboratories):
+def test_outlier_is_named(laboratories):
     k_ii, k_f = cs.intercompare(*laboratories).references
     assert (k_ii.value, k_ii.u) == pytest.approx((15.1e-6, U / 3**0.5))
     degree = k_ii.degrees["D"]
@@ -60,7 +60,7 @@ def test_the_outlier_is_named(laboratories):
 @pytest.mark.parametrize(
     ("names", "source", "shared"),
     [
-        (("A", "B"), "K_OO", True),  # a term of the instrument travels with it
+        (("A", "B"), "K_OO", True),  # a term of the instrument is common to all laboratories
         (("A", "B"), "centrifuge.radius", False),  # each laboratory has its machine
         (("A", None), "centrifuge.radius", True),  # the same machine, as far as is stated
     ],
@@ -77,7 +77,7 @@ def test_common_sources_are_covariances(names, source, shared):
     assert bool(compared.assumed) is (None in names)
 
 
-def test_values_are_converted_to_the_gravity_of_the_first():
+def test_values_are_converted_to_gravity_of_first_laboratory():
     inputs = {"gravity": 9.78, "latitude": 0.0, "radius": 2.5}
     first, second = result_of("A", 2e-5), result_of("B", 2e-5, inputs=inputs)
     (k_ii, _) = cs.intercompare(first, second).references
@@ -85,7 +85,7 @@ def test_values_are_converted_to_the_gravity_of_the_first():
     assert k_ii.degrees["B"].value == pytest.approx(2e-5 * first.inputs.gravity / 9.78)
 
 
-def test_two_laboratories_that_disagree_have_no_reference_value():
+def test_two_inconsistent_laboratories_have_no_reference_value():
     (k_ii, _) = cs.intercompare(result_of("A", 1e-5), result_of("B", 2e-5)).references
     assert k_ii.value is None
     assert k_ii.degrees["A"].d is None
@@ -117,17 +117,17 @@ def with_records(laboratory):
         ),
     ],
 )
-def test_results_that_cannot_be_compared_are_refused(given, message):
+def test_rejects_results_that_are_not_comparable(given, message):
     with pytest.raises(CampaignError, match=message):
         cs.intercompare(*given)
 
 
-def test_a_coefficient_that_only_one_result_determines_is_refused():
+def test_rejects_coefficient_determined_by_one_result():
     with raises("results-not-comparable", "K_III", "Qx"):
         cs.intercompare(result_of("A", 1e-5), result_of("B", 1e-5), coefficients=["K_III"])
 
 
-def test_the_command_writes_its_files(laboratories, tmp_path, monkeypatch, capsys):
+def test_command_writes_files(laboratories, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name, result in zip("abcd", laboratories, strict=True):
         result.write(f"{name}.json")

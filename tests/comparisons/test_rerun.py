@@ -1,4 +1,4 @@
-"""A result repeated: found by checksum, the same to the last digits, or what changed."""
+"""Repeating a result: inputs found by checksum, equal numbers, or the list of changes."""
 
 import json
 import shutil
@@ -36,7 +36,7 @@ def camp(archive, tmp_path):
     return Path(shutil.copytree(archive, tmp_path / "camp"))
 
 
-def test_the_same_files_give_the_same_numbers(camp, capsys, tmp_path):
+def test_same_files_reproduce_numbers(camp, capsys, tmp_path):
     assert main(["rerun", str(camp / "result.json"), "--json", str(tmp_path / "again.json")]) == 0
     assert "equals the original within 1e-12" in " ".join(capsys.readouterr().out.split())
     repeated = RepeatedCalibration.read(tmp_path / "again.json")
@@ -49,7 +49,7 @@ def test_the_same_files_give_the_same_numbers(camp, capsys, tmp_path):
     assert set(by_name) >= {f"Qx.{s}" for s in stated.accelerometers["Qx"].coefficients}
 
 
-def test_a_missing_seal_is_reported(camp):
+def test_missing_seal_is_reported(camp):
     assert cs.rerun(camp / "result.json").unsealed == []
     remove_seal(camp / "result.json")
     repeated = cs.rerun(camp / "result.json")
@@ -58,7 +58,7 @@ def test_a_missing_seal_is_reported(camp):
     assert "result.json has no seal" in cs.report(repeated, "md")
 
 
-def test_inputs_are_found_by_their_checksums_wherever_they_are(camp, tmp_path):
+def test_moved_inputs_are_found_by_checksum(camp, tmp_path):
     (camp / "old").mkdir()
     (camp / "slow.csv").rename(camp / "old" / "somewhere else.csv")
     result = Path(shutil.move(camp / "result.json", tmp_path / "result.json"))
@@ -67,7 +67,7 @@ def test_inputs_are_found_by_their_checksums_wherever_they_are(camp, tmp_path):
     assert repeated.moved == {"slow.csv": str(camp / "old" / "somewhere else.csv")}
 
 
-def test_what_changed_is_named_with_its_size(camp, capsys):
+def test_changed_inputs_are_named_with_their_effect(camp, capsys):
     description = camp / "campaign.toml"
     text = description.read_text(encoding="utf-8")
     old = cs.Result.read(camp / "result.json")
@@ -87,7 +87,7 @@ def test_what_changed_is_named_with_its_size(camp, capsys):
     assert "Changed: radius; campaign.toml" in told
 
 
-def test_a_last_digit_more_than_rounding_counts(camp):
+def test_difference_above_rounding_is_reported(camp):
     path = camp / "result.json"
     document = json.loads(path.read_text(encoding="utf-8"))
     document["accelerometers"]["Qx"]["coefficients"]["K_II"]["u"] *= 1.0 + 1e-11
@@ -97,7 +97,7 @@ def test_a_last_digit_more_than_rounding_counts(camp):
     assert repeated.largest == pytest.approx(1e-11, rel=1e-3)
 
 
-def test_an_earlier_result_states_no_environment_and_is_repeated_all_the_same(camp):
+def test_result_without_environment_can_be_repeated(camp):
     path = camp / "result.json"
     document = json.loads(path.read_text(encoding="utf-8"))
     assert set(document["provenance"].pop("environment")) == {"python", "numpy", "scipy", "machine"}
@@ -108,17 +108,17 @@ def test_an_earlier_result_states_no_environment_and_is_repeated_all_the_same(ca
     assert changed["numpy"][0] == "-"
 
 
-def test_a_frozen_result_still_holds():
+def test_frozen_result_is_reproduced():
     """On any machine: rounding is far below a millionth of u."""
     repeated = cs.rerun(FROZEN / "repeat" / "result.json")
     assert repeated.largest_in_u < 1e-6
     assert {c.name for c in repeated.coefficients} >= {"A.K_F", "A.K_I"}
-    # Four readings leave one degree of freedom, which the version of then did not remark on.
+    # Four readings leave one degree of freedom, for which the old version had no finding.
     assert (repeated.state_before, repeated.state_now) == ("good", "reservations")
     assert not {"campaign.toml", "options", "method"} & {c.subject for c in repeated.changes}
 
 
-def test_the_same_options_are_used_again(camp):
+def test_rerun_uses_stored_options(camp):
     options = TwoStageOptions(weighted=False)
     cs.calibrate(camp, method="two-stage", options=options).write(camp / "stages.json")
     assert cs.rerun(camp / "stages.json").same
@@ -126,12 +126,12 @@ def test_the_same_options_are_used_again(camp):
 
 
 @pytest.mark.parametrize("path", sorted(FROZEN.glob("schema-*.json")), ids=lambda path: path.stem)
-def test_what_is_not_there_is_named(path):
+def test_missing_input_is_named(path):
     with pytest.raises(RecordError, match=r"the input campaign\.toml \(sha256:"):
         cs.rerun(path)
 
 
-def test_what_was_in_memory_cannot_be_repeated(camp, capsys):
+def test_rejects_rerun_of_data_in_memory(camp, capsys):
     campaign = cs.read_campaign(camp).change({"centrifuge": {"radius": "2.6 m"}})
     cs.calibrate(campaign).write(camp / "memory.json")
     assert main(["rerun", str(camp / "memory.json")]) == 1
@@ -140,7 +140,7 @@ def test_what_was_in_memory_cannot_be_repeated(camp, capsys):
         cs.rerun(cs.Result.read(camp / "result.json"))
 
 
-def test_words_are_read_back():
+def test_options_are_parsed_from_command():
     options = TwoStageOptions("as-printed", False, "ratio", False, True)
     words = [*command_arguments("two-stage", options), *further_arguments(["slow"], 0)]
     assert parse_options(words) == ("two-stage", options, ("slow",))

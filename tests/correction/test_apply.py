@@ -1,4 +1,4 @@
-"""`counterspin apply`: what comes back is what was there, and what cannot be is refused."""
+"""`counterspin apply`: corrections recover the force, and invalid requests are rejected."""
 
 import io
 import math
@@ -58,7 +58,7 @@ def accelerometer(values, mounting=QX, **changes):
     return found_of(**(parts | changes))
 
 
-def result(accelerometers=None, model="exact", rate=4 * math.pi):
+def make_result(accelerometers=None, model="exact", rate=4 * math.pi):
     return bare_result(
         model=model,
         accelerometers=accelerometers or {"Qx": accelerometer(MODEL)},
@@ -66,12 +66,12 @@ def result(accelerometers=None, model="exact", rate=4 * math.pi):
     )
 
 
-def three():
+def make_three():
     models = {
         name: {s: v * (1 + k / 7) for s, v in (MODEL | CROSS).items()} | {"K_I": 1 + 1e-3 * k}
         for k, name in enumerate(MOUNTINGS)
     }
-    found = result({n: accelerometer(models[n], m) for n, m in MOUNTINGS.items()})
+    found = make_result({n: accelerometer(models[n], m) for n, m in MOUNTINGS.items()})
     return found, models
 
 
@@ -82,27 +82,27 @@ def run(*words):
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    cs.write_result(result(), tmp_path / "result.json")
+    cs.write_result(make_result(), tmp_path / "result.json")
     return tmp_path
 
 
-def written(text, name="data.csv"):
+def write_table(text, name="data.csv"):
     Path(name).write_text(text, encoding="utf-8")
     return name
 
 
-# --- what nothing states --------------------------------------------------------------------
+# --- default priors -------------------------------------------------------------------------------
 
 
-def unstated(symbol, u):
+def default_prior(symbol, u):
     return Knowledge(name=f"Qx.{symbol}", kind="unstated", unit=TERMS[symbol].unit, value=0.0, u=u)
 
 
-def test_what_nothing_states_is_in_u_where_its_force_is_known():
-    rows = [unstated("K_4", 1e-9), unstated("K_OO", 2e-6), unstated("K_IP", 2e-6)]
-    found = result().model_copy(update={"rests_on": rows})
+def test_default_prior_is_in_u_where_force_is_known():
+    rows = [default_prior("K_4", 1e-9), default_prior("K_OO", 2e-6), default_prior("K_IP", 2e-6)]
+    found = make_result().model_copy(update={"rests_on": rows})
     taken = apply(found, "Qx", np.array([10.0]))
-    assert taken.corrected == pytest.approx(apply(result(), "Qx", np.array([10.0])).corrected)
+    assert taken.corrected == pytest.approx(apply(make_result(), "Qx", np.array([10.0])).corrected)
     # 1e-9 of the force's fourth power, over the slope of the model, which is K_I but for 1e-3.
     of_fourth = 1e-9 * taken.corrected[0] ** 4
     assert taken.u == pytest.approx([of_fourth], rel=5e-3)
@@ -115,18 +115,18 @@ def test_what_nothing_states_is_in_u_where_its_force_is_known():
     assert "K_OO" not in said
 
 
-# --- the page -------------------------------------------------------------------------------
+# --- the page -------------------------------------------------------------------------------------
 
 
-def blocks(kind):
+def code_blocks(kind):
     return re.findall(rf"^```{kind}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 
 
-def test_example_of_the_page_gives_back_the_truth(tmp_path, monkeypatch, capsys):
+def test_documentation_example_recovers_truth(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (csv,) = blocks("csv")
-    written(csv, "flight.csv")
-    for line in "".join(blocks("sh")).splitlines():
+    (csv,) = code_blocks("csv")
+    write_table(csv, "flight.csv")
+    for line in "".join(code_blocks("sh")).splitlines():
         program, *words = shlex.split(line)
         assert program == "counterspin"
         assert cli.main(words) == 0, line
@@ -146,26 +146,26 @@ def test_example_of_the_page_gives_back_the_truth(tmp_path, monkeypatch, capsys)
     assert np.all(departure < 5 * u)
     assert np.all(np.abs(table["Qx_corrected"] - table["Qx"]).to_numpy()[1:] > 20 * u[1:])
 
-    (python,) = blocks("python")
+    (python,) = code_blocks("python")
     space = {}
     exec(compile(python, "apply.md", "exec"), space)
     np.testing.assert_allclose(space["correction"].corrected, table["Qx_corrected"], rtol=1e-15)
     np.testing.assert_allclose(space["correction"].u, table["Qx_corrected_u"], rtol=1e-15)
 
 
-def test_options_of_the_page_are_those_of_the_program(capsys):
+def test_documented_options_match_help(capsys):
     assert cli.main(["apply", "--help"]) == 0
     (table,) = re.findall(r"^## Options\n(.*?)^Terms", PAGE, re.MULTILINE | re.DOTALL)
     told = set(re.findall(r"`(--[a-z-]+)", table))
-    # What stands at the beginning of a row: the rest is prose.
+    # The first cell of a row; the rest is prose.
     helped = set(re.findall(r"^\W+(--[a-z-]+)", capsys.readouterr().out, re.MULTILINE))
     assert told == helped - {"--accelerometer", "--output"}
 
 
-# --- files ----------------------------------------------------------------------------------
+# --- files ----------------------------------------------------------------------------------------
 
 
-def test_round_trip_through_files_of_both_kinds(folder, capsys):
+def test_round_trip_through_csv_and_parquet(folder, capsys):
     force = np.linspace(-39.0, 39.0, 157)
     y = indicated(QX, MODEL, np.outer(force, [1.0, 0.0, 0.0]))
     pl.DataFrame({"t": force * 0.1, "east": y}).write_parquet("in.parquet")
@@ -184,7 +184,7 @@ def test_round_trip_through_files_of_both_kinds(folder, capsys):
     assert "Warning" not in said
 
 
-def test_a_missing_seal_is_reported(folder, capsys):
+def test_missing_seal_is_reported(folder, capsys):
     pl.DataFrame({"east": [1.0, 2.0]}).write_csv("in.csv")
     words = ["result.json", "in.csv", "--accelerometer", "Qx", "--input", "east", "-o", "out.csv"]
     remove_seal(Path("result.json"))
@@ -192,7 +192,7 @@ def test_a_missing_seal_is_reported(folder, capsys):
     assert "The file of the result has no seal" in " ".join(capsys.readouterr().out.split())
 
 
-def test_metres_per_second_squared_use_the_site_s_gravity(folder):
+def test_si_unit_uses_site_gravity(folder):
     force = np.array([0.5, -3.0, 12.0])
     y = G * indicated(QX, MODEL, np.outer(force, [1.0, 0.0, 0.0]))
     pl.DataFrame({"Qx": y}).write_csv("in.csv")
@@ -201,19 +201,19 @@ def test_metres_per_second_squared_use_the_site_s_gravity(folder):
     np.testing.assert_allclose(pl.read_csv("out.csv")["Qx_corrected"], G * force, atol=1e-11)
 
 
-def test_the_input_s_cells_stay_as_they_are(folder):
-    written('# made by hand\nnote;a\n"b; c";1.50\n# later\n;0.00100\n', "in.csv")
+def test_input_cells_are_unchanged(folder):
+    write_table('# made by hand\nnote;a\n"b; c";1.50\n# later\n;0.00100\n', "in.csv")
     assert run("result.json", "in.csv", "--accelerometer=Qx", "--input=a", "-o", "out.csv") == 0
     table = pl.read_csv("out.csv", infer_schema=False)
     assert table["a"].to_list() == ["1.50", "0.00100"]
     assert table["note"].to_list() == ["b; c", None]
 
 
-#: As the recorder of a German laboratory writes it.
+#: Table of a German recorder.
 GERMAN = "Pr\xfcfling 7\nQx;t\ng;s\n1,250;0,5\n-2,500;1,5\n3,000;2,5\n"
 
 
-def test_a_german_table_is_corrected_and_stays_one(folder, capsys):
+def test_decimal_commas_are_read_and_written(folder, capsys):
     Path("in.csv").write_bytes(GERMAN.encode("latin-1"))
     said = ["--skip-lines=1", "--delimiter=;", "--decimal=,", "--encoding=latin-1", "--units-row"]
     for more in ([], said):
@@ -226,7 +226,7 @@ def test_a_german_table_is_corrected_and_stays_one(folder, capsys):
         assert lines[0] == "Qx;t;Qx_corrected;Qx_corrected_u"
         assert [line.split(";")[0] for line in lines[1:]] == ["1,250", "-2,500", "3,000"]
         table = pl.read_parquet("out.parquet")
-        expected = apply(result(), "Qx", [1.25, -2.5, 3.0]).corrected
+        expected = apply(make_result(), "Qx", [1.25, -2.5, 3.0]).corrected
         assert table["Qx"].to_list() == [1.25, -2.5, 3.0]
         assert table["Qx_corrected"].to_numpy() == pytest.approx(expected, abs=1e-15)
         for line, value in zip(lines[1:], expected, strict=True):
@@ -235,37 +235,37 @@ def test_a_german_table_is_corrected_and_stays_one(folder, capsys):
     assert "'mg' according to --unit" in capsys.readouterr().err
 
 
-def test_lines_to_skip_are_not_negative(folder, capsys):
+def test_rejects_negative_skip_lines(folder, capsys):
     words = ["result.json", "in.csv", "--accelerometer=Qx", "-o", "out.csv"]
     assert run(*words, "--skip-lines=-1") == 2
     assert "--skip-lines. Must be >= 0." in capsys.readouterr().err
 
 
-def test_a_sheet_is_chosen_and_its_row_of_units_is_no_row(folder):
+def test_second_sheet_requires_choice_and_unit_row_is_skipped(folder):
     rows = [["East"], ["g"], [1.25], [-2.5], [3.0]]
     write_workbook(folder / "in.xlsx", {"before": rows[:2], "A": [["about"], *rows], "B": rows})
     words = ["result.json", "in.xlsx", "--accelerometer=Qx", "-o", "out.parquet", "--overwrite"]
     assert run(*words) == 1
-    expected = apply(result(), "Qx", [1.25, -2.5, 3.0]).corrected
+    expected = apply(make_result(), "Qx", [1.25, -2.5, 3.0]).corrected
     for sheet in "AB":
         assert run(*words, "--sheet", sheet) == 0
         found = pl.read_parquet("out.parquet")["East_corrected"].to_numpy()
         np.testing.assert_array_equal(found, expected)
 
 
-def test_a_missing_number_leaves_its_row_empty(folder, capsys):
-    written("t,Qx\n0,1.0\n1,\n2,nan\n3,2.0\n")
+def test_missing_number_gives_empty_row(folder, capsys):
+    write_table("t,Qx\n0,1.0\n1,\n2,nan\n3,2.0\n")
     assert run("result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv") == 0
     assert pl.read_csv("out.csv")["Qx_corrected"].is_null().to_list() == [False, True, True, False]
     assert "2 of these rows lack a number" in capsys.readouterr().out
-    written("Qx,\nnan,\n", "none.csv")
+    write_table("Qx,\nnan,\n", "none.csv")
     assert run("result.json", "none.csv", "--accelerometer", "Qx", "-o", "no.csv") == 1
     assert "no row " in capsys.readouterr().err
     assert not Path("no.csv").exists()
 
 
-def test_other_axes_from_columns_constants_and_other_accelerometers(folder, capsys):
-    found, models = three()
+def test_cross_axis_force_from_column_constant_or_accelerometer(folder, capsys):
+    found, models = make_three()
     cs.write_result(found, folder / "three.json")
     rng = np.random.default_rng(8)
     force = rng.uniform(-20.0, 20.0, size=(50, 3))
@@ -330,9 +330,9 @@ def test_other_axes_from_columns_constants_and_other_accelerometers(folder, caps
         (["--accelerometer", "Qx"], 2, "--output"),
     ],
 )
-def test_refusals(folder, capsys, words, status, message):
+def test_rejects_invalid_arguments(folder, capsys, words, status, message):
     text = "who,Qx,other\nme,1.0,2.0\n"
-    written(text)
+    write_table(text)
     assert run("result.json", "data.csv", *words) == status
     said = capsys.readouterr().err
     assert message in said
@@ -341,8 +341,8 @@ def test_refusals(folder, capsys, words, status, message):
     assert sorted(p.name for p in folder.iterdir()) == ["data.csv", "result.json"]
 
 
-def test_which_column_is_asked_only_where_it_is_open(folder, capsys):
-    written("east,north\n1.0,2.0\n")
+def test_ambiguous_column_requires_input_option(folder, capsys):
+    write_table("east,north\n1.0,2.0\n")
     words = ["result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv"]
     assert run(*words) == 2
     assert "--input; the file has east, north" in capsys.readouterr().err
@@ -352,10 +352,10 @@ def test_which_column_is_asked_only_where_it_is_open(folder, capsys):
     assert "already has a column 'east_corrected'" in capsys.readouterr().err
 
 
-def test_a_row_beyond_the_model_is_named_by_its_line(folder, capsys):
-    found = result({"Qx": accelerometer({"K_I": 1.0, "K_III": -1e-4})})
+def test_row_beyond_turning_point_is_named_by_line(folder, capsys):
+    found = make_result({"Qx": accelerometer({"K_I": 1.0, "K_III": -1e-4})})
     cs.write_result(found, folder / "result.json", overwrite=True)
-    written("# x\nQx\n1.0\n39.0\n")
+    write_table("# x\nQx\n1.0\n39.0\n")
     assert run("result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv") == 1
     said = capsys.readouterr().err
     assert (
@@ -366,19 +366,19 @@ def test_a_row_beyond_the_model_is_named_by_its_line(folder, capsys):
     assert not Path("out.csv").exists()
 
 
-def test_as_printed_is_refused_unless_forced(folder, capsys):
-    cs.write_result(result(model="as-printed"), folder / "result.json", overwrite=True)
-    written("Qx\n1.0\n")
+def test_rejects_as_printed_without_force(folder, capsys):
+    cs.write_result(make_result(model="as-printed"), folder / "result.json", overwrite=True)
+    write_table("Qx\n1.0\n")
     words = ["result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv"]
     assert run(*words) == 2
     assert "return half the true K_II" in capsys.readouterr().err
     assert run(*words, "--force") == 0
 
 
-def test_a_contradicted_result_is_applied_for_a_reason_only(folder, capsys):
+def test_contradicted_result_requires_reason(folder, capsys):
     drives = [Jackknife(run="run1", value=1e-5, shift=1e-6, z=-8.0)]
-    found = result({"Qx": accelerometer({"K_I": 1.0}, jackknife=drives)})
-    written("Qx\n1.0\n")
+    found = make_result({"Qx": accelerometer({"K_I": 1.0}, jackknife=drives)})
+    write_table("Qx\n1.0\n")
     words = ["result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv"]
     judge_result(found).write(folder / "result.json", overwrite=True)
     assert run(*words, "--force") == 1
@@ -391,49 +391,49 @@ def test_a_contradicted_result_is_applied_for_a_reason_only(folder, capsys):
     assert "The misfit was accepted for this reason: run1 was on the old motor" in said
 
 
-def test_a_result_that_does_not_determine_what_is_needed_is_not_applied():
+def test_rejects_result_with_undetermined_coefficient():
     nothing = coefficient("K_III", None, None, estimated=False)
     terms = accelerometer({"K_I": 1.0}).coefficients | {"K_III": nothing}
 
-    def found(symbol):
+    def make_undetermined(symbol):
         finding = not_determined_finding(f"Qx.{symbol}", symbol, more=" Add a run.", requested=True)
-        return result({"Qx": accelerometer({}, coefficients=terms, findings=[finding])})
+        return make_result({"Qx": accelerometer({}, coefficients=terms, findings=[finding])})
 
     with raises("not-determined", "K_III", "Add a run."):
-        apply(found("K_III"), "Qx", [1.0])
+        apply(make_undetermined("K_III"), "Qx", [1.0])
     # A drift over the calibration is no part of the correction.
-    assert apply(found("K_F.trend"), "Qx", [1.0]).corrected[0] == pytest.approx(1.0)
+    assert apply(make_undetermined("K_F.trend"), "Qx", [1.0]).corrected[0] == pytest.approx(1.0)
 
 
-# --- what is applied, and how sure it is ----------------------------------------------------
+# --- applied coefficients and their uncertainty ---------------------------------------------------
 
 
-def test_what_is_not_determined_is_not_applied_and_said():
+def test_undetermined_scale_factor_is_not_applied():
     found = accelerometer({"K_F": 0.005})
     nothing = coefficient("K_III", None, None, estimated=False)
     scale = coefficient("K_I", None, None, estimated=False)
     terms = found.coefficients | {"K_III": nothing, "K_I": scale}
-    done = apply(result({"Qx": accelerometer({}, coefficients=terms)}), "Qx", [1.005])
+    done = apply(make_result({"Qx": accelerometer({}, coefficients=terms)}), "Qx", [1.005])
     assert done.corrected[0] == pytest.approx(1.0, abs=1e-15)
     assert done.u[0] == 0.0
     assert done.notes == ("Qx: coefficients applied as estimated: K_F.",)
     assert "the result does not determine K_III, K_I" in done.warnings[0]
     assert "no value for K_I (scale factor). The correction uses 1 g/g" in done.warnings[1]
-    # Where the campaign never asked for K_I the same is true.
-    (warning,) = apply(result({"Qx": found}), "Qx", [1.005]).warnings
+    # The same holds for a campaign in which K_I is not requested.
+    (warning,) = apply(make_result({"Qx": found}), "Qx", [1.005]).warnings
     assert "The correction uses 1 g/g" in warning
 
 
-def test_prior_knowledge_is_applied_with_its_uncertainty():
+def test_priors_are_applied_with_their_uncertainty():
     known = {"K_III": coefficient("K_III", 3e-6, 1e-7, estimated=False)}
-    found = result({"Qx": accelerometer({"K_I": 1.0}, known=known)})
+    found = make_result({"Qx": accelerometer({"K_I": 1.0}, known=known)})
     done = apply(found, "Qx", [10.0 + 3e-3])
     assert done.corrected[0] == pytest.approx(10.0, abs=1e-12)
     assert done.u[0] == pytest.approx(1e-4 / (1 + 3 * 3e-6 * 100), rel=1e-9)
     assert done.notes == ("Qx: coefficients applied as estimated: K_I; from priors: K_III.",)
 
 
-def test_results_repeat_what_the_campaign_knows_beforehand(tmp_path):
+def test_result_contains_priors_of_campaign(tmp_path):
     cs.init(tmp_path)
     file = tmp_path / "campaign.toml"
     text = file.read_text(encoding="utf-8").replace('# K_III = "0', 'K_OO = "2e-6')
@@ -445,7 +445,7 @@ def test_results_repeat_what_the_campaign_knows_beforehand(tmp_path):
     assert AccelerometerResult.model_validate_json(found.model_dump_json()) == found
 
 
-def test_errors_that_cancel_are_seen_to_cancel():
+def test_correlated_errors_cancel():
     """K_F was estimated with K_PP held, both seen as one: K_F + K_PP is what is known."""
     line = BudgetLine(
         source="K_PP",
@@ -463,14 +463,14 @@ def test_errors_that_cancel_are_seen_to_cancel():
         budget={"K_F": [line]},
     )
     level, side = (
-        apply(result({"Qx": found}), "Qx", [0.5], ApplyOptions(pendulous=p)).u[0]
+        apply(make_result({"Qx": found}), "Qx", [0.5], ApplyOptions(pendulous=p)).u[0]
         for p in (-1.0, 0.0)
     )
     assert level == pytest.approx(1e-8, rel=1e-6)
     assert side == pytest.approx(2e-6, rel=1e-4)
 
 
-def test_correlations_that_contradict_each_other_leave_no_u_of_zero():
+def test_inconsistent_correlations_do_not_give_zero_uncertainty():
     """K_F and K_I as one, K_II with the one and against the other: no coefficients are like that.
 
     The variance of a force at which the parts seem to cancel was negative, and printed as zero.
@@ -479,20 +479,20 @@ def test_correlations_that_contradict_each_other_leave_no_u_of_zero():
     impossible = [[1.0, 0.9, -0.9], [0.9, 1.0, 0.9], [-0.9, 0.9, 1.0]]
     terms = {s: coefficient(s, TERMS[s].nominal, size) for s, size in u.items()}
     correlation = Correlation(terms=list(u), matrix=impossible)
-    found = result({"Qx": accelerometer({}, coefficients=terms, correlation=correlation)})
+    found = make_result({"Qx": accelerometer({}, coefficients=terms, correlation=correlation)})
     level = np.array([-1.0, 0.0, 1.0])
     products = np.stack([np.ones(3), level, level**2])
     sizes = np.array(list(u.values()))
     naive = np.einsum("in,ij,jn->n", products, impossible * np.outer(sizes, sizes), products)
     assert naive.min() < 0.0
     done = apply(found, "Qx", level)
-    # Not below the worst that any relation of the errors could do.
+    # Not below the bound for any correlation of the errors.
     assert (done.u >= np.abs(products).T @ sizes * (1.0 - 1e-12)).all()
     (warning,) = done.warnings
     assert "inconsistent" in warning
 
 
-def test_uncertainty_against_trials():
+def test_uncertainty_matches_trials():
     """Scatter of corrections with coefficients drawn from the covariance of the result.
 
     With 2000 trials a standard deviation is known to 1/sqrt(4000) = 1.6 %; 8 % is 5 sigma.
@@ -505,7 +505,7 @@ def test_uncertainty_against_trials():
         terms=[*(list(MODEL)[k] for k in shuffled), "platform.drift.north"],
         matrix=np.pad(r[np.ix_(shuffled, shuffled)], (0, 1)).tolist(),
     )
-    found = result({"Qx": accelerometer({}, coefficients=terms, correlation=correlation)})
+    found = make_result({"Qx": accelerometer({}, coefficients=terms, correlation=correlation)})
     covariance = instrument_of(found, "Qx").covariance
     sd = np.array(list(u.values()))
     np.testing.assert_allclose(covariance, r * np.outer(sd, sd), rtol=1e-14)
@@ -513,11 +513,13 @@ def test_uncertainty_against_trials():
     done = apply(found, "Qx", y)
     assert done.dof == pytest.approx(12.0, abs=1e-3)
     drawn = np.random.default_rng(3).multivariate_normal(list(MODEL.values()), covariance, 2000)
-    np.testing.assert_allclose(done.u, np.std(inverted(drawn, y), axis=0), rtol=0.08)
-    np.testing.assert_allclose(done.corrected, inverted([list(MODEL.values())], y)[0], rtol=1e-12)
+    np.testing.assert_allclose(done.u, np.std(invert_cubics(drawn, y), axis=0), rtol=0.08)
+    np.testing.assert_allclose(
+        done.corrected, invert_cubics([list(MODEL.values())], y)[0], rtol=1e-12
+    )
 
 
-def inverted(coefficients, y):
+def invert_cubics(coefficients, y):
     """Return forces of which cubics of coefficients (n, 4) are y (m,), by Newton, (n, m)."""
     bias, scale, square, cube = np.transpose(coefficients)[:, :, None]
     force = np.broadcast_to(y, (len(bias), y.size))
@@ -527,15 +529,15 @@ def inverted(coefficients, y):
     return force
 
 
-def test_a_level_that_the_calibration_never_saw_is_said():
-    found = result(rate=2 * math.pi)  # 2.5 m x (2 pi)^2 / g = 10.06 g
+def test_force_beyond_calibrated_range_is_reported():
+    found = make_result(rate=2 * math.pi)  # 2.5 m x (2 pi)^2 / g = 10.06 g
     assert apply(found, "Qx", [10.0, -10.1]).warnings == ()
     (warning,) = apply(found, "Qx", [40.0, math.nan]).warnings
     assert "reaches 40 g, but the calibration reached only 10.1 g" in warning
 
 
 def test_results_of_earlier_versions_have_no_axes():
-    found, _ = three()
+    found, _ = make_three()
     old = {n: one.model_copy(update={"axes": None}) for n, one in found.accelerometers.items()}
     found = found.model_copy(update={"accelerometers": old})
     level = ApplyOptions(pendulous="-1 g", output_axis=0.0)
@@ -544,8 +546,8 @@ def test_results_of_earlier_versions_have_no_axes():
         apply(found, "Qx", [1.0], ApplyOptions(others={"Qy": [0.0], "Qz": [1.0]}))
 
 
-def test_python_names_the_sample(tmp_path):
-    found = result({"Qx": accelerometer({"K_I": 1.0, "K_III": -1e-4})})
+def test_error_in_python_names_sample(tmp_path):
+    found = make_result({"Qx": accelerometer({"K_I": 1.0, "K_III": -1e-4})})
     with pytest.raises(ConvergenceError, match=r"sample 1 \(counted from 0\) of Qx"):
         apply(found, "Qx", [1.0, 50.0])
     pl.read_csv(io.StringIO("Qx\n1.0\n")).write_csv(tmp_path / "in.csv")
@@ -555,7 +557,7 @@ def test_python_names_the_sample(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["in.csv", "in.parquet", "in.h5", "in.mat"])
-def test_every_record_file_can_be_corrected(tmp_path, name):
+def test_record_formats_can_be_corrected(tmp_path, name):
     table = pl.DataFrame({"Qx": [1.0, 2.0, -3.0], "t": [0.0, 0.5, 1.0]})
     file = tmp_path / name
     if file.suffix == ".csv":
@@ -568,18 +570,18 @@ def test_every_record_file_can_be_corrected(tmp_path, name):
         with h5py.File(file, "w") as store:
             for column in table:
                 store[column.name] = column.to_numpy()
-    found = result({"Qx": accelerometer({"K_I": 2.0})})
+    found = make_result({"Qx": accelerometer({"K_I": 2.0})})
     apply_file(found, "Qx", file, tmp_path / "out.parquet", column="Qx")
     written_table = pl.read_parquet(tmp_path / "out.parquet")
     assert written_table["Qx_corrected"].to_list() == [0.5, 1.0, -1.5]
     assert written_table["t"].to_list() == [0.0, 0.5, 1.0]
 
 
-def test_the_output_that_was_calibrated_is_corrected_as_it_is(tmp_path):
+def test_calibrated_output_unit_is_corrected_directly(tmp_path):
     """Counts from 33000 on, 4000 a g: as the same forces in g."""
-    ready = result({"Qx": accelerometer(MODEL)})
+    ready = make_result({"Qx": accelerometer(MODEL)})
     nominal = NominalOutput(unit="count", sensitivity=4000.0, zero=33000.0)
-    counting = result({"Qx": accelerometer(MODEL, nominal=nominal)})
+    counting = make_result({"Qx": accelerometer(MODEL, nominal=nominal)})
     force = np.array([-1.0, 0.25, 0.999])
     plain = apply(ready, "Qx", force)
     counts = apply(counting, "Qx", 33000.0 + 4000.0 * force, ApplyOptions(unit="count"))

@@ -1,4 +1,4 @@
-"""Exports read back by other readers, and the normalisation of IEEE Std 1293 by differences."""
+"""Exports read by independent readers; IEEE Std 1293 normalisation by finite differences."""
 
 import csv
 
@@ -21,7 +21,7 @@ BIAS = np.array([0.0102, -0.0098, 0.0351])
 GRAVITY = 9.81
 
 
-def result(**parts):
+def make_result(**parts):
     """Return a result with correlated K_F, K_I and K_II, and a prior K_OO that moved K_II."""
     correlation = [[1.0, 0.3, -0.2], [0.3, 1.0, 0.5], [-0.2, 0.5, 1.0]]
     moved = {"source": "K_OO", "kind": "stated", "u": 2e-6, "unit": "g/g^2", "sensitivity": 0.3}
@@ -39,7 +39,7 @@ def result(**parts):
     return by_hand.bare_result(accelerometers={"Qx": accelerometer}, **parts)
 
 
-def triad_result(**changes):
+def make_triad_result(**changes):
     """Return a result with a triad X, Y, Z."""
     triad = {"accelerometers": ["X", "Y", "Z"], "parameters": {}, "matrix": MATRIX.tolist()}
     triad |= {"bias": BIAS.tolist(), "u_matrix": (1e-5 * np.eye(3)).tolist()} | changes
@@ -49,24 +49,24 @@ def triad_result(**changes):
     return by_hand.bare_result(accelerometers=accelerometers, inputs=inputs, triad=triad)
 
 
-def test_the_covariance_of_normalised_coefficients_is_that_of_differences():
-    table = coefficient_table(result())
-    normalised = normalise(table, result())
+def test_normalised_covariance_matches_finite_differences():
+    table = coefficient_table(make_result())
+    normalised = normalise(table, make_result())
     assert table.symbols == ("K_F", "K_I", "K_II", "K_OO")
     assert normalised.symbols == ("K0", "K1", "K2", "Koo")
     # The prior of K_OO is correlated with the estimate that it moved: sensitivity times u^2.
     assert table.covariance[2, 3] == pytest.approx(0.3 * 2e-6**2)
 
-    def ieee(k):
+    def normalise_ieee(k):
         return np.array([k[0] / k[1], k[1], k[2] / k[1], k[3] / k[1]])
 
     steps = 1e-3 * np.abs(table.values)
     slopes = [
-        (ieee(table.values + step) - ieee(table.values - step)) / (2 * size)
+        (normalise_ieee(table.values + step) - normalise_ieee(table.values - step)) / (2 * size)
         for size, step in zip(steps, np.diag(steps), strict=True)
     ]
     jacobian = np.array(slopes).T
-    assert normalised.values == pytest.approx(ieee(table.values))
+    assert normalised.values == pytest.approx(normalise_ieee(table.values))
     u = np.sqrt(np.diag(normalised.covariance))
     expected = jacobian @ table.covariance @ jacobian.T
     assert normalised.covariance / np.outer(u, u) == pytest.approx(
@@ -78,21 +78,21 @@ def test_the_covariance_of_normalised_coefficients_is_that_of_differences():
     assert normalised.dof[1] == pytest.approx(30.0)
 
 
-def test_k1_is_in_units_of_the_output():
+def test_k1_is_in_output_unit():
     nominal = {"unit": "mA", "sensitivity": 1.25, "zero": 4.0}
-    of_output = result(accelerometer={"nominal": nominal})
+    of_output = make_result(accelerometer={"nominal": nominal})
     table = normalise(coefficient_table(of_output), of_output)
     assert (table.values[1], table.units[1]) == (pytest.approx(1.5), "mA/g")
     assert table.covariance[1, 1] ** 0.5 == pytest.approx(1.25e-3)
 
 
 @pytest.mark.parametrize("normalisation", ["none", "ieee"])
-def test_files_are_read_back(normalisation, tmp_path):
+def test_exported_files_round_trip(normalisation, tmp_path):
     for ending in (".csv", ".xlsx", ".mat"):
-        cs.export(result(title="a < b"), tmp_path / f"a{ending}", normalisation=normalisation)
-    table = coefficient_table(result())
+        cs.export(make_result(title="a < b"), tmp_path / f"a{ending}", normalisation=normalisation)
+    table = coefficient_table(make_result())
     if normalisation == "ieee":
-        table = normalise(table, result())
+        table = normalise(table, make_result())
     u = np.sqrt(np.diag(table.covariance))
     with (tmp_path / "a.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -120,10 +120,10 @@ def test_files_are_read_back(normalisation, tmp_path):
     assert content["result"]["gravity"] == 9.8066
 
 
-def test_triads_have_the_forms_of_psins_ros_and_kalibr(tmp_path):
+def test_triad_exports_match_psins_ros_and_kalibr(tmp_path):
     force = np.array([0.3, -0.5, 0.8]) * GRAVITY
     raw = (np.linalg.inv(MATRIX) @ (force / GRAVITY) + BIAS) * GRAVITY
-    triad = triad_result()
+    triad = make_triad_result()
     cs.export(triad, tmp_path / "a.mat", form="psins")
     clbt = loadmat(tmp_path / "a.mat", simplify_cells=True)["clbt"]
     step = 0.01  # imuclbt.m: velocity increments vm = Ka*vm - db*ts
@@ -149,44 +149,51 @@ def test_triads_have_the_forms_of_psins_ros_and_kalibr(tmp_path):
 @pytest.mark.parametrize(
     ("given", "name", "options", "message"),
     [
-        (result(), "a.txt", {}, "must end in one of .csv, .xlsx, .mat"),
-        (triad_result(), "a.csv", {"form": "psins"}, "must end in one of .mat"),
-        (triad_result(), "a.yaml", {"form": "ros", "normalisation": "ieee"}, "does not apply"),
-        (triad_result(), "a.yaml", {"form": "kalibr"}, "give `noise` only with the format kalibr"),
-        (result(), "a.yaml", {"form": "ros"}, "the result has none"),
-        (result(model="as-printed"), "a.csv", {}, "half the true K_II"),
+        (make_result(), "a.txt", {}, "must end in one of .csv, .xlsx, .mat"),
+        (make_triad_result(), "a.csv", {"form": "psins"}, "must end in one of .mat"),
+        (make_triad_result(), "a.yaml", {"form": "ros", "normalisation": "ieee"}, "does not apply"),
+        (
+            make_triad_result(),
+            "a.yaml",
+            {"form": "kalibr"},
+            "give `noise` only with the format kalibr",
+        ),
+        (make_result(), "a.yaml", {"form": "ros"}, "the result has none"),
+        (make_result(model="as-printed"), "a.csv", {}, "half the true K_II"),
     ],
 )
-def test_requests_that_do_not_fit_are_refused(given, name, options, message, tmp_path):
+def test_rejects_incompatible_request(given, name, options, message, tmp_path):
     with pytest.raises(CampaignError, match=message):
         cs.export(given, tmp_path / name, **options)
     assert not (tmp_path / name).exists()
 
 
-def test_results_that_must_not_be_used_are_refused(tmp_path):
-    contradicted = result(state="contradicted", accelerometer={"state": "contradicted"})
+def test_rejects_contradicted_and_undetermined_results(tmp_path):
+    contradicted = make_result(state="contradicted", accelerometer={"state": "contradicted"})
     with raises("contradicted", "Qx"):
         cs.export(contradicted, tmp_path / "a.csv")
-    open_ = triad_result(matrix=None, bias=None, why_no_matrix="The poses do not determine angle.")
+    open_ = make_triad_result(
+        matrix=None, bias=None, why_no_matrix="The poses do not determine angle."
+    )
     with pytest.raises(RecordError, match="do not determine angle"):
         cs.export(open_, tmp_path / "a.yaml", form="ros")
 
 
 @pytest.mark.parametrize("ending", [".csv", ".xlsx", ".mat", ".yaml"])
-def test_only_an_export_is_replaced(ending, tmp_path):
+def test_only_earlier_export_is_overwritten(ending, tmp_path):
     path, options = tmp_path / f"a{ending}", {"form": "ros"} if ending == ".yaml" else {}
-    cs.export(triad_result(), path, **options)
+    cs.export(make_triad_result(), path, **options)
     content = path.read_bytes()
     with pytest.raises(CounterspinError, match="give `overwrite=True`"):
-        cs.export(triad_result(), path, **options)
-    cs.export(triad_result(), path, overwrite=True, **options)
+        cs.export(make_triad_result(), path, **options)
+    cs.export(make_triad_result(), path, overwrite=True, **options)
     assert path.read_bytes() == content
     path.write_text("a record")
     with raises("file-exists", "export"):
-        cs.export(triad_result(), path, overwrite=True, **options)
+        cs.export(make_triad_result(), path, overwrite=True, **options)
 
 
-def noise_of(**components):
+def make_noise(**components):
     """Return the noise of a column, by component: value, upper limit."""
     sizes = {
         name: {"value": value, "low": 0.0, "high": high, "unit": ""}
@@ -199,15 +206,15 @@ def noise_of(**components):
     return texts | counts | numbers | lists | {"components": sizes, "resolution": None}
 
 
-def test_the_command_takes_the_largest_noise_and_upper_limits(tmp_path, monkeypatch, capsys):
+def test_command_uses_largest_noise_and_upper_limits(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     signals = [
-        noise_of(acceleration=(2e-3, 3e-3), bias_walk=(None, 5e-5)),
-        noise_of(acceleration=(1e-3, 4e-3), bias_walk=(4e-5, 9e-5)),
+        make_noise(acceleration=(2e-3, 3e-3), bias_walk=(None, 5e-5)),
+        make_noise(acceleration=(1e-3, 4e-3), bias_walk=(4e-5, 9e-5)),
     ]
     noise = {"record": "rest.csv", "checksum": None, "gravity": GRAVITY, "unused": [], "table": ""}
     NoiseResult.model_validate(noise | {"signals": signals}).write("noise.json")
-    triad_result().write("triad.json")
+    make_triad_result().write("triad.json")
     words = ["export", "triad.json", "-o", "imu.yaml", "--form", "kalibr"]
     assert main(words) == 2
     assert "--noise only" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""What an accelerometer will indicate: Eq. 7, and the covariance of its coefficients."""
+"""Predicted indications: Eq. 7 and the covariance of the coefficients."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def result(tmp_path_factory):
     return calibrate(where / "records")
 
 
-def test_an_indication_is_the_sum_of_its_terms(result):
+def test_indication_is_sum_of_terms(result):
     k = {symbol: c.value for symbol, c in result.accelerometers["Qx"].coefficients.items()}
     scale = result.accelerometers["Qx"].known["K_I"].value
     expected = k["K_F"] + scale * FORCE + k["K_II"] * FORCE**2 + k["K_III"] * FORCE**3
@@ -38,7 +38,7 @@ def test_an_indication_is_the_sum_of_its_terms(result):
     )
 
 
-def test_forces_along_the_other_axes_act_by_their_products():
+def test_cross_axis_forces_act_through_product_terms():
     """K_IP a_I a_P, K_OO a_O^2 and delta_P a_O with its sign, with u of each."""
     terms = {"K_IP": (3e-6, 1e-7), "K_OO": (2e-6, 2e-7), "K_I": (1.0, 1e-5)}
     units = {"K_IP": "g/g^2", "K_OO": "g/g^2", "K_I": "g/g"}
@@ -52,7 +52,7 @@ def test_forces_along_the_other_axes_act_by_their_products():
     assert found.u == pytest.approx(u, rel=1e-14)
 
 
-def test_u_is_that_of_the_covariance(result):
+def test_u_matches_covariance(result):
     """J C J^T, with the result's own covariance; the prior of K_I is exact here."""
     names = ["Qx.K_F", "Qx.K_II", "Qx.K_III"]
     jacobian = np.stack([np.ones_like(FORCE), FORCE**2, FORCE**3], axis=1)
@@ -64,7 +64,7 @@ def test_u_is_that_of_the_covariance(result):
     assert repr(found).startswith("<5 indications from ")
 
 
-def test_u_counts_what_nothing_states(result, tmp_path):
+def test_u_includes_default_prior(result, tmp_path):
     """A typical K_4 acts with the fourth power of the force."""
     less = CROSSED.replace('"K_II", "K_III"', '"K_II"').replace('assume = "all"\n', "")
     simulate(write(tmp_path, less, "plan.toml"), tmp_path / "r")
@@ -74,14 +74,14 @@ def test_u_counts_what_nothing_states(result, tmp_path):
     assert wider.predict("Qx", 100.0).u[0] >= known.u * 100.0**4
 
 
-def test_correcting_an_indication_gives_the_force_back(result):
+def test_correction_inverts_prediction(result):
     made = result.predict("Qx", FORCE, pendulous=PENDULOUS)
     back = apply(result, "Qx", made.indicated, ApplyOptions(pendulous=PENDULOUS))
     assert back.corrected == pytest.approx(FORCE, abs=1e-12)
     assert repr(back).startswith("<5 corrected in g, u at most ")
 
 
-def test_what_cannot_be_predicted_is_told(result):
+def test_rejects_invalid_prediction_input(result):
     with pytest.raises(KeyError, match="Qz; there are Qx"):
         result.predict("Qz", 1.0)
     for wrong in ([[1.0]], [], [np.nan]):

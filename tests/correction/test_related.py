@@ -1,4 +1,4 @@
-"""Errors of accelerometers that were fitted together, in what is corrected with all of them."""
+"""Correlated errors of accelerometers that were fitted jointly, in joint corrections."""
 
 import math
 
@@ -22,13 +22,13 @@ def result(tmp_path_factory):
     return cs.calibrate(triads.table(tmp_path_factory.mktemp("triad"), values, u=3e-4))
 
 
-def corrected(result, y):
+def correct_all(result, y):
     options = cs.ApplyOptions(others={"Y": y[:, 1], "Z": y[:, 2]})
     first = cs.apply(result, "X", y[:, 0], options)
     return [first, first.others["Y"], first.others["Z"]]
 
 
-def by_hand(parameters, y):
+def apply_nine_parameters(parameters, y):
     """Return f of indications, by three offsets, three sensitivities and three angles."""
     bias, size, (xy, xz, yz) = np.split(np.asarray(parameters), 3)
     z = [math.cos(xz), (math.cos(yz) - math.cos(xy) * math.cos(xz)) / math.sin(xy)]
@@ -37,13 +37,13 @@ def by_hand(parameters, y):
     return np.linalg.solve(size[:, None] * axes, (y - bias).T).T
 
 
-def test_the_output_and_its_u_are_those_of_the_nine_parameters(result):
+def test_output_and_u_match_nine_parameters(result):
     y = triads.indications(FORCES)
-    found = corrected(result, y)
+    found = correct_all(result, y)
     values = [result.triad.parameters[name].value for name in result.triad.correlation.terms]
     u = np.array([result.triad.parameters[name].u for name in result.triad.correlation.terms])
     force = np.column_stack([one.corrected for one in found])
-    assert force == pytest.approx(by_hand(values, y), abs=1e-12)
+    assert force == pytest.approx(apply_nine_parameters(values, y), abs=1e-12)
     matrix, bias = np.array(result.triad.matrix), np.array(result.triad.bias)
     assert force == pytest.approx((y - bias) @ matrix.T, abs=1e-12)
     assert force == pytest.approx(FORCES, abs=2e-3)
@@ -52,28 +52,31 @@ def test_the_output_and_its_u_are_those_of_the_nine_parameters(result):
     for place in range(9):
         step = np.zeros(9)
         step[place] = 1e-6
-        slopes.append((by_hand(values + step, y) - by_hand(values - step, y)) / 2e-6)
+        slopes.append(
+            (apply_nine_parameters(values + step, y) - apply_nine_parameters(values - step, y))
+            / 2e-6
+        )
     variance = np.einsum("pni,pq,qni->ni", slopes, covariance, slopes)
     claimed = np.column_stack([one.u for one in found])
     assert claimed == pytest.approx(np.sqrt(variance), rel=1e-6)
 
 
-def test_errors_that_are_related_count_as_such(result):
+def test_correlations_between_accelerometers_are_included(result):
     # Along the force of a pose, |f| is better known than its parts by themselves would say.
     y = triads.indications(FORCES)
     plain = result.model_copy(update={"correlation": None})
-    alone = np.column_stack([one.u for one in corrected(plain, y)])
-    related = np.column_stack([one.u for one in corrected(result, y)])
+    alone = np.column_stack([one.u for one in correct_all(plain, y)])
+    related = np.column_stack([one.u for one in correct_all(result, y)])
     assert np.abs(related / alone - 1.0).max() > 1e-3
 
 
-def test_what_nothing_states_counts_with_all_three(tmp_path, result):
+def test_default_priors_are_included_for_all_three_axes(tmp_path, result):
     generator = np.random.default_rng(5)
     values = triads.indications(triads.directions(14, generator))
     text = triads.head(model='terms = ["K_F", "K_I", "delta_O", "delta_P"]')
     unstated = cs.calibrate(triads.table(tmp_path, values, u=3e-4, description=text))
     y = triads.indications(np.vstack([FORCES, 3.0 * FORCES]))
-    found = corrected(unstated, y)
+    found = correct_all(unstated, y)
     # Values are those at the temperature of the poses.
     texts = [
         text
@@ -84,15 +87,15 @@ def test_what_nothing_states_counts_with_all_three(tmp_path, result):
     u = np.column_stack([one.u for one in found])
     # K_II of a MEMS sensor is 1e-3 g/g^2 if nothing is stated: 9e-3 g at 3 g.
     assert u[4, 2] == pytest.approx(9e-3, rel=0.25)
-    assert (u[:4] > np.column_stack([one.u for one in corrected(result, y[:4])])).all()
+    assert (u[:4] > np.column_stack([one.u for one in correct_all(result, y[:4])])).all()
     # Half of the default K_0_asym of a MEMS sensor, 1.25 mg, acts on the output and on the bias.
     symmetric = text.replace("terms = ", 'assume = ["K_0_asym"]\nterms = ')
     known = cs.calibrate(triads.table(tmp_path, values, u=3e-4, description=symmetric))
-    u_known = np.column_stack([one.u for one in corrected(known, y[:4])])
+    u_known = np.column_stack([one.u for one in correct_all(known, y[:4])])
     assert (u[:4] ** 2 - u_known**2 < 2.0 * 1.25e-3**2).all()
 
 
-def test_a_file_has_all_three_corrected(tmp_path, result):
+def test_file_has_all_three_axes_corrected(tmp_path, result):
     y = triads.indications(FORCES)
     frame = pl.DataFrame({"t": [0.0, 0.1, 0.2, 0.3], "X": y[:, 0], "Y": y[:, 1], "Z": y[:, 2]})
     frame.write_csv(tmp_path / "in.csv")
@@ -100,7 +103,7 @@ def test_a_file_has_all_three_corrected(tmp_path, result):
     assert [one.column for one in (done, *done.more)] == ["X", "Y", "Z"]
     written = pl.read_csv(tmp_path / "out.csv")
     assert written.columns[4:] == [f"{n}_corrected{u}" for n in "XYZ" for u in ("", "_u")]
-    for one, name in zip(corrected(result, y), "XYZ", strict=True):
+    for one, name in zip(correct_all(result, y), "XYZ", strict=True):
         assert written[f"{name}_corrected"].to_numpy() == pytest.approx(one.corrected, abs=1e-12)
         assert written[f"{name}_corrected_u"].to_numpy() == pytest.approx(one.u, rel=1e-12)
     named = frame.rename({"X": "ax", "Y": "ay", "Z": "az"})
@@ -112,7 +115,7 @@ def test_a_file_has_all_three_corrected(tmp_path, result):
     assert again == pytest.approx(written["Y_corrected"].to_numpy(), abs=1e-12)
 
 
-def test_which_accelerometer_is_asked_where_there_is_no_triad(tmp_path, result):
+def test_accelerometer_is_required_without_triad(tmp_path, result):
     pl.DataFrame({"X": [1.0]}).write_csv(tmp_path / "in.csv")
     plain = result.model_copy(update={"triad": None})
     with raises("wrong-usage", "`accelerometer`"):

@@ -33,7 +33,7 @@ FORCE = np.linspace(-15.0, 15.0, 31)
 CELSIUS = np.linspace(-10.0, 60.0, 31)
 
 
-def result(values, u=(), temperatures=(270.0, 340.0), reference=REFERENCE, **more):
+def make_result(values, u=(), temperatures=(270.0, 340.0), reference=REFERENCE, **more):
     u = dict(u)
     own = {
         s: Coefficient(value=v, u=u.get(s, 0.0), unit=ACCELEROMETER_TERMS[s].unit, estimated=True)
@@ -45,7 +45,7 @@ def result(values, u=(), temperatures=(270.0, 340.0), reference=REFERENCE, **mor
     return bare_result(accelerometers={"A": found_of(**parts)}, inputs=inputs, **more)
 
 
-def indication(celsius, force=FORCE):
+def predict_indication(celsius, force=FORCE):
     """Return Eq. 7 with each coefficient at its own temperature, sample by sample."""
     t = np.broadcast_to(np.asarray(celsius) - REFERENCE, force.shape)
     made = []
@@ -58,50 +58,59 @@ def indication(celsius, force=FORCE):
     return np.array(made)
 
 
-def test_slopes_are_taken_at_the_temperature_of_each_row():
-    y = indication(CELSIUS)
-    done = apply(result(MODEL | SLOPES), "A", y, ApplyOptions(temperature=CELSIUS))
+def test_slopes_use_temperature_of_each_row():
+    y = predict_indication(CELSIUS)
+    done = apply(make_result(MODEL | SLOPES), "A", y, ApplyOptions(temperature=CELSIUS))
     np.testing.assert_allclose(done.corrected, FORCE, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(done.u, 0.0)
-    one = apply(result(MODEL | SLOPES), "A", indication(35.0), ApplyOptions(temperature="35 degC"))
+    one = apply(
+        make_result(MODEL | SLOPES),
+        "A",
+        predict_indication(35.0),
+        ApplyOptions(temperature="35 degC"),
+    )
     np.testing.assert_allclose(one.corrected, FORCE, rtol=0, atol=1e-12)
     kelvin = ApplyOptions(temperature="308.15 K")
     np.testing.assert_allclose(
-        apply(result(MODEL | SLOPES), "A", indication(35.0), kelvin).corrected, FORCE, atol=1e-12
+        apply(make_result(MODEL | SLOPES), "A", predict_indication(35.0), kelvin).corrected,
+        FORCE,
+        atol=1e-12,
     )
     assert "are relative to 20 degC" in one.notes[-1]
 
 
-def test_at_the_reference_temperature_it_is_as_without_slopes():
-    plain = apply(result(MODEL, {"K_II": 1e-6}), "A", FORCE)
+def test_slopes_have_no_effect_at_reference_temperature():
+    plain = apply(make_result(MODEL, {"K_II": 1e-6}), "A", FORCE)
     warm = apply(
-        result(MODEL | SLOPES, {"K_II": 1e-6}), "A", FORCE, ApplyOptions(temperature=REFERENCE)
+        make_result(MODEL | SLOPES, {"K_II": 1e-6}), "A", FORCE, ApplyOptions(temperature=REFERENCE)
     )
     np.testing.assert_allclose(warm.corrected, plain.corrected, rtol=1e-15)
     np.testing.assert_allclose(warm.u, plain.u, rtol=1e-12)
 
 
 @pytest.mark.parametrize("power", [1, 2, 3])
-def test_u_of_a_slope_and_of_the_temperature(power):
+def test_u_of_slope_and_temperature(power):
     """Of c t^n with c ± s and t ± u: (n c t^(n-1) u)^2 + s^2 E[t^(2n)], of a normal t."""
     symbol = "K_F.temperature" + (f".{power}" if power > 1 else "")
     c, s, t, u = 2e-5, 3e-6, 12.0, 1.5
-    found = result({"K_F": 0.0, "K_I": 1.0, symbol: c}, {symbol: s})
+    found = make_result({"K_F": 0.0, "K_I": 1.0, symbol: c}, {symbol: s})
     taken = ApplyOptions(temperature=f"{REFERENCE + t} ± {u} degC")
     moments = {1: t**2 + u**2, 2: t**4 + 6 * t**2 * u**2 + 3 * u**4}
-    # Three nodes have the sixth power but for 6 u^6 of 15.
+    # Three nodes give the sixth moment except for 6 u^6 of 15.
     moments[3] = t**6 + 15 * t**4 * u**2 + 45 * t**2 * u**4 + 9 * u**6
     expected = math.sqrt((power * c * t ** (power - 1) * u) ** 2 + s**2 * moments[power])
     done = apply(found, "A", [0.5, -0.5], taken)
     np.testing.assert_allclose(done.u, expected, rtol=1e-12)
-    # At the temperature of the calibration the slope's u counts by that of the temperature alone.
+    # At the calibration temperature, u of the slope acts only through u of the temperature.
     there = ApplyOptions(temperature=f"{REFERENCE} ± {u} degC")
     at_reference = apply(found, "A", [0.5], there).u[0]
     assert at_reference >= s * u**power * 0.999
 
 
-def test_a_correlation_of_slope_and_coefficient_counts():
-    found = result({"K_F": 0.0, "K_F.temperature": 0.0}, {"K_F": 3e-6, "K_F.temperature": 1e-6})
+def test_correlation_of_slope_and_coefficient_is_included():
+    found = make_result(
+        {"K_F": 0.0, "K_F.temperature": 0.0}, {"K_F": 3e-6, "K_F.temperature": 1e-6}
+    )
     own = found.accelerometers["A"].model_copy(
         update={
             "correlation": Correlation(
@@ -114,7 +123,7 @@ def test_a_correlation_of_slope_and_coefficient_counts():
     np.testing.assert_allclose(done.u, [0.0, 1e-6], rtol=1e-9, atol=1e-18)
 
 
-def test_two_that_sense_each_other_at_a_temperature_of_their_own_rows():
+def test_u_of_cross_coupled_accelerometers_matches_jacobian():
     """u against the numerical Jacobian of all coefficients, and of the temperature."""
     values = (
         {"K_F": 1e-3, "K_I": 1.001, "K_OO": 3e-3, "K_I.temperature": 2e-4},
@@ -164,25 +173,28 @@ def test_two_that_sense_each_other_at_a_temperature_of_their_own_rows():
     np.testing.assert_allclose(alone.u, 0.3 * np.abs(by_warmth), rtol=1e-6)
 
 
-def test_known_slopes_need_a_temperature():
+def test_known_slopes_require_temperature():
     with pytest.raises(CampaignError) as refused:
-        apply(result(MODEL | {"K_F.temperature": 3e-5}), "A", [1.0])
+        apply(make_result(MODEL | {"K_F.temperature": 3e-5}), "A", [1.0])
     (said,) = refused.value.problems
     assert said.startswith("K_F.temperature of A changes with the temperature of the record; give")
     with raises("missing-input"):
         apply(
-            result(MODEL | SLOPES, reference=None), "A", [1.0], ApplyOptions(temperature="20 degC")
+            make_result(MODEL | SLOPES, reference=None),
+            "A",
+            [1.0],
+            ApplyOptions(temperature="20 degC"),
         )
     with raises("invalid-value", "`temperature`", "'20 g'"):
-        apply(result(MODEL | SLOPES), "A", [1.0], ApplyOptions(temperature="20 g"))
+        apply(make_result(MODEL | SLOPES), "A", [1.0], ApplyOptions(temperature="20 g"))
 
 
-def test_slopes_that_nothing_states_are_in_u_where_the_temperature_is_known():
+def test_default_slopes_are_in_u_where_temperature_is_known():
     unstated = [
         Knowledge(name=f"A.{s}", kind="unstated", unit=ACCELEROMETER_TERMS[s].unit, value=0.0, u=u)
         for s, u in (("K_F.temperature", 3e-5), ("K_I.temperature", 1e-4))
     ]
-    found = result({"K_F": 0.0, "K_I": 1.0}, rests_on=unstated)
+    found = make_result({"K_F": 0.0, "K_I": 1.0}, rests_on=unstated)
     there = apply(found, "A", [2.0], ApplyOptions(temperature=REFERENCE - 5.0))
     assert there.u == pytest.approx([5.0 * math.hypot(3e-5, 2e-4)], rel=1e-12)
     assert not there.warnings
@@ -192,32 +204,32 @@ def test_slopes_that_nothing_states_are_in_u_where_the_temperature_is_known():
     assert "K_F.temperature, K_I.temperature are not stated, and the temperature is not" in said
 
 
-def test_half_of_hysteresis_is_in_u_as_its_sign_is_not_known():
-    """Of h ± u with a sign that nobody knows: (h^2 + u^2)/4, beside K_F's own."""
+def test_half_of_hysteresis_of_unknown_sign_is_in_u():
+    """h ± u with an unknown sign gives (h^2 + u^2)/4 in addition to the variance of K_F."""
     values, u = {"K_F": 1e-3, "K_I": 1.0, "K_F.hysteresis": 3e-5}, {"K_F": 2e-6}
-    found = result(values, u | {"K_F.hysteresis": 4e-6})
+    found = make_result(values, u | {"K_F.hysteresis": 4e-6})
     expected = math.sqrt(4e-12 + (9e-10 + 1.6e-11) / 4.0)
     done = apply(found, "A", [0.5])
     assert (done.corrected[0], done.u[0]) == pytest.approx((0.499, expected), rel=1e-9)
     assert not done.warnings
     row = {"kind": "unstated", "unit": "g", "value": 0.0, "u": 2e-5}
     unstated = [Knowledge(name="A.K_F.hysteresis", **row)]
-    found = result({"K_F": 1e-3, "K_I": 1.0}, u, rests_on=unstated)
+    found = make_result({"K_F": 1e-3, "K_I": 1.0}, u, rests_on=unstated)
     assert apply(found, "A", [0.5]).u[0] == pytest.approx(math.hypot(2e-6, 1e-5), rel=1e-9)
 
 
-def test_what_lies_beyond_the_calibration_is_said():
-    found = result(MODEL | SLOPES, temperatures=(283.15, 303.15))
+def test_temperature_beyond_calibration_is_reported():
+    found = make_result(MODEL | SLOPES, temperatures=(283.15, 303.15))
     inside = apply(found, "A", [1.0], ApplyOptions(temperature=30.9))
     assert not inside.warnings
     (said,) = apply(found, "A", [1.0, 1.0], ApplyOptions(temperature=[25.0, 40.0])).warnings
     assert said.startswith(
         "The temperature is 25 to 40 degC, but the calibration temperature was 10 "
     )
-    other = result(MODEL | {"K_F.trend": 1e-9, "K_F.heating": 1e-7})
+    other = make_result(MODEL | {"K_F.trend": 1e-9, "K_F.heating": 1e-7})
     (said,) = apply(other, "A", [1.0]).warnings
     assert "the correction does not apply K_F.trend, K_F.heating" in said
-    (note,) = apply(result(MODEL), "A", [1.0], ApplyOptions(temperature=25.0)).notes[1:]
+    (note,) = apply(make_result(MODEL), "A", [1.0], ApplyOptions(temperature=25.0)).notes[1:]
     assert note == "The result contains no temperature slope, so the temperature has no effect."
 
 
@@ -227,7 +239,7 @@ def test_what_lies_beyond_the_calibration_is_said():
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    cs.write_result(result(MODEL | SLOPES), tmp_path / "result.json")
+    cs.write_result(make_result(MODEL | SLOPES), tmp_path / "result.json")
     return tmp_path
 
 
@@ -235,8 +247,8 @@ def run(*words):
     return cli.main(["apply", "result.json", "in.csv", "-o", "out.csv", "--overwrite", *words])
 
 
-def test_a_column_of_temperatures_in_a_file(folder, capsys):
-    y = indication(CELSIUS)
+def test_temperature_column_of_file_is_used(folder, capsys):
+    y = predict_indication(CELSIUS)
     words = ["--accelerometer=A", "--input=y", "--temperature"]
     pl.DataFrame({"y": y, "degC": CELSIUS}).write_csv("in.csv")
     assert run(*words, "degC") == 0
@@ -261,7 +273,7 @@ def test_a_column_of_temperatures_in_a_file(folder, capsys):
 # --- from a calibration ---------------------------------------------------------------------
 
 
-def test_a_calibration_says_at_which_temperatures_it_was_made():
+def test_result_contains_calibration_temperatures():
     angles = np.deg2rad(np.arange(0.0, 360.0, 30.0))
     rng = np.random.default_rng(7)
     rows = [(a, t) for t in (10.0, 25.0, 40.0) for a in angles]
@@ -297,6 +309,6 @@ def test_a_calibration_says_at_which_temperatures_it_was_made():
     described["centrifuge"]["reference_temperature"] = "20 degC"
     moved = cs.calibrate(cs.make_campaign(described, readings=frame))
     again = apply(moved, "A", [y], ApplyOptions(temperature=35.0))
-    # From where slopes count makes no difference to what is corrected.
+    # The reference temperature of the slopes does not change the corrected values.
     assert again.corrected == pytest.approx(done.corrected, abs=1e-10)
     assert again.u == pytest.approx(done.u, rel=1e-4)

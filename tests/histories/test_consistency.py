@@ -1,4 +1,4 @@
-"""Weighted mean, drift and E_n score: closed forms, and that their claims hold over many trials."""
+"""Weighted mean, drift and E_n score against closed forms and repeated trials."""
 
 import math
 
@@ -18,7 +18,7 @@ series = st.lists(st.tuples(numbers, spreads), min_size=2, max_size=8)
 # The mean
 
 
-def test_two_measurements_by_hand():
+def test_weighted_mean_of_two_measurements():
     # Weights 1 and 1/4: mean 1/5 of the way, chi2 = 5^2/(1 + 4).
     found = weighted_mean([10.0, 15.0], [1.0, 2.0])
     assert found.value == pytest.approx(11.0)
@@ -32,13 +32,13 @@ def test_two_measurements_by_hand():
     assert found.z == pytest.approx([-math.sqrt(5.0), math.sqrt(5.0)])
 
 
-def test_two_degrees_of_freedom_are_an_exponential():
+def test_p_value_with_two_degrees_of_freedom_is_exponential():
     found = weighted_mean([1.0, 2.0, 6.0], [1.0, 1.0, 1.0])
     assert found.scatter.chi2 == pytest.approx(14.0)
     assert found.scatter.p == pytest.approx(math.exp(-7.0))
 
 
-def test_one_measurement_has_nothing_to_agree_with():
+def test_one_measurement_has_no_consistency_test():
     found = weighted_mean([3.0], [0.5])
     assert (found.value, found.u) == (pytest.approx(3.0), pytest.approx(0.5))
     assert found.scatter.p is None
@@ -47,7 +47,7 @@ def test_one_measurement_has_nothing_to_agree_with():
 
 
 @given(series)
-def test_z_is_difference_over_its_own_uncertainty(measured):
+def test_z_is_difference_over_its_uncertainty(measured):
     values, u = np.array(measured).T
     found = weighted_mean(values, u)
     # Var(x_i - mean) = u_i^2 - u^2; the tolerance is its cancellation.
@@ -58,12 +58,12 @@ def test_z_is_difference_over_its_own_uncertainty(measured):
     )
 
 
-def test_z_of_a_measurement_with_nearly_all_the_weight():
+def test_z_of_dominant_measurement():
     assert weighted_mean([0.0, 3.0], [1e-12, 1.0]).z == pytest.approx([-3.0, 3.0])
 
 
 @pytest.mark.parametrize("u", [[1.0, 0.0], [1.0, -1.0], [1.0, math.nan], [1.0]])
-def test_an_uncertainty_that_is_none(u):
+def test_rejects_invalid_uncertainty(u):
     with pytest.raises((ValueError, NotIdentifiableError)):
         weighted_mean([1.0, 2.0], u)
 
@@ -71,7 +71,7 @@ def test_an_uncertainty_that_is_none(u):
 # The drift
 
 
-def test_line_through_two_points():
+def test_drift_through_two_points():
     found = fit_drift([2000.0, 2004.0], [1.0, 3.0], [0.3, 0.4])
     assert found.slope == pytest.approx(0.5)
     assert found.u == pytest.approx(0.5 / 4.0)  # root of 0.3^2 + 0.4^2, over four years
@@ -83,7 +83,7 @@ def test_line_through_two_points():
 
 
 @given(series, st.integers(-50, 50))
-def test_an_exact_line_is_found(measured, slope):
+def test_exact_line_is_recovered(measured, slope):
     u = np.array([spread for _, spread in measured])
     time = np.arange(u.size) * 0.5 + 2020.0
     found = fit_drift(time, 7.0 + slope * (time - 2020.0), u)
@@ -91,7 +91,7 @@ def test_an_exact_line_is_found(measured, slope):
     assert found.scatter.chi2 == pytest.approx(0.0, abs=1e-8)
 
 
-def test_agrees_with_the_textbook_formula():
+def test_drift_agrees_with_textbook_formula():
     time, y = np.array([0.0, 1.0, 2.5, 4.0]), np.array([1.0, 1.3, 0.9, 1.8])
     u = np.array([0.1, 0.2, 0.15, 0.3])
     w = u**-2
@@ -103,7 +103,7 @@ def test_agrees_with_the_textbook_formula():
     assert (found.time, found.value) == (pytest.approx(sx / sw), pytest.approx(sy / sw))
 
 
-def test_one_date_has_no_drift():
+def test_single_date_has_no_drift():
     assert fit_drift([5.0, 5.0, 5.0], [1.0, 2.0, 3.0], [1.0, 1.0, 1.0]) is None
     assert fit_drift([5.0], [1.0], [1.0]) is None
 
@@ -126,7 +126,7 @@ def test_drift_is_unbiased_and_its_interval_covers():
     assert abs(level.std() / found[0].evaluate(2.0)[1] - 1.0) < 4.5 / math.sqrt(2.0 * trials)
 
 
-def test_drift_is_rarely_seen_where_there_is_none():
+def test_false_alarm_rate_of_drift_matches_level():
     rng = np.random.default_rng(13528)
     trials, u = 2000, np.full(4, 0.2)
     p = np.array([fit_drift(np.arange(4.0), rng.normal(0.0, u), u).p for _ in range(trials)])
@@ -137,7 +137,7 @@ def test_drift_is_rarely_seen_where_there_is_none():
 # E_n
 
 
-def test_en_score_by_hand():
+def test_en_score_closed_form():
     # U = 1.96 u where the degrees of freedom are infinite; with 1 and 2, Student's closed forms.
     assert en_score((1.0, 3.0, None), (11.0, 4.0, None)) == pytest.approx(10.0 / (5 * 1.959963985))
     first = math.tan(0.475 * math.pi)
@@ -148,6 +148,6 @@ def test_en_score_by_hand():
 
 
 @given(numbers, spreads, numbers, spreads)
-def test_en_score_of_equals_is_z_over_1_96(a, u_a, b, u_b):
+def test_en_score_with_infinite_dof_is_z_over_1_96(a, u_a, b, u_b):
     z = (b - a) / math.hypot(u_a, u_b)
     assert en_score((a, u_a, None), (b, u_b, None)) == pytest.approx(z / 1.959963984540054)

@@ -1,11 +1,11 @@
-"""Limits of an individuals chart, and what lies beyond them."""
+"""Limits of an individuals chart and points beyond them."""
 
 import pytest
 
 from counterspin.histories.consistency import individuals_chart
 
 
-def test_limits_by_hand():
+def test_control_limits_closed_form():
     # Changes 2, 4, 2: mean 8/3, over 1.1284.
     found = individuals_chart([1.0, 3.0, -1.0, 1.0], list("abcd"))
     assert (found.centre, found.mean_range) == (1.0, pytest.approx(8.0 / 3.0))
@@ -18,7 +18,7 @@ def test_limits_by_hand():
     assert (found.beyond, found.leaps) == ([], [])
 
 
-def test_what_lies_beyond_is_named():
+def test_points_beyond_limits_are_named():
     values = [0.0, 1.0] * 8 + [20.0] + [0.0, 1.0] * 4
     found = individuals_chart(values, [str(place) for place in range(len(values))])
     assert found.beyond == ["16"]

@@ -1,4 +1,4 @@
-"""The next due date: when the line leaves the specification, with what is not known of it."""
+"""The next due date: when the drift leaves the specification, given its uncertainty."""
 
 from datetime import datetime, timedelta
 
@@ -11,7 +11,7 @@ START, LAST = datetime(2020, 1, 1), datetime(2024, 1, 1)
 YEARS = (LAST - START) / timedelta(days=365.25)
 
 
-def line(slope, u=0.0, u_value=0.1, birge=1.0):
+def make_drift(slope, u=0.0, u_value=0.1, birge=1.0):
     return Drift(
         slope=slope,
         u=u,
@@ -23,27 +23,27 @@ def line(slope, u=0.0, u_value=0.1, birge=1.0):
     )
 
 
-def test_a_certain_drift_reaches_the_limit_less_the_quantile():
+def test_known_drift_is_due_when_guarded_limit_is_reached():
     # One side: 1.6449 u below the limit of 10, at a slope of one a year.
-    due = next_due_date(line(1.0), START, LAST, (None, 10.0), 0.95)
+    due = next_due_date(make_drift(1.0), START, LAST, (None, 10.0), 0.95)
     assert (due - START) / timedelta(days=365.25) == pytest.approx(10.0 - 0.164485, abs=2e-4)
     # A Birge ratio above 1 counts, one below does not.
-    due = next_due_date(line(1.0, birge=2.0), START, LAST, (None, 10.0), 0.95)
+    due = next_due_date(make_drift(1.0, birge=2.0), START, LAST, (None, 10.0), 0.95)
     assert (due - START) / timedelta(days=365.25) == pytest.approx(10.0 - 0.328971, abs=2e-4)
-    assert next_due_date(line(1.0, birge=0.5), START, LAST, (None, 10.0), 0.95) == next_due_date(
-        line(1.0), START, LAST, (None, 10.0), 0.95
-    )
+    assert next_due_date(
+        make_drift(1.0, birge=0.5), START, LAST, (None, 10.0), 0.95
+    ) == next_due_date(make_drift(1.0), START, LAST, (None, 10.0), 0.95)
 
 
-def test_an_uncertain_slope_alone_sets_an_end():
+def test_uncertain_slope_without_drift_has_due_date():
     # Both sides: 1.9600 times the root of 0.1^2 + (0.2 t)^2 is 2.
-    due = next_due_date(line(0.0, u=0.2), START, LAST, (-2.0, 2.0), 0.95)
+    due = next_due_date(make_drift(0.0, u=0.2), START, LAST, (-2.0, 2.0), 0.95)
     expected = ((2.0 / 1.959964) ** 2 - 0.01) ** 0.5 / 0.2
     assert (due - START) / timedelta(days=365.25) == pytest.approx(expected, abs=2e-4)
-    assert probability_within(line(0.0, u=0.2), expected, -2.0, 2.0) == pytest.approx(0.95)
+    assert probability_within(make_drift(0.0, u=0.2), expected, -2.0, 2.0) == pytest.approx(0.95)
 
 
-def test_what_is_outside_is_due_at_once_and_what_stays_inside_is_not():
-    assert next_due_date(line(1.0), START, LAST, (None, 1.0), 0.95) == LAST
-    assert next_due_date(line(0.0), START, LAST, (-1.0, 1.0), 0.95) is None
+def test_value_outside_is_due_at_once_and_constant_value_never():
+    assert next_due_date(make_drift(1.0), START, LAST, (None, 1.0), 0.95) == LAST
+    assert next_due_date(make_drift(0.0), START, LAST, (-1.0, 1.0), 0.95) is None
     assert YEARS > 1.0

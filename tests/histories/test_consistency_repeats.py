@@ -1,4 +1,4 @@
-"""Repeatability: what results vary by with turn-on, mounting and day."""
+"""Repeatability: variation of results with turn-on, mounting and day."""
 
 import json
 import math
@@ -18,7 +18,7 @@ from counterspin.reports.blocks import Table
 U = 5e-8
 
 
-def result(value, date, **labels):
+def make_result(value, date, **labels):
     """Return the frozen result's Qx with a K_II, a date, and names of mounting and turn-on."""
     made = dated(value, date, u=U, run=f"{value}{date}{labels}")
     made["accelerometers"]["Qx"]["budget"] = {}
@@ -32,27 +32,28 @@ MOUNTINGS = np.repeat(["a", "b", "c", "d", "e", "f"], 2)
 VALUES = 2.7e-5 + 1e-7 * np.array([0, 1, 9, 7, -4, -2, 6, 5, -9, -8, 2, 0.5])
 
 
-def twelve(**more):
+def make_twelve(**more):
     return [
-        result(value, str(day), mounting=str(mounting), turn_on=f"t{place}", **more)
+        make_result(value, str(day), mounting=str(mounting), turn_on=f"t{place}", **more)
         for place, (value, day, mounting) in enumerate(zip(VALUES, DAYS, MOUNTINGS, strict=True))
     ]
 
 
-def repeats(results):
+def repeatability_of(results):
     (instrument,) = history(results).instruments
     return instrument.repeatability
 
 
-def test_days_mountings_and_turn_ons_are_nested_classes():
+def test_variance_components_of_nested_days_mountings_and_turn_ons():
     """With u known beforehand: the mean squares of balanced classes, u^2 taken off the finest."""
-    found = repeats(twelve())
+    found = repeatability_of(make_twelve())
     cube = VALUES.reshape(3, 2, 2)
     of_mounting, of_day = cube.mean(axis=2), cube.mean(axis=(1, 2))
     within = float(np.sum((cube - of_mounting[:, :, None]) ** 2)) / 6.0
     between = 2.0 * float(np.sum((of_mounting - of_day[:, None]) ** 2)) / 3.0
     days = 4.0 * float(of_day.var(ddof=1))
-    assert days < between  # so that no day is seen, and its mean square goes with the mountings'
+    # The component of the day is zero, and its mean square is pooled with the mountings.
+    assert days < between
     pooled = (2.0 * days + 3.0 * between) / 5.0
     assert found.components["day"].value == 0.0
     expected = {"turn_on": within - U**2, "mounting": (pooled - within) / 2.0}
@@ -66,33 +67,35 @@ def test_days_mountings_and_turn_ons_are_nested_classes():
     assert found.not_told == {}
 
 
-def test_what_is_not_stated_or_never_changed_is_not_told():
-    one = [result(v, d) for v, d in zip(VALUES[::2], DAYS[::2], strict=True)]
-    found = repeats(one)
+def test_unstated_or_constant_factor_has_no_component():
+    one = [make_result(v, d) for v, d in zip(VALUES[::2], DAYS[::2], strict=True)]
+    found = repeatability_of(one)
     assert list(found.components) == ["day"]
     assert found.not_told == {
         "mounting": "6 of 6 results do not contain this value",
         "turn_on": "6 of 6 results do not contain this value",
     }
-    same = [result(v, "2026-03-01", mounting="a", turn_on=str(v)) for v in VALUES[:4]]
-    found = repeats(same)
+    same = [make_result(v, "2026-03-01", mounting="a", turn_on=str(v)) for v in VALUES[:4]]
+    found = repeatability_of(same)
     assert list(found.components) == ["turn_on"]
     assert found.not_told["mounting"] == "all results have the same label"
-    assert repeats(one[:2]) is None
-    assert repeats([result(v, "2026-03-01") for v in VALUES[:4]]) is None
+    assert repeatability_of(one[:2]) is None
+    assert repeatability_of([make_result(v, "2026-03-01") for v in VALUES[:4]]) is None
 
 
-def test_results_that_drift_are_taken_about_their_line():
+def test_drifting_results_are_evaluated_about_line():
     years = np.arange(8)
     values = 2.7e-5 + 1e-6 * years + U * np.array([1, -1, 0.5, -0.5, 1, -1, 0.5, -0.5])
-    found = repeats([result(v, f"{2010 + y}-03-01") for v, y in zip(values, years, strict=True)])
+    found = repeatability_of(
+        [make_result(v, f"{2010 + y}-03-01") for v, y in zip(values, years, strict=True)]
+    )
     assert found.about == "line"
     assert found.components["day"].value == 0.0
     assert found.u == pytest.approx(U / math.sqrt(8.0), rel=1e-6)
 
 
-def test_what_results_share_is_taken_from_their_covariance():
-    """A bias common to all (here of the radius) is not what they vary by."""
+def test_shared_uncertainty_is_not_repeatability():
+    """A bias common to all results (of the radius) is not part of their variation."""
     budget = [
         {
             "source": "centrifuge.radius",
@@ -103,7 +106,7 @@ def test_what_results_share_is_taken_from_their_covariance():
         }
     ]
     results = []
-    for one in twelve():
+    for one in make_twelve():
         document = json.loads(one.model_dump_json(by_alias=True))
         qx = document["accelerometers"]["Qx"]
         line = {"contribution": 2e-7, "share": 0.9, **budget[0]}
@@ -112,14 +115,14 @@ def test_what_results_share_is_taken_from_their_covariance():
         results.append(Result.model_validate(document))
     (instrument,) = history(results).instruments
     assert instrument.shared == ["centrifuge.radius"]
-    alone, shared = repeats(twelve()), instrument.repeatability
+    alone, shared = repeatability_of(make_twelve()), instrument.repeatability
     for name, own in alone.components.items():
         assert shared.components[name].value == pytest.approx(own.value, rel=1e-3, abs=1e-12)
     assert shared.u == pytest.approx(math.hypot(alone.u, 2e-7), rel=1e-2)
 
 
-def test_the_page_states_each_with_its_interval_and_says_that_few_tell_little(tmp_path):
-    found = history(twelve())
+def test_report_lists_components_with_intervals(tmp_path):
+    found = history(make_twelve())
     blocks = list(history_blocks(found))
     (table,) = (
         block
@@ -141,7 +144,7 @@ def test_the_page_states_each_with_its_interval_and_says_that_few_tell_little(tm
     found.write(path)
     assert History.read(path) == found
     both = [
-        result(v, str(d), mounting=str(d), turn_on=f"t{i}")
+        make_result(v, str(d), mounting=str(d), turn_on=f"t{i}")
         for i, (v, d) in enumerate(zip(VALUES, DAYS, strict=True))
     ]
     (table, *_) = (
@@ -152,7 +155,7 @@ def test_the_page_states_each_with_its_interval_and_says_that_few_tell_little(tm
     assert table.rows[0][0] == "another day or mounting"
 
 
-def test_campaigns_name_their_mountings_and_turn_ons():
+def test_mounting_and_turn_on_are_read_from_campaigns():
     """Tumbles whose bias differs from mounting to mounting by 20 ug, and with each turn-on by 5."""
     rng = np.random.default_rng(3)
     angles = np.arange(0.0, 360.0, 30.0)

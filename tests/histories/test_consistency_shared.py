@@ -1,4 +1,4 @@
-"""What results have in common moves them together: covariances, mean, drift and E_n follow."""
+"""Shared inputs correlate results: covariances, mean, drift and E_n."""
 
 import math
 
@@ -13,7 +13,7 @@ V = np.array([[4.0, 1.5, 0.5], [1.5, 9.0, 2.0], [0.5, 2.0, 1.0]])
 X = np.array([1.0, 4.0, 2.0])
 
 
-def test_mean_and_drift_are_those_of_generalised_least_squares():
+def test_mean_and_drift_match_generalised_least_squares():
     inverse = np.linalg.inv(V)
     found = weighted_mean(X, np.sqrt(np.diag(V)), V)
     variance = 1.0 / inverse.sum()
@@ -34,7 +34,7 @@ def test_mean_and_drift_are_those_of_generalised_least_squares():
     assert float(u) == pytest.approx(math.sqrt(np.array([1.0, 4.0]) @ covariance @ [1.0, 4.0]))
 
 
-def test_independent_results_are_as_before():
+def test_independent_results_are_unchanged():
     one, other = (
         weighted_mean(X, [1.0, 2.0, 3.0]),
         weighted_mean(X, [1.0, 2.0, 3.0], np.diag([1.0, 4.0, 9.0])),
@@ -43,20 +43,20 @@ def test_independent_results_are_as_before():
     assert other.z == pytest.approx(one.z)
 
 
-def test_what_two_share_cancels_in_their_difference():
-    # Each U is 1.96 u; of the difference, only what they do not share remains.
+def test_shared_uncertainty_cancels_in_difference():
+    # Each U is 1.96 u; the shared part cancels in the difference.
     first, second = (1.0, 5.0, None), (2.0, 5.0, None)
     assert en_score(first, second, 16.0) == pytest.approx(1.0 / (1.959964 * math.sqrt(18.0)))
     assert en_score(first, second) == pytest.approx(1.0 / (1.959964 * math.sqrt(50.0)))
 
 
-def of(given):
+def budget_of(given):
     """Return a result, and u and budget of its K_II."""
     qx = given.accelerometers["Qx"]
     return given, qx.coefficients["K_II"].u, qx.budget["K_II"]
 
 
-def line(source, u, sensitivity, total=1e-9, kind="stated"):
+def budget_line(source, u, sensitivity, total=1e-9, kind="stated"):
     part = abs(sensitivity * u)
     share = (part / total) ** 2
     return {
@@ -70,17 +70,17 @@ def line(source, u, sensitivity, total=1e-9, kind="stated"):
     }
 
 
-def test_what_nobody_states_is_the_same_in_all_results_of_an_instrument():
+def test_default_priors_are_shared_by_results_of_instrument():
     lines = [
-        line("K_OO", 2e-6, -3e-4, kind="unstated"),
-        line("centrifuge.stretch", 5e-9, 4e-2, kind="unstated"),
-        line("centrifuge.radius", 1e-5, -3e-5, kind="unstated"),
-        line("records.timing_offset", 1e-6, 1e-4, kind="unstated"),
-        line("fixture.misalignment.in.forward", 1e-5, 1e-5, kind="unstated"),
-        line("slow.platform.tilt.north", 1e-6, 1e-4, kind="unstated"),
-        line("slow.ripple1", 1e-6, 1e-4, kind="noise"),
+        budget_line("K_OO", 2e-6, -3e-4, kind="unstated"),
+        budget_line("centrifuge.stretch", 5e-9, 4e-2, kind="unstated"),
+        budget_line("centrifuge.radius", 1e-5, -3e-5, kind="unstated"),
+        budget_line("records.timing_offset", 1e-6, 1e-4, kind="unstated"),
+        budget_line("fixture.misalignment.in.forward", 1e-5, 1e-5, kind="unstated"),
+        budget_line("slow.platform.tilt.north", 1e-6, 1e-4, kind="unstated"),
+        budget_line("slow.ripple1", 1e-6, 1e-4, kind="noise"),
     ]
-    first = shared_sources(*of(result(budget={"K_II": lines})))
+    first = shared_sources(*budget_of(result(budget={"K_II": lines})))
     assert {source for source, _ in first} == {
         "K_OO",
         "centrifuge.stretch",
@@ -89,22 +89,22 @@ def test_what_nobody_states_is_the_same_in_all_results_of_an_instrument():
     }
     # (6e-10)^2 + (2e-10)^2 + (3e-10)^2 + (1e-10)^2 over (1e-9)^2.
     assert find_shared_inputs([1e-9, 1e-9], [first, first]).largest == pytest.approx(0.50)
-    # Taken at another size it is not known to be the same: less is then shared, never more.
-    lines[0] = line("K_OO", 1e-6, -3e-4, kind="unstated")
-    other = shared_sources(*of(result(budget={"K_II": lines})))
+    # Defaults of different sizes may differ: the shared part is then smaller, never larger.
+    lines[0] = budget_line("K_OO", 1e-6, -3e-4, kind="unstated")
+    other = shared_sources(*budget_of(result(budget={"K_II": lines})))
     assert find_shared_inputs([1e-9, 1e-9], [first, other]).largest == pytest.approx(0.14)
 
 
 LINES = [
-    line("centrifuge.radius", 1e-5, -6e-5),
-    line("K_I", 5e-6, 4e-5),
-    line("slow.platform.tilt.north", 1e-6, 1e-4),
+    budget_line("centrifuge.radius", 1e-5, -6e-5),
+    budget_line("K_I", 5e-6, 4e-5),
+    budget_line("slow.platform.tilt.north", 1e-6, 1e-4),
 ]
 
 
-def test_radius_and_priors_are_shared_and_what_belongs_to_a_run_is_not():
+def test_radius_and_priors_are_shared_but_not_run_inputs():
     given = result(budget={"K_II": LINES})
-    found = shared_sources(*of(given))
+    found = shared_sources(*budget_of(given))
     assert {source for source, _ in found} == {"centrifuge.radius", "K_I"}
     assert found["K_I", "5e-06"] == pytest.approx(2e-10)
     common = find_shared_inputs([1e-9, 1e-9], [found, found])
@@ -112,23 +112,26 @@ def test_radius_and_priors_are_shared_and_what_belongs_to_a_run_is_not():
     assert common.largest == pytest.approx(0.40)
     assert common.covariance[0, 0] == pytest.approx(1e-18)
     assert common.names == ("centrifuge.radius", "K_I")
-    # Another radius is another measurement.
+    # A different radius is a separate measurement.
     inputs = given.inputs.model_copy(update={"radius": 2.51})
-    other = shared_sources(*of(given.model_copy(update={"inputs": inputs})))
+    other = shared_sources(*budget_of(given.model_copy(update={"inputs": inputs})))
     assert find_shared_inputs([1e-9, 1e-9], [found, other]).names == ("K_I",)
     assert find_shared_inputs([1e-9, 1e-9], [found, {}]) is None
 
 
-def test_a_budget_of_another_uncertainty_says_nothing():
+def test_budget_of_different_uncertainty_is_ignored():
     small = {"K_II": coefficient(2.7e-5, 1e-10, "g/g^2")}
-    assert shared_sources(*of(result(coefficients=small, budget={"K_II": LINES}))) == {}
+    assert shared_sources(*budget_of(result(coefficients=small, budget={"K_II": LINES}))) == {}
 
 
-def test_terms_of_another_accelerometer_are_shared_if_it_is_the_same_one():
-    lines = [line("Qx.K_OO", 2e-6, -3e-4, kind="unstated"), line("slow.K_F", 1e-6, 1e-4)]
+def test_terms_of_same_other_accelerometer_are_shared():
+    lines = [
+        budget_line("Qx.K_OO", 2e-6, -3e-4, kind="unstated"),
+        budget_line("slow.K_F", 1e-6, 1e-4),
+    ]
     given = result(budget={"K_II": lines}, serial_number="Q-1")
-    found = shared_sources(*of(given))
+    found = shared_sources(*budget_of(given))
     assert found == {("Qx.K_OO", "2e-06 of Q-1"): pytest.approx(-6e-10)}
-    other = shared_sources(*of(result(budget={"K_II": lines}, serial_number="Q-2")))
+    other = shared_sources(*budget_of(result(budget={"K_II": lines}, serial_number="Q-2")))
     assert find_shared_inputs([1e-9, 1e-9], [found, found]).largest == pytest.approx(0.36)
     assert find_shared_inputs([1e-9, 1e-9], [found, other]) is None

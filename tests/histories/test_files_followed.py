@@ -1,4 +1,4 @@
-"""What is followed of a triad: its nine parameters, and what its results have in common."""
+"""History of a triad: its nine parameters and the inputs shared by its results."""
 
 import math
 
@@ -14,7 +14,7 @@ DATES = ("2024-03-01", "2025-03-01", "2026-03-01", "2027-03-01")
 MODEL = 'terms = ["K_F", "K_I", "delta_O", "delta_P"]'
 
 
-def made(folder, date, values, serials=("A", "B", "C"), model=MODEL):
+def write_triad_result(folder, date, values, serials=("A", "B", "C"), model=MODEL):
     """Write the result of a triad of three serial numbers, poses in the same directions."""
     head = triads.head(model=model).replace('"9.81 m/s^2"', '"9.81 ± 1e-3 m/s^2"')
     head = head.replace("schema = 1", f'schema = 1\ncampaign = {{ date = "{date}" }}')
@@ -27,19 +27,21 @@ def made(folder, date, values, serials=("A", "B", "C"), model=MODEL):
     return result
 
 
-def results(folder, **options):
+def write_results(folder, **options):
     generator = np.random.default_rng(11)
     values = triads.indications(triads.directions(24, generator))
     return [
-        made(folder, date, values + NOISE * generator.standard_normal(values.shape), **options)
+        write_triad_result(
+            folder, date, values + NOISE * generator.standard_normal(values.shape), **options
+        )
         for date in DATES
     ]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["offset", "sensitivity", "angle"])
-def test_nine_parameters_are_followed_with_what_nobody_states_in_common(tmp_path, kind):
-    found = results(tmp_path)
+def test_history_of_nine_parameters_has_shared_defaults(tmp_path, kind):
+    found = write_results(tmp_path)
     parameters = [name for name in found[0].triad.parameters if name.startswith(kind)]
     history = cs.history([tmp_path], term=kind)
     assert [one.serial_number for one in history.instruments] == (
@@ -68,8 +70,8 @@ def test_nine_parameters_are_followed_with_what_nobody_states_in_common(tmp_path
         assert "angle minus 90 deg" in str(history)
 
 
-def test_a_term_of_a_triad_has_the_others_terms_in_common(tmp_path):
-    found = results(tmp_path)
+def test_triad_results_share_terms_of_other_accelerometers(tmp_path):
+    found = write_results(tmp_path)
     (first, *_) = cs.history([tmp_path], term="K_F").instruments
     own = found[0].coefficient("X.K_F")
     common = math.hypot(own.u_stated, own.u_unstated)
@@ -77,11 +79,13 @@ def test_a_term_of_a_triad_has_the_others_terms_in_common(tmp_path):
     assert any(line.source.startswith(("Y.", "Z.")) for line in found[0].triad.budget["offset.X"])
 
 
-def test_a_budget_says_by_what_a_parameter_moves(tmp_path):
+def test_budget_sensitivity_matches_change_of_parameter(tmp_path):
     along = triads.directions(24, np.random.default_rng(12))
     delta = 1e-5
-    plain = made(tmp_path, DATES[0], triads.indications(along))
-    moved = made(tmp_path, DATES[1], triads.indications(along, squares=(0.0, delta, 0.0)))
+    plain = write_triad_result(tmp_path, DATES[0], triads.indications(along))
+    moved = write_triad_result(
+        tmp_path, DATES[1], triads.indications(along, squares=(0.0, delta, 0.0))
+    )
     for name, parameter in plain.triad.parameters.items():
         lines = plain.triad.budget[name]
         assert sum(one.contribution**2 for one in lines) == pytest.approx(parameter.u**2)
@@ -91,8 +95,10 @@ def test_a_budget_says_by_what_a_parameter_moves(tmp_path):
     assert abs(plain.triad.parameters["offset.Y"].value - triads.BIAS[1]) < 1e-6
 
 
-def test_what_cannot_be_followed_is_said(tmp_path):
-    made(tmp_path, DATES[0], triads.indications(triads.directions(24, np.random.default_rng(3))))
+def test_result_without_parameter_is_reported(tmp_path):
+    write_triad_result(
+        tmp_path, DATES[0], triads.indications(triads.directions(24, np.random.default_rng(3)))
+    )
     result = cs.read_result(tmp_path / f"{DATES[0]}.json")
     alone = result.model_copy(update={"triad": None, "details": {"date": DATES[1]}})
     (left, *_) = cs.history([tmp_path, alone], term="angle").left_out
@@ -101,9 +107,9 @@ def test_what_cannot_be_followed_is_said(tmp_path):
         cs.history([alone], term="angle")
 
 
-def test_an_angle_needs_both_serial_numbers_or_the_campaigns(tmp_path):
+def test_angle_requires_both_serial_numbers_or_campaign_number(tmp_path):
     values = triads.indications(triads.directions(24, np.random.default_rng(3)))
-    result = made(tmp_path, DATES[0], values, serials=("A", "B", None))
+    result = write_triad_result(tmp_path, DATES[0], values, serials=("A", "B", None))
     history = cs.history([tmp_path], term="angle")
     assert [one.serial_number for one in history.instruments] == ["A B"]
     assert {left.accelerometer for left in history.left_out} == {"X, Z", "Y, Z"}

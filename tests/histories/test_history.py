@@ -1,4 +1,4 @@
-"""Results of instruments over time: which files count, what they say together, what is told."""
+"""Histories of instruments: included files, verdicts and display."""
 
 import json
 import math
@@ -28,17 +28,17 @@ DATES = ("2022-03-01", "2023-03-01", "2024-03-01", "2025-03-01", "2026-03-01")
 U = 5e-8
 
 
-def stored(folder, **results):
+def write_results(folder, **results):
     folder.mkdir(parents=True, exist_ok=True)
     for name, document in results.items():
         text = document if isinstance(document, str) else json.dumps(document)
-        # A lone surrogate becomes a byte that is no UTF-8.
+        # A lone surrogate becomes a byte that is not UTF-8.
         (folder / f"{name}.json").write_text(text, encoding="utf-8", errors="surrogateescape")
     return folder
 
 
-def series(folder, values, dates=DATES, **options):
-    return stored(
+def write_series(folder, values, dates=DATES, **options):
+    return write_results(
         folder,
         **{
             f"r{i}": dated(v, d, **options)
@@ -47,17 +47,17 @@ def series(folder, values, dates=DATES, **options):
     )
 
 
-def only(found):
+def only_instrument(found):
     assert len(found.instruments) == 1
     return found.instruments[0]
 
 
-# What the results say
+# Verdicts
 
 
-def test_results_are_in_order_with_their_differences(tmp_path):
-    folder = series(tmp_path, [2.71e-5, 2.70e-5, 2.72e-5], DATES[:3][::-1])
-    found = only(history([folder]))
+def test_results_are_sorted_by_date_with_differences(tmp_path):
+    folder = write_series(tmp_path, [2.71e-5, 2.70e-5, 2.72e-5], DATES[:3][::-1])
+    found = only_instrument(history([folder]))
     assert [point.date for point in found.points] == list(DATES[:3])
     assert [Path(point.file).name for point in found.points] == ["r2.json", "r1.json", "r0.json"]
     assert found.mean == pytest.approx(2.71e-5)
@@ -71,7 +71,9 @@ def test_results_are_in_order_with_their_differences(tmp_path):
 
 
 def test_drift_is_per_year(tmp_path):
-    found = only(history([series(tmp_path, [2.70e-5 + 1e-7 * i for i in range(5)])]))
+    found = only_instrument(
+        history([write_series(tmp_path, [2.70e-5 + 1e-7 * i for i in range(5)])])
+    )
     # Leap years make calendar years differ from 365.25 days by 0.3 % at most.
     assert found.drift.value == pytest.approx(1e-7, rel=0.003)
     assert found.drift.level == pytest.approx(2.72e-5, rel=1e-5)
@@ -92,49 +94,49 @@ def test_drift_is_per_year(tmp_path):
         ([0, 6, 0, 6, 0], "disagree", "a steady drift does not explain the scatter"),
     ],
 )
-def test_verdicts(tmp_path, shifts, verdict, words):
-    found = history([series(tmp_path, [2.7e-5 + U * shift for shift in shifts])])
-    assert only(found).verdict == verdict
+def test_verdict_follows_from_shifts(tmp_path, shifts, verdict, words):
+    found = history([write_series(tmp_path, [2.7e-5 + U * shift for shift in shifts])])
+    assert only_instrument(found).verdict == verdict
     told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
     assert words in told
 
 
-def test_results_of_one_date(tmp_path):
-    found = only(history([series(tmp_path, [2.7e-5, 2.75e-5], [DATES[0]] * 2)]))
+def test_results_of_one_date_have_no_drift(tmp_path):
+    found = only_instrument(history([write_series(tmp_path, [2.7e-5, 2.75e-5], [DATES[0]] * 2)]))
     assert found.drift is None
     assert found.verdict == "disagree"
 
 
-def test_false_alarms_are_as_rare_as_stated(tmp_path):
-    """Over trials, a constant instrument is called anything else in about 1 % for each test."""
+def test_false_alarm_rate_is_as_stated(tmp_path):
+    """In about 1 % of the trials for each test, a constant instrument gets another verdict."""
     rng = np.random.default_rng(6)
     trials = 60
     alarms = 0
     for trial in range(trials):
-        folder = series(tmp_path / str(trial), 2.7e-5 + rng.normal(0.0, U, 4), DATES[:4])
-        alarms += only(history([folder])).verdict != "constant"
+        folder = write_series(tmp_path / str(trial), 2.7e-5 + rng.normal(0.0, U, 4), DATES[:4])
+        alarms += only_instrument(history([folder])).verdict != "constant"
     # Two tests of 1 % each: at most 2 % expected; more than 7 of 60 has probability below 1e-4.
     assert alarms <= 7
 
 
-def test_gravity_of_other_sites_is_converted(tmp_path):
+def test_values_of_other_sites_are_converted_to_latest_gravity(tmp_path):
     there = dated(2.7e-5, "2023-03-01") | {"inputs": FROZEN_RESULT["inputs"] | {"gravity": 9.78}}
     here = dated(2.7e-5, "2024-03-01") | {"inputs": FROZEN_RESULT["inputs"] | {"gravity": 9.83}}
-    folder = stored(tmp_path, there=there, here=here)
+    folder = write_results(tmp_path, there=there, here=here)
     found = history([folder])
     assert found.gravity == 9.83
     assert found.converted
     # K_II in SI is K_II/g: the same sensor has a larger number where g is larger.
-    assert only(found).points[0].value == pytest.approx(2.7e-5 * 9.83 / 9.78, rel=1e-12)
-    assert only(found).points[1].value == 2.7e-5
-    bias = only(history([folder], term="K_F")).points[0]
+    assert only_instrument(found).points[0].value == pytest.approx(2.7e-5 * 9.83 / 9.78, rel=1e-12)
+    assert only_instrument(found).points[1].value == 2.7e-5
+    bias = only_instrument(history([folder], term="K_F")).points[0]
     stated = FROZEN_RESULT["accelerometers"]["Qx"]["coefficients"]["K_F"]["value"]
     assert bias.value == pytest.approx(stated * 9.78 / 9.83, rel=1e-12)
     told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
     assert "g = 9.83 m/s^2" in told
 
 
-# Which files count
+# Included files
 
 
 def test_frozen_results_of_every_schema_are_read():
@@ -151,20 +153,22 @@ def test_frozen_results_of_every_schema_are_read():
     assert "(of the campaign)" in str(list(history_blocks(found)))
 
 
-def test_instruments_are_kept_apart(tmp_path):
-    series(tmp_path / "a", [2.7e-5, 2.7e-5], serial="A")
-    series(tmp_path / "deep" / "b", [3.1e-5, 3.1e-5, 3.1e-5], serial="B")
+def test_results_are_grouped_by_serial_number(tmp_path):
+    write_series(tmp_path / "a", [2.7e-5, 2.7e-5], serial="A")
+    write_series(tmp_path / "deep" / "b", [3.1e-5, 3.1e-5, 3.1e-5], serial="B")
     found = history([tmp_path])
     assert [(i.serial_number, len(i.points)) for i in found.instruments] == [("A", 2), ("B", 3)]
-    assert only(history([tmp_path], serial="B")).mean == pytest.approx(3.1e-5)
-    assert only(history([tmp_path / "a", tmp_path / "a" / "r0.json"])).serial_number == "A"
+    assert only_instrument(history([tmp_path], serial="B")).mean == pytest.approx(3.1e-5)
+    assert (
+        only_instrument(history([tmp_path / "a", tmp_path / "a" / "r0.json"])).serial_number == "A"
+    )
     with raises("no-results", '"C"', "A, B"):
         history([tmp_path], serial="C")
 
 
-def test_a_campaign_s_serial_number_chooses_its_accelerometers():
+def test_campaign_serial_number_selects_its_accelerometers():
     assert len(history([FROZEN], serial="P-7").instruments) == 2
-    assert only(history([FROZEN], serial="P-7 Qy")).points[0].accelerometer == "Qy"
+    assert only_instrument(history([FROZEN], serial="P-7 Qy")).points[0].accelerometer == "Qy"
 
 
 def without_estimate():
@@ -185,11 +189,11 @@ def contradicted(**more):
     return made
 
 
-def test_a_misfit_that_was_accepted_has_its_place(tmp_path):
+def test_accepted_misfit_is_included(tmp_path):
     accepted = contradicted(state="contradicted", accepted_misfit="known play of the arm")
     accepted["accelerometers"]["Qx"] |= {"state": "contradicted"}
-    found = history([stored(tmp_path, good=dated(run="1"), other=accepted)])
-    assert len(only(found).points) == 2
+    found = history([write_results(tmp_path, good=dated(run="1"), other=accepted)])
+    assert len(only_instrument(found).points) == 2
 
 
 @pytest.mark.parametrize(
@@ -207,10 +211,10 @@ def test_a_misfit_that_was_accepted_has_its_place(tmp_path):
         ({"schema": 1, "campaigns": {}}, "is a summary of several campaigns"),
     ],
 )
-def test_what_has_no_place_is_told(tmp_path, document, reason):
-    folder = stored(tmp_path, good=dated(run="same"), other=document)
+def test_excluded_result_has_reason(tmp_path, document, reason):
+    folder = write_results(tmp_path, good=dated(run="same"), other=document)
     found = history([folder])
-    assert [Path(p.file).name for p in only(found).points] == ["good.json"]
+    assert [Path(p.file).name for p in only_instrument(found).points] == ["good.json"]
     (left,) = found.left_out
     assert Path(left.file).name == "other.json"
     assert reason in left.reason
@@ -219,45 +223,45 @@ def test_what_has_no_place_is_told(tmp_path, document, reason):
     assert reason in told
 
 
-def test_joint_goes_before_two_stage_of_the_same_records(tmp_path):
-    stored(tmp_path, a=dated(2.8e-5, run="x", method="two-stage"), b=dated(2.7e-5, run="x"))
-    assert [p.method for p in only(history([tmp_path])).points] == ["joint"]
+def test_joint_result_replaces_two_stage_of_same_records(tmp_path):
+    write_results(tmp_path, a=dated(2.8e-5, run="x", method="two-stage"), b=dated(2.7e-5, run="x"))
+    assert [p.method for p in only_instrument(history([tmp_path])).points] == ["joint"]
 
 
-def test_copies_count_once(tmp_path):
-    folder = stored(tmp_path, a=dated(), b=dated())
+def test_copies_are_counted_once(tmp_path):
+    folder = write_results(tmp_path, a=dated(), b=dated())
     found = history([folder, folder / "a.json"])
-    assert len(only(found).points) == 1
+    assert len(only_instrument(found).points) == 1
     (left,) = found.left_out
     assert left.reason == f"this file is the same as {folder / 'a.json'}"
 
 
-def test_shared_records_are_told(tmp_path):
+def test_shared_records_are_reported(tmp_path):
     first, second = dated(2.7e-5, DATES[0]), dated(2.71e-5, DATES[1])
     for document, own in ((first, "b"), (second, "c")):
         document["provenance"]["inputs"] = {"1.csv": "sha256:a", "2.csv": f"sha256:{own}"}
-    found = history([stored(tmp_path, first=sealed(first), second=sealed(second))])
-    assert len(only(found).points) == 2
+    found = history([write_results(tmp_path, first=sealed(first), second=sealed(second))])
+    assert len(only_instrument(found).points) == 2
     (note,) = found.notes
     assert "second.json shares 1 of 2 records with" in note
 
 
 def test_missing_seals_are_reported(tmp_path):
-    folder = stored(tmp_path, a=sealed(dated(2.71e-5, DATES[0])), b=dated(2.7e-5, DATES[1]))
+    folder = write_results(tmp_path, a=sealed(dated(2.71e-5, DATES[0])), b=dated(2.7e-5, DATES[1]))
     (note,) = history([folder]).notes
     assert note.startswith(f"The file of {folder / 'b.json'} has no seal")
-    stored(tmp_path, **{f"c{n}": dated(2.7e-5 + 1e-8 * n, DATES[2]) for n in range(6)})
+    write_results(tmp_path, **{f"c{n}": dated(2.7e-5 + 1e-8 * n, DATES[2]) for n in range(6)})
     (note,) = history([folder]).notes
     assert note.startswith(f"7 files have no seal ({folder / 'b.json'}, {folder / 'c0.json'}, ")
     assert "c4.json" not in note
 
 
-def test_other_json_files_are_passed_over(tmp_path):
-    folder = stored(tmp_path, good=dated(), plan={"schema": 1, "runs": []}, numbers=[1, 2])
+def test_other_json_files_are_skipped(tmp_path):
+    folder = write_results(tmp_path, good=dated(), plan={"schema": 1, "runs": []}, numbers=[1, 2])
     found = history([folder])
     assert [Path(name).name for name in found.passed_over] == ["numbers.json", "plan.json"]
     assert found.damaged == []
-    # One that is named is meant as a result.
+    # A file given by name must be a result.
     assert len(history([folder / "good.json", folder / "plan.json"]).damaged) == 1
 
 
@@ -277,10 +281,10 @@ def test_other_json_files_are_passed_over(tmp_path):
     ],
     ids=["cut", "empty", "deep", "newer", "negative", "bytes", "twice"],
 )
-def test_a_damaged_file_stops_no_other(tmp_path, text, words, capsys):
-    folder = stored(tmp_path, good=dated(), bad=text)
+def test_damaged_file_does_not_stop_history(tmp_path, text, words, capsys):
+    folder = write_results(tmp_path, good=dated(), bad=text)
     found = history([folder])
-    assert len(only(found).points) == 1
+    assert len(only_instrument(found).points) == 1
     (damaged,) = found.damaged
     assert words in damaged.reason
     kept = tmp_path / "kept.txt"
@@ -292,15 +296,15 @@ def test_a_damaged_file_stops_no_other(tmp_path, text, words, capsys):
     assert History.read(kept).damaged[0].file.endswith("bad.json")
 
 
-def test_nothing_to_show_says_why(tmp_path):
+def test_empty_history_states_cause(tmp_path):
     with pytest.raises(CounterspinError, match=r"no results in .*`write_result`"):
         history([tmp_path])
-    stored(tmp_path, a=dated(date=None))
+    write_results(tmp_path, a=dated(date=None))
     with raises("no-results", "Qx of", "a.json:"):
         history([tmp_path])
 
 
-def test_wrong_usage(tmp_path, capsys):
+def test_wrong_usage_exits_with_2(tmp_path, capsys):
     assert main(["history"]) == 2
     assert "give result files, or folders" in capsys.readouterr().err
     assert main(["history", str(tmp_path / "x"), str(tmp_path / "y")]) == 2
@@ -309,7 +313,7 @@ def test_wrong_usage(tmp_path, capsys):
     assert told.count("file not found") == 2
     assert main(["history", str(tmp_path / "x")]) == 2
     assert capsys.readouterr().err == f"counterspin: {tmp_path / 'x'}: file not found\n"
-    stored(tmp_path, a=dated())
+    write_results(tmp_path, a=dated())
     for term, words in (
         ("K_IV", "unknown term"),
         ("platform.tilt.up", "is a machine term"),
@@ -320,23 +324,26 @@ def test_wrong_usage(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("term", ["K_F", "K_III"])
-def test_other_terms(tmp_path, term):
-    found = history([stored(tmp_path, a=dated())], term=term)
+def test_history_of_other_term(tmp_path, term):
+    found = history([write_results(tmp_path, a=dated())], term=term)
     stated = FROZEN_RESULT["accelerometers"]["Qx"]["coefficients"][term]
-    assert (only(found).points[0].value, found.unit) == (stated["value"], TERMS[term].unit)
+    assert (only_instrument(found).points[0].value, found.unit) == (
+        stated["value"],
+        TERMS[term].unit,
+    )
 
 
-def test_a_date_with_a_zone_is_brought_to_utc(tmp_path):
-    folder = stored(tmp_path, a=dated(date="2026-03-01T01:00:00+02:00"))
-    assert only(history([folder])).points[0].date == "2026-02-28T23:00:00"
+def test_date_with_time_zone_is_converted_to_utc(tmp_path):
+    folder = write_results(tmp_path, a=dated(date="2026-03-01T01:00:00+02:00"))
+    assert only_instrument(history([folder])).points[0].date == "2026-02-28T23:00:00"
 
 
-# What is shown
+# Display
 
 
 def test_control_plot_shows_results_mean_and_drift(tmp_path):
-    found = history([series(tmp_path, [2.70e-5 + 1e-7 * i for i in range(5)])])
-    mean, centre, *limits, drift, results = control_plot(found, only(found)).series
+    found = history([write_series(tmp_path, [2.70e-5 + 1e-7 * i for i in range(5)])])
+    mean, centre, *limits, drift, results = control_plot(found, only_instrument(found)).series
     assert centre.y == pytest.approx((27.2, 27.2))
     # Each change is 0.1: two and three times 0.1/1.1284 from the centre.
     away = [2.0, -2.0, 3.0, -3.0]
@@ -346,7 +353,7 @@ def test_control_plot_shows_results_mean_and_drift(tmp_path):
     assert results.kind == "points"
     assert results.y == pytest.approx([27.0, 27.1, 27.2, 27.3, 27.4])
     assert results.high[0] - results.low[0] == pytest.approx(2 * 1.959963984540054 * U * 1e6)
-    dates = np.array([point.date for point in only(found).points], dtype="datetime64[D]")
+    dates = np.array([point.date for point in only_instrument(found).points], dtype="datetime64[D]")
     assert results.x == tuple(dates.astype(float))
     assert mean.y == pytest.approx((27.2, 27.2))
     assert drift.y == pytest.approx((27.0, 27.4), abs=1e-3)
@@ -354,16 +361,16 @@ def test_control_plot_shows_results_mean_and_drift(tmp_path):
     assert any(isinstance(block, Plot) for block in history_blocks(found))
 
 
-def test_of_two_results_the_limits_are_those_of_their_uncertainties(tmp_path):
-    found = history([series(tmp_path, [2.70e-5, 2.71e-5])])
-    _, upper, lower, _ = control_plot(found, only(found)).series
-    # Three standard uncertainties of a result less the mean of two, of which it is one.
+def test_limits_of_two_results_follow_from_their_uncertainties(tmp_path):
+    found = history([write_series(tmp_path, [2.70e-5, 2.71e-5])])
+    _, upper, lower, _ = control_plot(found, only_instrument(found)).series
+    # Three standard uncertainties of the difference from the mean of both results.
     limit = 3e6 * U * math.sqrt(1 - 1 / 2)
     assert upper.y == pytest.approx([27.05 + limit] * 2)
     assert lower.y == pytest.approx([27.05 - limit] * 2)
 
 
-def with_limits(document, low=-2.9e-5, high=2.75e-5, laboratory=None):
+def add_limits(document, low=-2.9e-5, high=2.75e-5, laboratory=None):
     """Return a result with a specification, and the laboratory that it comes from."""
     document["accelerometers"]["Qx"]["conformity"] = {
         "K_II": {
@@ -383,17 +390,16 @@ def with_limits(document, low=-2.9e-5, high=2.75e-5, laboratory=None):
     return document
 
 
-def test_a_drift_to_the_limit_sets_the_due_date(tmp_path):
+def test_drift_towards_limit_sets_due_date(tmp_path):
     documents = {
-        f"r{i}": with_limits(dated(2.70e-5 + 5e-8 * i, date, u=1e-8))
-        for i, date in enumerate(DATES)
+        f"r{i}": add_limits(dated(2.70e-5 + 5e-8 * i, date, u=1e-8)) for i, date in enumerate(DATES)
     }
-    found = history([stored(tmp_path, **documents)])
-    instrument = only(found)
+    found = history([write_results(tmp_path, **documents)])
+    instrument = only_instrument(found)
     assert (instrument.specification.high, instrument.verdict) == (2.75e-5, "drifts")
     # 27.2 in March 2026, at 0.05 a year: six years less what is uncertain.
     assert instrument.due.date.startswith("2031")
-    longer = only(history([tmp_path], reliability=0.999)).due.date
+    longer = only_instrument(history([tmp_path], reliability=0.999)).due.date
     assert longer < instrument.due.date
     told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
     assert (
@@ -406,48 +412,48 @@ def test_a_drift_to_the_limit_sets_the_due_date(tmp_path):
         history([tmp_path], reliability=0.4)
 
 
-def test_without_a_specification_or_with_a_jump_there_is_no_due_date(tmp_path):
+def test_no_due_date_without_specification_or_after_jump(tmp_path):
     assert (
         "none of the results states a spec"
-        in only(history([series(tmp_path / "a", [2.7e-5])])).due.reason
+        in only_instrument(history([write_series(tmp_path / "a", [2.7e-5])])).due.reason
     )
     jump = {
-        f"r{i}": with_limits(dated(2.70e-5 + shift * U, date))
+        f"r{i}": add_limits(dated(2.70e-5 + shift * U, date))
         for i, (shift, date) in enumerate(zip([0, 0, 0, 0, 8], DATES, strict=True))
     }
-    found = history([stored(tmp_path / "b", **jump)])
-    assert "are not consistent with a straight line" in only(found).due.reason
+    found = history([write_results(tmp_path / "b", **jump)])
+    assert "are not consistent with a straight line" in only_instrument(found).due.reason
 
 
 def test_laboratories_are_compared(tmp_path):
     values = [("A", 2.70e-5), ("B", 2.72e-5), ("A", 2.70e-5), ("B", 2.74e-5)]
     documents = {
-        f"r{i}": with_limits(dated(value, DATES[i]), laboratory=name)
+        f"r{i}": add_limits(dated(value, DATES[i]), laboratory=name)
         for i, (name, value) in enumerate(values)
     }
-    found = history([stored(tmp_path, **documents)])
-    (pair,) = only(found).laboratories
+    found = history([write_results(tmp_path, **documents)])
+    (pair,) = only_instrument(found).laboratories
     assert (pair.first, pair.second) == ("A", "B")
     assert pair.difference == pytest.approx(3e-7)
-    # Each mean has u over the root of two: U of the difference is 1.96 u (ISO 13528:2015, 9.7).
+    # Each mean has u over sqrt(2): U of the difference is 1.96 u (ISO 13528:2015, 9.7).
     assert pair.e_n == pytest.approx(3e-7 / (1.959964 * U), rel=1e-6)
     told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
     assert "B minus A = 0.3 ug/g^2, E_n = 3.06; the results differ significantly." in told
 
 
-def test_what_is_beyond_the_limits_is_named(tmp_path):
+def test_result_beyond_action_limits_is_named(tmp_path):
     dates = [f"{year}-03-01" for year in range(2000, 2021)]
     shifts = [0, 1] * 8 + [30] + [0, 1] * 2
-    found = history([series(tmp_path, [2.7e-5 + 1e-8 * s for s in shifts], dates)])
-    (beyond,) = only(found).control.beyond
+    found = history([write_series(tmp_path, [2.7e-5 + 1e-8 * s for s in shifts], dates)])
+    (beyond,) = only_instrument(found).control.beyond
     assert beyond.endswith("r16.json")
     told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
     assert f"The process is out of control: {beyond} is outside the action limits;" in told
 
 
-def test_figure_has_a_chart_for_each_instrument_and_repeats_itself(tmp_path):
-    series(tmp_path / "a", [2.7e-5, 2.71e-5, 2.69e-5], serial="A")
-    series(tmp_path / "b", [3.1e-5], serial="B")
+def test_figure_has_chart_per_instrument_and_is_reproducible(tmp_path):
+    write_series(tmp_path / "a", [2.7e-5, 2.71e-5, 2.69e-5], serial="A")
+    write_series(tmp_path / "b", [3.1e-5], serial="B")
     found = history([tmp_path])
     for name in ("one.svg", "two.svg"):
         save_figure(history_plots(found), tmp_path / name)
@@ -458,22 +464,22 @@ def test_figure_has_a_chart_for_each_instrument_and_repeats_itself(tmp_path):
     assert "K_II, µg/g²" in drawn
 
 
-def test_the_axis_of_the_figure_has_whole_numbers(tmp_path):
-    series(tmp_path, [2.7e-5, 2.70001e-5], u=1e-11)
+def test_figure_axis_has_no_offset(tmp_path):
+    write_series(tmp_path, [2.7e-5, 2.70001e-5], u=1e-11)
     save_figure(history_plots(history([tmp_path])), tmp_path / "one.svg")
     # Not 0.0001, with 27 above the axis.
     assert ">27.0001" in (tmp_path / "one.svg").read_text("utf-8")
 
 
-def test_names_in_the_figure_are_letters_and_no_formulas(tmp_path):
+def test_names_in_figure_are_not_formulas(tmp_path):
     serial = r"A$\frac$ 日<b>"
-    series(tmp_path / "a", [2.7e-5, 2.71e-5], serial=serial)
+    write_series(tmp_path / "a", [2.7e-5, 2.71e-5], serial=serial)
     save_figure(history_plots(history([tmp_path / "a"])), tmp_path / "one.svg")
     assert r"K_II of A$\frac$ 日&lt;b&gt;" in (tmp_path / "one.svg").read_text("utf-8")
 
 
-def test_command_writes_what_it_shows(tmp_path, capsys):
-    folder = series(tmp_path / "results", [2.7e-5, 2.71e-5, 2.69e-5])
+def test_command_prints_and_writes_history(tmp_path, capsys):
+    folder = write_series(tmp_path / "results", [2.7e-5, 2.71e-5, 2.69e-5])
     chart, kept = tmp_path / "chart.svg", tmp_path / "history.json"
     words = ["history", str(folder), "--figure", str(chart), "--json", str(kept)]
     assert main(words) == 0
@@ -484,12 +490,12 @@ def test_command_writes_what_it_shows(tmp_path, capsys):
     assert chart.read_text("utf-8").startswith("<?xml")
     written = history_result.History.model_validate_json(kept.read_text("utf-8"))
     assert written == history([folder])
-    # Its own output is no result of an instrument.
+    # The output of the command is not a result of an instrument.
     assert main(["history", str(tmp_path)]) == 0
 
 
-def test_unwritable_target_leaves_nothing(tmp_path, capsys):
-    folder = series(tmp_path / "results", [2.7e-5])
+def test_unwritable_target_leaves_no_file(tmp_path, capsys):
+    folder = write_series(tmp_path / "results", [2.7e-5])
     assert main(["history", str(folder), "--json", str(tmp_path / "no" / "h.json")]) == 1
     assert "cannot be written" in capsys.readouterr().err
     assert main(["history", str(folder), "--figure", str(tmp_path / "h.gif")]) == 1
@@ -502,31 +508,31 @@ def test_unwritable_target_leaves_nothing(tmp_path, capsys):
 # The page
 
 
-def test_page_explains_every_verdict():
+def test_documentation_explains_all_verdicts():
     page = (ROOT / "docs" / "history.md").read_text(encoding="utf-8")
     verdicts = history_result.Verdict.__args__
     assert all(f"| `{verdict}` |" in page for verdict in verdicts)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes among the files here")
-def test_hidden_files_and_pipes_are_no_results(tmp_path):
-    folder = stored(tmp_path, good=dated(), **{".tmpx1y2": dated(2.6e-5)})
-    stored(tmp_path / ".git", index=dated(2.5e-5))
+def test_hidden_files_and_pipes_are_skipped(tmp_path):
+    folder = write_results(tmp_path, good=dated(), **{".tmpx1y2": dated(2.6e-5)})
+    write_results(tmp_path / ".git", index=dated(2.5e-5))
     os.mkfifo(folder / "pipe.json")
     found = history([folder])
-    assert len(only(found).points) == 1
+    assert len(only_instrument(found).points) == 1
     (hidden,) = found.left_out
     assert hidden.file.endswith(".tmpx1y2.json")
     assert "hidden file is a remainder of an interrupted command" in hidden.reason
     (pipe,) = found.damaged
     assert "this is a pipe, not a file" in pipe.reason
-    # One that is named is meant as a result.
-    assert len(only(history([folder / ".tmpx1y2.json"])).points) == 1
+    # A file given by name must be a result.
+    assert len(only_instrument(history([folder / ".tmpx1y2.json"])).points) == 1
 
 
-def test_results_count_as_their_files(tmp_path):
+def test_result_objects_match_their_files(tmp_path):
     values = [2.7e-5, 2.71e-5, 2.72e-5]
-    folder = series(tmp_path / "results", values, dates=DATES[:3])
+    folder = write_series(tmp_path / "results", values, dates=DATES[:3])
     of_files = history([folder])
     results = [Result.read(file) for file in sorted(folder.glob("*.json"))]
     in_memory = history(results)

@@ -1,4 +1,4 @@
-"""A small campaign whose runs say how long they last, and its records as files."""
+"""Fixtures of a small campaign with stated durations, and its records as files."""
 
 import shutil
 
@@ -9,7 +9,7 @@ import counterspin as cs
 
 
 @pytest.fixture(scope="session")
-def made(tmp_path_factory):
+def campaign_files(tmp_path_factory):
     document = frames.small()
     del document["accelerometers"]["Qy"], document["truth"]["Qy"]
     document["simulation"]["revolutions"] = 15
@@ -19,5 +19,5 @@ def made(tmp_path_factory):
 
 
 @pytest.fixture
-def folder(made, tmp_path):
-    return shutil.copytree(made, tmp_path / "campaign")
+def folder(campaign_files, tmp_path):
+    return shutil.copytree(campaign_files, tmp_path / "campaign")

@@ -1,4 +1,4 @@
-"""One record, judged: what is seen of it, what is said, and the u that it brings."""
+"""The check of a record: its faults, its remarks and the uncertainty that it gives."""
 
 import polars as pl
 import pytest
@@ -9,14 +9,14 @@ from counterspin.cli import main
 from counterspin.errors import CampaignError, RecordError
 
 
-def changed(file, **columns):
+def change_record(file, **columns):
     frame = pl.read_csv(file)
     frame.with_columns(**{name: make(frame[name]) for name, make in columns.items()}).write_csv(
         file
     )
 
 
-def test_a_good_run_is_told_so(folder):
+def test_good_run_has_no_remark(folder):
     checked = cs.check(folder / "slow.csv", folder)
     run = checked.run
     assert (checked.good, checked.remarks, checked.why_not) == (True, [], None)
@@ -32,7 +32,7 @@ def test_a_good_run_is_told_so(folder):
     assert expected.u == pytest.approx(result.u, rel=1e-3)
 
 
-def test_what_the_whole_campaign_will_know_is_known_from_the_first_run(folder):
+def test_first_run_predicts_uncertainty_of_whole_campaign(folder):
     result = cs.calibrate(folder).coefficient("Qx.K_II")
     for name in ("middle", "fast"):
         (folder / f"{name}.csv").unlink()
@@ -42,8 +42,8 @@ def test_what_the_whole_campaign_will_know_is_known_from_the_first_run(folder):
     assert checked.expected[0].u == pytest.approx(result.u, rel=1e-3)
 
 
-def test_other_noise_is_seen(folder):
-    changed(
+def test_excess_noise_is_reported(folder):
+    change_record(
         folder / "fast.csv", east_m=lambda x: x + 0.03 * (-1.0) ** pl.arange(len(x), eager=True)
     )
     checked = cs.check(folder / "fast.csv", folder)
@@ -52,15 +52,15 @@ def test_other_noise_is_seen(folder):
     assert any("as large as expected from the stated noise" in text for text in checked.remarks)
 
 
-def clock(factor):
+def scale_time(factor):
     return lambda frame: frame.with_columns(pl.col("time_s") * factor)
 
 
-def first(part):
+def keep_first(part):
     return lambda frame: frame.head(int(part * len(frame)))
 
 
-def spikes(part):
+def add_spikes(part):
     row = pl.int_range(pl.len())
     spike = pl.when(row % int(1.0 / part) == 1).then(2.0 - 4.0 * (row % 2)).otherwise(0.0)
     return lambda frame: frame.with_columns(east_m=pl.col("east_m") + spike)
@@ -69,22 +69,22 @@ def spikes(part):
 @pytest.mark.parametrize(
     ("change", "wrong"),
     [
-        (clock(1.0008), None),
-        (clock(1.0012), "instead of the nominal"),
-        (first(0.91), None),
-        (first(0.89), "instead of the stated"),
-        (spikes(0.04), None),
-        (spikes(0.0625), "samples are outliers"),
+        (scale_time(1.0008), None),
+        (scale_time(1.0012), "instead of the nominal"),
+        (keep_first(0.91), None),
+        (keep_first(0.89), "instead of the stated"),
+        (add_spikes(0.04), None),
+        (add_spikes(0.0625), "samples are outliers"),
     ],
 )
-def test_what_the_page_says_makes_a_run_unfit(folder, change, wrong):
+def test_documented_faults_make_run_unfit(folder, change, wrong):
     change(pl.read_csv(folder / "slow.csv")).write_csv(folder / "slow.csv")
     told = " ".join(cs.check(folder / "slow.csv", folder).remarks)
     for words in ("instead of the nominal", "instead of the stated", "samples are outliers"):
         assert (words in told) == (words == wrong), told
 
 
-def test_what_cannot_be_read_is_said_of_the_run(folder):
+def test_unreadable_record_fails_run(folder):
     (folder / "slow.csv").write_text("time_s,angle_rad,east_m\n0,0,0\n1,x,0\n")
     checked = cs.check(folder / "slow.csv", folder)
     assert (checked.good, checked.run.state) == (False, "failed")
@@ -92,7 +92,7 @@ def test_what_cannot_be_read_is_said_of_the_run(folder):
     assert checked.reached == []
 
 
-def test_frames_and_other_files_are_judged_too(folder, tmp_path):
+def test_frame_and_other_file_can_be_checked(folder, tmp_path):
     frame = pl.read_csv(folder / "slow.csv")
     by_file = cs.check(folder / "slow.csv", folder)
     in_memory = cs.check(frame, folder, run="slow")
@@ -108,8 +108,8 @@ def test_frames_and_other_files_are_judged_too(folder, tmp_path):
         cs.check(tmp_path / "nowhere.csv", folder)
 
 
-def test_a_file_is_judged_in_the_place_of_its_run_s(folder, tmp_path):
-    """In a campaign that has no file yet, and where it is another than the campaign's own."""
+def test_given_file_replaces_record_of_run(folder, tmp_path):
+    """In a campaign without records, and in one with another file for the run."""
     bare = tmp_path / "bare"
     bare.mkdir()
     (bare / "campaign.toml").write_text((folder / "campaign.toml").read_text("utf-8"), "utf-8")
@@ -121,7 +121,7 @@ def test_a_file_is_judged_in_the_place_of_its_run_s(folder, tmp_path):
     assert half.run.rows == len(lines) // 2 - 1 < whole.run.rows
 
 
-def test_the_command_says_all_of_it(folder, tmp_path, capsys):
+def test_command_prints_and_writes_check(folder, tmp_path, capsys):
     words = ["check", str(folder / "slow.csv"), "--campaign", str(folder)]
     assert main([*words, "--json", str(tmp_path / "c.json")]) == 0
     told = capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""One record on an arm or at rest, checked: its rotation, its mean, and what it adds."""
+"""The check of a record on an arm or at rest: its rate, mean and effect on u."""
 
 import math
 import tomllib
@@ -42,7 +42,7 @@ def folder(tmp_path_factory):
     return where
 
 
-def test_a_record_on_the_arm_shows_its_rotation_and_mean(folder):
+def test_arm_record_has_rate_and_mean(folder):
     checked = cs.check(folder / "in 9.csv", folder)
     run, rate = checked.run, math.sqrt(9.0 * GRAVITY / RADIUS)
     assert (checked.good, checked.remarks, run.state) == (True, [], "read")
@@ -65,7 +65,7 @@ def test_a_record_on_the_arm_shows_its_rotation_and_mean(folder):
     assert (reached.name, reached.value, reached.u) == ("A.K_II", found.value, found.u)
 
 
-def test_another_rate_is_told_in_the_words_of_the_double_turntable(folder):
+def test_wrong_rate_has_same_remark_as_double_turntable(folder):
     checked = cs.check(folder / "in 4.csv", folder)
     assert not checked.good
     rate = math.sqrt(4.0 * GRAVITY / RADIUS)
@@ -76,14 +76,14 @@ def test_another_rate_is_told_in_the_words_of_the_double_turntable(folder):
     assert any(remark.startswith(said) for remark in checked.remarks)
 
 
-def test_a_record_at_rest_has_a_mean_and_no_rate(folder):
+def test_record_at_rest_has_mean_and_no_rate(folder):
     checked = cs.check(folder / "up.csv", folder)
     assert (checked.good, checked.run.rate, checked.run.nominal_rate) == (True, None, 0.0)
     assert checked.run.means["A"].value == pytest.approx(1.0026, abs=2e-6)
     assert checked.run.means["A"].revolutions == 0
 
 
-def test_other_files_frames_and_faults(folder, tmp_path, capsys):
+def test_other_file_and_frame_match_and_fault_fails_check(folder, tmp_path, capsys):
     frame = pl.read_csv(folder / "in 9.csv")
     whole = cs.check(folder / "in 9.csv", folder)
     assert cs.check(frame, folder, run="in 9").run.means == whole.run.means

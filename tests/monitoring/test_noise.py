@@ -21,7 +21,7 @@ STEP, G = 0.01, 9.80665
 N, B = 5e-5, 3e-4
 
 
-def columns(n=6_000, order=0, seed=1):
+def make_columns(n=6_000, order=0, seed=1):
     rng = np.random.default_rng(seed)
     time = np.arange(n) * STEP
     values = accelerometer_walk(rng, time, N, order) + bias_wander(rng, time, B, 0.0, order)
@@ -29,45 +29,45 @@ def columns(n=6_000, order=0, seed=1):
 
 
 @cache
-def of_frame(n=6_000):
-    """Return what is found in a frame of these columns."""
-    time, values = columns(n)
+def estimate_from_frame(n=6_000):
+    """Return the noise estimated from a frame of these columns."""
+    time, values = make_columns(n)
     (signal,) = cs.noise({"time_s": time, "Qx_g": values / G}).signals
     return signal
 
 
-def written(folder, name="rest.csv", **more):
-    time, values = columns()
+def write_record(folder, name="rest.csv", **more):
+    time, values = make_columns()
     file = folder / name
     pl.DataFrame({"time_s": time, "Qx_g": 1.0 + values / G, **more}).write_csv(file)
     return file
 
 
 @pytest.fixture
-def sizes_alone():
-    """Find sizes without their intervals."""
+def skip_intervals():
+    """Estimate noise components without their intervals."""
     with without_intervals():
         yield
 
 
-def size(signal, key):
+def component(signal, key):
     return signal.components[key]
 
 
-def test_components_are_found_in_a_file_and_in_a_frame(tmp_path):
-    file = written(tmp_path, temperature_degC=np.full(6_000, 23.0))
+def test_components_are_estimated_from_file_and_frame(tmp_path):
+    file = write_record(tmp_path, temperature_degC=np.full(6_000, 23.0))
     found = cs.noise(file)
     (signal,) = found.signals
     assert (signal.name, signal.observable, signal.in_g) == ("Qx_g", "specific_force", True)
     assert found.unused == ["temperature_degC"]
     assert found.checksum.startswith("sha256:")
     for key, true in (("acceleration", N), ("flicker", B)):
-        assert size(signal, key).low < true < size(signal, key).high
-    assert size(signal, "bias_walk").value is None
-    assert size(signal, "bias_walk").low == 0.0
+        assert component(signal, key).low < true < component(signal, key).high
+    assert component(signal, "bias_walk").value is None
+    assert component(signal, "bias_walk").low == 0.0
     assert any("bias random walk" in remark for remark in signal.remarks)
-    assert size(of_frame(), "flicker").value == pytest.approx(
-        size(signal, "flicker").value, rel=1e-6
+    assert component(estimate_from_frame(), "flicker").value == pytest.approx(
+        component(signal, "flicker").value, rel=1e-6
     )
 
 
@@ -76,19 +76,21 @@ def test_components_are_found_in_a_file_and_in_a_frame(tmp_path):
     [("velocity", "m/s", 1, 2e-5), ("displacement", "mm", 2, 2e-6)],
 )
 def test_velocities_and_displacements_are_differenced(observable, unit, order, white):
-    time, values = columns(order=order)
+    time, values = make_columns(order=order)
     values = values + white * np.random.default_rng(9).standard_normal(time.size)
     frame = {"time_s": time, "channel": values * (1e3 if unit == "mm" else 1.0)}
     (signal,) = cs.noise(frame, columns=["channel"], unit=unit).signals
     assert signal.observable == observable
-    assert size(signal, observable).low < white < size(signal, observable).high
-    assert size(signal, observable).unit == {"velocity": "m/s", "displacement": "m"}[observable]
-    assert size(signal, "acceleration").low < N < size(signal, "acceleration").high
+    assert component(signal, observable).low < white < component(signal, observable).high
+    assert (
+        component(signal, observable).unit == {"velocity": "m/s", "displacement": "m"}[observable]
+    )
+    assert component(signal, "acceleration").low < N < component(signal, "acceleration").high
 
 
-def test_spectrum_and_allan_deviation_are_those_of_the_components():
-    """Nearly all of the intervals of 95 % hold what the components make."""
-    signal = of_frame()
+def test_spectrum_and_allan_deviation_match_components():
+    """Nearly all 95 % intervals contain the value computed from the components."""
+    signal = estimate_from_frame()
     for points, name in ((signal.allan, "deviation"), (signal.spectrum, "density")):
         held = [p.low <= p.expected <= p.high for p in points]
         assert sum(held) >= 0.8 * len(held)
@@ -97,11 +99,11 @@ def test_spectrum_and_allan_deviation_are_those_of_the_components():
     assert longest.expected == pytest.approx(math.sqrt(2.0 * math.log(2.0) / math.pi) * B, rel=0.3)
 
 
-def test_lines_have_names():
-    time, values = columns()
+def test_spectral_lines_are_named():
+    time, values = make_columns()
     values = values + 1e-3 * np.cos(2 * np.pi * 10.0 * time)
     values += 1e-3 * np.cos(2 * np.pi * 7.77 * time)
-    # Harmonic 2 of 60 Hz, of which samples at 100 Hz show 20 Hz.
+    # Harmonic 2 of 60 Hz, which aliases to 20 Hz at 100 samples per second.
     values += 1e-3 * np.cos(2 * np.pi * 120.0 * time)
     frame = {"time_s": time, "a": values}
     (signal,) = cs.noise(frame, columns=["a"], unit="m/s^2", rate="2.59 rev/s").signals
@@ -109,35 +111,35 @@ def test_lines_have_names():
     assert names[7.77] == "spindle, harmonic 3"
     assert names[10.0] is None
     assert "mains" in names[20.0]
-    assert size(signal, "acceleration").low < N < size(signal, "acceleration").high
+    assert component(signal, "acceleration").low < N < component(signal, "acceleration").high
 
 
-def test_the_table_is_one_that_campaigns_read(tmp_path, folder):
-    found = cs.noise(written(tmp_path))
+def test_noise_table_is_valid_in_campaign(tmp_path, folder):
+    found = cs.noise(write_record(tmp_path))
     (tmp_path / "noise.toml").write_text(found.table, encoding="utf-8")
     stated = load_document(tmp_path / "noise.toml")["noise"]
     assert set(stated) == {"acceleration", "flicker"}
     campaign = cs.read_campaign(folder).change({"noise": None})
     campaign = campaign.change({"noise": stated})
     assert campaign.noise.flicker == pytest.approx(
-        size(found.signals[0], "flicker").value, rel=6e-3
+        component(found.signals[0], "flicker").value, rel=6e-3
     )
 
 
-def test_a_campaign_says_what_the_columns_are(folder, tmp_path):
-    time, values = columns(order=2)
+def test_campaign_identifies_columns(folder, tmp_path):
+    time, values = make_columns(order=2)
     values += 1e-5 * np.random.default_rng(3).standard_normal(time.size)
     pl.DataFrame({"time_s": time, "east_m": values}).write_csv(tmp_path / "rest.csv")
     found = cs.noise(tmp_path / "rest.csv", campaign=folder)
     (signal,) = found.signals
     assert (signal.name, signal.column, signal.observable) == ("Qx", "east_m", "displacement")
     assert found.gravity == cs.read_campaign(folder).gravity.value
-    assert size(signal, "displacement").low < 1e-5 < size(signal, "displacement").high
+    assert component(signal, "displacement").low < 1e-5 < component(signal, "displacement").high
 
 
-@pytest.mark.usefixtures("sizes_alone")
-def test_gaps_spikes_and_rounding_are_told():
-    time, values = columns()
+@pytest.mark.usefixtures("skip_intervals")
+def test_gaps_outliers_and_resolution_are_reported():
+    time, values = make_columns()
     rounded = 2e-3 * np.round(values / 2e-3)
     rounded[500] += 0.5
     keep = (time < 40.0) | (time > 41.0)
@@ -152,8 +154,8 @@ def test_gaps_spikes_and_rounding_are_told():
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("sizes_alone")
-def test_a_sensor_that_is_moved_meanwhile_is_told():
+@pytest.mark.usefixtures("skip_intervals")
+def test_motion_during_record_is_reported():
     rng = np.random.default_rng(8)
     time = np.arange(20_000) / 100.0
     values = 1.0 + 1e-3 * rng.standard_normal(time.size)
@@ -164,15 +166,15 @@ def test_a_sensor_that_is_moved_meanwhile_is_told():
     ]
     assert remark.startswith("From 118.8 s to 125 s, the scatter is ")
     assert "moved during part of the record" in remark
-    # Nor white noise nor the widest walk of a bias is a motion.
+    # Neither white noise nor the largest bias walk counts as motion.
     for own in (values, 1.0 + 1e-3 * rng.standard_normal(time.size).cumsum()):
         remarks = cs.noise({"t_s": time, "Q_g": own}).signals[0].remarks
         assert not any("moved during" in remark for remark in remarks)
 
 
-@pytest.mark.usefixtures("sizes_alone")
-def test_a_filter_is_told():
-    time, values = columns()
+@pytest.mark.usefixtures("skip_intervals")
+def test_low_pass_filter_is_reported():
+    time, values = make_columns()
     smooth = np.convolve(values, np.full(4, 0.25), mode="valid")
     (signal,) = cs.noise({"time_s": time[3:], "a": smooth}, columns=["a"], unit="m/s^2").signals
     assert any("times the power" in remark for remark in signal.remarks)
@@ -205,7 +207,7 @@ def test_unreadable_time_cell_is_located(tmp_path):
         ({"time_s": np.arange(9.0), "a_m": np.arange(9.0) % 4}, {}, "too few"),
     ],
 )
-def test_what_cannot_be_used_is_refused(frame, words, message):
+def test_rejects_unusable_frame(frame, words, message):
     with pytest.raises(RecordError, match=message):
         cs.noise(frame, **words)
 
@@ -221,76 +223,83 @@ def test_what_cannot_be_used_is_refused(frame, words, message):
         ({"gravity": "9.8 s"}, "gravity"),
     ],
 )
-def test_what_is_asked_wrongly_is_refused(words, message):
+def test_rejects_invalid_arguments(words, message):
     frame = {"time_s": np.arange(100.0), "Qx_g": np.arange(100.0) % 7, "temp": np.arange(100.0)}
     with pytest.raises(CampaignError, match=message):
         cs.noise(frame, **words)
 
 
-def german(file, time, force):
-    """Semicolons, decimal commas, a row of units."""
+def write_german(file, time, force):
+    """Write semicolons, decimal commas and a row of units."""
     rows = [f"{t:.4f};{f:.12g}".replace(".", ",") for t, f in zip(time, force, strict=True)]
     file.write_text("\n".join(["Zeit;Ausgang", "s;mg", *rows]) + "\n", encoding="utf-8")
 
 
-def bare(file, time, force):
-    """Numbers parted by blanks, without names."""
+def write_without_names(file, time, force):
+    """Write space-delimited columns without names."""
     rows = [f"{t:.4f} {1e-3 * f:.15g}" for t, f in zip(time, force, strict=True)]
     file.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
-def matlab(file, time, force):
+def write_matlab(file, time, force):
     from scipy.io import savemat
 
     savemat(file, {"time_s": time, "force_mg": force})
 
 
-def parquet(file, time, force):
+def write_parquet(file, time, force):
     pl.DataFrame({"time_s": time, "force_mg": force}).write_parquet(file)
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("sizes_alone")
+@pytest.mark.usefixtures("skip_intervals")
 @pytest.mark.parametrize(
     ("name", "write", "words"),
     [
-        ("a.txt", german, {}),
-        ("a.log", bare, {"columns": ["column 2"], "unit": "g", "sampling_rate": "100 Hz"}),
-        ("a.mat", matlab, {}),
-        ("a.parquet", parquet, {}),
+        ("a.txt", write_german, {}),
+        (
+            "a.log",
+            write_without_names,
+            {"columns": ["column 2"], "unit": "g", "sampling_rate": "100 Hz"},
+        ),
+        ("a.mat", write_matlab, {}),
+        ("a.parquet", write_parquet, {}),
     ],
 )
-def test_files_are_read_as_recorders_write_them(tmp_path, name, write, words):
-    time, values = columns(2000)
+def test_recorder_file_formats_are_read(tmp_path, name, write, words):
+    time, values = make_columns(2000)
     write(tmp_path / name, time, 1e3 * values / G)
     (signal,) = cs.noise(tmp_path / name, **words).signals
     for key in ("acceleration", "flicker"):
-        assert size(signal, key).value == pytest.approx(size(of_frame(2000), key).value, rel=1e-4)
+        assert component(signal, key).value == pytest.approx(
+            component(estimate_from_frame(2000), key).value, rel=1e-4
+        )
 
 
-@pytest.mark.usefixtures("sizes_alone")
-def test_rows_may_be_counted():
-    _, values = columns()
+@pytest.mark.usefixtures("skip_intervals")
+def test_sampling_rate_replaces_time_column():
+    _, values = make_columns()
     frame = {"Qx_g": values / G}
     (signal,) = cs.noise(frame, sampling_rate="100 Hz").signals
     found, expected = (
-        {key: one.value for key, one in each.components.items()} for each in (signal, of_frame())
+        {key: one.value for key, one in each.components.items()}
+        for each in (signal, estimate_from_frame())
     )
     assert found == expected
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("sizes_alone")
-def test_a_stuck_sensor_is_reported_and_left_out():
-    time, values = columns(3000)
+@pytest.mark.usefixtures("skip_intervals")
+def test_stuck_samples_are_reported_and_excluded():
+    time, values = make_columns(3000)
     stuck = values.copy()
     stuck[1000:1300] = stuck[999]
     (signal,) = cs.noise({"time_s": time, "Qx_g": stuck / G}).signals
     assert any(
         remark.startswith("300 of 3000 rows are long sequences") for remark in signal.remarks
     )
-    expected = size(cs.noise({"time_s": time, "Qx_g": values / G}).signals[0], "acceleration")
-    assert size(signal, "acceleration").value == pytest.approx(expected.value, rel=0.02)
+    expected = component(cs.noise({"time_s": time, "Qx_g": values / G}).signals[0], "acceleration")
+    assert component(signal, "acceleration").value == pytest.approx(expected.value, rel=0.02)
     for resolution in (1.0, 4.0):  # standard deviations of the samples
         step = resolution * np.std(values)
         coarse = {"time_s": time, "Qx_g": np.round(values / step) * step / G}
@@ -298,23 +307,23 @@ def test_a_stuck_sensor_is_reported_and_left_out():
         assert not any("long sequences" in remark for remark in signal.remarks)
 
 
-@pytest.mark.usefixtures("sizes_alone")
+@pytest.mark.usefixtures("skip_intervals")
 @pytest.mark.parametrize("name", ["time_s", "time"])
-def test_a_stated_rate_counts_rows_whose_times_do_not_show_it(name):
-    time, values = columns(2000)
+def test_stated_rate_overrides_unusable_times(name):
+    time, values = make_columns(2000)
     late = time + np.random.default_rng(1).uniform(0.0, 0.006, time.size)
     frame = {name: late, "Qx_g": values / G}
     with pytest.raises(RecordError, match="`sampling_rate`"):
         cs.noise(frame)
     counted, expected = (
-        size(cs.noise(data, sampling_rate="100 Hz").signals[0], "acceleration").value
+        component(cs.noise(data, sampling_rate="100 Hz").signals[0], "acceleration").value
         for data in (frame, {"Qx_g": values / G})
     )
     assert counted == expected
 
 
-def test_the_command_writes_json_report_and_plot(tmp_path, capsys):
-    file = written(tmp_path)
+def test_command_writes_json_report_and_plot(tmp_path, capsys):
+    file = write_record(tmp_path)
     names = [tmp_path / name for name in ("n.json", "n.html", "n.svg")]
     words = ["noise", str(file), "--json", names[0], "--report", names[1], "--plot", names[2]]
     assert main([str(word) for word in words]) == 0
@@ -326,19 +335,23 @@ def test_the_command_writes_json_report_and_plot(tmp_path, capsys):
     assert json.loads(names[0].read_text())["table"] == read.table
     assert "Allan deviation" in names[1].read_text(encoding="utf-8")
     assert main(["report", str(names[0])]) == 0
-    assert main([str(word) for word in words]) == 1  # nothing is replaced unasked
+    assert main([str(word) for word in words]) == 1  # no file is overwritten without --overwrite
     assert main([*(str(word) for word in words), "--overwrite"]) == 0
 
 
-def test_a_file_that_is_not_there(tmp_path, capsys, monkeypatch):
+def test_missing_file_raises_error(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["noise", "none.csv"]) != 0
     assert "counterspin: none.csv: file not found" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("sizes_alone")
-def test_a_column_of_zeros_is_not_used_beside_a_measurement(tmp_path):
-    frame = {"time_s": columns()[0], "a_g": columns()[1] / G, "residual_g": np.zeros(6_000)}
+@pytest.mark.usefixtures("skip_intervals")
+def test_column_of_zeros_is_unused(tmp_path):
+    frame = {
+        "time_s": make_columns()[0],
+        "a_g": make_columns()[1] / G,
+        "residual_g": np.zeros(6_000),
+    }
     found = cs.noise(frame)
     assert [signal.column for signal in found.signals] == ["a_g"]
     assert found.unused == ["residual_g"]
@@ -350,7 +363,7 @@ START = datetime.datetime(2024, 3, 5, 23, 59, 30)
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("sizes_alone")
+@pytest.mark.usefixtures("skip_intervals")
 @pytest.mark.parametrize(
     ("name", "stamp"),
     [
@@ -365,8 +378,8 @@ START = datetime.datetime(2024, 3, 5, 23, 59, 30)
         ("# Sampling rate: 100 Hz", None),
     ],
 )
-def test_times_of_week_serial_days_months_and_a_rate_in_the_head(tmp_path, name, stamp):
-    time, values = columns()
+def test_time_formats_of_recorders_are_read(tmp_path, name, stamp):
+    time, values = make_columns()
     rows = [f"{value:.12g}" for value in values / G]
     if stamp is None:
         lines = [name, "a (g),b (count)", *(f"{row},1" for row in rows)]
@@ -376,12 +389,12 @@ def test_times_of_week_serial_days_months_and_a_rate_in_the_head(tmp_path, name,
     (tmp_path / "rest.csv").write_text("\n".join(lines))
     (signal,) = cs.noise(tmp_path / "rest.csv").signals
     assert signal.sampling_rate == pytest.approx(100.0, rel=1e-4)
-    expected = size(of_frame(), "acceleration").value
-    assert size(signal, "acceleration").value == pytest.approx(expected, rel=1e-3)
+    expected = component(estimate_from_frame(), "acceleration").value
+    assert component(signal, "acceleration").value == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize("names", ["time,ax ay,az", "time\tax ay\taz"])
-def test_a_missing_delimiter_between_names_is_located(tmp_path, names):
+def test_missing_delimiter_in_header_is_located(tmp_path, names):
     delimiter = "\t" if "\t" in names else ","
     values = np.random.default_rng(2).normal(size=(400, 3))
     rows = [[0.01 * n, *row] for n, row in enumerate(values)]

@@ -1,4 +1,4 @@
-"""Growing tables: whatever is appended is read once, and nothing is taken for what it is not."""
+"""Growing tables: appended rows are read once, and incomplete rows are not read."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from counterspin.records.formats import open_columns, read_numbers
 NAMES = ["t", "x"]
 
 
-def lines(first, last):
+def make_lines(first, last):
     return b"".join(b"%.3f,%.6g,ok\n" % (0.01 * k, np.sin(k)) for k in range(first, last))
 
 
@@ -28,8 +28,8 @@ def append(file, content):
         opened.write(content)
 
 
-def test_parts_of_any_length_make_the_whole(file):
-    content = HEAD + lines(0, 40) + b"# a remark\n" + lines(40, 300)
+def test_appended_chunks_are_read_once(file):
+    content = HEAD + make_lines(0, 40) + b"# a remark\n" + make_lines(40, 300)
     followed, random = GrowingTable(file, NAMES), np.random.default_rng(1)
     done = 0
     while done < len(content):
@@ -45,9 +45,9 @@ def test_parts_of_any_length_make_the_whole(file):
     assert followed.follow() == (False, None)
 
 
-def test_a_line_without_its_end_is_waited_for(file):
+def test_incomplete_line_is_not_read(file):
     followed = GrowingTable(file, NAMES)
-    append(file, HEAD + lines(0, 30) + b"0.300,0.1")
+    append(file, HEAD + make_lines(0, 30) + b"0.300,0.1")
     assert followed.follow() == (True, None)
     assert followed.rows == 30
     append(file, b"4112,ok\n")
@@ -55,18 +55,18 @@ def test_a_line_without_its_end_is_waited_for(file):
     assert followed.table.columns["x"][30] == 0.14112
 
 
-def test_names_without_rows_are_waited_for(file):
+def test_header_without_rows_has_no_data(file):
     followed = GrowingTable(file, NAMES)
     append(file, HEAD)
     assert followed.follow() == (False, None)
-    append(file, lines(0, 5))
+    append(file, make_lines(0, 5))
     assert followed.follow() == (False, None)
-    append(file, lines(5, 25))
+    append(file, make_lines(5, 25))
     assert followed.follow() == (True, None)
     assert followed.rows == 25
 
 
-def test_a_recorder_s_own_style_is_kept(file):
+def test_delimiter_and_decimal_comma_are_detected(file):
     head = b"Station;7\r\nBegun;2026-03-01\r\nt;x\r\ns;V\r\n"
     rows = b"".join(b"%d,5;-%d,25\r\n" % (k, k) for k in range(400))
     whole, followed = head + rows, GrowingTable(file, NAMES)
@@ -78,7 +78,7 @@ def test_a_recorder_s_own_style_is_kept(file):
     assert np.array_equal(followed.table.columns["x"], -np.arange(400) - 0.25)
 
 
-def test_old_bytes_are_not_read_again(file, monkeypatch):
+def test_previous_bytes_are_not_read_again(file, monkeypatch):
     read = []
     monkeypatch.setattr(
         observer,
@@ -86,10 +86,10 @@ def test_old_bytes_are_not_read_again(file, monkeypatch):
         lambda path, dialect: read.append(path.stat().st_size) or open_columns(path, dialect),
     )
     followed = GrowingTable(file, NAMES)
-    append(file, HEAD + lines(0, 5000))
+    append(file, HEAD + make_lines(0, 5000))
     followed.follow()
     before = len(read)
-    append(file, lines(5000, 5010))
+    append(file, make_lines(5000, 5010))
     followed.follow()
     assert followed.rows == 5010
     assert max(read[before:]) < 2000
@@ -99,26 +99,26 @@ def test_old_bytes_are_not_read_again(file, monkeypatch):
     ("happens", "words"),
     [("replaced", "was replaced"), ("shorter", "became shorter"), ("anew", "was rewritten")],
 )
-def test_another_file_is_told_and_read_from_its_start(happens, words, file):
+def test_replaced_file_is_reported_and_read_from_start(happens, words, file):
     followed = GrowingTable(file, NAMES)
-    append(file, HEAD + lines(0, 100))
+    append(file, HEAD + make_lines(0, 100))
     followed.follow()
     if happens == "replaced":
-        (file.parent / "other").write_bytes(HEAD + lines(7, 60))
+        (file.parent / "other").write_bytes(HEAD + make_lines(7, 60))
         (file.parent / "other").replace(file)
     elif happens == "shorter":
-        file.write_bytes(HEAD + lines(7, 60))
+        file.write_bytes(HEAD + make_lines(7, 60))
     else:
-        file.write_bytes(HEAD + lines(7, 200))
+        file.write_bytes(HEAD + make_lines(7, 200))
     changed, event = followed.follow()
     assert changed
     assert words in event
     assert followed.table.columns["t"][0] == 0.07
 
 
-def test_rows_that_are_none_are_refused_and_nothing_before_is_lost(file):
+def test_invalid_row_raises_and_keeps_previous_rows(file):
     followed = GrowingTable(file, NAMES)
-    append(file, HEAD + lines(0, 600))
+    append(file, HEAD + make_lines(0, 600))
     followed.follow()
     append(file, b"0.1,word,ok\n")
     with pytest.raises(
@@ -126,6 +126,6 @@ def test_rows_that_are_none_are_refused_and_nothing_before_is_lost(file):
     ):
         followed.follow()
     assert followed.rows == 600
-    file.write_bytes(HEAD + lines(0, 602))
+    file.write_bytes(HEAD + make_lines(0, 602))
     followed.follow()
     assert followed.rows == 602

@@ -1,4 +1,4 @@
-"""Records of poses while they are made: what they say so far, and what is missing."""
+"""Records of poses in progress: their state so far and the missing directions."""
 
 from dataclasses import replace
 
@@ -15,8 +15,8 @@ from counterspin.errors import CampaignError
 FEW, MANY = posed_records.posed(3.0, 1.5, 5), posed_records.posed(3.0, 1.5, 24, seed=2)
 
 
-def around(along):
-    """Return a record with rests in directions, shape (n, 3), without noise of its own."""
+def make_rests(along):
+    """Return a noiseless record with rests in directions, shape (n, 3)."""
     record = posed_records.posed(3.0, 1.5, len(along), noise=0.0)
     values = record.values.copy()
     noise = 0.01 * np.random.default_rng(3).standard_normal(values.shape)
@@ -25,7 +25,7 @@ def around(along):
     return replace(record, values=values + noise, force=9.81 * along)
 
 
-def leverage(along, of):
+def compute_leverage(along, of):
     """Return u^2 of |f| over that of one pose, of nine unknowns, by the normal equations."""
 
     def rows(d):
@@ -36,7 +36,7 @@ def leverage(along, of):
     return np.einsum("np,pq,nq->n", rows(of), np.linalg.inv(gram), rows(of))
 
 
-def words(direction):
+def direction_words(direction):
     signs = zip(direction, "XYZ", strict=True)
     return " ".join(f"{'-' if s < 0 else '+'}{name}" for s, name in signs if abs(s) > 0.1) + " up"
 
@@ -45,7 +45,7 @@ GRID = np.array([[x, y, z] for x in (1, -1, 0) for y in (1, -1, 0) for z in (1, 
 UNIT = GRID / np.linalg.norm(GRID, axis=1)[:, None]
 
 
-def test_a_good_record_of_poses_is_told_so(tmp_path):
+def test_good_record_of_poses_has_no_remark(tmp_path):
     posed_records.campaign(tmp_path, {"all": MANY})
     checked = cs.check(tmp_path / "all.log", tmp_path)
     result = cs.calibrate(tmp_path)
@@ -61,28 +61,28 @@ def test_a_good_record_of_poses_is_told_so(tmp_path):
 
 
 @pytest.mark.parametrize("lowest", [0.25, -0.3])
-def test_missing_directions_are_where_the_size_of_the_force_is_known_worst(tmp_path, lowest):
+def test_missing_directions_have_largest_uncertainty_of_force(tmp_path, lowest):
     along = triads.directions(400, np.random.default_rng(5))
     along = along[along[:, 2] > lowest][:16]
-    posed_records.campaign(tmp_path, {"all": around(along)})
+    posed_records.campaign(tmp_path, {"all": make_rests(along)})
     missing = cs.check(tmp_path / "all.log", tmp_path).run.poses.missing
     expected = []
-    while (size := leverage(along, UNIT)).max() > 1.0:
+    while (size := compute_leverage(along, UNIT)).max() > 1.0:
         most = UNIT[np.argmax(size)]
-        expected.append(words(most))
+        expected.append(direction_words(most))
         along = np.vstack([along, most])
     assert missing == expected
     assert any("-Z" in one for one in missing)
 
 
-def test_poses_along_all_axes_and_halfway_leave_no_direction_out(tmp_path):
+def test_full_set_of_poses_has_no_missing_direction(tmp_path):
     along = UNIT[np.sum(np.abs(GRID), axis=1) < 3]
-    posed_records.campaign(tmp_path, {"all": around(along)})
-    assert leverage(along, UNIT).max() < 1.0
+    posed_records.campaign(tmp_path, {"all": make_rests(along)})
+    assert compute_leverage(along, UNIT).max() < 1.0
     assert cs.check(tmp_path / "all.log", tmp_path).run.poses.missing == []
 
 
-def test_a_pose_off_the_model_is_named(tmp_path):
+def test_outlying_pose_is_named(tmp_path):
     record = replace(MANY, values=MANY.values.copy())
     rows = (record.time >= record.start[7] - 1e-6) & (record.time <= record.end[7] + 1e-6)
     record.values[rows] *= 1.01
@@ -95,7 +95,7 @@ def test_a_pose_off_the_model_is_named(tmp_path):
     assert name in str(state)
 
 
-def test_too_few_poses_say_what_is_missing_and_are_kept_with_others(tmp_path):
+def test_too_few_poses_list_missing_directions_and_remain_usable(tmp_path):
     posed_records.campaign(tmp_path, {"few": FEW, "many": None})
     checked = cs.check(tmp_path / "few.log", tmp_path)
     assert not checked.good
@@ -111,7 +111,7 @@ def test_too_few_poses_say_what_is_missing_and_are_kept_with_others(tmp_path):
     assert checked.reached[0].u == result.coefficient(checked.reached[0].name).u
 
 
-def test_a_record_shorter_than_a_rest_should_not_be_kept(tmp_path, capsys):
+def test_record_shorter_than_rest_fails(tmp_path, capsys):
     short = replace(MANY, values=MANY.values[:100])
     posed_records.campaign(tmp_path, {"all": short})
     checked = cs.check(tmp_path / "all.log", tmp_path, run="all")
@@ -126,7 +126,7 @@ def test_a_record_shorter_than_a_rest_should_not_be_kept(tmp_path, capsys):
     )
 
 
-def test_the_page_says_all_of_it(tmp_path, capsys):
+def test_command_prints_pose_check(tmp_path, capsys):
     posed_records.campaign(tmp_path, {"all": MANY})
     assert main(["check", str(tmp_path / "all.log"), "--campaign", str(tmp_path)]) == 0
     told = capsys.readouterr().out
@@ -136,7 +136,7 @@ def test_the_page_says_all_of_it(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("suffix", ["log", "tsv"])
-def test_poses_are_followed_while_they_are_recorded(tmp_path, suffix):
+def test_watch_counts_poses_while_recording(tmp_path, suffix):
     posed_records.campaign(tmp_path, {"all": MANY})
     description = (tmp_path / "campaign.toml").read_text("utf-8")
     (tmp_path / "campaign.toml").write_text(description.replace("all.log", f"all.{suffix}"))
@@ -169,7 +169,7 @@ def test_poses_are_followed_while_they_are_recorded(tmp_path, suffix):
     assert "poses: 24" in str(state)
 
 
-def test_a_run_that_is_none_and_a_campaign_without_records_are_told(tmp_path):
+def test_unknown_run_and_campaign_without_records_raise(tmp_path):
     posed_records.campaign(tmp_path, {"all": MANY})
     with pytest.raises(CampaignError, match='no run is named "al"'):
         cs.check(tmp_path / "all.log", tmp_path, run="al")

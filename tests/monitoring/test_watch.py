@@ -1,4 +1,4 @@
-"""A campaign while it grows: each state, what is told, and that nothing is lost."""
+"""Watching a growing campaign: states, events and completeness."""
 
 import json
 import re
@@ -14,8 +14,8 @@ from counterspin.monitoring.observer import GROWING_SUFFIXES
 FAST = cs.Pace(interval=1e-3, share=1.0)
 
 
-def steps(folder, *, parts=4, last="fast"):
-    """Take the last run away, and return its lines in parts."""
+def split_last_run(folder, *, parts=4, last="fast"):
+    """Remove the last run and return its lines in chunks."""
     content = (folder / f"{last}.csv").read_bytes()
     size = len(content) // parts
     (folder / f"{last}.csv").unlink()
@@ -27,8 +27,8 @@ def append(folder, content, name="fast"):
         file.write(content)
 
 
-def test_states_grow_with_the_records_and_end_at_the_calibration(folder):
-    parts = steps(folder)
+def test_states_follow_records_until_calibration(folder):
+    parts = split_last_run(folder)
     states = cs.watch(folder, goals=["K_II 1 ug/g^2"], pace=FAST)
     state = next(states)
     assert [run.state for run in state.runs] == ["read", "read", "waiting"]
@@ -54,8 +54,8 @@ def test_states_grow_with_the_records_and_end_at_the_calibration(folder):
     assert seen[-1].met
 
 
-def test_a_watch_that_is_started_anew_goes_on(folder):
-    parts = steps(folder, parts=3)
+def test_restarted_watch_resumes(folder):
+    parts = split_last_run(folder, parts=3)
     append(folder, parts[0])
     first = cs.watch(folder, pace=FAST)
     next(first)
@@ -65,7 +65,7 @@ def test_a_watch_that_is_started_anew_goes_on(folder):
     assert next(cs.watch(folder, pace=FAST)) == went_on
 
 
-def test_what_happens_to_files_is_told(folder):
+def test_file_changes_are_reported(folder):
     (folder / "slow.csv").write_bytes((folder / "slow.csv").read_bytes()[:3000])
     states = cs.watch(folder, pace=FAST)
     next(states)
@@ -83,7 +83,7 @@ def test_what_happens_to_files_is_told(folder):
     assert next(states).runs[1].state == "read"
 
 
-def test_a_record_in_several_files_is_read_whole(folder):
+def test_record_in_several_files_is_read_completely(folder):
     rows = (folder / "fast.csv").read_bytes().splitlines(keepends=True)
     (folder / "fast.csv").write_bytes(b"".join(rows[:200]))
     (folder / "more.csv").write_bytes(b"".join(rows[:1] + rows[200:300]))
@@ -99,7 +99,7 @@ def test_a_record_in_several_files_is_read_whole(folder):
     assert state.complete
 
 
-def test_a_record_that_cannot_be_used_stops_no_other(folder):
+def test_unusable_record_does_not_stop_other_runs(folder):
     append(folder, b"words,words,words\n", "slow")
     state = next(cs.watch(folder, pace=FAST))
     assert [run.state for run in state.runs] == ["failed", "read", "read"]
@@ -130,7 +130,7 @@ def test_goals_are_checked(folder):
         cs.Pace(0.0)
 
 
-def test_the_command_prints_lines_where_nobody_looks(folder, capsys):
+def test_command_prints_lines_without_terminal(folder, capsys):
     words = ["watch", str(folder), "--interval", "0.01", "--goal", "K_II 1 ug/g^2"]
     assert main(words) == 0  # all runs are complete
     (line,) = capsys.readouterr().out.splitlines()
@@ -144,26 +144,26 @@ def test_the_command_prints_lines_where_nobody_looks(folder, capsys):
     assert "The goal is met." in capsys.readouterr().out
 
 
-def test_a_live_table_stands_where_somebody_looks(folder, capsys, monkeypatch):
+def test_command_shows_live_table_on_terminal(folder, capsys, monkeypatch):
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     assert main(["watch", str(folder), "--interval", "0.01"]) == 0
     assert "Residuals / noise" in capsys.readouterr().out
 
 
-def test_stopping_it_is_no_fault(folder, capsys, monkeypatch):
-    steps(folder)
+def test_interrupt_exits_with_130(folder, capsys, monkeypatch):
+    split_last_run(folder)
 
-    def stop(seconds):
+    def raise_interrupt(seconds):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("time.sleep", stop)
+    monkeypatch.setattr("time.sleep", raise_interrupt)
     assert main(["watch", str(folder)]) == 130
     told = capsys.readouterr()
     assert "fast waits: no file yet" in told.out
     assert told.err == "counterspin: stopped\n"
 
 
-def test_the_page_lists_the_formats_that_grow():
+def test_documentation_lists_growing_formats():
     page = (Path(__file__).parents[2] / "docs" / "monitoring.md").read_text(encoding="utf-8")
     appended = page.partition("**Text files** (")[2].partition(")")[0]
     assert tuple(re.findall(r"`(\.\w+)`", appended)) == GROWING_SUFFIXES

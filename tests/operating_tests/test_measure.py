@@ -12,7 +12,7 @@ RAMP = np.concatenate([np.arange(0, 11, 2), np.arange(8, -11, -2), np.arange(-8,
 )
 
 
-def write(path, first, output, names=("input_g", "output_mA")):
+def write_ramp(path, first, output, names=("input_g", "output_mA")):
     rows = zip(first.tolist(), output.tolist(), strict=True)
     path.write_text(
         ",".join(names) + "\n" + "".join(f"{a!r},{b!r}\n" for a, b in rows), encoding="utf-8"
@@ -20,15 +20,15 @@ def write(path, first, output, names=("input_g", "output_mA")):
     return path
 
 
-def evaluated(path, **more):
+def evaluate_ramp(path, **more):
     return cs.operating(path, input="input_g", output="output_mA", output_unit="mA", **more)
 
 
-def test_a_parabola_and_a_loop_have_their_errors(tmp_path):
+def test_parabola_and_loop_have_exact_errors(tmp_path):
     """Of y = 1.25 x + 1e-4 x^2 and 2e-4 for each direction, with the line of least squares."""
     direction = np.sign(np.diff(RAMP, prepend=0.0))
     output = 1.25 * RAMP + 1e-4 * RAMP**2 + 2e-4 * direction
-    result = evaluated(write(tmp_path / "r.csv", RAMP, output), full_scale=20.0)
+    result = evaluate_ramp(write_ramp(tmp_path / "r.csv", RAMP, output), full_scale=20.0)
     slope, intercept = np.polyfit(RAMP, output, 1)
     assert result.quantity("scale-factor").value == pytest.approx(slope, rel=1e-12)
     assert result.quantity("bias").value == pytest.approx(intercept / slope, rel=1e-9)
@@ -41,7 +41,7 @@ def test_a_parabola_and_a_loop_have_their_errors(tmp_path):
     assert loop.value == pytest.approx(4e-4 / slope, rel=1e-9)
 
 
-def test_errors_of_noisy_ramps_are_covered_by_their_u():
+def test_u_covers_errors_of_noisy_ramps():
     """200 ramps: z rms of slope, bias and linearity error within 4 sqrt(1 / 400) = 0.2 of 1.
 
     Linearity and bias by their exact values: one input is 0.1 off, so that it is always the worst.
@@ -68,7 +68,7 @@ def test_errors_of_noisy_ramps_are_covered_by_their_u():
     assert np.mean(noise) == pytest.approx(1e-3, rel=0.02)
 
 
-def test_the_u_of_a_loop_is_that_of_its_two_means():
+def test_u_of_hysteresis_loop_follows_from_two_means():
     """Three repeats upwards and three downwards: u = sigma sqrt(2 / 3) / slope; z of 200 loops."""
     from counterspin.operating_tests.model import fit_line, hysteresis
 
@@ -83,12 +83,12 @@ def test_the_u_of_a_loop_is_that_of_its_two_means():
 
 
 @pytest.mark.parametrize("band", [0.0, 1.5e-6])
-def test_a_dead_band_limits_threshold_and_resolution_lies_between_tried_steps(tmp_path, band):
+def test_threshold_and_dead_band_lie_between_tested_steps(tmp_path, band):
     """The output does not follow inputs below 1.5 ug; 1, 2, 5 and 10 ug are tried."""
     sizes = np.array([1e-6, 2e-6, 5e-6, 1e-5])
     inputs = np.concatenate([[0.0, size, 0.0, -size] for size in sizes] + [[0.0, 1.0, 0.0]])
     output = np.where(np.abs(inputs) < band, 0.0, 1.25 * inputs)
-    result = evaluated(write(tmp_path / "r.csv", inputs, output))
+    result = evaluate_ramp(write_ramp(tmp_path / "r.csv", inputs, output))
     threshold, dead = result.quantity("threshold"), result.quantity("dead-band")
     tried = (0.0, 1e-6) if band == 0.0 else (1e-6, 2e-6)
     assert threshold.value == pytest.approx(sum(tried) / 2)
@@ -97,7 +97,7 @@ def test_a_dead_band_limits_threshold_and_resolution_lies_between_tried_steps(tm
     assert dead.u == pytest.approx((tried[1] - tried[0]) / 6**0.5)
 
 
-def test_a_warm_up_has_its_time_constant(tmp_path):
+def test_warm_up_time_constant_is_unbiased(tmp_path):
     """30 records of noise: z of the time constant is unbiased, its rms 1 within 4 sqrt(1 / 60)."""
     from counterspin.operating_tests.model import fit_warm_up
 
@@ -108,14 +108,16 @@ def test_a_warm_up_has_its_time_constant(tmp_path):
         z.append((fitted.time_constant.value - 600.0) / fitted.time_constant.u)
     assert abs(np.mean(z)) < 4.0 / np.sqrt(30)
     assert abs(np.sqrt(np.mean(np.square(z))) - 1.0) < 4.0 / np.sqrt(60)
-    path = write(tmp_path / "w.csv", time, exact, ("t_s", "out"))
+    path = write_ramp(tmp_path / "w.csv", time, exact, ("t_s", "out"))
     result = cs.operating(path, time="t_s", output="out")
     assert result.quantity("time-constant").value == pytest.approx(600.0, rel=1e-6)
     assert result.quantity("change").value == pytest.approx(-8e-4, rel=1e-6)
 
 
-def test_what_the_rows_do_not_show_is_not_determined(tmp_path):
-    result = evaluated(write(tmp_path / "r.csv", np.arange(1.0, 6.0), 1.25 * np.arange(1.0, 6.0)))
+def test_quantity_without_data_is_not_determined(tmp_path):
+    result = evaluate_ramp(
+        write_ramp(tmp_path / "r.csv", np.arange(1.0, 6.0), 1.25 * np.arange(1.0, 6.0))
+    )
     missing = {q.name: q.note for q in result.quantities if q.value is None}
     assert set(missing) == {"hysteresis-error", "threshold", "dead-band"}
     assert "upwards and downwards" in missing["hysteresis-error"]
@@ -133,25 +135,25 @@ def test_what_the_rows_do_not_show_is_not_determined(tmp_path):
         ({"time": "input_g"}, "increasing times"),
     ],
 )
-def test_wrong_arguments_are_named(tmp_path, arguments, message):
-    path = write(tmp_path / "r.csv", RAMP, 1.25 * RAMP)
+def test_rejects_invalid_arguments(tmp_path, arguments, message):
+    path = write_ramp(tmp_path / "r.csv", RAMP, 1.25 * RAMP)
     with pytest.raises(CounterspinError, match=message):
         cs.operating(path, output="output_mA", **arguments)
 
 
-def test_one_input_is_no_line(tmp_path):
-    path = write(tmp_path / "r.csv", np.ones(5), np.arange(5.0))
+def test_rejects_single_input(tmp_path):
+    path = write_ramp(tmp_path / "r.csv", np.ones(5), np.arange(5.0))
     with pytest.raises(CampaignError, match="three points at two inputs"):
-        evaluated(path)
+        evaluate_ramp(path)
 
 
-def test_the_file_of_a_result_is_read_again(tmp_path):
-    result = evaluated(write(tmp_path / "r.csv", RAMP, 1.25 * RAMP))
+def test_result_round_trip(tmp_path):
+    result = evaluate_ramp(write_ramp(tmp_path / "r.csv", RAMP, 1.25 * RAMP))
     result.write(tmp_path / "r.json")
     assert OperatingTests.read(tmp_path / "r.json").quantities == result.quantities
 
 
-def test_many_settings_are_evaluated_together():
+def test_many_settings_are_evaluated():
     """Each input is reached once upwards and once downwards, and the loop is 4e-4 wide."""
     from counterspin.operating_tests.model import fit_line, hysteresis
 
@@ -171,27 +173,27 @@ def test_many_settings_are_evaluated_together():
         ([1e200, -1e200, 5.0], [1.0, 2.0, 3.0], "larger than 1e\\+150"),
     ],
 )
-def test_columns_that_are_no_response_are_refused(tmp_path, first, output, message):
-    path = write(tmp_path / "r.csv", np.array(first), np.array(output))
+def test_rejects_columns_without_response(tmp_path, first, output, message):
+    path = write_ramp(tmp_path / "r.csv", np.array(first), np.array(output))
     with pytest.raises(CampaignError, match=message):
-        evaluated(path)
+        evaluate_ramp(path)
 
 
-def test_a_constant_warm_up_is_refused(tmp_path):
-    path = write(tmp_path / "w.csv", np.arange(8.0), np.ones(8), ("t", "out"))
+def test_rejects_constant_warm_up(tmp_path):
+    path = write_ramp(tmp_path / "w.csv", np.arange(8.0), np.ones(8), ("t", "out"))
     with pytest.raises(CampaignError, match="does not change"):
         cs.operating(path, time="t", output="out")
 
 
-def test_steps_far_below_the_full_scale_are_told_apart(tmp_path):
+def test_steps_far_below_full_scale_are_resolved(tmp_path):
     """A step of 1e-8 g beside a ramp to 50 g is no zero input."""
     inputs = np.array([0.0, 1e-8, 0.0, 2e-8, 0.0, 25.0, 50.0, 25.0, 0.0])
     output = np.where(inputs < 1.5e-8, 0.0, 1.25 * inputs)
-    threshold = evaluated(write(tmp_path / "r.csv", inputs, output)).quantity("threshold")
+    threshold = evaluate_ramp(write_ramp(tmp_path / "r.csv", inputs, output)).quantity("threshold")
     assert threshold.value == pytest.approx(1.5e-8)
 
 
-def test_the_u_of_a_linearity_error_is_that_of_the_hat_matrix():
+def test_u_of_linearity_error_matches_hat_matrix():
     from counterspin.operating_tests.model import fit_line, linearity_error
 
     inputs = np.array([0.0, 1.0, 2.0, 2.0, 1.0, 0.0, 0.0])

@@ -17,7 +17,7 @@ READING = 20.0 + np.array(CASE.given["x"])
 CORRECTION = np.array(CASE.given["y"])
 
 
-def test_curve_and_its_prediction():
+def test_calibration_curve_and_prediction():
     result = fit(np.column_stack([np.ones(11), READING - 20.0]), CORRECTION)
     correlation = result.covariance[0, 1] / np.prod(result.u)
     # Half a unit of the last digit printed.

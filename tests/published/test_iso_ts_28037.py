@@ -15,7 +15,7 @@ from counterspin.validation.validate import check_case
 
 
 @pytest.mark.parametrize("weights", ["equal weights", "unequal weights"])
-def test_example(weights):
+def test_weighted_line_example(weights):
     stated = case(f"ISO/TS 28037, {weights}")
     assert check_case(stated).state == "passed"
     design = [[1.0, x] for x in stated.given["x"]]

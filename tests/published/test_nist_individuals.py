@@ -12,7 +12,7 @@ from counterspin.validation.validate import check_case
 CASE = case("individuals chart of a flow rate")
 
 
-def test_flow_rate():
+def test_flow_rate_example():
     # The limits' own: 1.128 and 1.128379 differ by 3.4e-4 of the distance of 4.99 from the centre.
     assert check_case(CASE).state == "passed"
     values = CASE.given["values"]

@@ -17,8 +17,8 @@ from counterspin.validation.validate import check_case
 NIST = [one.name for one in cases() if one.name.startswith("NIST")]
 
 
-def digits(name, quantity):
-    """Right digits of the worst number, at most the 15 that are certified."""
+def correct_digits(name, quantity):
+    """Return the correct digits of the worst number, at most the 15 certified."""
     computed, certified = run_case(case(name))[quantity], case(name).expected[quantity]
     error = np.abs(np.asarray(computed) - certified) / np.abs(certified)
     return -np.log10(np.maximum(error, 1e-15)).min()
@@ -30,7 +30,7 @@ def test_certified_values(name):
     assert checked.state == "passed", checked
 
 
-def test_the_sets_of_every_level_of_difficulty_are_there():
+def test_all_levels_of_difficulty_are_included():
     lower, average = {"Norris", "Pontius"}, {"NoInt1", "NoInt2"}
     higher = {"Filip", "Longley", *(f"Wampler{i}" for i in range(1, 6))}
     assert {f"NIST {name}" for name in lower | average | higher} == {*NIST}
@@ -39,19 +39,19 @@ def test_the_sets_of_every_level_of_difficulty_are_there():
 @pytest.mark.parametrize(
     ("name", "estimate", "others"), [("Pontius", 11.0, 12.0), ("Longley", 10.0, 10.5)]
 )
-def test_digits_of_the_harder_ones(name, estimate, others):
-    assert digits(f"NIST {name}", "estimate") > estimate
-    assert digits(f"NIST {name}", "u") > others
-    assert digits(f"NIST {name}", "sigma") > max(others, 11.0)
-    assert digits(f"NIST {name}", "chi2") > max(others, 11.0)
+def test_correct_digits_of_difficult_datasets(name, estimate, others):
+    assert correct_digits(f"NIST {name}", "estimate") > estimate
+    assert correct_digits(f"NIST {name}", "u") > others
+    assert correct_digits(f"NIST {name}", "sigma") > max(others, 11.0)
+    assert correct_digits(f"NIST {name}", "chi2") > max(others, 11.0)
 
 
-def test_filip():
+def test_filip_dataset():
     """The columns' condition number is 5e9 even when they are scaled.
 
     So of the 16 digits of a double some 7 are left, by the best algorithm.
     """
-    assert digits("NIST Filip", "sigma") > 7.0
+    assert correct_digits("NIST Filip", "sigma") > 7.0
     # Centred and scaled, the same problem is a kind one: the fit itself is well determined.
     given = case("NIST Filip").given
     x = np.array(given["x"])

@@ -1,4 +1,4 @@
-"""Figures of the paper, and the exact figures that its stated plan leads to.
+"""Values printed in the paper, and exact values for its stated plan.
 
 Xie, Liu, Qiao, Pan and Ren, "Second-order coefficient calibration method of accelerometer in
 platform inertial navigation system tested on double turntable centrifuge", section 2.3, Tables 1
@@ -57,12 +57,12 @@ def test_printed_sigma_k_ii_follows_from_printed_sigma_b2():
     assert sigma == pytest.approx(PRINTED_SIGMA_K_II, rel=3e-4)
 
 
-def test_standard_gravity_reproduces_it_less_well():
+def test_standard_gravity_deviates_from_printed_sigma_k_ii():
     sigma = unweighted_sigma(printed_columns(gravity=9.80665), PRINTED_SIGMA_B2)
     assert sigma == pytest.approx(3.0375e-7, abs=0.5e-11)
 
 
-def test_a_quarter_instead_of_a_half_doubles_it():
+def test_factor_one_quarter_doubles_sigma_k_ii():
     columns = printed_columns()
     columns[:, 0] = exact_column("K_II")
     assert unweighted_sigma(columns, PRINTED_SIGMA_B2) == pytest.approx(6.0709e-7, abs=0.5e-11)
@@ -72,12 +72,12 @@ def test_sigma_b2_of_the_stated_plan(stated_plan_sigma):
     np.testing.assert_allclose(stated_plan_sigma, [8.38735e-8, 3.35494e-7, 1.34198e-6], rtol=5e-6)
 
 
-def test_sigma_b2_grows_as_the_square_of_the_rate(stated_plan_sigma):
+def test_sigma_b2_grows_with_square_of_rate(stated_plan_sigma):
     """As many strobes in half the time: the printed values hardly change from rate to rate."""
     np.testing.assert_allclose(stated_plan_sigma[1:] / stated_plan_sigma[:-1], 4.0, rtol=1e-10)
 
 
-def test_first_strobe_one_turn_earlier_changes_nothing(stated_plan_sigma):
+def test_sigma_b2_is_independent_of_first_strobe(stated_plan_sigma):
     """Whether k runs from 0 or from 1 (the paper has both) shifts time, not the curvature."""
     time = (np.pi / 2 + 2 * np.pi * np.arange(100)) / RATES[0]
     row = np.linalg.pinv(np.vander(time / time[-1], 3, increasing=True))[2] / time[-1] ** 2
@@ -94,7 +94,7 @@ def test_first_strobe_one_turn_earlier_changes_nothing(stated_plan_sigma):
         (("K_II", "K_F"), True, 8.270e-9),
     ],
 )
-def test_exact_model_on_the_stated_plan(stated_plan_sigma, symbols, drift, expected):
+def test_exact_model_sigma_of_stated_plan(stated_plan_sigma, symbols, drift, expected):
     columns = [exact_column(symbol) for symbol in symbols]
     if drift:  # against the nominal angle a strobe sees -1/2 K_I R C w0 t^2
         columns.append(-SCALE_FACTOR * RADIUS * RATES / 2)
@@ -102,7 +102,7 @@ def test_exact_model_on_the_stated_plan(stated_plan_sigma, symbols, drift, expec
     assert sigma == pytest.approx(expected, abs=0.5e-12)
 
 
-def test_printed_columns_on_the_stated_plan(stated_plan_sigma):
+def test_printed_columns_sigma_of_stated_plan(stated_plan_sigma):
     """Smaller figures than the exact model's, for a K_II that is half the true value."""
     unweighted = unweighted_sigma(printed_columns(), stated_plan_sigma)
     weighted = weighted_sigma(printed_columns(), stated_plan_sigma)

@@ -1,4 +1,4 @@
-"""The demonstration: the paper's plan comes back as it went in, and is told as it is."""
+"""The demonstration: the methods recover the values of the paper's plan."""
 
 import math
 import re
@@ -14,13 +14,13 @@ from counterspin.reproduction.page import demonstration_plots
 
 
 @pytest.fixture(scope="module")
-def shown(tmp_path_factory):
+def demonstration(tmp_path_factory):
     return demo(tmp_path_factory.mktemp("demo") / "made" / "here")
 
 
-def test_campaign_is_the_paper_s(shown):
-    campaign = shown.campaign
-    assert shown.truth == plan.TABLE_1
+def test_campaign_has_values_of_paper(demonstration):
+    campaign = demonstration.campaign
+    assert demonstration.truth == plan.TABLE_1
     assert campaign.gravity.value == plan.GRAVITY
     assert campaign.radius.value == plan.RADIUS
     assert campaign.noise.displacement == plan.SIGMA_DISPLACEMENT
@@ -30,37 +30,37 @@ def test_campaign_is_the_paper_s(shown):
         assert ripple.amplitude / run.rate == pytest.approx(plan.RIPPLE_RATIO, rel=1e-12)
         assert ripple.phase == pytest.approx(plan.RIPPLE_PHASE, rel=1e-15)
         assert run.duration * run.rate / (2 * math.pi) == pytest.approx(plan.STROBES)
-    assert [run.parabola.strobes.time.size for run in shown.two_stage.second.runs] == [
+    assert [run.parabola.strobes.time.size for run in demonstration.two_stage.second.runs] == [
         100,
         100,
         100,
     ]
 
 
-def test_both_methods_find_the_truth_and_the_printed_equations_half_of_it(shown):
+def test_methods_recover_truth_and_printed_equations_half_of_it(demonstration):
     # Five standard uncertainties, for a fixed seed: only a mistake can fail this.
-    for method in (shown.joint, shown.two_stage.result):
+    for method in (demonstration.joint, demonstration.two_stage.result):
         for symbol, found in method.coefficients.items():
             if found.estimated:
-                assert abs(found.value - shown.truth[symbol]) < 5 * found.u, symbol
-    half = shown.as_printed.result.coefficients["K_II"]
-    assert abs(half.value - shown.truth["K_II"] / 2) < 5 * half.u
-    assert abs(half.value - shown.truth["K_II"]) > 100 * half.u
+                assert abs(found.value - demonstration.truth[symbol]) < 5 * found.u, symbol
+    half = demonstration.as_printed.result.coefficients["K_II"]
+    assert abs(half.value - demonstration.truth["K_II"] / 2) < 5 * half.u
+    assert abs(half.value - demonstration.truth["K_II"]) > 100 * half.u
 
 
-def test_joint_fit_is_worth_its_trouble(shown):
-    u = [m.coefficients["K_II"].u for m in (shown.joint, shown.two_stage.result)]
+def test_joint_fit_has_smaller_uncertainty(demonstration):
+    u = [m.coefficients["K_II"].u for m in (demonstration.joint, demonstration.two_stage.result)]
     assert u[0] < 8e-10
     assert u[1] > 4 * u[0]
 
 
-def test_figure_is_the_first_stage_less_the_bias(shown):
-    upper, *lower = demonstration_plots(shown)
+def test_figure_shows_first_stage_minus_bias(demonstration):
+    upper, *lower = demonstration_plots(demonstration)
     assert upper.title.startswith("The paper's plan: Qx")
-    half_bias = 0.5 * shown.two_stage.result.coefficients["K_F"].value * plan.GRAVITY
+    half_bias = 0.5 * demonstration.two_stage.result.coefficients["K_F"].value * plan.GRAVITY
     curves, strobes = upper.series[::2], upper.series[1::2]
     for run, curve, points, panel in zip(
-        shown.two_stage.second.runs, curves, strobes, lower, strict=True
+        demonstration.two_stage.second.runs, curves, strobes, lower, strict=True
     ):
         _, residuals = panel.series
         assert residuals.x == tuple(run.parabola.strobes.time)
@@ -82,7 +82,7 @@ def test_figure_is_the_first_stage_less_the_bias(shown):
         assert curve.colour == points.colour == residuals.colour
 
 
-def test_command_writes_what_it_says_and_may_be_repeated(tmp_path, monkeypatch, capsys):
+def test_command_writes_listed_files_and_can_be_repeated(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
     assert cli.main(["demo"]) == 0
@@ -104,21 +104,21 @@ def test_figure_as_png(tmp_path):
     assert (tmp_path / "out" / "displacement.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_another_campaign_is_left_alone(tmp_path):
+def test_existing_campaign_is_not_overwritten(tmp_path):
     (tmp_path / "campaign.toml").write_text("schema = 1\n")
     with raises("file-exists"):
         demo(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["campaign.toml"]
 
 
-def test_records_of_somebody_else_are_left_alone(tmp_path):
+def test_existing_records_are_not_overwritten(tmp_path):
     (tmp_path / "run1.csv").write_text("measured")
     with raises("file-exists", "run1.csv"):
         demo(tmp_path, overwrite=True)
     assert [path.read_text() for path in tmp_path.iterdir()] == ["measured"]
 
 
-def test_a_file_in_the_place_of_the_folder(tmp_path):
+def test_rejects_file_as_output_folder(tmp_path):
     (tmp_path / "taken").write_text("")
     with pytest.raises(CounterspinError, match="taken cannot be used"):
         demo(tmp_path / "taken")

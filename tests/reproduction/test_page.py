@@ -1,4 +1,4 @@
-"""The comparison with the paper, as text: all of it, in any usual width."""
+"""The comparison with the paper as text, complete at all usual widths."""
 
 import io
 
@@ -9,16 +9,16 @@ from counterspin.reproduction.comparison import reproduce
 from counterspin.reproduction.plan import PaperSection, Reproduction, Row
 
 
-def rendered(reproduction, width):
+def render(reproduction, width):
     out = io.StringIO()
     Console(file=out, width=width).print(reproduction)
     return out.getvalue()
 
 
 @pytest.mark.parametrize("width", [80, 100, 160])
-def test_every_number_is_whole_in_the_width(width):
+def test_numbers_are_not_broken_at_width(width):
     shown = reproduce()
-    text = rendered(shown, width)
+    text = render(shown, width)
     assert max(len(line) for line in text.splitlines()) <= width
     words = text.split()
     for row in shown.rows:
@@ -28,9 +28,9 @@ def test_every_number_is_whole_in_the_width(width):
         assert section.title in text
 
 
-def test_a_figure_the_paper_does_not_have_is_a_dash():
+def test_value_missing_in_paper_is_shown_as_dash():
     row = Row("a.b", "something", None, 2.5, "m", "not in the paper", ".1f")
-    text = rendered(Reproduction(inputs={}, sections=(PaperSection("Part", (row,)),)), 80)
+    text = render(Reproduction(inputs={}, sections=(PaperSection("Part", (row,)),)), 80)
     assert next(line.split()[:4] for line in text.splitlines() if line.startswith("something")) == [
         "something",
         "-",

@@ -1,4 +1,4 @@
-"""``counterspin reproduce``: every figure again, from a simulation that is checked by another."""
+"""``counterspin reproduce``: the values of the paper, from an independently checked simulation."""
 
 import json
 
@@ -26,7 +26,7 @@ def reproduction():
 
 
 @pytest.mark.parametrize(("nominal_reference", "drift"), [(False, 0.0), (True, 1e-6)])
-def test_simulation_agrees_with_a_differential_equation(nominal_reference, drift):
+def test_simulation_agrees_with_differential_equation(nominal_reference, drift):
     """Navigation as an initial value problem, written out here from Eq. 1, 2 and 7."""
     rate, phase = RATES[0], RIPPLE_PHASE
     ripple = RIPPLE_RATIO * rate
@@ -62,7 +62,7 @@ def test_simulation_agrees_with_a_differential_equation(nominal_reference, drift
     np.testing.assert_allclose(error[:few], solution.y[0], rtol=0, atol=1e-9)
 
 
-def test_rows_have_keys_of_their_own_and_reasons(reproduction):
+def test_rows_have_unique_keys_and_reasons(reproduction):
     keys = [row.key for row in reproduction.rows]
     assert len(set(keys)) == len(keys)
     assert all(row.why for row in reproduction.rows)
@@ -98,12 +98,12 @@ def test_rows_have_keys_of_their_own_and_reasons(reproduction):
         ("separation.drift_separated", "2.0000e-05", "2.0000e-05"),
     ],
 )
-def test_figure(reproduction, key, printed, ours):
+def test_row_has_printed_and_reproduced_value(reproduction, key, printed, ours):
     row = reproduction[key]
     assert (row.printed_text, row.ours_text) == (printed, ours)
 
 
-def test_harmonic_constants_are_the_closed_forms(reproduction):
+def test_harmonic_constants_match_closed_forms(reproduction):
     """At the strobes: K_II R^2 w^2/(4 g), -7/9 K_III R^3 w^4/g^2, K_IP R."""
     rate = RATES[-1]
     expected = {
@@ -120,7 +120,7 @@ def test_harmonic_constants_are_the_closed_forms(reproduction):
     assert omitted.ours == pytest.approx(sum(expected.values()), rel=1e-6)
 
 
-def test_ripple_shifts_the_strobes_by_a_constant_only(reproduction):
+def test_ripple_shifts_strobes_by_constant(reproduction):
     """-K_I R (w_p/w0)(sin phi + cos phi) at the nominal strobes, no parabola."""
     expected = -RADIUS * RIPPLE_RATIO * (np.sin(RIPPLE_PHASE) + np.cos(RIPPLE_PHASE))
     assert reproduction["eq15.ripple_constant"].ours == pytest.approx(
@@ -128,7 +128,7 @@ def test_ripple_shifts_the_strobes_by_a_constant_only(reproduction):
     )
 
 
-def test_what_remains_of_the_ripple_is_its_product_with_k_iii(reproduction):
+def test_remaining_effect_of_ripple_is_product_with_k_iii(reproduction):
     """b2 of K_III is -3/4 K_III R^3 w^6 eps sin(phi)/g^2; at the fastest rate that is all."""
     rate = RATES[-1]
     relative = (-3 * TABLE_1["K_III"] * RADIUS * rate**2 * RIPPLE_RATIO * np.sin(RIPPLE_PHASE)) / (
@@ -138,7 +138,7 @@ def test_what_remains_of_the_ripple_is_its_product_with_k_iii(reproduction):
     assert departure == pytest.approx(relative, rel=0.1)
 
 
-def test_the_second_column_takes_up_the_drift(reproduction):
+def test_second_column_absorbs_drift(reproduction):
     """-3/4 K_I R w x = -1/2 K_I R w C; K_II under drift grows as w^3 and takes some of it."""
     taken_up = reproduction["separation.drift_as_ripple"].ours
     assert taken_up == pytest.approx(2 / 3 * DRIFT_RATE, rel=0.03)
@@ -147,7 +147,7 @@ def test_the_second_column_takes_up_the_drift(reproduction):
     assert abs(ignored - TABLE_1["K_II"]) > 0.5 * sigma
 
 
-def test_json_holds_every_figure(reproduction):
+def test_json_contains_all_rows(reproduction):
     written = json.loads(reproduction.to_json())
     assert Reproduction.model_validate(written).to_json() == reproduction.to_json()
     rows = {row["key"]: row for section in written["sections"] for row in section["rows"]}

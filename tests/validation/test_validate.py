@@ -1,4 +1,4 @@
-"""The dossier: every case passes, every kernel that is off is named, and the files say so."""
+"""The dossier: all cases pass, deviating kernels are named, and the files agree."""
 
 import json
 from dataclasses import fields, is_dataclass, replace
@@ -18,7 +18,7 @@ from counterspin.validation import validate as validating
 from counterspin.validation.cases import case, cases
 from counterspin.validation.validate import DOSSIER_FILES, check_case, validate
 
-#: What says yes or no, or makes a document, and is tried on its own.
+#: Functions that return a verdict or a document, tested separately.
 CHECKS = (
     "counterspin.certificates.schema:check_schema",
     "counterspin.certificates.signature:verify",
@@ -50,7 +50,7 @@ def dossier():
 
 
 @pytest.mark.slow
-def test_every_case_passes(dossier):
+def test_all_cases_pass(dossier):
     assert len(dossier.cases) >= 40
     # The schema of DCC is not part of the package.
     assert [one.name for one in dossier.cases if one.state != "passed"] == [SCHEMA_CASE]
@@ -61,17 +61,17 @@ def test_every_case_passes(dossier):
 
 
 @pytest.mark.parametrize("kernel", [pytest.param(CHECKS[0], marks=needs_schema), CHECKS[1]])
-def test_a_check_that_lets_all_pass_or_none_is_named(kernel, monkeypatch):
+def test_check_that_always_or_never_passes_is_named(kernel, monkeypatch):
     chosen = [one for one in cases() if one.kernel == kernel]
     assert [one.state for one in validate(schema=schema(), chosen=chosen).cases] == ["passed"]
     module, _, name = kernel.partition(":")
-    for wrong in (lambda *_: None, raises):
+    for wrong in (lambda *_: None, raise_record_error):
         monkeypatch.setattr(import_module(module), name, wrong)
         assert validate(schema=schema(), chosen=chosen).failed == [chosen[0].name]
 
 
 @pytest.mark.parametrize("of", ["certificate_text.expanded_uncertainty", "build.region_factor"])
-def test_a_certificate_with_another_coverage_factor_is_named(of, monkeypatch):
+def test_wrong_coverage_factor_fails_case(of, monkeypatch):
     module, name = of.split(".")
     owner = import_module(f"counterspin.certificates.{module}")
     right = getattr(owner, name)
@@ -80,8 +80,8 @@ def test_a_certificate_with_another_coverage_factor_is_named(of, monkeypatch):
     assert validate(chosen=chosen).failed == [one.name for one in chosen]
 
 
-def test_what_a_fit_may_be_off_by_is_small_beside_u():
-    """Nothing that matters hides in a limit: at most 0.5 % of u, and 0.0003 u of a stated noise."""
+def test_tolerances_of_fits_are_small_relative_to_u():
+    """Tolerances are at most 0.5 % of u, and 0.0003 u for a stated noise."""
     fits = [one for one in cases() if one.absolute is None]
     assert len(fits) >= 6
     for one in fits:
@@ -95,18 +95,18 @@ def schema():
     return SCHEMA if SCHEMA.exists() else None
 
 
-def raises(*_):
+def raise_record_error(*_):
     raise cs.RecordError("everything is refused")
 
 
-def test_a_folder_without_the_schema_is_told_before_the_cases_are_run(tmp_path, capsys):
+def test_missing_schema_folder_raises_before_cases_run(tmp_path, capsys):
     words = ["validate", "-o", str(tmp_path / "d"), "--schema", str(tmp_path / "none")]
     assert main(words) == 1
     assert "file not found" in capsys.readouterr().err
     assert not (tmp_path / "d" / "validation.html").exists()
 
 
-def test_every_requirement_and_every_format_has_a_case():
+def test_all_requirements_and_formats_have_cases():
     assert {one.requirement for one in cases()} >= REQUIREMENTS
     read = [one.given["file"] for one in cases() if one.kernel.endswith(":read_record")]
     assert {f".{name.rpartition('.')[2]}" for name in read} == {*RECORD_FORMATS}
@@ -114,13 +114,13 @@ def test_every_requirement_and_every_format_has_a_case():
     assert len(set(names)) == len(names)
 
 
-def test_the_number_of_cases_is_the_one_that_is_told():
+def test_documented_number_of_cases_is_current():
     told = (Path(__file__).parents[2] / "CHANGELOG.md").read_text(encoding="utf-8")
     assert f"{len(cases())} reference cases" in told
 
 
-def off(value):  # noqa: PLR0911 -- a branch for each kind of value
-    """Return what a kernel gives, every number off by 1e-6 of itself."""
+def perturb(value):  # noqa: PLR0911 -- a branch for each kind of value
+    """Return a kernel's value with all numbers changed by 1e-6 of themselves."""
     if isinstance(value, bool | str | int | None):
         return value
     if isinstance(value, float | np.floating):
@@ -128,35 +128,35 @@ def off(value):  # noqa: PLR0911 -- a branch for each kind of value
     if isinstance(value, np.ndarray):
         return value * (1.0 + 1e-6) if value.dtype.kind == "f" else value
     if isinstance(value, dict):
-        return {key: off(one) for key, one in value.items()}
+        return {key: perturb(one) for key, one in value.items()}
     if isinstance(value, tuple) and type(value) is tuple:
-        return tuple(map(off, value))
+        return tuple(map(perturb, value))
     if hasattr(value, "model_copy"):
-        changed = {key: off(getattr(value, key)) for key in type(value).model_fields}
+        changed = {key: perturb(getattr(value, key)) for key in type(value).model_fields}
         return value.model_copy(update=changed)
     if is_dataclass(value) or hasattr(value, "__dataclass_fields__"):
         return replace(
-            value, **{f.name: off(getattr(value, f.name)) for f in fields(value) if f.init}
+            value, **{f.name: perturb(getattr(value, f.name)) for f in fields(value) if f.init}
         )
     return value
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS, ids=lambda kernel: kernel.rpartition(":")[2])
-def test_a_kernel_that_is_off_by_a_millionth_is_named(kernel, monkeypatch):
+def test_relative_kernel_error_of_1e_6_fails_case(kernel, monkeypatch):
     module, _, name = kernel.partition(":")
     owner = import_module(module)
     *inside, last = name.split(".")
     for part in inside:
         owner = getattr(owner, part)
     right = getattr(owner, last)
-    monkeypatch.setattr(owner, last, lambda *given, **more: off(right(*given, **more)))
+    monkeypatch.setattr(owner, last, lambda *given, **more: perturb(right(*given, **more)))
     states = {one.name: check_case(one).state for one in cases() if one.kernel == kernel}
     assert "failed" in states.values(), states
 
 
-def test_a_term_without_integrals_fails_its_own_cases_and_says_so(monkeypatch):
-    """What is not expected of one function is no matter of the others."""
+def test_term_without_integrals_fails_only_its_cases(monkeypatch):
+    """A missing expected value does not affect other cases."""
     fourth = TERMS["K_4"]
     new = replace(fourth, symbol="K_NEW", effect=replace(fourth.effect, factors=6 * ("I",)))
     monkeypatch.setattr("counterspin.validation.cases.TERMS", {**TERMS, "K_NEW": new})
@@ -167,7 +167,7 @@ def test_a_term_without_integrals_fails_its_own_cases_and_says_so(monkeypatch):
     assert "double_integrals.json does not contain the integral of K_NEW" in found.cases[0].note
 
 
-def test_the_command_fails_with_the_name_of_the_case(tmp_path, monkeypatch, capsys):
+def test_command_fails_with_name_of_case(tmp_path, monkeypatch, capsys):
     from counterspin.inference import distributions
 
     some = [case("normal quantile"), case("weighted mean"), case("NIST Norris")]
@@ -182,7 +182,7 @@ def test_the_command_fails_with_the_name_of_the_case(tmp_path, monkeypatch, caps
     assert found.digits == pytest.approx(6.0, abs=1e-3)
 
 
-def test_a_kernel_that_raises_is_a_failure(monkeypatch):
+def test_kernel_exception_fails_case(monkeypatch):
     from counterspin.inference import least_squares
 
     monkeypatch.setattr(least_squares, "fit", lambda *_: 1 / 0)
@@ -191,7 +191,7 @@ def test_a_kernel_that_raises_is_a_failure(monkeypatch):
     assert "ZeroDivisionError" in checked.note
 
 
-def test_a_format_whose_package_is_not_there_is_said_not_to_be_covered(monkeypatch):
+def test_format_without_package_is_not_covered(monkeypatch):
     from counterspin.validation import files
 
     monkeypatch.setattr(files, "find_spec", lambda name: None)
@@ -200,7 +200,7 @@ def test_a_format_whose_package_is_not_there_is_said_not_to_be_covered(monkeypat
     assert any("nptdms is not installed" in text for text in one.not_covered)
 
 
-def test_the_three_files_say_the_same(dossier, tmp_path):
+def test_three_files_agree(dossier, tmp_path):
     cs.write_dossier(dossier, tmp_path / "d")
     assert {path.name for path in (tmp_path / "d").iterdir()} == {*DOSSIER_FILES}
     page = (tmp_path / "d" / "validation.html").read_text(encoding="utf-8")

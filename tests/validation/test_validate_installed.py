@@ -12,7 +12,7 @@ from counterspin.validation import validate as validating
 from counterspin.validation.validate import installation, validate, verify_files
 
 
-def record_of(folder):
+def make_record(folder):
     lines = ["counterspin-9.dist-info/RECORD,,"]
     for path in sorted(folder.rglob("*.py")):
         digest = hashlib.sha256(path.read_bytes()).digest()
@@ -22,10 +22,10 @@ def record_of(folder):
     return "\n".join(lines)
 
 
-def test_an_altered_and_a_missing_file_are_named(tmp_path):
+def test_altered_and_missing_files_are_named(tmp_path):
     for name in ("a.py", "b.py", "c.py"):
         (tmp_path / name).write_text(f"# {name}\n")
-    record = record_of(tmp_path)
+    record = make_record(tmp_path)
     assert verify_files(record, tmp_path)[1:] == ([], [])
     assert set(verify_files(record, tmp_path)[0]) == {"a.py", "b.py", "c.py"}
     (tmp_path / "b.py").write_text("# b.py \n")
@@ -34,7 +34,7 @@ def test_an_altered_and_a_missing_file_are_named(tmp_path):
 
 
 @pytest.mark.parametrize("editable", [True, False])
-def test_a_record_is_that_of_the_files_beside_it(editable, monkeypatch, tmp_path):
+def test_missing_file_is_reported_except_for_editable_install(editable, monkeypatch, tmp_path):
     site = tmp_path if editable else Path(counterspin.__file__).parents[1]
     delivered = SimpleNamespace(
         requires=[],
@@ -46,7 +46,7 @@ def test_a_record_is_that_of_the_files_beside_it(editable, monkeypatch, tmp_path
     assert installation().missing == missing
 
 
-def test_what_is_installed_is_said():
+def test_installation_lists_files_and_packages():
     there = installation()
     assert there.files > 300
     assert "numpy" in there.packages
@@ -54,7 +54,7 @@ def test_what_is_installed_is_said():
     assert there.checksum == installation().checksum
 
 
-def test_an_altered_installation_does_not_pass(monkeypatch, tmp_path, capsys):
+def test_altered_installation_fails(monkeypatch, tmp_path, capsys):
     from counterspin.cli import main
 
     altered = installation().model_copy(update={"altered": ["errors.py"], "recorded": 400})
