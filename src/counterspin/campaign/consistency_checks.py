@@ -25,6 +25,7 @@ from counterspin.campaign.settings import OBSERVABLES, CentrifugeSettings, Noise
 from counterspin.campaign.terms import TABLE_ERRORS, symbols_shown
 from counterspin.campaign.validation import Problems
 from counterspin.errors import Problem
+from counterspin.physics.conditions import STATED_CONDITIONS
 from counterspin.physics.effects import AttitudeError, TrajectoryError
 from counterspin.physics.terms import CONDITION_TERMS, LEVER_ARM, SHARED_TERMS, affects_readings
 
@@ -372,20 +373,20 @@ def _missing_conditions(
         for symbol, row in CONDITION_TERMS.items()
         if symbol in {*model.terms, *model.considered}
     ]
-    for key in ("temperature", "time"):
+    for key in STATED_CONDITIONS:
         conditions = (key, "direction") if key == "temperature" else (key,)
         term_symbol = next((row.symbol for row in used if row.effect.condition in conditions), None)
         recorded_runs = recorded_temperatures if key == "temperature" else ()
         stated = [
             getattr(run, key) is not None or run.name in recorded_runs for run in runs.values()
         ]
-        if term_symbol is None and (key == "temperature" or not any(stated)):
+        if term_symbol is None and (key != "time" or not any(stated)):
             continue
         reason = f"{term_symbol} is in the model" if term_symbol else "other runs state this value"
+        (example,) = Run.model_fields[key].examples or ("",)
         for index, is_stated in zip(runs, stated, strict=True):
             if not is_stated:
-                example = '"23.4 degC"' if key == "temperature" else '"12 min"'
-                message = f"is missing: {reason}; write for example {key} = {example}"
+                message = f'is missing: {reason}; write for example {key} = "{example}"'
                 yield ("runs", index, key), Problem(message, "missing-key")
         if recorded_runs or reference is not None or not runs or not all(stated):
             continue

@@ -9,6 +9,7 @@ from pydantic import AfterValidator
 from counterspin.campaign.columns import Sense, TableDialect
 from counterspin.campaign.field_types import SettingsSection, Text, file_name, key_field
 from counterspin.campaign.runs import ReadingAxes
+from counterspin.physics.conditions import STATED_CONDITIONS
 from counterspin.physics.terms import MotionKind
 from counterspin.records.format_registry import RECORD_FORMATS
 
@@ -31,8 +32,7 @@ COLUMNS: Final = (
     "head",
     "input",
     "pendulous",
-    "temperature",
-    "time",
+    *STATED_CONDITIONS,
     "mounting",
     "sense",
 )
@@ -62,9 +62,7 @@ class ReadingsSettings(TableDialect, _TableFile):
     """[readings]: a table of readings, in place of many [[runs]]."""
 
     columns: dict[str, _Repeats | dict[str, _Repeats]] = key_field(
-        "column names, by key: `name`, `motion`, `rate`, `u_rate`, `amplitude`, `u_amplitude`, "
-        "`bias_acceleration`, `attitude`, `head`, `input`, `pendulous`, `reading`, `u`, "
-        "`temperature`, `time`, `mounting`, `sense`",
+        f"column names, by key: `reading`, `u`, {', '.join(f'`{key}`' for key in COLUMNS)}",
         {"attitude": "angle_deg", "reading": "mA"},
         min_length=1,
     )

@@ -19,6 +19,7 @@ from counterspin.campaign.settings import Output
 from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.errors import InputError, RecordError, code_of
 from counterspin.frozen import frozen
+from counterspin.physics.conditions import STATED_CONDITIONS
 from counterspin.readings.cells import (
     BLANK,
     SENSE_WORDS,
@@ -442,7 +443,7 @@ class ReadingsTable:
             run["attitude"] = self._head_turn(angle)
         else:
             run["attitude"] = words_of(attitude)
-        for key, unit in (("temperature", "degC"), ("time", "s")):
+        for key, unit in STATED_CONDITIONS.items():
             if (value := cell(key)) is not None:
                 if key == "time":
                     value = seconds_of(value)
