@@ -7,7 +7,7 @@ from stations import Station, from_stations
 
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.conditions import RunConditions
+from counterspin.physics.conditions import AT_REFERENCE, RunConditions
 from counterspin.physics.motion import Site
 from counterspin.physics.simulation import coefficients_in_run
 from counterspin.physics.station import FRAMES, mean_products
@@ -66,9 +66,9 @@ def readings(test, value, u, u_head=0.0, temperature=None):
         value=np.asarray(value, dtype=float),
         u=None if u is None else np.full(n, u),
         conditions={
+            **AT_REFERENCE.at(np.zeros(n), 0.0),
             "temperature": np.zeros(n) if temperature is None else temperature,
             "time": np.arange(n) * 60.0,
-            "direction": np.zeros(n),
         },
         repeats=np.ones(n),
         scatter=np.zeros(n),

@@ -66,6 +66,7 @@ def table(folder, values, u=None, description=None, **columns):
 def group(values, u=None, names=NAMES):
     """Return poses as the fit takes them."""
     from counterspin.physics.accelerometer import Mounting
+    from counterspin.physics.conditions import AT_REFERENCE
     from counterspin.triads.poses import TriadPoses
 
     values = np.asarray(values)
@@ -77,7 +78,7 @@ def group(values, u=None, names=NAMES):
         gravity=9.81,
         value=values,
         u=None if u is None else np.broadcast_to(u, values.shape).astype(float),
-        conditions=dict.fromkeys(("temperature", "time", "direction"), np.zeros(n)),
+        conditions=AT_REFERENCE.at(np.zeros(n), 0.0),
         repeats=np.ones(n),
         scatter=np.zeros(n),
         in_si=np.zeros((n, 3)),

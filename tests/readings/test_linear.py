@@ -13,6 +13,7 @@ from stations import Station, from_stations
 
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.conditions import AT_REFERENCE
 from counterspin.readings.fit import solve_readings
 from counterspin.readings.known_attitudes import Readings, linearize
 
@@ -58,7 +59,7 @@ def faces(values, sigma, repeats=1):
             u_head=np.zeros(n),
             value=values[name],
             u=None if sigma is None else np.full(n, sigma),
-            conditions=dict.fromkeys(("temperature", "time", "direction"), np.zeros(n)),
+            conditions=AT_REFERENCE.at(np.zeros(n), 0.0),
             repeats=np.ones(n),
             scatter=np.zeros(n),
             position=tuple(str(k + 1) for k in range(6) for _ in range(repeats)),

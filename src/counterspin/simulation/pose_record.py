@@ -12,6 +12,7 @@ from counterspin.campaign.conditions import reference_point
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.runs import sample_count
+from counterspin.physics.conditions import AT_REFERENCE
 from counterspin.triads.poses import TriadPoses, predict_indications
 
 #: How long a hand takes from one pose to the next, s.
@@ -114,9 +115,9 @@ def indicated_forces(
             value=np.zeros((n, 3)),
             u=None,
             conditions={
+                **AT_REFERENCE.at(chunk, 0.0),
                 "temperature": np.interp(chunk, knots, temperature_offsets),
                 "time": start_time + chunk,
-                "direction": np.zeros(n),
             },
             repeats=np.ones(n),
             scatter=np.zeros(n),
