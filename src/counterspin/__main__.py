@@ -37,8 +37,8 @@ def run() -> int:
     # What is imported stays: to search it for garbage, now and at the end, takes longer than many
     # a command.
     gc.set_threshold(1_000_000)
-    # While records are read, which asks for the interpreter's lock often and briefly, modules are
-    # imported that would keep it for long.
+    # The threads that read records and compute checksums need the interpreter's lock often and
+    # briefly; the main thread must release it soon.
     sys.setswitchinterval(1e-4)
     try:
         with _head_start():

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import fields, replace
 from hashlib import sha256
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -17,8 +15,6 @@ from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, RecordError, UsageError
 from counterspin.input import FileIdentity
 from counterspin.loading import load_name
-from counterspin.records.isolation import uses_reader_process
-from counterspin.records.memory import MemoryTable
 from counterspin.threads import one_blas_thread
 
 if TYPE_CHECKING:
@@ -79,22 +75,21 @@ def calibrate(
         load_name(f"{MONTE_CARLO}:check_trials")(monte_carlo, method)
     if accept_misfit is not None and not accept_misfit.strip():
         raise UsageError("calibrate", ["accept_misfit: give the reason in words"])
-    with checksums_of(where) as checksums, ThreadPoolExecutor(1) as loader:
-        # Loaded only now: checksums need none of it, and are taken on another core meanwhile.
+    with checksums_of(where) as checksums:
+        # Loaded only now: checksums and the start of the reader process run in the meantime.
         from counterspin.calibration.observed_runs import with_recorded_conditions
         from counterspin.campaign.description import Campaign, read_campaign
 
         campaign = where if isinstance(where, Campaign) else read_campaign(where)
         if without:
             campaign = _exclude_runs(campaign, without)
-        loader.submit(_preload_modules, campaign)
+        from counterspin.calibration.assembly import assemble_result
+
         file_identities = _identify_averaged_files(campaign)
         with one_blas_thread():
             campaign = with_recorded_conditions(campaign)
             observed = _observe_runs(campaign, progress)
             checksums.run_parallel()
-            from counterspin.calibration.assembly import assemble_result
-
             result = assemble_result(
                 campaign,
                 observed,
@@ -158,16 +153,6 @@ def _check_excluded(campaign: Campaign, without: Sequence[str]) -> None:
 
 def _quote_names(names: Sequence[str]) -> str:
     return ", ".join(f'"{name}"' for name in names)
-
-
-def _preload_modules(campaign: Campaign) -> None:
-    """Load beside the first record what the reading needs, then what comes after it."""
-    records = [campaign.record_at(run.record) for run in campaign.runs]
-    if not all(
-        isinstance(record, MemoryTable) or uses_reader_process(record) for record in records
-    ):
-        import_module("polars")
-    import_module("counterspin.calibration.assembly")
 
 
 def _check_method(method: str, options: TwoStageOptions | None) -> None:

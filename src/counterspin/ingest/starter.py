@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Final, Literal
 
-from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.errors import CounterspinError, ExistingFileError
 from counterspin.input import path_of
 from counterspin.output import make_folder, write_text
@@ -51,6 +49,10 @@ def init(folder: Path | str, test: Test = "double-turntable") -> Path:
         If there is no such test, there is a description or table already, or the folder cannot be
         written.
     """
+    from importlib.resources import files
+
+    from counterspin.campaign.documents import DESCRIPTION_NAME
+
     if test == "poses":
         raise CounterspinError(
             "there is no example with poses; create a campaign from a log of your sensor by naming "
