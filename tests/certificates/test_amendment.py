@@ -1,4 +1,4 @@
-"""A certificate that replaces another names it, in the schema's own elements, and what changed."""
+"""An amended certificate names the replaced certificate and the changes."""
 
 import hashlib
 
@@ -17,7 +17,7 @@ CORE = "//dcc:coreData"
 
 
 @pytest.fixture
-def desk(tmp_path, monkeypatch):
+def certificate_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")
     result().write("r.json")
@@ -26,12 +26,12 @@ def desk(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_from_a_result_to_an_amended_certificate_and_back(desk, capsys):
-    old = (desk / "old.xml").read_bytes()
-    write_lab(desk, LAB.replace('"0815"', '"0816"'))
+def test_amended_certificate_round_trip(certificate_folder, capsys):
+    old = (certificate_folder / "old.xml").read_bytes()
+    write_lab(certificate_folder, LAB.replace('"0815"', '"0816"'))
     why = ("--amends", "old.xml", "--reason", "The serial number was misread.")
     assert cli.main(["certificate", "r.json", "LAB.toml", "-o", "new.xml", *why]) == 0
-    new = (desk / "new.xml").read_bytes()
+    new = (certificate_folder / "new.xml").read_bytes()
     name, digest = read_certificate(old, "").identifier, hashlib.sha256(old).hexdigest()
     assert read_certificate(new, "").identifier == f"{name}-A1"
     replaced = f"{CORE}/dcc:reportAmendedSubstituted"
@@ -42,22 +42,24 @@ def test_from_a_result_to_an_amended_certificate_and_back(desk, capsys):
     _, reason, changed = said.splitlines()
     assert reason == "Reason: The serial number was misread."
     assert changed == 'Changed: calibrated item, from "0815" to "0816".'
-    # Read back, and held to the one that it replaces.
+    # Read back and compared with the replaced certificate.
     capsys.readouterr()
     assert cli.main(["certificate", "--verify", "new.xml", "--amends", "old.xml"]) == 0
     assert (
         f"The document amends and replaces certificate {name}, whose checksum"
         in capsys.readouterr().out
     )
-    (desk / "old.xml").write_bytes(old.replace(b"0815", b"0814"))
+    (certificate_folder / "old.xml").write_bytes(old.replace(b"0815", b"0814"))
     assert cli.main(["certificate", "--verify", "new.xml", "--amends", "old.xml"]) == 1
     assert "amend old.xml" in capsys.readouterr().err
     # And once more.
-    again = certificate("r.json", "LAB.toml", amends=Amendment(desk / "new.xml", "No code."))
+    again = certificate(
+        "r.json", "LAB.toml", amends=Amendment(certificate_folder / "new.xml", "No code.")
+    )
     assert again.identifier == f"{name}-A2"
 
 
-def test_changed_numbers_are_told_and_nothing_else(desk):
+def test_changed_numbers_are_listed(certificate_folder):
     other = result(
         coefficients={
             "K_F": coefficient(0.005, 1e-6, "g") | {"estimated": False},
@@ -77,9 +79,11 @@ def test_changed_numbers_are_told_and_nothing_else(desk):
     ]
 
 
-def test_statements_that_come_and_go_are_told(desk):
+def test_added_and_removed_statements_are_listed(certificate_folder):
     old = certificate(result(), "LAB.toml").xml
-    write_lab(desk, LAB.replace('remarks = ["Bemerkung."]', 'customer_data = ["K_I"]'))
+    write_lab(
+        certificate_folder, LAB.replace('remarks = ["Bemerkung."]', 'customer_data = ["K_I"]')
+    )
     assert describe_changes(old, certificate(result(), "LAB.toml").xml) == [
         'the statement "Prior information" has changed.',
         'the statement "Remarks" has been removed.',
@@ -87,42 +91,44 @@ def test_statements_that_come_and_go_are_told(desk):
     ]
 
 
-def test_what_cannot_be_amended_is_refused(desk, capsys):
+def test_rejects_invalid_amendment(certificate_folder, capsys):
     with pytest.raises(CampaignError, match="give the reason"):
-        certificate("r.json", "LAB.toml", amends=Amendment(desk / "old.xml", " "))
-    write_lab(desk, LAB.replace('language = "de"', 'identifier = "7"'))
+        certificate("r.json", "LAB.toml", amends=Amendment(certificate_folder / "old.xml", " "))
+    write_lab(certificate_folder, LAB.replace('language = "de"', 'identifier = "7"'))
     certificate("r.json", "LAB.toml").write("seven.xml")
     with raises("duplicate-entry", '"7"'):
-        certificate("r.json", "LAB.toml", amends=Amendment(desk / "seven.xml", "why"))
+        certificate("r.json", "LAB.toml", amends=Amendment(certificate_folder / "seven.xml", "why"))
     with pytest.raises(RecordError, match="does not amend a certificate"):
-        check_certificate(desk / "seven.xml", amends=desk / "old.xml")
+        check_certificate(certificate_folder / "seven.xml", amends=certificate_folder / "old.xml")
     assert cli.main(["certificate", "--init", "mine.toml"]) == 0
     certificate("r.json", "mine.toml").write("draft.xml")
     with raises("wrong-amendment"):
-        certificate("r.json", "LAB.toml", amends=Amendment(desk / "draft.xml", "why"))
+        certificate("r.json", "LAB.toml", amends=Amendment(certificate_folder / "draft.xml", "why"))
     words = ["certificate", "r.json", "LAB.toml", "-o", "x.xml", "--amends", "old.xml"]
     assert cli.main(words) == 2
     assert "--amends OLD.xml and --reason WHY" in capsys.readouterr().err
 
 
-def test_a_chain_that_returns_to_itself_is_refused_without_a_ledger(desk):
+def test_circular_amendments_are_rejected_without_ledger(certificate_folder):
     for number in range(3):
-        write_lab(desk, LAB.replace('language = "de"', f'identifier = "CS 00{number}"'))
-        amends = Amendment(desk / f"{number - 1}.xml", "why") if number else None
+        write_lab(
+            certificate_folder, LAB.replace('language = "de"', f'identifier = "CS 00{number}"')
+        )
+        amends = Amendment(certificate_folder / f"{number - 1}.xml", "why") if number else None
         certificate("r.json", "LAB.toml", amends=amends).write(f"{number}.xml")
-    newest = read_certificate((desk / "2.xml").read_bytes(), "")
+    newest = read_certificate((certificate_folder / "2.xml").read_bytes(), "")
     assert (newest.amends, newest.replaced) == ("CS 001", ("CS 001", "CS 000"))
     for name in ("CS 000", "cs 000", "CS\u00a0000", "CS 001", "CS000"):
-        write_lab(desk, LAB.replace('language = "de"', f'identifier = "{name}"'))
+        write_lab(certificate_folder, LAB.replace('language = "de"', f'identifier = "{name}"'))
         with raises("duplicate-entry", "CS 002"):
-            certificate("r.json", "LAB.toml", amends=Amendment(desk / "2.xml", "why"))
-    # One that was made by another program is found by its reader.
-    whole = (desk / "2.xml").read_bytes()
-    (desk / "2.xml").write_bytes(whole.replace(b">CS 002<", b">CS 000<"))
+            certificate("r.json", "LAB.toml", amends=Amendment(certificate_folder / "2.xml", "why"))
+    # A circular chain from another program is detected on reading.
+    whole = (certificate_folder / "2.xml").read_bytes()
+    (certificate_folder / "2.xml").write_bytes(whole.replace(b">CS 002<", b">CS 000<"))
     with pytest.raises(RecordError, match="the amendments are circular"):
-        check_certificate(desk / "2.xml", amends=desk / "1.xml")
+        check_certificate(certificate_folder / "2.xml", amends=certificate_folder / "1.xml")
 
 
-def test_identifiers_count_on():
+def test_amendment_number_is_incremented():
     assert AmendedCertificate("CS-1", "", "").next_identifier() == "CS-1-A1"
     assert AmendedCertificate("CS-1-A9", "", "").next_identifier() == "CS-1-A10"

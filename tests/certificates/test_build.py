@@ -1,4 +1,4 @@
-"""A certificate holds the result's numbers in SI, and says nothing that nobody has said."""
+"""A certificate contains the numbers of the result in SI and only stated data."""
 
 import re
 from base64 import b64decode
@@ -29,7 +29,7 @@ QUANTITY = "//dcc:measurementResult//dcc:quantity[@refType='basic_measuredValue'
 # Units
 
 
-def test_units_as_d_si_writes_them():
+def test_units_in_d_si_notation():
     assert si_unit("g")[0].text == r"\metre\second\tothe{-2}"
     assert si_unit("g/g")[0].text == r"\one"
     assert si_unit("g/g^2")[0].text == r"\metre\tothe{-1}\second\tothe{2}"
@@ -39,12 +39,12 @@ def test_units_as_d_si_writes_them():
         si_unit("furlong")
 
 
-def test_the_page_names_the_version_of_the_schema():
+def test_documentation_states_schema_version():
     page = (ROOT / "docs" / "certificate.md").read_text("utf-8")
     assert re.findall(r"DCC (\d[\d.]*\d)", page) == [SCHEMA_VERSION]
 
 
-def test_the_page_has_the_units_of_all_terms():
+def test_documentation_lists_units_of_all_terms():
     row = re.compile(r"^\| ([KKd]\w+).*? \| ([^|]+) \| (.*) \| `(.*)` \|$", re.MULTILINE)
     rows = row.findall((ROOT / "docs" / "certificate.md").read_text("utf-8"))
     assert {unit for _, unit, *_ in rows} == {term.unit for term in TERMS.values()}
@@ -57,21 +57,21 @@ def test_the_page_has_the_units_of_all_terms():
 
 
 @pytest.mark.parametrize("unit", sorted({row.unit for row in [*TERMS.values()]}))
-def test_the_error_model_is_the_same_in_si(unit):
+def test_error_model_is_equivalent_in_si(unit):
     # g (sum of K (a/g)^n) = sum of K' a^n, with the table's own products.
     force = np.array([[-23.0], [4.0], [11.0]])  # m/s^2
     for row in TERMS.values():
         if row.unit == unit:
             in_g = G * 0.7 * row.effect.evaluate(force / G)
             in_si = to_si(0.7, unit, G) * row.effect.evaluate(force)
-            scale = G if unit == "rad" else 1.0  # an angle is not counted in g either way
+            scale = G if unit == "rad" else 1.0  # an angle is not converted with g
             assert in_si * scale == pytest.approx(in_g * scale, rel=1e-14)
 
 
 @pytest.mark.parametrize(
     "unit", sorted({row.unit for row in [*TERMS.values(), *PLATFORM_TERMS.values()]})
 )
-def test_conversion_agrees_with_that_of_quantities_and_goes_back(unit):
+def test_conversion_agrees_with_quantities_and_is_invertible(unit):
     wanted = si_unit(unit)[0].words
     assert to_si(3.0, unit, G) == pytest.approx(
         3.0 * unit_factor(unit, wanted, gravity=G), rel=1e-15
@@ -82,7 +82,7 @@ def test_conversion_agrees_with_that_of_quantities_and_goes_back(unit):
 # Coverage
 
 
-def test_coverage_factors_are_those_of_the_tables():
+def test_coverage_factors_match_tables():
     # Student's t: GUM table G.2; chi-square and F at 95 %: NIST handbook 1.3.6.7.
     assert coverage_factor(None) == 1.96
     assert coverage_factor(1) == pytest.approx(12.71, abs=0.005)
@@ -94,7 +94,7 @@ def test_coverage_factors_are_those_of_the_tables():
     assert region_factor(1, 10.0) == coverage_factor(10)
 
 
-def test_numbers_are_spelt_as_the_schema_has_them():
+def test_numbers_match_schema_format():
     assert format_decimal(12.7062) == "12.7062"
     assert format_decimal(0.95) == "0.95"
     assert format_decimal(2.0) == "2"
@@ -104,7 +104,7 @@ def test_numbers_are_spelt_as_the_schema_has_them():
 # The numbers of a certificate
 
 
-def test_own_units_are_numbers_where_si_has_them(tmp_path):
+def test_output_units_known_to_si_are_certified(tmp_path):
     plain = result()
     one = plain.accelerometers["Qx"]
     output = {
@@ -135,7 +135,7 @@ def test_own_units_are_numbers_where_si_has_them(tmp_path):
     assert b"In the unit of the readings, the bias" in made
 
 
-def test_a_coefficient_in_si_by_hand(tmp_path):
+def test_coefficient_in_si(tmp_path):
     made = document(tmp_path, result())
     real = f"{QUANTITY}[dcc:name/dcc:content='K_II']/si:real"
     assert float(find(made, f"{real}/si:value")[0].text) == pytest.approx(2.7e-5 / 9.8, rel=1e-15)
@@ -155,7 +155,7 @@ def test_a_coefficient_in_si_by_hand(tmp_path):
     assert gravity == "1 g = 9.8 m/s^2, the local gravity of the site"
 
 
-def test_everything_reads_back_to_the_same_numbers(tmp_path):
+def test_certificate_round_trip(tmp_path):
     given = result(
         coefficients={
             "K_F": coefficient(0.005028816, 1.2e-9, "g"),
@@ -191,7 +191,7 @@ def test_everything_reads_back_to_the_same_numbers(tmp_path):
     assert np.diag(theirs.covariance) == pytest.approx(u**2, rel=1e-15)
 
 
-def test_the_region_takes_the_fewest_degrees_of_freedom(tmp_path):
+def test_region_factor_uses_fewest_degrees_of_freedom(tmp_path):
     given = result(
         coefficients={
             "K_F": coefficient(0.005, 1e-6, "g", dof=200.0),
@@ -209,7 +209,7 @@ def test_the_region_takes_the_fewest_degrees_of_freedom(tmp_path):
     assert units[3] == r"\metre\tothe{-2}\second\tothe{4}"
 
 
-def test_what_is_not_determined_is_left_out_and_said(tmp_path):
+def test_undetermined_coefficient_is_omitted_with_statement(tmp_path):
     given = result(
         coefficients={
             "K_II": coefficient(2.7e-5, 1e-9, "g/g^2"),
@@ -228,7 +228,7 @@ def test_what_is_not_determined_is_left_out_and_said(tmp_path):
     assert not find(made, "//si:realListXMLList")  # one coefficient has no covariance
 
 
-def test_what_the_result_rests_on_is_stated(tmp_path):
+def test_prior_information_is_stated(tmp_path):
     together = {"terms": ["K_II", "K_OO"], "correlation": -1.0, "determined": "K_II + K_OO"}
     unstated = {"source": "K_OO", "kind": "unstated", "unit": "g/g^2", "u": 2e-6}
     small = {**unstated, "source": "K_PP", "sensitivity": 1e-5, "contribution": 2e-11}
@@ -258,7 +258,7 @@ def test_what_the_result_rests_on_is_stated(tmp_path):
     )
 
 
-def test_a_result_that_nobody_may_certify_is_refused():
+def test_rejects_as_printed_and_undetermined_results():
     with pytest.raises(RecordError, match="half the true K_II"):
         check_certifiable(result().model_copy(update={"model": "as-printed"}), ["Qx"])
     unknown = {"value": None, "u": None, "unit": "g/g^2", "estimated": False}
@@ -267,10 +267,10 @@ def test_a_result_that_nobody_may_certify_is_refused():
     check_certifiable(result(), ["Qx"])
 
 
-# What else it says
+# Further content
 
 
-def test_administrative_data_are_those_of_the_laboratory(tmp_path):
+def test_administrative_data_of_laboratory(tmp_path):
     made = document(tmp_path, result())
     core = "//dcc:coreData"
     assert [e.text for e in find(made, f"{core}/dcc:usedLangCodeISO639_1")] == ["en", "de"]
@@ -278,7 +278,7 @@ def test_administrative_data_are_those_of_the_laboratory(tmp_path):
     assert find(made, f"{core}/dcc:endPerformanceDate")[0].text == "2026-01-14"
     assert find(made, f"{core}/dcc:issueDate")[0].text == "2026-01-20"
     content = find(made, "//dcc:items/dcc:item/dcc:name/dcc:content")[0]
-    # In one of two languages: by PTB's rules it then states none.
+    # By PTB's rules a text in one of two languages has no language attribute.
     assert (content.text, content.get("lang")) == ("Plattform", None)
     serial = "//dcc:subItems//dcc:identification[@refType='basic_serialNumber']/dcc:value"
     assert find(made, serial)[0].text == "Q-104"  # as the result has it
@@ -288,7 +288,7 @@ def test_administrative_data_are_those_of_the_laboratory(tmp_path):
     assert [e.text for e in temperature[:2]] == ["20.5", r"\degreecelsius"]
 
 
-def test_conditions_are_stated_with_their_expanded_uncertainty(tmp_path):
+def test_conditions_have_expanded_uncertainty(tmp_path):
     given = result()
     inputs = given.inputs.model_copy(update={"u_gravity": 3e-6, "u_radius": 0.0})
     made = document(tmp_path, given.model_copy(update={"inputs": inputs}))
@@ -300,13 +300,13 @@ def test_conditions_are_stated_with_their_expanded_uncertainty(tmp_path):
     assert not find(made, condition.format("Radius of the centrifuge") + "//si:valueExpandedMU")
 
 
-def test_an_identifier_with_a_stroke_makes_no_folder(tmp_path):
+def test_slash_in_identifier_is_replaced_in_file_name(tmp_path):
     made = document(tmp_path, result(), issue=Issue("2026/1 a", ISSUE.date))
     assert find(made, "//dcc:uniqueIdentifier")[0].text == "2026/1 a"
     assert find(made, "/*/dcc:document/dcc:fileName")[0].text == "2026_1_a.pdf"
 
 
-def test_no_condition_is_made_up(tmp_path):
+def test_unstated_conditions_are_omitted(tmp_path):
     text = """schema = 1
 certificate = { begin = 2026-01-12, end = 2026-01-12, traceability = "To the SI." }
 laboratory = { name = "L", city = "C", country = "DE" }
@@ -335,7 +335,7 @@ def test_result_and_report_are_attached(tmp_path):
     assert b64decode(data.text) == b"%PDF-1.7 for people"
 
 
-def test_warnings_are_not_hidden_and_no_character_breaks_the_document(tmp_path):
+def test_warnings_are_included_with_control_characters_escaped(tmp_path):
     given = result(warnings=["Qx: does not fit\x00\nK_II = 1\u202e & more"])
     given = given.model_copy(update={"warnings": ["of the campaign"]})
     made = document(tmp_path, given)
@@ -357,7 +357,7 @@ def test_warnings_are_not_hidden_and_no_character_breaks_the_document(tmp_path):
         ("probability", "undecided", 2.7e-5, []),
     ],
 )
-def test_verdicts_in_the_words_of_the_schema(tmp_path, rule, verdict, high, word):
+def test_conformity_uses_schema_terms(tmp_path, rule, verdict, high, word):
     judged = Conformity(
         specification=f"<= {high} g/g^2",
         low=None,
@@ -390,7 +390,7 @@ customer_data = ["K_I, from the maker's data sheet"]
 """
 
 
-def test_what_the_procedure_is_and_what_the_customer_supplied(tmp_path):
+def test_procedure_and_customer_data_are_stated(tmp_path):
     text = LAB.replace('language = "de"', MORE).replace('"0815"', '"0815"\nstate = "as received"')
     made = document(tmp_path, result(), text=text)
     method = "//dcc:measurementResult[1]/dcc:usedMethods/dcc:usedMethod[1]"
@@ -412,7 +412,7 @@ def test_what_the_procedure_is_and_what_the_customer_supplied(tmp_path):
     assert "The laboratory is not responsible for these data" in supplied[0].text
 
 
-def test_no_uncertainty_is_below_the_laboratory_s_capability(tmp_path):
+def test_uncertainty_is_at_least_cmc(tmp_path):
     # K_II: U = 2.0086 nano-g/g^2 as evaluated; K_F: 1.96 ug.
     made = document(tmp_path, result(), text=LAB + '[cmc]\nK_II = "4 ng/g^2"\nK_F = "1 ug"\n')
     found = read_certificate(made, "x.xml").accelerometers["Qx"]
@@ -420,20 +420,20 @@ def test_no_uncertainty_is_below_the_laboratory_s_capability(tmp_path):
     assert coverage_factor(50.0) * k_ii.u == pytest.approx(4e-9, rel=1e-14)
     assert k_ii.dof == 50.0
     assert k_f.u == pytest.approx(1e-6, rel=1e-14)
-    # What was added is independent of K_F: the covariance stays.
+    # The added variance is independent of K_F: the covariance stays.
     assert found.covariance[0, 1] == pytest.approx(0.25 * 1e-6 * 1e-9, rel=1e-14)
     said = find(made, "//dcc:statement[dcc:norm='ILAC-P14:09/2020']/dcc:declaration/dcc:content")
     assert said[0].text.startswith(
         "K_II of Qx: the evaluated uncertainty is U = 0.0020 ug/g^2. The certificate states"
     )
     assert "K_F" not in said[0].text
-    # The attached result is as it was calibrated.
+    # The attached result is unchanged.
     (data,) = find(made, "//dcc:measurementMetaData//dcc:byteData/dcc:dataBase64")
     attached = Result.model_validate_json(b64decode(data.text))
     assert attached.accelerometers["Qx"].coefficients["K_II"].u == 1e-9
 
 
-def test_accelerometers_that_share_g_and_radius_are_correlated(tmp_path):
+def test_accelerometers_with_shared_inputs_are_correlated(tmp_path):
     terms = ["Qx.K_F", "platform.drift.north", "Qy.K_F", "Qy.K_II"]
     matrix = np.eye(4)
     matrix[0, 2] = matrix[2, 0] = 0.75
@@ -450,14 +450,14 @@ def test_accelerometers_that_share_g_and_radius_are_correlated(tmp_path):
     assert list(read_certificate(made, "x.xml").accelerometers) == ["Qx", "Qy"]
 
 
-def test_what_is_no_certificate_is_refused():
+def test_rejects_document_that_is_not_a_certificate():
     with pytest.raises(RecordError, match=r"x\.xml is not XML"):
         read_certificate(b"no", "x.xml")
     with pytest.raises(RecordError, match="not a calibration certificate"):
         read_certificate(b"<a/>", "x.xml")
 
 
-def test_a_factor_of_zero_is_refused(tmp_path):
+def test_rejects_coverage_factor_of_zero(tmp_path):
     made = document(tmp_path, result())
     spoilt = made.replace(b"coverageFactor>1.96<", b"coverageFactor>0<")
     assert spoilt != made

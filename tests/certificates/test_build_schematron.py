@@ -1,4 +1,4 @@
-"""A certificate keeps to PTB's rules of good practice for a DCC (their schematron, of dcclib)."""
+"""A certificate follows PTB's rules of good practice for a DCC (schematron of dcclib)."""
 
 import numpy as np
 import pytest
@@ -11,13 +11,13 @@ from counterspin.inference.verdicts import Conformity
 
 dcclib = pytest.importorskip("dcclib.validation", reason="PTB's dcclib is not installed")
 
-#: Said of a list whose quantities have several units, as those of a covariance matrix must.
+#: Violation for a list of quantities with several units, which a covariance matrix needs.
 LIST_OF_UNITS = ("differing units", "Redundant unit")
 
 
 @pytest.fixture(scope="session")
 def rules():
-    """Return PTB's rules: as they ship them ready to run, and as they stand in dcc.sch today."""
+    """Return PTB's rules: the compiled version and the current dcc.sch."""
     from pathlib import Path
 
     ready = dcclib.SchematronValidator.for_dcc()
@@ -25,8 +25,8 @@ def rules():
     return [ready, dcclib.SchematronValidator.from_file(str(folder / "dcc.sch"))]
 
 
-def faults(rules, made):
-    """Return what the rules say against a certificate, their remarks aside."""
+def rule_violations(rules, made):
+    """Return the rule violations of a certificate without remarks."""
     said = []
     for validator in rules:
         found = validator.validate_str(made.decode())
@@ -42,8 +42,8 @@ customer_data = ["K_I, from the data sheet"]
 """
 
 
-def full():
-    """Return a result of two accelerometers with everything that a certificate may state."""
+def make_full_result():
+    """Return a result of two accelerometers with all data that a certificate may state."""
     one = result(
         coefficients={
             "K_F": coefficient(0.005, 1e-9, "g"),
@@ -58,22 +58,24 @@ def full():
 
 
 @pytest.mark.parametrize("language", ["en", "de"])
-def test_ptb_s_rules_find_no_error(tmp_path, rules, language):
+def test_ptb_rules_report_no_error(tmp_path, rules, language):
     text = LAB.replace('language = "de"', f'language = "{language}"{MORE}')
     text = text.replace('"0815"', '"0815"\nstate = "after adjustment"')
     verdicts = {"Qx": {"K_II": Conformity(**CONFORMITY)}}
-    made = document(tmp_path, full(), text=text + '[cmc]\nK_F = "1 ug"\n', verdicts=verdicts)
-    found = faults(rules, made)
-    # Of two languages each text has one: such text states none, which is allowed and remarked on.
+    made = document(
+        tmp_path, make_full_result(), text=text + '[cmc]\nK_F = "1 ug"\n', verdicts=verdicts
+    )
+    found = rule_violations(rules, made)
+    # With two languages a text has no language attribute, which gives a permitted remark.
     assert [line for line in found if language == "en" or "anguage attribute" not in line] == []
 
 
-def test_the_rules_do_find_something(tmp_path, rules):
+def test_ptb_rules_report_errors_of_invalid_certificate(tmp_path, rules):
     made = document(tmp_path, result()).replace(b">v9.9<", b">9.9<")
-    assert len([line for line in faults(rules, made) if line.startswith("error")]) == 2
+    assert len([line for line in rule_violations(rules, made) if line.startswith("error")]) == 2
 
 
-def test_they_find_no_error_of_a_triad(tmp_path, rules):
+def test_ptb_rules_report_no_error_for_triad(tmp_path, rules):
     generator = np.random.default_rng(7)
     values = triads.indications(triads.directions(25, generator))
     values = values + 3e-4 * generator.standard_normal(values.shape)
@@ -83,4 +85,4 @@ def test_they_find_no_error_of_a_triad(tmp_path, rules):
         text=LAB.replace('language = "de"', 'language = "en"') + '[evidence]\nall = "Type test."\n',
     )
     assert b">Triad X, Y, Z</dcc:content>" in made
-    assert faults(rules, made) == []
+    assert rule_violations(rules, made) == []

@@ -1,4 +1,4 @@
-"""Sentences of a certificate: one meaning of ±, and no unit where there is none."""
+"""Sentences of a certificate: ± has one meaning, and dimensionless numbers have no unit."""
 
 from results import coefficient, result
 
@@ -8,7 +8,7 @@ from counterspin.certificates.conversion import coefficients_in_si
 from counterspin.certificates.pdf_pages import results_table
 
 
-def test_what_stands_after_plus_minus_in_a_sentence_of_the_calibration_becomes_u():
+def test_plus_minus_in_sentences_becomes_u():
     said = "A latitude of (-4.7 ± 1.1) x 1e4 arcsec would fit; determined: K_I = 1.002 ± 0.001 g/g."
     assert certificate_text.replace_plus_minus(said) == (
         "A latitude of -4.7 x 1e4, u = 1.1 x 1e4 arcsec would fit; determined: K_I = 1.002, "
@@ -16,7 +16,7 @@ def test_what_stands_after_plus_minus_in_a_sentence_of_the_calibration_becomes_u
     )
 
 
-def test_a_number_without_a_unit_has_none():
+def test_dimensionless_number_has_no_unit():
     given = result(coefficients={"K_I": coefficient(1.002, 5e-6, "g/g")}, correlation=None)
     found = given.accelerometers["Qx"].coefficients
     ((symbol, in_g, _, si, *_),) = results_table("Qx", found, coefficients_in_si(given, "Qx")).rows

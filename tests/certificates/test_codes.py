@@ -14,7 +14,7 @@ from counterspin.errors import CampaignError
 DEBIAN = Path("/usr/share/iso-codes/json")
 
 
-def test_the_lists_have_the_sizes_that_the_standards_state():
+def test_code_lists_have_size_of_standards():
     # ISO 3166-1: 249 entries. ISO 639-1: 183 codes, without the withdrawn "bh".
     assert [len(codes_in_force(kind)) for kind in ("country", "language")] == [249, 183]
     assert all(code.isascii() and code.isupper() for code in codes_in_force("country"))
@@ -22,13 +22,13 @@ def test_the_lists_have_the_sizes_that_the_standards_state():
 
 
 @pytest.mark.skipif(not DEBIAN.is_dir(), reason="iso-codes is not installed")
-def test_the_lists_are_those_of_debian():
-    def read(name, key):
+def test_code_lists_match_debian():
+    def read_codes(name, key):
         (entries,) = json.loads((DEBIAN / name).read_text("utf-8")).values()
         return {entry[key] for entry in entries if key in entry}
 
-    assert set(codes_in_force("country")) == read("iso_3166-1.json", "alpha_2")
-    assert set(codes_in_force("language")) == read("iso_639-2.json", "alpha_2") - {"bh"}
+    assert set(codes_in_force("country")) == read_codes("iso_3166-1.json", "alpha_2")
+    assert set(codes_in_force("language")) == read_codes("iso_639-2.json", "alpha_2") - {"bh"}
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_the_lists_are_those_of_debian():
         ("language", "french", '"fr" (French)'),
     ],
 )
-def test_a_code_that_is_not_in_force_is_refused_with_close_ones(kind, wrong, near):
+def test_withdrawn_code_is_rejected_with_suggestions(kind, wrong, near):
     with pytest.raises(ValueError, match="is not a current") as caught:
         check_code(wrong, kind)
     assert near in str(caught.value)
@@ -60,7 +60,7 @@ def test_a_code_that_is_not_in_force_is_refused_with_close_ones(kind, wrong, nea
         ('language = "de"', 'language = "iw"', "certificate.language"),
     ],
 )
-def test_the_message_names_the_key(tmp_path, old, new, key):
+def test_message_names_key(tmp_path, old, new, key):
     with pytest.raises(CampaignError) as caught:
         lab_of(tmp_path, result(), LAB.replace(old, new))
     (problem,) = caught.value.problems

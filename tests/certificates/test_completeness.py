@@ -25,12 +25,12 @@ def with_default(share):
     return made.model_copy(update={"accelerometers": {"Qx": changed}})
 
 
-def test_a_complete_file_lacks_nothing(tmp_path):
+def test_complete_file_has_no_missing_data(tmp_path):
     assert missing_data(lab_of(tmp_path, result()), result()) == []
 
 
 @pytest.mark.parametrize(("share", "needed"), [(0.93, True), (0.09, False)])
-def test_a_default_that_carries_u_needs_evidence(tmp_path, share, needed):
+def test_dominant_default_requires_evidence(tmp_path, share, needed):
     made = with_default(share)
     missing = missing_data(lab_of(tmp_path, made), made)
     assert [entry.key for entry in missing] == (["evidence.K_OO"] if needed else [])
@@ -41,7 +41,7 @@ def test_a_default_that_carries_u_needs_evidence(tmp_path, share, needed):
         assert len(default_evidence(lab, made)) == needed
 
 
-def test_keys_with_values_of_the_template_share_a_line(tmp_path):
+def test_keys_with_template_values_share_one_entry(tmp_path):
     text = LAB.replace('"P-1"', '"EX-1"').replace('"0815"', '"000000"').partition("[conditions]")[0]
     first, second = missing_lines(missing_data(lab_of(tmp_path, result(), text), result()))
     assert first.startswith(

@@ -1,4 +1,4 @@
-"""The uncertainty of g in SI units: what the conversion cancels is not counted."""
+"""The uncertainty of g in SI units: the part that cancels in the conversion is removed."""
 
 import math
 from dataclasses import replace
@@ -29,8 +29,8 @@ def records(tmp_path_factory):
     return folder / "records"
 
 
-def with_gravity(records, folder, gravity, method):
-    """Return the SI values that the same records give with another gravity assumed."""
+def si_values_at_gravity(records, folder, gravity, method):
+    """Return the SI values of the same records for another assumed gravity."""
     for record in records.glob("*.csv"):
         (folder / record.name).write_bytes(record.read_bytes())
     text = changed(SMALL, ('"9.8066 m/s^2"', f'"{gravity!r} m/s^2"'))
@@ -43,16 +43,16 @@ def with_gravity(records, folder, gravity, method):
 
 
 @pytest.mark.parametrize("method", ["joint", "two-stage"])
-def test_si_uncertainty_has_what_another_gravity_would_do(records, tmp_path, method):
+def test_si_uncertainty_matches_effect_of_gravity_change(records, tmp_path, method):
     found = calibrate(records, method=method)
     qx = found.accelerometers["Qx"]
     estimates = coefficients_in_si(found, "Qx")
     assert estimates
     step = 30.0 * U_G
-    moved = [with_gravity(records, tmp_path, G + sign * step, method) for sign in (1, -1)]
+    moved = [si_values_at_gravity(records, tmp_path, G + sign * step, method) for sign in (1, -1)]
     for symbol, estimate in estimates.items():
         shift = (moved[0][symbol] - moved[1][symbol]) / (2.0 * step) * U_G
-        # Of K_F nearly all cancels: compare with what it was.
+        # Nearly all of K_F cancels: compare with the shift before the conversion.
         largest = max(abs(estimate.shift_kept), 1e-3 * estimate.u)
         assert estimate.shift == pytest.approx(shift, abs=1e-3 * largest), symbol
         c = qx.coefficients[symbol]
@@ -76,14 +76,14 @@ READINGS = ACCELEROMETER + "".join(
 )
 
 
-def calibrated_readings(folder, gravity):
+def calibrate_readings(folder, gravity):
     text = place("1.0 ± 1e-7 m", f"{gravity} m/s^2") + READINGS
     return calibrate(write(folder, text).parent)
 
 
-def test_own_units_have_what_another_gravity_would_do(tmp_path):
+def test_output_unit_uncertainty_matches_effect_of_gravity_change(tmp_path):
     """Bias in A, scale factor in A/(m/s^2): 1 mA/g is 1e-3/g of it."""
-    found = calibrated_readings(tmp_path, f"{G} ± {U_G}")
+    found = calibrate_readings(tmp_path, f"{G} ± {U_G}")
     estimates = output_coefficients_in_si(found, "A")
     assert {key: e.unit.text for key, e in estimates.items()} == {
         "bias": r"\ampere",
@@ -91,7 +91,7 @@ def test_own_units_have_what_another_gravity_would_do(tmp_path):
     }
     step = 30.0 * U_G
     up, down = (
-        calibrated_readings(tmp_path, f"{G + way * step!r} ± {U_G}").accelerometers["A"].output
+        calibrate_readings(tmp_path, f"{G + way * step!r} ± {U_G}").accelerometers["A"].output
         for way in (1, -1)
     )
     for key, power in (("bias", 0), ("scale_factor", -1)):
@@ -116,18 +116,18 @@ def test_own_units_have_what_another_gravity_would_do(tmp_path):
         ("V/mA", 1e3, r"\ampere\tothe{-1}\volt", 0),
     ],
 )
-def test_own_units_in_si(unit, factor, text, power):
+def test_output_units_in_si(unit, factor, text, power):
     found, written, of_g = own_unit(unit)
     assert (found, written.text, of_g) == (pytest.approx(factor, rel=1e-15), text, power)
 
 
 @pytest.mark.parametrize("unit", ["V/Hz^0.5", "mV/K", "furlong"])
-def test_own_units_that_si_has_not(unit):
+def test_rejects_output_units_unknown_to_si(unit):
     with pytest.raises(ValueError, match=r"unit|integer powers"):
         own_unit(unit)
 
 
-def test_covariance_follows(records):
+def test_covariance_is_converted(records):
     found = calibrate(records)
     qx, estimates = found.accelerometers["Qx"], coefficients_in_si(found, "Qx")
     symbols = list(estimates)
@@ -151,7 +151,7 @@ def test_covariance_follows(records):
     assert all(replace(e, u=e.u_without_g) == e for e in plain.values())
 
 
-def test_degrees_of_freedom_are_those_of_what_remains():
+def test_degrees_of_freedom_without_cancelled_gravity():
     # Half of u^2 of K_F is that of g, and cancels: -K_F/g per m/s^2.
     u_gravity = 1e-6 * math.sqrt(0.5) / (0.005 / 9.8)
     line = {
@@ -170,7 +170,7 @@ def test_degrees_of_freedom_are_those_of_what_remains():
     assert found.dof == pytest.approx(25.0)
 
 
-def test_without_a_stated_uncertainty_of_g_nothing_changes():
+def test_exact_gravity_leaves_uncertainty_unchanged():
     given = result()
     for symbol, estimate in coefficients_in_si(given, "Qx").items():
         c = given.accelerometers["Qx"].coefficients[symbol]

@@ -1,4 +1,4 @@
-"""A triad's parameters stand in the certificate, with U and covariance, in XML and on the pages."""
+"""Triad parameters in the certificate with U and covariance, in XML and on the pages."""
 
 import numpy as np
 import pytest
@@ -22,30 +22,30 @@ OWN = LAB + '\n[evidence]\nall = "Type test 4714."\n'
 PART = "//dcc:measurementResult[dcc:name/dcc:content='Triad X, Y, Z']/dcc:results/dcc:result"
 
 
-def _values(count, noise=3e-4):
+def _indications(count, noise=3e-4):
     generator = np.random.default_rng(7)
     values = triads.indications(triads.directions(count, generator))
     return values + noise * generator.standard_normal(values.shape)
 
 
 @pytest.fixture(scope="module")
-def poses(tmp_path_factory):
+def pose_result(tmp_path_factory):
     """Return the result of a triad in 25 poses, whose noise is estimated."""
-    return cs.calibrate(triads.table(tmp_path_factory.mktemp("triad"), _values(25)))
+    return cs.calibrate(triads.table(tmp_path_factory.mktemp("triad"), _indications(25)))
 
 
-def _numbers(made, path):
+def _read_numbers(made, path):
     (text,) = find(made, path)
     return np.array([float(word) for word in text.text.split()])
 
 
-def _pages(folder, result, text=OWN):
+def _page_blocks(folder, result, text=OWN):
     lab = lab_of(folder, result, text)
     return list(page_blocks(lab, result, ISSUE, {}))
 
 
-def test_parameters_stand_in_si_with_their_covariance(tmp_path, poses):
-    made, triad = document(tmp_path, poses, text=OWN), poses.triad
+def test_parameters_are_in_si_with_covariance(tmp_path, pose_result):
+    made, triad = document(tmp_path, pose_result, text=OWN), pose_result.triad
     quantities = find(made, f"{PART}/dcc:data/dcc:quantity[@refType='basic_measuredValue']")
     scale = np.array([G, G, G, 1, 1, 1, 1, 1, 1])  # offsets alone are accelerations
     units = [r"\metre\second\tothe{-2}"] * 3 + [r"\one"] * 3 + [r"\radian"] * 3
@@ -72,15 +72,18 @@ def test_parameters_stand_in_si_with_their_covariance(tmp_path, poses):
         np.array(triad.correlation.matrix) * np.outer(u, u),
         rtol=1e-12,
     )
-    assert _numbers(made, f"{PART}//si:coverageFactorXMLList[../si:covarianceMatrixXMLList]") == (
-        pytest.approx(region_factor(9, 16.0), abs=1e-4)
-    )
-    # No accelerometer more is read than there are.
+    assert _read_numbers(
+        made, f"{PART}//si:coverageFactorXMLList[../si:covarianceMatrixXMLList]"
+    ) == (pytest.approx(region_factor(9, 16.0), abs=1e-4))
+    # Reading adds no accelerometer.
     assert set(read_certificate(made, "x.xml").accelerometers) == {"X", "Y", "Z"}
 
 
-def test_parameters_and_matrix_are_read_back(tmp_path, poses):
-    triad, found = poses.triad, read_certificate(document(tmp_path, poses, text=OWN), "x").triad
+def test_parameters_and_matrix_round_trip(tmp_path, pose_result):
+    triad, found = (
+        pose_result.triad,
+        read_certificate(document(tmp_path, pose_result, text=OWN), "x").triad,
+    )
     assert found.accelerometers == ("X", "Y", "Z")
     coefficients = found.parameters.coefficients
     assert list(coefficients) == list(triad.parameters)
@@ -97,8 +100,8 @@ def test_parameters_and_matrix_are_read_back(tmp_path, poses):
     np.testing.assert_allclose(found.bias, triad.bias, rtol=1e-14)
 
 
-def test_verify_shows_them_and_names_a_matrix_that_is_another(tmp_path, poses, capsys):
-    made = document(tmp_path, poses, text=OWN)
+def test_verify_prints_parameters_and_reports_changed_matrix(tmp_path, pose_result, capsys):
+    made = document(tmp_path, pose_result, text=OWN)
     file = tmp_path / "c.xml"
     file.write_bytes(made)
     assert main(["certificate", "--verify", str(file)]) == 0
@@ -110,60 +113,64 @@ def test_verify_shows_them_and_names_a_matrix_that_is_another(tmp_path, poses, c
         "calculated from these parameters",
     ):
         assert words in told
-    first = f"{poses.triad.matrix[2][2]!r}".encode()
+    first = f"{pose_result.triad.matrix[2][2]!r}".encode()
     assert made.count(first) == 1
-    file.write_bytes(made.replace(first, f"{poses.triad.matrix[2][2] + 1e-9!r}".encode()))
+    file.write_bytes(made.replace(first, f"{pose_result.triad.matrix[2][2] + 1e-9!r}".encode()))
     assert main(["certificate", "--verify", str(file)]) == 1
     assert "sensitivity.Z" in capsys.readouterr().err
 
 
-def test_an_amendment_names_changed_parameters(tmp_path, poses):
-    one = document(tmp_path, poses, text=OWN)
+def test_amendment_lists_changed_parameters(tmp_path, pose_result):
+    one = document(tmp_path, pose_result, text=OWN)
     other = one.replace(b">angle.X.Y<", b">angle.Y.X<")
-    shown = shown_of(poses.triad.parameters["angle.X.Y"])
+    shown = format_parameter(pose_result.triad.parameters["angle.X.Y"])
     assert [line for line in describe_changes(one, other) if "triad" in line] == [
         f"angle.X.Y of the triad was {shown} and is now not certified.",
         f"angle.Y.X of the triad was not certified and is now {shown}.",
     ]
 
 
-def shown_of(c):
-    """Return a parameter with U as an amendment shows it."""
+def format_parameter(c):
+    """Format a parameter with U as an amendment does."""
     unit, factor = field_unit(c.unit)
     return format_estimate(c.value * factor, coverage_factor(16.0) * c.u * factor, unit)
 
 
-def test_matrix_and_bias_correct_what_the_sensor_indicates(tmp_path, poses):
-    made = document(tmp_path, poses, text=OWN)
+def test_matrix_and_bias_correct_indications(tmp_path, pose_result):
+    made = document(tmp_path, pose_result, text=OWN)
     output = f"{PART}[dcc:name/dcc:content='Corrected output']"
-    matrix = _numbers(made, f"{output}//dcc:quantity[1]//si:valueXMLList").reshape(3, 3)
-    bias = _numbers(made, f"{output}//dcc:quantity[2]//si:valueXMLList")
+    matrix = _read_numbers(made, f"{output}//dcc:quantity[1]//si:valueXMLList").reshape(3, 3)
+    bias = _read_numbers(made, f"{output}//dcc:quantity[2]//si:valueXMLList")
     along = triads.directions(5, np.random.default_rng(8))
     corrected = (G * triads.indications(along) - bias) @ matrix.T
     np.testing.assert_allclose(corrected, G * along, atol=5.0 * G * 3e-4)
     np.testing.assert_allclose(bias, G * triads.BIAS, atol=5.0 * G * 3e-4)
-    expanded = _numbers(made, f"{output}//si:valueExpandedMUXMLList").reshape(3, 3)
-    np.testing.assert_allclose(expanded, coverage_factor(16.0) * np.array(poses.triad.u_matrix))
+    expanded = _read_numbers(made, f"{output}//si:valueExpandedMUXMLList").reshape(3, 3)
+    np.testing.assert_allclose(
+        expanded, coverage_factor(16.0) * np.array(pose_result.triad.u_matrix)
+    )
     assert np.all(np.abs(matrix - np.linalg.inv(triads.ROWS)) <= 2.0 * expanded)
 
 
 @needs_schema
-def test_it_conforms_to_the_schema(tmp_path, poses):
-    check_schema(document(tmp_path, poses, text=OWN), SCHEMA, "a triad's certificate")
+def test_triad_certificate_conforms_to_schema(tmp_path, pose_result):
+    check_schema(document(tmp_path, pose_result, text=OWN), SCHEMA, "a triad's certificate")
 
 
-def test_pages_and_xml_say_the_same(tmp_path, poses):
-    lab = lab_of(tmp_path, poses, OWN)
+def test_pages_and_xml_have_equal_statements(tmp_path, pose_result):
+    lab = lab_of(tmp_path, pose_result, OWN)
     (said,) = (
-        one for one in statements(lab, poses, poses, ISSUE, {}) if one.name == "Triad X, Y, Z"
+        one
+        for one in statements(lab, pose_result, pose_result, ISSUE, {})
+        if one.name == "Triad X, Y, Z"
     )
     assert "25 poses of unknown attitude" in " ".join(said.lines)
     declared = find(
-        document(tmp_path, poses, text=OWN),
+        document(tmp_path, pose_result, text=OWN),
         "//dcc:statement[dcc:name/dcc:content='Triad X, Y, Z']/dcc:declaration/dcc:content",
     )
     assert declared[0].text == "\n".join(said.lines)
-    blocks = _pages(tmp_path, poses)
+    blocks = _page_blocks(tmp_path, pose_result)
     paragraphs = [block.text for block in blocks if isinstance(block, Paragraph)]
     plain = [text.replace("²", "^2").replace("\u00a0", " ") for text in paragraphs]
     assert set(said.lines) <= set(plain)
@@ -175,21 +182,21 @@ def test_pages_and_xml_say_the_same(tmp_path, poses):
     assert tables["M ± U"].rows[0][2:4] == ("0", "0")  # by choice of the frame
 
 
-def test_the_method_is_that_of_poses(tmp_path, poses):
-    method = find(document(tmp_path, poses, text=OWN), "//dcc:usedMethod[1]/dcc:description")
+def test_method_statement_describes_poses(tmp_path, pose_result):
+    method = find(document(tmp_path, pose_result, text=OWN), "//dcc:usedMethod[1]/dcc:description")
     words = "".join(method[0].itertext())
     assert "Readings at rest in 25 poses of unknown attitude." in words
     assert "turntable" not in words
     assert "spindle" not in words
 
 
-def test_two_of_three_are_no_triad(tmp_path, poses):
+def test_two_accelerometers_have_no_triad_section(tmp_path, pose_result):
     text = OWN.replace("[certificate]", '[certificate]\naccelerometers = ["X", "Y"]')
-    assert b"Triad" not in document(tmp_path, poses, text=text)
-    assert not any("Triad" in str(block) for block in _pages(tmp_path, poses, text))
+    assert b"Triad" not in document(tmp_path, pose_result, text=text)
+    assert not any("Triad" in str(block) for block in _page_blocks(tmp_path, pose_result, text))
 
 
-def test_what_the_poses_do_not_determine_has_no_value(tmp_path):
+def test_undetermined_parameters_have_no_value(tmp_path):
     faces = np.vstack([np.eye(3), -np.eye(3)])
     model = 'terms = ["K_F", "K_I"]\nassume = ["all"]'
     folder = triads.table(
@@ -208,9 +215,9 @@ def test_what_the_poses_do_not_determine_has_no_value(tmp_path):
     assert 'The parameter "angle between X and Y" is not certified' in said
 
 
-def test_no_uncertainty_of_a_parameter_is_below_the_capability(tmp_path, poses):
+def test_uncertainty_of_parameter_is_at_least_cmc(tmp_path, pose_result):
     cmc = '\n[cmc]\nK_F = "1 mg"\nK_I = "1e-6 g/g"\ndelta_O = "200 arcsec"\ndelta_P = "1 arcsec"\n'
-    made = document(tmp_path, poses, text=OWN + cmc)
+    made = document(tmp_path, pose_result, text=OWN + cmc)
     expanded = {
         one.getparent().getparent().getparent().findtext("si:label", namespaces=NAMESPACES): float(
             one.text
@@ -219,24 +226,24 @@ def test_no_uncertainty_of_a_parameter_is_below_the_capability(tmp_path, poses):
     }
     assert expanded["offset.Y"] == pytest.approx(1e-3 * G, rel=1e-12)
     assert expanded["angle.X.Z"] == pytest.approx(np.deg2rad(200 / 3600), rel=1e-12)
-    c = poses.triad.parameters["sensitivity.Z"]
+    c = pose_result.triad.parameters["sensitivity.Z"]
     assert expanded["sensitivity.Z"] == pytest.approx(coverage_factor(16.0) * c.u, rel=1e-12)
     said = "".join(find(made, "//dcc:statements")[0].itertext())
     assert "offset of Y: the evaluated uncertainty is U = " in said
     assert "sensitivity of Z: evaluated" not in said
 
 
-def test_what_is_sure_of_g_in_g_units_is_not_in_si(tmp_path, poses):
-    # Offsets that were read in m/s^2 and moved in g-units as g does, and do not move in m/s^2.
-    triad = poses.triad
+def test_gravity_uncertainty_moves_between_g_units_and_si(tmp_path, pose_result):
+    # Offsets from readings in m/s^2 depend on g in g units and not in m/s^2.
+    triad = pose_result.triad
     u_g, parameters, moved = 1e-2, {}, {}
     for name, c in triad.parameters.items():
         moved[name] = -c.value / G if name.startswith("offset") else 0.0
         u = float(np.hypot(c.u, moved[name] * u_g))
         parameters[name] = c.model_copy(update={"u": u, "dof": None})
-    given = poses.model_copy(
+    given = pose_result.model_copy(
         update={
-            "inputs": poses.inputs.model_copy(update={"u_gravity": u_g}),
+            "inputs": pose_result.inputs.model_copy(update={"u_gravity": u_g}),
             "triad": triad.model_copy(
                 update={
                     "parameters": parameters,

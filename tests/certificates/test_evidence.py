@@ -1,4 +1,4 @@
-"""What a result takes as perfect needs a text of the laboratory, and the certificate prints it."""
+"""Terms fixed at nominal require evidence by the laboratory, which the certificate prints."""
 
 import io
 import tomllib
@@ -36,7 +36,7 @@ from counterspin.errors import CampaignError
         (["fixture.misalignment.m1.east"], ["fixture.misalignment"], []),
     ],
 )
-def test_what_lacks_a_text(assumed, keys, lacking):
+def test_terms_without_evidence(assumed, keys, lacking):
     assert terms_without_evidence(assumed, dict.fromkeys(keys, "a report")) == lacking
 
 
@@ -58,34 +58,36 @@ def test_what_lacks_a_text(assumed, keys, lacking):
         ("platform.tilts", False),
     ],
 )
-def test_a_key_is_of_a_term(key, known):
+def test_evidence_key_names_term(key, known):
     assert names_terms(key, ["Qx"]) == known
 
 
 STATEMENT = f"//dcc:statement[dcc:name/dcc:content = '{ASSUMED}']"
 
 
-def assuming(*terms):
+def assume_terms(*terms):
     return result().model_copy(update={"assumed": list(terms)})
 
 
-def made(given, more=""):
+def make_certificate(given, more=""):
     return certificate(given, tomllib.loads(LAB + more))
 
 
-def test_there_is_no_certificate_without_it():
+def test_missing_evidence_prevents_certificate():
     with pytest.raises(CampaignError) as caught:
-        made(assuming("K_OO", "K_PP", "platform.*"), '[evidence]\nK_PP = "Bericht 1"\n')
+        make_certificate(
+            assume_terms("K_OO", "K_PP", "platform.*"), '[evidence]\nK_PP = "Bericht 1"\n'
+        )
     (problem,) = caught.value.problems
     assert "fixes K_OO, platform.* at nominal values" in problem
     assert 'data sheet: "K_OO" = "..." "platform.*" = "..."' in problem
 
 
-def test_the_certificate_prints_it():
+def test_certificate_contains_evidence():
     texts = (
         '[evidence]\nK_OO = "Typprüfung 4714."\nplatform.tilt = "Bericht 4715."\nK_4 = "Nr. 1"\n'
     )
-    one = made(assuming("K_OO", "platform.tilt.north"), texts)
+    one = make_certificate(assume_terms("K_OO", "platform.tilt.north"), texts)
     (statement,) = find(one.xml, STATEMENT)
     said = "".join(statement.itertext())
     assert "K_OO (second-order output-axis coefficient): Typprüfung 4714." in said
@@ -97,10 +99,10 @@ def test_the_certificate_prints_it():
     assert "Typprüfung 4714." in text
 
 
-def test_a_result_that_assumes_nothing_says_nothing_of_it():
-    one = made(assuming(), '[evidence]\nall = "Bericht 1"\n')
+def test_result_without_assumptions_needs_no_evidence():
+    one = make_certificate(assume_terms(), '[evidence]\nall = "Bericht 1"\n')
     assert not find(one.xml, STATEMENT)
-    everything = made(assuming("K_OO", "K_PP"), '[evidence]\nall = "Bericht 1"\n')
+    everything = make_certificate(assume_terms("K_OO", "K_PP"), '[evidence]\nall = "Bericht 1"\n')
     assert "K_OO, K_PP: Bericht 1" in everything.xml.decode()
 
 
@@ -113,7 +115,7 @@ def test_a_result_that_assumes_nothing_says_nothing_of_it():
         ("K_OO = 1", "evidence.K_OO: must be a string"),
     ],
 )
-def test_mistakes_are_told_by_key(text, problem):
+def test_errors_name_key(text, problem):
     with pytest.raises(CampaignError) as caught:
-        made(result(), f"[evidence]\n{text}\n")
+        make_certificate(result(), f"[evidence]\n{text}\n")
     assert any(problem in line for line in caught.value.problems), caught.value.problems

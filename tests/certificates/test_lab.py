@@ -1,4 +1,4 @@
-"""What the laboratory must say is asked for all at once; what it says is checked."""
+"""Missing laboratory data are reported together; stated data are checked."""
 
 import pytest
 from results import result
@@ -14,7 +14,7 @@ def problems(folder, text, given=None):
     return caught.value.problems
 
 
-def test_every_gap_is_told_at_once_by_its_key(tmp_path):
+def test_all_missing_keys_are_reported(tmp_path):
     assert problems(tmp_path, "schema = 1") == (
         "certificate.begin: is missing",
         "certificate.end: is missing",
@@ -66,18 +66,18 @@ def test_every_gap_is_told_at_once_by_its_key(tmp_path):
         ),
     ],
 )
-def test_a_mistake_is_told_by_its_key(tmp_path, old, new, told):
+def test_error_names_key(tmp_path, old, new, told):
     assert old in LAB
     (problem,) = problems(tmp_path, LAB.replace(old, new, 1))
     assert told in problem
 
 
-def test_a_missing_file_is_told_where_to_get_one(tmp_path):
+def test_missing_file_error_names_write_example(tmp_path):
     with pytest.raises(CampaignError, match=r"`certificates\.lab\.write_example` writes"):
         read_lab(tmp_path / "LAB.toml", result())
 
 
-def test_the_example_serves_as_it_is_and_says_that_it_is_one(tmp_path):
+def test_example_is_valid_and_recognised_as_template(tmp_path):
     path = write_example(tmp_path / "LAB.toml")
     lab, specifications = read_lab(path, result())
     assert specifications is None
@@ -110,11 +110,11 @@ def test_the_example_serves_as_it_is_and_says_that_it_is_one(tmp_path):
         ),
     ],
 )
-def test_each_value_of_the_template_is_found_in_any_table(tmp_path, old, new, key):
+def test_template_values_are_found_in_all_tables(tmp_path, old, new, key):
     assert template_keys(lab_of(tmp_path, result(), LAB.replace(old, new, 1))) == [key]
 
 
-def test_a_specification_is_read_with_the_site_s_gravity(tmp_path):
+def test_specification_uses_site_gravity(tmp_path):
     text = LAB + '\n[specification]\nK_F = "abs <= 0.098 m/s^2"\n'
     _, specifications = read_lab(write_lab(tmp_path, text), result())
     assert specifications.terms["Qx"]["K_F"].high == pytest.approx(0.01, rel=1e-14)

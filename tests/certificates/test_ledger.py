@@ -1,4 +1,4 @@
-"""A ledger tells of every byte that was altered, and loses no entry."""
+"""A ledger detects all altered bytes and loses no entry."""
 
 import errno
 import json
@@ -15,15 +15,15 @@ from counterspin.errors import CounterspinError, RecordError
 WHEN = "2026-03-01T00:00:00Z"
 
 
-def entered(path, count, first=1):
+def append_entries(path, count, first=1):
     return [
         append(path, "result", {"file": f"r{n}.json"}, who="A. Erste", why="yearly ü", when=WHEN)
         for n in range(first, first + count)
     ]
 
 
-def altered(path):
-    """Return which entry a ledger's error names."""
+def altered_entry(path):
+    """Return the entry that the error of a ledger names."""
     try:  # pytest.raises takes ten times as long, and there are hundreds of bytes
         verify_ledger(path)
     except RecordError as error:
@@ -31,9 +31,9 @@ def altered(path):
     return "none"
 
 
-def test_entries_read_back_and_each_holds_the_hash_of_the_one_before(tmp_path):
+def test_entries_round_trip_with_hash_of_previous_entry(tmp_path):
     path = tmp_path / "ledger.jsonl"
-    given = entered(path, 3)
+    given = append_entries(path, 3)
     found = verify_ledger(path)
     assert (list(found.entries), found.partial_entry) == (given, b"")
     lines = [json.loads(line) for line in path.read_bytes().splitlines()]
@@ -43,9 +43,9 @@ def test_entries_read_back_and_each_holds_the_hash_of_the_one_before(tmp_path):
     assert found.head == lines[-1]["hash"]
 
 
-def test_any_altered_byte_is_found_and_the_entry_named(tmp_path):
+def test_altered_byte_is_detected_with_entry_number(tmp_path):
     path = tmp_path / "ledger.jsonl"
-    entered(path, 3)
+    append_entries(path, 3)
     whole = path.read_bytes()
     ends = [i for i, byte in enumerate(whole) if byte == ord("\n")]
     for place in range(len(whole)):
@@ -54,43 +54,43 @@ def test_any_altered_byte_is_found_and_the_entry_named(tmp_path):
         path.write_bytes(changed)
         number = sum(end < place for end in ends) + 1
         if place == ends[-1]:
-            # Without its end a line is one that nobody finished.
+            # A line without a line end is a partial entry.
             assert verify_ledger(path).partial_entry
         else:
-            assert altered(path).startswith(f"entry {number} ")
+            assert altered_entry(path).startswith(f"entry {number} ")
 
 
-def test_entries_that_are_gone_moved_or_made_anew_are_found(tmp_path):
+def test_removed_moved_or_rewritten_entries_are_detected(tmp_path):
     path = tmp_path / "ledger.jsonl"
-    entered(path, 4)
+    append_entries(path, 4)
     first, second, third, fourth = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(first + third + fourth)
-    assert altered(path).startswith("entry 2 is numbered entry 3: entries are missing")
+    assert altered_entry(path).startswith("entry 2 is numbered entry 3: entries are missing")
     path.write_bytes(first + third + second + fourth)
-    assert altered(path).startswith("entry 2 is numbered entry 3")
-    # One written anew, with a hash that fits it: the next one tells.
+    assert altered_entry(path).startswith("entry 2 is numbered entry 3")
+    # A rewritten entry with a valid hash is detected by the next entry.
     other = tmp_path / "other.jsonl"
-    entered(other, 1)
+    append_entries(other, 1)
     append(other, "result", {"file": "made up"}, who="B", why="", when=WHEN)
     path.write_bytes(first + other.read_bytes().splitlines(keepends=True)[1] + third + fourth)
-    assert altered(path).startswith("entry 2 was altered after it was written")
+    assert altered_entry(path).startswith("entry 2 was altered after it was written")
     path.write_bytes(second)
-    assert altered(path).startswith("entry 1 is numbered entry 2")
+    assert altered_entry(path).startswith("entry 1 is numbered entry 2")
 
 
 @pytest.mark.parametrize("key", ["who", "file"])
-def test_an_entry_with_a_key_that_occurs_twice_is_found(tmp_path, key):
+def test_entry_with_duplicate_key_is_detected(tmp_path, key):
     path = tmp_path / "ledger.jsonl"
-    entered(path, 2)
+    append_entries(path, 2)
     first, second = path.read_bytes().splitlines(keepends=True)
     name = f'"{key}":'.encode()
     path.write_bytes(first + second.replace(name, name + b'"B",' + name))
-    assert altered(path).startswith("entry 2 was changed after it was written")
+    assert altered_entry(path).startswith("entry 2 was changed after it was written")
 
 
-def test_only_the_last_hash_tells_that_the_last_entries_are_gone(tmp_path):
+def test_removed_last_entries_change_head_hash(tmp_path):
     path = tmp_path / "ledger.jsonl"
-    entered(path, 3)
+    append_entries(path, 3)
     whole = verify_ledger(path)
     path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:2]))
     rest = verify_ledger(path)
@@ -98,18 +98,18 @@ def test_only_the_last_hash_tells_that_the_last_entries_are_gone(tmp_path):
     assert rest.head != whole.head
 
 
-def test_an_altered_ledger_is_not_continued(tmp_path):
+def test_altered_ledger_is_not_extended(tmp_path):
     path = tmp_path / "ledger.jsonl"
-    entered(path, 2)
+    append_entries(path, 2)
     path.write_bytes(changed := path.read_bytes().replace(b"r1.json", b"r7.json"))
     with pytest.raises(RecordError, match="entry 1 was altered"):
-        entered(path, 1)
+        append_entries(path, 1)
     assert path.read_bytes() == changed
 
 
-def test_what_an_interrupted_writer_left_is_named_and_kept(tmp_path):
+def test_partial_entry_is_preserved_in_next_entry(tmp_path):
     path = tmp_path / "ledger.jsonl"
-    given = entered(path, 2)
+    given = append_entries(path, 2)
     whole = path.read_bytes()
     start = whole.index(b"\n") + 1
     for cut in range(start, len(whole)):
@@ -117,12 +117,12 @@ def test_what_an_interrupted_writer_left_is_named_and_kept(tmp_path):
         found = verify_ledger(path)
         assert found.entries == (given[0],)
         assert found.partial_entry == whole[start:cut]
-    (new,) = entered(path, 1, first=9)
+    (new,) = append_entries(path, 1, first=9)
     assert (new.number, new.of["unfinished"].encode()) == (2, whole[start:-1])
     assert verify_ledger(path).entries == (given[0], new)
 
 
-def test_writers_at_once_lose_nothing(tmp_path):
+def test_concurrent_writers_lose_no_entry(tmp_path):
     path = tmp_path / "ledger.jsonl"
     program = (
         "import sys; from pathlib import Path; from counterspin.certificates.ledger import append\n"
@@ -138,37 +138,37 @@ def test_writers_at_once_lose_nothing(tmp_path):
         assert [n for n in names if n[0] == name] == [f"{name}{n}" for n in range(10)]
 
 
-def test_a_writer_on_windows_waits_longer_than_ten_seconds(tmp_path, monkeypatch):
+def test_windows_writer_waits_longer_than_ten_seconds(tmp_path, monkeypatch):
     calls, waited = [], []
 
-    def locking(file, mode, count):
+    def lock_after_400_attempts(file, mode, count):
         calls.append((mode, os.lseek(file, 0, os.SEEK_CUR), count))
         if mode == "try" and len(calls) <= 400:
             raise OSError(errno.EACCES, "Permission denied")
 
-    system = SimpleNamespace(LK_NBLCK="try", LK_UNLCK="unlock", locking=locking)
+    system = SimpleNamespace(LK_NBLCK="try", LK_UNLCK="unlock", locking=lock_after_400_attempts)
     monkeypatch.setitem(sys.modules, "msvcrt", system)
     monkeypatch.setattr("time.sleep", waited.append)
     monkeypatch.setattr("sys.platform", "win32")
     path = tmp_path / "ledger.jsonl"
-    given = entered(path, 1)
+    given = append_entries(path, 1)
     assert sum(waited) > 15.0
-    # A byte that no ledger has: Windows would keep others from reading a locked one.
+    # A byte beyond any ledger, because Windows blocks reading of a locked byte.
     assert set(calls) == {("try", 0x7FFF0000, 1), ("unlock", 0x7FFF0000, 1)}
     assert calls[-1][0] == "unlock"
     monkeypatch.undo()
     assert verify_ledger(path).entries == tuple(given)
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path):
+def test_unwritable_ledger_raises(tmp_path):
     with pytest.raises(CounterspinError, match="the ledger cannot be written"):
-        entered(tmp_path / "no" / "ledger.jsonl", 1)
+        append_entries(tmp_path / "no" / "ledger.jsonl", 1)
     with pytest.raises(RecordError, match="file not found"):
         verify_ledger(tmp_path / "none.jsonl")
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
-def test_what_is_no_file_is_told_and_not_waited_for(tmp_path, kind):
+def test_special_file_raises_without_waiting(tmp_path, kind):
     path = tmp_path / "ledger.jsonl"
     if kind == "pipe":
         os.mkfifo(path)
@@ -177,12 +177,12 @@ def test_what_is_no_file_is_told_and_not_waited_for(tmp_path, kind):
     else:
         path.mkdir()
     with pytest.raises(CounterspinError, match="the ledger cannot be written"):
-        entered(path, 1)
+        append_entries(path, 1)
 
 
-def test_who_holds_a_ledger_sees_what_he_enters(tmp_path):
+def test_locked_ledger_includes_new_entries(tmp_path):
     path = tmp_path / "ledger.jsonl"
-    entered(path, 1)
+    append_entries(path, 1)
     with path.open("ab") as file:
         file.write(b'{"number"')
     with open_ledger(path) as ledger:

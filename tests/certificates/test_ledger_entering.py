@@ -1,4 +1,4 @@
-"""Results, certificates and amendments come into the ledger, with their checksums and reasons."""
+"""Entries of results, certificates and amendments in the ledger."""
 
 import contextlib
 import hashlib
@@ -21,7 +21,7 @@ KEPT = LAB.replace('language = "de"', 'ledger = "ledger.jsonl"')
 
 
 @pytest.fixture
-def desk(tmp_path, monkeypatch):
+def ledger_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "160")
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")  # 2027-01-15
@@ -38,16 +38,16 @@ def digest(path):
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def test_a_result_its_certificate_and_the_amendment(desk, capsys):
+def test_result_certificate_and_amendment_are_entered(ledger_folder, capsys):
     assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
     why = ("--amends", "a.xml", "--reason", "The customer has moved.")
     assert run("r.json", "LAB.toml", "-o", "b.pdf", *why) == 0
-    found = verify_ledger(desk / "ledger.jsonl").entries
+    found = verify_ledger(ledger_folder / "ledger.jsonl").entries
     assert [entry.what for entry in found] == ["result", "certificate", "amendment"]
-    assert found[0].of == {"file": "r.json", "sha256": digest(desk / "r.json")}
-    assert found[1].of["sha256"] == found[1].of["file_sha256"] == digest(desk / "a.xml")
-    assert found[1].of["result"] == digest(desk / "r.json")
-    assert found[2].of["file_sha256"] == digest(desk / "b.pdf")
+    assert found[0].of == {"file": "r.json", "sha256": digest(ledger_folder / "r.json")}
+    assert found[1].of["sha256"] == found[1].of["file_sha256"] == digest(ledger_folder / "a.xml")
+    assert found[1].of["result"] == digest(ledger_folder / "r.json")
+    assert found[2].of["file_sha256"] == digest(ledger_folder / "b.pdf")
     assert found[2].of["amends"] == found[1].of["identifier"]
     assert (found[2].why, found[2].who) == ("The customer has moved.", "A. Erste")
     assert found[1].when == "2027-01-15T08:00:00Z"
@@ -56,35 +56,35 @@ def test_a_result_its_certificate_and_the_amendment(desk, capsys):
     assert found[2].digest in capsys.readouterr().out
     more = ("--who", "B. Zweite", "--why", "once more")
     assert cli.main(["ledger", "add", "ledger.jsonl", "r.json", *more]) == 0
-    assert verify_ledger(desk / "ledger.jsonl").entries[3].who == "B. Zweite"
+    assert verify_ledger(ledger_folder / "ledger.jsonl").entries[3].who == "B. Zweite"
 
 
-def test_what_cannot_be_entered_is_not_issued(desk, capsys):
+def test_certificate_is_not_issued_if_ledger_is_invalid(ledger_folder, capsys):
     assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
-    ledger = desk / "ledger.jsonl"
+    ledger = ledger_folder / "ledger.jsonl"
     ledger.write_bytes(ledger.read_bytes().replace(b"r.json", b"s.json"))
     assert run("r.json", "LAB.toml", "-o", "b.xml") == 1
     assert "entry 1 was altered" in capsys.readouterr().err
     assert cli.main(["ledger", "verify", "ledger.jsonl"]) == 1
     assert run("r.json", "LAB.toml", "-o", "b.xml", "--ledger", "no/ledger.jsonl") == 1
-    assert not (desk / "b.xml").exists()
+    assert not (ledger_folder / "b.xml").exists()
 
 
-def test_a_draft_is_not_entered(desk):
+def test_draft_is_not_entered(ledger_folder):
     assert run("--init", "mine.toml") == 0
     assert run("r.json", "mine.toml", "-o", "draft.xml", "--ledger", "other.jsonl") == 0
-    assert not (desk / "other.jsonl").exists()
+    assert not (ledger_folder / "other.jsonl").exists()
 
 
-def test_wrong_words_and_an_unfinished_line_are_told(desk, capsys):
+def test_wrong_usage_and_partial_entry_are_reported(ledger_folder, capsys):
     assert cli.main(["ledger", "add", "ledger.jsonl", "r.json"]) == 2
     assert cli.main(["ledger", "verify", "ledger.jsonl", "r.json"]) == 2
     assert "give only the ledger" in capsys.readouterr().err
     more = ("--who", "B", "--why", "w")
     assert cli.main(["ledger", "add", "ledger.jsonl", "none.json", *more]) == 1
-    assert not (desk / "ledger.jsonl").exists()
+    assert not (ledger_folder / "ledger.jsonl").exists()
     assert cli.main(["ledger", "add", "ledger.jsonl", "r.json", *more]) == 0
-    with (desk / "ledger.jsonl").open("ab") as file:
+    with (ledger_folder / "ledger.jsonl").open("ab") as file:
         file.write(b'{"number"')
     capsys.readouterr()
     assert cli.main(["ledger", "verify", "ledger.jsonl"]) == 1
@@ -94,19 +94,19 @@ def test_wrong_words_and_an_unfinished_line_are_told(desk, capsys):
 
 
 class KilledError(BaseException):
-    """Nothing catches it but the test."""
+    """An exception that only the test catches."""
 
 
 @pytest.fixture
-def killed(monkeypatch):
+def run_killed(monkeypatch):
     """Return a function that runs a command which is killed before it calls a function."""
 
     def kill(name, *words):
-        def die(*_, **__):
+        def raise_killed(*_, **__):
             raise KilledError
 
         with monkeypatch.context() as patched:
-            patched.setattr(f"counterspin.certificates.ledger.{name}", die)
+            patched.setattr(f"counterspin.certificates.ledger.{name}", raise_killed)
             with pytest.raises(KilledError):
                 run(*words)
 
@@ -114,105 +114,110 @@ def killed(monkeypatch):
 
 
 @pytest.mark.parametrize("moment", ["write_whole", "_append_entry", "finish"])
-def test_a_certificate_that_stands_is_in_its_ledger_wherever_it_was_killed(desk, killed, moment):
+def test_killed_command_leaves_no_certificate_without_entry(ledger_folder, run_killed, moment):
     words = ("r.json", "LAB.toml", "-o", "a.xml")
-    killed(moment, *words)
-    assert not (desk / "a.xml").exists()
+    run_killed(moment, *words)
+    assert not (ledger_folder / "a.xml").exists()
     assert run(*words) == 0
-    found = verify_ledger(desk / "ledger.jsonl").entries
+    found = verify_ledger(ledger_folder / "ledger.jsonl").entries
     assert [entry.what for entry in found] == ["result", "certificate"]
-    assert found[1].of["file_sha256"] == digest(desk / "a.xml")
-    assert not [path for path in desk.iterdir() if path.name.startswith(".")]
+    assert found[1].of["file_sha256"] == digest(ledger_folder / "a.xml")
+    assert not [path for path in ledger_folder.iterdir() if path.name.startswith(".")]
 
 
-def test_one_entered_on_another_day_is_found_and_told(desk, killed, monkeypatch, capsys):
+def test_interrupted_certificate_is_completed_on_later_day(
+    ledger_folder, run_killed, monkeypatch, capsys
+):
     words = ("r.json", "LAB.toml", "-o", "a.xml")
-    killed("finish", *words)
+    run_killed("finish", *words)
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800086400")  # the day after
     assert run(*words) == 0
     assert "by a command that was then interrupted" in capsys.readouterr().out
-    found = verify_ledger(desk / "ledger.jsonl").entries
-    assert [entry.of["file_sha256"] for entry in found[1:]] == [digest(desk / "a.xml")]
-    assert b"2027-01-15" in (desk / "a.xml").read_bytes()
+    found = verify_ledger(ledger_folder / "ledger.jsonl").entries
+    assert [entry.of["file_sha256"] for entry in found[1:]] == [digest(ledger_folder / "a.xml")]
+    assert b"2027-01-15" in (ledger_folder / "a.xml").read_bytes()
 
 
-def test_a_missing_seal_is_entered_with_the_result(desk):
-    remove_seal(desk / "r.json")
+def test_missing_seal_is_entered_with_result(ledger_folder):
+    remove_seal(ledger_folder / "r.json")
     words = ("--who", "B. Zweite", "--why", "yearly")
     assert cli.main(["ledger", "add", "ledger.jsonl", "r.json", *words]) == 0
-    assert verify_ledger(desk / "ledger.jsonl").entries[0].why == "yearly; the file has no seal"
+    assert (
+        verify_ledger(ledger_folder / "ledger.jsonl").entries[0].why
+        == "yearly; the file has no seal"
+    )
 
 
-def test_only_the_issued_file_of_an_entered_certificate_is_amended(desk, capsys):
+def test_changed_file_of_entered_certificate_cannot_be_amended(ledger_folder, capsys):
     assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
-    issued = (desk / "a.xml").read_bytes()
-    (desk / "a.xml").write_bytes(issued.replace(b"A. Erste", b"A. Zweit"))
+    issued = (ledger_folder / "a.xml").read_bytes()
+    (ledger_folder / "a.xml").write_bytes(issued.replace(b"A. Erste", b"A. Zweit"))
     why = ("--amends", "a.xml", "--reason", "The customer has moved.")
     assert run("r.json", "LAB.toml", "-o", "b.xml", *why) == 1
     complaint = " ".join(capsys.readouterr().err.split())
     assert "the file to be amended was changed after it was issued" in complaint
-    assert not (desk / "b.xml").exists()
-    (desk / "a.xml").write_bytes(issued)
+    assert not (ledger_folder / "b.xml").exists()
+    (ledger_folder / "a.xml").write_bytes(issued)
     assert run("r.json", "LAB.toml", "-o", "b.xml", *why) == 0
-    amendment = verify_ledger(desk / "ledger.jsonl").entries[-1]
-    assert amendment.of["amends_sha256"] == digest(desk / "a.xml")
+    amendment = verify_ledger(ledger_folder / "ledger.jsonl").entries[-1]
+    assert amendment.of["amends_sha256"] == digest(ledger_folder / "a.xml")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lab", [KEPT, LAB], ids=["ledger", "no ledger"])
 @pytest.mark.parametrize("link", range(1, 6))
-def test_both_files_of_an_interrupted_command_are_completed(desk, monkeypatch, lab, link):
-    # Killed before each name is given, and repeated on another day, with another signature.
-    write_lab(desk, lab)
-    key, cert = write_pair(desk / "k", ec.generate_private_key(ec.SECP256R1()))
+def test_interrupted_command_completes_both_files(ledger_folder, monkeypatch, lab, link):
+    # Killed before each file is named, and repeated later with another signature.
+    write_lab(ledger_folder, lab)
+    key, cert = write_pair(ledger_folder / "k", ec.generate_private_key(ec.SECP256R1()))
     words = ("r.json", "LAB.toml", "-o", "a.pdf", "--both", "--key", str(key), "--cert", str(cert))
     with monkeypatch.context() as patched:
-        patched.setattr(os, "link", dying(os.link, link))
+        patched.setattr(os, "link", kill_at_call(os.link, link))
         with contextlib.suppress(KilledError):
             run(*words)
-    whole = [(desk / name).is_file() for name in ("a.xml", "a.pdf")]
-    before = (desk / "a.xml").read_bytes() if whole[0] else None
+    whole = [(ledger_folder / name).is_file() for name in ("a.xml", "a.pdf")]
+    before = (ledger_folder / "a.xml").read_bytes() if whole[0] else None
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800086400")  # the day after
     assert run(*words) == (1 if all(whole) else 0)
-    assert before in (None, (desk / "a.xml").read_bytes())
-    assert read_document(desk / "a.pdf") == (desk / "a.xml").read_bytes()
+    assert before in (None, (ledger_folder / "a.xml").read_bytes())
+    assert read_document(ledger_folder / "a.pdf") == (ledger_folder / "a.xml").read_bytes()
     for name in ("a.xml", "a.pdf"):
         assert run("--verify", name, "--cert", str(cert)) == 0
     if lab == KEPT:
-        found = verify_ledger(desk / "ledger.jsonl").entries[1:]
+        found = verify_ledger(ledger_folder / "ledger.jsonl").entries[1:]
         assert [e.of["file_sha256"] for e in found] == [
-            digest(desk / n) for n in ("a.xml", "a.pdf")
+            digest(ledger_folder / n) for n in ("a.xml", "a.pdf")
         ]
-    assert not [path for path in desk.iterdir() if path.name.startswith(".")]
+    assert not [path for path in ledger_folder.iterdir() if path.name.startswith(".")]
 
 
-def dying(function, call):
+def kill_at_call(function, call):
     """Return a function that raises KilledError at one of its calls."""
     calls = count(1)
 
-    def called(*words):
+    def count_call(*words):
         if next(calls) == call:
             raise KilledError
         return function(*words)
 
-    return called
+    return count_call
 
 
-def test_the_pdf_of_another_xml_is_not_completed(desk, capsys):
+def test_pdf_of_other_xml_is_not_completed(ledger_folder, capsys):
     assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
     words = ("r.json", "LAB.toml", "-o", "a.xml", "--both")
     assert run(*words) == 1
     assert "a.xml exists, but its PDF" in capsys.readouterr().err
-    assert not (desk / "a.pdf").exists()
+    assert not (ledger_folder / "a.pdf").exists()
 
 
-def test_an_identifier_stands_for_one_content(desk, monkeypatch, capsys):
-    write_lab(desk, KEPT.replace("[certificate]", '[certificate]\nidentifier = "K 7"'))
+def test_identifier_is_unique_per_content(ledger_folder, monkeypatch, capsys):
+    write_lab(ledger_folder, KEPT.replace("[certificate]", '[certificate]\nidentifier = "K 7"'))
     assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
-    # The same in another form, and in another place.
+    # The same content as another file type, and under another name.
     assert run("r.json", "LAB.toml", "-o", "a.pdf") == 0
     assert run("r.json", "LAB.toml", "-o", "b.xml") == 0
-    found = verify_ledger(desk / "ledger.jsonl").entries
+    found = verify_ledger(ledger_folder / "ledger.jsonl").entries
     assert [entry.of.get("file") for entry in found] == ["r.json", "a.xml", "a.pdf", "b.xml"]
     assert len({entry.of["sha256"] for entry in found[1:]}) == 1
     capsys.readouterr()
@@ -220,19 +225,19 @@ def test_an_identifier_stands_for_one_content(desk, monkeypatch, capsys):
     assert run("r.json", "LAB.toml", "-o", "c.xml") == 1
     told = " ".join(capsys.readouterr().err.split())
     assert "already contains certificate K 7 (entry 4), with different content" in told
-    assert not (desk / "c.xml").exists()
-    assert verify_ledger(desk / "ledger.jsonl").entries == found
+    assert not (ledger_folder / "c.xml").exists()
+    assert verify_ledger(ledger_folder / "ledger.jsonl").entries == found
 
 
-def test_two_at_once_make_one_certificate(desk):
-    """As two labs' files with one identifier and one output."""
+def test_concurrent_commands_issue_one_certificate(ledger_folder):
+    """Two laboratory files with the same identifier and output."""
     program = (
         "import sys; from counterspin import cli; sys.stdin.readline()\n"
         "sys.exit(cli.main(['certificate', 'r.json', sys.argv[1], '-o', 'a.xml']))"
     )
     other = KEPT.replace("[certificate]", '[certificate]\nidentifier = "K 7"')
     for name, place in (("one.toml", "Ort"), ("two.toml", "Stadt")):
-        (desk / name).write_text(other.replace("Ort", place), encoding="utf-8")
+        (ledger_folder / name).write_text(other.replace("Ort", place), encoding="utf-8")
     both = [
         subprocess.Popen(
             [sys.executable, "-c", program, name],
@@ -245,5 +250,5 @@ def test_two_at_once_make_one_certificate(desk):
     for process in both:
         process.communicate(b"\n")
     assert sorted(process.returncode for process in both) == [0, 1]
-    found = verify_ledger(desk / "ledger.jsonl").entries
-    assert [entry.of["file_sha256"] for entry in found[1:]] == [digest(desk / "a.xml")]
+    found = verify_ledger(ledger_folder / "ledger.jsonl").entries
+    assert [entry.of["file_sha256"] for entry in found[1:]] == [digest(ledger_folder / "a.xml")]

@@ -35,7 +35,7 @@ def table_after(blocks, title):
     return table
 
 
-def test_a_table_of_the_equipment_stands_before_the_results(tmp_path):
+def test_equipment_table_precedes_results(tmp_path):
     blocks = blocks_of(tmp_path, LAB + EQUIPMENT)
     table = table_after(blocks, "Equipment and traceability")
     assert table.rows == (
@@ -49,7 +49,7 @@ def test_a_table_of_the_equipment_stands_before_the_results(tmp_path):
     ]
 
 
-def test_the_budget_follows_the_results_and_names_its_coefficient(tmp_path):
+def test_budget_follows_results_and_names_coefficient(tmp_path):
     table = table_after(blocks_of(tmp_path), "Uncertainty budget of K_II, Qx")
     assert [row[0] for row in table.rows] == ["noise of Qx", "K_I", "combined"]
     assert table.columns[-1].title == "Share of u²"
@@ -57,11 +57,11 @@ def test_the_budget_follows_the_results_and_names_its_coefficient(tmp_path):
 
 
 @needs_schema
-def test_equipment_is_valid_in_the_xml(tmp_path):
+def test_equipment_conforms_to_schema(tmp_path):
     check_schema(document(tmp_path, result(), text=LAB + EQUIPMENT), SCHEMA, "certificate")
 
 
-def test_equipment_is_in_the_xml(tmp_path):
+def test_equipment_is_in_xml(tmp_path):
     made = document(tmp_path, result(), text=LAB + EQUIPMENT)
     names = find(made, "//dcc:measuringEquipment/dcc:name/dcc:content/text()")
     assert names == ["Interferometer", "Frequenznormal"]
@@ -76,5 +76,5 @@ def test_equipment_is_in_the_xml(tmp_path):
     ]
 
 
-def test_no_equipment_leaves_no_list(tmp_path):
+def test_no_equipment_omits_list(tmp_path):
     assert find(document(tmp_path, result()), "//dcc:measuringEquipments") == []

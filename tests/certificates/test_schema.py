@@ -1,4 +1,4 @@
-"""A certificate keeps to the schema of DCC; no schema is fetched from anywhere."""
+"""A certificate conforms to the DCC schema; schemas are not downloaded."""
 
 import pytest
 from raising import raises
@@ -9,7 +9,7 @@ from counterspin.certificates.schema import check_schema
 from counterspin.errors import CounterspinError, RecordError
 from counterspin.inference.verdicts import Conformity
 
-#: Files as PTB publishes them: each names the next by an address.
+#: Schema files as PTB publishes them: each imports the next by its address.
 DCC = """<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" xmlns:si="https://ptb.de/si"
  targetNamespace="https://ptb.de/dcc" elementFormDefault="qualified">
  <xs:import namespace="https://ptb.de/si" schemaLocation="https://ptb.example/si/v2/SI.xsd"/>
@@ -38,7 +38,7 @@ def folder(tmp_path):
 
 
 @needs_schema
-def test_a_certificate_with_everything_is_valid(tmp_path):
+def test_complete_certificate_is_valid(tmp_path):
     many = {
         "K_F": coefficient(0.005, 1e-9, "g"),
         "K_I": {"value": 1.002, "u": 5e-6, "unit": "g/g", "estimated": False},
@@ -51,7 +51,7 @@ def test_a_certificate_with_everything_is_valid(tmp_path):
 
 
 @needs_schema
-def test_a_certificate_with_as_little_as_possible_is_valid(tmp_path):
+def test_minimal_certificate_is_valid(tmp_path):
     unknown = {"value": None, "u": None, "unit": "g/g^2", "estimated": False}
     given = result(coefficients={"K_II": unknown}, correlation=None)
     given = given.model_copy(
@@ -64,35 +64,35 @@ def test_a_certificate_with_as_little_as_possible_is_valid(tmp_path):
 
 
 @needs_schema
-def test_a_fault_is_told_with_its_line(tmp_path):
+def test_error_states_line(tmp_path):
     made = document(tmp_path, result()).replace(b">1.96<", b">1,96<", 1)
     with raises("wrong-document", "x.xml", "line ", "1,96") as caught:
         check_schema(made, SCHEMA, "x.xml")
     assert "{https" not in str(caught.value)
 
 
-def test_imports_are_found_in_the_folder_whatever_their_address(folder):
+def test_imports_are_resolved_in_folder(folder):
     check_schema(GOOD, folder, "x.xml")
     with raises("wrong-document", "line 2", "'si:b'", "'one'"):
         check_schema(BAD, folder, "x.xml")
 
 
-def test_what_is_no_xml_is_told(folder):
+def test_rejects_file_that_is_not_xml(folder):
     with pytest.raises(RecordError, match=r"x\.xml is not XML"):
         check_schema(GOOD[:-5], folder, "x.xml")
 
 
-def test_of_a_file_the_folder_above_is_searched_too(folder):
+def test_parent_folder_of_file_is_searched(folder):
     check_schema(GOOD, folder / "v1" / "dcc.xsd", "x.xml")
 
 
-def test_what_the_folder_lacks_is_not_fetched(folder):
+def test_missing_import_is_not_downloaded(folder):
     (folder / "si.xsd").unlink()
     with raises("wrong-document"):
         check_schema(GOOD, folder, "x.xml")
 
 
-def test_a_folder_without_a_schema_is_told(tmp_path):
+def test_folder_without_schema_raises(tmp_path):
     with pytest.raises(CounterspinError, match="holds no DCC schema"):
         check_schema(GOOD, tmp_path, "x.xml")
     with pytest.raises(CounterspinError, match="file not found"):

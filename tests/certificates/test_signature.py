@@ -1,4 +1,4 @@
-"""A signed certificate can be verified, and no other passes for it."""
+"""A signed certificate can be verified; changed or foreign ones are rejected."""
 
 import re
 import shutil
@@ -24,7 +24,7 @@ from counterspin.errors import CounterspinError, RecordError
 
 
 @pytest.fixture(scope="module")
-def pairs(tmp_path_factory):
+def key_pairs(tmp_path_factory):
     """Return the files of an RSA and of an elliptic-curve key."""
     folder = tmp_path_factory.mktemp("keys")
     return {
@@ -33,23 +33,23 @@ def pairs(tmp_path_factory):
     }
 
 
-def signed(folder, pair):
+def sign_certificate(folder, pair):
     given = result()
     root = build_document(given, lab_of(folder, given), ISSUE, {}, b"%PDF")
     return to_bytes(sign(root, read_signer(*pair)))
 
 
 @pytest.mark.parametrize("kind", ["rsa", "ec"])
-def test_a_signed_certificate_verifies_and_reads_back(tmp_path, pairs, kind):
-    made = signed(tmp_path, pairs[kind])
+def test_signed_certificate_is_valid_and_readable(tmp_path, key_pairs, kind):
+    made = sign_certificate(tmp_path, key_pairs[kind])
     assert etree.fromstring(made)[-1].tag == "{http://www.w3.org/2000/09/xmldsig#}Signature"
-    covered = verify(made, pairs[kind][1], "x.xml")
+    covered = verify(made, key_pairs[kind][1], "x.xml")
     assert covered.expired is None
     found = read_certificate(covered.content, "x.xml")
     assert found.accelerometers["Qx"].coefficients["K_II"].value == pytest.approx(2.7e-5, rel=1e-15)
 
 
-def xmlsec(path, cert):
+def verify_with_xmlsec(path, cert):
     """Return the status of xmlsec1, which trusts one certificate."""
     words = ["xmlsec1", "--verify", "--trusted-pem", str(cert), str(path)]
     return subprocess.run(words, capture_output=True, check=False).returncode
@@ -57,8 +57,8 @@ def xmlsec(path, cert):
 
 @pytest.mark.skipif(shutil.which("xmlsec1") is None, reason="xmlsec1 is not installed")
 @pytest.mark.parametrize("kind", ["rsa", "ec"])
-def test_xmlsec1_says_the_same_of_a_certificate_and_its_amendment(tmp_path, pairs, kind):
-    key, cert = pairs[kind]
+def test_xmlsec1_agrees_on_certificate_and_amendment(tmp_path, key_pairs, kind):
+    key, cert = key_pairs[kind]
     result().write(tmp_path / "r.json")
     given = [str(tmp_path / "r.json"), str(write_lab(tmp_path))]
     signed_by = ["--key", str(key), "--cert", str(cert)]
@@ -68,62 +68,64 @@ def test_xmlsec1_says_the_same_of_a_certificate_and_its_amendment(tmp_path, pair
     assert cli.main(["certificate", *given, "-o", str(new), *signed_by, *why]) == 0
     for made in (old, new):
         assert cli.main(["certificate", "--verify", str(made), "--cert", str(cert)]) == 0
-        assert xmlsec(made, cert) == 0
+        assert verify_with_xmlsec(made, cert) == 0
     new.write_bytes(new.read_bytes().replace(b"misread", b"misraed"))
-    assert xmlsec(new, cert) != 0
+    assert verify_with_xmlsec(new, cert) != 0
     assert cli.main(["certificate", "--verify", str(new), "--cert", str(cert)]) == 1
-    other = pairs["ec" if kind == "rsa" else "rsa"][1]
-    assert xmlsec(old, other) != 0
+    other = key_pairs["ec" if kind == "rsa" else "rsa"][1]
+    assert verify_with_xmlsec(old, other) != 0
 
 
-def test_an_rsa_signature_is_the_same_every_time(tmp_path, pairs):
-    assert signed(tmp_path, pairs["rsa"]) == signed(tmp_path, pairs["rsa"])
+def test_rsa_signature_is_deterministic(tmp_path, key_pairs):
+    assert sign_certificate(tmp_path, key_pairs["rsa"]) == sign_certificate(
+        tmp_path, key_pairs["rsa"]
+    )
 
 
-def test_one_changed_digit_is_noticed(tmp_path, pairs):
-    made = signed(tmp_path, pairs["rsa"])
+def test_changed_digit_invalidates_signature(tmp_path, key_pairs):
+    made = sign_certificate(tmp_path, key_pairs["rsa"])
     changed = made.replace(b"<si:value>9.8</si:value>", b"<si:value>9.9</si:value>", 1)
     assert changed != made
     with raises("invalid-signature", "changed"):
-        verify(changed, pairs["rsa"][1], "x.xml")
+        verify(changed, key_pairs["rsa"][1], "x.xml")
 
 
-def test_somebody_else_s_signature_is_noticed(tmp_path, pairs):
+def test_signature_of_other_signer_is_rejected(tmp_path, key_pairs):
     other = r"the signer is CN=Example laboratory, not the holder of"
-    made = signed(tmp_path, pairs["rsa"])
+    made = sign_certificate(tmp_path, key_pairs["rsa"])
     with pytest.raises(RecordError, match=other):
-        verify(made, pairs["ec"][1], "x.xml")
-    # Whether he changed the document later does not matter.
+        verify(made, key_pairs["ec"][1], "x.xml")
+    # A later change of the document does not matter.
     with pytest.raises(RecordError, match=other):
-        verify(made.replace(b">9.8<", b">9.9<", 1), pairs["ec"][1], "x.xml")
+        verify(made.replace(b">9.8<", b">9.9<", 1), key_pairs["ec"][1], "x.xml")
 
 
-def test_a_changed_signature_is_told_from_a_changed_document(tmp_path, pairs):
-    root = etree.fromstring(signed(tmp_path, pairs["ec"]))
+def test_error_distinguishes_changed_signature_from_changed_document(tmp_path, key_pairs):
+    root = etree.fromstring(sign_certificate(tmp_path, key_pairs["ec"]))
     value = root.find(".//{http://www.w3.org/2000/09/xmldsig#}SignatureValue")
     value.text = value.text[:10] + ("A" if value.text[10] != "A" else "B") + value.text[11:]
     with pytest.raises(RecordError, match="the signature itself was changed"):
-        verify(etree.tostring(root), pairs["ec"][1], "x.xml")
+        verify(etree.tostring(root), key_pairs["ec"][1], "x.xml")
     stated = root.find(".//{http://www.w3.org/2000/09/xmldsig#}KeyInfo")
     del stated[:]  # not as XML-DSig has it
     with pytest.raises(RecordError, match="the signature is not valid"):
-        verify(etree.tostring(root), pairs["ec"][1], "x.xml")
-    root = etree.fromstring(signed(tmp_path, pairs["rsa"]))
+        verify(etree.tostring(root), key_pairs["ec"][1], "x.xml")
+    root = etree.fromstring(sign_certificate(tmp_path, key_pairs["rsa"]))
     stated = root.find(".//{http://www.w3.org/2000/09/xmldsig#}KeyInfo")
     stated.getparent().remove(stated)
     with pytest.raises(
         RecordError, match=r"the document was changed, or the holder .* does not name a signer"
     ):
-        verify(etree.tostring(root), pairs["ec"][1], "x.xml")
+        verify(etree.tostring(root), key_pairs["ec"][1], "x.xml")
 
 
-def test_a_certificate_that_expired_after_the_day_of_issue_counts(tmp_path):
+def test_signer_certificate_valid_at_issue_is_accepted(tmp_path):
     """The issue is of 2026-01-20; signed with the key, as `read_signer` would refuse it today."""
     key = ec.generate_private_key(ec.SECP256R1())
     today = datetime.now(UTC).date()
     since = (ISSUE.date.date() - today).days
 
-    def made_and_verified(*days):
+    def sign_and_verify(*days):
         folder = tmp_path / str(days[0])
         _, cert = write_pair(folder, key, days=days)
         given = result()
@@ -131,52 +133,50 @@ def test_a_certificate_that_expired_after_the_day_of_issue_counts(tmp_path):
         signer = signer_from_key(key, load_pem_x509_certificates(cert.read_bytes()))
         return verify(to_bytes(sign(root, signer)), cert, "x.xml")
 
-    assert made_and_verified(since - 10, -1).expired == today - timedelta(days=1)
+    assert sign_and_verify(since - 10, -1).expired == today - timedelta(days=1)
     with raises("certificate-expired", "cert.pem"):
-        made_and_verified(since + 1, -1)
+        sign_and_verify(since + 1, -1)
     with raises("certificate-expired"):
-        made_and_verified(2, 10)
+        sign_and_verify(2, 10)
 
 
-def test_a_signature_of_something_else_in_the_document_does_not_count(tmp_path, pairs):
-    # Wrapping: the signed original is kept inside, and a forged one put round it.
-    root = etree.fromstring(signed(tmp_path, pairs["rsa"]))
+def test_signature_wrapping_is_rejected(tmp_path, key_pairs):
+    # Wrapping: a forged document contains the signed original.
+    root = etree.fromstring(sign_certificate(tmp_path, key_pairs["rsa"]))
     forged = etree.fromstring(etree.tostring(root).replace(b">9.8<", b">9.9<", 1))
     forged.remove(forged[-1])
     holder = etree.SubElement(forged, "{https://ptb.de/dcc}comment")
     holder.append(root)
     with pytest.raises(RecordError, match="is not signed"):
-        verify(etree.tostring(forged), pairs["rsa"][1], "x.xml")
+        verify(etree.tostring(forged), key_pairs["rsa"][1], "x.xml")
 
 
-def test_an_unsigned_certificate_is_told(tmp_path, pairs):
+def test_unsigned_certificate_raises(tmp_path, key_pairs):
     given = result()
     made = to_bytes(build_document(given, lab_of(tmp_path, given), ISSUE, {}, None))
     with pytest.raises(RecordError, match="is not signed"):
-        verify(made, pairs["rsa"][1], "x.xml")
+        verify(made, key_pairs["rsa"][1], "x.xml")
     with pytest.raises(RecordError, match="is not XML"):
-        verify(b"no", pairs["rsa"][1], "x.xml")
+        verify(b"no", key_pairs["rsa"][1], "x.xml")
 
 
-def test_without_the_package_it_is_said_where_it_comes_from(monkeypatch, pairs):
+def test_missing_package_error_names_install_command(monkeypatch, key_pairs):
     monkeypatch.setitem(sys.modules, "signxml", None)
     with pytest.raises(CounterspinError, match=r"pip install '\.\[signature\]'"):
-        verify(b"<x/>", pairs["rsa"][1], "x.xml")
+        verify(b"<x/>", key_pairs["rsa"][1], "x.xml")
 
 
 @pytest.mark.parametrize(
     ("put", "reads"), [(b"<!-- x -->", True), (b"<?x y?>", False), (b"<x/>", False)]
 )
-def test_a_number_with_something_in_it_reads_alike_with_and_without_the_signer(
-    tmp_path, pairs, put, reads
-):
+def test_number_with_nested_nodes_reads_alike_signed_and_unsigned(tmp_path, key_pairs, put, reads):
     given = result()
     plain = to_bytes(build_document(given, lab_of(tmp_path, given), ISSUE, {}, b"%PDF"))
     (value,) = re.findall(rb"<si:label>K_II</si:label>\s*<si:value>([^<]*)<", plain)
     spoilt = plain.replace(b"<si:value>" + value, b"<si:value>" + value[:3] + put + value[3:], 1)
-    made = to_bytes(sign(etree.fromstring(spoilt), read_signer(*pairs["rsa"])))
+    made = to_bytes(sign(etree.fromstring(spoilt), read_signer(*key_pairs["rsa"])))
     assert put in made
-    for read in (lambda: made, lambda: verify(made, pairs["rsa"][1], "x.xml").content):
+    for read in (lambda: made, lambda: verify(made, key_pairs["rsa"][1], "x.xml").content):
         if reads:
             found = read_certificate(read(), "x.xml").accelerometers["Qx"].coefficients["K_II"]
             assert found.value == pytest.approx(2.7e-5, rel=1e-15)

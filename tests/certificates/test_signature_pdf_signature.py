@@ -1,4 +1,4 @@
-"""The signature of a certificate's pages: added behind them, and void after any change."""
+"""The signature of a certificate's pages: appended, and invalid after any change."""
 
 import io
 import os
@@ -40,50 +40,50 @@ def signed(signers):
     return {kind: sign_pages(PAGES.read_bytes(), signer, DATE) for kind, signer in signers.items()}
 
 
-def public(signer):
+def public_certificate(signer):
     return signer.certificates[0].public_bytes(Encoding.DER)
 
 
 @pytest.mark.parametrize("kind", KEYS)
-def test_signed_pages_are_of_their_signer_alone(signers, signed, kind):
-    assert verify_pdf_signature(signed[kind], public(signers[kind])) == "valid"
+def test_signature_is_valid_for_its_signer_only(signers, signed, kind):
+    assert verify_pdf_signature(signed[kind], public_certificate(signers[kind])) == "valid"
     for other in set(KEYS) - {kind}:
-        assert verify_pdf_signature(signed[kind], public(signers[other])) == "invalid"
-    assert verify_pdf_signature(PAGES.read_bytes(), public(signers[kind])) == "none"
+        assert verify_pdf_signature(signed[kind], public_certificate(signers[other])) == "invalid"
+    assert verify_pdf_signature(PAGES.read_bytes(), public_certificate(signers[kind])) == "none"
 
 
-def ranges(made):
-    """Return where the signed parts of a file begin, and their lengths, the first's end second."""
+def signed_ranges(made):
+    """Return the byte ranges of a file that are signed."""
     reader = pypdf.PdfReader(io.BytesIO(made))
     return [int(n) for n in reader.pages[0]["/Annots"][0]["/V"]["/ByteRange"]]
 
 
-def test_any_change_is_found(signers, signed):
-    """A byte of the pages, of their metadata, of the signature, and what is added at the end."""
-    made, of = signed["ec"], public(signers["ec"])
+def test_changed_byte_is_detected(signers, signed):
+    """A byte of the pages, metadata or signature, and appended bytes."""
+    made, of = signed["ec"], public_certificate(signers["ec"])
     for mark in (b"/StructTreeRoot", b"<pdfaid:part>3", b"20260309"):
         place = made.rindex(mark) + len(mark) - 1
         changed = made[:place] + bytes([made[place] ^ 1]) + made[place + 1 :]
         assert verify_pdf_signature(changed, of) == "changed", mark
     assert verify_pdf_signature(made + b"\n% more\n", of) == "changed"
     assert verify_pdf_signature(made.replace(b"/SubFilter", b"/SubFiltre"), of) == "invalid"
-    _, start, end, _ = ranges(made)
+    _, start, end, _ = signed_ranges(made)
     place = start + len(made[start : end - 1].rstrip(b"0")) - 20
     changed = made[:place] + (b"1" if made[place : place + 1] != b"1" else b"2") + made[place + 1 :]
     assert verify_pdf_signature(changed, of) == "invalid"
 
 
-def test_what_is_added_later_is_covered_by_no_signature(signers, signed):
-    """A reader that appends, as PDF allows, whatever it says of the page."""
+def test_incremental_update_is_reported_as_changed(signers, signed):
+    """PDF allows incremental updates after the signature."""
     writer = pypdf.PdfWriter(io.BytesIO(signed["ec"]), incremental=True)
     writer.add_metadata({"/Title": "Another certificate"})
     out = io.BytesIO()
     writer.write(out)
     assert out.getvalue().startswith(signed["ec"])
-    assert verify_pdf_signature(out.getvalue(), public(signers["ec"])) == "changed"
+    assert verify_pdf_signature(out.getvalue(), public_certificate(signers["ec"])) == "changed"
 
 
-def test_a_second_signature_of_somebody_else_does_not_count(signers, signed, tmp_path):
+def test_second_signature_of_other_signer_invalidates_first(signers, signed, tmp_path):
     from pyhanko.pdf_utils.incremental_writer import IncrementalPdfFileWriter
     from pyhanko.sign import signers as theirs
     from pyhanko.sign.signers import PdfSignatureMetadata
@@ -94,13 +94,13 @@ def test_a_second_signature_of_somebody_else_does_not_count(signers, signed, tmp
     once = theirs.sign_pdf(plain, PdfSignatureMetadata(field_name="A"), other)
     writer = IncrementalPdfFileWriter(once)
     twice = theirs.sign_pdf(writer, PdfSignatureMetadata(field_name="B"), other).getvalue()
-    assert verify_pdf_signature(twice, public(signers["ec"])) == "invalid"
-    assert verify_pdf_signature(twice, public(read_signer(key, cert))) == "valid"
+    assert verify_pdf_signature(twice, public_certificate(signers["ec"])) == "invalid"
+    assert verify_pdf_signature(twice, public_certificate(read_signer(key, cert))) == "valid"
 
 
 @pytest.mark.parametrize("kind", KEYS)
-def test_pages_metadata_and_attachments_stay_as_they_are(signed, kind):
-    """Conformance: the file before is its beginning, and what PDF/A and PDF/UA ask is unchanged."""
+def test_signing_preserves_pages_metadata_and_attachments(signed, kind):
+    """The signed file starts with the unsigned file and still conforms to PDF/A and PDF/UA."""
     before, after = PAGES.read_bytes(), signed[kind]
     assert after.startswith(before)
     # PDF/A-3, 6.1.9: an object begins on a line of its own.
@@ -137,19 +137,19 @@ def test_pages_metadata_and_attachments_stay_as_they_are(signed, kind):
 
 @pytest.mark.skipif(shutil.which("verapdf") is None, reason="veraPDF is not installed")
 @pytest.mark.parametrize("flavour", ["3a", "ua1"])
-def test_verapdf_finds_no_fault(tmp_path, signed, flavour):
+def test_verapdf_reports_no_error(tmp_path, signed, flavour):
     (tmp_path / "c.pdf").write_bytes(signed["ec"])
     words = ["verapdf", "--flavour", flavour, "--format", "text", str(tmp_path / "c.pdf")]
     told = subprocess.run(words, capture_output=True, text=True, check=False).stdout
     assert told.startswith("PASS"), told
 
 
-def test_with_rsa_the_same_pages_give_the_same_file(signers, signed):
+def test_rsa_signature_of_pages_is_deterministic(signers, signed):
     assert sign_pages(PAGES.read_bytes(), signers["rsa"], DATE) == signed["rsa"]
 
 
-def test_a_key_is_asked_once(signers):
-    """A card asks for its PIN at each signature."""
+def test_key_signs_once(signers):
+    """A smart card requests its PIN for each signature."""
     from dataclasses import replace
 
     asked = []
@@ -164,8 +164,8 @@ def test_a_key_is_asked_once(signers):
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
 @pytest.mark.parametrize("kind", KEYS)
-def test_openssl_finds_the_signature_of_the_whole_file(tmp_path, signed, kind):
-    """Of all bytes but the signature's own."""
+def test_openssl_verifies_signature_of_whole_file(tmp_path, signed, kind):
+    """The signature covers all bytes except its own."""
 
     def verified(content):
         found = re.search(rb"/ByteRange *\[ *(\d+) +(\d+) +(\d+) +(\d+)", content)
@@ -188,8 +188,8 @@ def test_openssl_finds_the_signature_of_the_whole_file(tmp_path, signed, kind):
 
 @pytest.mark.skipif(shutil.which("pdfsig") is None, reason="pdfsig (poppler) is not installed")
 @pytest.mark.parametrize("kind", KEYS)
-def test_another_program_reads_the_signature(tmp_path, signed, kind):
-    """Poppler's, which knows no trust root here, and says so apart from the signature."""
+def test_poppler_verifies_signature(tmp_path, signed, kind):
+    """Poppler has no trust root and reports this separately from the signature."""
 
     def said(content):
         path = tmp_path / "c.pdf"
@@ -206,7 +206,7 @@ def test_another_program_reads_the_signature(tmp_path, signed, kind):
     assert "Signature is Valid." not in said(changed)
 
 
-def test_without_the_package_it_is_said_where_it_comes_from(monkeypatch, signers):
+def test_missing_package_error_names_install_command(monkeypatch, signers):
     monkeypatch.setitem(sys.modules, "pyhanko.sign", None)
     with pytest.raises(CounterspinError, match=r"pip install '\.\[signature\]'"):
         sign_pages(PAGES.read_bytes(), signers["ec"], DATE)

@@ -1,4 +1,4 @@
-"""Who can sign: keys in files, with passwords, and commands that have a key."""
+"""Signers: keys in files, with passwords, and signer commands."""
 
 import shlex
 import sys
@@ -29,8 +29,8 @@ def keys():
     }
 
 
-def fits(signer, key):
-    """Tell whether a signer signs with a key; raises InvalidSignature if not."""
+def signs_with(signer, key):
+    """Return whether a signer uses a key; raise InvalidSignature if not."""
     made = signer.sign(b"words")
     way = (padding.PKCS1v15(), SHA256()) if signer.uses_rsa else (ec.ECDSA(SHA256()),)
     key.public_key().verify(made, b"words", *way)
@@ -39,27 +39,27 @@ def fits(signer, key):
 
 @pytest.mark.parametrize("kind", ["rsa", "ec"])
 @pytest.mark.parametrize("password", [None, SECRET])
-def test_a_key_is_read_from_pem_and_pkcs12(tmp_path, keys, kind, password):
+def test_key_is_read_from_pem_and_pkcs12(tmp_path, keys, kind, password):
     secret = password and password.encode()
     pem = read_signer(*write_pair(tmp_path / "pem", keys[kind], secret), password)
     p12, cert = write_pkcs12(tmp_path / "p12", keys[kind], secret)
-    assert fits(pem, keys[kind])
+    assert signs_with(pem, keys[kind])
     for given in (None, cert):
         held = read_signer(p12, given, password)
-        assert fits(held, keys[kind])
+        assert signs_with(held, keys[kind])
         assert held.name == "CN=Example laboratory"
-    # A certificate may stand behind its key, in one file.
+    # A certificate may follow its key in one file.
     key, cert = write_pair(tmp_path / "one", keys[kind], secret)
     one = KeyMaterial("one.pem", key.read_bytes() + cert.read_bytes())
-    assert fits(read_signer(one, password=password), keys[kind])
+    assert signs_with(read_signer(one, password=password), keys[kind])
 
 
-def test_a_password_that_is_not_needed_does_no_harm(tmp_path, keys):
-    assert fits(read_signer(*write_pair(tmp_path / "k", keys["ec"]), SECRET), keys["ec"])
+def test_unneeded_password_is_ignored(tmp_path, keys):
+    assert signs_with(read_signer(*write_pair(tmp_path / "k", keys["ec"]), SECRET), keys["ec"])
 
 
 @pytest.mark.parametrize("write", [write_pair, write_pkcs12])
-def test_a_password_is_asked_for_and_a_wrong_one_is_refused(tmp_path, keys, write):
+def test_password_is_required_and_wrong_password_rejected(tmp_path, keys, write):
     key, cert = write(tmp_path / "k", keys["rsa"], SECRET.encode())
     with pytest.raises(PasswordNeededError, match="is encrypted; give the password"):
         read_signer(key, cert)
@@ -69,7 +69,7 @@ def test_a_password_is_asked_for_and_a_wrong_one_is_refused(tmp_path, keys, writ
     assert "wrong words" not in str(raised.value)
 
 
-def test_nothing_shows_a_key(tmp_path, keys):
+def test_repr_does_not_contain_key(tmp_path, keys):
     key, cert = write_pair(tmp_path / "k", keys["ec"])
     shown = repr(read_signer(key, cert)) + repr(KeyMaterial.read(key))
     inner = key.read_text().splitlines()[1]
@@ -89,7 +89,7 @@ def test_nothing_shows_a_key(tmp_path, keys):
         (None, {"usage": "digital_signature"}, None),
     ],
 )
-def test_a_signer_s_certificate_is_checked_at_issue(tmp_path, made, more, words):
+def test_signer_certificate_is_checked_at_issue(tmp_path, made, more, words):
     key = made() if made else ec.generate_private_key(ec.SECP256R1())
     pair = write_pair(tmp_path / "k", key, **more)
     if words is None:
@@ -99,7 +99,7 @@ def test_a_signer_s_certificate_is_checked_at_issue(tmp_path, made, more, words)
             read_signer(*pair)
 
 
-def test_a_key_that_cannot_sign_is_told(tmp_path, keys):
+def test_unusable_key_raises(tmp_path, keys):
     key, cert = write_pair(tmp_path / "rsa", keys["rsa"])
     odd = write_pair(tmp_path / "odd", ed25519.Ed25519PrivateKey.generate())
     with raises("unusable-key", "RSA"):
@@ -120,7 +120,7 @@ def test_a_key_that_cannot_sign_is_told(tmp_path, keys):
         read_signer(tmp_path / "none.pem", cert)
 
 
-def program(folder, text):
+def write_program(folder, text):
     """Return a command that runs a program."""
     (folder / "sign it.py").write_text(text)
     return shlex.join([sys.executable, str(folder / "sign it.py")])
@@ -139,13 +139,13 @@ sys.stdout.buffer.write(key.sign(data, *way))
 
 
 @pytest.mark.parametrize("kind", ["rsa", "ec"])
-def test_a_command_signs_with_a_key_that_is_never_seen(tmp_path, keys, kind):
+def test_signer_command_signs(tmp_path, keys, kind):
     key, cert = write_pair(tmp_path / "k", keys[kind])
     text = SIGNS.format(key=str(key), curve=kind == "ec")
-    assert fits(command_signer(program(tmp_path, text), cert), keys[kind])
+    assert signs_with(command_signer(write_program(tmp_path, text), cert), keys[kind])
 
 
-def test_a_command_of_windows_keeps_its_backslashes(tmp_path, keys, monkeypatch):
+def test_windows_command_keeps_backslashes(tmp_path, keys, monkeypatch):
     started = []
     _, cert = write_pair(tmp_path / "k", keys["ec"])
 
@@ -177,9 +177,9 @@ def test_a_command_of_windows_keeps_its_backslashes(tmp_path, keys, monkeypatch)
         ),
     ],
 )
-def test_a_command_that_does_not_sign_is_told(tmp_path, keys, text, words):
+def test_failed_signer_command_raises(tmp_path, keys, text, words):
     _, cert = write_pair(tmp_path / "k", keys["ec"])
-    signer = command_signer(program(tmp_path, text), cert)
+    signer = command_signer(write_program(tmp_path, text), cert)
     with pytest.raises(CounterspinError, match=words):
         signer.sign(b"words")
 
@@ -188,7 +188,7 @@ def test_a_command_that_does_not_sign_is_told(tmp_path, keys, text, words):
     ("command", "words"),
     [("", "give the signing command"), ("'x", "is not a command"), ("/nowhere/x", "cannot be run")],
 )
-def test_what_is_no_command_is_told(tmp_path, keys, command, words):
+def test_rejects_invalid_signer_command(tmp_path, keys, command, words):
     _, cert = write_pair(tmp_path / "k", keys["ec"])
     with pytest.raises(CounterspinError, match=words):
         command_signer(command, cert).sign(b"words")
@@ -197,7 +197,7 @@ def test_what_is_no_command_is_told(tmp_path, keys, command, words):
         command_signer("sign", odd)
 
 
-def test_without_the_package_it_is_said_where_it_comes_from(monkeypatch, tmp_path, keys):
+def test_missing_package_error_names_install_command(monkeypatch, tmp_path, keys):
     pair = write_pair(tmp_path / "k", keys["ec"])
     monkeypatch.setitem(sys.modules, "cryptography", None)
     with pytest.raises(CounterspinError, match=r"pip install '\.\[signature\]'"):

@@ -1,4 +1,4 @@
-"""The words of `counterspin apply`."""
+"""Arguments of `counterspin apply`."""
 
 import pytest
 
@@ -6,7 +6,7 @@ from counterspin.cli.apply import parse_others
 from counterspin.errors import CampaignError
 
 
-def test_others_are_read_as_pairs():
+def test_other_accelerometers_are_parsed_as_pairs():
     assert parse_others(None) == {}
     assert parse_others("Qy=a, Qz = b c") == {"Qy": "a", "Qz": "b c"}
     for wrong in ("Qy", "Qy=", "=a", "Qy=a,Qy=b", "Qy=a,"):

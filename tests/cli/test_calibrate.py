@@ -1,4 +1,4 @@
-"""`counterspin calibrate --ledger`: the result's file comes into the instrument's ledger."""
+"""`counterspin calibrate --ledger`: the result file is entered in the ledger."""
 
 import hashlib
 
@@ -34,7 +34,7 @@ WHO = ("--who", "A. Erste", "--why", "yearly calibration")
 
 
 @pytest.fixture
-def desk(tmp_path, monkeypatch):
+def campaign_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")  # 2027-01-15
     (tmp_path / "campaign.toml").write_text(TUMBLE, encoding="utf-8")
@@ -45,11 +45,11 @@ def run(*words):
     return cli.main(["calibrate", ".", *words])
 
 
-def test_the_result_is_entered_as_it_was_written(desk, capsys):
+def test_result_file_is_entered_in_ledger(campaign_folder, capsys):
     assert run("--json", "r.json", "--ledger", "ledger.jsonl", *WHO) == 0
     shown = capsys.readouterr().out
-    (entry,) = verify_ledger(desk / "ledger.jsonl").entries
-    digest = hashlib.sha256((desk / "r.json").read_bytes()).hexdigest()
+    (entry,) = verify_ledger(campaign_folder / "ledger.jsonl").entries
+    digest = hashlib.sha256((campaign_folder / "r.json").read_bytes()).hexdigest()
     assert entry.of == {"file": "r.json", "sha256": digest}
     assert (entry.what, entry.who, entry.why) == ("result", "A. Erste", "yearly calibration")
     assert entry.when == "2027-01-15T08:00:00Z"
@@ -72,9 +72,11 @@ def test_the_result_is_entered_as_it_was_written(desk, capsys):
         (("--json", "r.json", "--ledger", "altered.jsonl", *WHO), 1, "entry 1 was altered"),
     ],
 )
-def test_what_cannot_be_entered_is_told_before_the_work(desk, capsys, words, status, told):
-    (desk / "altered.jsonl").write_text("{}\n")
-    before = sorted(desk.iterdir())
+def test_invalid_ledger_entry_raises_before_calibration(
+    campaign_folder, capsys, words, status, told
+):
+    (campaign_folder / "altered.jsonl").write_text("{}\n")
+    before = sorted(campaign_folder.iterdir())
     assert run(*words) == status
     assert told in capsys.readouterr().err
-    assert sorted(desk.iterdir()) == before
+    assert sorted(campaign_folder.iterdir()) == before

@@ -1,4 +1,4 @@
-"""The command line: words to calls, errors to one paragraph and a status."""
+"""The command line: arguments, error messages and exit status."""
 
 import errno
 import inspect
@@ -24,21 +24,21 @@ from counterspin.reports import charts, publication
 from counterspin.reproduction.demo import demo
 from counterspin.validation.validate import DOSSIER_FILES
 
-#: Where the command is installed: beside the interpreter.
+#: The installed command, in the folder of the interpreter.
 BESIDE = str(Path(sys.executable).parent)
 COMMANDS = [name for name in cli.app if not name.startswith("-")]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_explains_itself(command, capsys):
+def test_help_of_command(command, capsys):
     assert cli.main([command, "--help"]) == 0
     shown = capsys.readouterr().out
     assert shown.startswith(f"Usage: counterspin {command}")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_breaks_lines_where_the_terminal_ends_alone(command, monkeypatch, capsys):
-    """Not where the source does: of two lines of one text the first has no room for a word more."""
+def test_help_wraps_lines_at_terminal_width(command, monkeypatch, capsys):
+    """The first of two lines has no room for the next word."""
     monkeypatch.setenv("COLUMNS", "80")
     assert cli.main([command, "--help"]) == 0
     lines = [line.strip("│").rstrip() for line in capsys.readouterr().out.splitlines()]
@@ -49,7 +49,7 @@ def test_help_breaks_lines_where_the_terminal_ends_alone(command, monkeypatch, c
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_names_nothing_that_leaving_an_option_out_says(command, monkeypatch, capsys):
+def test_help_omits_negative_options_and_empty_defaults(command, monkeypatch, capsys):
     """Such as `--no-yes`, `--empty-from` and `[default: ()]`."""
     monkeypatch.setenv("COLUMNS", "400")
     assert cli.main([command, "--help"]) == 0
@@ -75,13 +75,13 @@ def test_help_names_nothing_that_leaving_an_option_out_says(command, monkeypatch
         ("history", "figure", charts._METADATA),
     ],
 )
-def test_help_names_the_endings_that_are_written(command, option, endings):
+def test_help_lists_file_endings(command, option, endings):
     text = inspect.getdoc(cli.app[command].default_command)
     said = re.search(rf"^{option}\n((?:    .*\n?)+)", text, re.MULTILINE)[1]
     assert sorted(re.findall(r"\.[a-z]+\b", said)) == sorted(endings)
 
 
-def test_help_names_the_files_of_a_dossier():
+def test_help_lists_files_of_dossier():
     for name in DOSSIER_FILES:
         assert name in inspect.getdoc(validate)
 
@@ -101,7 +101,7 @@ def test_help_names_the_files_of_a_dossier():
         (["demo", "here"], "here"),
     ],
 )
-def test_wrong_usage_is_told_in_two_lines(words, message, capsys):
+def test_usage_error_has_two_lines(words, message, capsys):
     assert cli.main(words) == 2
     told = capsys.readouterr()
     assert told.out == ""
@@ -112,12 +112,12 @@ def test_wrong_usage_is_told_in_two_lines(words, message, capsys):
     assert told.err.count("\n") == 2
 
 
-def test_campaign_that_is_not_there(tmp_path, capsys):
+def test_missing_campaign_exits_with_2(tmp_path, capsys):
     assert cli.main(["calibrate", str(tmp_path / "nowhere")]) == 2
     assert "file not found; `counterspin init DIR` creates" in capsys.readouterr().err
 
 
-def test_work_that_fails(tmp_path, capsys):
+def test_failed_command_exits_with_1(tmp_path, capsys):
     assert cli.main(["init", str(tmp_path)]) == 0
     assert cli.main(["init", str(tmp_path)]) == 1
     assert "exists; edit it" in capsys.readouterr().err
@@ -126,7 +126,7 @@ def test_work_that_fails(tmp_path, capsys):
     assert all(f"run{i}.csv: file not found\n" in told for i in (1, 2, 3))
 
 
-def test_advice_can_be_typed_as_it_stands(tmp_path, capsys):
+def test_suggested_command_can_be_run(tmp_path, capsys):
     folder = tmp_path / "with blanks"
     assert cli.main(["init", str(folder)]) == 0
     advice = capsys.readouterr().out.splitlines()[1:]
@@ -147,34 +147,34 @@ def test_advice_can_be_typed_as_it_stands(tmp_path, capsys):
         (ValueError("worn out"), "internal error (ValueError: worn out)"),
     ],
 )
-def test_what_is_no_fault_of_the_program(error, words, monkeypatch, capsys):
-    def fail():
+def test_expected_errors_have_message_without_traceback(error, words, monkeypatch, capsys):
+    def raise_error():
         raise error
 
-    monkeypatch.setattr("counterspin.reproduction.comparison.reproduce", fail)
+    monkeypatch.setattr("counterspin.reproduction.comparison.reproduce", raise_error)
     assert cli.main(["reproduce"]) == 1
     assert words in capsys.readouterr().err
 
 
-def test_ctrl_c_is_acknowledged(monkeypatch, capsys):
-    def interrupted(*_):
+def test_ctrl_c_exits_with_130(monkeypatch, capsys):
+    def raise_interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("counterspin.ingest.starter.init", interrupted)
+    monkeypatch.setattr("counterspin.ingest.starter.init", raise_interrupt)
     assert cli.main(["init", "x"]) == 130
     assert capsys.readouterr().err == "counterspin: stopped\n"
 
 
 @pytest.mark.slow
-def test_an_interrupted_study_is_told_once_and_how_to_go_on(hostile, monkeypatch, capsys):
+def test_interrupted_study_prints_one_message_and_can_resume(hostile_campaign, monkeypatch, capsys):
     from counterspin.studies import study
 
-    whole = study.study(hostile, trials=20)
+    whole = study.study(hostile_campaign, trials=20)
     part = whole.model_copy(update={"complete": False})
     monkeypatch.setattr(study, "study", lambda *_, **__: part)
-    assert cli.main(["study", str(hostile)]) == 130
+    assert cli.main(["study", str(hostile_campaign)]) == 130
     assert capsys.readouterr().err == "counterspin: stopped\n"
-    assert cli.main(["study", str(hostile), "-o", str(hostile)]) == 130
+    assert cli.main(["study", str(hostile_campaign), "-o", str(hostile_campaign)]) == 130
     told = "counterspin: stopped; to continue, repeat the command with --resume\n"
     assert capsys.readouterr().err == told
 
@@ -182,19 +182,21 @@ def test_an_interrupted_study_is_told_once_and_how_to_go_on(hostile, monkeypatch
 @pytest.mark.parametrize(
     "command", [[sys.executable, "-m", "counterspin"], [shutil.which("counterspin", path=BESIDE)]]
 )
-def test_a_process_of_its_own_says_how_it_went(command):
-    def status(*words):
+def test_process_has_exit_status(command):
+    def exit_status(*words):
         return subprocess.run([*command, *words], capture_output=True, check=False).returncode
 
-    assert status("--version") == 0
-    assert status("init") == 2
-    assert status("apply", "no-result.json", "x.csv", "--accelerometer", "Qx", "-o", "y.csv") == 1
+    assert exit_status("--version") == 0
+    assert exit_status("init") == 2
+    assert (
+        exit_status("apply", "no-result.json", "x.csv", "--accelerometer", "Qx", "-o", "y.csv") == 1
+    )
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such limits there")
 @pytest.mark.parametrize("most", [150_000_000, 500_000_000, 1_200_000_000])
-def test_too_little_memory_to_begin_is_told(most, tmp_path):
-    """Where a library that lacks it would end the process, or print a backtrace."""
+def test_insufficient_memory_limit_is_reported(most, tmp_path):
+    """A library that lacks memory would end the process or print a backtrace."""
     resource = pytest.importorskip("resource")
     done = subprocess.run(
         [f"{BESIDE}/counterspin", "demo", "-o", str(tmp_path / "demo")],
@@ -209,9 +211,7 @@ def test_too_little_memory_to_begin_is_told(most, tmp_path):
 
 
 @pytest.mark.parametrize("count", ["0", "-1", "", "two", "1e3", "1025", "99999999999999"])
-def test_a_number_of_threads_that_polars_cannot_use_is_refused(
-    count, monkeypatch, capsys, tmp_path
-):
+def test_rejects_invalid_polars_max_threads(count, monkeypatch, capsys, tmp_path):
     monkeypatch.setenv("POLARS_MAX_THREADS", count)
     assert cli.main(["simulate", str(tmp_path)]) == 2
     words = f"{count!r} is not a whole number from 1 to 1024; correct or unset it"
@@ -221,7 +221,7 @@ def test_a_number_of_threads_that_polars_cannot_use_is_refused(
     )
 
 
-def test_a_number_of_threads_is_checked_before_anything_is_read(tmp_path):
+def test_polars_max_threads_is_checked_before_reading(tmp_path):
     (tmp_path / "campaign.toml").write_text(SMALL, encoding="utf-8")
     done = subprocess.run(
         [f"{BESIDE}/counterspin", "calibrate", str(tmp_path)],
@@ -236,21 +236,21 @@ def test_a_number_of_threads_is_checked_before_anything_is_read(tmp_path):
     assert done.stderr.count("\n") == 1
 
 
-# What files say
+# Text from files
 
 
 #: Colours, a bell, a C1 control, text from right to left, and a line that pretends to be ours.
 HOSTILE = "x\x1b[31m\x07\x9b1m\u202e\u2066\nK_II = 1"
 
 
-def acts(text):
-    """Return the characters of an output that are not simply shown."""
+def control_characters(text):
+    """Return the control characters of an output."""
     return {character for character in text if not character.isprintable()} - {"\n"}
 
 
 @pytest.fixture(scope="module")
-def hostile(tmp_path_factory):
-    """Return a campaign whose names and words would take over a terminal, with its result."""
+def hostile_campaign(tmp_path_factory):
+    """Return a campaign with control sequences in its names and texts, and its result."""
     folder = tmp_path_factory.mktemp("hostile")
     demo(folder)
     text = (folder / "campaign.toml").read_text("utf-8")
@@ -280,45 +280,47 @@ def hostile(tmp_path_factory):
         [HOSTILE],
     ],
 )
-def test_no_file_takes_over_the_terminal(words, hostile, monkeypatch, capsys):
-    monkeypatch.chdir(hostile)
+def test_output_has_no_control_characters_from_files(words, hostile_campaign, monkeypatch, capsys):
+    monkeypatch.chdir(hostile_campaign)
     cli.main(words)
     shown = capsys.readouterr()
     assert shown.out + shown.err
-    assert acts(shown.out + shown.err) == set()
+    assert control_characters(shown.out + shown.err) == set()
     lines = (shown.out + shown.err).splitlines()
     assert not [line for line in lines if line.startswith("K_II = 1")]
 
 
-def test_mistakes_in_hostile_words_are_told_on_a_line_each(hostile, tmp_path, capsys):
-    text = (hostile / "campaign.toml").read_text("utf-8")
+def test_errors_with_hostile_text_have_one_line_each(hostile_campaign, tmp_path, capsys):
+    text = (hostile_campaign / "campaign.toml").read_text("utf-8")
     wrong = text.replace('"2.5 m"', json.dumps(HOSTILE)).replace("east", HOSTILE[:4])
     (tmp_path / "campaign.toml").write_text(wrong.replace("\x1b", "\\u001b"), "utf-8")
     assert cli.main(["calibrate", str(tmp_path)]) == 2
     told = capsys.readouterr().err
-    assert acts(told) == set()
+    assert control_characters(told) == set()
     assert "centrifuge.radius" in told
     assert all(line.startswith("  ") for line in told.splitlines()[1:])
 
 
 @pytest.mark.parametrize("words", [["report", "-o"], ["compare", "{}", "--report"]])
-def test_a_hostile_report_is_safe_as_markdown(words, hostile, tmp_path):
-    out, result = tmp_path / "report.md", str(hostile / "result.json")
+def test_hostile_report_is_safe_in_markdown(words, hostile_campaign, tmp_path):
+    out, result = tmp_path / "report.md", str(hostile_campaign / "result.json")
     command, *more = (word.format(result) for word in words)
     assert cli.main([command, result, *more, str(out)]) == 0
-    assert acts(out.read_text("utf-8")) == set()
+    assert control_characters(out.read_text("utf-8")) == set()
     assert "K_II = 1" not in {line.strip("> \\") for line in out.read_text("utf-8").splitlines()}
 
 
 @pytest.mark.slow
-def test_a_hostile_report_is_safe_as_html_and_on_paper(hostile, tmp_path):
+def test_hostile_report_is_safe_in_html_and_pdf(hostile_campaign, tmp_path):
     for kind in ("html", "pdf"):
         out = tmp_path / f"report.{kind}"
-        assert cli.main(["report", str(hostile / "result.json"), "-o", str(out)]) == 0
+        assert cli.main(["report", str(hostile_campaign / "result.json"), "-o", str(out)]) == 0
     text = (tmp_path / "report.html").read_text("utf-8")
-    # What the page shows is data of its own, such as uPlot's script, no more.
+    # The page contains only its own scripts, such as uPlot.
     # A percent sign stays with its number.
-    assert acts(re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)) <= {"\xa0"}
+    assert control_characters(re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)) <= {
+        "\xa0"
+    }
     assert not re.search(r"(^|>)\s*K_II = 1", text, re.M)
     pages = pypdf.PdfReader(tmp_path / "report.pdf").pages
     lines = "\n".join(page.extract_text() for page in pages).splitlines()
@@ -326,17 +328,17 @@ def test_a_hostile_report_is_safe_as_html_and_on_paper(hostile, tmp_path):
     assert not [line for line in lines if re.match(r"\s*K_?II = 1\b", line)]
 
 
-def test_a_hostile_result_is_safe_in_a_notebook(hostile):
-    result = Result.read(hostile / "result.json")
+def test_hostile_result_is_safe_in_notebook(hostile_campaign):
+    result = Result.read(hostile_campaign / "result.json")
     names = {f"{name}{HOSTILE}": made for name, made in result.accelerometers.items()}
     result = result.model_copy(update={"accelerometers": names})
     html, covariance = result._repr_html_(), result.covariance
     shown = [str(result), html, result._repr_markdown_()]
     for text in (*shown, str(covariance)):
-        assert acts(text) == set()
+        assert control_characters(text) == set()
         assert not [line for line in text.splitlines() if line.strip("> ").startswith("K_II = 1")]
 
 
-def test_a_message_without_a_terminal_is_lost_in_peace(monkeypatch):
+def test_error_without_stderr_does_not_raise(monkeypatch):
     monkeypatch.setattr(sys, "stderr", None)
     assert cli.main(["calibrate", "nowhere"]) == 2

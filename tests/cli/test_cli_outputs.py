@@ -1,4 +1,4 @@
-"""No command loses a file: neither its inputs, nor another's work, nor its own result."""
+"""No command loses a file: its inputs, other files or its own result."""
 
 import shutil
 import subprocess
@@ -19,7 +19,7 @@ from counterspin.validation.validate import validate, write_dossier
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples" / "three-rate"
 
-#: What a laboratory may have: none of it is ever replaced by another thing.
+#: Files of a laboratory, which no other type of output may overwrite.
 KEPT = {
     "campaign.toml": "a campaign",
     "slow.csv": "a record",
@@ -32,7 +32,7 @@ KEPT = {
     "notes.txt": "notes",
 }
 
-#: Command with an output -> which of these it may replace, being of its own making.
+#: Command with an output -> the files of its own type that it may overwrite.
 WRITERS = {
     ("calibrate", "camp", "--json"): {"r.json"},
     ("history", "r.json", "--json"): {"history.json"},
@@ -49,7 +49,7 @@ WRITERS = {
 
 
 @pytest.fixture(scope="module")
-def desk(tmp_path_factory):
+def output_folder(tmp_path_factory):
     """Return a folder with one file of each kind."""
     folder = tmp_path_factory.mktemp("desk")
     simulate(write(folder, SMALL, "plan.toml"), folder / "camp")
@@ -72,39 +72,39 @@ def desk(tmp_path_factory):
 
 
 @pytest.fixture
-def here(desk, tmp_path, monkeypatch):
-    shutil.copytree(desk, tmp_path / "desk")
+def work_folder(output_folder, tmp_path, monkeypatch):
+    shutil.copytree(output_folder, tmp_path / "desk")
     monkeypatch.chdir(tmp_path / "desk")
     return tmp_path / "desk"
 
 
-def contents(folder):
+def read_contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("words", WRITERS, ids=lambda words: words[0] + words[-1])
-def test_no_file_of_another_kind_is_replaced(words, here, capsys):
-    before = contents(here)
+def test_output_does_not_overwrite_other_file_types(words, work_folder, capsys):
+    before = read_contents(work_folder)
     for name in KEPT.keys() - WRITERS[words]:
         for more in ([], ["--overwrite"]):
             assert cli.main([*words, name, *more]) in (1, 2), name
             told = capsys.readouterr()
             assert name in told.err
             assert "internal" not in told.err
-            assert told.out == ""  # refused before any work
-    assert contents(here) == before
+            assert told.out == ""  # rejected before any calculation
+    assert read_contents(work_folder) == before
 
 
 @pytest.mark.parametrize("name", KEPT)
-def test_a_certificate_replaces_nothing(name, here, capsys):
-    before = contents(here)
+def test_certificate_does_not_overwrite_files(name, work_folder, capsys):
+    before = read_contents(work_folder)
     assert cli.main(["certificate", "r.json", "LAB.toml", "-o", name]) in (1, 2)
     assert name in capsys.readouterr().err
     for what in ("certificate", "plan"):
         assert cli.main([what, "--init", name]) == 1
         assert f"{name} exists" in capsys.readouterr().err
-    assert contents(here) == before
+    assert read_contents(work_folder) == before
 
 
 @pytest.mark.slow
@@ -122,56 +122,56 @@ def test_a_certificate_replaces_nothing(name, here, capsys):
     ],
     ids=lambda words: f"{words[0]} {words[-1]}",
 )
-def test_an_earlier_output_is_replaced_if_asked_for(words, here, capsys):
-    (here / "indicated.csv").write_text("Qx\n0.5\n1.0\n")
+def test_overwrite_option_replaces_earlier_output(words, work_folder, capsys):
+    (work_folder / "indicated.csv").write_text("Qx\n0.5\n1.0\n")
     assert cli.main(words) == 0
-    before = contents(here)
+    before = read_contents(work_folder)
     capsys.readouterr()
     assert cli.main(words) == 1
     told = capsys.readouterr()
     assert "exists; " in told.err
     assert "give --overwrite" in told.err
-    assert contents(here) == before
+    assert read_contents(work_folder) == before
     assert cli.main([*words, "--overwrite"]) == 0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("figure", ["svg", "png", "pdf"])
-def test_a_demonstration_and_its_figure_are_known_again(figure, here, capsys):
+def test_overwrite_replaces_demonstration_and_figure(figure, work_folder, capsys):
     words = ["demo", "-o", "shown", "--figure", figure]
     assert cli.main(words) == 0
     assert cli.main(words) == 1
     assert "--overwrite" in capsys.readouterr().err
     assert cli.main([*words, "--overwrite"]) == 0
-    drawn = here / "shown" / f"displacement.{figure}"
+    drawn = work_folder / "shown" / f"displacement.{figure}"
     drawn.write_bytes(b"not counterspin's")
     assert cli.main([*words, "--overwrite"]) == 1
     assert "figure of the demonstration" in capsys.readouterr().err
 
 
-def test_the_input_is_not_replaced_by_its_correction(here, capsys):
-    (here / "indicated.csv").write_text("Qx\n0.5\n1.0\n")
+def test_apply_does_not_overwrite_input(work_folder, capsys):
+    (work_folder / "indicated.csv").write_text("Qx\n0.5\n1.0\n")
     words = ["apply", "r.json", "indicated.csv", "--accelerometer", "Qx", "-o", "new.csv"]
     assert cli.main(words) == 0
-    before = contents(here)
-    (here / "link.csv").symlink_to("new.csv")
+    before = read_contents(work_folder)
+    (work_folder / "link.csv").symlink_to("new.csv")
     for output in ("new.csv", "link.csv"):
         again = ["apply", "r.json", "new.csv", "--accelerometer", "Qx", "-o", output, "--overwrite"]
         assert cli.main([*again, "--input", "Qx"]) == 2
         assert "is the input" in capsys.readouterr().err
-    (here / "link.csv").unlink()
-    assert contents(here) == before
+    (work_folder / "link.csv").unlink()
+    assert read_contents(work_folder) == before
 
 
-def test_a_folder_that_is_not_there_is_told_before_the_work(here, capsys):
+def test_missing_output_folder_raises_before_calibration(work_folder, capsys):
     assert cli.main(["calibrate", "camp", "--json", "none/r.json"]) == 1
     told = capsys.readouterr()
     assert "none/r.json cannot be written: " in told.err
     assert told.out == ""
 
 
-def test_a_result_that_cannot_be_written_is_printed_all_the_same(here, capsys):
-    (here / "full.json").symlink_to("/dev/full")
+def test_result_is_printed_if_file_cannot_be_written(work_folder, capsys):
+    (work_folder / "full.json").symlink_to("/dev/full")
     assert cli.main(["calibrate", "camp", "--json", "full.json"]) == 1
     told = capsys.readouterr()
     assert "full.json cannot be written" in told.err
@@ -188,7 +188,7 @@ def test_a_result_that_cannot_be_written_is_printed_all_the_same(here, capsys):
     ],
     ids=lambda part: part[0] if isinstance(part, list) else part,
 )
-def test_files_are_written_before_anything_is_printed(words, name, here, monkeypatch):
+def test_files_are_written_before_output_is_printed(words, name, work_folder, monkeypatch):
     class Full:
         def __getattr__(self, name):
             raise OSError(28, "No space left on device")
@@ -196,13 +196,13 @@ def test_files_are_written_before_anything_is_printed(words, name, here, monkeyp
     monkeypatch.setattr(sys, "stdout", Full())
     with suppress(Exception):
         cli.main(words)
-    assert (here / name).exists()
+    assert (work_folder / name).exists()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("way", ["full", "broken"])
-def test_a_result_is_written_before_it_is_printed(way, here):
-    """A full device behind standard output, and a reader that has gone away."""
+def test_result_is_written_if_output_fails(way, work_folder):
+    """Standard output is a full device or a closed pipe."""
     command = f"{sys.executable} -m counterspin calibrate camp --json new.json"
     command += " > /dev/full" if way == "full" else " | true"
     run = subprocess.run(
@@ -233,10 +233,10 @@ def test_a_result_is_written_before_it_is_printed(way, here):
         ["plan", "--init", "c.toml"],
     ],
 )
-def test_an_output_that_is_a_link_to_itself_is_told(words, here, capsys):
-    (here / "indicated.csv").write_text("Qx\n0.5\n1.0\n")
-    write_lab(here)
-    (here / words[-1]).symlink_to(words[-1])
+def test_circular_link_as_output_raises(words, work_folder, capsys):
+    (work_folder / "indicated.csv").write_text("Qx\n0.5\n1.0\n")
+    write_lab(work_folder)
+    (work_folder / words[-1]).symlink_to(words[-1])
     assert cli.main(words) == 1
     error = capsys.readouterr().err
     assert f"{words[-1]} cannot be written" in error
@@ -263,24 +263,24 @@ PAGES = {
         ("chart", "report", "page.pdf"),
     ],
 )
-def test_no_page_takes_the_place_of_one_of_another_kind(first, second, name, here, capsys):
+def test_page_does_not_overwrite_other_page_type(first, second, name, work_folder, capsys):
     assert cli.main([*PAGES[first], name]) == 0
-    before = contents(here)
+    before = read_contents(work_folder)
     assert cli.main([*PAGES[second], name, "--overwrite"]) == 1
     assert "not overwritten" in capsys.readouterr().err
-    assert contents(here) == before
+    assert read_contents(work_folder) == before
     assert cli.main([*PAGES[first], name, "--overwrite"]) == 0
 
 
 @pytest.mark.parametrize("name", ["validation.html", "validation.pdf"])
-def test_a_report_does_not_take_the_place_of_a_dossier(name, here, capsys):
+def test_report_does_not_overwrite_dossier(name, work_folder, capsys):
     write_dossier(validate(chosen=()), "dossier")
-    before = contents(here / "dossier")
+    before = read_contents(work_folder / "dossier")
     assert cli.main(["report", "r.json", "-o", f"dossier/{name}", "--overwrite"]) == 1
     assert "not a calibration report" in capsys.readouterr().err
-    assert contents(here / "dossier") == before
+    assert read_contents(work_folder / "dossier") == before
     write_dossier(validate(chosen=()), "dossier", overwrite=True)
     assert cli.main(["report", "r.json", "-o", name]) == 0
-    (here / name).replace(here / "dossier" / name)
+    (work_folder / name).replace(work_folder / "dossier" / name)
     with raises("file-exists", "validation dossier"):
         write_dossier(validate(chosen=()), "dossier", overwrite=True)

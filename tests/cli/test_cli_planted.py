@@ -1,4 +1,4 @@
-"""Nothing that lies in the working folder is run or obeyed: it may be anybody's."""
+"""No file in the working folder is executed: the folder may be untrusted."""
 
 import os
 import shutil
@@ -20,14 +20,14 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.records import reader_process
 from counterspin.simulation.simulate import simulate
 
-#: What a new process of Python, of multiprocessing and of the reader imports first.
+#: The first imports of new processes of Python, multiprocessing and the reader.
 PLANTED = ("json", "signal", "multiprocessing")
 TRAP = "import pathlib\npathlib.Path(__file__ + '.ran').touch()\nraise ImportError\n"
 
 ANSWERED = [word for key, value in ANSWERS.items() for word in ("--answer", f"{key}={value}")]
 RECORDS = [f"{run}.parquet" for run in ("slow", "middle", "fast")]
 
-#: The commands that start a process or more.
+#: The commands that start processes.
 COMMANDS = [
     ["init", "new", "--from", *RECORDS, "--yes", *ANSWERED],
     ["calibrate", "."],
@@ -42,8 +42,8 @@ COMMANDS = [
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """Return a folder with a campaign of Parquet files, a certificate, and what is planted."""
+def planted_folder(tmp_path_factory):
+    """Return a folder with a campaign of Parquet files, a certificate and planted files."""
     folder, plan = tmp_path_factory.mktemp("foreign"), tmp_path_factory.mktemp("plan")
     short = SMALL.replace("revolutions = 20", "revolutions = 6").replace(".csv", ".parquet")
     simulate(write(plan, short), folder)
@@ -55,39 +55,41 @@ def made(tmp_path_factory):
     assert cli.main(["certificate", *words]) == 0
     for name in PLANTED:
         (folder / f"{name}.py").write_text(TRAP)
-    # No settings at all, but bytes that cannot be read.
+    # Bytes that cannot be decoded instead of settings.
     (folder / "matplotlibrc").write_bytes(b"\xff\n")
     return folder
 
 
 @pytest.fixture
-def foreign(made, monkeypatch):
-    """Be in that folder, with no process of the reader that was started elsewhere."""
-    monkeypatch.chdir(made)
+def in_planted_folder(planted_folder, monkeypatch):
+    """Work in the planted folder without reader processes that were started elsewhere."""
+    monkeypatch.chdir(planted_folder)
     reader = reader_process._ReaderProcess()
     monkeypatch.setattr(reader_process, "_READER", reader)
-    yield made
+    yield planted_folder
     reader.close()
-    assert sorted(made.glob("*.ran")) == []
+    assert sorted(planted_folder.glob("*.ran")) == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("words", COMMANDS, ids=lambda words: "-".join(words[:2]))
-def test_no_module_of_the_working_folder_is_run(words, foreign):
+def test_modules_in_working_folder_are_not_imported(words, in_planted_folder):
     if words[0] == "init":
-        shutil.rmtree(foreign / "new", ignore_errors=True)
+        shutil.rmtree(in_planted_folder / "new", ignore_errors=True)
     assert cli.main(words) == 0
 
 
-def test_nor_by_what_the_page_starts(foreign):
+def test_application_jobs_do_not_import_from_working_folder(in_planted_folder):
     jobs, views = Jobs(), LiveViews()
-    output = foreign / "job.json"
+    output = in_planted_folder / "job.json"
 
-    def make(number):
+    def make_job(number):
         return Job(number, "", "job.json", "counterspin calibrate .")
 
-    job = jobs.begin(make, run_calibration, foreign / "campaign.toml", output, "joint", None)
-    while not views.poll(foreign / "campaign.toml", "")["complete"]:
+    job = jobs.begin(
+        make_job, run_calibration, in_planted_folder / "campaign.toml", output, "joint", None
+    )
+    while not views.poll(in_planted_folder / "campaign.toml", "")["complete"]:
         time.sleep(0.05)
     while job.state in ("waiting", "running"):
         time.sleep(0.05)
@@ -103,7 +105,7 @@ BESIDE = Path(sys.executable).parent
 @pytest.mark.parametrize(
     "command", [[BESIDE / "counterspin"], [sys.executable, "-m", "counterspin"]]
 )
-def test_a_process_of_its_own_obeys_nothing_there(command, foreign):
+def test_new_process_ignores_files_in_working_folder(command, in_planted_folder):
     # As in a cell of a notebook, whose backend need not be installed for this Python.
     environment = {**os.environ, "MPLBACKEND": "widget of another Python"}
     environment.pop("PYTHONSAFEPATH", None)

@@ -1,4 +1,4 @@
-"""Ordinary slips, and odd surroundings: one short paragraph, never an internal error."""
+"""Invalid input and unusual environments give a short message, never an internal error."""
 
 import json
 import os
@@ -20,8 +20,8 @@ COMMAND = f"{sys.executable} -m counterspin"
 
 
 @pytest.fixture
-def told(tmp_path, monkeypatch, capsys):
-    """Return what runs a command in an empty folder and returns its status and complaint."""
+def run_command(tmp_path, monkeypatch, capsys):
+    """Return a function that runs a command in an empty folder: (status, message)."""
     monkeypatch.chdir(tmp_path)
 
     def run(*words):
@@ -62,14 +62,14 @@ def told(tmp_path, monkeypatch, capsys):
     ids=lambda text: text[:20],
 )
 @pytest.mark.parametrize("command", ["calibrate", "simulate"])
-def test_values_that_nobody_means(told, tmp_path, old, new, words, command):
+def test_implausible_values_are_rejected(run_command, tmp_path, old, new, words, command):
     write(tmp_path, changed(SMALL, (old, new)))
-    status, complaint = told(command, ".", *(["-o", "out"] if command == "simulate" else []))
+    status, complaint = run_command(command, ".", *(["-o", "out"] if command == "simulate" else []))
     assert status == 2
     assert words in complaint
 
 
-def test_names_that_are_too_long(told, tmp_path):
+def test_rejects_too_long_names(run_command, tmp_path):
     write(tmp_path, changed(SMALL, ('"slow.csv"', f'"{"s" * 300}.csv"')))
     for words in (
         ["simulate", ".", "-o", "out"],
@@ -80,30 +80,33 @@ def test_names_that_are_too_long(told, tmp_path):
         ["report", "n" * 300 + ".json"],
         ["history", "n" * 300],
     ):
-        status, complaint = told(*words)
+        status, complaint = run_command(*words)
         assert status in (1, 2), words
         assert "nnn" in complaint or "sss" in complaint
 
 
 @pytest.mark.parametrize("command", [name for name in cli.app if name[0] != "-"])
-def test_no_name_holds_nul(told, command):
-    status, complaint = told(command, "a\0b")
+def test_rejects_nul_in_arguments(run_command, command):
+    status, complaint = run_command(command, "a\0b")
     assert (status, complaint) == (
         2,
         "counterspin: the arguments of the command: contain a NUL character\n",
     )
 
 
-def test_numbers_on_the_command_line(told, tmp_path):
+def test_rejects_invalid_numbers(run_command, tmp_path):
     write(tmp_path, SMALL)
-    assert told("study", ".", "--seed", "-1") == (1, "counterspin: --seed must not be negative\n")
-    status, complaint = told("study", ".", "--trials", "1" + "0" * 30)
+    assert run_command("study", ".", "--seed", "-1") == (
+        1,
+        "counterspin: --seed must not be negative\n",
+    )
+    status, complaint = run_command("study", ".", "--trials", "1" + "0" * 30)
     assert status == 1
     assert "--trials must be at least 2 and at most" in complaint
 
 
-def test_a_damaged_result(told, tmp_path):
-    # Without a seal, as by an earlier version: what is wrong is said, not that it was changed.
+def test_damaged_result_is_rejected(run_command, tmp_path):
+    # Without a seal, as from an earlier version, the message names the fault, not a change.
     document = json.loads(result().to_json())
     del document["seal"]
     whole = json.dumps(document)
@@ -117,12 +120,12 @@ def test_a_damaged_result(told, tmp_path):
     ):
         (tmp_path / "r.json").write_text(text, encoding="utf-8")
         for more in ([], ["-o", "r.md", "--overwrite"]):
-            status, complaint = told("report", "r.json", *more)
+            status, complaint = run_command("report", "r.json", *more)
             assert status == (1 if words else 0)
             assert words in complaint
 
 
-#: What may be given by mistake -> what it is called.
+#: Wrong file -> its description in messages.
 OTHERS = {
     "r.json": "JSON",
     "c.xml": "XML or HTML",
@@ -135,7 +138,7 @@ OTHERS = {
     ".": "this is a folder",
 }
 
-#: Commands, the file that is wrong being X; what is no mistake there; what the message advises.
+#: Commands with the wrong file as X; the files valid there; the advice in the message.
 WANTED = (
     (("calibrate", "X"), ("campaign.toml", "."), "give the folder that contains campaign.toml"),
     (("study", "X"), ("campaign.toml", "."), "give the folder that contains campaign.toml"),
@@ -156,35 +159,35 @@ WANTED = (
 @pytest.mark.parametrize(
     ("words", "right", "advice"), WANTED, ids=[" ".join(w[0][:2]) for w in WANTED]
 )
-def test_a_file_of_another_kind_is_named(told, tmp_path, words, right, advice):
+def test_wrong_file_type_is_named_with_correct_command(run_command, tmp_path, words, right, advice):
     result().write(tmp_path / "r.json")
     (tmp_path / "empty").touch()
     (tmp_path / "p.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(20))
     (tmp_path / "c.xml").write_text("<?xml version='1.0'?>\n<a/>\n")
     (tmp_path / "run.csv").write_text("t,x\n0,1\n1,2\n")
     write(tmp_path, SMALL)
-    assert told("plan", "--init", "plan.toml") == (0, "")
-    assert told("certificate", "--init", "LAB.toml") == (0, "")
+    assert run_command("plan", "--init", "plan.toml") == (0, "")
+    assert run_command("certificate", "--init", "LAB.toml") == (0, "")
     for file, called in OTHERS.items():
         if file in right:
             continue
-        status, complaint = told(*(file if word == "X" else word for word in words))
+        status, complaint = run_command(*(file if word == "X" else word for word in words))
         said = " ".join(complaint.split())
         assert status in (1, 2)
         assert said.startswith((f"counterspin: {file}: ", f"counterspin: {file} "))
         assert advice in said
-        # Of text that is no TOML, JSON or XML those who want another say no more than that.
+        # For text that is not TOML, JSON or XML, the message names only the expected type.
         text = file in ("plan.toml", "LAB.toml", "campaign.toml", "run.csv")
         described = words[0] in ("calibrate", "study", "watch", "plan", "certificate")
         described &= words[1] != "--verify"
         assert called in said or words[0] == "ledger" or (text and not described)
 
 
-def test_another_s_file_of_one_line_is_no_unfinished_ledger(told, tmp_path):
+def test_single_line_text_is_not_an_unfinished_ledger(run_command, tmp_path):
     result().write(tmp_path / "r.json")
     (tmp_path / "notes").write_bytes(b"mine")
     words = ("ledger", "add", "notes", "r.json", "--who", "A. Erste", "--why", "yearly")
-    status, complaint = told(*words)
+    status, complaint = run_command(*words)
     assert (status, (tmp_path / "notes").read_bytes()) == (1, b"mine")
     assert "or this file is not a ledger" in complaint
 
@@ -207,19 +210,19 @@ def test_another_s_file_of_one_line_is_no_unfinished_ledger(told, tmp_path):
         (r"\?>", '?><!DOCTYPE d SYSTEM "file:///etc/hostname">', "has a document type"),
     ],
 )
-def test_a_damaged_certificate(told, tmp_path, old, new, words):
+def test_damaged_certificate_is_rejected(run_command, tmp_path, old, new, words):
     text = (EXAMPLES / "certificate.xml").read_text(encoding="utf-8")
     spoilt, times = re.subn(old, new, text)
     assert times
     (tmp_path / "c.xml").write_text(spoilt, encoding="utf-8")
-    status, complaint = told("certificate", "--verify", "c.xml")
+    status, complaint = run_command("certificate", "--verify", "c.xml")
     assert status == (1 if words else 0)
     assert words in complaint
 
 
-def shell(script, folder, **environment):
-    """Run a script of bash; return its status and what it says."""
-    # The locale is what the test says, and nothing that Python would put in its place.
+def run_shell(script, folder, **environment):
+    """Run a bash script; return its status and output."""
+    # Use the locale of the test, without the coercion by Python.
     plain = {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     run = subprocess.run(
         ["bash", "-c", script],
@@ -242,24 +245,24 @@ def recorded(tmp_path_factory):
     return folder
 
 
-def test_a_terminal_without_width(recorded):
-    usual = shell(f"{COMMAND} report r.json", recorded, COLUMNS="100")
-    assert shell(f"{COMMAND} report r.json", recorded, COLUMNS="0") == usual
+def test_terminal_width_of_zero_is_ignored(recorded):
+    usual = run_shell(f"{COMMAND} report r.json", recorded, COLUMNS="100")
+    assert run_shell(f"{COMMAND} report r.json", recorded, COLUMNS="0") == usual
     assert "K_II" in usual[1]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("closed", ["2>&-", ">&- 2>&- <&-"])
-def test_closed_streams(recorded, closed):
-    assert shell(f"{COMMAND} calibrate . {closed}", recorded)[0] == 0
-    assert shell(f"{COMMAND} calibrate nowhere {closed}", recorded)[0] == 2
+def test_closed_streams_keep_exit_status(recorded, closed):
+    assert run_shell(f"{COMMAND} calibrate . {closed}", recorded)[0] == 0
+    assert run_shell(f"{COMMAND} calibrate nowhere {closed}", recorded)[0] == 2
 
 
-def test_a_folder_that_is_gone(recorded):
+def test_deleted_working_folder_raises_error(recorded):
     gone = "mkdir gone && cd gone && rmdir ../gone"
-    assert shell(f"{gone} && {COMMAND} calibrate .", recorded)[0] == 2
+    assert run_shell(f"{gone} && {COMMAND} calibrate .", recorded)[0] == 2
     for words in ("init x", "demo", "history .", f"calibrate {recorded} --json r.json"):
-        status, said = shell(f"{gone} && {COMMAND} {words}", recorded)
+        status, said = run_shell(f"{gone} && {COMMAND} {words}", recorded)
         assert status == 1
         assert said
 
@@ -283,8 +286,8 @@ for words in (
 
 @pytest.mark.slow
 @pytest.mark.parametrize("locale", ["C", "C.UTF-8"])
-def test_names_outside_ascii_and_outside_utf_8(recorded, tmp_path, locale):
+def test_non_ascii_and_non_utf8_names_are_accepted(recorded, tmp_path, locale):
     shutil.copytree(recorded, tmp_path / "here")
     (tmp_path / "here" / "all.py").write_text(IN_ONE_PROCESS)
-    status, said = shell(f"{sys.executable} all.py", tmp_path / "here", LC_ALL=locale)
+    status, said = run_shell(f"{sys.executable} all.py", tmp_path / "here", LC_ALL=locale)
     assert status == 0, said

@@ -1,4 +1,4 @@
-"""Messages in the words of a command line."""
+"""Messages with the names of command-line options."""
 
 import pytest
 
@@ -22,11 +22,11 @@ from counterspin.cli.common import translate_message
         (["plan"], "`planning.plan.write_example`", "`counterspin plan --init FILE`"),
     ],
 )
-def test_arguments_are_told_as_the_options_of_the_command(words, raised, told):
+def test_arguments_in_messages_become_options(words, raised, told):
     assert translate_message(raised, cli.app, words) == told
 
 
-def test_an_error_is_told_with_the_options_of_the_command(tmp_path, capsys):
+def test_error_names_options_of_command(tmp_path, capsys):
     description = tmp_path / "campaign.toml"
     assert cli.main(["calibrate", str(tmp_path), "--model", "as-printed"]) == 2
     assert "with them give --method two-stage" in capsys.readouterr().err

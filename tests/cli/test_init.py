@@ -1,4 +1,4 @@
-"""`init --from`: from a recorder's files to a result, by command."""
+"""`init --from`: from recorder files to a result on the command line."""
 
 import io
 import math
@@ -14,36 +14,36 @@ ANSWERED = [*PLACE, "--answer", "radius=2.5 m"]
 
 
 class Terminal(io.StringIO):
-    """Somebody who answers, a line each."""
+    """A terminal that answers each question with one line."""
 
     def isatty(self):
         return True
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory):
+def plain_folder(tmp_path_factory):
     return campaign_folder(tmp_path_factory.mktemp("exports"))
 
 
-def result_of(folder):
+def read_k_ii(folder):
     assert main(["calibrate", str(folder), "--json", str(folder / "result.json")]) == 0
     return Result.read(folder / "result.json").accelerometers["Qx"].coefficients["K_II"]
 
 
 @pytest.fixture(scope="module")
-def reference(plain, tmp_path_factory):
-    """Return what the plain records give with the same knowledge."""
+def reference(plain_folder, tmp_path_factory):
+    """Return K_II of the plain records with the same answers."""
     folder = tmp_path_factory.mktemp("plain")
-    files = [str(plain / f"{name}.csv") for name in ("slow", "fast")]
+    files = [str(plain_folder / f"{name}.csv") for name in ("slow", "fast")]
     words = ["--answer", "sense=counterclockwise"]
     assert main(["init", str(folder), "--from", *files, "--yes", *ANSWERED, *words]) == 0
-    return result_of(folder)
+    return read_k_ii(folder)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["labview", "tdms", "clockwise from north", "pulse"])
-def test_from_exports_to_a_result(tmp_path, plain, reference, name, capsys):
-    files = write_records(plain, tmp_path / "files", EXPORTS[name])
+def test_exports_to_result(tmp_path, plain_folder, reference, name, capsys):
+    files = write_records(plain_folder, tmp_path / "files", EXPORTS[name])
     sense = "clockwise" if "clockwise" in name else "counterclockwise"
     words = ["--yes", *ANSWERED, "--answer", f"sense={sense}"]
     folder = tmp_path / "campaign"
@@ -54,11 +54,11 @@ def test_from_exports_to_a_result(tmp_path, plain, reference, name, capsys):
     assert f"counterspin calibrate {folder}" in said
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     assert "# - pendulous axes: assumed down" in text
-    found = result_of(folder)
+    found = read_k_ii(folder)
     assert abs(found.value - reference.value) < 0.01 * reference.u
 
 
-def test_from_a_table_of_an_arm_to_a_result(tmp_path, monkeypatch, capsys):
+def test_arm_table_to_result(tmp_path, monkeypatch, capsys):
     rows = ["side,period_s,out_V", "up,0,1.003", "down,0,-0.997", "up,0,1.0031", "down,0,-0.9971"]
     for period in (2.0, 1.2, 0.8, 0.6):
         force = (2.0 * math.pi / period) ** 2 / 9.8066
@@ -77,14 +77,14 @@ def test_from_a_table_of_an_arm_to_a_result(tmp_path, monkeypatch, capsys):
     assert found["K_I"].value == pytest.approx(1.0, abs=1e-4)
 
 
-def test_what_is_not_known_is_told_or_asked(tmp_path, plain, monkeypatch, capsys):
-    words = ["init", str(tmp_path), "--from", str(plain / "slow.csv"), *PLACE]
+def test_missing_answer_is_requested(tmp_path, plain_folder, monkeypatch, capsys):
+    words = ["init", str(tmp_path), "--from", str(plain_folder / "slow.csv"), *PLACE]
     assert main([*words, "--yes"]) == 2
     told = capsys.readouterr().err
     assert 'Give this value with --answer, such as "radius=2.5' in told
     assert "sense: In which sense does the angle increase" in told
     assert not (tmp_path / "campaign.toml").exists()
-    assert main(words) == 2  # nobody is there to be asked
+    assert main(words) == 2  # no terminal for questions
 
     monkeypatch.setattr("sys.stdin", Terminal("bench\n\n2,5 kg\n2,5\nleft\ncw\n"))
     assert main(words) == 0
@@ -98,9 +98,9 @@ def test_what_is_not_known_is_told_or_asked(tmp_path, plain, monkeypatch, capsys
     assert "no answer was given" in capsys.readouterr().err
 
 
-def test_words_that_make_no_sense(tmp_path, plain, capsys):
+def test_rejects_invalid_options(tmp_path, plain_folder, capsys):
     assert main(["init", str(tmp_path), "--yes"]) == 2
     assert "--from FILE" in capsys.readouterr().err
-    words = ["init", str(tmp_path), "--from", str(plain / "slow.csv"), "--answer", "radius"]
+    words = ["init", str(tmp_path), "--from", str(plain_folder / "slow.csv"), "--answer", "radius"]
     assert main(words) == 2
     assert "KEY=VALUE" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Characters: what nobody sees is named, whatever holds it, and what a poor terminal gets."""
+"""Characters: escaped control characters and replacements for limited encodings."""
 
 import unicodedata
 
@@ -17,7 +17,7 @@ from counterspin.reports.numbers import format_estimate
         ("ascii", "2 x 10^-5 ug/g^2"),
     ],
 )
-def test_a_terminal_without_raised_digits(encoding, said):
+def test_superscripts_are_replaced_if_not_encodable(encoding, said):
     assert encodable("2 × 10⁻⁵ µg/g²", encoding) == said
 
 
@@ -29,11 +29,11 @@ def test_a_terminal_without_raised_digits(encoding, said):
         ("ascii", "1 +/- 2 x 3 - ?"),
     ],
 )
-def test_speakable_in_any_encoding(encoding, expected):
+def test_text_is_encodable_in_any_encoding(encoding, expected):
     assert encodable("1 ± 2 × 3 − Ω", encoding) == expected
 
 
-def test_speakable_text_reads_back_in_a_campaign_file():
+def test_replaced_text_is_valid_in_campaign_file():
     text = encodable(format_estimate(27.0445, 0.0007, "ug/g^2"), "ascii")
     assert parse(text, "g/g^2").u == pytest.approx(7e-10)
 
@@ -52,15 +52,15 @@ def test_speakable_text_reads_back_in_a_campaign_file():
         ("no character: \ufffe\uffff", r"no character: \ufffe\uffff"),
     ],
 )
-def test_nothing_acts_on_what_shows_it(text, shown):
+def test_control_characters_are_escaped(text, shown):
     assert escape_controls(text) == escape_controls(escape_controls(text)) == shown
 
 
-def test_lines_that_are_meant_stay_and_what_is_in_them_begins_none():
+def test_multiline_text_keeps_lines_and_escapes_newlines_in_values():
     assert escape_controls(MultilineText("one", "t\x1bwo\nK_II = 1")) == "one\nt\\x1bwo\\nK_II = 1"
 
 
-def test_every_control_of_unicode_is_visible():
+def test_all_unicode_controls_are_escaped():
     kinds = {"Cc", "Cs", "Zl", "Zp"}
     directions = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
     for code in range(0x110000):

@@ -1,4 +1,4 @@
-"""Pictures as SVG: what is drawn where, and that pages can take it as it is."""
+"""Plots as SVG: positions, texts and embedding in pages."""
 
 import itertools
 import math
@@ -58,7 +58,7 @@ every_picture = pytest.mark.parametrize(
 every_theme = pytest.mark.parametrize("theme", ["light", "page"])
 
 
-def words(text):
+def svg_texts(text):
     return ["".join(node.itertext()) for node in ET.fromstring(text).iter(f"{NAMESPACE}text")]
 
 
@@ -80,7 +80,7 @@ def paths(text, colour, *, kind="stroke"):
 
 @every_picture
 @every_theme
-def test_is_an_element_for_any_page(picture, theme):
+def test_svg_can_be_embedded_in_page(picture, theme):
     text = svg(picture, theme=theme)
     root = ET.fromstring(text)
     assert root.tag == f"{NAMESPACE}svg"
@@ -91,14 +91,14 @@ def test_is_an_element_for_any_page(picture, theme):
     assert height > 20.0
     assert root[0].tag == f"{NAMESPACE}title"
     assert root[0].text == picture.title
-    # A style sheet would reach everything else on the page.
+    # A style sheet would affect the rest of the page.
     assert "<style" not in text
     assert "<metadata" not in text
 
 
 @pytest.mark.slow
 @every_theme
-def test_same_picture_gives_the_same_text_in_any_process(theme):
+def test_svg_is_reproducible_across_processes(theme):
     code = f"""
 import sys
 from counterspin.reports.blocks import *
@@ -117,7 +117,7 @@ for picture in {PICTURES!r}:
     assert run.stdout.decode() == "".join(first)
 
 
-def test_ids_are_unique_across_pictures_and_lead_somewhere():
+def test_ids_are_unique_across_plots_and_references_resolve():
     taken = []
     for picture in [*PICTURES, Bars("Another", BARS.labels, BARS.values, BARS.texts)]:
         text = svg(picture)
@@ -131,7 +131,7 @@ def test_ids_are_unique_across_pictures_and_lead_somewhere():
 
 
 @every_picture
-def test_a_page_chooses_every_colour_and_the_font(picture):
+def test_page_theme_sets_all_colours_and_font(picture):
     text = svg(picture, theme="page")
     assert "font-family" not in text
     bare = re.sub(r"var\(--([a-z0-9-]+), (currentColor|#[0-9a-f]{6})\)", r"<\1>", text.lower())
@@ -143,7 +143,7 @@ def test_a_page_chooses_every_colour_and_the_font(picture):
     assert "ink" in named
 
 
-def test_paper_has_colours_of_its_own():
+def test_paper_theme_has_fixed_colours():
     text = svg(LINE)
     assert "var(" not in text
     assert set(re.findall(r"#[0-9a-f]{6}\b", text)) <= set(PAPER_COLOURS.values()) | set(
@@ -151,14 +151,14 @@ def test_paper_has_colours_of_its_own():
     )
 
 
-def test_words_are_words_and_taken_as_they_are():
+def test_text_is_kept_as_unchanged_text():
     odd = {"time / $s^2$", "a_b < c & d", 'x$y$ #0100fe id="m" "z"\u3000d="M 1  2"'}
     x_label, y_label, label = sorted(odd)
     plot = Plot("", x_label, y_label, (PlotSeries(label, (0.0, 1.0), (0.0, 1.0)),))
-    assert odd <= set(words(svg(plot)))
+    assert odd <= set(svg_texts(svg(plot)))
 
 
-def test_symbols_have_their_index_below_the_line():
+def test_symbols_have_subscripts():
     plot = Plot("", "K_II of a_run, ug", "K_I.csv and E_n", (PlotSeries("", (0.0,), (0.0,)),))
     x_label, y_label = (
         node
@@ -173,11 +173,11 @@ def test_symbols_have_their_index_below_the_line():
     assert float(index.get("font-size")) < 9.0
 
 
-def test_letters_that_matplotlib_lacks_and_xml_forbids():
+def test_missing_glyphs_and_control_characters_in_text():
     name = "加速度計\x01\u202e\n"
     text = svg(Bars(name, (name,), (1.0,), ("1 %",)))
     assert not re.search("[\x01\u202e]", text)
-    assert r"加速度計\x01\u202e\n" in words(text)
+    assert r"加速度計\x01\u202e\n" in svg_texts(text)
     assert ET.fromstring(text)[0].text == r"加速度計\x01\u202e\n"
 
 
@@ -192,7 +192,7 @@ def test_line_keeps_its_proportions():
     assert (y2 - y1) / (y0 - y1) == pytest.approx(0.5, abs=1e-4)
 
 
-def test_gap_breaks_the_line_and_a_lone_value_is_seen():
+def test_gap_breaks_line_and_isolated_value_is_visible():
     values = (1.0, 2.0, None, 3.0, None, 1.0, 2.0)
     plot = Plot("", "x", "y", (PlotSeries("", tuple(map(float, range(7))), values),))
     text = svg(plot)
@@ -206,7 +206,7 @@ def test_gap_breaks_the_line_and_a_lone_value_is_seen():
     assert start == end
 
 
-def test_error_bars_and_level_stand_at_their_heights():
+def test_error_bars_and_level_are_at_their_values():
     plot = Plot(
         "",
         "run",
@@ -221,16 +221,18 @@ def test_error_bars_and_level_stand_at_their_heights():
     assert (low2 - high2) / (low1 - high1) == pytest.approx(3.0, abs=1e-4)
     (level,) = [path for path in paths(text, "muted") if len(path) == 2]
     assert level[0][1] == pytest.approx(low1, abs=1e-4)
-    assert {"run1", "run2"} <= set(words(text))
+    assert {"run1", "run2"} <= set(svg_texts(text))
 
 
-def test_points_at_the_same_whole_numbers_stand_beside_each_other():
-    def points(height, **kind):
+def test_points_at_same_integer_are_offset():
+    def point_series(height, **kind):
         return PlotSeries("", (1.0, 3.0), (height, height), (0.0, 0.0), (9.0, 9.0), **kind)
 
-    plot = Plot("", "harmonic", "ppm", (points(5.0, kind="points"), points(6.0, kind="points")))
+    plot = Plot(
+        "", "harmonic", "ppm", (point_series(5.0, kind="points"), point_series(6.0, kind="points"))
+    )
     text = svg(plot)
-    ticks = [word for word in words(text) if word in "0123456"]
+    ticks = [word for word in svg_texts(text) if word in "0123456"]
     assert ticks[:3] == ["1", "2", "3"]
     first, second = (
         [bar[0][0] for bar in paths(text, colour) if len(bar) == 2]
@@ -255,13 +257,13 @@ def test_logarithmic_axes():
         log_y=True,
     )
     text = svg(plot)
-    assert {"10⁻⁶", "1", "10⁸"} <= set(words(text))
-    # What is not positive has no logarithm, and is a gap.
+    assert {"10⁻⁶", "1", "10⁸"} <= set(svg_texts(text))
+    # A value that is not positive has no logarithm and becomes a gap.
     (line,) = paths(text, "series-1")
     assert len(line) == 2
 
 
-def test_nothing_to_draw_is_an_empty_drawing():
+def test_empty_data_gives_empty_drawing():
     for y in ((None, None), (math.nan, math.inf)):
         assert svg(Plot("", "x", "y", (PlotSeries("a", (0.0, 1.0), y),), log_y=True))
     assert svg(Plot("", "x", "y", ()))
@@ -270,7 +272,7 @@ def test_nothing_to_draw_is_an_empty_drawing():
     assert svg(Sphere("", ("X", "Y", "Z"), (), (), (), ""))
 
 
-def test_many_names_stand_upright():
+def test_many_names_are_vertical():
     names = tuple(f"2024-03-{day:02d} fast" for day in range(1, 25))
     text = svg(
         Plot(
@@ -281,7 +283,7 @@ def test_many_names_stand_upright():
     assert set(names) <= set(upright)
 
 
-def test_columns_touch_and_are_as_high_as_their_values():
+def test_columns_are_adjacent_with_height_of_values():
     plot = Plot("", "z", "n", (PlotSeries("", (0.5, 1.5, 2.5), (1.0, 3.0, 2.0), kind="columns"),))
     columns = paths(svg(plot), "series-1", kind="fill")
     heights = [max(y for _, y in column) - min(y for _, y in column) for column in columns]
@@ -292,7 +294,7 @@ def test_columns_touch_and_are_as_high_as_their_values():
     assert ends[1][1] == pytest.approx(ends[2][0], abs=1e-3)
 
 
-def test_series_of_one_colour_share_it_and_take_no_other_s():
+def test_series_share_assigned_colour():
     both = (
         PlotSeries("", (0.0, 1.0), (0.0, 1.0), colour=2),
         PlotSeries("", (0.0, 1.0), (1.0, 1.0)),
@@ -303,7 +305,7 @@ def test_series_of_one_colour_share_it_and_take_no_other_s():
     assert len(paths(text, "series-1")) == 1
 
 
-def test_axes_end_where_they_are_told_to():
+def test_axis_limits_are_applied():
     line = PlotSeries("", (0.0, 1.0), (0.0, 1.0))
     wide, narrow = (
         svg(Plot("", "x", "y", (line,), x_range=(0.0, end), y_range=(0.0, 1.0)))
@@ -313,11 +315,11 @@ def test_axes_end_where_they_are_told_to():
     assert b1 - b0 == pytest.approx(2.0 * (a1 - a0), rel=1e-4)
 
 
-def days(*dates):
+def day_numbers(*dates):
     return tuple(np.array(dates, dtype="datetime64[D]").astype(float))
 
 
-def months(first, count):
+def month_names(first, count):
     return [str(month) for month in np.datetime64(first, "M") + np.arange(count)]
 
 
@@ -326,26 +328,26 @@ def months(first, count):
     [
         ("2018-02-03", "2026-07-01", [str(year) for year in range(2019, 2027)]),
         ("2004-12-31", "2026-07-01", [str(year) for year in range(2006, 2027, 2)]),
-        ("2025-08-30", "2026-03-02", months("2025-09", 7)),
+        ("2025-08-30", "2026-03-02", month_names("2025-09", 7)),
         ("2024-03-04", "2024-03-07", [f"2024-03-0{day}" for day in (4, 5, 6, 7)]),
     ],
 )
-def test_dates_stand_where_they_begin(low, high, names):
-    places, shown = date_ticks(*days(low, high))
+def test_date_ticks_are_at_start_of_date(low, high, names):
+    places, shown = date_ticks(*day_numbers(low, high))
     assert shown == names
     assert places == np.array(shown, dtype="datetime64[D]").astype(float).tolist()
 
 
 @pytest.mark.parametrize("years", [0.01, 0.1, 0.5, 1.0, 2.0, 5.0, 14.0, 40.0, 300.0])
-def test_dates_fill_an_axis_of_any_length(years):
-    low = days("2019-05-06")[0]
+def test_date_ticks_fit_axis_of_any_length(years):
+    low = day_numbers("2019-05-06")[0]
     places, _ = date_ticks(low, low + 365.25 * years)
     assert 2 <= len(places) <= 15
     assert low <= min(places) < max(places) <= low + 365.25 * years
 
 
-def test_the_last_date_is_whole():
-    first, last = days("2025-10-01", "2026-03-01")
+def test_last_date_label_is_not_clipped():
+    first, last = day_numbers("2025-10-01", "2026-03-01")
     # The axis ends a hundredth of its length after the last point.
     line = PlotSeries("", (first, last), (1.0, 2.0), kind="points")
     with settings(PAPER_COLOURS):
@@ -355,7 +357,7 @@ def test_the_last_date_is_whole():
         figure.canvas.draw()
     texts = [text for text in figure.findobj(Text) if text.get_text() == "2026-03"]
     end = max(text.get_window_extent().x1 for text in texts)
-    # It is nearly the end of the axis, about which it stands.
+    # The label is centred near the end of the axis.
     assert figure.axes[0].get_window_extent().x1 < end <= figure.bbox.x1
 
 
@@ -364,7 +366,7 @@ def test_the_last_date_is_whole():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", ["svg", "png", "pdf"])
-def test_same_pictures_give_the_same_file(ending, tmp_path):
+def test_figure_file_is_reproducible(ending, tmp_path):
     files = [tmp_path / f"{name}.{ending}" for name in "ab"]
     for file in files:
         save_figure(PICTURES, file)
@@ -372,12 +374,12 @@ def test_same_pictures_give_the_same_file(ending, tmp_path):
     assert sorted(tmp_path.iterdir()) == files
 
 
-def test_file_has_titles_and_one_axis_for_those_that_share_it(tmp_path):
+def test_figure_file_has_titles_and_shared_axis(tmp_path):
     line = PlotSeries("", (0.0, 1.0), (0.0, 1.0))
     plots = [Plot(f"part {n}, ug/g", "time, s", "y", (line,), x_range=(0.0, 1.0)) for n in "ab"]
     save_figure(plots, tmp_path / "file.svg")
     text = (tmp_path / "file.svg").read_text("utf-8")
-    said = words(text)
+    said = svg_texts(text)
     assert [word for word in said if word.startswith("part")] == ["part a, µg/g", "part b, µg/g"]
     assert said.count("time, s") == 1
     assert said.count("0.2") == 3  # twice along y, once along x
@@ -385,13 +387,13 @@ def test_file_has_titles_and_one_axis_for_those_that_share_it(tmp_path):
     assert "var(" not in text
 
 
-def test_other_endings_are_refused(tmp_path):
+def test_rejects_unknown_file_ending(tmp_path):
     with raises("wrong-file-ending", "figure.gif:", ".svg, .png"):
         save_figure(PICTURES, tmp_path / "figure.gif")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_only_an_earlier_figure_is_replaced_and_only_where_that_is_asked_for(tmp_path):
+def test_only_earlier_figure_is_overwritten_on_request(tmp_path):
     file, foreign = tmp_path / "figure.svg", tmp_path / "own.svg"
     save_figure(PICTURES, file)
     with pytest.raises(CounterspinError, match=r"figure\.svg exists; .*overwrite=True"):
@@ -406,18 +408,18 @@ def test_only_an_earlier_figure_is_replaced_and_only_where_that_is_asked_for(tmp
     assert foreign.read_text() == "<svg>drawn by hand</svg>"
 
 
-def test_failure_leaves_nothing_behind(tmp_path, monkeypatch):
-    def full(_, part, **__):
+def test_failed_write_leaves_no_file(tmp_path, monkeypatch):
+    def raise_no_space(_, part, **__):
         part.write_text("half of it")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", full)
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", raise_no_space)
     with pytest.raises(CounterspinError, match="No space left on device"):
         save_figure(PICTURES, tmp_path / "figure.svg")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_settings_of_the_user_s_own_figures_are_left_alone(tmp_path):
+def test_user_rcparams_are_unchanged(tmp_path):
     import matplotlib as mpl
 
     before = dict(mpl.rcParams)
@@ -425,7 +427,7 @@ def test_settings_of_the_user_s_own_figures_are_left_alone(tmp_path):
     assert dict(mpl.rcParams) == before
 
 
-def test_matplotlib_is_loaded_only_when_something_is_drawn():
+def test_matplotlib_is_imported_only_for_drawing():
     code = "import sys, counterspin.reports.charts; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
@@ -434,7 +436,7 @@ def test_matplotlib_is_loaded_only_when_something_is_drawn():
 
 
 @pytest.mark.parametrize("kind", ["points", "line"])
-def test_thinning_keeps_every_outlier(kind):
+def test_thinning_keeps_outliers(kind):
     rng = np.random.default_rng(11)
     y = rng.normal(size=200_000)
     y[[5, 123_456, 199_990]] = [9.0, -8.0, 7.5]
@@ -450,7 +452,7 @@ def test_thinning_keeps_every_outlier(kind):
         there = (seen_x >= x[part[0]]) & (seen_x <= x[part[-1]])
         assert seen_y[there].max() >= np.sort(y[part])[-2]
     if kind == "points":
-        # Not the extremes alone: half of a normal distribution lies within 0.674 of its middle.
+        # Not only the extremes: half of a normal distribution lies within 0.674 of its mean.
         assert np.mean(np.abs(seen_y) < 0.674) > 0.2
 
 
@@ -466,7 +468,7 @@ def test_thinning_keeps_gaps():
     assert np.isnan(seen_y[between]).all()
 
 
-def test_a_long_record_is_a_small_drawing():
+def test_long_record_gives_small_svg():
     n = 100_000
     y = tuple(np.random.default_rng(5).normal(size=n))
     text = svg(Plot("", "t", "y", (PlotSeries("", tuple(map(float, range(n))), y, kind="points"),)))
@@ -476,7 +478,7 @@ def test_a_long_record_is_a_small_drawing():
 # Bars and heat map
 
 
-def test_bars_are_as_long_as_their_values_and_texts_stay_inside():
+def test_bar_lengths_match_values_and_labels_fit():
     text = svg(Bars("", ("first", "second"), (40.0, 10.0), ("0.04 ug/g^2, 80 %", "20 %")))
     first, second = [
         [x for x, _ in bar] for bar in paths(text, "series-1", kind="fill") if len(bar) >= 4
@@ -489,7 +491,7 @@ def test_bars_are_as_long_as_their_values_and_texts_stay_inside():
     assert ends["0.04 ug/g^2, 80 %"] + text_width("0.04 ug/g^2, 80 %") <= 504.0
 
 
-def test_stacked_bars_begin_where_the_one_above_ends():
+def test_stacked_bars_are_contiguous():
     bars = Bars("", ("first", "second"), (40.0, 10.0), ("a", "b"), stacked=True, colours=(0, 2))
     with settings(PAPER_COLOURS):
         figure = draw_pictures([bars], PAPER_COLOURS, titled=False)
@@ -508,19 +510,19 @@ def test_long_names_are_shortened():
     assert shorten_text(name, 1e3) == name
 
 
-def test_long_words_of_bars_take_lines_and_all_is_read():
+def test_long_bar_labels_are_wrapped():
     name = "encoder error, four times a revolution, encoder.harmonic.4.cos (stated)"
     for room in (130.0, 226.0):
         lines = wrap_text(name, room).split("\n")
         assert " ".join(lines) == name
         assert max(map(text_width, lines)) <= room
-        # No line ends before the next word would go beyond the room.
+        # A line ends only where the next word would not fit.
         for line, below in itertools.pairwise(lines):
             assert text_width(f"{line} {below.split()[0]}") > room
     assert wrap_text(name, 1e3) == name
 
 
-def test_no_title_is_cut_that_has_room_in_the_drawing():
+def test_title_that_fits_is_not_shortened():
     title = "What the square of u of K_II of the first accelerometer consists of, in all"
     bars = Bars(title, ("w" * 30,), (1.0,), ("1",))
     with settings(PAPER_COLOURS):
@@ -544,9 +546,9 @@ def rgb(colour):
 
 
 @pytest.mark.parametrize(("value", "colour"), [(-0.9999, "negative"), (0.9999, "positive")])
-def test_numbers_in_a_heat_map_are_read_on_both_ends(value, colour):
+def test_heat_map_numbers_have_sufficient_contrast(value, colour):
     text = svg(HeatMap("", ("a", "b"), ((1.0, value), (value, 1.0))))
-    assert f"{value:.2f}".replace("-", "−") in words(text)
+    assert f"{value:.2f}".replace("-", "−") in svg_texts(text)
     cells = re.findall(rf"fill: {PAPER_COLOURS[colour]}; fill-opacity: ([\d.]+)", text)
     assert len(cells) == 2
     opacity = float(cells[0])
@@ -555,12 +557,12 @@ def test_numbers_in_a_heat_map_are_read_on_both_ends(value, colour):
     assert lighter / darker >= 4.5
 
 
-def test_a_small_number_has_no_sign():
+def test_zero_after_rounding_has_no_sign():
     text = svg(HeatMap("", ("a", "b"), ((1.0, -0.004), (-0.006, 1.0))))
-    assert {"0.00", "−0.01"} <= set(words(text))
+    assert {"0.00", "−0.01"} <= set(svg_texts(text))
 
 
-def test_heat_map_grows_in_strength_with_the_number():
+def test_heat_map_opacity_is_proportional_to_value():
     text = svg(HeatMap("", ("a", "b"), ((1.0, 0.25), (0.5, 1.0))))
     opacity = [float(o) for o in re.findall(r"fill-opacity: ([\d.]+)", text)]
     assert max(opacity) == pytest.approx(2.0 * min(opacity))

@@ -21,11 +21,11 @@ from counterspin.reports.charts import can_zoom, plot_data, svg
 from counterspin.reports.html import _asset, _set_equation, html_fragment, notebook_cell
 
 
-def parsed(text):
+def parse_html(text):
     return lxml.html.document_fromstring(text)
 
 
-def words(element):
+def element_text(element):
     return " ".join(element.text_content().split())
 
 
@@ -41,25 +41,27 @@ def text(name):
 
 @pytest.fixture(scope="module")
 def tree(text):
-    return parsed(text)
+    return parse_html(text)
 
 
-# What is in it
+# Content
 
 
-def test_every_block_appears_once_and_in_order(tree, name):
-    body = words(tree.body)
+def test_blocks_appear_once_and_in_order(tree, name):
+    body = element_text(tree.body)
     places = [0]
     for block in blocks(name):
         match block:
             case Heading(text, _):
                 found = [
-                    h for h in tree.xpath("//h1|//h2|//h3") if words(h) == " ".join(text.split())
+                    h
+                    for h in tree.xpath("//h1|//h2|//h3")
+                    if element_text(h) == " ".join(text.split())
                 ]
                 assert len(found) == 1
             case Paragraph(text, "equation"):
                 [equation] = tree.xpath("//p[@class='equation']")
-                assert words(equation).replace("_", "") == text.replace("_", "")
+                assert element_text(equation).replace("_", "") == text.replace("_", "")
             case Paragraph(text, _):
                 at = body.index(" ".join(text.split()))
                 assert at > places[-1]
@@ -68,38 +70,38 @@ def test_every_block_appears_once_and_in_order(tree, name):
                 continue
 
 
-def test_headings_are_nested_and_the_first_is_the_report_s(tree):
+def test_headings_are_nested_below_title(tree):
     levels = [int(h.tag[1]) for h in tree.xpath("//h1|//h2|//h3")]
     assert levels[0] == 1
     assert levels.count(1) == 1
     assert all(after - before <= 1 for before, after in pairwise(levels))
 
 
-def test_the_answer_comes_first_then_warnings_then_contents(tree):
+def test_answer_precedes_warnings_and_contents(tree):
     kinds = tree.xpath(
         "//main//*[self::h1 or self::p or self::nav]/@class|//main//nav/@aria-labelledby"
     )
     assert kinds[:4] == ["answer", "warning", "quiet", "contents"]
     [answer] = tree.xpath("//p[@class='answer']")
-    assert words(answer.find("strong")).endswith("= 27.04 ± 0.11 ug/g^2")
-    assert words(answer.find("span")) == "= 2.7e-5 g/g^2 (95 %: a to b)"
+    assert element_text(answer.find("strong")).endswith("= 27.04 ± 0.11 ug/g^2")
+    assert element_text(answer.find("span")) == "= 2.7e-5 g/g^2 (95 %: a to b)"
 
 
-def test_contents_lead_to_the_chapters(tree, name):
-    links = {words(a): a.get("href") for a in tree.xpath("//nav//a")}
+def test_contents_link_to_chapters(tree, name):
+    links = {element_text(a): a.get("href") for a in tree.xpath("//nav//a")}
     chapters = [
         block.text for block in blocks(name) if isinstance(block, Heading) and block.level == 2
     ]
     assert list(links) == [" ".join(chapter.split()) for chapter in chapters]
     for chapter, href in links.items():
         [target] = tree.xpath(f"//*[@id='{href.removeprefix('#')}']")
-        assert words(target) == chapter
+        assert element_text(target) == chapter
 
 
-def test_tables_say_what_heads_what(tree, name):
+def test_table_headers_have_scope(tree, name):
     [table] = tree.xpath("//table")
     made = next(block for block in blocks(name) if isinstance(block, Table))
-    assert [words(th) for th in table.xpath("thead//th[@scope='col']")] == [
+    assert [element_text(th) for th in table.xpath("thead//th[@scope='col']")] == [
         "Symbol",
         "Words",
         "Value",
@@ -112,13 +114,15 @@ def test_tables_say_what_heads_what(tree, name):
     [box] = table.xpath("..")
     assert box.get("class") == "scroll"
     assert box.get("tabindex") == "0"
-    assert words(table.xpath("preceding::h2[1]")[0]) in " ".join(box.get("aria-label").split())
+    assert element_text(table.xpath("preceding::h2[1]")[0]) in " ".join(
+        box.get("aria-label").split()
+    )
 
 
-def test_an_answer_with_reservations_has_its_own_colour():
+def test_answer_with_reservations_has_separate_class():
     made = [Paragraph("a", "answer"), Paragraph("b", "reserved"), Paragraph("c", "reserved")]
     for text in (page(made=made), html_fragment(made, title="T"), notebook_cell(made)):
-        boxes = parsed(text).xpath("//div[starts-with(@class, 'answers')]")
+        boxes = parse_html(text).xpath("//div[starts-with(@class, 'answers')]")
         assert [(box.get("class"), len(box)) for box in boxes] == [
             ("answers", 1),
             ("answers reserved", 2),
@@ -127,7 +131,7 @@ def test_an_answer_with_reservations_has_its_own_colour():
         assert ".answers.reserved {" in _asset(style)
 
 
-def test_every_picture_has_a_caption_and_stands_still_without_a_script(tree, name):
+def test_plots_have_caption_and_static_image(tree, name):
     pictures = [block for block in blocks(name) if isinstance(block, Picture)]
     figures = tree.xpath("//figure")
     captions = [figure.find("figcaption").text_content() for figure in figures]
@@ -138,35 +142,35 @@ def test_every_picture_has_a_caption_and_stands_still_without_a_script(tree, nam
         assert len(figure.xpath("script")) == (isinstance(picture, Plot) and picture.zoom)
 
 
-def test_identifier_date_and_end_are_there(tree, name):
-    assert words(tree.xpath("//header")[0]).startswith(" ".join(f"LAB 7/26 {name}".split()))
+def test_page_has_identifier_date_and_end(tree, name):
+    assert element_text(tree.xpath("//header")[0]).startswith(" ".join(f"LAB 7/26 {name}".split()))
     assert tree.xpath("//header/time/@datetime") == ["2026-03-01T00:00:00+00:00"]
-    assert words(tree.xpath("//footer")[0]).startswith("End of LAB 7/26")
+    assert element_text(tree.xpath("//footer")[0]).startswith("End of LAB 7/26")
     assert tree.find("head/title").text == f"Calibration of {name}"
 
 
-def test_a_report_without_heading_gets_its_title_as_one():
-    tree = parsed(page(made=[Paragraph("a")], title="T"))
-    assert [words(h) for h in tree.xpath("//h1")] == ["T"]
+def test_title_is_heading_of_report_without_heading():
+    tree = parse_html(page(made=[Paragraph("a")], title="T"))
+    assert [element_text(h) for h in tree.xpath("//h1")] == ["T"]
     assert not tree.xpath("//nav")
 
 
-def test_the_date_is_said_in_utc():
+def test_date_is_in_utc():
     there = datetime(2026, 3, 1, 1, 30, tzinfo=timezone(timedelta(hours=2)))
     assert "2026-02-28 23:30 UTC" in page(date=there)
 
 
-def test_equations_have_indices_and_names_of_code_have_none(tree):
+def test_equations_have_subscripts_and_code_has_none(tree):
     [equation] = tree.xpath("//p[@class='equation']")
     assert equation.xpath("sub/text()") == ["ind", "F", "II", "I"]
     turned = _set_equation("K_I a_I + delta_O a_P")
     assert "δ<sub><i>_</i>O</sub> a<sub><i>_</i>P</sub>" in turned
 
 
-# What nobody may bring in
+# Injection
 
 
-def test_hostile_words_stay_words(tree, text):
+def test_hostile_text_is_escaped(tree, text):
     assert all(
         script.get("type") in (None, "application/json") for script in tree.xpath("//script")
     )
@@ -178,7 +182,7 @@ def test_hostile_words_stay_words(tree, text):
     assert "alert(" not in "".join(tree.xpath("//script[not(@type)]/text()|//style/text()"))
 
 
-def test_names_act_on_nothing_and_begin_no_line():
+def test_control_characters_in_names_are_escaped():
     hostile, shown = "Qx\x1b\u202e\nK_II = 1", r"Qx\x1b\u202e\nK_II = 1"
     series = (PlotSeries(hostile, (0.0, 1.0), (0.0, 1.0)),)
     made = [
@@ -192,12 +196,12 @@ def test_names_act_on_nothing_and_begin_no_line():
         html_fragment(made, title=hostile),
     ):
         assert not re.search("[\x1b\u202e]|^K_II", text, re.M)
-        seen = parsed(text).text_content()
+        seen = parse_html(text).text_content()
         assert seen.count(shown) >= 7
         assert not re.search("[\x1b\u202e]|^K_II", seen, re.M)
 
 
-def test_nothing_is_asked_for_from_outside(tree, text):
+def test_page_makes_no_external_request(tree, text):
     for attribute in ("href", "src", "srcset", "action", "data", "poster", "xlink:href"):
         for found in tree.xpath(f"//@*[name() = '{attribute}']"):
             assert re.match(r"#|data:,$", found), (attribute, found)
@@ -206,7 +210,7 @@ def test_nothing_is_asked_for_from_outside(tree, text):
     )
     assert "@import" not in text
     assert all(found.startswith("#") for found in re.findall(r"url\(\s*[\"']?([^)]*)", text))
-    # Names of namespaces, and where uPlot says whose it is, are no requests.
+    # Namespace names and the address in the uPlot licence are not requests.
     addresses = set(re.findall(r"(?:https?:|wss?:)?//[\w.-]+\.[a-z]{2,}[^\s\"')]*", text))
     assert addresses <= {
         "http://www.w3.org/2000/svg",
@@ -215,7 +219,7 @@ def test_nothing_is_asked_for_from_outside(tree, text):
     }
 
 
-def test_the_policy_allows_what_is_inside_and_no_more(tree):
+def test_content_security_policy_allows_only_inline_content(tree):
     [policy] = tree.xpath("//meta[@http-equiv='Content-Security-Policy']/@content")
     allowed = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
     assert allowed == {
@@ -226,18 +230,18 @@ def test_the_policy_allows_what_is_inside_and_no_more(tree):
         "base-uri": "'none'",
         "form-action": "'none'",
     }
-    # It holds only for what comes after it.
+    # The policy applies only to later elements.
     assert tree.xpath("//head/*")[1].get("http-equiv") == "Content-Security-Policy"
 
 
-def test_ids_are_unique_and_every_reference_has_its_target(tree, text):
+def test_ids_are_unique_and_references_resolve(tree, text):
     ids = tree.xpath("//@id")
     assert len(ids) == len(set(ids))
     named = set(re.findall(r"(?:href=\"#|url\(#|aria-labelledby=\")([^\")]+)", text))
     assert named <= set(ids)
 
 
-def test_no_line_ends_with_the_hyphens_of_an_option():
+def test_option_names_are_not_broken():
     command = "counterspin calibrate a-b --json x --overwrite"
     text = html_fragment([Paragraph(command, "command")], title="")
     whole = re.findall(r'<span class="whole">(.*?)</span>', text)
@@ -246,8 +250,10 @@ def test_no_line_ends_with_the_hyphens_of_an_option():
     assert re.sub("<.*?>", "", code) == command
 
 
-def test_two_like_headings_have_two_names():
-    tree = parsed(page(made=[Heading("A b"), Heading("A: b"), Heading("µ", 3), Heading("²", 3)]))
+def test_equal_headings_have_different_ids():
+    tree = parse_html(
+        page(made=[Heading("A b"), Heading("A: b"), Heading("µ", 3), Heading("²", 3)])
+    )
     assert tree.xpath("//h2[position() > 0]/@id|//h3/@id")[1:] == [
         "at-a-b",
         "at-a-b-2",
@@ -256,7 +262,7 @@ def test_two_like_headings_have_two_names():
     ]
 
 
-def test_the_same_blocks_give_the_same_bytes(text, name):
+def test_page_is_reproducible(text, name):
     assert page(name) == text
     assert page(name, identifier="another") != text
 
@@ -264,17 +270,17 @@ def test_the_same_blocks_give_the_same_bytes(text, name):
 # Plots that can be zoomed
 
 
-def zoomed(text):
-    return [json.loads(found) for found in parsed(text).xpath("//figure/script/text()")]
+def zoom_data(text):
+    return [json.loads(found) for found in parse_html(text).xpath("//figure/script/text()")]
 
 
-def unpacked(packed):
+def unpack(packed):
     return [None if value is None else value * packed["step"] for value in packed["values"]]
 
 
-def test_data_of_plots_are_right_to_what_a_screen_shows(text, name):
+def test_zoom_data_have_screen_resolution(text, name):
     plot = residuals(label=name)
-    first, _ = zoomed(text)
+    first, _ = zoom_data(text)
     assert (first["x_label"], first["y_label"], first["levels"]) == (
         "time, s",
         "residual, mm",
@@ -289,25 +295,25 @@ def test_data_of_plots_are_right_to_what_a_screen_shows(text, name):
                 continue
             known = [value for value in wanted if value is not None]
             spread = max(known) - min(known)
-            for found, value in zip(unpacked(one[key]), wanted, strict=True):
+            for found, value in zip(unpack(one[key]), wanted, strict=True):
                 assert (found is None) == (value is None)
                 assert found is None or abs(found - value) <= 0.5 * spread / 2e4
 
 
-def test_logarithmic_data_keep_their_digits_at_both_ends():
+def test_logarithmic_zoom_data_keep_relative_precision():
     series = PlotSeries("a", (1e-3, 1.2345678e5), (9.87654e-9, 3.0))
     data = json.loads(plot_data(Plot("t", "x", "y", (series,), log_x=True, log_y=True)))
-    assert unpacked(data["series"][0]["x"]) == [1e-3, 1.235e5]
-    assert unpacked(data["series"][0]["y"]) == [9.877e-9, 3.0]
+    assert unpack(data["series"][0]["x"]) == [1e-3, 1.235e5]
+    assert unpack(data["series"][0]["y"]) == [9.877e-9, 3.0]
 
 
-def test_what_is_no_number_is_a_gap():
+def test_non_finite_value_is_a_gap():
     series = PlotSeries("a", (0.0, 1.0, 2.0), (float("nan"), 5.0, float("inf")))
     data = json.loads(plot_data(Plot("t", "x", "y", (series,))))
-    assert unpacked(data["series"][0]["y"]) == [None, pytest.approx(5.0, rel=1e-4), None]
+    assert unpack(data["series"][0]["y"]) == [None, pytest.approx(5.0, rel=1e-4), None]
 
 
-def test_a_plot_of_names_or_of_one_place_is_not_zoomed():
+def test_plot_with_names_or_single_x_has_no_zoom():
     series = (PlotSeries("a", (0.0, 0.0), (1.0, 2.0)),)
     assert not can_zoom(Plot("t", "x", "y", series, zoom=True))
     two = (PlotSeries("a", (0.0, 1.0), (1.0, 2.0)),)
@@ -316,14 +322,14 @@ def test_a_plot_of_names_or_of_one_place_is_not_zoomed():
     assert not can_zoom(Plot("t", "x", "y", two))
 
 
-def test_what_draws_zoomed_plots_comes_only_where_there_is_one():
+def test_zoom_script_is_included_only_if_needed():
     assert "uPlot=function" not in page(made=[Paragraph("a")])
     assert "uPlot=function" in page(made=[residuals()])
     assert "Copyright (c) 2022 Leon Sorokin" in page(made=[residuals()])
 
 
 @pytest.mark.parametrize("kind", ["line", "points", "band"])
-def test_zoomed_and_still_pictures_have_the_same_colours(kind):
+def test_zoomed_and_static_plots_have_same_colours(kind):
     x = (0.0, 1.0, 2.0)
     plot = Plot(
         "t",
@@ -340,7 +346,7 @@ def test_zoomed_and_still_pictures_have_the_same_colours(kind):
     assert drawn == used - {"--muted"}
 
 
-def test_a_long_campaign_fits_into_3_mb():
+def test_page_of_long_campaign_is_below_3_mb():
     # A record's traces have 1500 stretches, however long it is.
     plots = [residuals(f"Residuals of Q{index}, run") for index in range(20)]
     assert len(page(made=plots).encode()) < 3e6
@@ -349,7 +355,7 @@ def test_a_long_campaign_fits_into_3_mb():
 # Colours
 
 
-def palettes():
+def read_palettes():
     style = _asset("report.css")
     light = style[style.index(":root {") : style.index("}")]
     return {"light": light, "dark": _asset("dark.css")}
@@ -364,14 +370,14 @@ def luminance(colour):
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
-def contrast(one, other):
+def contrast_ratio(one, other):
     high, low = sorted((luminance(one), luminance(other)), reverse=True)
     return (high + 0.05) / (low + 0.05)
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_words_and_lines_stand_out_from_their_ground(theme):
-    colours = dict(re.findall(r"(--[\w-]+): (#[0-9a-f]{6});", palettes()[theme]))
+def test_text_and_lines_meet_wcag_contrast(theme):
+    colours = dict(re.findall(r"(--[\w-]+): (#[0-9a-f]{6});", read_palettes()[theme]))
     grounds = [
         colours[name]
         for name in (
@@ -382,9 +388,9 @@ def test_words_and_lines_stand_out_from_their_ground(theme):
     ]
     # WCAG 2.1: 4.5 for words (1.4.3), 3 for what is drawn (1.4.11).
     for ground in grounds:
-        assert contrast(colours["--ink"], ground) >= 4.5
-        assert contrast(colours["--muted"], ground) >= 4.5
-    assert contrast(colours["--link"], colours["--ground"]) >= 4.5
+        assert contrast_ratio(colours["--ink"], ground) >= 4.5
+        assert contrast_ratio(colours["--muted"], ground) >= 4.5
+    assert contrast_ratio(colours["--link"], colours["--ground"]) >= 4.5
     for name in (
         "--warning",
         "--undetermined",
@@ -392,11 +398,13 @@ def test_words_and_lines_stand_out_from_their_ground(theme):
         "--reserved",
         *(f"--series-{index}" for index in range(1, 7)),
     ):
-        assert contrast(colours[name], colours["--ground"]) >= 3.0
+        assert contrast_ratio(colours[name], colours["--ground"]) >= 3.0
 
 
-def test_both_palettes_hold_the_same_colours():
-    names = {theme: set(re.findall(r"(--[\w-]+):", text)) for theme, text in palettes().items()}
+def test_palettes_define_same_colours():
+    names = {
+        theme: set(re.findall(r"(--[\w-]+):", text)) for theme, text in read_palettes().items()
+    }
     assert names["light"] == names["dark"]
     used = set(re.findall(r"var\((--[\w-]+)", page() + _asset("report.js"))) - {"--${entry.colour}"}
     assert used <= names["light"]

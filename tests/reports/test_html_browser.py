@@ -1,6 +1,6 @@
-"""The HTML report in a browser: Chromium, driven by Playwright, cut off from everything else.
+"""The HTML report in a browser: Chromium, driven by Playwright, without a network.
 
-Nothing is downloaded: where there is no browser, these tests are skipped.
+Nothing is downloaded; without a browser, these tests are skipped.
 """
 
 import re
@@ -35,19 +35,19 @@ def report(tmp_path_factory):
 
 
 @contextmanager
-def opened(browser, path, **settings):
-    """Open a file; yield its tab, what it asked for besides itself, and what went wrong in it."""
+def open_page(browser, path, **settings):
+    """Open a file; yield its tab, its external requests and its errors."""
     context = open_context(browser, **{"viewport": DESK} | settings)
     asked, wrong = [], []
 
-    def decide(route):
+    def handle_route(route):
         if route.request.url == path.as_uri():
             route.continue_()
         else:
             asked.append(route.request.url)
             route.abort()
 
-    context.route("**/*", decide)
+    context.route("**/*", handle_route)
     tab = context.new_page()
     tab.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
     tab.on("pageerror", lambda error: wrong.append(str(error)))
@@ -57,8 +57,8 @@ def opened(browser, path, **settings):
 
 
 @pytest.fixture
-def desk(browser, report):
-    with opened(browser, report) as (tab, _, wrong):
+def report_tab(browser, report):
+    with open_page(browser, report) as (tab, _, wrong):
         yield tab
         assert wrong == []
 
@@ -70,15 +70,15 @@ def first_plot(tab):
     return figure
 
 
-def seen(figure):
-    """Return what part of the axes a plot shows: x from, x to, y from, y to."""
+def axis_limits(figure):
+    """Return the visible axis limits of a plot: x low, x high, y low, y high."""
     return figure.evaluate(
         "f => ['x', 'y'].flatMap(k => [f.chart.scales[k].min, f.chart.scales[k].max])"
     )
 
 
 def colour_at(figure, x, from_top):
-    """Return red, green and blue of a plot at a value of x and so many pixels below its top."""
+    """Return red, green and blue of a plot at x, a number of pixels below its top."""
     return figure.evaluate(
         """(f, [x, down]) => {
             const { ctx, bbox } = f.chart;
@@ -89,13 +89,13 @@ def colour_at(figure, x, from_top):
     )
 
 
-# From outside
+# External requests
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("viewport", [DESK, PHONE], ids=["desk", "phone"])
-def test_no_request_leaves_the_page_and_nothing_goes_wrong(browser, report, viewport, scheme):
-    with opened(browser, report, viewport=viewport, color_scheme=scheme) as (tab, asked, wrong):
+def test_page_makes_no_request_and_has_no_error(browser, report, viewport, scheme):
+    with open_page(browser, report, viewport=viewport, color_scheme=scheme) as (tab, asked, wrong):
         tab.get_by_role("button", name="Zoom in").first.click()
         tab.locator("#theme").click()
         tab.emulate_media(media="print")
@@ -103,14 +103,14 @@ def test_no_request_leaves_the_page_and_nothing_goes_wrong(browser, report, view
         assert wrong == []
 
 
-def test_a_request_would_be_counted_and_the_policy_forbids_it(browser, tmp_path):
+def test_external_request_is_blocked_by_policy(browser, tmp_path):
     image = '<img src="http://example.invalid/a.png">'
     path = tmp_path / "page.html"
     path.write_text(image, encoding="utf-8")
-    with opened(browser, path) as (_, asked, wrong):
+    with open_page(browser, path) as (_, asked, wrong):
         assert asked == ["http://example.invalid/a.png"]
     path.write_text(page().replace("<header>", image + "<header>"), encoding="utf-8")
-    with opened(browser, path) as (_, asked, wrong):
+    with open_page(browser, path) as (_, asked, wrong):
         assert asked == []
         assert "Content Security Policy" in wrong[0]
 
@@ -118,58 +118,58 @@ def test_a_request_would_be_counted_and_the_policy_forbids_it(browser, tmp_path)
 # Colours
 
 
-def ground(tab):
+def background_colour(tab):
     return tab.evaluate("getComputedStyle(document.documentElement).backgroundColor")
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_colours_follow_the_system_and_the_switch(browser, report, scheme):
-    with opened(browser, report, color_scheme=scheme) as (tab, _, _):
+def test_colour_scheme_follows_system_and_switch(browser, report, scheme):
+    with open_page(browser, report, color_scheme=scheme) as (tab, _, _):
         drawing = "document.querySelector('figure.zoomed canvas').toDataURL()"
-        before, drawn = ground(tab), tab.evaluate(drawing)
+        before, drawn = background_colour(tab), tab.evaluate(drawing)
         assert (before == "rgb(255, 255, 255)") == (scheme == "light")
         tab.locator("#theme").click()
-        assert (ground(tab) == "rgb(255, 255, 255)") == (scheme == "dark")
+        assert (background_colour(tab) == "rgb(255, 255, 255)") == (scheme == "dark")
         tab.wait_for_function(f"before => {drawing} !== before", arg=drawn)
         tab.locator("#theme").click()
-        assert ground(tab) == before
+        assert background_colour(tab) == before
         tab.wait_for_function(f"before => {drawing} === before", arg=drawn)
 
 
-def test_a_change_of_the_system_is_followed(desk):
-    light = ground(desk)
-    desk.emulate_media(color_scheme="dark")
-    assert ground(desk) != light
+def test_colour_scheme_follows_system_change(report_tab):
+    light = background_colour(report_tab)
+    report_tab.emulate_media(color_scheme="dark")
+    assert background_colour(report_tab) != light
 
 
-def test_the_chosen_colours_outlive_a_reload(desk):
-    light = ground(desk)
-    desk.locator("#theme").click()
-    dark = ground(desk)
-    desk.reload()
-    assert light != ground(desk) == dark
-    assert desk.locator("#theme").inner_text() == "Light"
-    # Where the browser keeps nothing, as in a frame without an origin, all else works.
-    desk.add_init_script(
+def test_colour_scheme_persists_after_reload(report_tab):
+    light = background_colour(report_tab)
+    report_tab.locator("#theme").click()
+    dark = background_colour(report_tab)
+    report_tab.reload()
+    assert light != background_colour(report_tab) == dark
+    assert report_tab.locator("#theme").inner_text() == "Light"
+    # Without local storage, as in a frame without an origin, the rest works.
+    report_tab.add_init_script(
         "Object.defineProperty(window, 'localStorage', {get() { throw Error(); }})"
     )
-    desk.reload()
-    assert ground(desk) == light
-    desk.locator("#theme").click()
-    assert ground(desk) == dark
-    assert desk.locator("figure.zoomed").count()
+    report_tab.reload()
+    assert background_colour(report_tab) == light
+    report_tab.locator("#theme").click()
+    assert background_colour(report_tab) == dark
+    assert report_tab.locator("figure.zoomed").count()
 
 
 # A small screen
 
 
-def test_a_phone_shows_the_answer_at_once_and_nothing_overflows(browser, report):
+def test_phone_shows_answer_without_overflow(browser, report):
     settings = {"viewport": PHONE, "has_touch": True, "is_mobile": True}
-    with opened(browser, report, **settings) as (tab, _, _):
+    with open_page(browser, report, **settings) as (tab, _, _):
         assert tab.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
         box = tab.locator(".answers").bounding_box()
         assert box["y"] + box["height"] < PHONE["height"]
-        # Whatever reaches beyond the screen can be reached by scrolling its own box.
+        # Elements wider than the screen are inside scrollable boxes.
         assert (
             tab.evaluate(
                 """width => [...document.body.querySelectorAll("*")].filter((element) =>
@@ -182,13 +182,13 @@ def test_a_phone_shows_the_answer_at_once_and_nothing_overflows(browser, report)
         assert tab.locator(".uplot").first.bounding_box()["width"] <= PHONE["width"]
 
 
-def test_plots_follow_the_width_of_the_window(desk):
-    figure = first_plot(desk)
+def test_plots_follow_window_width(report_tab):
+    figure = first_plot(report_tab)
     wide = figure.evaluate("f => f.chart.width")
-    desk.set_viewport_size(PHONE)
-    desk.wait_for_function("document.querySelector('figure.zoomed').chart.width < 360")
-    desk.set_viewport_size(DESK)
-    desk.wait_for_function(
+    report_tab.set_viewport_size(PHONE)
+    report_tab.wait_for_function("document.querySelector('figure.zoomed').chart.width < 360")
+    report_tab.set_viewport_size(DESK)
+    report_tab.wait_for_function(
         "wide => document.querySelector('figure.zoomed').chart.width === wide", arg=wide
     )
 
@@ -196,21 +196,21 @@ def test_plots_follow_the_width_of_the_window(desk):
 # Paper
 
 
-def test_paper_is_light_still_and_without_controls(browser, report):
-    with opened(browser, report, color_scheme="dark") as (tab, _, _):
+def test_print_view_is_light_static_and_without_controls(browser, report):
+    with open_page(browser, report, color_scheme="dark") as (tab, _, _):
         tab.locator("#theme").click()
         tab.locator("#theme").click()
-        assert ground(tab) != "rgb(255, 255, 255)"
+        assert background_colour(tab) != "rgb(255, 255, 255)"
         tab.emulate_media(media="print")
-        assert ground(tab) == "rgb(255, 255, 255)"
+        assert background_colour(tab) == "rgb(255, 255, 255)"
         assert tab.locator("button:visible").count() == 0
         assert tab.locator("canvas:visible").count() == 0
         figures = tab.locator("figure").count()
         assert tab.locator("figure .still svg:visible").count() == figures
 
 
-def test_each_printed_page_has_identifier_and_number(desk):
-    printed = PdfReader(BytesIO(desk.pdf(prefer_css_page_size=True)))
+def test_printed_pages_have_identifier_and_number(report_tab):
+    printed = PdfReader(BytesIO(report_tab.pdf(prefer_css_page_size=True)))
     count = len(printed.pages)
     assert count > 1
     for number, sheet in enumerate(printed.pages, 1):
@@ -219,71 +219,73 @@ def test_each_printed_page_has_identifier_and_number(desk):
         assert f"{number} / {count}" in text
 
 
-# A closer look
+# Zoom
 
 
-def test_dragging_zooms_and_a_double_click_shows_the_whole(desk):
-    figure = first_plot(desk)
-    whole = seen(figure)
+def test_dragging_zooms_and_double_click_resets(report_tab):
+    figure = first_plot(report_tab)
+    whole = axis_limits(figure)
     assert whole[:2] == [0.0, 749.5]
     box = figure.locator(".u-over").bounding_box()
     left, right = box["x"] + 0.25 * box["width"], box["x"] + 0.5 * box["width"]
     middle = box["y"] + 0.5 * box["height"]
-    desk.mouse.move(left, middle)
-    desk.mouse.down()
-    desk.mouse.move(right, middle, steps=4)
-    desk.mouse.up()
-    desk.wait_for_function("document.querySelector('figure.zoomed').chart.scales.x.min > 0")
-    low, high, *_ = seen(figure)
+    report_tab.mouse.move(left, middle)
+    report_tab.mouse.down()
+    report_tab.mouse.move(right, middle, steps=4)
+    report_tab.mouse.up()
+    report_tab.wait_for_function("document.querySelector('figure.zoomed').chart.scales.x.min > 0")
+    low, high, *_ = axis_limits(figure)
     pixel = 749.5 / box["width"]
     assert low == pytest.approx(0.25 * 749.5, abs=2.0 * pixel)
     assert high == pytest.approx(0.5 * 749.5, abs=2.0 * pixel)
-    desk.mouse.dblclick(left, middle)
-    desk.wait_for_function("document.querySelector('figure.zoomed').chart.scales.x.min === 0")
-    assert seen(figure) == pytest.approx(whole)
+    report_tab.mouse.dblclick(left, middle)
+    report_tab.wait_for_function("document.querySelector('figure.zoomed').chart.scales.x.min === 0")
+    assert axis_limits(figure) == pytest.approx(whole)
 
 
-def test_keys_and_fingers_can_zoom_and_move(desk):
-    figure = first_plot(desk)
+def test_keys_and_touch_zoom_and_pan(report_tab):
+    figure = first_plot(report_tab)
 
-    def press(name, expected=None):
+    def press_key(name, expected=None):
         button = figure.get_by_role("button", name=name)
         button.focus()
-        desk.keyboard.press("Enter")
+        report_tab.keyboard.press("Enter")
         if expected is not None:
-            wait_until(desk, lambda: seen(figure)[:2] == pytest.approx(expected))
+            wait_until(report_tab, lambda: axis_limits(figure)[:2] == pytest.approx(expected))
 
-    press("Zoom in", [187.375, 562.125])
-    press("Zoom in", [281.0625, 468.4375])
-    press("Move right", [327.90625, 515.28125])
-    press("Move left", [281.0625, 468.4375])
-    press("Zoom out", [187.375, 562.125])
-    # The ends are as far as one gets.
+    press_key("Zoom in", [187.375, 562.125])
+    press_key("Zoom in", [281.0625, 468.4375])
+    press_key("Move right", [327.90625, 515.28125])
+    press_key("Move left", [281.0625, 468.4375])
+    press_key("Zoom out", [187.375, 562.125])
+    # Panning stops at the ends.
     for _ in range(3):
-        press("Move right")
-    press("Move right", [374.75, 749.5])
-    press("Zoom out", [0.0, 749.5])
-    press("Zoom in")
-    press("Show all", [0.0, 749.5])
+        press_key("Move right")
+    press_key("Move right", [374.75, 749.5])
+    press_key("Zoom out", [0.0, 749.5])
+    press_key("Zoom in")
+    press_key("Show all", [0.0, 749.5])
 
 
-def test_outliers_are_seen_at_any_zoom_and_flatten_nothing(desk):
-    figure = first_plot(desk)
+def test_outliers_are_visible_and_do_not_set_axis_range(report_tab):
+    figure = first_plot(report_tab)
     warning = [0xB3, 0x26, 0x1E]
-    _, _, low, high = seen(figure)
+    _, _, low, high = axis_limits(figure)
     # The band reaches from -6 to 6; 12 and -13 widen it, 4000 does not.
     assert low == pytest.approx(-13.0 - 0.06 * 25.0, abs=0.1)
     assert high == pytest.approx(12.0 + 0.06 * 25.0, abs=0.1)
     assert colour_at(figure, 600.0, 4) == warning
     figure.evaluate("f => f.chart.setScale('x', { min: 590, max: 610 })")
-    desk.wait_for_function("document.querySelector('figure.zoomed').chart.scales.x.min === 590")
-    assert seen(figure)[3] < 7.0
+    report_tab.wait_for_function(
+        "document.querySelector('figure.zoomed').chart.scales.x.min === 590"
+    )
+    assert axis_limits(figure)[3] < 7.0
     assert colour_at(figure, 600.0, 4) == warning
     assert colour_at(figure, 605.0, 4) != warning
 
 
-def test_the_cursor_reads_the_values(desk):
-    figure = first_plot(desk)
+def test_cursor_shows_values(report_tab):
+    figure = first_plot(report_tab)
     texts = figure.locator(".readout li")
     assert [text.strip() for text in texts.all_inner_texts()] == [
         "time, s: –",
@@ -292,8 +294,8 @@ def test_the_cursor_reads_the_values(desk):
         "left out: –",
     ]
     box = figure.locator(".u-over").bounding_box()
-    desk.mouse.move(box["x"] + 600.0 / 749.5 * box["width"], box["y"] + 20.0)
-    desk.wait_for_function(
+    report_tab.mouse.move(box["x"] + 600.0 / 749.5 * box["width"], box["y"] + 20.0)
+    report_tab.wait_for_function(
         "!document.querySelector('.readout li:last-child').innerText.endsWith('–')"
     )
     place, band, mean, out = (text.split(": ")[1] for text in texts.all_inner_texts())
@@ -306,8 +308,8 @@ def test_the_cursor_reads_the_values(desk):
 # No script
 
 
-def test_without_a_script_all_is_there(browser, report):
-    with opened(browser, report, java_script_enabled=False) as (tab, _, _):
+def test_page_is_complete_without_script(browser, report):
+    with open_page(browser, report, java_script_enabled=False) as (tab, _, _):
         assert tab.locator(".answer").inner_text().startswith("K_II of Qx = 27.04 ± 0.11 ug/g^2")
         assert tab.locator("td:visible").count() == 6
         assert (
@@ -319,22 +321,22 @@ def test_without_a_script_all_is_there(browser, report):
 # Phone
 
 
-def tells_width(boxes, expected):
-    """Tell whether these tables, and no others, say that they have more columns."""
+def check_scroll_hints(boxes, expected):
+    """Check that exactly these tables show the hint on further columns."""
     marked = "all => all.map(b => getComputedStyle(b, '::after').content.includes('columns'))"
     return boxes.evaluate_all(marked) == expected
 
 
-def test_a_table_wider_than_a_phone_says_so_and_keeps_the_names_of_its_rows(browser, tmp_path):
+def test_wide_table_on_phone_has_hint_and_fixed_row_names(browser, tmp_path):
     path = tmp_path / "report.html"
     columns = (Column("Run"), *(Column(f"Quantity {n}", "right") for n in range(9)))
     wide = Table(columns, (("run1", *(f"{n}.12345" for n in range(9))),))
     narrow = Table((Column("Run"), Column("n")), (("run1", "1"),))
     path.write_text(page(made=[wide, narrow]), encoding="utf-8")
     for viewport, more in ((PHONE, [True, False]), (DESK, [False, False])):
-        with opened(browser, path, viewport=viewport) as (tab, _, wrong):
+        with open_page(browser, path, viewport=viewport) as (tab, _, wrong):
             boxes = tab.locator(".scroll")
-            wait_until(tab, partial(tells_width, boxes, more))
+            wait_until(tab, partial(check_scroll_hints, boxes, more))
             if more[0]:
                 boxes.first.evaluate("box => { box.scrollLeft = 1e4; }")
                 name = boxes.first.locator("tbody th").bounding_box()
@@ -342,8 +344,8 @@ def test_a_table_wider_than_a_phone_says_so_and_keeps_the_names_of_its_rows(brow
             assert wrong == []
 
 
-def test_a_symbol_is_seen_with_its_index_and_copied_as_it_is_typed(desk):
-    answer = desk.locator(".answer").first
+def test_symbol_has_subscript_and_is_copied_as_text(report_tab):
+    answer = report_tab.locator(".answer").first
     assert answer.inner_text().startswith("K_II of Qx")
     letter, index = answer.evaluate(
         """a => ["strong", "sub"].map(
@@ -369,7 +371,7 @@ CARD = Card(
 )
 
 
-def test_chapters_are_tabs_on_a_screen_and_follow_one_another_on_paper(browser, tmp_path):
+def test_chapters_are_tabs_on_screen_and_sequential_in_print(browser, tmp_path):
     blocks = [
         CARD,
         Heading("First"),
@@ -379,7 +381,7 @@ def test_chapters_are_tabs_on_a_screen_and_follow_one_another_on_paper(browser, 
     ]
     path = tmp_path / "tabs.html"
     path.write_text(page(made=blocks), encoding="utf-8")
-    with opened(browser, path) as (tab, _, wrong):
+    with open_page(browser, path) as (tab, _, wrong):
         second = tab.get_by_text("in it")
         assert tab.get_by_text("in the first").is_visible()
         assert second.is_hidden()
@@ -393,15 +395,15 @@ def test_chapters_are_tabs_on_a_screen_and_follow_one_another_on_paper(browser, 
         assert tab.get_by_text("in the first").is_visible()
         assert second.is_visible()
         assert wrong == []
-    with opened(browser, path, java_script_enabled=False) as (tab, _, _):
+    with open_page(browser, path, java_script_enabled=False) as (tab, _, _):
         assert tab.get_by_text("in it").is_visible()
 
 
-def test_a_table_is_copied_and_saved(browser, tmp_path):
+def test_table_can_be_copied_and_saved(browser, tmp_path):
     table = Table((Column("Name"), Column("Value, ug")), (("a, b", "−1.5"), ('c"d', "2")))
     path = tmp_path / "table.html"
     path.write_text(page(made=[Heading("Table"), table]), encoding="utf-8")
-    with opened(browser, path, accept_downloads=True) as (tab, _, wrong):
+    with open_page(browser, path, accept_downloads=True) as (tab, _, wrong):
         with tab.expect_download() as saved:
             tab.get_by_role("button", name="CSV").click()
         text = saved.value.path().read_bytes().decode("utf-8-sig")

@@ -1,4 +1,4 @@
-"""Markdown, read back by a parser: what was said stands there, word for word."""
+"""Markdown is parsed back to the original text."""
 
 from itertools import pairwise
 
@@ -37,12 +37,12 @@ HOSTILE = [
 every_hostile_text = pytest.mark.parametrize("text", HOSTILE)
 
 
-def parsed(text):
+def parse_markdown(text):
     return MarkdownIt("commonmark").enable(["table", "strikethrough"]).parse(text)
 
 
-def shown(inline):
-    """Return what a reader sees of an inline token; markup that is not expected is an error."""
+def inline_text(inline):
+    """Return the visible text of an inline token; unexpected markup is an error."""
     seen = ""
     for token in inline.children:
         if token.type == "text":
@@ -56,32 +56,32 @@ def shown(inline):
     return seen
 
 
-def inlines(text, kind):
-    tokens = parsed(text)
-    return [shown(b) for a, b in pairwise(tokens) if a.type == f"{kind}_open"]
+def inline_texts(text, kind):
+    tokens = parse_markdown(text)
+    return [inline_text(b) for a, b in pairwise(tokens) if a.type == f"{kind}_open"]
 
 
-def cells(text):
-    tokens = parsed(text)
+def table_cells(text):
+    tokens = parse_markdown(text)
     rows = []
     for before, token in pairwise(tokens):
         if before.type == "tr_open":
             rows.append([])
         if before.type in {"th_open", "td_open"}:
-            rows[-1].append(shown(token))
+            rows[-1].append(inline_text(token))
     return rows
 
 
 @every_hostile_text
-def test_words_come_out_as_they_are(text):
-    tokens = parsed(markdown([Paragraph(text)]))
+def test_text_round_trips_through_parser(text):
+    tokens = parse_markdown(markdown([Paragraph(text)]))
     assert [token.type for token in tokens] == ["paragraph_open", "inline", "paragraph_close"]
-    assert shown(tokens[1]) == text
-    assert inlines(markdown([Heading(text, 3)]), "heading") == [text]
+    assert inline_text(tokens[1]) == text
+    assert inline_texts(markdown([Heading(text, 3)]), "heading") == [text]
     for style in ("answer", "undetermined", "warning"):
         quotation = markdown([Paragraph(text, style)])
-        assert parsed(quotation)[0].type == "blockquote_open"
-        (said,) = inlines(quotation.removeprefix("> [!WARNING]\n"), "paragraph")
+        assert parse_markdown(quotation)[0].type == "blockquote_open"
+        (said,) = inline_texts(quotation.removeprefix("> [!WARNING]\n"), "paragraph")
         assert said == text
 
 
@@ -91,9 +91,9 @@ spaced = st.lists(printable, max_size=4).map(lambda words: " ".join(" ".join(wor
 
 @given(st.lists(st.tuples(spaced, spaced, spaced), max_size=3))
 @settings(deadline=None, max_examples=150)
-def test_any_cell_comes_out_as_it_is(rows):
+def test_table_cells_round_trip_through_parser(rows):
     table = Table((Column("a|b"), Column("K_II", "right"), Column("")), tuple(rows))
-    assert cells(markdown([table])) == [
+    assert table_cells(markdown([table])) == [
         ["a|b", "K_II", ""],
         *(list(map(escape_controls, r)) for r in rows),
     ]
@@ -101,26 +101,26 @@ def test_any_cell_comes_out_as_it_is(rows):
 
 @given(spaced)
 @settings(deadline=None, max_examples=150)
-def test_any_paragraph_comes_out_as_it_is(text):
-    assert inlines(markdown([Heading("x"), Paragraph(text)]), "paragraph") == (
+def test_paragraph_round_trips_through_parser(text):
+    assert inline_texts(markdown([Heading("x"), Paragraph(text)]), "paragraph") == (
         [escape_controls(text)] if text else []
     )
 
 
-def test_lines_stay_lines():
+def test_line_breaks_are_preserved():
     lines = MultilineText("one", "===", "- two", "", "    three")
-    assert inlines(markdown([Paragraph(lines)]), "paragraph") == ["one\n===\n- two\nthree"]
+    assert inline_texts(markdown([Paragraph(lines)]), "paragraph") == ["one\n===\n- two\nthree"]
     table = Table((Column("Ripple"),), ((MultilineText("1: 0.5", "2: 0.1"),),))
-    assert cells(markdown([table])) == [["Ripple"], ["1: 0.5\n2: 0.1"]]
+    assert table_cells(markdown([table])) == [["Ripple"], ["1: 0.5\n2: 0.1"]]
 
 
-def test_ends_of_lines_in_a_name_begin_no_line():
+def test_line_breaks_in_names_are_escaped():
     name = "Qx\n\n# Good\n"
     shown = r"Qx\n\n# Good\n"
     table = Table((Column(name),), ((name,),))
     text = markdown([Heading(name), Paragraph(name), Paragraph(name, "command"), table])
-    assert inlines(text, "heading") == inlines(text, "paragraph") == [shown]
-    assert cells(text) == [[shown], [shown]]
+    assert inline_texts(text, "heading") == inline_texts(text, "paragraph") == [shown]
+    assert table_cells(text) == [[shown], [shown]]
     assert f"sh\n{shown}\n`" in text
 
 
@@ -131,14 +131,14 @@ def test_table_is_aligned_for_parser_and_eye():
         quiet=frozenset({1}),
     )
     text = markdown([table])
-    styles = [t.attrs.get("style") for t in parsed(text) if t.type == "td_open"]
+    styles = [t.attrs.get("style") for t in parse_markdown(text) if t.type == "td_open"]
     assert styles == [None, "text-align:right"] * 2
     lines = text.splitlines()
     assert len({len(line) for line in lines}) == 1
     assert lines[2].endswith("      27.0416 |")
 
 
-def test_kinds_of_paragraphs():
+def test_paragraph_styles():
     text = markdown(
         [
             Heading("Report", 1),
@@ -150,7 +150,7 @@ def test_kinds_of_paragraphs():
             Paragraph("k = 1", "quiet"),
         ]
     )
-    tokens = parsed(text)
+    tokens = parse_markdown(text)
     assert [t.info for t in tokens if t.type == "fence"] == ["text", "sh"]
     assert [t.content for t in tokens if t.type == "fence"] == [
         "a_ind = K_F `x`\n",
@@ -159,7 +159,7 @@ def test_kinds_of_paragraphs():
     # Both answers in one quotation, the warning in another.
     assert [t.type for t in tokens].count("blockquote_open") == 2
     assert "\n> [!WARNING]\n> Warning: short records\n" in text
-    assert inlines(text, "paragraph")[:3] == [
+    assert inline_texts(text, "paragraph")[:3] == [
         "K_II of Qx = 1 ± 2",
         "K_II of Qy = 3 ± 4",
         "[!WARNING] Warning: short records",
@@ -168,17 +168,19 @@ def test_kinds_of_paragraphs():
 
 
 def test_code_with_fences_stays_code():
-    (fence,) = parsed(markdown([Paragraph(MultilineText("```", "rm x", "````"), "command")]))
+    (fence,) = parse_markdown(
+        markdown([Paragraph(MultilineText("```", "rm x", "````"), "command")])
+    )
     assert fence.content == "```\nrm x\n````\n"
 
 
-def test_pictures_are_left_out():
+def test_plots_are_omitted():
     bars = Bars("Budget", ("noise",), (1.0,), ("100 %",))
     assert markdown([Paragraph("before"), bars, Paragraph("after")]) == "before\n\nafter\n"
     assert escape_markdown("") == ""
 
 
-def test_what_acts_on_a_terminal_is_shown():
+def test_control_characters_are_escaped():
     column = Column("a\x9b\u202e")
     blocks = [
         Heading("red\x1b[31m"),

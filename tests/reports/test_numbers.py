@@ -1,4 +1,4 @@
-"""Numbers rounded to their uncertainty: by hand, and by reading the text back."""
+"""Numbers rounded to their uncertainty: examples and round trips of the text."""
 
 import math
 import re
@@ -29,19 +29,19 @@ BY_HAND = [
     (1.0019743, 5e-6, "g/g", "1.0019743 ± 0.0000050 g/g", "1.0019743(50)"),
     (0.0050321, 2e-6, "g", "0.0050321 ± 0.0000020 g", "0.0050321(20)"),
     (-27.0444963, 0.00070123, "ug/g^2", "-27.04450 ± 0.00070 ug/g^2", "-27.04450(70)"),
-    # The uncertainty rules where it is the larger one, and zero has no sign.
+    # The uncertainty may exceed the value, and zero has no sign.
     (0.3e-9, 1.2e-9, "m", "(0.3 ± 1.2) x 1e-9 m", "0.3(1.2)e-9"),
     (-0.001, 0.31, "arcsec", "0.00 ± 0.31 arcsec", "0.00(31)"),
     (0.0, 0.5, "arcsec", "0.00 ± 0.50 arcsec", "0.00(50)"),
-    # Rounding that makes one digit more.
+    # Rounding adds a digit.
     (12.3456, 0.0996, "m", "12.35 ± 0.10 m", "12.35(10)"),
     (999999.6, 1.0, "m", "999999.6 ± 1.0 m", "999999.6(1.0)"),
     (999999.96, 1.0, "m", "(1.0000000 ± 0.0000010) x 1e6 m", "1.0000000(10)e6"),
-    # Zeros that are not significant are not written.
+    # Insignificant zeros are omitted.
     (5031.0, 104.0, "ug", "(5.03 ± 0.10) x 1e3 ug", "5.03(10)e3"),
     (5031.4, 10.4, "ug", "5031 ± 10 ug", "5031(10)"),
     (123.0, 45678.0, "m", "(0.0 ± 4.6) x 1e4 m", "0.0(4.6)e4"),
-    # Halves to even, as a reader sees them.
+    # Decimal halves are rounded to even.
     (0.125, 0.1, "m", "0.12 ± 0.10 m", "0.12(10)"),
     (0.135, 0.1, "m", "0.14 ± 0.10 m", "0.14(10)"),
     (1.0, 0.225, "m", "1.00 ± 0.22 m", "1.00(22)"),
@@ -52,7 +52,7 @@ BY_HAND = [
     (1.7e308, 1.6e308, "m", "(1.7 ± 1.6) x 1e308 m", "1.7(1.6)e308"),
     # More digits than a double has.
     (1.0e5, 1.0e-20, "m", "100000 ± 1e-20 m", "100000 ± 1e-20"),
-    # Nothing known, nothing unsure.
+    # No value and no uncertainty.
     (9.8066, 0.0, "m/s^2", "9.8066 m/s^2 (exact)", "9.8066"),
     (9.80661234, None, "m/s^2", "9.80661 m/s^2", "9.80661"),
     (0.0, 0.0, "m", "0 m (exact)", "0"),
@@ -66,12 +66,12 @@ BY_HAND = [
 
 
 @pytest.mark.parametrize(("value", "u", "unit", "expected", "compact"), BY_HAND)
-def test_estimate_by_hand(value, u, unit, expected, compact):
+def test_estimate_format(value, u, unit, expected, compact):
     assert format_estimate(value, u, unit) == expected
     assert format_compact(value, u) == compact
 
 
-def test_negative_uncertainty_is_refused():
+def test_rejects_negative_uncertainty():
     for write in (format_estimate, format_compact):
         with pytest.raises(ValueError, match="cannot be negative; got -1"):
             write(1.0, -1.0)
@@ -84,7 +84,7 @@ ESTIMATE = re.compile(r"\(?(-?[\d.]+) ± ([\d.]+)(?:\) x 1e(-?\d+))?")
 COMPACT = re.compile(r"(-?[\d.]+)\(([\d.]+)\)(?:e(-?\d+))?")
 
 
-def step_of(u):
+def second_digit_step(u):
     """Return the size of the second digit of u, not above 1/9.95 of u: 0.0996 counts as 0.10."""
     return 10.0 ** (math.floor(math.log10(float(f"{Decimal(repr(u)):.1e}")) + 1e-9) - 1)
 
@@ -93,17 +93,17 @@ def step_of(u):
 @example(9.949999e-7, 9.949999e-7)
 @example(1.0, 0.995)
 @example(1.5, 9.95)
-def test_text_reads_back_to_the_value_within_rounding(value, u):
+def test_text_parses_to_value_within_rounding(value, u):
     assume(abs(value) / u < 1e13)
     match = ESTIMATE.fullmatch(format_estimate(value, u))
     scale = 10.0 ** int(match[3] or 0)
-    slack = 0.5 * step_of(u) * (1 + 1e-9) + 1e-15 * abs(value)
+    slack = 0.5 * second_digit_step(u) * (1 + 1e-9) + 1e-15 * abs(value)
     assert abs(float(match[1]) * scale - value) <= slack
     assert abs(float(match[2]) * scale - u) <= slack
 
 
 @given(values, magnitudes)
-def test_uncertainty_has_two_digits_and_the_value_ends_where_it_does(value, u):
+def test_uncertainty_has_two_digits_and_value_same_decimals(value, u):
     assume(abs(value) / u < 1e13)
     both = round_to_uncertainty(value, u)
     assert len(both.u.replace(".", "").lstrip("0")) == 2
@@ -114,7 +114,7 @@ def test_uncertainty_has_two_digits_and_the_value_ends_where_it_does(value, u):
 
 
 @given(values, magnitudes)
-def test_compact_form_says_the_same(value, u):
+def test_compact_form_agrees_with_plus_minus_form(value, u):
     assume(abs(value) / u < 1e13)
     both = round_to_uncertainty(value, u)
     match = COMPACT.fullmatch(format_compact(value, u))
@@ -126,7 +126,7 @@ def test_compact_form_says_the_same(value, u):
 
 
 @given(st.floats(min_value=-1e5, max_value=1e5), st.floats(min_value=1e-6, max_value=9.0))
-def test_without_a_power_of_ten_a_campaign_file_reads_it(value, u):
+def test_text_without_power_of_ten_is_valid_in_campaign_file(value, u):
     text = format_estimate(value, u, "ug/g^2")
     assume("x 1e" not in text)
     read = parse(text, "g/g^2")
@@ -137,7 +137,7 @@ def test_without_a_power_of_ten_a_campaign_file_reads_it(value, u):
 
 @pytest.mark.parametrize("u", [1e-7, 1.0, 1e7])
 @pytest.mark.parametrize("digits", [12, 14, 15, 16, 18])
-def test_at_most_fifteen_digits_are_ever_written(u, digits):
+def test_at_most_fifteen_digits_are_written(u, digits):
     value = u * 10.0 ** (digits - 2) * 1.2345
     text = format_estimate(value, u)
     both = round_to_uncertainty(value, u)
@@ -160,7 +160,7 @@ def test_at_most_fifteen_digits_are_ever_written(u, digits):
         (1e5, 1e-20, 1.0, "99999 to 100001 ug/g^2"),
     ],
 )
-def test_interval_ends_where_the_uncertainty_does(value, u, half_width, expected):
+def test_interval_has_decimals_of_uncertainty(value, u, half_width, expected):
     assert format_interval(value, u, half_width, "ug/g^2") == expected
 
 
@@ -191,14 +191,14 @@ def test_number_without_uncertainty(value, digits, expected):
         (0, "0"),
     ],
 )
-def test_an_uncertainty_alone_is_written_as_beside_a_value(u, expected):
+def test_uncertainty_alone_has_two_digits(u, expected):
     assert format_uncertainty(u) == expected
 
 
 @pytest.mark.parametrize(
     ("count", "expected"), [(21659.98, "21660"), (20.81, "20.81"), (798.44, "798.4"), (51.0, "51")]
 )
-def test_counts_are_whole_where_they_are_large(count, expected):
+def test_large_counts_are_integers(count, expected):
     assert format_count(count) == expected
 
 
@@ -214,7 +214,7 @@ def test_counts_are_whole_where_they_are_large(count, expected):
         (0.0, "0.0 %"),
     ],
 )
-def test_share(share, expected):
+def test_share_format(share, expected):
     assert format_share(share) == expected
 
 
@@ -231,17 +231,17 @@ def test_share(share, expected):
         (1.0, "> 99.9 %"),
     ],
 )
-def test_probability_is_never_rounded_to_certainty(probability, expected):
+def test_probability_is_not_rounded_to_0_or_1(probability, expected):
     assert format_probability(probability) == expected
 
 
 @pytest.mark.parametrize("unit", ["g", "g/g^2", "g/g^3", "rad", "rad/s", "rad/s/g", "1/s"])
-def test_field_units_are_those_that_campaign_files_know(unit):
+def test_field_units_are_valid_in_campaign_files(unit):
     shown, factor = field_unit(unit)
     assert shown != unit
     assert factor * unit_factor(shown, unit) == pytest.approx(1.0, rel=1e-14)
 
 
-def test_other_units_stay_as_they_are():
+def test_other_units_are_unchanged():
     assert field_unit("g/g") == ("g/g", 1.0)
     assert field_unit("m/s^2") == ("m/s^2", 1.0)

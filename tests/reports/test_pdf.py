@@ -1,4 +1,4 @@
-"""The PDF: what a reader finds on its pages, and what an archive and a machine find in it."""
+"""The PDF: its pages, and its conformance to PDF/A and PDF/UA."""
 
 import io
 import os
@@ -39,24 +39,24 @@ PICTURES = [
 ]
 
 
-def made(*blocks, title="Campaign", identifier="CS-0123456789ab", date=DATE, attachments=()):
+def make_pdf(*blocks, title="Campaign", identifier="CS-0123456789ab", date=DATE, attachments=()):
     return pdf(list(blocks), title=title, identifier=identifier, date=date, attachments=attachments)
 
 
-def reader(*blocks, **settings):
-    return pypdf.PdfReader(io.BytesIO(made(*blocks, **settings)), strict=True)
+def read_pdf(*blocks, **settings):
+    return pypdf.PdfReader(io.BytesIO(make_pdf(*blocks, **settings)), strict=True)
 
 
-def words(page):
-    """Return the text of a page in one line, without what was put in to break it."""
+def page_text(page):
+    """Return the text of a page in one line without soft hyphens."""
     return " ".join(page.extract_text().replace("\u200b", "").split())
 
 
-def pixels(monkeypatch, *blocks):
-    """Return every page as it looks, shape (height, width), 1 where the paper is white."""
+def page_pixels(monkeypatch, *blocks):
+    """Return each rendered page, shape (height, width); 1 is white."""
     pages = []
 
-    def look(files, **settings):
+    def compile_with_settings(files, **settings):
         drawn = compile_(files, ignore_system_fonts=True, format="png", ppi=72.0)
         for page in drawn if isinstance(drawn, list) else [drawn]:
             pages.append(imread(io.BytesIO(page))[..., :3].min(axis=-1))
@@ -64,20 +64,20 @@ def pixels(monkeypatch, *blocks):
 
     compile_ = typst.compile
     with monkeypatch.context() as patch:
-        patch.setattr(typst, "compile", look)
-        made(*blocks)
+        patch.setattr(typst, "compile", compile_with_settings)
+        make_pdf(*blocks)
     return pages
 
 
 # Pages
 
 
-def test_every_page_says_what_it_belongs_to():
-    found = reader(*(Paragraph(f"Paragraph {i}. " + "Words " * 60) for i in range(40)))
+def test_pages_have_title_identifier_and_number():
+    found = read_pdf(*(Paragraph(f"Paragraph {i}. " + "Words " * 60) for i in range(40)))
     count = len(found.pages)
     assert count > 2
     for number, page in enumerate(found.pages, 1):
-        text = words(page)
+        text = page_text(page)
         assert "Campaign" in text
         assert "CS-0123456789ab" in text
         assert f"Page {number} of {count}" in text
@@ -85,24 +85,24 @@ def test_every_page_says_what_it_belongs_to():
         assert ("End of CS-0123456789ab" in text) == (number == count)
 
 
-def test_the_end_never_takes_a_page_of_its_own():
-    # Whatever is said last, something of it stands on the last page.
+def test_end_mark_is_not_alone_on_page():
+    # The last page contains a part of the last block.
     for length in range(40, 60):
-        found = reader(*(Paragraph(f"line {i}") for i in range(length)))
-        last = words(found.pages[-1])
+        found = read_pdf(*(Paragraph(f"line {i}") for i in range(length)))
+        last = page_text(found.pages[-1])
         assert "line" in last
         assert "End of CS-0123456789ab" in last
 
 
-def test_title_is_the_heading_where_there_is_none():
-    (page,) = reader(Paragraph("words")).pages
-    assert words(page).count("Campaign") == 2
-    (page,) = reader(Heading("Its own", 1), title="Campaign").pages
-    assert words(page).count("Campaign") == 1
+def test_title_replaces_missing_heading():
+    (page,) = read_pdf(Paragraph("words")).pages
+    assert page_text(page).count("Campaign") == 2
+    (page,) = read_pdf(Heading("Its own", 1), title="Campaign").pages
+    assert page_text(page).count("Campaign") == 1
 
 
-def test_words_are_never_read_as_markup():
-    found = reader(
+def test_text_is_not_interpreted_as_markup():
+    found = read_pdf(
         Heading(HOSTILE, 1),
         Heading(f"2 {HOSTILE}", 2),
         Paragraph(f"answer {HOSTILE}", "answer"),
@@ -114,7 +114,7 @@ def test_words_are_never_read_as_markup():
         Bars(f"bars {HOSTILE}", ("#a $b$",), (1.0,), ("100 %",)),
         title=HOSTILE,
     )
-    text = " ".join(words(page) for page in found.pages)
+    text = " ".join(page_text(page) for page in found.pages)
     heads = ("2", "answer", "warning", "plain", "quiet", "$", "title", "cell", "bars")
     for head in heads:
         assert f"{head} {HOSTILE}" in text
@@ -122,18 +122,18 @@ def test_words_are_never_read_as_markup():
     assert found.metadata.title == HOSTILE
 
 
-def test_indices_of_equations_are_set_as_indices():
-    (page,) = reader(Paragraph("Q: a_ind = K_F + K_II a² − ω ∬ f", "equation")).pages
-    text = words(page)
+def test_equations_have_subscripts():
+    (page,) = read_pdf(Paragraph("Q: a_ind = K_F + K_II a² − ω ∬ f", "equation")).pages
+    text = page_text(page)
     assert "_" not in text.split("Q: ")[1]
     for symbol in ("ω", "∬", "²", "−"):
         assert symbol in text
 
 
-def test_pictures_keep_their_words_and_are_read_aloud():
-    data = made(*PICTURES)
+def test_plots_contain_text_and_alternative_text():
+    data = make_pdf(*PICTURES)
     found = pypdf.PdfReader(io.BytesIO(data))
-    text = " ".join(words(page) for page in found.pages)
+    text = " ".join(page_text(page) for page in found.pages)
     for said in ("Drift", "time / s", "seen", "Budget", "100 %", "Correlation", "0.50"):
         assert said in text
     alternatives = {
@@ -144,30 +144,30 @@ def test_pictures_keep_their_words_and_are_read_aloud():
     assert alternatives == {"Drift", "Budget", "Correlation"}
 
 
-def test_nothing_leaves_the_margins(monkeypatch):
+def test_content_stays_within_margins(monkeypatch):
     long = "x" * 300
     for style in ("plain", "answer", "warning", "quiet", "command"):
-        for page in pixels(monkeypatch, Paragraph(f"{long} {HOSTILE * 3}", style), *PICTURES):
+        for page in page_pixels(monkeypatch, Paragraph(f"{long} {HOSTILE * 3}", style), *PICTURES):
             assert page[:, -61:].min() == 1.0
-    for page in pixels(monkeypatch, Heading(HOSTILE * 4, 1), Heading(long, 2)):
+    for page in page_pixels(monkeypatch, Heading(HOSTILE * 4, 1), Heading(long, 2)):
         assert page[:, -61:].min() == 1.0
 
 
-def test_letters_that_no_font_has_become_squares():
+def test_missing_glyphs_become_squares():
     odd = "\ue123\U000e0041"
-    found = reader(
+    found = read_pdf(
         Paragraph(f"α Ж é {odd[0]} end"), Bars(f"b{odd[0]}", (f"label{odd[0]}",), (1.0,), ("1",))
     )
-    text = words(found.pages[0])
+    text = page_text(found.pages[0])
     assert "α Ж é □ end" in text
     assert "label□" in text or "label\ufffd" in text
 
 
-def test_names_act_on_nothing_and_begin_no_line():
+def test_control_characters_in_names_are_escaped():
     name = "Qx\x1b\u202e\nK_II = 1"
     shown = r"Qx\x1b\u202e\nK_II = 1"
     blocks = [Paragraph(name), Table((Column(name),), ((name,),))]
-    found = reader(*blocks, title=name, identifier=name)
+    found = read_pdf(*blocks, title=name, identifier=name)
     assert found.metadata.title == shown
     text = found.pages[0].extract_text()
     assert text.count("\\nK") >= 5
@@ -188,36 +188,38 @@ def long_table(rows, columns=4):
     )
 
 
-def test_long_table_goes_on_under_the_same_header():
-    found = reader(long_table(150))
+def test_long_table_repeats_header():
+    found = read_pdf(long_table(150))
     assert len(found.pages) > 2
-    text = [words(page) for page in found.pages]
+    text = [page_text(page) for page in found.pages]
     assert all("Name of the run c0 c1 c2 c3" in page for page in text)
     for row in range(150):
         assert sum(f"run{row} {row}.000417 {row}.100417" in page for page in text) == 1
 
 
-def test_long_table_begins_where_some_of_its_rows_have_room():
+def test_long_table_starts_with_at_least_three_rows():
     counts = []
     for lines in range(34, 48):
-        found = reader(*(Paragraph("x") for _ in range(lines)), long_table(20))
-        first = next(text for page in found.pages if "run0 " in (text := words(page)))
+        found = read_pdf(*(Paragraph("x") for _ in range(lines)), long_table(20))
+        first = next(text for page in found.pages if "run0 " in (text := page_text(page)))
         counts.append(sum(f"run{row} {row}." in first for row in range(20)))
     # Wherever on the page the table happens to stand, which differs between these.
     assert min(counts) >= 3
     assert len(set(counts)) > 3
 
 
-def test_symbols_have_an_index():
-    text = words(reader(Paragraph("K_II of a_run"), Table((Column("K_F"),), (("K_I",),))).pages[0])
+def test_symbols_have_subscripts():
+    text = page_text(
+        read_pdf(Paragraph("K_II of a_run"), Table((Column("K_F"),), (("K_I",),))).pages[0]
+    )
     assert "KII of a_run" in text
     assert "KF KI" in text
 
 
-def test_short_table_stays_in_one_piece():
+def test_short_table_is_not_split():
     for lines in range(30, 48, 3):
-        found = reader(*(Paragraph("x") for _ in range(lines)), long_table(10))
-        on = [words(page) for page in found.pages if "run0 " in words(page)]
+        found = read_pdf(*(Paragraph("x") for _ in range(lines)), long_table(10))
+        on = [page_text(page) for page in found.pages if "run0 " in page_text(page)]
         assert len(on) == 1
         assert "run9 " in on[0]
 
@@ -232,26 +234,26 @@ def test_short_table_stays_in_one_piece():
     ],
     ids=["11 columns", "31 columns", "long name", "long words"],
 )
-def test_wide_table_stays_on_the_page_whole(table, monkeypatch):
+def test_wide_table_fits_page(table, monkeypatch):
     margin = 61  # 22 mm are 62.4 points; a letter may reach out by a fraction of one
-    for page in pixels(monkeypatch, table):
+    for page in page_pixels(monkeypatch, table):
         assert page[:, :-margin].min() < 0.5
         assert page[:, -margin:].min() == 1.0
         assert page[:, : margin - 1].min() == 1.0
-    found = reader(table)
+    found = read_pdf(table)
     text = "".join("".join(page.extract_text().split()) for page in found.pages)
     text = text.replace("\u200b", "")
     if len(table.rows) == 20:
-        text = "".join("".join(words(page).split()) for page in found.pages)
+        text = "".join("".join(page_text(page).split()) for page in found.pages)
         for row in table.rows:
             assert "".join(row) in text
     letters = sum(len("".join(cell.split())) for row in table.rows for cell in row)
     assert len(text) > letters
 
 
-def test_numbers_of_a_column_end_at_the_same_place():
+def test_numbers_are_right_aligned():
     table = Table((Column("value", "right"),), (("1.5",), ("-1234.5",), ("0.5",)))
-    (page,) = reader(table).pages
+    (page,) = read_pdf(table).pages
     ends = {}
 
     def visit(text, current, matrix, font, size):
@@ -267,17 +269,17 @@ def test_numbers_of_a_column_end_at_the_same_place():
 # The file
 
 
-def attachments():
+def make_attachments():
     return [
         Attachment("certificate.xml", b"<dcc/>\r\n\x00\xff", "application/xml", "The DCC", "data"),
         Attachment("result.json", b"{}", "application/json", "The result ü", "source"),
     ]
 
 
-def test_attachments_come_back_byte_for_byte():
-    found = reader(Paragraph("words"), attachments=attachments())
+def test_attachments_are_identical():
+    found = read_pdf(Paragraph("words"), attachments=make_attachments())
     assert {name: data[0] for name, data in found.attachments.items()} == {
-        one.name: one.data for one in attachments()
+        one.name: one.data for one in make_attachments()
     }
     embedded = found.trailer["/Root"]["/AF"]
     files = {file.get_object()["/UF"]: file.get_object() for file in embedded}
@@ -288,14 +290,14 @@ def test_attachments_come_back_byte_for_byte():
     assert stream["/Subtype"] == "/application/xml"
 
 
-def test_two_attachments_of_one_name_are_refused():
+def test_rejects_duplicate_attachment_name():
     with pytest.raises(ValueError, match=r"certificate\.xml, certificate\.xml"):
-        made(attachments=attachments()[:1] * 2)
+        make_pdf(attachments=make_attachments()[:1] * 2)
 
 
-@pytest.mark.parametrize("attached", [(), attachments()], ids=["alone", "with attachments"])
-def test_file_says_what_it_is(attached):
-    found = reader(Paragraph("words"), attachments=attached)
+@pytest.mark.parametrize("attached", [(), make_attachments()], ids=["alone", "with attachments"])
+def test_file_declares_pdf_a_metadata(attached):
+    found = read_pdf(Paragraph("words"), attachments=attached)
     xmp = found.xmp_metadata
     assert xmp.pdfaid_part == "3"
     assert xmp.pdfaid_conformance == "A"  # and so B too
@@ -309,12 +311,12 @@ def test_file_says_what_it_is(attached):
 
 @pytest.mark.skipif(shutil.which("verapdf") is None, reason="veraPDF is not installed")
 @pytest.mark.parametrize("flavour", ["3a", "ua1"])
-def test_verapdf_finds_no_fault(tmp_path, flavour):
-    """In a report with everything, and in a certificate."""
+def test_verapdf_reports_no_error(tmp_path, flavour):
+    """A report with all kinds of blocks, and a certificate."""
     table = Table((Column("term"), Column("u", "right")), (("K_II", "1"),))
     attached = [Attachment("a.xml", b"<a/>", "application/xml", "an attachment", "data")]
     own = tmp_path / "own.pdf"
-    own.write_bytes(made(Heading("Part", 2), table, *PICTURES, attachments=attached))
+    own.write_bytes(make_pdf(Heading("Part", 2), table, *PICTURES, attachments=attached))
     for path in (own, EXAMPLE):
         words = ["verapdf", "--flavour", flavour, "--format", "text", str(path)]
         told = subprocess.run(words, capture_output=True, text=True, check=False)
@@ -322,31 +324,31 @@ def test_verapdf_finds_no_fault(tmp_path, flavour):
         assert told.stdout.startswith("PASS"), told.stdout
 
 
-def test_chapters_are_in_the_outline():
-    found = reader(Heading("Report", 1), Heading("Runs"), Paragraph("words"), Heading("Fit", 3))
+def test_outline_contains_chapters():
+    found = read_pdf(Heading("Report", 1), Heading("Runs"), Paragraph("words"), Heading("Fit", 3))
     titles = []
 
-    def walk(items):
+    def collect_titles(items):
         for item in items:
-            walk(item) if isinstance(item, list) else titles.append(item.title)
+            collect_titles(item) if isinstance(item, list) else titles.append(item.title)
 
-    walk(found.outline)
+    collect_titles(found.outline)
     assert titles == ["Report", "Runs", "Fit"]
 
 
 @pytest.mark.slow
-def test_same_report_gives_the_same_bytes_in_any_process():
+def test_pdf_is_reproducible_across_processes():
     blocks = (Heading("Report", 1), Paragraph("µg/g² × 10⁻⁵", "answer"), long_table(30), *PICTURES)
-    first = made(*blocks, attachments=attachments())
-    assert made(*blocks, attachments=attachments()) == first
-    assert made(*blocks, attachments=attachments(), date=DATE.astimezone(UTC)) == first
+    first = make_pdf(*blocks, attachments=make_attachments())
+    assert make_pdf(*blocks, attachments=make_attachments()) == first
+    assert make_pdf(*blocks, attachments=make_attachments(), date=DATE.astimezone(UTC)) == first
     code = f"""
 import sys
 from datetime import datetime, timezone
 from counterspin.reports.blocks import *
 from counterspin.reports.pdf import *
 data = pdf({list(blocks)!r}, title="Campaign", identifier="CS-0123456789ab",
-    date=datetime(2026, 3, 1, 13, 30, tzinfo=timezone.utc), attachments={attachments()!r})
+    date=datetime(2026, 3, 1, 13, 30, tzinfo=timezone.utc), attachments={make_attachments()!r})
 sys.stdout.buffer.write(data)
 """
     for seed in ("1", "2"):
@@ -357,4 +359,4 @@ sys.stdout.buffer.write(data)
             check=True,
         )
         assert run.stdout == first
-    assert made(*blocks, attachments=attachments(), date=DATE + timedelta(days=1)) != first
+    assert make_pdf(*blocks, attachments=make_attachments(), date=DATE + timedelta(days=1)) != first

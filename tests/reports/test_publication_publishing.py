@@ -1,4 +1,4 @@
-"""A report as a file: the format by its name, whole or not at all, dated as one asks."""
+"""Report files: format, atomic writing and date."""
 
 from datetime import UTC, datetime, timedelta, timezone
 
@@ -17,7 +17,7 @@ FIXED = datetime(2026, 3, 1, 12, tzinfo=UTC)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_every_format_is_written_and_depends_on_nothing_but_result_and_date(suffix, tmp_path):
+def test_report_formats_are_reproducible(suffix, tmp_path):
     first, second = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
     write_report(result(), first, issued=FIXED)
     write_report(result(), second, issued=FIXED)
@@ -33,7 +33,7 @@ def test_every_format_is_written_and_depends_on_nothing_but_result_and_date(suff
 
 
 @pytest.mark.parametrize("kind", ["html", "md", "pdf"])
-def test_a_report_is_returned_as_it_is_written(kind, tmp_path):
+def test_returned_report_equals_written_file(kind, tmp_path):
     file = tmp_path / f"a.{kind}"
     write_report(result(), file, identifier="LAB 7/26", issued=FIXED)
     made = report(result(), kind, identifier="LAB 7/26", issued=FIXED)
@@ -42,7 +42,7 @@ def test_a_report_is_returned_as_it_is_written(kind, tmp_path):
         report(result(), "txt")
 
 
-def test_a_report_replaces_no_other_file(tmp_path):
+def test_report_does_not_overwrite_other_file(tmp_path):
     record = tmp_path / "record.md"
     record.write_text("mine", encoding="utf-8")
     with raises("file-exists", "calibration report"):
@@ -50,7 +50,7 @@ def test_a_report_replaces_no_other_file(tmp_path):
     assert record.read_text(encoding="utf-8") == "mine"
 
 
-def test_the_identifier_is_on_paper_and_screen(tmp_path):
+def test_identifier_is_in_report(tmp_path):
     write_report(result(), tmp_path / "a.md", identifier="LAB 7/26", issued=FIXED)
     told = (tmp_path / "a.md").read_text(encoding="utf-8")
     assert told.endswith("\n\nEnd of LAB 7/26, 2026-03-01 12:00 UTC.\n")
@@ -71,12 +71,12 @@ def test_the_identifier_is_on_paper_and_screen(tmp_path):
         ),
     ],
 )
-def test_dates_by_iso_8601(text, wanted):
+def test_iso_8601_dates(text, wanted):
     assert issue_date(text) == wanted
     assert issue_date(text).utcoffset() == wanted.utcoffset()
 
 
-def test_the_date_of_reproducible_builds(monkeypatch):
+def test_source_date_epoch_sets_date(monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "86400")
     assert issue_date() == datetime(1970, 1, 2, tzinfo=UTC)
     assert issue_date("2026-03-01").year == 2026
@@ -85,7 +85,7 @@ def test_the_date_of_reproducible_builds(monkeypatch):
         issue_date()
 
 
-def test_the_clock_s_date_has_whole_seconds(monkeypatch):
+def test_current_date_has_whole_seconds(monkeypatch):
     monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
     before = datetime.now(UTC).replace(microsecond=0)
     made = issue_date()
@@ -93,7 +93,7 @@ def test_the_clock_s_date_has_whole_seconds(monkeypatch):
     assert before <= made <= datetime.now(UTC)
 
 
-# As typed
+# Command line
 
 
 @pytest.fixture
@@ -103,7 +103,7 @@ def stored(tmp_path):
     return path
 
 
-def test_without_a_file_the_report_is_printed(stored, capsys):
+def test_report_without_file_is_printed(stored, capsys):
     assert main(["report", str(stored)]) == 0
     said = capsys.readouterr().out
     assert "27.0000 ± 0.0010 µg/g²" in said
@@ -111,14 +111,14 @@ def test_without_a_file_the_report_is_printed(stored, capsys):
     assert "counterspin calibrate ." in said
 
 
-def test_a_campaign_is_calibrated_first(tmp_path, capsys):
+def test_campaign_is_calibrated_before_report(tmp_path, capsys):
     assert main(["demo", "-o", str(tmp_path / "demo")]) == 0
     assert main(["report", str(tmp_path / "demo"), "-o", str(tmp_path / "r.md")]) == 0
     assert "Quality checks" in (tmp_path / "r.md").read_text(encoding="utf-8")
     assert capsys.readouterr().out.endswith(f"Wrote {tmp_path / 'r.md'}.\n")
 
 
-def test_a_result_may_have_any_name(stored, capsys):
+def test_result_file_may_have_any_name(stored, capsys):
     other = stored.rename(stored.with_name("result of May"))
     assert main(["report", str(other)]) == 0
     assert "Quality checks" in capsys.readouterr().out
@@ -127,7 +127,7 @@ def test_a_result_may_have_any_name(stored, capsys):
     assert "not a result file" in capsys.readouterr().err
 
 
-def test_a_description_is_calibrated_first(tmp_path, capsys):
+def test_campaign_file_is_calibrated_before_report(tmp_path, capsys):
     assert main(["report", str(tmp_path / "campaign.toml")]) == 2
     assert "file not found; `counterspin init DIR`" in capsys.readouterr().err
     (tmp_path / "campaign.toml").write_text("schema = 1", "utf-8")
@@ -144,14 +144,14 @@ def test_a_description_is_calibrated_first(tmp_path, capsys):
         (["--date", "9999-12-31T23:59:00-05:00"], 2, "is not a date"),
     ],
 )
-def test_what_cannot_be_is_said(arguments, status, words, stored, tmp_path, capsys):
+def test_rejects_invalid_arguments(arguments, status, words, stored, tmp_path, capsys):
     typed = [argument.format(tmp_path) for argument in arguments]
     assert main(["report", str(stored), *typed]) == status
     assert words in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [stored]
 
 
-def test_a_damaged_or_newer_result_leaves_no_report(stored, tmp_path, capsys):
+def test_damaged_or_newer_result_writes_no_report(stored, tmp_path, capsys):
     target = tmp_path / "report.html"
     text = stored.read_text(encoding="utf-8")
     for spoilt, words in (
@@ -186,7 +186,7 @@ def demonstration(tmp_path_factory):
         (["study", "demo", "--trials", "3"], "", "a study's result"),
     ],
 )
-def test_the_result_of_any_command_has_a_report(
+def test_results_of_all_commands_have_reports(
     command, title, mark, demonstration, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(demonstration)

@@ -1,4 +1,4 @@
-"""Pictures on Matplotlib's axes, as a notebook shows them."""
+"""Plots on Matplotlib axes in notebooks."""
 
 import os
 import subprocess
@@ -53,7 +53,7 @@ assert mpl.rcParams["axes.spines.top"]
 """
 
 
-def test_a_notebook_shows_every_figure_and_keeps_its_settings(tmp_path):
+def test_notebook_shows_figures_and_keeps_settings(tmp_path):
     (tmp_path / "standing_in.py").write_text(BACKEND)
     environment = {**os.environ, "MPLBACKEND": "module://standing_in", "PYTHONPATH": str(tmp_path)}
     done = subprocess.run(
@@ -62,7 +62,7 @@ def test_a_notebook_shows_every_figure_and_keeps_its_settings(tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_pyplot_is_not_loaded_for_axes_that_are_given():
+def test_pyplot_is_not_imported_for_given_axes():
     cells = CELLS.partition("first =")[0] + (
         "from matplotlib.figure import Figure\n"
         "draw_on_axes([plot], Figure().add_subplot())\n"

@@ -1,4 +1,4 @@
-"""Directions drawn as the two halves of a sphere."""
+"""Plots of directions on two hemispheres."""
 
 import math
 
@@ -11,7 +11,7 @@ from counterspin.reports.drawing import PAPER_COLOURS, draw_pictures, settings
 
 
 def markers(sphere):
-    """Return places, opacities and colours of what is drawn as points, those of the key last."""
+    """Return positions, opacities and colours of the markers, those of the legend last."""
     from matplotlib.colors import to_rgba
 
     with settings(PAPER_COLOURS):
@@ -21,7 +21,7 @@ def markers(sphere):
     return places, [to_rgba(line.get_markerfacecolor()) for line in lines], lines
 
 
-def test_equal_areas_of_the_sphere_stay_equal():
+def test_projection_preserves_area():
     # Up to the polar angle t a cap has the part 1 - cos t of a half.
     angles = np.radians([0.0, 20.0, 60.0, 89.9])
     points = [(math.sin(t), 0.0, math.cos(t)) for t in angles]
@@ -31,7 +31,7 @@ def test_equal_areas_of_the_sphere_stay_equal():
     assert radius**2 == pytest.approx(1.0 - np.cos(angles), abs=1e-12)
 
 
-def test_each_half_is_seen_from_outside():
+def test_hemispheres_are_viewed_from_outside():
     eighth = math.pi / 8.0
     near = math.sin(eighth) / math.sqrt(2.0)
     points = ((near, near, math.cos(eighth)), (near, near, -math.cos(eighth)))
@@ -44,7 +44,7 @@ def test_each_half_is_seen_from_outside():
     assert up[0] > -1.3
 
 
-def test_colours_tell_sign_and_size():
+def test_colours_show_sign_and_magnitude():
     points = tuple((0.0, math.sin(t), math.cos(t)) for t in (0.1, 0.5, 0.9))
     values, out = (4.0, -2.0, 0.0), frozenset({1})
     sphere = Sphere("", ("X", "Y", "Z"), points, values, ("a", "b", "c"), "z", out)

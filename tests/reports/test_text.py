@@ -1,4 +1,4 @@
-"""The report as text: what it says, rounded, whole at 80 columns, without invented values."""
+"""The text report: rounding, layout at 80 columns and missing values."""
 
 import io
 import math
@@ -46,8 +46,8 @@ K_I = Coefficient(value=1.0019743, u=5e-6, unit="g/g", estimated=False)
 K_III = Coefficient(value=None, u=None, unit="g/g^3", estimated=False)
 
 
-def every_term():
-    """Return every coefficient there is, with values as long as they come."""
+def make_all_coefficients():
+    """Return all coefficients with long values."""
     return {
         symbol: Coefficient(
             value=-1.23456789e-5, u=2.3e-11, u_noise=2.3e-11, unit=row.unit, estimated=True
@@ -56,7 +56,7 @@ def every_term():
     }
 
 
-def made(**changes):
+def make_accelerometer(**changes):
     parts = {
         "coefficients": {"K_F": K_F, "K_I": K_I, "K_II": K_II, "K_III": K_III},
         "correlation": Correlation(
@@ -68,19 +68,19 @@ def made(**changes):
     return accelerometer(**(parts | changes))
 
 
-def result(**changes):
+def make_result(**changes):
     parts = {
         "title": "Three-rate campaign",
-        "accelerometers": {"Qx": made()},
+        "accelerometers": {"Qx": make_accelerometer()},
         "inputs": {"gravity": 9.8066, "latitude": math.radians(45.75), "radius": 2.5},
     }
     return bare_result(**(parts | changes))
 
 
-def full():
-    """Return a result in which everything is present."""
-    found = made(
-        coefficients=every_term() | {"K_II": K_II, "K_III": K_III},
+def make_full_result():
+    """Return a result with all parts."""
+    found = make_accelerometer(
+        coefficients=make_all_coefficients() | {"K_II": K_II, "K_III": K_III},
         confounded=[
             ConfoundedTerms(
                 terms=["K_I", "K_IP"],
@@ -156,8 +156,8 @@ def full():
         },
         fit={"Qx": {"chi2_per_dof": 1.0213, "lack_of_fit_p": None, "spectrum": "white"}},
     )  # fmt: skip
-    return result(
-        accelerometers={"Qx": found, "Qy": made()},
+    return make_result(
+        accelerometers={"Qx": found, "Qy": make_accelerometer()},
         platform={
             "platform.drift.north": Coefficient(
                 value=0.01 * DEG_H, u=0.002 * DEG_H, unit="rad/s", estimated=True
@@ -169,28 +169,28 @@ def full():
     )
 
 
-def text_of(found, width=160, **options):
+def render_text(found, width=160, **options):
     stream = io.StringIO()
     print_result(found, Console(file=stream, width=width, highlight=False), **options)
     return stream.getvalue()
 
 
 def line_with(text, *words):
-    """Return the one line that holds all the words."""
+    """Return the only line that contains all the words."""
     lines = [line for line in text.splitlines() if all(word in line for word in words)]
     assert len(lines) == 1, f"{words} is in {len(lines)} lines of\n{text}"
     return lines[0]
 
 
-def squeezed(text):
+def collapse_spaces(text):
     return " ".join(text.split())
 
 
 # The answer
 
 
-def test_answer_comes_first_with_student_s_interval():
-    lines = text_of(result()).splitlines()
+def test_answer_is_first_with_student_interval():
+    lines = render_text(make_result()).splitlines()
     assert lines[0] == "Three-rate campaign"
     # t(0.975, 20) = 2.0860 (GUM table G.2: 2.09), times 0.00070
     assert lines[1] == (
@@ -198,14 +198,14 @@ def test_answer_comes_first_with_student_s_interval():
     )
 
 
-def test_infinite_degrees_of_freedom_give_the_normal_interval():
+def test_infinite_degrees_of_freedom_give_normal_interval():
     normal = K_II.model_copy(update={"dof": None})
-    found = result(accelerometers={"Qx": made(coefficients={"K_II": normal})})
-    assert "(95 %: 27.04313 to 27.04587)" in text_of(found)
+    found = make_result(accelerometers={"Qx": make_accelerometer(coefficients={"K_II": normal})})
+    assert "(95 %: 27.04313 to 27.04587)" in render_text(found)
 
 
-def test_gravity_and_the_meaning_of_the_uncertainty_are_stated():
-    text = squeezed(text_of(result()))
+def test_gravity_and_meaning_of_uncertainty_are_stated():
+    text = collapse_spaces(render_text(make_result()))
     assert (
         "Joint method, exact model. The number after ± is one standard uncertainty (k = 1)." in text
     )
@@ -214,71 +214,71 @@ def test_gravity_and_the_meaning_of_the_uncertainty_are_stated():
 
 
 @pytest.mark.parametrize("prior", [None, 3.21e-6])
-def test_undetermined_answer_invents_no_value(prior):
+def test_undetermined_answer_has_no_value(prior):
     u = None if prior is None else 2e-6
     unknown = Coefficient(value=prior, u=u, unit="g/g^2", estimated=False)
-    found = result(accelerometers={"Qx": made(coefficients={"K_II": unknown})})
-    answer = line_with(text_of(found), "K_II of Qx")
+    found = make_result(accelerometers={"Qx": make_accelerometer(coefficients={"K_II": unknown})})
+    answer = line_with(render_text(found), "K_II of Qx")
     assert answer.startswith("K_II of Qx: not determined by these records")
     assert ("prior: 3.2 ± 2.0 ug/g^2" in answer) == (prior is not None)
     assert "95 %" not in answer
 
 
-def test_a_campaign_without_the_second_order_term_is_reported():
-    found = result(accelerometers={"Qx": made(coefficients={"K_F": K_F})})
-    assert "K_II of" not in text_of(found)
+def test_report_of_campaign_without_k_ii():
+    found = make_result(accelerometers={"Qx": make_accelerometer(coefficients={"K_F": K_F})})
+    assert "K_II of" not in render_text(found)
 
 
 # Coefficients
 
 
-def test_coefficients_are_rounded_to_their_uncertainty_and_name_its_origin():
-    text = text_of(result())
-    assert squeezed(line_with(text, "second-order")) == (
+def test_coefficients_are_rounded_and_state_origin_of_uncertainty():
+    text = render_text(make_result())
+    assert collapse_spaces(line_with(text, "second-order")) == (
         "K_II second-order coefficient 27.04450 ± 0.00070 ug/g^2 "
         "noise 73 %, stated 18 %, default 8.2 %"
     )
-    assert squeezed(line_with(text, "bias")) == "K_F bias 5032.1 ± 2.0 ug noise 100 %"
-    assert squeezed(line_with(text, "scale factor")) == (
+    assert collapse_spaces(line_with(text, "bias")) == "K_F bias 5032.1 ± 2.0 ug noise 100 %"
+    assert collapse_spaces(line_with(text, "scale factor")) == (
         "K_I scale factor 1.0019743 ± 0.0000050 g/g prior only"
     )
 
 
 def test_undetermined_coefficient_shows_no_value():
-    line = squeezed(line_with(text_of(result()), "third-order"))
+    line = collapse_spaces(line_with(render_text(make_result()), "third-order"))
     assert line == f"K_III third-order coefficient - ug/g^3 {NOT_DETERMINED}"
 
 
-def test_platform_terms_are_in_the_units_of_the_field():
-    text = text_of(full())
-    assert squeezed(line_with(text, "gyro drift about north")).startswith(
+def test_platform_terms_are_in_field_units():
+    text = render_text(make_full_result())
+    assert collapse_spaces(line_with(text, "gyro drift about north")).startswith(
         "gyro drift about north 0.0100 ± 0.0020 deg/h"
     )
-    assert squeezed(line_with(text, "tilt about north (run1)")).startswith(
+    assert collapse_spaces(line_with(text, "tilt about north (run1)")).startswith(
         "tilt about north (run1) 0.210 ± 0.050 arcsec"
     )
 
 
-def test_second_unknown_of_the_two_stage_method_is_named():
-    line = squeezed(line_with(text_of(full()), "rate drift"))
+def test_second_unknown_of_two_stage_method_is_named():
+    line = collapse_spaces(line_with(render_text(make_full_result()), "rate drift"))
     assert line.startswith("C rate drift common to all runs 3.60 ± 0.72 ppm/h")
 
 
-def test_every_term_of_both_tables_has_words_here():
+def test_all_terms_are_named_in_words():
     terms = {
         symbol: Coefficient(value=1e-9, u=1e-9, unit=row.unit, estimated=True)
         for symbol, row in PLATFORM_TERMS.items()
     }
-    text = text_of(full().model_copy(update={"platform": terms}), 200)
+    text = render_text(make_full_result().model_copy(update={"platform": terms}), 200)
     for row in (*TERMS.values(), *PLATFORM_TERMS.values()):
         assert row.words in text
 
 
-# What stands beside them
+# Confounded sets, fit and checks
 
 
-def test_confounded_sets_are_told_in_words():
-    text = squeezed(text_of(full()))
+def test_confounded_sets_are_described():
+    text = collapse_spaces(render_text(make_full_result()))
     assert (
         "K_I and K_IP cannot be separated with these records (correlation 1 - 6e-11); "
         "the records determine only K_I - K_IP = 1.00197430 ± 0.00000012 g/g." in text
@@ -289,8 +289,8 @@ def test_confounded_sets_are_told_in_words():
     )
 
 
-def test_fit_noise_and_checks_are_told():
-    text = squeezed(text_of(full()))
+def test_fit_noise_and_checks_are_reported():
+    text = collapse_spaces(render_text(make_full_result()))
     assert (
         "Residuals: rms 0.00998 m, 35000 degrees of freedom; chi-square/dof 0.99; p = 0.41." in text
     )
@@ -305,20 +305,20 @@ def test_fit_noise_and_checks_are_told():
     )
 
 
-def test_disagreement_with_the_two_stage_method_is_told():
+def test_disagreement_with_two_stage_method_is_reported():
     apart = Comparison(value=2.8e-5, u=5e-9, difference=1e-6, u_difference=5e-9, z=200.0)
-    found = result(accelerometers={"Qx": made(two_stage=apart)})
-    assert "(z = 200); not consistent." in squeezed(text_of(found))
+    found = make_result(accelerometers={"Qx": make_accelerometer(two_stage=apart)})
+    assert "(z = 200); not consistent." in collapse_spaces(render_text(found))
 
 
-def test_jackknife_is_written_to_the_place_of_the_estimate():
-    rows = text_of(full()).partition("Run omitted")[2].splitlines()
+def test_jackknife_is_rounded_like_estimate():
+    rows = render_text(make_full_result()).partition("Run omitted")[2].splitlines()
     assert rows[2].split() == ["run1", "27.04460", "0.00010", "0.31"]
     assert rows[3].split() == ["run2", *NOT_DETERMINED.split() * 2, "-"]
 
 
-def test_verdict_and_warnings_are_in_words_and_yellow_after_the_answer():
-    text = squeezed(text_of(full()))
+def test_verdict_and_warnings_follow_answer_in_yellow():
+    text = collapse_spaces(render_text(make_full_result()))
     first = text.index("Warning: run2: the spindle turned at another rate.")
     verdict = text.index("The result for Qx is usable with reservations: ")
     finding = text.index("The runs do not agree with the model ± anything.")
@@ -326,29 +326,32 @@ def test_verdict_and_warnings_are_in_words_and_yellow_after_the_answer():
     assert text.count("The runs do not agree with the model ± anything.") == 1
     stream = io.StringIO()
     print_result(
-        full(), Console(file=stream, force_terminal=True, color_system="standard", width=100)
+        make_full_result(),
+        Console(file=stream, force_terminal=True, color_system="standard", width=100),
     )
     assert "\x1b[33mWarning: run2" in stream.getvalue()
     assert "\x1b[33mThe result for Qx is usable" in stream.getvalue()
     assert "\x1b[1;33mK_II of Qx" in stream.getvalue()
 
 
-def test_budget_is_written_when_asked_for():
-    assert "Uncertainty budget" not in text_of(full())
-    rows = text_of(full(), budget=True).partition("Uncertainty budget of K_II, Qx")[2]
-    assert squeezed(line_with(rows.partition("Accelerometer Qy")[0], "noise of the records")) == (
-        "noise of the records A 0.00060 80 %"
-    )
-    assert squeezed(line_with(rows, "0.5 arcsec")) == (
+def test_budget_is_printed_on_request():
+    assert "Uncertainty budget" not in render_text(make_full_result())
+    rows = render_text(make_full_result(), budget=True).partition("Uncertainty budget of K_II, Qx")[
+        2
+    ]
+    assert collapse_spaces(
+        line_with(rows.partition("Accelerometer Qy")[0], "noise of the records")
+    ) == ("noise of the records A 0.00060 80 %")
+    assert collapse_spaces(line_with(rows, "0.5 arcsec")) == (
         "platform.tilt.north (run1) B 0.5 arcsec 0.0006 0.00030 20 %"
     )
     # sqrt(6^2 + 3^2) = 6.7
-    assert squeezed(line_with(rows, "combined")) == "combined 0.00067"
+    assert collapse_spaces(line_with(rows, "combined")) == "combined 0.00067"
 
 
-def test_details_are_written_when_asked_for():
-    assert "sha256" not in text_of(full())
-    text = squeezed(text_of(full(), details=True))
+def test_details_are_printed_on_request():
+    assert "sha256" not in render_text(make_full_result())
+    text = collapse_spaces(render_text(make_full_result(), details=True))
     assert "campaign.toml sha256:" + "0f" * 32 in text
     assert "bias, K_F second-order coefficient, K_II -0.9612" in text
     assert "run1: rows 20113, outliers 12." in text
@@ -356,37 +359,40 @@ def test_details_are_written_when_asked_for():
     assert "Radius 2.5 m, latitude 45.75 deg." in text
 
 
-def test_what_the_campaign_says_of_itself_is_repeated():
-    assert "Laboratory Centrifuge hall; serial number 17." in text_of(full())
+def test_campaign_details_are_printed():
+    assert "Laboratory Centrifuge hall; serial number 17." in render_text(make_full_result())
 
 
 # Runs
 
 
-def test_runs_say_how_they_turned_and_what_was_left_out():
-    text = text_of(full())
-    row = squeezed(line_with(text, "1.57079632679(24)"))
+def test_run_table_has_rate_ripple_and_rejected_samples():
+    text = render_text(make_full_result())
+    row = collapse_spaces(line_with(text, "1.57079632679(24)"))
     # -1e-12 and 7.5e-13 1/s are -0.0036 and 0.0027 ppm/h; 7.9e-7 of pi/2 rad/s is 0.503 ppm
     assert row == "run1 1.57079632679(24) -0.0036(27) 1: 0.503(10) 20101 12"
-    assert squeezed(line_with(text, "3: 0.006(10)")) == "3: 0.006(10)"
-    assert squeezed(line_with(text, "-3.14159 ")) == "run2 -3.14159 0 - 1000 0"
+    assert collapse_spaces(line_with(text, "3: 0.006(10)")) == "3: 0.006(10)"
+    assert collapse_spaces(line_with(text, "-3.14159 ")) == "run2 -3.14159 0 - 1000 0"
     assert "run1: 12 outliers in column 'east_m' were left out." in text
 
 
-def test_first_stage_and_fit_of_each_run():
-    text = text_of(full())
-    assert squeezed(line_with(text, "0.024683966(38)")) == "run1 Qx 101 0.024683966(38) 0.01 given"
-    assert squeezed(line_with(text, "white")) == "run1 Qx 1.021 - white"
+def test_first_stage_and_fit_of_runs_are_printed():
+    text = render_text(make_full_result())
+    assert (
+        collapse_spaces(line_with(text, "0.024683966(38)"))
+        == "run1 Qx 101 0.024683966(38) 0.01 given"
+    )
+    assert collapse_spaces(line_with(text, "white")) == "run1 Qx 1.021 - white"
     assert "chi2 per dof" in text
 
 
-# How it is set
+# Layout
 
 
 @pytest.mark.parametrize("width", [80, 100])
-def test_nothing_is_cut_or_split_at_usual_widths(width):
-    found = full()
-    text = text_of(found, width, budget=True, details=True)
+def test_text_is_not_cut_at_usual_widths(width):
+    found = make_full_result()
+    text = render_text(found, width, budget=True, details=True)
     assert "…" not in text
     assert max(map(len, text.splitlines())) <= width
     tokens = set(text.split())
@@ -401,16 +407,16 @@ def test_nothing_is_cut_or_split_at_usual_widths(width):
 
 
 @pytest.mark.parametrize("width", [30, 44, 60])
-def test_nothing_is_lost_in_a_narrow_terminal(width):
-    found = full()
-    text = text_of(found, width, budget=True, details=True)
+def test_narrow_terminal_loses_no_text(width):
+    found = make_full_result()
+    text = render_text(found, width, budget=True, details=True)
     assert "…" not in text
     assert max(map(len, text.splitlines())) <= width
     for block in sections(found, budget=True, details=True):
         if not hasattr(block, "rows"):
             assert "".join(block.text.split()) in "".join(text.split())
-    wide = text_of(found, 200, budget=True, details=True)
-    # Whatever is folded, every character of the wide setting is still there; names are repeated
+    wide = render_text(found, 200, budget=True, details=True)
+    # Wrapping keeps all characters of the wide layout; names are repeated
     # where a table's columns have no room side by side.
     for character in "0123456789±":
         assert text.count(character) >= wide.count(character)
@@ -419,8 +425,8 @@ def test_nothing_is_lost_in_a_narrow_terminal(width):
         assert set(number.findall(wide)) <= set(number.findall(text))
 
 
-def test_plain_output_has_no_escape_codes_and_names_are_not_markup():
-    found = result(title="[bold]Batch[/bold] [3]", runs={"[red]": run()})
+def test_plain_output_has_no_escape_codes_or_markup():
+    found = make_result(title="[bold]Batch[/bold] [3]", runs={"[red]": run()})
     stream = io.StringIO()
     print_result(found, report_console(stream), budget=True, details=True)
     assert "\x1b" not in stream.getvalue()
@@ -428,7 +434,7 @@ def test_plain_output_has_no_escape_codes_and_names_are_not_markup():
     assert "[red]" in stream.getvalue()
 
 
-def test_piped_output_is_a_hundred_columns_wide(monkeypatch):
+def test_piped_output_has_100_columns(monkeypatch):
     monkeypatch.delenv("COLUMNS", raising=False)
     assert report_console(io.StringIO()).width == 100
     monkeypatch.setenv("COLUMNS", "72")
@@ -436,35 +442,35 @@ def test_piped_output_is_a_hundred_columns_wide(monkeypatch):
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
-def test_a_stream_that_lacks_the_characters_gets_others(encoding):
+def test_characters_are_replaced_for_limited_encoding(encoding):
     raw = io.BytesIO()
     stream = io.TextIOWrapper(raw, encoding=encoding)
-    print_result(full(), report_console(stream), budget=True, details=True)
+    print_result(make_full_result(), report_console(stream), budget=True, details=True)
     stream.flush()
-    text = squeezed(raw.getvalue().decode(encoding))
+    text = collapse_spaces(raw.getvalue().decode(encoding))
     sign = "±" if encoding == "latin-1" else "+/-"
     assert f"K_II of Qx = 27.04450 {sign} 0.00070 ug/g^2" in text
     assert f"the model {sign} anything" in text
     assert "?" not in text
 
 
-def test_no_number_is_nan_or_in_python_s_own_form():
-    text = text_of(full(), budget=True, details=True)
+def test_numbers_are_not_nan_or_python_repr():
+    text = render_text(make_full_result(), budget=True, details=True)
     assert not re.search(r"\bnan\b|\bNone\b|\binf\b|e-0\d|np\.", text)
 
 
-def test_render_gives_what_print_result_prints():
+def test_render_equals_print_result():
     stream = io.StringIO()
-    Console(file=stream, width=160, highlight=False).print(render(full(), budget=True))
-    assert stream.getvalue() == text_of(full(), budget=True)
+    Console(file=stream, width=160, highlight=False).print(render(make_full_result(), budget=True))
+    assert stream.getvalue() == render_text(make_full_result(), budget=True)
 
 
-def test_matplotlib_is_not_loaded():
+def test_matplotlib_is_not_imported():
     code = "import sys, counterspin.reports.text; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_what_acts_on_a_terminal_is_shown():
+def test_control_characters_are_escaped():
     stream = io.StringIO()
     blocks = [
         Heading("red\x1b[31m"),
@@ -480,7 +486,7 @@ def test_what_acts_on_a_terminal_is_shown():
     assert cells == [[r"c\x00\nd", r"f\x00\ng"], ["h"]]
 
 
-def test_a_terminal_shows_numbers_and_units_as_in_print():
+def test_terminal_output_is_typeset():
     for terminal, shown in ((True, "2 × 10⁻⁵ µg/g²"), (False, "2e-5 ug/g^2")):
         stream = io.StringIO()
         console = Console(file=stream, force_terminal=terminal, color_system=None, width=80)
@@ -489,7 +495,7 @@ def test_a_terminal_shows_numbers_and_units_as_in_print():
         assert ("µg" in stream.getvalue()) is terminal
 
 
-def test_columns_without_room_stand_in_a_table_below_and_no_number_is_broken():
+def test_columns_that_do_not_fit_move_to_second_table():
     names = ("Qx.K_II", "platform.g_sensitivity.zx")
     columns = (Column("Coefficient"), *(Column(f"Share {n}", "right") for n in range(6)))
     rows = tuple((name, *(f"{n}.00074{n} ± 0.0000{n}1" for n in range(6))) for name in names)
@@ -503,7 +509,7 @@ def test_columns_without_room_stand_in_a_table_below_and_no_number_is_broken():
         assert text.count(f"{n}.00074{n} ± 0.0000{n}1") == 2
 
 
-def test_a_title_is_wrapped_before_a_table_is_parted():
+def test_column_titles_are_wrapped_before_table_is_split():
     table = Table((Column("Run"), Column("probability of more")), (("run1", "0.0123456"),))
     stream = io.StringIO()
     Console(file=stream, width=18, highlight=False).print(Report([table]))
@@ -513,7 +519,7 @@ def test_a_title_is_wrapped_before_a_table_is_parted():
     assert more[-1].split() == ["run1", "0.0123456"]
 
 
-def test_a_terminal_shows_the_first_200_rows_of_a_table():
+def test_terminal_shows_first_200_rows_of_table():
     rows = tuple((f"run {k}",) for k in range(203))
     stream = io.StringIO()
     report_console(stream).print(Report([Table((Column("name"),), rows)]))

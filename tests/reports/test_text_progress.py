@@ -1,4 +1,4 @@
-"""The sign of life: shown on a terminal, after a moment, and wiped out again."""
+"""Progress on a terminal: shown after a delay and erased at the end."""
 
 import io
 import time
@@ -8,25 +8,25 @@ from rich.console import Console
 from counterspin.reports.text import progress
 
 
-def terminal():
+def make_terminal():
     return Console(file=io.StringIO(), force_terminal=True, width=80)
 
 
-def test_nothing_where_there_is_no_terminal(capsys):
+def test_no_progress_without_terminal(capsys):
     with progress() as advance:
         assert advance is None
     assert capsys.readouterr().err == ""
 
 
-def test_short_work_shows_nothing():
-    console = terminal()
+def test_short_task_shows_no_progress():
+    console = make_terminal()
     with progress(console, patience=60.0) as advance:
         advance(1, 1)
     assert console.file.getvalue() == ""
 
 
-def test_long_work_says_how_far_it_is_and_leaves_no_trace():
-    console = terminal()
+def test_long_task_shows_progress_and_erases_it():
+    console = make_terminal()
     with progress(console, patience=0.0) as advance:
         advance(1, 3)
         give_up = time.monotonic() + 300.0
@@ -44,8 +44,8 @@ def test_long_work_says_how_far_it_is_and_leaves_no_trace():
     assert written.endswith("\x1b[1A\x1b[2K")
 
 
-def test_other_work_says_what_it_is():
-    console = terminal()
+def test_progress_names_task():
+    console = make_terminal()
     with progress(console, patience=0.0, words=("Searching", "Points", "Done")) as advance:
         for counts, said in (((0, 0), "Searching"), ((0, 3), "Points"), ((3, 3), "Done")):
             advance(*counts)

@@ -1,4 +1,4 @@
-"""Numbers as in print: what is set, and what is left alone."""
+"""Typesetting of numbers and units."""
 
 import pytest
 
@@ -35,7 +35,7 @@ from counterspin.reports.typography import set_indices, typeset, typeset_block
         ("ug.csv", "ug.csv"),
         ("-32.78 (-5 to -.5), K_I - 0.159 z = -1e-5", "−32.78 (−5 to −.5), K_I − 0.159 z = −10⁻⁵"),
         ("2026-03-01, run-1, a-2, Student-t, 1-2", "2026-03-01, run-1, a-2, Student-t, 1-2"),
-        # Not numbers, or not such ones.
+        # Text that is not a number or has another form.
         ("run1e5.csv", "run1e5.csv"),
         ("file.1e5", "file.1e5"),
         ("a^2.5 and x^b", "a^2.5 and x^b"),
@@ -45,12 +45,12 @@ from counterspin.reports.typography import set_indices, typeset, typeset_block
         ("2 x 3", "2 x 3"),
     ],
 )
-def test_typeset(plain, printed):
+def test_numbers_and_units_are_typeset(plain, printed):
     assert typeset(plain) == printed
     assert typeset(printed) == printed
 
 
-def test_every_kind_of_block_is_set_but_commands():
+def test_blocks_except_commands_are_typeset():
     assert typeset_block(Heading("ug", 3)) == Heading("µg", 3)
     assert typeset_block(Paragraph("g^2", "quiet")) == Paragraph("g²", "quiet")
     assert typeset_block(Paragraph("run g^2", "command")) == Paragraph("run g^2", "command")
@@ -76,5 +76,5 @@ def test_every_kind_of_block_is_set_but_commands():
         ("K_F.heating, Qx.K_II, a_1.csv and delta_Omega", None),
     ],
 )
-def test_symbols_have_an_index(plain, printed):
+def test_symbols_have_subscripts(plain, printed):
     assert set_indices(plain, lambda letter, index: f"{letter}[{index}]") == (printed or plain)
