@@ -1,4 +1,4 @@
-"""Checksums: right, taken once, early, and never in the way."""
+"""Checksums: correct, computed once, in advance and without delay."""
 
 import hashlib
 import os
@@ -17,27 +17,27 @@ from counterspin.input import open_file
 BOUND = 300.0
 
 
-def of(data):
+def sha256_of(data):
     return f"sha256:{hashlib.sha256(data).hexdigest()}"
 
 
-def described(folder, text='[[runs]]\nrecord = "a.csv"\n'):
+def write_description(folder, text='[[runs]]\nrecord = "a.csv"\n'):
     file = folder / "campaign.toml"
     file.write_text(text, "utf-8")
     return file
 
 
 @pytest.mark.parametrize("size", [0, 1, (1 << 23) - 1, 1 << 23, (1 << 23) + 1, 20_000_000])
-def test_files_of_any_size(tmp_path, size):
+def test_checksum_of_any_file_size(tmp_path, size):
     data = os.urandom(min(size, 1000)).ljust(size, b"x")
     (tmp_path / "a.csv").write_bytes(data)
     with Checksums() as checksums:
-        assert checksums.checksums([tmp_path / "a.csv"]) == [of(data)]
+        assert checksums.checksums([tmp_path / "a.csv"]) == [sha256_of(data)]
 
 
 @pytest.mark.parametrize("given", [Path, str])
-def test_expected_files_are_taken_before_they_are_asked_for(tmp_path, monkeypatch, given):
-    file = described(tmp_path)
+def test_expected_files_are_hashed_in_advance(tmp_path, monkeypatch, given):
+    file = write_description(tmp_path)
     (tmp_path / "a.csv").write_bytes(b"before")
     monkeypatch.chdir(tmp_path.parent)
     with Checksums() as checksums:
@@ -48,8 +48,8 @@ def test_expected_files_are_taken_before_they_are_asked_for(tmp_path, monkeypatc
             time.sleep(0.001)
         (tmp_path / "a.csv").write_bytes(b"after")
         assert checksums.checksums([file, tmp_path / "a.csv"]) == [
-            of(file.read_bytes()),
-            of(b"before"),
+            sha256_of(file.read_bytes()),
+            sha256_of(b"before"),
         ]
 
 
@@ -67,28 +67,28 @@ def test_expected_files_are_taken_before_they_are_asked_for(tmp_path, monkeypatc
         "\0",
     ],
 )
-def test_what_is_wrong_with_a_description_is_for_others_to_say(tmp_path, text):
-    file = described(tmp_path, text)
+def test_invalid_description_still_has_checksum(tmp_path, text):
+    file = write_description(tmp_path, text)
     with Checksums() as checksums:
         checksums.prefetch(tmp_path)
         checksums.prefetch(tmp_path / "nowhere")
-        assert checksums.checksums([file]) == [of(text.encode())]
+        assert checksums.checksums([file]) == [sha256_of(text.encode())]
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes among the files here")
-def test_what_is_no_file_has_no_checksum(tmp_path):
+def test_unreadable_path_has_no_checksum(tmp_path):
     os.mkfifo(tmp_path / "pipe.csv")
     with Checksums() as checksums:
         files = [tmp_path, tmp_path / "missing.csv", tmp_path / "pipe.csv"]
         assert checksums.checksums(files) == ["unreadable"] * 3
 
 
-def test_nobody_waits_for_a_checksum_that_is_not_asked_for(tmp_path):
+def test_unrequested_checksum_does_not_delay_exit(tmp_path):
     # A file with a hole of 200 GB would take a quarter of an hour at least.
     file = tmp_path / "a.csv"
     with file.open("wb") as stream:
         stream.truncate(200_000_000_000)
-    described(tmp_path)
+    write_description(tmp_path)
     begun = time.monotonic()
     with Checksums() as checksums:
         checksums.prefetch(tmp_path)
@@ -98,7 +98,7 @@ def test_nobody_waits_for_a_checksum_that_is_not_asked_for(tmp_path):
     assert time.monotonic() - begun < BOUND
 
 
-def test_one_file_at_a_time_until_there_is_hurry(tmp_path, monkeypatch):
+def test_files_are_hashed_sequentially_until_requested(tmp_path, monkeypatch):
     files = [tmp_path / f"{n}.csv" for n in range(3)]
     for file in files:
         file.write_bytes(b"1")
@@ -112,16 +112,16 @@ def test_one_file_at_a_time_until_there_is_hurry(tmp_path, monkeypatch):
     monkeypatch.setattr("counterspin.campaign.checksums.open_file", wait)
     with Checksums() as checksums:
         checksums._begin(files)
-        until(lambda: len(begun) == 1)
+        wait_until(lambda: len(begun) == 1)
         time.sleep(0.02)
         assert begun == files[:1]
         checksums.run_parallel()
-        until(lambda: len(begun) == 3)
+        wait_until(lambda: len(begun) == 3)
         may_go_on.set()
-        assert checksums.checksums(files) == [of(b"1")] * 3
+        assert checksums.checksums(files) == [sha256_of(b"1")] * 3
 
 
-def until(condition):
+def wait_until(condition):
     limit = time.monotonic() + BOUND
     while not condition():
         assert time.monotonic() < limit
@@ -130,29 +130,29 @@ def until(condition):
 
 @pytest.fixture
 def folder(tmp_path):
-    described(tmp_path)
+    write_description(tmp_path)
     (tmp_path / "a.csv").write_bytes(b"1")
     return tmp_path
 
 
-def test_what_was_begun_early_is_handed_over_once(folder):
+def test_early_checksums_are_used_once(folder):
     with prefetch_campaign(f"{folder}/"):
         with checksums_of(folder) as first:
             assert set(first._taken) == {folder / "a.csv", folder / "campaign.toml"}
             (folder / "b.csv").write_bytes(b"2")
-            assert first.checksums([folder / "b.csv"]) == [of(b"2")]
+            assert first.checksums([folder / "b.csv"]) == [sha256_of(b"2")]
         with checksums_of(folder) as second:
             assert second is not first
     assert first._given_up.is_set()
 
 
 @pytest.mark.parametrize("named", ["nowhere", "\0", "x" * 5000])
-def test_what_is_no_campaign_is_for_others_to_say(named):
+def test_early_start_ignores_path_without_campaign(named):
     with prefetch_campaign(named), checksums_of(named) as checksums:
         assert not checksums._given_up.is_set()
 
 
-def test_what_was_begun_early_is_given_up_with_the_process(folder):
+def test_interrupt_stops_early_checksums(folder):
     with (
         pytest.raises(KeyboardInterrupt),
         prefetch_campaign(str(folder)),
@@ -176,7 +176,7 @@ def test_what_was_begun_early_is_given_up_with_the_process(folder):
         (["check", "FOLDER"], False),
     ],
 )
-def test_the_words_that_begin_early(folder, monkeypatch, words, begins):
+def test_commands_with_early_checksums(folder, monkeypatch, words, begins):
     words = [str(folder) if word == "FOLDER" else word for word in words]
     monkeypatch.setattr(sys, "argv", ["counterspin", *words])
     with _head_start():

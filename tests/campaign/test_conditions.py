@@ -1,4 +1,4 @@
-"""RunConditions of runs in a campaign: what is read, and what the model's slopes need."""
+"""Conditions of runs in a campaign: parsing and requirements of the slope terms."""
 
 import math
 
@@ -12,7 +12,7 @@ from counterspin.campaign.memory import make_campaign
 from counterspin.errors import CampaignError
 from counterspin.physics.conditions import RunConditions
 
-#: To which a test adds a model of its own.
+#: A campaign to which tests add a model.
 BARE = without(SMALL, "model")
 
 STATED = {
@@ -22,7 +22,7 @@ STATED = {
 }
 
 
-def with_conditions(text, keys=("temperature", "time"), runs=STATED):
+def add_conditions(text, keys=("temperature", "time"), runs=STATED):
     for name in runs:
         lines = dict(zip(("temperature", "time"), STATED[name], strict=True))
         added = "".join(f'{key} = "{lines[key]}"\n' for key in keys)
@@ -30,29 +30,29 @@ def with_conditions(text, keys=("temperature", "time"), runs=STATED):
     return text
 
 
-def model(terms="", hold="", priors=""):
+def model_table(terms="", hold="", priors=""):
     return (
         f'[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II"{terms}]\nhold = [{hold}]\n'
         f"[model.priors]\n{priors}\n"
     )
 
 
-def problems(folder, text):
+def list_problems(folder, text):
     with pytest.raises(CampaignError) as caught:
         campaign_of(folder, text)
     return list(caught.value.problems)
 
 
-def test_conditions_count_from_the_first_run_and_the_reference(tmp_path):
-    campaign = campaign_of(tmp_path, with_conditions(SMALL))
+def test_conditions_are_relative_to_first_run_and_reference(tmp_path):
+    campaign = campaign_of(tmp_path, add_conditions(SMALL))
     found = run_conditions(campaign)
     assert found["slow"].start == 120.0
     assert found["middle"].start == 720.0
     assert found["fast"].start == 0.0
-    # Without a reference, the mean of what was recorded is one.
+    # Without a stated reference, the mean of the recorded temperatures is used.
     assert [found[name].temperature_offset for name in STATED] == pytest.approx([-1.0, 1.0, 0.0])
     text = changed(
-        with_conditions(SMALL),
+        add_conditions(SMALL),
         ('radius = "2.5 m"', 'radius = "2.5 m"\nreference_temperature = "20 degC"'),
     )
     campaign = campaign_of(tmp_path, text)
@@ -60,16 +60,16 @@ def test_conditions_count_from_the_first_run_and_the_reference(tmp_path):
     assert run_conditions(campaign)["slow"].temperature_offset == pytest.approx(1.0)
 
 
-def test_runs_without_a_time_follow_each_other(tmp_path):
+def test_runs_without_time_are_consecutive(tmp_path):
     campaign = campaign_of(tmp_path, SMALL)
     lengths = {"slow": 81.0, "middle": 41.0}
     starts = [c.start for c in run_conditions(campaign, lengths).values()]
     assert starts == [0.0, 81.0, 122.0]
-    # Twenty revolutions at a quarter and at half a revolution a second.
+    # Twenty revolutions at 0.25 and 0.5 rev/s.
     assert [c.start for c in run_conditions(campaign).values()] == pytest.approx([0.0, 80.0, 120.0])
 
 
-def test_where_nobody_took_a_temperature_it_rises_by_a_kelvin_from_run_to_run(tmp_path):
+def test_default_temperature_rises_by_1_k_over_runs(tmp_path):
     warmths = [c.temperature_offset for c in run_conditions(campaign_of(tmp_path, SMALL)).values()]
     assert warmths == [-0.5, 0.0, 0.5]
     before, _, after = SMALL.partition("[[runs]]")
@@ -78,9 +78,9 @@ def test_where_nobody_took_a_temperature_it_rises_by_a_kelvin_from_run_to_run(tm
     assert list(run_conditions(alone).values()) == [RunConditions(0.0, 0.0)]
 
 
-def test_slopes_need_the_conditions_of_every_run(tmp_path):
-    text = with_conditions(BARE, runs=("slow",)) + model(', "K_F.trend", "K_I.temperature"')
-    assert problems(tmp_path, text) == [
+def test_slopes_require_conditions_of_all_runs(tmp_path):
+    text = add_conditions(BARE, runs=("slow",)) + model_table(', "K_F.trend", "K_I.temperature"')
+    assert list_problems(tmp_path, text) == [
         f"runs[{place}].{key}: is missing: {symbol} is in the model; write for example "
         f'{key} = {example} (run "{name}")'
         for place, name in ((1, "middle"), (2, "fast"))
@@ -91,43 +91,43 @@ def test_slopes_need_the_conditions_of_every_run(tmp_path):
     ]
 
 
-def test_times_of_some_runs_only(tmp_path):
-    (found,) = problems(tmp_path, with_conditions(SMALL, keys=("time",), runs=("slow", "fast")))
+def test_time_of_some_runs_only_is_an_error(tmp_path):
+    (found,) = list_problems(tmp_path, add_conditions(SMALL, keys=("time",), runs=("slow", "fast")))
     assert found.startswith(
         "runs[1].time: is missing: other runs state this value; write for example time = "
     )
 
 
-def test_a_slope_at_one_temperature_needs_a_reference(tmp_path):
-    text = with_conditions(BARE).replace("296.15 K", "21 degC").replace("22 degC", "21 degC")
-    (problem,) = problems(tmp_path, text + model(', "K_F.temperature"'))
+def test_slope_at_single_temperature_requires_reference(tmp_path):
+    text = add_conditions(BARE).replace("296.15 K", "21 degC").replace("22 degC", "21 degC")
+    (problem,) = list_problems(tmp_path, text + model_table(', "K_F.temperature"'))
     assert problem.startswith("centrifuge.reference_temperature: is missing")
 
 
 @pytest.mark.parametrize("stated", ["23 C", "warm", "", "23 °C ± 1 °C"])
-def test_a_reference_that_is_no_temperature_is_told(stated, tmp_path):
+def test_rejects_reference_that_is_not_a_temperature(stated, tmp_path):
     text = changed(SMALL, ('"2.5 m"', f'"2.5 m"\nreference_temperature = "{stated}"'))
-    (told,) = problems(tmp_path, text)
+    (told,) = list_problems(tmp_path, text)
     assert told.startswith("centrifuge.reference_temperature: ")
     if stated:
         assert f"'{stated}' is not a temperature" in told
 
 
-def test_heating_is_never_asked_for(tmp_path):
-    (problem,) = problems(tmp_path, BARE + model(', "K_F.heating"'))
+def test_heating_cannot_be_estimated(tmp_path):
+    (problem,) = list_problems(tmp_path, BARE + model_table(', "K_F.heating"'))
     assert '"K_F.heating" cannot be separated from K_II' in problem
     known = '"K_F.heating" = "0 ± 0.1 ug/g^2"'
     for hold in ("", '"K_F.heating"'):
-        campaign = campaign_of(tmp_path, BARE + model(hold=hold, priors=known))
+        campaign = campaign_of(tmp_path, BARE + model_table(hold=hold, priors=known))
         for accelerometer in campaign.accelerometers.values():
             assert accelerometer.priors["K_F.heating"].u == pytest.approx(1e-7)
-    (problem,) = problems(tmp_path, BARE + model(hold='"K_F.heating"'))
+    (problem,) = list_problems(tmp_path, BARE + model_table(hold='"K_F.heating"'))
     assert "no prior is stated for Qx, Qy" in problem
 
 
-def test_a_prior_of_one_accelerometer_s_slope(tmp_path):
+def test_slope_prior_of_single_accelerometer(tmp_path):
     priors = '"K_F.trend" = "0 ± 1e-9 g/s"\n"Qy.K_F.trend" = "1e-9 ± 2e-9 g/s"'
-    text = with_conditions(BARE) + model(', "K_F.trend"', priors=priors)
+    text = add_conditions(BARE) + model_table(', "K_F.trend"', priors=priors)
     campaign = campaign_of(tmp_path, text)
     known = {name: a.priors["K_F.trend"] for name, a in campaign.accelerometers.items()}
     assert (known["Qx"].value, known["Qx"].u) == (0.0, 1e-9)
@@ -145,12 +145,12 @@ def test_a_prior_of_one_accelerometer_s_slope(tmp_path):
         ("temprature = 1", 'did you mean "temperature"'),
     ],
 )
-def test_slips(line, message, tmp_path):
+def test_invalid_conditions_are_reported(line, message, tmp_path):
     text = changed(SMALL, ('record = "fast.csv"\n', f'record = "fast.csv"\n{line}\n'))
-    assert any(message in problem for problem in problems(tmp_path, text))
+    assert any(message in problem for problem in list_problems(tmp_path, text))
 
 
-def with_courses(*courses):
+def add_temperatures(*courses):
     """Return `SMALL` with several temperatures in each run, degC."""
     text = SMALL
     for name, course in zip(STATED, courses, strict=True):
@@ -160,11 +160,11 @@ def with_courses(*courses):
     return text
 
 
-def test_several_temperatures_are_spread_over_their_run(tmp_path):
-    campaign = campaign_of(tmp_path, with_courses([20, 24, 22], [23], [26, 27]))
+def test_temperatures_are_spread_evenly_over_run(tmp_path):
+    campaign = campaign_of(tmp_path, add_temperatures([20, 24, 22], [23], [26, 27]))
     lengths = {"slow": 80.0, "middle": 40.0, "fast": 20.0}
     slow, middle, fast = run_conditions(campaign, lengths).values()
-    # The ends count half: (20/2 + 24 + 22/2)/2; the reference is the mean of the three runs'.
+    # The ends have half the weight: (20/2 + 24 + 22/2)/2; the reference is the mean of all runs.
     mean = (22.5 + 23.0 + 26.5) / 3.0
     assert [
         slow.temperature_offset,
@@ -177,9 +177,9 @@ def test_several_temperatures_are_spread_over_their_run(tmp_path):
     assert middle.at(np.array([3.0]), 0.0)["temperature"] == pytest.approx([23.0 - mean])
 
 
-def test_a_run_may_turn_back_within(tmp_path):
-    """Up to 24 degC in the middle of the first run, down until the second ends, up from there."""
-    text = with_courses([20, 22, 24, 23, 22, 21], [21, 19, 18], [19, 25])
+def test_reversal_within_run(tmp_path):
+    """The temperature rises to 24 degC in mid-run 1, falls until the end of run 2, then rises."""
+    text = add_temperatures([20, 22, 24, 23, 22, 21], [21, 19, 18], [19, 25])
     campaign = campaign_of(tmp_path, text)
     lengths = {"slow": 50.0, "middle": 40.0, "fast": 20.0}
     slow, middle, fast = run_conditions(campaign, lengths).values()
@@ -191,10 +191,10 @@ def test_a_run_may_turn_back_within(tmp_path):
     assert directions.tolist() == [0.5, 0.5, -0.5, -0.5]
 
 
-def test_a_turn_between_two_temperatures_is_where_their_lines_meet(tmp_path):
-    """Four kelvin a step until 2.5 steps, three back from there: none of them is the highest."""
+def test_reversal_between_temperatures_is_intersection_of_lines(tmp_path):
+    """4 K per step until step 2.5, then -3 K per step: no sample is at the maximum."""
     course = [20, 24, 28, 28.5, 25.5, 22.5]
-    campaign = campaign_of(tmp_path, with_courses(course, [21], [20]))
+    campaign = campaign_of(tmp_path, add_temperatures(course, [21], [20]))
     slow = run_conditions(campaign, {"slow": 50.0})["slow"]
     assert slow.reversal_times == pytest.approx([25.0])
 
@@ -204,7 +204,7 @@ def test_a_turn_between_two_temperatures_is_where_their_lines_meet(tmp_path):
     [
         ([20, 30, 40, 30, 20], [1, 1, 1, -1, -1]),
         ([40, 20, 20, 35], [-1, -1, -1, 1]),
-        # A turning point counts from 2 K on; what lies between it and there was on the way back.
+        # A turning point requires 2 K; the samples after it belong to the opposite direction.
         ([20, 25, 24, 23.5, 26, 22], [1, 1, 1, 1, 1, -1]),
         ([20, 25, 24, 23, 22, 24.5], [1, 1, -1, -1, -1, 1]),
         ([20, 25, 23.5, 30, 31.5], [0, 0, 0, 0, 0]),
@@ -212,7 +212,7 @@ def test_a_turn_between_two_temperatures_is_where_their_lines_meet(tmp_path):
         ([23], [0]),
     ],
 )
-def test_the_way_of_the_temperature_is_told_by_its_turning_points(temperatures, ways, tmp_path):
+def test_direction_follows_from_turning_points(temperatures, ways, tmp_path):
     described = {
         "site": {"gravity": "9.8 m/s^2", "latitude": "45 deg"},
         "centrifuge": {"radius": "1 m"},
@@ -236,14 +236,14 @@ def test_the_way_of_the_temperature_is_told_by_its_turning_points(temperatures, 
     for place, run in enumerate(described["runs"]):
         run["time"] = f"{-place} min"
     back = temperature_directions(make_campaign(described))
-    mirrored = _mirrored(temperatures)
+    mirrored = _reverse_temperatures(temperatures)
     assert [2 * back.get(str(place), (0,))[0] for place in range(len(ways))] == mirrored
     del described["runs"][0]["time"]
     assert temperature_directions(make_campaign(described)) == found
 
 
-def _mirrored(temperatures):
-    """Return the ways of the same temperatures from the last to the first."""
+def _reverse_temperatures(temperatures):
+    """Return the directions of the reversed temperatures."""
     known = {
         (20, 30, 40, 30, 20): [-1, -1, 1, 1, 1],
         (40, 20, 20, 35): [1, -1, -1, -1],
@@ -253,8 +253,8 @@ def _mirrored(temperatures):
     return known.get(tuple(temperatures), [0] * len(temperatures))
 
 
-def test_hysteresis_acts_where_the_temperature_came_back(tmp_path):
-    """The bias of two tumbles at 20 degC, with one at 30 between them, differs by it."""
+def test_hysteresis_acts_after_temperature_reversal(tmp_path):
+    """The bias of two tumbles at 20 degC, with one at 30 degC between, shows the hysteresis."""
     rng = np.random.default_rng(6)
     angles = np.arange(0.0, 360.0, 30.0)
     warm = np.repeat([20.0, 30.0, 20.0], angles.size)
@@ -278,7 +278,7 @@ def test_hysteresis_acts_where_the_temperature_came_back(tmp_path):
     found = calibrate(make_campaign(described, readings=frame)).accelerometers["A"].coefficients
     for symbol, truth in (("K_F", 1e-3), ("K_F.temperature", 2e-6), ("K_F.hysteresis", 5e-5)):
         assert abs(found[symbol].value - truth) < 4 * found[symbol].u, symbol
-    # The means of the first and third twelve readings differ by it alone.
+    # The means of the first and third twelve readings differ only by the hysteresis.
     assert found["K_F.hysteresis"].u == pytest.approx(1e-6 * math.sqrt(2 / 12), rel=1e-3)
     del described["model"]["assume"]
     described["model"]["terms"] = ["K_F", "K_I"]

@@ -21,7 +21,7 @@ MEAN = np.array([1.0, -1.0, 0.5])
 
 
 def test_priors_without_data_are_returned():
-    """The design sees only the sum of the first two, and with no weight."""
+    """The design contains only the sum of the first two unknowns, with zero weight."""
     block = reduce_block(np.array([[1e-9, 1e-9, 0.0]]), [0.0])
     solution = solve([block], prior_mean=MEAN, prior_sd=SD, prior_correlation=CORRELATION)
     np.testing.assert_allclose(solution.estimate, MEAN, rtol=1e-12)
@@ -30,7 +30,7 @@ def test_priors_without_data_are_returned():
     np.testing.assert_allclose(solution.sensitivity_prior, np.eye(3), atol=1e-12)
 
 
-def test_data_and_priors_give_dense_generalised_least_squares():
+def test_data_and_priors_match_dense_generalised_least_squares():
     """Four unknowns, of which the third has no prior; the others are correlated."""
     rng = np.random.default_rng(3)
     design, y = rng.normal(size=(9, 4)), rng.normal(size=9)
@@ -63,7 +63,7 @@ def test_data_and_priors_give_dense_generalised_least_squares():
     assert variance == pytest.approx(covariance[0, 0], rel=1e-9)
 
 
-def test_a_shifted_prior_has_its_own_row():
+def test_shifted_prior_changes_its_row():
     """A prior that is off by d leaves -W d in the rows of the priors, W'W the inverse covariance.
 
     Without data the residual is zero; with W lower triangular, row i has the unknowns up to i.
@@ -104,14 +104,14 @@ RUNS = "".join(
 PAIR = 'correlation = [["K_OO", "K_PP", {r}]]'
 
 
-def write(folder, correlation, prior='"0 ± 2 ug/g^2"', hold="", more=""):
+def write_tumble(folder, correlation, prior='"0 ± 2 ug/g^2"', hold="", more=""):
     text = CAMPAIGN.format(correlation=correlation, prior=prior, hold=hold) + more + RUNS
     (folder / "campaign.toml").write_text(text, encoding="utf-8")
     return folder
 
 
-def dense(r):
-    """Return estimate and covariance of K_F, K_I, K_II, K_OO and K_PP, K_I less 1."""
+def solve_dense(r):
+    """Return estimate and covariance of K_F, K_I, K_II, K_OO and K_PP, K_I minus 1."""
     cos, sin = (np.array([f(math.radians(a)) for a, _ in ANGLES]) for f in (np.cos, np.sin))
     north = np.array([about == "north" for _, about in ANGLES])
     # A turn about north tilts the pendulous axis, west, into the vertical; about east the other.
@@ -126,9 +126,9 @@ def dense(r):
 
 
 @pytest.mark.parametrize("r", [0.4, -0.9])
-def test_a_calibration_uses_the_correlation(tmp_path, r):
-    result = cs.calibrate(write(tmp_path, PAIR.format(r=r)), monte_carlo=100_000)
-    estimate, covariance = dense(r)
+def test_calibration_uses_prior_correlation(tmp_path, r):
+    result = cs.calibrate(write_tumble(tmp_path, PAIR.format(r=r)), monte_carlo=100_000)
+    estimate, covariance = solve_dense(r)
     a = result.accelerometers["A"]
     for place, symbol in enumerate(("K_F", "K_I", "K_II")):
         nominal = 1.0 if symbol == "K_I" else 0.0
@@ -148,8 +148,8 @@ def test_a_calibration_uses_the_correlation(tmp_path, r):
         assert kept[name].u_found == pytest.approx(math.sqrt(covariance[place, place]), rel=1e-6)
 
 
-def test_a_result_states_the_correlation(tmp_path):
-    result = cs.calibrate(write(tmp_path, PAIR.format(r=0.4)))
+def test_result_states_prior_correlation(tmp_path):
+    result = cs.calibrate(write_tumble(tmp_path, PAIR.format(r=0.4)))
     result.write(tmp_path / "r.json")
     read = cs.read_result(tmp_path / "r.json").accelerometers["A"]
     assert read.prior_correlations == {"K_OO": {"K_PP": 0.4}, "K_PP": {"K_OO": 0.4}}
@@ -159,20 +159,20 @@ def test_a_result_states_the_correlation(tmp_path):
     assert covariance_of(read, terms)[i, j] == pytest.approx(0.4 * 3e-6 * 2e-6)
     text = "".join(map(str, prior_blocks(result)))
     assert "A.K_OO and A.K_PP 0.4" in text
-    # A correlated prior cannot become better known alone.
+    # A correlated prior cannot be improved separately.
     assert read.what_if is None or not read.what_if.known.keys() & {"K_OO", "K_PP"}
 
 
-def test_no_correlation_leaves_the_result_as_it_was(tmp_path):
-    plain = cs.calibrate(write(tmp_path, ""))
-    zero = cs.calibrate(write(tmp_path, PAIR.format(r=0.0)))
+def test_zero_correlation_leaves_result_unchanged(tmp_path):
+    plain = cs.calibrate(write_tumble(tmp_path, ""))
+    zero = cs.calibrate(write_tumble(tmp_path, PAIR.format(r=0.0)))
     for symbol, c in plain.accelerometers["A"].coefficients.items():
         assert zero.accelerometers["A"].coefficients[symbol].u == pytest.approx(c.u, rel=1e-12)
 
 
-def test_terms_of_two_accelerometers_may_be_correlated(tmp_path):
+def test_terms_of_two_accelerometers_can_be_correlated(tmp_path):
     other = CAMPAIGN.split("[accelerometers.A]")[1].split("[model]", maxsplit=1)[0]
-    folder = write(
+    folder = write_tumble(
         tmp_path,
         'correlation = [["A.K_OO", "B.K_OO", 0.5], ["K_OO", "K_PP", 0.2]]',
         more=f"[accelerometers.B]{other}",
@@ -212,27 +212,27 @@ def test_studies_draw_correlated_truths():
         ('[["K_OO", "K_PP", 0.5], ["A.K_PP", "K_OO", 0.5]]', "is given twice"),
     ],
 )
-def test_wrong_correlations_are_named(tmp_path, entries, message):
+def test_rejects_invalid_correlations(tmp_path, entries, message):
     with pytest.raises(CampaignError) as caught:
-        read_campaign(write(tmp_path, f"correlation = {entries}"))
+        read_campaign(write_tumble(tmp_path, f"correlation = {entries}"))
     assert message in str(caught.value)
     assert "model.priors.correlation" in str(caught.value)
 
 
-def test_an_impossible_matrix_names_its_pairs(tmp_path):
+def test_indefinite_correlation_matrix_names_pairs(tmp_path):
     """r = 0.9, 0.9 and -0.9 have the eigenvalue -0.8."""
     pairs = '[["K_OO", "K_PP", 0.9], ["K_OO", "K_IO", 0.9], ["K_PP", "K_IO", -0.9]]'
-    folder = write(tmp_path, f'K_IO = "0 ± 1 ug/g^2"\ncorrelation = {pairs}')
+    folder = write_tumble(tmp_path, f'K_IO = "0 ± 1 ug/g^2"\ncorrelation = {pairs}')
     with raises("invalid-correlation", "A.K_OO", "A.K_IO 0.9"):
         read_campaign(folder)
 
 
-def test_other_distributions_are_refused(tmp_path):
+def test_rejects_correlation_of_rectangular_prior(tmp_path):
     limits = '{ value = "0 g/g^2", half_width = "2e-6 g/g^2", distribution = "rectangular" }'
     with pytest.raises(CampaignError, match=r"rectangular distribution; correlated priors are"):
-        read_campaign(write(tmp_path, PAIR.format(r=0.4), prior=limits))
+        read_campaign(write_tumble(tmp_path, PAIR.format(r=0.4), prior=limits))
 
 
-def test_a_held_term_is_refused(tmp_path):
+def test_rejects_correlation_of_held_term(tmp_path):
     with raises("conflicting-keys", "K_PP", "model.hold"):
-        read_campaign(write(tmp_path, PAIR.format(r=0.4), hold='hold = ["K_PP"]'))
+        read_campaign(write_tumble(tmp_path, PAIR.format(r=0.4), hold='hold = ["K_PP"]'))

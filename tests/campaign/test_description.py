@@ -67,12 +67,12 @@ record = "run2.parquet"
 )
 
 
-def write(folder, text):
+def write_description(folder, text):
     (folder / "campaign.toml").write_text(text, encoding="utf-8")
     return folder
 
 
-def edited(*changes):
+def edit(*changes):
     text = BASE
     for old, new in changes:
         assert text.count(old) >= 1, old
@@ -80,44 +80,48 @@ def edited(*changes):
     return text
 
 
-def test_sizes_go_by_the_grade_of_each_accelerometer(tmp_path):
-    text = edited(
+def test_sizes_follow_grade_of_accelerometer(tmp_path):
+    text = edit(
         ("K_III =", 'grade = "consumer"\nK_III ='),
         ("[model.priors]", '[model.limits]\nK_OQ = "1 g/g^2"\n[model.priors]'),
     )
-    campaign = read_campaign(write(tmp_path, text))
+    campaign = read_campaign(write_description(tmp_path, text))
     assert [a.grade for a in campaign.accelerometers.values()] == ["navigation", "consumer"]
     for symbol in ("K_F", "K_II", "K_F.trend"):
         for name, grade in (("Qx", "navigation"), ("Qy", "consumer")):
             size = term(symbol).sizes(grade)
             assert campaign.limit_of(symbol, name) == size.limit
             assert campaign.typical_of(symbol, name) == size.typical
-    # What is stated holds for all of them, and what is shared has no grade.
+    # A stated size applies to all accelerometers, and shared terms have no grade.
     assert campaign.limit_of("K_OQ", "Qx") == campaign.limit_of("K_OQ", "Qy") == 1.0
     tilt = "platform.tilt.north"
     assert campaign.typical_of(tilt, "Qy") == campaign.typical_of(tilt) == term(tilt).typical
 
 
-def test_a_prior_of_the_scale_factor_is_credible_for_the_grade(tmp_path):
+def test_scale_factor_prior_is_checked_against_grade(tmp_path):
     far = ('scale_factor = "1.002 ± 5e-6 g/g"', 'scale_factor = "1.3 ± 0.1 g/g"')
-    (line,) = problems_of(tmp_path, edited(far))
+    (line,) = problems_of(tmp_path, edit(far))
     assert "nominal K_I, 1" in line
     consumer = ('bias = "0.005 ± 2e-6 g"', 'bias = "0.005 ± 2e-6 g"\ngrade = "consumer"')
-    assert read_campaign(write(tmp_path, edited(far, consumer))).accelerometers["Qx"].priors["K_I"]
+    assert (
+        read_campaign(write_description(tmp_path, edit(far, consumer)))
+        .accelerometers["Qx"]
+        .priors["K_I"]
+    )
     shared = ("[model.priors]", '[model.priors]\nK_I = "1.3 ± 0.1 g/g"')
     alone = (far[0], "")
-    assert "nominal K_I, 1" in "".join(problems_of(tmp_path, edited(shared, alone)))
-    read_campaign(write(tmp_path, edited(shared, alone, consumer)))
+    assert "nominal K_I, 1" in "".join(problems_of(tmp_path, edit(shared, alone)))
+    read_campaign(write_description(tmp_path, edit(shared, alone, consumer)))
 
 
 def problems_of(folder, text):
     with pytest.raises(CampaignError) as caught:
-        read_campaign(write(folder, text))
+        read_campaign(write_description(folder, text))
     return caught.value.problems
 
 
-def test_resolves_everything_to_si(tmp_path):
-    campaign = read_campaign(write(tmp_path, BASE))
+def test_quantities_are_resolved_to_si(tmp_path):
+    campaign = read_campaign(write_description(tmp_path, BASE))
     assert campaign.title == "Test"
     assert campaign.folder == tmp_path
     assert campaign.path == tmp_path / "campaign.toml"
@@ -162,16 +166,16 @@ def test_resolves_everything_to_si(tmp_path):
     assert campaign.simulation is one.truth is one.duration is None
 
 
-def test_a_file_reads_as_its_folder_does(tmp_path):
-    folder = write(tmp_path, BASE)
+def test_file_and_folder_read_alike(tmp_path):
+    folder = write_description(tmp_path, BASE)
     assert read_campaign(str(folder / "campaign.toml")).title == read_campaign(folder).title
 
 
-def test_absent_sections_have_their_defaults(tmp_path):
+def test_missing_sections_have_defaults(tmp_path):
     text = BASE[: BASE.index("[noise]")] + BASE[BASE.index("[[runs]]") :]
     text = text.replace('[campaign]\ntitle = "Test"', "")
     text = text.replace('angle = { column = "angle", unit = "deg" }', "")
-    campaign = read_campaign(write(tmp_path, text))
+    campaign = read_campaign(write_description(tmp_path, text))
     assert campaign.noise is None
     assert campaign.model.terms == DEFAULT_TERMS
     assert campaign.angle is None
@@ -179,23 +183,23 @@ def test_absent_sections_have_their_defaults(tmp_path):
     assert campaign.details == {}
 
 
-def test_details_of_the_campaign_are_kept(tmp_path):
-    text = edited(('title = "Test"', 'title = "T"\ndate = 2024-05-17\noperator = "N. N."'))
-    details = read_campaign(write(tmp_path, text)).details
+def test_campaign_details_are_read(tmp_path):
+    text = edit(('title = "Test"', 'title = "T"\ndate = 2024-05-17\noperator = "N. N."'))
+    details = read_campaign(write_description(tmp_path, text)).details
     assert details == {"date": "2024-05-17", "operator": "N. N."}
 
 
-def test_a_byte_order_mark_does_not_matter(tmp_path):
+def test_byte_order_mark_is_ignored(tmp_path):
     (tmp_path / "campaign.toml").write_text(BASE, encoding="utf-8-sig")
     assert read_campaign(tmp_path).title == "Test"
 
 
-def test_specific_force_in_g_becomes_si_by_the_site(tmp_path):
-    text = edited(
+def test_specific_force_in_g_is_converted_with_site_gravity(tmp_path):
+    text = edit(
         ('displacement = { column = "east_m", unit = "mm" }', FORCE),
         ('displacement = "0.01 m"', 'displacement = "0.01 m"\nspecific_force = "2 ug"'),
     )
-    campaign = read_campaign(write(tmp_path, text))
+    campaign = read_campaign(write_description(tmp_path, text))
     assert campaign.accelerometers["Qx"].observable == "specific_force"
     assert campaign.accelerometers["Qx"].channel.factor == pytest.approx(9.8, rel=1e-15)
     assert campaign.noise.specific_force == pytest.approx(2e-6 * 9.8, rel=1e-15)
@@ -204,7 +208,7 @@ def test_specific_force_in_g_becomes_si_by_the_site(tmp_path):
 FORCE = 'specific_force = { column = "f_x", unit = "g" }'
 QX_DISPLACEMENT = 'displacement = { column = "east_m", unit = "mm" }'
 EXACT_PATHS = [
-    # (what is changed, to what, the one problem that is told)
+    # (old text, new text, the only problem reported)
     ("schema = 1", "", "schema: is missing"),
     ("schema = 1", "schema = 2", "schema: this version of counterspin reads schema = 1"),
     ("schema = 1", "schema = true", "schema: this version of counterspin reads schema = 1"),
@@ -331,19 +335,19 @@ EXACT_PATHS = [
 
 
 @pytest.mark.parametrize(("old", "new", "message"), EXACT_PATHS, ids=range(len(EXACT_PATHS)))
-def test_tells_each_mistake_with_its_path(tmp_path, old, new, message):
-    problems = problems_of(tmp_path, edited((old, new)))
+def test_error_names_key_path(tmp_path, old, new, message):
+    problems = problems_of(tmp_path, edit((old, new)))
     assert any(problem.startswith(message) for problem in problems), problems
 
 
-def test_the_run_is_named_beside_its_index(tmp_path):
-    problems = problems_of(tmp_path, edited(("-180 deg/s", "3 Hz")))
+def test_error_names_run_and_index(tmp_path):
+    problems = problems_of(tmp_path, edit(("-180 deg/s", "3 Hz")))
     assert problems[0].startswith("runs[1].rate: ")
     assert problems[0].endswith('(run "run2")')
 
 
-def test_all_mistakes_are_told_at_once(tmp_path):
-    text = edited(
+def test_all_errors_are_reported_together(tmp_path):
+    text = edit(
         ('"9.8 ± 1e-5 m/s^2"', '"9.8 s"'),
         ('"2.5 ± 1e-5 m"', '"-1 m"'),
         ('"angle", ', '"time_s", '),
@@ -381,7 +385,7 @@ def test_all_mistakes_are_told_at_once(tmp_path):
         ("[records]", "[accelerometers.Qx]", "records: is missing"),
     ],
 )
-def test_a_missing_section_is_named(tmp_path, start, end, message):
+def test_missing_section_is_named(tmp_path, start, end, message):
     cut = BASE[: BASE.index(start)] + (BASE[BASE.index(end) :] if end else "")
     assert problems_of(tmp_path, cut) == (message,)
 
@@ -397,50 +401,50 @@ def test_a_missing_section_is_named(tmp_path, start, end, message):
         ("accelerometers = { Qx = 3 }", "accelerometers.Qx: must be a table"),
     ],
 )
-def test_wrong_shapes_are_told(tmp_path, text, message):
+def test_wrong_structure_is_reported(tmp_path, text, message):
     assert message in problems_of(tmp_path, text)
 
 
-def test_a_missing_file_says_how_to_begin(tmp_path):
+def test_missing_file_error_suggests_init(tmp_path):
     with pytest.raises(CampaignError, match="file not found; `counterspin init DIR` creates"):
         read_campaign(tmp_path)
     with pytest.raises(CampaignError, match=r"other\.toml: file not found"):
         read_campaign(tmp_path / "other.toml")
 
 
-def test_toml_mistakes_come_with_their_line(tmp_path):
-    text = edited(('"2.5 ± 1e-5 m"', "2.5 m"))
+def test_toml_error_states_line(tmp_path):
+    text = edit(('"2.5 ± 1e-5 m"', "2.5 m"))
     line = text[: text.index("2.5 m")].count("\n") + 1
     with pytest.raises(CampaignError, match=rf"campaign.toml: line {line}, column \d+: expected"):
-        read_campaign(write(tmp_path, text))
+        read_campaign(write_description(tmp_path, text))
 
 
 @pytest.mark.parametrize("name", [r"C:\data\run1.csv", r"C:\Units\x.csv", r"D:\x.csv"])
-def test_a_windows_path_in_double_quotation_marks_is_explained(tmp_path, name):
-    (problem,) = problems_of(tmp_path, edited(("run1.csv", name)))
+def test_windows_path_in_double_quotes_is_explained(tmp_path, name):
+    (problem,) = problems_of(tmp_path, edit(("run1.csv", name)))
     assert problem.startswith("line ")
     assert r"write paths with /, or in single quotation marks, 'C:\data\run1.csv'" in problem
 
 
-def test_text_in_another_encoding_is_told(tmp_path):
+def test_rejects_other_text_encoding(tmp_path):
     (tmp_path / "campaign.toml").write_bytes(BASE.encode("latin-1"))
     with pytest.raises(CampaignError, match="is not UTF-8 text"):
         read_campaign(tmp_path)
 
 
-def test_a_known_value_needs_no_uncertainty(tmp_path):
-    text = edited(('"0.005 ± 2e-6 g"', '"0.049 m/s^2"'))
-    prior = read_campaign(write(tmp_path, text)).accelerometers["Qx"].priors["K_F"]
+def test_prior_without_uncertainty_is_exact(tmp_path):
+    text = edit(('"0.005 ± 2e-6 g"', '"0.049 m/s^2"'))
+    prior = read_campaign(write_description(tmp_path, text)).accelerometers["Qx"].priors["K_F"]
     assert prior.value == pytest.approx(0.005, rel=1e-14)
     assert prior.u == 0.0
 
 
-def test_attitudes(tmp_path):
-    text = edited(
+def test_attitudes_are_parsed(tmp_path):
+    text = edit(
         ('"run1.csv"', '"run1.csv"\nattitude = "90 deg about east"'),
         ('"run2.parquet"', '"run2.mat"\nattitude = { x = "up", y = [0, 2, 0] }'),
     )
-    one, two = read_campaign(write(tmp_path, text)).runs
+    one, two = read_campaign(write_description(tmp_path, text)).runs
     east, north, up = np.eye(3)
     assert np.array_equal(one.attitude, [east, up, -north])
     assert np.array_equal(two.attitude, [up, north, -east])
@@ -457,8 +461,8 @@ def test_attitudes(tmp_path):
         ('"1 deg about noon"', 'unknown direction "noon"'),
     ],
 )
-def test_attitudes_refused(tmp_path, attitude, message):
-    text = edited(('"run1.csv"', f'"run1.csv"\nattitude = {attitude}'))
+def test_rejects_invalid_attitudes(tmp_path, attitude, message):
+    text = edit(('"run1.csv"', f'"run1.csv"\nattitude = {attitude}'))
     (problem,) = problems_of(tmp_path, text)
     assert problem.startswith(f"runs[0].attitude: {message}")
 
@@ -488,13 +492,13 @@ displacement = "1 mm"
 """
 
 
-def test_truth_of_a_simulation(tmp_path):
+def test_simulation_truth_is_read(tmp_path):
     own = (
         '"run2.parquet"\nduration = "1 min"\ntruth = { drift = "2e-6 1/s", ripple = [], '
         'rate_error = "100 ppm", start_angle = "90 deg", tilt = { north = "2 arcsec" } }'
     )
-    text = edited(('"run2.parquet"', own)) + SIMULATED
-    campaign = read_campaign(write(tmp_path, text))
+    text = edit(('"run2.parquet"', own)) + SIMULATED
+    campaign = read_campaign(write_description(tmp_path, text))
     simulation = campaign.simulation
     assert (simulation.sampling_rate, simulation.seed) == (20.0, 7)
     truth = simulation.truth
@@ -525,9 +529,9 @@ def test_truth_of_a_simulation(tmp_path):
     assert of_two.shared["platform.tilt.north"] == pytest.approx(2 * arcsec, rel=1e-14)
 
 
-def test_truth_changes_nothing_that_a_calibration_reads(tmp_path):
-    plain = read_campaign(write(tmp_path, BASE))
-    with_truth = read_campaign(write(tmp_path, BASE + SIMULATED))
+def test_truth_does_not_change_calibration_inputs(tmp_path):
+    plain = read_campaign(write_description(tmp_path, BASE))
+    with_truth = read_campaign(write_description(tmp_path, BASE + SIMULATED))
     apart = {"runs", "simulation", "source"}
     for name in set(vars(plain)) - apart:
         assert getattr(plain, name) == getattr(with_truth, name), name
@@ -561,24 +565,24 @@ def test_truth_changes_nothing_that_a_calibration_reads(tmp_path):
         ('"1 mm"\n\n[truth.s', '"1 s"\n\n[truth.s', "truth.Qx.start_offset: 's' is not a unit of"),
     ],
 )
-def test_mistakes_in_the_truth(tmp_path, old, new, message):
+def test_errors_in_truth_are_named(tmp_path, old, new, message):
     assert old in SIMULATED
     problems = problems_of(tmp_path, BASE + SIMULATED.replace(old, new, 1))
     assert any(problem.startswith(message) for problem in problems), problems
 
 
-def test_a_simulation_needs_the_size_of_an_estimated_noise_and_a_calibration_does_not(tmp_path):
+def test_simulation_requires_true_size_of_estimated_noise(tmp_path):
     text = BASE + SIMULATED[: SIMULATED.index("[truth.noise]")]
-    campaign = read_campaign(write(tmp_path, text))
+    campaign = read_campaign(write_description(tmp_path, text))
     assert campaign.noise.timing == "estimate"
     (problem,) = simulation_problems(campaign)
     assert (
         problem == "noise.timing: a simulation requires the true value; write it in [truth.noise]"
     )
     text = BASE + SIMULATED.replace('displacement = "1 mm"', 'timing = "estimate"')
-    (problem,) = simulation_problems(read_campaign(write(tmp_path, text)))
+    (problem,) = simulation_problems(read_campaign(write_description(tmp_path, text)))
     assert problem == "truth.noise.timing: a simulation requires the true value"
-    assert simulation_problems(read_campaign(write(tmp_path, BASE + SIMULATED))) == []
+    assert simulation_problems(read_campaign(write_description(tmp_path, BASE + SIMULATED))) == []
 
 
 @pytest.mark.parametrize(
@@ -598,23 +602,23 @@ def test_a_simulation_needs_the_size_of_an_estimated_noise_and_a_calibration_doe
         ('"1e-6 1/s"', '"1e-1 1/s"', 'truth of runs[0] ("run1"): ripple and drift change the rate'),
     ],
 )
-def test_truths_beyond_belief(tmp_path, old, new, message):
+def test_rejects_incredible_truth(tmp_path, old, new, message):
     assert old in SIMULATED
     text = BASE + SIMULATED.replace(old, new, 1)
-    problems = simulation_problems(read_campaign(write(tmp_path, text)))
+    problems = simulation_problems(read_campaign(write_description(tmp_path, text)))
     assert problems
     assert problems[0].startswith(message), problems
 
 
-def test_limits_of_the_campaign_say_what_may_be_true(tmp_path):
-    text = edited(("[model.priors]", '[model.limits]\nK_II = "1 g/g^2"\n[model.priors]'))
+def test_campaign_limits_permit_larger_truth(tmp_path):
+    text = edit(("[model.priors]", '[model.limits]\nK_II = "1 g/g^2"\n[model.priors]'))
     text += SIMULATED.replace("20 ug/g^2", "2 g/g^2")
-    assert simulation_problems(read_campaign(write(tmp_path, text))) == []
+    assert simulation_problems(read_campaign(write_description(tmp_path, text))) == []
 
 
-def test_the_starter_is_a_valid_campaign_whose_truth_agrees_with_what_it_says_is_known(tmp_path):
+def test_starter_is_valid_and_truth_agrees_with_priors(tmp_path):
     starter = importlib.resources.files("counterspin.ingest") / "starter.toml"
-    campaign = read_campaign(write(tmp_path, starter.read_text(encoding="utf-8")))
+    campaign = read_campaign(write_description(tmp_path, starter.read_text(encoding="utf-8")))
     truth = campaign.simulation.truth
     for name, accelerometer in campaign.accelerometers.items():
         for symbol, prior in accelerometer.priors.items():
@@ -624,8 +628,8 @@ def test_the_starter_is_a_valid_campaign_whose_truth_agrees_with_what_it_says_is
     assert campaign.details == {}
 
 
-def test_reading_a_campaign_imports_nothing_heavy(tmp_path):
-    write(tmp_path, BASE)
+def test_reading_campaign_does_not_import_heavy_packages(tmp_path):
+    write_description(tmp_path, BASE)
     code = (
         "import sys; from counterspin.campaign.description import read_campaign; "
         f"read_campaign({str(tmp_path)!r}); "
@@ -636,7 +640,7 @@ def test_reading_a_campaign_imports_nothing_heavy(tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-def test_a_record_given_for_a_campaign_is_named(tmp_path):
+def test_record_given_as_campaign_raises(tmp_path):
     with pytest.raises(CampaignError, match=r"run1\.csv: file not found"):
         read_campaign(tmp_path / "run1.csv")
     (tmp_path / "run1.csv").touch()
@@ -647,17 +651,17 @@ def test_a_record_given_for_a_campaign_is_named(tmp_path):
 # --- errors of the path ---------------------------------------------------------------------------
 
 
-def test_a_stretch_of_the_centrifuge_is_known_asked_for_or_not(tmp_path):
+def test_stretch_can_be_prior_requested_or_omitted(tmp_path):
     stretched = ('radius = "2.5 ± 1e-5 m"', 'radius = "2.5 ± 1e-5 m"\nstretch = "0 ± 5e-9 s^2/m"')
-    model = read_campaign(write(tmp_path, edited(stretched))).model
+    model = read_campaign(write_description(tmp_path, edit(stretched))).model
     assert "centrifuge.stretch" not in (*model.terms, *model.considered)
     assert model.priors["centrifuge.stretch"].u == 5e-9
     asked = ('"K_III"]', '"K_III", "centrifuge.stretch"]')
-    model = read_campaign(write(tmp_path, edited(stretched, asked))).model
+    model = read_campaign(write_description(tmp_path, edit(stretched, asked))).model
     assert model.considered == ()
     assert model.terms[-1] == "centrifuge.stretch"
     twice = ("[model.priors]", '[model.priors]\n"centrifuge.stretch" = "0 ± 1e-9 s^2/m"')
-    (problem,) = problems_of(tmp_path, edited(stretched, asked, twice))
+    (problem,) = problems_of(tmp_path, edit(stretched, asked, twice))
     assert problem.startswith('model.priors."centrifuge.stretch": is also given in [centrifuge]')
 
 
@@ -672,7 +676,7 @@ def test_a_stretch_of_the_centrifuge_is_known_asked_for_or_not(tmp_path):
         ("terms", "platform.tilt.north", True, ""),
     ],
 )
-def test_terms_that_cannot_act_are_named(tmp_path, key, symbol, strapped, message):
+def test_terms_without_effect_are_named(tmp_path, key, symbol, strapped, message):
     changes = [('radius = "2.5 ± 1e-5 m"', 'radius = "2.5 ± 1e-5 m"\nstrapped = true')] * strapped
     if key == "terms":
         changes.append(('"K_III"]', f'"K_III", "{symbol}"]'))
@@ -682,28 +686,32 @@ def test_terms_that_cannot_act_are_named(tmp_path, key, symbol, strapped, messag
     if key == "hold":
         changes.append(("hold = []", f'hold = ["{symbol}"]'))
     if not message:
-        assert read_campaign(write(tmp_path, edited(*changes))).model.terms[4].startswith(symbol)
+        assert (
+            read_campaign(write_description(tmp_path, edit(*changes)))
+            .model.terms[4]
+            .startswith(symbol)
+        )
         return
-    first = problems_of(tmp_path, edited(*changes))[0]
+    first = problems_of(tmp_path, edit(*changes))[0]
     assert first.startswith(f'model.{key}: "{symbol}')
     assert message in first
 
 
-def test_errors_of_an_encoder_need_a_recorded_angle(tmp_path):
+def test_encoder_errors_require_recorded_angle(tmp_path):
     asked = ('"K_III"]', '"K_III", "encoder.harmonic.1"]')
     unrecorded = ('angle = { column = "angle", unit = "deg" }', "")
-    (problem,) = problems_of(tmp_path, edited(asked, unrecorded))
+    (problem,) = problems_of(tmp_path, edit(asked, unrecorded))
     assert problem == "model.terms: contains encoder errors, but no angle is recorded"
-    assert read_campaign(write(tmp_path, edited(asked))).model.terms[-2:] == (
+    assert read_campaign(write_description(tmp_path, edit(asked))).model.terms[-2:] == (
         "encoder.harmonic.1.cos",
         "encoder.harmonic.1.sin",
     )
 
 
-def test_truth_of_the_path(tmp_path):
+def test_truth_of_path_errors_is_read(tmp_path):
     tables = '[truth.centrifuge]\nstretch = "4e-9 s^2/m"\nimbalance.2.sin = "3 um"\n'
     tables += '[truth.encoder]\nharmonic.1.cos = "1 arcsec"\n'
-    campaign = read_campaign(write(tmp_path, f"{BASE}{SIMULATED}\n{tables}"))
+    campaign = read_campaign(write_description(tmp_path, f"{BASE}{SIMULATED}\n{tables}"))
     (first, _) = campaign.simulation.truth.runs.values()
     assert first.shared["centrifuge.stretch"] == 4e-9
     assert first.shared["centrifuge.imbalance.2.sin"] == pytest.approx(3e-6, rel=1e-14)

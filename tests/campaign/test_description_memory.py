@@ -10,7 +10,7 @@ from counterspin.campaign.quantity import Quantity
 from counterspin.errors import CampaignError
 
 
-def test_a_mapping_says_what_the_file_says(tmp_path):
+def test_mapping_is_equivalent_to_file(tmp_path):
     file = campaigns.write(tmp_path, campaigns.SMALL)
     of_file, made = read_campaign(file), make_campaign(frames.small(), folder=tmp_path)
     apart = {"path", "title", "runs", "source", "frames", "simulation"}
@@ -20,7 +20,7 @@ def test_a_mapping_says_what_the_file_says(tmp_path):
     assert (made.title, str(made.path)) == ("", "campaign in memory")
 
 
-def test_records_stand_in_for_files(tmp_path):
+def test_frames_replace_files(tmp_path):
     records = frames.arrays(tmp_path)
     made = make_campaign(frames.untrue(), records, folder=tmp_path)
     assert [run.record.name for run in made.runs] == [
@@ -33,7 +33,7 @@ def test_records_stand_in_for_files(tmp_path):
     assert (table.columns["time_s"] == records["slow"]["time_s"]).all()
 
 
-def test_a_record_may_be_a_file_or_take_the_place_of_one(tmp_path):
+def test_record_may_be_path_or_frame(tmp_path):
     records = dict(frames.arrays(tmp_path))
     pl.DataFrame(dict(records["slow"])).write_csv(tmp_path / "elsewhere.csv")
     records["slow"] = tmp_path / "elsewhere.csv"
@@ -48,7 +48,7 @@ def test_a_record_may_be_a_file_or_take_the_place_of_one(tmp_path):
     )
 
 
-def test_names_of_records_are_files_and_apart(tmp_path):
+def test_record_names_are_valid_and_unique_file_names(tmp_path):
     document = frames.untrue()
     document["runs"] = [
         {"name": "10 g / in", "rate": "1 rad/s"},
@@ -61,7 +61,7 @@ def test_names_of_records_are_files_and_apart(tmp_path):
     assert names == ["10_g_in.parquet", "10_g_in-2.parquet", "run.parquet"]
 
 
-def test_a_description_in_a_file_takes_records_from_memory(tmp_path):
+def test_description_in_file_accepts_records_in_memory(tmp_path):
     records = frames.arrays(tmp_path)
     file = campaigns.write(tmp_path, campaigns.SMALL)
     made = make_campaign(tmp_path, {"slow": records["slow"]})
@@ -73,13 +73,13 @@ def test_a_description_in_a_file_takes_records_from_memory(tmp_path):
     ]
 
 
-def test_quantities_may_be_numbers_with_their_unit():
+def test_quantity_objects_are_accepted():
     document = frames.small()
     document["centrifuge"]["radius"] = Quantity(2.5, 1e-5, "m")
     assert make_campaign(document).radius == Quantity(2.5, 1e-5, "m")
 
 
-def test_mistakes_are_told_as_of_a_file(tmp_path):
+def test_errors_match_those_of_file(tmp_path):
     text = campaigns.changed(
         campaigns.SMALL, ('radius = "2.5 m"', 'radius = "2.5 s"'), ("[noise]", "[nose]")
     )
@@ -101,24 +101,24 @@ def test_mistakes_are_told_as_of_a_file(tmp_path):
         ({}, r'runs\[0\].record: is missing \(run "slow"\)'),
     ],
 )
-def test_records_and_runs_must_fit(records, message):
+def test_rejects_records_that_do_not_match_runs(records, message):
     with pytest.raises(CampaignError, match=message):
         make_campaign(frames.untrue(), records)
 
 
-def test_a_frame_that_is_none_is_told_by_its_run():
+def test_invalid_frame_names_run():
     with raises("wrong-type", "slow in memory:", "list"):
         make_campaign(frames.untrue(), {"slow": [1.0]})
 
 
-def test_what_toml_could_not_hold_is_refused():
+def test_rejects_values_without_toml_type():
     with raises("invalid-value", "campaign.title:", "NUL"):
         make_campaign(frames.small() | {"campaign": {"title": "a\0"}})
     with raises("wrong-type", "runs:", "set"):
         make_campaign(frames.small() | {"runs": {1}})
 
 
-def test_runs_need_no_record_where_none_is_given_yet():
+def test_runs_without_record_get_default_name():
     document = frames.untrue()
     document["runs"][0]["name"] = "a/b"
     document["runs"][1]["name"] = "a:b"

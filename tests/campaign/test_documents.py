@@ -1,4 +1,4 @@
-"""The lines in which the keys of a TOML file stand."""
+"""Line numbers of keys in a TOML file, and documents as Python values."""
 
 import datetime
 import hashlib
@@ -60,7 +60,7 @@ harmonic = 2
 '''
 
 
-def test_keys_are_found_in_tables_lists_of_tables_and_with_dots():
+def test_key_lines_of_tables_arrays_and_dotted_keys():
     assert tomllib.loads(TEXT)["runs"][1]["truth"]["ripple"][1] == {"harmonic": 2}
     assert key_lines(TEXT) == {
         "schema": 1,
@@ -83,21 +83,21 @@ def test_keys_are_found_in_tables_lists_of_tables_and_with_dots():
     }
 
 
-def _values(value, path=()):
-    """Return key, as messages write it, -> value, of all that stands in a document."""
+def _walk_values(value, path=()):
+    """Return key, as in messages, -> value for all values of a document."""
     found = {key_path(path).replace('"', ""): value}
     inner = value.items() if isinstance(value, dict) else ()
     if isinstance(value, list):
         inner = enumerate(value)
     for key, one in inner:
-        found |= _values(one, (*path, key))
+        found |= _walk_values(one, (*path, key))
     return found
 
 
 @pytest.mark.parametrize("name", ["starter.toml", "starter_tumble.toml", "starter_arm.toml"])
-def test_each_line_holds_the_value_of_its_key(name):
+def test_line_contains_value_of_key(name):
     text = (files("counterspin.ingest") / name).read_text("utf-8")
-    values, lines = _values(tomllib.loads(text)), text.splitlines()
+    values, lines = _walk_values(tomllib.loads(text)), text.splitlines()
     checked = 0
     for key, number in key_lines(text).items():
         value = values[key]
@@ -110,7 +110,7 @@ def test_each_line_holds_the_value_of_its_key(name):
     assert checked > 15
 
 
-def test_a_message_has_the_line_of_its_key_or_of_its_table(tmp_path):
+def test_message_has_line_of_key_or_table(tmp_path):
     file = tmp_path / "a.toml"
     file.write_text(TEXT, encoding="utf-8")
     told = {
@@ -126,7 +126,7 @@ def test_a_message_has_the_line_of_its_key_or_of_its_table(tmp_path):
     assert message_lines(list(told), tmp_path / "none.toml") == [None] * len(told)
 
 
-def test_each_mistake_of_a_file_is_told_with_its_line(tmp_path):
+def test_errors_of_file_state_line(tmp_path):
     wrong = BASE.replace("schema = 1", "schema = 2").replace('column = "time_s"', "column = 3")
     with pytest.raises(CampaignError) as raised:
         read_campaign(write(tmp_path, wrong))
@@ -138,8 +138,8 @@ def test_each_mistake_of_a_file_is_told_with_its_line(tmp_path):
         assert last in wrong.splitlines()[number - 1]
 
 
-def test_mistakes_are_told_in_the_order_of_the_file(tmp_path):
-    # The first is one of several tables, which are looked at when each has been by itself.
+def test_errors_are_in_file_order(tmp_path):
+    # The first error concerns several tables, which are compared after the separate checks.
     wrong = BASE.replace('column = "angle_rad"', 'column = "time_s"').replace("rev/s", "rev")
     with pytest.raises(CampaignError) as raised:
         read_campaign(write(tmp_path, wrong))
@@ -149,7 +149,7 @@ def test_mistakes_are_told_in_the_order_of_the_file(tmp_path):
     assert raised.value.problems[0].startswith('records.angle: column "time_s"')
 
 
-def test_plans_and_laboratories_tell_theirs_too(tmp_path):
+def test_errors_of_plan_and_laboratory_file_state_line(tmp_path):
     plan = tmp_path / "PLAN.toml"
     plan.write_text('schema = 1\n[goal]\nminimise = ["K_II"]\ntarget = 3\n', encoding="utf-8")
     with raises("wrong-type", "line 4", "goal.target:"):
@@ -158,7 +158,7 @@ def test_plans_and_laboratories_tell_theirs_too(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["campaign.toml", "PLAN.toml", "LAB.toml", "study.toml"])
-def test_keys_of_many_parts_are_refused_with_file_and_line(tmp_path, name):
+def test_rejects_deeply_nested_key_with_file_and_line(tmp_path, name):
     file = tmp_path / name
     file.write_text("schema = 1\n" + "a." * 40_000 + "a = 1\n", encoding="utf-8")
     for read in (
@@ -173,7 +173,7 @@ def test_keys_of_many_parts_are_refused_with_file_and_line(tmp_path, name):
         assert str(raised.value).startswith(f"{file}: line 2: ")
 
 
-def test_what_python_has_becomes_what_toml_has():
+def test_python_values_become_toml_types():
     problems = Problems({})
     day = datetime.date(2026, 3, 1)
     written = to_toml_value(
@@ -192,13 +192,13 @@ def test_what_python_has_becomes_what_toml_has():
     assert problems.lines == []
 
 
-def test_a_quantity_is_read_back_to_the_last_bit():
+def test_quantity_round_trips_exactly():
     for quantity in (Quantity(1 / 3, 1e-7 / 3, "m"), Quantity(-1e-22, 0.0, "g/g^2")):
         text = to_toml_value(quantity, (), Problems({}).add)
         assert parse(text, quantity.unit) == quantity
 
 
-def test_what_cannot_stand_in_a_description_is_noted_with_its_key():
+def test_unsupported_values_are_reported_with_key():
     problems = Problems({})
     to_toml_value({"site": {"gravity": 1j}, 7: 1}, (), problems.add)
     assert problems.lines == [
@@ -207,7 +207,7 @@ def test_what_cannot_stand_in_a_description_is_noted_with_its_key():
     ]
 
 
-def test_patches_are_merge_patches():
+def test_merge_patch_follows_rfc_7396():
     # The cases of RFC 7396, appendix A, whose documents are objects.
     for before, patch, after in [
         ({"a": "b"}, {"a": "c"}, {"a": "c"}),
@@ -224,7 +224,7 @@ def test_patches_are_merge_patches():
         assert merge_patch(before, patch) == after
 
 
-def test_differences_are_named_by_their_keys():
+def test_differences_are_named_by_key():
     before = {"a": {"b": 1, "c": [1, 2]}, "runs": [{"rate": "1"}, {"rate": "2"}]}
     after = {"a": {"b": 1, "c": [1]}, "runs": [{"rate": "1"}, {"rate": "3"}], "x.y": 0}
     assert list(differences(before, after)) == ["a.c", "runs[1].rate", '"x.y"']
@@ -232,31 +232,31 @@ def test_differences_are_named_by_their_keys():
     assert list(differences({"a": 1}, {"a": True})) == ["a"]
 
 
-def sha(data):
+def sha256_of(data):
     return f"sha256:{hashlib.sha256(data).hexdigest()}"
 
 
-def test_a_file_is_known_by_its_bytes(tmp_path):
+def test_file_source_has_checksum_of_bytes(tmp_path):
     file = campaigns.write(tmp_path, "# a comment\n" + campaigns.SMALL)
     source = read_campaign(tmp_path).source
-    assert source.content_checksum() == sha(file.read_bytes())
+    assert source.content_checksum() == sha256_of(file.read_bytes())
     assert (source.in_memory, source.label) == (False, str(file))
 
 
-def test_a_change_is_known_by_what_would_be_written(tmp_path):
+def test_changed_source_has_checksum_of_document(tmp_path):
     file = campaigns.write(tmp_path, campaigns.SMALL)
     campaign = read_campaign(tmp_path)
     changed = campaign.change({"centrifuge": {"radius": "2.6 m"}})
     assert changed.source.changed == ("centrifuge.radius",)
-    assert changed.source.content_checksum() != sha(file.read_bytes())
+    assert changed.source.content_checksum() != sha256_of(file.read_bytes())
     assert str(changed.path) == changed.source.label == f"{file}, changed in memory"
     for name in ("slow", "middle", "fast"):
         (tmp_path / f"{name}.csv").write_text("time_s\n0\n", encoding="utf-8")
     written = changed.write(tmp_path / "written")
-    assert changed.source.content_checksum() == sha(written.read_bytes())
+    assert changed.source.content_checksum() == sha256_of(written.read_bytes())
 
 
-def test_what_is_changed_back_is_the_file_again(tmp_path):
+def test_reverted_change_has_source_of_file(tmp_path):
     file = campaigns.write(tmp_path, campaigns.SMALL)
     back = (
         read_campaign(tmp_path)
@@ -264,10 +264,10 @@ def test_what_is_changed_back_is_the_file_again(tmp_path):
         .change({"centrifuge": {"radius": "2.5 m"}})
     )
     assert not back.source.in_memory
-    assert back.source.content_checksum() == sha(file.read_bytes())
+    assert back.source.content_checksum() == sha256_of(file.read_bytes())
 
 
-def test_a_copy_with_a_part_replaced_has_no_source():
+def test_copy_with_replaced_field_has_no_source():
     campaign = make_campaign(frames.small())
     assert campaign.source is not None
     assert replace(campaign, title="other").source is None

@@ -1,4 +1,4 @@
-"""Stated frequency responses: keys, tables, and what is wrong with them."""
+"""Stated frequency responses: keys, tables and errors."""
 
 import math
 
@@ -35,7 +35,7 @@ TABLE = (
 )
 
 
-def campaign(folder, response="", recorder="", table=None):
+def make_response_campaign(folder, response="", recorder="", table=None):
     if table is not None:
         (folder / "response.csv").write_text(table)
     text = BASE.replace("RESPONSE", response).replace("RECORDER", recorder)
@@ -43,14 +43,14 @@ def campaign(folder, response="", recorder="", table=None):
     return cs.read_campaign(folder)
 
 
-def test_nothing_is_assumed_of_a_response_that_is_not_stated(tmp_path):
-    described = campaign(tmp_path)
+def test_unstated_response_has_no_default(tmp_path):
+    described = make_response_campaign(tmp_path)
     assert described.accelerometers["Q"].mounting.response is None
     assert not any("sensor" in symbol for _, symbol in inputs_by_owner(described))
 
 
-def test_a_stated_response_has_inputs_with_their_uncertainties(tmp_path):
-    described = campaign(
+def test_stated_response_has_inputs_with_uncertainty(tmp_path):
+    described = make_response_campaign(
         tmp_path,
         'natural_frequency = "400 ± 20 Hz"\ndamping = "0.7 ± 0.1"',
         'cutoff_frequency = "100 ± 5 Hz"',
@@ -64,8 +64,8 @@ def test_a_stated_response_has_inputs_with_their_uncertainties(tmp_path):
     assert inputs["", "records.cutoff_frequency"].u == 5.0
 
 
-def test_a_table_is_read_with_its_checksum(tmp_path):
-    described = campaign(tmp_path, 'frequency_response = "response.csv"', table=TABLE)
+def test_table_is_read_with_checksum(tmp_path):
+    described = make_response_campaign(tmp_path, 'frequency_response = "response.csv"', table=TABLE)
     table = described.accelerometers["Q"].mounting.response.table
     assert table.gain == (0.9999, 0.9975)
     assert table.phase[0] == pytest.approx(math.radians(-0.3))
@@ -108,6 +108,6 @@ def test_a_table_is_read_with_its_checksum(tmp_path):
         ),
     ],
 )
-def test_a_wrong_response_is_refused(tmp_path, response, recorder, table, words):
+def test_rejects_invalid_response(tmp_path, response, recorder, table, words):
     with pytest.raises(CampaignError, match=words):
-        campaign(tmp_path, response, recorder, table)
+        make_response_campaign(tmp_path, response, recorder, table)

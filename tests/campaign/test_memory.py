@@ -10,7 +10,7 @@ from counterspin.campaign.memory import make_campaign
 from counterspin.errors import CounterspinError
 
 
-def test_what_is_written_reads_back_to_the_last_bit(tmp_path):
+def test_written_campaign_round_trips_exactly(tmp_path):
     records = frames.arrays(tmp_path)
     document = frames.untrue()
     document["runs"][1]["record"] = "in/middle.csv"
@@ -27,15 +27,15 @@ def test_what_is_written_reads_back_to_the_last_bit(tmp_path):
 
 
 @pytest.fixture
-def recorded(tmp_path):
+def recorded_folder(tmp_path):
     campaigns.write(tmp_path / "a", "# mine\n" + campaigns.SMALL)
     for name, columns in frames.arrays(tmp_path).items():
         pl.DataFrame(dict(columns)).write_csv(tmp_path / "a" / f"{name}.csv")
     return tmp_path / "a"
 
 
-def test_all_files_of_a_run_are_copied(recorded, tmp_path):
-    """Those in which its record goes on, that of its pulses, and a record of two runs."""
+def test_all_files_of_run_are_copied(recorded_folder, tmp_path):
+    """Continuation files, the file of the pulses and a record of two runs."""
     angle = 'angle = { column = "angle_rad", unit = "rad" }'
     more = 'continued_in = ["slow-2.csv"]\npulses = "index.csv"\nstop = "9 s"'
     again = '[[runs]]\nname = "end"\nrate = "0.25 rev/s"\nrecord = "slow.csv"\nstart = "9 s"\n'
@@ -45,37 +45,37 @@ def test_all_files_of_a_run_are_copied(recorded, tmp_path):
         ('name = "slow"', f'name = "slow"\n{more}'),
         ("[simulation]", f"{again}\n[simulation]"),
     )
-    (recorded / "campaign.toml").write_text(text)
+    (recorded_folder / "campaign.toml").write_text(text)
     for name in ("slow-2.csv", "index.csv"):
-        (recorded / name).write_text(name)
-    campaign = read_campaign(recorded)
+        (recorded_folder / name).write_text(name)
+    campaign = read_campaign(recorded_folder)
     campaign.write(tmp_path / "b")
     names = {path.name for path in (tmp_path / "b").iterdir()}
-    assert names == {path.name for path in recorded.iterdir()}
+    assert names == {path.name for path in recorded_folder.iterdir()}
 
 
-def test_files_named_from_the_root_are_copied_to_where_they_were(recorded, tmp_path):
-    (recorded / "in").mkdir()
-    slow = (recorded / "slow.csv").rename(recorded / "in" / "slow.csv")
+def test_absolute_paths_are_copied_to_relative_location(recorded_folder, tmp_path):
+    (recorded_folder / "in").mkdir()
+    slow = (recorded_folder / "slow.csv").rename(recorded_folder / "in" / "slow.csv")
     there = f"record = '{slow}'"
     text = campaigns.changed(campaigns.SMALL, ('record = "slow.csv"', there))
-    (recorded / "campaign.toml").write_text(text)
-    read_campaign(recorded).write(tmp_path / "b")
+    (recorded_folder / "campaign.toml").write_text(text)
+    read_campaign(recorded_folder).write(tmp_path / "b")
     assert read_campaign(tmp_path / "b").runs[0].record == tmp_path / "b" / "in" / "slow.csv"
     assert (tmp_path / "b" / "in" / "slow.csv").read_bytes() == slow.read_bytes()
 
 
-def test_a_folder_is_copied_as_it_is(recorded, tmp_path):
-    campaign = read_campaign(recorded)
+def test_folder_is_copied_unchanged(recorded_folder, tmp_path):
+    campaign = read_campaign(recorded_folder)
     campaign.write(tmp_path / "b")
     for name in ("campaign.toml", "slow.csv", "middle.csv", "fast.csv"):
-        assert (tmp_path / "b" / name).read_bytes() == (recorded / name).read_bytes()
-    # Into its own place there is nothing to do.
-    campaign.write(recorded, overwrite=True)
-    assert (recorded / "campaign.toml").read_text().startswith("# mine")
+        assert (tmp_path / "b" / name).read_bytes() == (recorded_folder / name).read_bytes()
+    # Writing to the same folder changes nothing.
+    campaign.write(recorded_folder, overwrite=True)
+    assert (recorded_folder / "campaign.toml").read_text().startswith("# mine")
 
 
-def test_records_from_elsewhere_come_along_under_names_of_their_own(recorded, tmp_path):
+def test_external_records_are_copied_under_unique_names(recorded_folder, tmp_path):
     document = frames.small()
     for run, place in zip(
         document["runs"], ("a/slow.csv", "c/slow.csv", "c/Slow.csv"), strict=True
@@ -83,20 +83,20 @@ def test_records_from_elsewhere_come_along_under_names_of_their_own(recorded, tm
         run["record"] = str(tmp_path / place)
     (tmp_path / "c").mkdir()
     for name in ("slow", "Slow"):
-        (tmp_path / "c" / f"{name}.csv").write_bytes((recorded / "fast.csv").read_bytes())
+        (tmp_path / "c" / f"{name}.csv").write_bytes((recorded_folder / "fast.csv").read_bytes())
     make_campaign(document, folder=tmp_path / "other").write(tmp_path / "b")
     back = read_campaign(tmp_path / "b")
     names = [run.record.name for run in back.runs]
     assert len({name.lower() for name in names}) == 3
-    assert back.runs[0].record.read_bytes() == (recorded / "slow.csv").read_bytes()
-    assert back.runs[1].record.read_bytes() == (recorded / "fast.csv").read_bytes()
+    assert back.runs[0].record.read_bytes() == (recorded_folder / "slow.csv").read_bytes()
+    assert back.runs[1].record.read_bytes() == (recorded_folder / "fast.csv").read_bytes()
 
 
-def test_nothing_is_overwritten_and_nothing_left_behind(recorded, tmp_path):
-    campaign = read_campaign(recorded)
+def test_write_does_not_overwrite_or_leave_partial_folder(recorded_folder, tmp_path):
+    campaign = read_campaign(recorded_folder)
     with raises("file-exists", "campaign.toml"):
-        campaign.write(recorded)
-    (recorded / "fast.csv").unlink()
+        campaign.write(recorded_folder)
+    (recorded_folder / "fast.csv").unlink()
     with pytest.raises(CounterspinError, match=r"fast\.csv: file not found"):
         campaign.write(tmp_path / "b")
     assert not (tmp_path / "b").exists()

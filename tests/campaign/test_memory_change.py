@@ -17,7 +17,7 @@ def campaign():
     return make_campaign(frames.small())
 
 
-def test_a_mapping_changes_the_keys_that_it_has(campaign):
+def test_mapping_changes_its_keys(campaign):
     changed = campaign.change(
         {
             "campaign": {"title": "Other"},
@@ -37,20 +37,20 @@ def test_a_mapping_changes_the_keys_that_it_has(campaign):
     assert list(changed.accelerometers) == ["Qx", "Qy"]
     assert changed.accelerometers["Qx"].serial_number == "7"
     assert changed.simulation.truth.coefficients["Qx"]["K_II"] == 5e-5
-    # Keys that the patch does not name stay, and so does the campaign.
+    # Other keys and the original campaign are unchanged.
     before = campaign.simulation.truth.coefficients
     assert changed.simulation.truth.coefficients["Qx"]["K_F"] == before["Qx"]["K_F"]
     assert changed.latitude == campaign.latitude
     assert campaign.radius.value == 2.5
 
 
-def test_none_removes_a_key(campaign):
+def test_none_removes_key(campaign):
     assert campaign.change({"noise": None}).noise is None
     assert campaign.change({"model": {"assume": None}}).model.assume == ()
     assert list(campaign.change(campaigns.WITHOUT_QY).accelerometers) == ["Qx"]
 
 
-def test_a_list_replaces_a_list(campaign):
+def test_list_replaces_list(campaign):
     runs = campaigns.runs_of(campaign, "slow", "fast")
     fewer = campaign.change({"runs": [runs[0], runs[1] | {"rate": "2 rad/s"}]})
     assert [run.name for run in fewer.runs] == ["slow", "fast"]
@@ -58,7 +58,7 @@ def test_a_list_replaces_a_list(campaign):
     assert campaign.change({"model": {"terms": ["K_F"]}}).model.terms == ("K_F",)
 
 
-def test_records_in_memory_are_kept_and_given(tmp_path):
+def test_records_in_memory_are_preserved_or_replaced(tmp_path):
     records = frames.arrays(tmp_path)
     campaign = make_campaign(frames.untrue(), records).change({"centrifuge": {"radius": "2.4 m"}})
     assert [str(campaign.record_at(run.record)) for run in campaign.runs] == [
@@ -73,14 +73,14 @@ def test_records_in_memory_are_kept_and_given(tmp_path):
     assert list(given.frames) == [tmp_path / "slow.csv"]
 
 
-def test_a_campaign_of_files_keeps_them(tmp_path):
+def test_changed_campaign_keeps_files(tmp_path):
     campaigns.write(tmp_path, campaigns.SMALL)
     changed = read_campaign(tmp_path).change({"centrifuge": {"radius": "2.6 m"}})
     assert changed.runs[0].record == tmp_path / "slow.csv"
     assert changed.title == tmp_path.name
 
 
-def test_all_mistakes_are_reported(campaign):
+def test_all_errors_are_reported(campaign):
     with pytest.raises(CampaignError) as wrong:
         campaign.change(
             {"centrifuge": {"radius": "2.5 s"}, "model": {"terms": ["K_2"]}, "nois": {}},
@@ -97,7 +97,7 @@ def test_all_mistakes_are_reported(campaign):
     assert {"centrifuge.radius", "model.terms[0]", "nois"} <= starts
 
 
-def test_a_campaign_without_its_description_is_not_changed(campaign):
+def test_rejects_change_of_campaign_without_description(campaign):
     for act in (lambda c: c.change({}), lambda c: c.write("anywhere")):
         with pytest.raises(CounterspinError, match="its description is unknown"):
             act(replace(campaign, title="other"))

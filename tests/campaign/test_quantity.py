@@ -61,7 +61,7 @@ FINITE = st.builds(math.copysign, UNCERTAINTY, st.sampled_from([1.0, -1.0]))
         ("9.8066 m^0.5 m^0.5/s/s", "m/s^2", 9.8066, 0.0),
     ],
 )
-def test_reads_what_people_write(text, unit, value, u):
+def test_quantity_is_parsed(text, unit, value, u):
     quantity = parse(text, unit)
     assert quantity.value == pytest.approx(value, rel=4e-16, abs=0.0)
     assert quantity.u == pytest.approx(u, rel=4e-16, abs=0.0)
@@ -80,11 +80,11 @@ def test_reads_what_people_write(text, unit, value, u):
         ("45.75 ± 0.1 deg", 45.75),
     ],
 )
-def test_latitudes_as_maps_write_them(text, degrees):
+def test_latitude_with_minutes_and_hemisphere(text, degrees):
     assert parse(latitude_text(text), "rad").value == pytest.approx(math.radians(degrees))
 
 
-def test_a_latitude_has_fewer_than_60_minutes():
+def test_rejects_latitude_with_60_minutes():
     with pytest.raises(ValueError, match="less than 60"):
         latitude_text("45 deg 75 min N")
 
@@ -92,7 +92,7 @@ def test_a_latitude_has_fewer_than_60_minutes():
 @pytest.mark.parametrize(
     "text", ["45.75 degs", "45.75 degN", "45 deg 45 min 30 s", "45.75 n", "45.75 deg", "N 45.75 S"]
 )
-def test_misspelt_units_of_latitudes_are_not_hemispheres(text):
+def test_misspelt_unit_is_not_a_hemisphere(text):
     assert latitude_text(text) == text
 
 
@@ -106,11 +106,11 @@ def test_misspelt_units_of_latitudes_are_not_hemispheres(text):
         ("1 mg", "m/s^2", 1e-3 * G),
     ],
 )
-def test_site_gravity_joins_g_units_and_si(text, unit, value):
+def test_site_gravity_converts_between_g_and_si(text, unit, value):
     assert parse(text, unit, gravity=G).value == pytest.approx(value, rel=1e-15)
 
 
-def test_without_gravity_g_and_si_stay_apart():
+def test_rejects_g_for_si_without_gravity():
     with pytest.raises(ValueError, match=r"'g' is not a unit of acceleration; use m/s\^2"):
         parse("1 g", "m/s^2")
 
@@ -160,23 +160,23 @@ def test_without_gravity_g_and_si_stay_apart():
         ("1 __import__('os')", "m", "is not a unit"),
     ],
 )
-def test_refuses_with_advice(text, unit, message):
+def test_rejects_with_advice(text, unit, message):
     with pytest.raises(ValueError, match=message):
         parse(text, unit)
 
 
 @pytest.mark.parametrize("wanted", ADVICE)
-def test_every_advised_unit_is_accepted(wanted):
+def test_advised_units_are_accepted(wanted):
     for unit in ADVICE[wanted][1].split(", "):
         assert unit_factor(unit, wanted, gravity=G) > 0.0
 
 
-def test_every_unit_of_the_term_table_has_advice():
+def test_all_term_units_have_advice():
     assert {row.unit for row in [*TERMS.values(), *SHARED_TERMS.values()]} <= set(ADVICE)
 
 
 @given(FINITE, UNCERTAINTY, st.sampled_from(sorted(ADVICE)))
-def test_a_quantity_reads_back_exactly(value, u, unit):
+def test_quantity_round_trips_exactly(value, u, unit):
     assume(max(abs(value), u) < 1e9 or unit not in ("rad", "s"))
     quantity = Quantity(value, u, unit)
     assert parse(str(quantity), unit) == quantity
@@ -191,14 +191,14 @@ def test_a_quantity_reads_back_exactly(value, u, unit):
         ("1e18 s", "s", "a time"),
     ],
 )
-def test_implausible_angles_and_times_are_refused(text, unit, kind):
+def test_rejects_implausible_angles_and_times(text, unit, kind):
     with pytest.raises(ValueError, match=f"implausibly large or small; {kind} is required"):
         parse(text, unit)
     parse(text.replace("e18", "e8").replace("e10", "e9"), unit)
 
 
 @given(st.sampled_from(sorted(UNITS)), st.sampled_from(sorted(UNITS)))
-def test_factors_of_one_dimension_are_inverse(one, other):
+def test_factors_of_same_dimension_are_inverse(one, other):
     try:
         there = unit_factor(one, other)
     except ValueError:
@@ -208,7 +208,7 @@ def test_factors_of_one_dimension_are_inverse(one, other):
 
 @pytest.mark.slow
 @given(st.text(max_size=20))
-def test_no_text_gets_past_as_anything_but_a_quantity_or_a_value_error(text):
+def test_any_text_gives_finite_quantity_or_value_error(text):
     try:
         quantity = parse(text, "m")
     except ValueError:
@@ -217,7 +217,7 @@ def test_no_text_gets_past_as_anything_but_a_quantity_or_a_value_error(text):
 
 
 @pytest.mark.parametrize("text", ["1e300 m", "-1e61 m", "2.5 ± 1e-300 m", "1e-64 km"])
-def test_sizes_beyond_all_measure(text):
+def test_rejects_implausible_lengths(text):
     with pytest.raises(ValueError, match="is implausibly large or small; a length is required"):
         parse(text, "m")
 
@@ -232,11 +232,11 @@ def test_sizes_beyond_all_measure(text):
         (".5 V", "1e-1 V"),
     ],
 )
-def test_the_last_digit_of_a_quantity(text, one):
+def test_last_digit_of_quantity(text, one):
     assert last_digit(text) == one
 
 
-def test_a_quantity_that_was_read_already_is_only_converted():
+def test_quantity_object_is_converted():
     assert parse(Quantity(2.5, 1.0, "mA"), "A") == parse("2.5 ± 1.0 mA", "A")
     assert parse(Quantity(2.0, 0.0, "m/s^2"), "g", gravity=8.0) == Quantity(0.25, 0.0, "g")
     for wrong, words in (
@@ -257,5 +257,5 @@ def test_a_quantity_that_was_read_already_is_only_converted():
         ("30 deg about up", "x [0.866, 0.5, 0], y [-0.5, 0.866, 0], z up"),
     ],
 )
-def test_an_attitude_is_told_by_where_its_axes_point(written, words):
+def test_attitude_is_described_by_directions_of_axes(written, words):
     assert attitude_words(attitude_rows(written)) == words

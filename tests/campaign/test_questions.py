@@ -1,4 +1,4 @@
-"""What a description is asked about: gravity of another latitude, values without uncertainty."""
+"""Questions on a description: gravity and latitude, values without uncertainty."""
 
 import pytest
 from campaigns import SMALL, campaign_of, changed, write
@@ -6,7 +6,7 @@ from campaigns import SMALL, campaign_of, changed, write
 from counterspin.campaign.questions import questions
 from counterspin.cli import main
 
-#: A campaign of which there is nothing to ask.
+#: A campaign without questions.
 SURE = changed(
     SMALL,
     ('"1.002 g/g"\ndisp', '"1.002 ± 1e-5 g/g"\ndisp'),
@@ -14,12 +14,12 @@ SURE = changed(
 )
 
 
-def asked(folder, text):
+def ask_questions(folder, text):
     return [(q.code, q.subject) for q in questions(campaign_of(folder, text))]
 
 
-def test_nothing_to_ask(tmp_path):
-    assert asked(tmp_path, SURE) == []
+def test_complete_campaign_has_no_questions(tmp_path):
+    assert ask_questions(tmp_path, SURE) == []
 
 
 @pytest.mark.parametrize(
@@ -34,26 +34,26 @@ def test_nothing_to_ask(tmp_path):
         ("9.8066", "0.8 deg", False),  # 0.8 rad was meant
         ("9.8066", "-45.75 deg", True),
         ("9.8066", "45 deg 45 min N", True),
-        ("9.7803 ± 0.02", "45 deg", True),  # it says itself that it is not known
+        ("9.7803 ± 0.02", "45 deg", True),  # the stated uncertainty covers the difference
     ],
 )
-def test_gravity_fits_the_latitude(tmp_path, gravity, latitude, fits):
+def test_gravity_is_checked_against_latitude(tmp_path, gravity, latitude, fits):
     text = changed(SURE, ("9.8066 m/s^2", f"{gravity} m/s^2"), ('"45.75 deg"', f'"{latitude}"'))
-    found = asked(tmp_path, text)
+    found = ask_questions(tmp_path, text)
     assert found == ([] if fits else [("gravity-latitude", "site")])
 
 
-def test_the_range_is_said(tmp_path):
+def test_question_states_range_of_gravity(tmp_path):
     text = changed(SURE, ('"45.75 deg"', '"0.8 deg"'))
     (question,) = questions(campaign_of(tmp_path, text))
     assert "from -500 to 3000 m of height, gravity is 9.7711 to 9.7819 m/s^2" in question.text
 
 
-def test_the_removed_gravity_is_held_to_the_latitude_too(tmp_path):
+def test_removed_gravity_is_checked_against_latitude(tmp_path):
     for removed, fits in (("9.80665", True), ("9.8061", True), ("9.78033", False)):
         line = f'gravity = "9.8066 m/s^2"\nremoved_gravity = "{removed} m/s^2"'
         text = changed(SURE, ('gravity = "9.8066 m/s^2"', line), ('"45.75 deg"', '"47 deg"'))
-        found = asked(tmp_path, text)
+        found = ask_questions(tmp_path, text)
         assert found == ([] if fits else [("gravity-latitude", "site.removed_gravity")])
 
 
@@ -61,7 +61,7 @@ def test_the_removed_gravity_is_held_to_the_latitude_too(tmp_path):
     ("changes", "asks"),
     [
         ([], True),
-        ([('"9.8066 ± 1e-4 m/s^2"', '"9.8066 m/s^2"')], False),  # left is nothing
+        ([('"9.8066 ± 1e-4 m/s^2"', '"9.8066 m/s^2"')], False),  # no gravity remains
         (
             [('45.75 deg"', '45.75 deg"\nremoved_gravity = "9.8066 m/s^2"')],
             False,
@@ -71,7 +71,7 @@ def test_the_removed_gravity_is_held_to_the_latitude_too(tmp_path):
            'specific_force = { column = "up_m", unit = "m/s^2" }')], False),
     ],
 )  # fmt: skip
-def test_what_is_left_of_gravity_upright(tmp_path, changes, asks):
+def test_remaining_gravity_of_upright_accelerometer(tmp_path, changes, asks):
     upright = (
         '[accelerometers.Qz]\ninput_axis = "up"\npendulous_axis = "north"\n'
         'displacement = { column = "up_m", unit = "m" }\n[noise]\nspecific_force = "1 mg"\n'
@@ -81,7 +81,7 @@ def test_what_is_left_of_gravity_upright(tmp_path, changes, asks):
     )
     if not any("specific_force = {" in new for _, new in changes):
         text = changed(text, ('specific_force = "1 mg"\n', ""))
-    assert asked(tmp_path, text) == ([("removed-gravity", "Qz.K_I")] if asks else [])
+    assert ask_questions(tmp_path, text) == ([("removed-gravity", "Qz.K_I")] if asks else [])
 
 
 OWN_VELOCITY = ('unit = "rad" }\n', 'unit = "rad" }\nreference = "own velocity"\n')
@@ -91,7 +91,7 @@ UPRIGHT = (
 )
 
 
-def test_what_nobody_recorded_of_the_computers_own_velocity(tmp_path):
+def test_unrecorded_axis_of_own_velocity_is_a_question(tmp_path):
     found = questions(campaign_of(tmp_path, changed(SURE, OWN_VELOCITY)))
     # An error upwards acts to the west, as the Earth's rotation points north and up.
     assert [(q.code, q.subject) for q in found] == [("unrecorded-axis", "Qx.K_F")]
@@ -101,10 +101,10 @@ def test_what_nobody_recorded_of_the_computers_own_velocity(tmp_path):
         in found[0].text
     )
     whole = changed(SURE, OWN_VELOCITY, ("[noise]\n", UPRIGHT))
-    assert asked(tmp_path, whole) == []
+    assert ask_questions(tmp_path, whole) == []
 
 
-def test_own_velocity_does_nothing_to_a_recorded_force(tmp_path):
+def test_own_velocity_has_no_effect_on_recorded_force(tmp_path):
     text = changed(
         SURE,
         OWN_VELOCITY,
@@ -117,11 +117,11 @@ def test_own_velocity_does_nothing_to_a_recorded_force(tmp_path):
     assert "has no effect here" in found.text
 
 
-def test_values_without_an_uncertainty(tmp_path):
+def test_values_without_uncertainty_are_questions(tmp_path):
     text = changed(SMALL, ('"1.002 g/g"\ndisp', '"1.002 g/g"\nbias = "0.005 g"\ndisp'))
     priors = '[model.priors]\n"platform.tilt.north" = "0 arcsec"\n'
     text = changed(text, ('assume = "all"\n', f'assume = ["K_I", "platform.*"]\n{priors}'))
-    assert asked(tmp_path, text) == [
+    assert ask_questions(tmp_path, text) == [
         ("exact-prior", "Qx.K_F"),
         ("exact-prior", "Qx.K_I"),
         ("exact-prior", "Qy.K_I"),
@@ -138,7 +138,7 @@ def test_values_without_an_uncertainty(tmp_path):
     )
 
 
-def test_simulate_and_plan_warn_and_calibrate_finds(tmp_path, capsys):
+def test_simulate_and_plan_warn_and_calibrate_has_finding(tmp_path, capsys):
     text = changed(SURE, ('"45.75 deg"', '"0.8 deg"'))
     assert main(["simulate", str(write(tmp_path, text)), "-o", str(tmp_path / "made")]) == 0
     assert (

@@ -1,4 +1,4 @@
-"""How runs are read, which part of them, and which are left out."""
+"""File formats, parts and exclusion of runs."""
 
 import math
 
@@ -16,13 +16,13 @@ ANGLE = 'angle = { column = "angle_rad", unit = "rad" }'
 TIME = 'time = { column = "time_s", unit = "s" }'
 
 
-def campaign(folder, *pairs):
+def read_changed(folder, *pairs):
     return read_campaign(write(folder, changed(SMALL, *pairs)))
 
 
-def problems(folder, *pairs):
+def list_problems(folder, *pairs):
     with pytest.raises(CampaignError) as caught:
-        campaign(folder, *pairs)
+        read_changed(folder, *pairs)
     return caught.value.problems
 
 
@@ -37,15 +37,15 @@ def problems(folder, *pairs):
         ('sense = "clockwise"', -1.0, 0.0),
     ],
 )
-def test_an_angle_is_turned_into_the_right_handed_one(tmp_path, keys, factor, offset):
-    angle = campaign(tmp_path, (ANGLE, f'angle = {{ column = "a", {keys} }}')).angle
+def test_angle_is_converted_to_right_handed(tmp_path, keys, factor, offset):
+    angle = read_changed(tmp_path, (ANGLE, f'angle = {{ column = "a", {keys} }}')).angle
     assert angle.factor == pytest.approx(factor, rel=1e-15)
     assert angle.offset == pytest.approx(offset)
 
 
-def test_a_run_may_be_read_in_its_own_way(tmp_path):
+def test_run_overrides_file_format(tmp_path):
     own = 'name = "middle"\nrecords = { decimal = ",", time = { unit = "ms" } }\nstop = "30 s"'
-    read = campaign(
+    read = read_changed(
         tmp_path, (ANGLE, f'{ANGLE}\ndelimiter = ";"\nskip_lines = 4'), ('name = "middle"', own)
     )
     slow, middle, _ = read.runs
@@ -55,46 +55,46 @@ def test_a_run_may_be_read_in_its_own_way(tmp_path):
     assert middle.part == (-math.inf, 30.0)
 
 
-def test_a_run_may_be_left_out(tmp_path):
-    read = campaign(tmp_path, ('name = "middle"', 'name = "middle"\nskip = true'))
+def test_run_can_be_skipped(tmp_path):
+    read = read_changed(tmp_path, ('name = "middle"', 'name = "middle"\nskip = true'))
     assert [run.name for run in read.runs] == ["slow", "fast"]
     assert read.skipped == ("middle",)
     everything = [
         (f'name = "{n}"', f'name = "{n}"\nskip = true') for n in ("slow", "middle", "fast")
     ]
-    assert problems(tmp_path, *everything) == ("runs: are all excluded by skip = true",)
+    assert list_problems(tmp_path, *everything) == ("runs: are all excluded by skip = true",)
 
 
-def test_one_file_may_have_several_runs_one_after_the_other(tmp_path):
-    def parts(first, second):
+def test_file_may_contain_consecutive_runs(tmp_path):
+    def two_parts(first, second):
         return [
             ('record = "slow.csv"', f'record = "all.csv"\n{first}'),
             ('record = "middle.csv"', f'record = "all.csv"\n{second}'),
         ]
 
-    read = campaign(tmp_path, *parts('stop = "40 s"', 'start = "40 s"'))
+    read = read_changed(tmp_path, *two_parts('stop = "40 s"', 'start = "40 s"'))
     assert [run.part for run in read.runs[:2]] == [(-math.inf, 40.0), (40.0, math.inf)]
     for second in ('start = "39 s"', "", 'start = "x"'):
-        told = problems(tmp_path, *parts('stop = "40 s"', second))
+        told = list_problems(tmp_path, *two_parts('stop = "40 s"', second))
         assert any("is already used by runs[0]" in line or "start" in line for line in told)
     with raises("not-simulable"):
         simulate(read, tmp_path / "out")
 
 
 @pytest.mark.parametrize("key", ["sheet", "group"])
-def test_one_file_may_have_a_run_in_each_of_its_tables(tmp_path, key):
-    def tables(first, second):
+def test_file_may_contain_run_per_table(tmp_path, key):
+    def two_tables(first, second):
         return [
             ('record = "slow.csv"', f'record = "all.xlsx"\nrecords = {{ {key} = "{first}" }}'),
             ('record = "middle.csv"', f'record = "all.xlsx"\n{second}'),
         ]
 
     own = f'records = {{ {key} = "two" }}'
-    read = campaign(tmp_path, *tables("one", own))
+    read = read_changed(tmp_path, *two_tables("one", own))
     assert [run.record.name for run in read.runs[:2]] == ["all.xlsx"] * 2
-    # The same table, or one that may be the same, is of one run.
+    # One table, or a possibly identical one, belongs to one run.
     for first, second in (("two", own), ("one", "")):
-        told = problems(tmp_path, *tables(first, second))
+        told = list_problems(tmp_path, *two_tables(first, second))
         assert any("is already used by runs[0]" in line for line in told)
 
 
@@ -130,8 +130,8 @@ def test_one_file_may_have_a_run_in_each_of_its_tables(tmp_path, key):
         ),
     ],
 )
-def test_mistakes_are_told_by_their_keys(tmp_path, old, new, words):
-    assert any(line.startswith(words) for line in problems(tmp_path, (old, new)))
+def test_errors_name_key(tmp_path, old, new, words):
+    assert any(line.startswith(words) for line in list_problems(tmp_path, (old, new)))
 
 
 @pytest.mark.parametrize(
@@ -148,39 +148,43 @@ def test_mistakes_are_told_by_their_keys(tmp_path, old, new, words):
         ('name = "slow"', 'name = "slow"\nrecords = { decimal = "." }', r'"slow", records.decimal'),
     ],
 )
-def test_what_cannot_be_simulated_is_said(tmp_path, old, new, words):
+def test_rejects_simulation_of_unsupported_campaign(tmp_path, old, new, words):
     with pytest.raises(CampaignError, match=words):
-        simulate(campaign(tmp_path, (old, new)), tmp_path / "out")
+        simulate(read_changed(tmp_path, (old, new)), tmp_path / "out")
 
 
-def test_each_recorder_has_one_clock(tmp_path):
-    def two(first, second):
+def test_clock_is_assigned_per_recorder(tmp_path):
+    def two_recorders(first, second):
         return [
             ('name = "slow"', f'name = "slow"\nrecords = {{ {first} }}'),
             ('name = "middle"', f'name = "middle"\nrecords = {{ {second} }}'),
         ]
 
     clock = 'recorder = "B", clock = "{} ± 1e-7"'
-    read = campaign(tmp_path, *two('recorder = "B"', 'recorder = "C", clock = "1 ± 0.1 ppm"'))
+    read = read_changed(
+        tmp_path, *two_recorders('recorder = "B"', 'recorder = "C", clock = "1 ± 0.1 ppm"')
+    )
     clocks = {one.recorder: one.clock for one in map(read.recording_of, read.runs)}
     assert list(clocks) == ["B", "C", ""]
     assert clocks["B"] is clocks[""] is None
     assert (clocks["C"].value, clocks["C"].u) == pytest.approx((1e-6, 1e-7))
-    assert problems(tmp_path, *two(clock.format("0"), clock.format("1e-6"))) == (
+    assert list_problems(tmp_path, *two_recorders(clock.format("0"), clock.format("1e-6"))) == (
         'runs: "slow" and "middle" state different clocks for the recorder "B"; state only one of '
         "them",
     )
-    (nameless,) = problems(tmp_path, ('name = "slow"', 'name = "slow"\nrecords = { clock = "0" }'))
+    (nameless,) = list_problems(
+        tmp_path, ('name = "slow"', 'name = "slow"\nrecords = { clock = "0" }')
+    )
     assert "give the recorder of this clock" in nameless
-    (slow,) = problems(tmp_path, (ANGLE, f'{ANGLE}\nclock = "0.02 ± 1e-7"'))
+    (slow,) = list_problems(tmp_path, (ANGLE, f'{ANGLE}\nclock = "0.02 ± 1e-7"'))
     assert "above 1 %" in slow
 
 
-def test_a_run_is_compared_with_the_runs_of_its_record_alone(monkeypatch):
-    """With all others, a description of 10,000 runs took minutes."""
+def test_run_is_compared_only_with_runs_of_same_record(monkeypatch):
+    """Comparison with all runs took minutes for a description of 10,000 runs."""
     compared = []
     monkeypatch.setattr(
-        consistency_checks, "_are_different_tables", lambda *tables: compared.append(tables)
+        consistency_checks, "_are_different_tables", lambda *two_tables: compared.append(two_tables)
     )
     listed = [(n, {"name": f"r{n}", "record": f"{n // 2}.csv"}) for n in range(200)]
     mistakes = list(consistency_checks._repeated_names_and_files({}, listed))

@@ -1,4 +1,4 @@
-"""[specification]: the grammar of limits, and every mistake by its key."""
+"""[specification]: the grammar of limits, and errors with their keys."""
 
 import pytest
 from hypothesis import given
@@ -31,7 +31,7 @@ G = 9.8
         ("abs <= 0.0098 m/s^2", "g", -1e-3, 1e-3),
     ],
 )
-def test_limits(text, unit, low, high):
+def test_limits_are_parsed(text, unit, low, high):
     found = parse_specification(text, unit, gravity=G)
     assert found.unit == unit
     assert found.low == (None if low is None else pytest.approx(low, rel=1e-8))
@@ -39,8 +39,8 @@ def test_limits(text, unit, low, high):
 
 
 @given(st.integers(-10_000, 10_000), st.integers(1, 10_000))
-def test_range_and_tolerance_say_the_same(middle, half):
-    # In eighths, which a double holds: both ways then differ by rounding of the units alone.
+def test_range_and_tolerance_are_equivalent(middle, half):
+    # Eighths are exact in binary: both forms then differ only by rounding of the units.
     middle, half = middle / 8, half / 8
     low, high = middle - half, middle + half
     spread = parse_specification(f"{middle!r} ± {half!r} ug/g^2", "g/g^2")
@@ -73,7 +73,7 @@ def test_range_and_tolerance_say_the_same(middle, half):
         ("1 ± -1 ug/g^2", "negative"),
     ],
 )
-def test_what_is_no_specification(text, words):
+def test_rejects_invalid_specification(text, words):
     with pytest.raises(ValueError, match=r".") as caught:
         parse_specification(text, "g/g^2")
     assert words in str(caught.value)
@@ -82,22 +82,22 @@ def test_what_is_no_specification(text, words):
 # The table
 
 
-def resolved(table, accelerometers=("Qx", "Qy")):
+def resolve_table(table, accelerometers=("Qx", "Qy")):
     problems = Problems({})
     found = resolve_specifications(table, accelerometers, problems=problems, gravity=G)
     assert (found is None) == bool(problems.lines)
     return found, problems.lines
 
 
-def test_rule_and_terms_with_their_defaults():
-    found, _ = resolved({"K_II": "abs <= 5e-5 g/g^2"})
+def test_default_rule_applies_to_all_accelerometers():
+    found, _ = resolve_table({"K_II": "abs <= 5e-5 g/g^2"})
     assert found.rule == DecisionRule("guarded", 1.0, 0.95)
     limits = Specification("abs <= 5e-5 g/g^2", -5e-5, 5e-5, "g/g^2")
     assert found.terms == {"Qx": {"K_II": limits}, "Qy": {"K_II": limits}}
 
 
-def test_one_accelerometer_s_limits_go_before_those_of_all():
-    found, _ = resolved(
+def test_accelerometer_limits_override_common_limits():
+    found, _ = resolve_table(
         {
             "decision_rule": "probability",
             "conformance_probability": 0.99,
@@ -113,14 +113,14 @@ def test_one_accelerometer_s_limits_go_before_those_of_all():
 
 
 @pytest.mark.parametrize("symbol", TERMS)
-def test_every_term_can_be_specified_in_its_unit(symbol):
+def test_terms_can_be_specified_in_their_unit(symbol):
     unit = TERMS[symbol].unit
-    found, _ = resolved({symbol: f"abs <= 1e-5 {unit}"})
+    found, _ = resolve_table({symbol: f"abs <= 1e-5 {unit}"})
     assert found.terms["Qx"][symbol] == Specification(f"abs <= 1e-5 {unit}", -1e-5, 1e-5, unit)
 
 
-def test_all_mistakes_at_once_by_key():
-    _, lines = resolved(
+def test_all_errors_are_reported_by_key():
+    _, lines = resolve_table(
         {
             "decision_rule": "lenient",
             "guard_factor": -1,
@@ -169,15 +169,15 @@ def test_all_mistakes_at_once_by_key():
         ({"platform": {"tilt": "<= 1 arcsec"}}, "specification.platform: is a term of the machine"),
     ],
 )
-def test_single_mistakes(table, line):
-    _, lines = resolved(table)
+def test_error_in_table_names_key(table, line):
+    _, lines = resolve_table(table)
     assert any(found.startswith(line) for found in lines), lines
 
 
 # In a campaign
 
 
-def test_campaign_has_its_specifications(tmp_path, starter):
+def test_campaign_contains_specifications(tmp_path, starter):
     path = tmp_path / "campaign.toml"
     path.write_text(starter + '\n[specification]\nK_II = "abs <= 5e-5 g/g^2"\n', encoding="utf-8")
     found = read_campaign(path).specifications
@@ -188,7 +188,7 @@ def test_campaign_has_its_specifications(tmp_path, starter):
     assert read_campaign(path).specifications is None
 
 
-def test_mistakes_are_told_with_those_of_the_rest(tmp_path, starter):
+def test_errors_are_reported_with_those_of_other_sections(tmp_path, starter):
     path = tmp_path / "campaign.toml"
     text = starter + '\n[specification]\nK_II = "5"\n\n[sight]\n'
     path.write_text(text, encoding="utf-8")
@@ -199,7 +199,7 @@ def test_mistakes_are_told_with_those_of_the_rest(tmp_path, starter):
 
 
 @pytest.mark.parametrize("value", ['"text"', "[1]", "5"])
-def test_a_specification_that_is_no_table(tmp_path, starter, value):
+def test_rejects_specification_that_is_not_a_table(tmp_path, starter, value):
     path = tmp_path / "campaign.toml"
     path.write_text(
         starter.replace("schema = 1", f"schema = 1\nspecification = {value}"), encoding="utf-8"
@@ -215,14 +215,14 @@ def starter():
     return (files("counterspin.ingest") / "starter.toml").read_text(encoding="utf-8")
 
 
-def process_of(process):
+def resolve_process(process):
     raw = {"K_II": "abs <= 5e-5 g/g^2", "process": process}
     problems = Problems({"specification": raw})
     return resolve_specifications(raw, ["Qx"], problems=problems, gravity=G), problems.lines
 
 
-def test_process_of_a_term_is_its_mean_and_standard_deviation():
-    specifications, problems = process_of({"K_II": "1 ± 25 ug/g^2"})
+def test_process_has_mean_and_standard_deviation():
+    specifications, problems = resolve_process({"K_II": "1 ± 25 ug/g^2"})
     assert problems == []
     process = specifications.terms["Qx"]["K_II"].process
     assert (process.mean, process.sigma) == pytest.approx((1e-6, 25e-6))
@@ -237,7 +237,7 @@ def test_process_of_a_term_is_its_mean_and_standard_deviation():
         ({"K_II": 1.0}, "specification.process.K_II: "),
     ],
 )
-def test_mistakes_in_a_process_are_named(process, message):
-    specifications, problems = process_of(process)
+def test_errors_in_process_are_named(process, message):
+    specifications, problems = resolve_process(process)
     assert specifications is None
     assert problems[0].startswith(message)

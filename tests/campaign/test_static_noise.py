@@ -1,4 +1,4 @@
-"""Noise from a record at rest, for what has no records yet, and from a record in memory."""
+"""Noise from a record at rest, for simulation, planning and studies."""
 
 import numpy as np
 import polars as pl
@@ -23,8 +23,8 @@ FROM = '[noise]\nfrom = "rest.csv"\nangle = "1e-6 rad"'
 
 
 @pytest.fixture(scope="module", autouse=True)
-def sizes_alone():
-    """Find sizes without their intervals, which no test of this file looks at."""
+def skip_intervals():
+    """Estimate noise without intervals, which these tests do not use."""
     with without_intervals():
         yield
 
@@ -38,8 +38,8 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def white(folder):
-    """Return the larger white noise of the two accelerometers, as it is found, m."""
+def largest_white_noise(folder):
+    """Return the larger estimated white noise of the two accelerometers, m."""
     found = cs.noise(folder / "rest.csv", campaign=folder).signals
     sizes = [signal.components["displacement"].value for signal in found]
     # Of 2000 samples a standard deviation is known to 1.6 %.
@@ -48,20 +48,24 @@ def white(folder):
     return max(sizes)
 
 
-def by_hand(folder, white):
+def state_noise(folder, largest_white_noise):
     """Return the campaign with the noise as `counterspin noise` prints it."""
-    return read_campaign(folder).change({"noise": {"from": None, "displacement": f"{white!r} m"}})
+    return read_campaign(folder).change(
+        {"noise": {"from": None, "displacement": f"{largest_white_noise!r} m"}}
+    )
 
 
-def test_the_largest_noise_found_is_simulated(folder, white):
-    made, stated = (cs.simulate(c) for c in (read_campaign(folder), by_hand(folder, white)))
+def test_largest_estimated_noise_is_simulated(folder, largest_white_noise):
+    made, stated = (
+        cs.simulate(c) for c in (read_campaign(folder), state_noise(folder, largest_white_noise))
+    )
     for one, other in zip(made.runs, stated.runs, strict=True):
         frames = made.record_at(one.record).frame(), stated.record_at(other.record).frame()
         assert frames[0].equals(frames[1])
     assert cs.calibrate(made).accelerometers["Qy"].noise["displacement"].record == "rest.csv"
 
 
-def test_true_noise_of_its_own_is_simulated_instead(folder, tmp_path):
+def test_stated_true_noise_overrides_estimate(folder, tmp_path):
     at_rest(tmp_path, rows=2000)
     own = read_campaign(write(tmp_path, changed(SMALL, (STATED, FROM))))
     assert simulated_noise(own).displacement == 0.01
@@ -70,7 +74,7 @@ def test_true_noise_of_its_own_is_simulated_instead(folder, tmp_path):
         cs.simulate(wanted)
 
 
-def test_a_simulated_folder_has_the_record_at_rest(folder, tmp_path):
+def test_simulated_folder_contains_record_at_rest(folder, tmp_path):
     cs.simulate(folder, tmp_path / "there")
     assert (tmp_path / "there/rest.csv").read_bytes() == (folder / "rest.csv").read_bytes()
     again = read_campaign(tmp_path / "there")
@@ -83,8 +87,8 @@ def test_a_simulated_folder_has_the_record_at_rest(folder, tmp_path):
         cs.simulate(outside, tmp_path / "elsewhere")
 
 
-def test_a_forecast_takes_what_the_record_does_not_show_for_none(folder, white):
-    campaign, stated = read_campaign(folder), by_hand(folder, white)
+def test_forecast_assumes_undetected_noise_is_zero(folder, largest_white_noise):
+    campaign, stated = read_campaign(folder), state_noise(folder, largest_white_noise)
     runs = runs_of(campaign, "slow", "middle")
     alone = {"accelerometers": {"Qx": None}, "truth": {"Qx": None}, "runs": runs}
     longer = {"runs": [run | {"revolutions": 20} for run in runs]}
@@ -94,14 +98,14 @@ def test_a_forecast_takes_what_the_record_does_not_show_for_none(folder, white):
     assert one == pytest.approx(other, rel=1e-12)
 
 
-#: The merge patch that leaves Qy alone.
+#: The merge patch that leaves only Qy.
 ONLY_QY = {"accelerometers": {"Qx": None}, "truth": {"Qx": None}}
 
 
-def test_a_study_draws_it(folder, white):
-    beside = {"acceleration": "0 g/Hz^0.5"}  # or the trials had to look for it
+def test_study_uses_noise_of_record(folder, largest_white_noise):
+    beside = {"acceleration": "0 g/Hz^0.5"}  # otherwise the trials would estimate it
     of_rest = read_campaign(folder).change(ONLY_QY | {"noise": beside})
-    stated = by_hand(folder, white).change(ONLY_QY)
+    stated = state_noise(folder, largest_white_noise).change(ONLY_QY)
     one, other = (
         cs.study(c, trials=50, seed=1).analyses["joint"].coefficients["Qy.K_II"]
         for c in (of_rest, stated)
@@ -135,7 +139,7 @@ minimise = ["K_II"]
 
 
 @pytest.mark.slow
-def test_a_plan_is_of_the_noise_found_and_writes_it_down(tmp_path):
+def test_plan_uses_and_states_estimated_noise(tmp_path):
     at_rest(tmp_path, rows=2000)
     file = tmp_path / "PLAN.toml"
     file.write_text(PLAN, encoding="utf-8")
@@ -149,13 +153,13 @@ def test_a_plan_is_of_the_noise_found_and_writes_it_down(tmp_path):
     assert found.document == stated.document
     assert f'displacement = "{size}"' in found.document
     assert found.u == stated.u
-    # What is changed in memory names files beside the plan's own, too.
+    # A campaign changed in memory also names files next to the plan.
     again = found.change(total_time=found.source["limits"]["total_time"])
     assert (again.document, again.file) == (found.document, file)
 
 
-def test_a_plan_says_that_it_cannot_plan_with_a_bias_that_wanders(tmp_path):
-    """A walk of 1 mm/s^2 in a second: the twentieth of it from sample to sample, integrated."""
+def test_plan_rejects_bias_walk(tmp_path):
+    """A bias walk of 1 mm/s^2 in 1 s, in samples at 20 Hz."""
     rng = np.random.default_rng(1)
     walk = np.cumsum(1e-3 * np.sqrt(0.05) * rng.standard_normal(1000))
     frame = pl.DataFrame({"time_s": np.arange(1000) / 20.0, "east": walk})
@@ -170,7 +174,7 @@ def test_a_plan_says_that_it_cannot_plan_with_a_bias_that_wanders(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_record_at_rest_may_be_in_memory(folder, tmp_path):
+def test_record_at_rest_may_be_in_memory(folder, tmp_path):
     frame, recorded = pl.read_csv(folder / "rest.csv"), cs.simulate(read_campaign(folder))
     of_file = make_noise(recorded)
     document = {**recorded.source.document, "noise": {"angle": "1e-6 rad"}}
@@ -187,8 +191,8 @@ def test_a_record_at_rest_may_be_in_memory(folder, tmp_path):
     assert make_noise(other)["Qx"].white == pytest.approx(2.0 * of_file["Qx"].white, rel=1e-6)
 
 
-def test_a_file_may_be_given_for_a_record_at_rest_too(folder, tmp_path):
-    described = by_hand(folder, 0.01).source.document
+def test_path_may_be_given_for_record_at_rest(folder, tmp_path):
+    described = state_noise(folder, 0.01).source.document
     given = make_campaign(
         {**described, "noise": {}}, {"noise.from": folder / "rest.csv"}, folder=tmp_path
     )

@@ -18,7 +18,7 @@ OBLIQUE = Mounting.from_axes([1.0, 1.0, 0.0], "down")
 ARCSEC = np.pi / 648000
 
 
-def resolve(mountings, attitudes=(LEVEL,), given=None, **settings):
+def resolve_terms(mountings, attitudes=(LEVEL,), given=None, **settings):
     problems = Problems({})
     given = {name: {} for name in mountings} | (given or {})
     on = MeasurementSetup(mountings, {}, attitudes, (), 0, None, None)
@@ -26,8 +26,8 @@ def resolve(mountings, attitudes=(LEVEL,), given=None, **settings):
     return model, priors, problems.lines
 
 
-def expanded(bare, mountings, attitudes=(LEVEL,)):
-    model, _, problems = resolve(mountings, attitudes, terms=["K_II", bare])
+def expand_name(bare, mountings, attitudes=(LEVEL,)):
+    model, _, problems = resolve_terms(mountings, attitudes, terms=["K_II", bare])
     assert model.terms[0] == "K_II"
     components = [symbol.removeprefix(f"{bare}.") for symbol in model.terms[1:]]
     return " ".join(components) or problems[0]
@@ -44,14 +44,14 @@ def expanded(bare, mountings, attitudes=(LEVEL,)):
         ({"Qx": QX, "Qz": QZ}, "north", "xx yy zx"),
     ],
 )
-def test_bare_names_mean_the_components_that_act(mountings, tilt, azimuth):
-    assert expanded("platform.tilt", mountings) == tilt
-    assert expanded("platform.drift", mountings) == tilt
-    assert expanded("platform.g_sensitivity", mountings) == azimuth
+def test_bare_names_expand_to_acting_components(mountings, tilt, azimuth):
+    assert expand_name("platform.tilt", mountings) == tilt
+    assert expand_name("platform.drift", mountings) == tilt
+    assert expand_name("platform.g_sensitivity", mountings) == azimuth
 
 
-def test_nothing_acts_on_a_vertical_input_axis():
-    assert expanded("platform.tilt", {"Qz": QZ}) == (
+def test_no_component_acts_on_vertical_input_axis():
+    assert expand_name("platform.tilt", {"Qz": QZ}) == (
         'model.terms[1]: no component of "platform.tilt" affects these accelerometers to first '
         "order; omit it, or give one component, such as platform.tilt.east"
     )
@@ -60,15 +60,15 @@ def test_nothing_acts_on_a_vertical_input_axis():
 def test_gyro_terms_turn_with_the_platform():
     # x east, y up, z south: the azimuth gyro is y, and the gyro about north is -z.
     turned = attitude_rows("90 deg about east")
-    assert expanded("platform.tilt", {"Qx": QX}, [turned]) == "north"
-    assert expanded("platform.drift", {"Qx": QX}, [turned]) == "up"
-    assert expanded("platform.g_sensitivity", {"Qx": QX}, [turned]) == "yx zz"
-    assert expanded("platform.drift", {"Qx": QX}, [LEVEL, turned]) == "north up"
+    assert expand_name("platform.tilt", {"Qx": QX}, [turned]) == "north"
+    assert expand_name("platform.drift", {"Qx": QX}, [turned]) == "up"
+    assert expand_name("platform.g_sensitivity", {"Qx": QX}, [turned]) == "yx zz"
+    assert expand_name("platform.drift", {"Qx": QX}, [LEVEL, turned]) == "north up"
 
 
 @pytest.mark.parametrize("attitude", ["level", "90 deg about east", "30 deg about north"])
 @pytest.mark.parametrize("mounting", [QX, QY, QZ, OBLIQUE], ids=["Qx", "Qy", "Qz", "oblique"])
-def test_tilts_that_act_are_those_through_which_gravity_leaks(mounting, attitude):
+def test_acting_tilts_couple_gravity(mounting, attitude):
     rows = attitude_rows(attitude)
     gravity = np.array([0.0, 0.0, Site(9.8, 0.7).gravity])
     input_axis = mounting.matrix[0] @ rows
@@ -81,15 +81,15 @@ def test_tilts_that_act_are_those_through_which_gravity_leaks(mounting, attitude
     ("symbol", "mounting", "reaches"),
     [("yz", QX, True), ("xz", QX, False), ("zz", QX, False), ("xz", QY, True), ("yz", QZ, False)],
 )
-def test_a_g_sensitivity_to_gravity_itself_reaches_as_a_drift_does(symbol, mounting, reaches):
+def test_g_sensitivity_to_gravity_acts_as_drift(symbol, mounting, reaches):
     row = SHARED_TERMS[f"platform.g_sensitivity.{symbol}"]
     about = {"x": "east", "y": "north", "z": "up"}[symbol[0]]
     drift = SHARED_TERMS[f"platform.drift.{about}"]
     assert acts(row, mounting, LEVEL) == acts(drift, mounting, LEVEL) == reaches
 
 
-def test_a_component_prior_overrides_that_of_the_bare_name():
-    model, _, problems = resolve(
+def test_component_prior_overrides_bare_name():
+    model, _, problems = resolve_terms(
         {"Qx": QX, "Qy": QY},
         terms=["K_II", "platform.tilt"],
         priors={
@@ -104,7 +104,7 @@ def test_a_component_prior_overrides_that_of_the_bare_name():
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_a_component_prior_of_the_head_overrides_wider_ones_in_any_order(tmp_path, order):
+def test_head_component_prior_overrides_general_priors(tmp_path, order):
     stated = [
         '"head.harmonic.1.sin" = "0 ± 3 arcsec"\n',
         '"head.harmonic.1" = "0 ± 2 arcsec"\n',
@@ -119,8 +119,8 @@ def test_a_component_prior_of_the_head_overrides_wider_ones_in_any_order(tmp_pat
     assert found == {**first, **others}
 
 
-def test_one_accelerometer_prior_overrides_that_of_all():
-    _, priors, problems = resolve(
+def test_accelerometer_prior_overrides_common_prior():
+    _, priors, problems = resolve_terms(
         {"Qx": QX, "Qy": QY},
         terms=["K_II"],
         hold=["K_OO"],
@@ -131,8 +131,8 @@ def test_one_accelerometer_prior_overrides_that_of_all():
     assert priors["Qy"] == {"K_OO": Quantity(0.0, 1e-6, "g/g^2")}
 
 
-def test_keys_without_quotation_marks_nest_and_are_understood():
-    model, priors, problems = resolve(
+def test_unquoted_dotted_keys_are_accepted():
+    model, priors, problems = resolve_terms(
         {"Qx": QX},
         terms=["K_II", "platform.tilt"],
         priors={"platform": {"tilt": "0 ± 1 arcsec"}, "Qx": {"K_II": "0 ± 1 g/g^2"}},
@@ -146,9 +146,11 @@ def test_keys_without_quotation_marks_nest_and_are_understood():
     assert model.limits["K_II"] == 1e-3
 
 
-def test_held_terms_need_a_prior_for_every_accelerometer():
+def test_held_terms_require_prior_for_all_accelerometers():
     given = {"Qx": {"K_OO": Quantity(0.0, 1e-6, "g/g^2")}}
-    _, _, (problem,) = resolve({"Qx": QX, "Qy": QY}, given=given, terms=["K_II"], hold=["K_OO"])
+    _, _, (problem,) = resolve_terms(
+        {"Qx": QX, "Qy": QY}, given=given, terms=["K_II"], hold=["K_OO"]
+    )
     assert problem == (
         'model.hold: "K_OO" is held, but no prior is stated for Qy; '
         'add "K_OO" = "VALUE ± U g/g^2" to [model.priors]'
@@ -180,8 +182,8 @@ def test_held_terms_need_a_prior_for_every_accelerometer():
         ([], "", "K_OO platform.tilt.north centrifuge.radius"),
     ],
 )
-def test_what_is_assumed_to_be_perfect(assume, taken, not_taken):
-    model, _, problems = resolve({"Qx": QX}, terms=["K_II"], assume=assume)
+def test_assume_selects_terms(assume, taken, not_taken):
+    model, _, problems = resolve_terms({"Qx": QX}, terms=["K_II"], assume=assume)
     assert problems == []
     assert [symbol for symbol in taken.split() if not model.assumes(symbol)] == []
     assert [symbol for symbol in not_taken.split() if model.assumes(symbol)] == []
@@ -199,38 +201,38 @@ def test_what_is_assumed_to_be_perfect(assume, taken, not_taken):
         (["platform.tlt"], 'unknown term "platform.tlt"; did you mean "platform.tilt"?'),
     ],
 )
-def test_what_is_assumed_must_be_there(assume, problem):
-    _, _, (told,) = resolve({"Qx": QX}, terms=["K_F"], assume=assume)
+def test_assume_rejects_unknown_or_inactive_term(assume, problem):
+    _, _, (told,) = resolve_terms({"Qx": QX}, terms=["K_F"], assume=assume)
     assert told.endswith(problem)
 
 
 @pytest.mark.parametrize("key", ["hold", "considered"])
 @pytest.mark.parametrize("name", ["K_OO", "platform.tilt"])
-def test_what_is_held_is_not_assumed(key, name):
+def test_rejects_term_both_held_and_assumed(key, name):
     known = {"K_OO": "0 ± 1e-6 g/g^2", "platform.tilt": "0 ± 1 arcsec"}
     held = {"terms": ["K_II"], key: [name], "priors": known}
-    _, _, (told,) = resolve({"Qx": QX}, assume=["K_PP", name], **held)
+    _, _, (told,) = resolve_terms({"Qx": QX}, assume=["K_PP", name], **held)
     assert told == f'model.assume[1]: "{name}" is also in model.{key}; keep only one of them'
-    # Of a family only what is not stated is assumed.
-    assert resolve({"Qx": QX}, assume="all", **held)[2] == []
+    # Only unstated terms of a family are assumed.
+    assert resolve_terms({"Qx": QX}, assume="all", **held)[2] == []
 
 
-def test_considered_is_the_old_name_of_hold():
+def test_considered_is_alias_of_hold():
     known = {"K_OO": "0 ± 1e-6 g/g^2", "K_PP": "0 ± 1e-6 g/g^2"}
     old, new = (
-        resolve({"Qx": QX}, terms=["K_II"], priors=known, **{key: ["K_OO"]})
+        resolve_terms({"Qx": QX}, terms=["K_II"], priors=known, **{key: ["K_OO"]})
         for key in ("considered", "hold")
     )
     assert old == new
     assert new[0].considered == ("K_OO",)
-    _, _, (told,) = resolve(
+    _, _, (told,) = resolve_terms(
         {"Qx": QX}, terms=["K_II"], priors=known, hold=["K_OO"], considered=["K_PP"]
     )
     assert told == "model.considered: this key is the old name of hold; keep only hold"
 
 
-def test_what_is_neither_asked_for_nor_held_may_have_a_prior():
-    model, priors, problems = resolve(
+def test_unrequested_term_may_have_prior():
+    model, priors, problems = resolve_terms(
         {"Qx": QX},
         terms=["K_II"],
         priors={"K_OO": "1 ± 2 ug/g^2", "platform.drift.up": "0 ± 0.01 deg/h"},
@@ -241,41 +243,41 @@ def test_what_is_neither_asked_for_nor_held_may_have_a_prior():
     assert model.considered == ()
 
 
-def test_terms_must_name_an_accelerometer_coefficient():
-    _, _, (problem,) = resolve({"Qx": QX}, terms=["platform.tilt"])
+def test_terms_require_accelerometer_coefficient():
+    _, _, (problem,) = resolve_terms({"Qx": QX}, terms=["platform.tilt"])
     assert problem == "model.terms: contains no accelerometer term to estimate"
 
 
-def test_every_platform_term_has_a_bare_name():
+def test_platform_terms_have_bare_names():
     assert {row.symbol for rows in BARE_NAMES.values() for row in rows} == {
         symbol for symbol in SHARED_TERMS if symbol not in ("centrifuge.stretch", "table.lever_arm")
     }
 
 
-def test_a_sensitivity_that_acts_leaves_a_mean_at_some_start_angle():
-    """Against the closed form, which has start angle zero, and its quarter turn."""
+def test_acting_sensitivity_has_mean_at_some_start_angle():
+    """Compare with the closed form at start angle zero and after a quarter turn."""
     quarter = Mounting.from_axes("south", "down"), Mounting.from_axes("east", "down")
     for row in BARE_NAMES["platform.g_sensitivity"]:
         if row.effect.force_axis == 2:
-            continue  # a drift, which leaves no mean but t^3
+            continue  # a drift has no mean, only a t^3 term
         for mounting, turned in zip((QX, QY), quarter, strict=True):
-            # A quarter turn about up takes x to y: the same machine from another start angle.
+            # A quarter turn about up maps x to y: the same machine at another start angle.
             means = [
                 parabola(symbol, axes, 1.7, 2.5, 9.8)
-                for symbol, axes in ((row.symbol, mounting), (_quarter(row.symbol), turned))
+                for symbol, axes in ((row.symbol, mounting), (_turn_symbol(row.symbol), turned))
             ]
             assert acts(row, mounting, LEVEL) == any(abs(mean) > 1e-9 for mean in means)
             meant = row in rows_of("platform.g_sensitivity", [mounting], [LEVEL])
             assert meant == (abs(means[0]) > 1e-9)
 
 
-def _quarter(symbol):
+def _turn_symbol(symbol):
     family, _, pair = symbol.rpartition(".")
     return f"{family}.{pair.translate(str.maketrans('xy', 'yx'))}"
 
 
-def test_typical_sizes_may_be_changed():
-    model, _, problems = resolve(
+def test_typical_sizes_can_be_changed():
+    model, _, problems = resolve_terms(
         {"Qx": QX},
         terms=["K_II"],
         typical={
@@ -291,8 +293,8 @@ def test_typical_sizes_may_be_changed():
     assert "K_PP" not in model.typical
 
 
-def test_sizes_of_every_row_of_the_table():
-    """Those of inputs and of the machine too, a mounting's own among them."""
+def test_sizes_of_all_terms_can_be_stated():
+    """Including inputs and machine terms, also of a single mounting."""
     sizes = {
         "site.gravity": ("1e-3 m/s^2", 1e-3),
         "centrifuge.radius": ("0.1 mm", 1e-4),
@@ -303,20 +305,20 @@ def test_sizes_of_every_row_of_the_table():
         "K_F.trend": ("1e-9 g/s", 1e-9),
     }
     written = {symbol: text for symbol, (text, _) in sizes.items()}
-    model, _, problems = resolve({"Qx": QX}, terms=["K_II"], typical=written, limits=written)
+    model, _, problems = resolve_terms({"Qx": QX}, terms=["K_II"], typical=written, limits=written)
     assert problems == []
     for symbol, (_, size) in sizes.items():
         assert model.typical[symbol] == pytest.approx(size, rel=1e-14)
         assert model.limits[symbol] == pytest.approx(size, rel=1e-14)
     assert set(model.typical) == set(model.limits) == set(sizes)
-    _, _, (told,) = resolve({"Qx": QX}, terms=["K_II"], typical={"centrifuge.radios": "1 mm"})
+    _, _, (told,) = resolve_terms({"Qx": QX}, terms=["K_II"], typical={"centrifuge.radios": "1 mm"})
     assert told.startswith('model.typical."centrifuge.radios": unknown term')
 
 
-def test_names_of_the_path_mean_harmonics_and_their_quadratures():
-    assert expanded("encoder.harmonic.3", {"Qx": QX}) == "cos sin"
-    assert expanded("centrifuge.imbalance", {"Qx": QX}) == "1.cos 1.sin 2.cos 2.sin"
-    model, _, problems = resolve(
+def test_path_names_expand_to_harmonics_and_quadratures():
+    assert expand_name("encoder.harmonic.3", {"Qx": QX}) == "cos sin"
+    assert expand_name("centrifuge.imbalance", {"Qx": QX}) == "1.cos 1.sin 2.cos 2.sin"
+    model, _, problems = resolve_terms(
         {"Qx": QX},
         terms=["K_II", "centrifuge.imbalance"],
         priors={"centrifuge.imbalance": "0 ± 2 um", "centrifuge.imbalance.2": "0 ± 1 um"},
@@ -329,7 +331,7 @@ def test_names_of_the_path_mean_harmonics_and_their_quadratures():
         assert size == pytest.approx(arcsec * ARCSEC, rel=1e-14)
 
 
-def test_the_path_does_not_show_along_the_vertical():
-    assert "no component" in expanded("encoder.harmonic", {"Qz": QZ})
+def test_path_errors_do_not_act_on_vertical_axis():
+    assert "no component" in expand_name("encoder.harmonic", {"Qz": QZ})
     assert not acts(SHARED_TERMS["centrifuge.stretch"], QZ, LEVEL)
     assert acts(SHARED_TERMS["centrifuge.stretch"], QY, LEVEL)

@@ -1,4 +1,4 @@
-"""The true values of readings: in which units they may be, and what is told of each slip."""
+"""True values of readings: units and errors."""
 
 import pytest
 from campaigns import campaign_of
@@ -14,12 +14,12 @@ RUN = on_arm("in", "9 rad/s", "? ± 2e-6 mA", pendulous="up", mounting="in")
 BASE = place("1 m") + ACCELEROMETER + RUN
 
 
-def truth_of(folder, text):
+def read_truth(folder, text):
     return campaign_of(folder, BASE + text).simulation.truth
 
 
-def test_coefficients_may_be_in_the_unit_of_the_output(tmp_path):
-    truth = truth_of(
+def test_coefficients_may_be_in_output_unit(tmp_path):
+    truth = read_truth(
         tmp_path,
         '[truth.A]\nbias = "2.5 uA"\nscale_factor = "1.2506 mA/g"\nK_II = "1.9e-8 A/g^2"\n'
         'K_III = "2e-6 g/g^3"\ndelta_O = "1 mrad"\n',
@@ -29,19 +29,19 @@ def test_coefficients_may_be_in_the_unit_of_the_output(tmp_path):
     )
 
 
-def test_noise_of_readings_is_in_their_unit_and_no_noise_of_records(tmp_path):
-    truth = truth_of(tmp_path, '[truth.A]\n[truth.noise]\nreading = "5 nA"\n')
+def test_noise_of_readings_is_separate_from_noise_of_records(tmp_path):
+    truth = read_truth(tmp_path, '[truth.A]\n[truth.noise]\nreading = "5 nA"\n')
     assert truth.reading_noise == {"A": pytest.approx(4e-6)}
     assert truth.noise.specific_force == 0.0
 
 
-def test_the_stretch_may_stand_with_the_machine_or_the_centrifuge(tmp_path):
+def test_stretch_may_be_in_machine_or_centrifuge_table(tmp_path):
     for table in (
         '[truth.machine]\n"centrifuge.',
         '[truth.machine.centrifuge]\n"',
         '[truth.centrifuge]\n"',
     ):
-        truth = truth_of(tmp_path, f'[truth.A]\n{table}stretch" = "4.6e-9 s^2/m"\n')
+        truth = read_truth(tmp_path, f'[truth.A]\n{table}stretch" = "4.6e-9 s^2/m"\n')
         assert truth.machine == {"centrifuge.stretch": 4.6e-9}
 
 
@@ -65,9 +65,9 @@ SLIPS = {
 
 
 @pytest.mark.parametrize("slip", SLIPS)
-def test_each_slip_is_told_with_its_key(tmp_path, slip):
+def test_error_in_truth_names_key(tmp_path, slip):
     with pytest.raises(CampaignError) as caught:
-        truth_of(tmp_path, slip + "\n")
+        read_truth(tmp_path, slip + "\n")
     assert any(SLIPS[slip] in line for line in caught.value.problems), caught.value.problems
 
 
@@ -79,33 +79,33 @@ def test_each_slip_is_told_with_its_key(tmp_path, slip):
         (at_rest("up", "level", "? ± 1 uA", "truth = { rate_error = 1e-3 }\n"), "does not rotate"),
     ],
 )
-def test_each_slip_in_the_truth_of_a_run_is_told(tmp_path, run, said):
+def test_error_in_truth_of_run_is_reported(tmp_path, run, said):
     with pytest.raises(CampaignError) as caught:
         campaign_of(tmp_path, place("1 m") + ACCELEROMETER + run + "[truth.A]\n")
     (line,) = caught.value.problems
     assert said in line
 
 
-def test_without_truth_a_reading_needs_its_value(tmp_path):
+def test_reading_without_truth_requires_value(tmp_path):
     with raises("missing-value", "runs[0].reading:", '(run "in")'):
         campaign_of(tmp_path, BASE)
 
 
-def test_what_cannot_be_simulated_is_told(tmp_path):
-    def said(text, base=BASE):
+def test_rejects_simulation_without_noise_or_with_incredible_truth(tmp_path):
+    def list_problems(text, base=BASE):
         return reading_problems(campaign_of(tmp_path, base + text))
 
-    assert said("[truth.A]\n") == []
-    (line,) = said("[truth.A]\n", BASE.replace(" ± 2e-6", ""))
+    assert list_problems("[truth.A]\n") == []
+    (line,) = list_problems("[truth.A]\n", BASE.replace(" ± 2e-6", ""))
     assert line.startswith('truth.noise.reading: missing; "in" has no stated uncertainty')
-    (line,) = said('[truth.machine]\n"centrifuge.droop" = "0.1 rad s^2"\n')
+    (line,) = list_problems('[truth.machine]\n"centrifuge.droop" = "0.1 rad s^2"\n')
     assert "5 times the largest credible size, 0.001 rad s^2" in line
     at_rest = 'name = "rest"\nmotion = "static"\nattitude = "level"\nrecord = "r.csv"\n'
     column = 'specific_force = { column = "mA", unit = "mA" }\n[[runs]]\n'
     text = BASE.replace("[[runs]]\n", f"{column}{at_rest}[[runs]]\n")
-    (line,) = said('[truth.A]\n[records]\ntime = { column = "t", unit = "s" }\n', text)
+    (line,) = list_problems('[truth.A]\n[records]\ntime = { column = "t", unit = "s" }\n', text)
     assert line == 'run "rest": simulating a record at rest requires a duration'
 
 
-def test_no_accelerometer_has_the_name_of_another_table():
+def test_reserved_table_names_match_truth_settings():
     assert set(TRUTH_TABLES) == set(TruthSettings.model_fields)

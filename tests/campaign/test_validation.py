@@ -1,4 +1,4 @@
-"""Mistakes in a document: each told once, in the user's words, and none that is not there."""
+"""Validation of a document: each error is reported once in the user's terms."""
 
 import datetime
 from typing import Annotated, Literal
@@ -52,17 +52,17 @@ class Section(SettingsSection):
         ({"reading": []}, "reading: must have at least one entry"),
     ],
 )  # fmt: skip
-def test_a_mistake_is_told_once_where_it_is(raw, told):
+def test_error_is_reported_once_at_its_key(raw, told):
     problems = Problems(raw)
     assert problems.check(Section, raw, ()) is None
     assert problems.lines == [told]
 
 
-def test_a_value_of_each_type_is_accepted():
+def test_value_of_each_type_is_accepted():
     for raw in ({"axis": [0.0, 1.0]}, {"named": {"Qx": ["a"]}}, {"reading": {"Qx": "1 g"}}):
         assert Problems(raw).check(Section, raw, ()) is not None
 
 
-def test_where_nothing_is_known_nothing_is_meant():
+def test_no_suggestion_without_similar_name():
     assert suggest_name("x", []) == ""
     assert suggest_name("alpah", ["alpha", "beta"]) == '; did you mean "alpha"?'
